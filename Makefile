@@ -1,0 +1,37 @@
+# make demo: plan a motion on a shipped scenario.  make test: lint, types, tests.  Both need Python and a C++ compiler only.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+SOURCES := $(shell find ctrplan model scenarios -type f -not -name '*.pyc' 2>/dev/null)
+SCENARIO ?= scenarios/vessel.toml
+OUTPUT ?= demo-output
+
+.PHONY: demo test lint install clean sanitize fuzz bank
+
+demo: install
+	$(BIN)/ctrplan plan $(SCENARIO) -o $(OUTPUT)
+	@echo "Open $(OUTPUT)/report.html, or look at $(OUTPUT)/plan.png; the drive plays $(OUTPUT)/trajectory.csv."
+
+test: install lint
+	$(BIN)/pytest
+
+lint: install
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+install: $(VENV)/.installed
+
+# Build requirements stay in the environment, so that rebuilding after an edit takes seconds.
+$(VENV)/.deps: pyproject.toml
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python tools/requirements.py > $(VENV)/requirements.txt
+	$(BIN)/pip install --quiet --disable-pip-version-check -r $(VENV)/requirements.txt
+	touch $@
+
+$(VENV)/.installed: $(VENV)/.deps $(SOURCES)
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps .
+	touch $@
+
+clean:
+	rm -rf $(VENV) build $(OUTPUT)

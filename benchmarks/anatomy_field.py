@@ -1,0 +1,99 @@
+"""How long does the distance field of a 200,000-triangle organ take, in how much memory, and how far off is it?
+
+    python benchmarks/anatomy_field.py
+
+A lumpy body some 120 mm across in a cube of 200 mm, to be avoided. Each row runs in a process of its own; peak memory
+includes the interpreter and its libraries. "over" is what `interpolation_error_m` finds, "under" the opposite error.
+"""
+
+import multiprocessing
+import os
+import resource
+import tempfile
+import time
+
+import numpy as np
+import trimesh
+
+from ctrplan.anatomy import AnatomyPart, SignedDistanceField, build_field, exact_clearance
+
+HALF_M = 0.1
+
+
+def organ() -> AnatomyPart:
+    """Sphere of 60 mm radius with bumps of up to 5 mm, some 200,000 triangles."""
+    mesh = trimesh.creation.uv_sphere(radius=0.06, count=[225, 225])
+    direction = np.asarray(mesh.vertices) / 0.06
+    bumps = 1 + 0.08 * np.sin(7 * direction[:, :1] + 1) * np.sin(9 * direction[:, 1:2]) * np.sin(8 * direction[:, 2:])
+    return AnatomyPart("mesh", "avoid", 1e-3, vertices_m=mesh.vertices * bumps, faces=mesh.faces)
+
+
+def peak_mb() -> float:
+    """Largest resident memory of this process so far [MB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
+
+
+def measure(spacing_m: float) -> tuple[object, ...]:
+    """One row of the table for a grid step [m]."""
+    part, before = organ(), peak_mb()
+    triangles = 0 if part.faces is None else len(part.faces)
+    box = ([-HALF_M] * 3, [HALF_M] * 3)
+    start = time.perf_counter()
+    field = build_field([part], *box, spacing_m, cache=False)
+    built = time.perf_counter() - start
+    peak = peak_mb()
+    assert field is not None
+    build_field([part], *box, spacing_m)  # once more, to store it
+    start = time.perf_counter()
+    build_field([part], *box, spacing_m)
+    cached = time.perf_counter() - start
+    over = field.interpolation_error_m() * 1e6
+    return (
+        len(part.faces),
+        spacing_m * 1e3,
+        field.values_m.size / 1e6,
+        built,
+        cached,
+        before,
+        peak,
+        over,
+        *shortfall(field),
+    )
+
+
+def shortfall(field: SignedDistanceField) -> tuple[float, float]:
+    """Largest underestimate [um] within 10 mm of the surface, and microseconds per exact query, on 50,000 points."""
+    points = np.random.default_rng(1).uniform(-HALF_M, HALF_M, (50_000, 3))
+    start = time.perf_counter()
+    exact = exact_clearance(field.parts, points)
+    query = (time.perf_counter() - start) / len(points) * 1e6
+    near = np.abs(exact) < 0.01
+    return float((exact - field.sample(points))[near].max() * 1e6), query
+
+
+def main() -> None:
+    """Print the table."""
+    print(f"{os.cpu_count()} CPUs, cube of {2e3 * HALF_M:.0f} mm")
+    names = [
+        "triangles",
+        "step mm",
+        "Mnodes",
+        "build s",
+        "cached s",
+        "MB before",
+        "MB peak",
+        "over um",
+        "under um",
+        "us/exact",
+    ]
+    print("  ".join(f"{n:>9}" for n in names))
+    with tempfile.TemporaryDirectory() as cache:
+        os.environ["CTRPLAN_CACHE_DIR"] = cache
+        for spacing in (2e-3, 1e-3, 0.5e-3):
+            with multiprocessing.get_context("spawn").Pool(1) as pool:
+                row = pool.apply(measure, (spacing,))
+            print("  ".join(f"{value:9.4g}" if isinstance(value, float) else f"{value:>9}" for value in row))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,51 @@
+"""Motion planning for concentric tube robots with certified bounds on friction-induced error.
+
+Names are loaded on first use, so that `import ctrplan` costs nothing that a script does not need.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from ctrplan import planning
+    from ctrplan.errors import CtrplanError, InputError, NoAnswerError
+    from ctrplan.mechanics import Bound, Bounds, Shape, Status
+    from ctrplan.planning import Plan, plan, reorder
+    from ctrplan.robot import Robot, load_robot
+    from ctrplan.scenario import Scenario, load_scenario
+
+_HOMES = {
+    "Bound": "mechanics",
+    "Bounds": "mechanics",
+    "Shape": "mechanics",
+    "Status": "mechanics",
+    "CtrplanError": "errors",
+    "InputError": "errors",
+    "NoAnswerError": "errors",
+    "Robot": "robot",
+    "load_robot": "robot",
+    "Scenario": "scenario",
+    "load_scenario": "scenario",
+    "Plan": "planning",
+    "plan": "planning",
+    "reorder": "planning",
+}
+__all__ = [*sorted(_HOMES), "planning"]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "planning":
+        return importlib.import_module("ctrplan.planning")
+    if name not in _HOMES:
+        raise AttributeError(f"module 'ctrplan' has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"ctrplan.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

@@ -1,0 +1,68 @@
+"""The one tree of errors: each is a single sentence and carries the exit code of the command line."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+LONGEST_VALUE = 60  # characters of a value that a sentence shows
+
+
+class CtrplanError(Exception):
+    """Base of everything ctrplan raises on purpose."""
+
+    exit_code = 1
+
+
+class InputError(CtrplanError):
+    """Input that is malformed or contradicts itself.
+
+    `str()` is one sentence, "robots/a.toml: tube.2.poisson_ratio = 'x': must be a number."; the parts stay
+    available as attributes `rule`, `file`, `key`, `value` (Ellipsis when there is none) and `unit`.
+    """
+
+    exit_code = 2
+
+    def __init__(
+        self,
+        rule: str,
+        *,
+        file: str | os.PathLike[str] | None = None,
+        key: str | None = None,
+        value: Any = ...,
+        unit: str | None = None,
+    ) -> None:
+        self.rule, self.file, self.key, self.value, self.unit = rule, file, key, value, unit
+        quantity = " = ".join(part for part in (key, _shown(value, unit)) if part)
+        sentence = ": ".join(str(part) for part in (file, quantity, rule) if part)
+        super().__init__(_one_line(sentence))
+
+
+class NoAnswerError(CtrplanError):
+    """The input is well formed, but no answer exists or none was found."""
+
+
+class SolverError(NoAnswerError):
+    """The mechanics solver did not reach a solution it could check."""
+
+
+def _shown(value: Any, unit: str | None) -> str:
+    if value is ...:
+        return ""
+    try:
+        text = repr(value.item() if hasattr(value, "item") else value)
+    except ValueError:  # an integer too long to print, an array
+        text = f"<{type(value).__name__}>"
+    if isinstance(value, bool):  # as the file spells it
+        text = text.lower()
+    elif hasattr(value, "isoformat"):
+        text = value.isoformat()
+    if len(text) > LONGEST_VALUE:
+        text = text[: LONGEST_VALUE - 3] + "..."
+    return f"{text} {unit}" if unit and not isinstance(value, str) else text
+
+
+def _one_line(text: str) -> str:
+    """One sentence without line breaks or control characters, which a key or a file name may smuggle in."""
+    text = "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
+    return text if text.endswith((".", "?")) else text + "."

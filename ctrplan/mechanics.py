@@ -1,0 +1,311 @@
+"""Typed face of the mechanics core: shapes, friction states, bounds. The only importer of the compiled module.
+
+Models and conventions: docs/model.md. Joint arrays are outermost tube first; SI units; the world frame stands at the front
+plate, z along insertion, s = 0 at the plate.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ctrplan import _model
+from ctrplan.errors import InputError
+
+if TYPE_CHECKING:
+    from ctrplan.tube import Tube
+
+Array = NDArray[np.float64]
+Accuracy = Literal["search", "certificate"]  # discretisation error of a tip: <= 0.3 mm, <= 0.05 mm
+
+
+class Status(enum.IntEnum):
+    """What a solve found; nothing else promises a tip."""
+
+    CONVERGED = 0  # residual reached, stable
+    MULTIPLE = 1  # as CONVERGED, and another stable solution is known
+    UNSTABLE = 2  # an equilibrium, but not a minimum of the energy: the robot would snap away from it
+    FAILED = 3  # residual not reached
+
+
+@dataclass(frozen=True, eq=False)
+class TubeShape:
+    """One tube from its collar to its tip, N stations."""
+
+    s_m: Array  # (N,) arc length from the front plate
+    centreline_m: Array  # (N, 3) world frame
+    frames: Array  # (N, 3, 3) material frames, columns are the axes in the world frame
+    theta_rad: Array  # (N,) material angle against the tube's twist-free frame
+    curvature_per_m: Array  # (N, 3) rotation rate u in the material frame
+    strain: Array  # (N,) largest bending strain r_out |u_xy - u_hat_xy|
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """An equilibrium of the robot; the centreline is the innermost tube's."""
+
+    tubes: tuple[TubeShape, ...]  # outermost first
+    radius_m: Array  # (N,) outer radius of what is there, at s_m
+    contact_s_m: tuple[Array, ...]  # per pair: stations of possible contacts
+    contact_force_N: tuple[Array, ...]  # per pair: normal force at each station, a discretised distribution
+    contact_angle_rad: tuple[Array, ...]  # per pair: where the inner tube leans, twist-free frame
+    status: Status
+    residual: float  # largest imbalance of moments over the robot's own, EI * precurvature
+    stability: float  # smallest eigenvalue of the torsional second variation over GJ / L^2 of the innermost tube
+    max_strain: float
+
+    @property
+    def s_m(self) -> Array:
+        """(N,) arc length of the innermost tube from the front plate."""
+        return self.tubes[-1].s_m
+
+    @property
+    def centreline_m(self) -> Array:
+        """(N, 3) innermost tube, world frame."""
+        return self.tubes[-1].centreline_m
+
+    @property
+    def tip_m(self) -> Array:
+        """(3,) tip of the innermost tube, world frame."""
+        tip: Array = self.centreline_m[-1]
+        return tip
+
+    @property
+    def tip_tangent(self) -> Array:
+        """(3,) unit tangent at the tip, world frame."""
+        tangent: Array = self.tubes[-1].frames[-1, :, 2]
+        return tangent
+
+
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """Largest deviations that friction can cause, over all sign corners, from the frictionless clearance solution."""
+
+    position_m: float  # of the tip
+    tangent_rad: float  # of the tip tangent
+    frictionless: Shape  # phi = 0
+    corners: tuple[Shape, ...]  # phi in itertools.product((1, -1), repeat=n - 1)
+    envelope_m: Array  # (N,) of the centreline, at frictionless.s_m
+    worst_corner: int  # index of the corner that gives position_m
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """`Bound` for K configurations, without the shapes. Entries of failed solves are NaN."""
+
+    position_m: Array  # (K,)
+    tangent_rad: Array  # (K,)
+    stability: Array  # (K,)
+    max_strain: Array  # (K,)
+    residual: Array  # (K,)
+    status: NDArray[np.int_]  # (K,) values of Status
+    tip_m: Array  # (K, 3) frictionless
+    tip_tangent: Array  # (K, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class LegSamples:
+    """What `Mechanics.check_leg` found at each of the K configurations it reached; Bounds with clearance and motion."""
+
+    position_m: Array  # (K,) bound of the tip
+    tangent_rad: Array  # (K,)
+    stability: Array  # (K,)
+    max_strain: Array  # (K,)
+    clearance_m: Array  # (K,) smallest over frictionless and corner shapes, outer radius taken off; 1e9 in free space
+    motion_m: Array  # (K,) largest displacement of a body point since the sample before
+    status: NDArray[np.int_]  # (K,)
+    tip_m: Array  # (K, 3)
+    tip_tangent: Array  # (K, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """A grid of clearances [m] in the anatomy's frame A, and where the robot's base B stands in it."""
+
+    values_m: NDArray[np.float32]  # (nx, ny, nz)
+    origin_m: Array  # (3,)
+    spacing_m: float
+    R_AB: Array  # (3, 3)
+    p_AB: Array  # (3,)
+
+
+class Mechanics:
+    """A robot's compiled model. Thread-safe: concurrent calls use separate workspaces; the GIL is released."""
+
+    def __init__(self, tubes: Sequence[Tube], clearance_m: ArrayLike, friction: ArrayLike) -> None:
+        """`clearance_m` (n - 1,) radial; `friction` (n - 1,) Coulomb coefficients."""
+        self.n = len(tubes)
+        gaps, coefficients = np.atleast_1d(clearance_m), np.atleast_1d(friction)
+        self._model = _model.Model(
+            [
+                [
+                    tube.outer_diameter_m / 2,
+                    tube.inner_diameter_m / 2,
+                    tube.bending_stiffness_Nm2,
+                    tube.bending_stiffness_Nm2 / (1 + tube.poisson_ratio),
+                    tube.collar_length_m,
+                ]
+                for tube in tubes
+            ],
+            [[[s.length_m, s.curvature_x_per_m, s.curvature_y_per_m] for s in tube.sections] for tube in tubes],
+            [
+                [float(gaps[j]), float(coefficients[j]), tubes[j].inner_diameter_m / 2, tubes[j + 1].outer_diameter_m / 2]
+                for j in range(self.n - 1)
+            ],
+        )
+
+    def zero_clearance(self, theta_b: ArrayLike, l_b: ArrayLike) -> Shape:
+        """The standard model (2)-(3) at base rotations (n,) [rad] and translations (n,) [m]."""
+        with _input_errors():
+            return _shape(self._model.zero_clearance(self._row(theta_b), self._row(l_b)))
+
+    def solve(self, theta_b: ArrayLike, l_b: ArrayLike, phi: ArrayLike = 0.0, *, accuracy: Accuracy = "search") -> Shape:
+        """Equilibrium (37) with clearance (14) and friction (38), (41), phi taking the place of eta.
+
+        phi: scalar or (n - 1,), in [-1, 1], share of the Coulomb limit; +1: inner tube last rotated counterclockwise.
+        """
+        state = np.broadcast_to(np.asarray(phi, dtype=np.float64), (self.n - 1,))
+        if not np.all(np.abs(state) <= 1):
+            raise InputError("must lie in [-1, 1]", key="phi", value=_worst(state))
+        with _input_errors():
+            return _shape(
+                self._model.solve(
+                    self._row(theta_b), self._row(l_b), np.ascontiguousarray(state), _is_certificate(accuracy)
+                )
+            )
+
+    def bound(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> Bound:
+        """Frictionless solution, every corner phi in {-1, 1}^(n-1), and the largest deviations between them."""
+        with _input_errors():
+            raw = self._model.bound(self._row(theta_b), self._row(l_b), _is_certificate(accuracy))
+        return Bound(
+            position_m=raw["position"],
+            tangent_rad=raw["tangent"],
+            frictionless=_shape(raw["frictionless"]),
+            corners=tuple(_shape(corner) for corner in raw["corners"]),
+            envelope_m=raw["envelope"],
+            worst_corner=raw["worst_corner"],
+        )
+
+    def bound_many(
+        self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search", threads: int = 0
+    ) -> Bounds:
+        """Bounds of K configurations, theta_b (K, n), l_b (K, n); threads = 0 uses every core."""
+        with _input_errors():
+            table: Array = self._model.bound_many(
+                self._rows(theta_b), self._rows(l_b), _is_certificate(accuracy), threads
+            )
+        return Bounds(
+            position_m=table[:, 0],
+            tangent_rad=table[:, 1],
+            stability=table[:, 2],
+            max_strain=table[:, 3],
+            residual=table[:, 4],
+            status=table[:, 5].astype(int),
+            tip_m=table[:, 6:9],
+            tip_tangent=table[:, 9:12],
+        )
+
+    def tips(self, theta_b: ArrayLike, l_b: ArrayLike, *, threads: int = 0) -> tuple[Array, Array, NDArray[np.int_]]:
+        """Zero-clearance tips (K, 3) [m], tangents (K, 3) and status (K,) of K configurations."""
+        with _input_errors():
+            table: Array = self._model.tips(self._rows(theta_b), self._rows(l_b), threads)
+        return table[:, :3], table[:, 3:6], table[:, 6].astype(int)
+
+    def check_leg(
+        self,
+        theta_b: ArrayLike,
+        l_b: ArrayLike,
+        field: Field | None,
+        *,
+        min_stability: float = -np.inf,
+        max_strain: float = np.inf,
+        min_clearance_m: float = -np.inf,
+        point_spacing_m: float = 1.5e-3,
+        accuracy: Accuracy = "search",
+    ) -> LegSamples:
+        """Configurations (K, n), (K, n) in order, each solved from the one before; stops after the first that breaks a limit."""
+        grid = field or Field(np.zeros((1, 1, 1), np.float32), np.zeros(3), 1.0, np.eye(3), np.zeros(3))
+        with _input_errors():
+            table: Array = self._model.check_leg(
+                self._rows(theta_b),
+                self._rows(l_b),
+                None if field is None else grid.values_m,
+                grid.origin_m,
+                grid.spacing_m,
+                np.ascontiguousarray(grid.R_AB),
+                np.ascontiguousarray(grid.p_AB),
+                point_spacing_m,
+                np.array([min_stability, max_strain, min_clearance_m]),
+                _is_certificate(accuracy),
+            )
+        return LegSamples(
+            *(table[:, k] for k in range(6)),
+            status=table[:, 6].astype(int),
+            tip_m=table[:, 7:10],
+            tip_tangent=table[:, 10:13],
+        )
+
+    def body(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> tuple[Array, Array]:
+        """Outermost centreline in front of the plate: points (1 + corners, N, 3) [m], outer radii (N,) [m]."""
+        with _input_errors():
+            table: Array = self._model.body(self._row(theta_b), self._row(l_b), _is_certificate(accuracy))
+        return table[:, :, :3], table[0, :, 3]
+
+    def _row(self, values: ArrayLike) -> Array:
+        row = np.ascontiguousarray(values, dtype=np.float64)
+        if row.shape != (self.n,):
+            raise InputError(f"must have shape ({self.n},), one value per tube, not {row.shape}", key="joint array")
+        return row
+
+    def _rows(self, values: ArrayLike) -> Array:
+        rows = np.ascontiguousarray(values, dtype=np.float64)
+        if rows.ndim != 2 or rows.shape[1] != self.n:
+            raise InputError(f"must have shape (K, {self.n}), not {rows.shape}", key="joint array")
+        return rows
+
+
+class _input_errors:
+    """Turns the core's refusals into InputError."""
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
+        if isinstance(error, _model.InvalidInput):
+            raise InputError(str(error)) from None
+
+
+def kernel_name() -> str:
+    """Instruction set of the kernel in use: "avx2" or "baseline"."""
+    return str(_model.kernel_name())
+
+
+def _is_certificate(accuracy: Accuracy) -> bool:
+    if accuracy not in ("search", "certificate"):
+        raise InputError('must be "search" or "certificate"', key="accuracy", value=accuracy)
+    return accuracy == "certificate"
+
+
+def _worst(values: Array) -> float:
+    return float(values[np.argmax(np.where(np.isnan(values), np.inf, np.abs(values)))])
+
+
+def _shape(raw: dict[str, Any]) -> Shape:
+    contacts = raw["contacts"]
+    return Shape(
+        tubes=tuple(TubeShape(*tube) for tube in raw["tubes"]),
+        radius_m=raw["radius"],
+        contact_s_m=tuple(contact[0] for contact in contacts),
+        contact_force_N=tuple(contact[1] for contact in contacts),
+        contact_angle_rad=tuple(contact[2] for contact in contacts),
+        status=Status(raw["status"]),
+        residual=raw["residual"],
+        stability=raw["stability"],
+        max_strain=raw["max_strain"],
+    )

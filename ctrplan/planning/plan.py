@@ -1,0 +1,120 @@
+"""What planning produces: legs, the certificate that checked them, the trajectory that plays them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.drive import Array, Drive
+
+if TYPE_CHECKING:
+    from ctrplan.scenario import Scenario
+    from ctrplan.trajectory import Trajectory
+
+LegKind = Literal["rotation", "translation", "simultaneous"]
+MotionStyle = Literal["rotations before translations", "simultaneous"]
+
+
+@dataclass(frozen=True, eq=False)
+class Leg:
+    """A straight motion in joint space, from rest to rest unless the next leg continues in its direction."""
+
+    start: Array  # (m,) actuated joints, rad or m; unlimited rotations keep their winding
+    end: Array  # (m,)
+    kind: LegKind
+
+    def sample(self, count: int) -> Array:
+        """(count + 1, m) joint values at equal steps, both ends included."""
+        share = np.linspace(0.0, 1.0, count + 1)[:, None]
+        return self.start + share * (self.end - self.start)
+
+
+@dataclass(frozen=True, eq=False)
+class CertificateSamples:
+    """The finished legs with the full model, K samples in the order driven."""
+
+    leg: NDArray[np.int_]  # (K,) index of the leg
+    joints: Array  # (K, m)
+    path_mm: Array  # (K,) weighted joint length travelled
+    bound_m: Array  # (K,) worst-case friction error of the tip
+    bound_rad: Array  # (K,) of the tip tangent
+    stability: Array  # (K,)
+    max_strain: Array  # (K,)
+    clearance_m: Array  # (K,) of every corner shape to the anatomy, beyond its margins; inf in free space
+    motion_m: Array  # (K,) largest displacement of a body point since the sample before
+    tip_m: Array  # (K, 3) frictionless tip, robot frame
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """Dense recheck of the legs, independent of anything the search approximated."""
+
+    samples: CertificateSamples
+    valid: bool
+    problems: tuple[str, ...]  # sentences; empty when valid
+    worst_bound_m: float
+    goal_bound_m: float
+    goal_bound_rad: float
+    goal_tip_error_m: float  # frictionless tip to the goal's tip; 0 for joint goals
+    error_integral_mm: float  # integral of the bound over the joint length, mm * mm / mm_per_rad
+    min_clearance_m: float  # after taking off half the largest motion between samples; inf in free space
+    min_stability: float
+    max_strain: float
+    length_mm: float  # weighted joint length
+    stops: int  # interior changes of direction
+    cost_mm: float
+    spacing_m: float  # largest motion of a body point between samples
+
+
+@dataclass(frozen=True, eq=False)
+class ReorderReport:
+    """What reordering changed: the same figures before and after."""
+
+    cost_before_mm: float
+    cost_after_mm: float
+    goal_bound_before_m: float
+    goal_bound_after_m: float
+    error_integral_before_mm: float
+    error_integral_after_mm: float
+    stops_before: int
+    stops_after: int
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A certified motion of the drive from a scenario's start to its goal."""
+
+    scenario: Scenario
+    seed: int
+    planner: str
+    style: MotionStyle
+    legs: tuple[Leg, ...]
+    certificate: Certificate
+    trajectory: Trajectory
+    reorder: ReorderReport
+    search_time_s: float
+    first_solution_s: float  # time to the first path found, before certification
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def waypoints(self) -> Array:
+        """(L + 1, m) joint values at the ends of the legs."""
+        return np.array([self.legs[0].start, *(leg.end for leg in self.legs)])
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of plan.json, plain types only; the schema is in docs/plan.schema.json."""
+        from ctrplan.export import plan_to_json
+
+        return plan_to_json(self)
+
+
+def leg_kind(drive: Drive, start: Array, end: Array) -> LegKind:
+    """What moves between two joint vectors."""
+    moved = start != end
+    rotates, translates = bool(np.any(moved & drive.is_rotation)), bool(np.any(moved & ~drive.is_rotation))
+    if rotates and translates:
+        return "simultaneous"
+    return "rotation" if rotates else "translation"

@@ -1,0 +1,187 @@
+"""Scenario: a robot, where it stands, where it starts, where it shall go and past what, read from a TOML file."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ctrplan.drive import Array, read_only
+from ctrplan.robot import Robot, load_robot
+from ctrplan.scenario_file import (
+    BaseEntry,
+    CostEntry,
+    GoalEntry,
+    ScenarioEntry,
+    Vector,
+    anatomy_part,
+    file_inside,
+    joint_values,
+    metres,
+)
+from ctrplan.toml_input import Document, read_document
+
+if TYPE_CHECKING:
+    from ctrplan.anatomy import AnatomyPart
+
+__all__ = ["Cost", "Goal", "Margins", "PlannerSettings", "Scenario", "load_scenario", "scenario_from_dict"]
+
+ROBOT_PREFIX = "robot."
+QUATERNION_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """Either joint values, or a tip position in the anatomy's frame, possibly with a tip direction."""
+
+    joints: Array | None  # (m,) rad or m
+    tip_m: Array | None  # (3,)
+    tolerance_m: float  # on the tip position
+    direction: Array | None = None  # (3,) unit vector, anatomy's frame
+    direction_tolerance_rad: float | None = None
+
+
+@dataclass(frozen=True)
+class Margins:
+    """What every state of a plan keeps: least stability (dimensionless) and largest strain."""
+
+    stability: float = 0.1
+    max_strain: float = 0.08
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Weights of a plan's cost in mm: length in joint space, friction error along the path and at the goal."""
+
+    path: float = 1.0
+    mm_per_rad: float = 20.0
+    error_along: float = 1.0
+    error_goal: float = 10.0
+    max_error_goal_m: float | None = None  # requirement on the worst-case friction error at the goal
+
+
+@dataclass(frozen=True)
+class PlannerSettings:
+    """Which search runs for how long, and whether it ends with an oscillation that releases friction."""
+
+    name: Literal["BIT*", "RRT*", "RRTConnect"] = "BIT*"
+    time_s: float = 5.0
+    settle: Literal["none", "oscillate"] = "none"
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """A planning problem; SI units, positions in the anatomy's frame."""
+
+    name: str
+    robot: Robot
+    base_position_m: Array  # (3,) origin of the robot frame
+    base_R: Array  # (3, 3) maps vectors of the robot frame to the anatomy's frame
+    start: Array  # (m,) rad or m
+    goal: Goal
+    anatomy: tuple[AnatomyPart, ...] = ()
+    margins: Margins = Margins()
+    cost: Cost = Cost()
+    planner: PlannerSettings = PlannerSettings()
+    path: str | None = None
+    sha256: str = ""  # of the scenario file's content after overrides; the robot has its own
+    warnings: tuple[str, ...] = ()  # the robot's included
+
+
+def load_scenario(
+    path: str | os.PathLike[str], overrides: Sequence[str] = (), *, allow_outside: bool = False
+) -> Scenario:
+    """The scenario of a TOML file after `overrides`; those that start with "robot." go to the robot's file.
+
+    Files it names must lie in the scenario file's folder or below unless `allow_outside`. Raises InputError, one
+    sentence with file, key, value and rule, for anything malformed or contradictory.
+    """
+    own, for_robot = _by_file(overrides)
+    return _build(read_document(path, own), for_robot, allow_outside)
+
+
+def scenario_from_dict(
+    content: Mapping[str, Any],
+    *,
+    file: str | None = None,
+    overrides: Sequence[str] = (),
+    allow_outside: bool = False,
+) -> Scenario:
+    """The scenario of a scenario file's content; as `load_scenario`, with files relative to the folder of `file`."""
+    own, for_robot = _by_file(overrides)
+    return _build(Document(dict(content), file).with_overrides(own), for_robot, allow_outside)
+
+
+def _by_file(overrides: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Overrides of the scenario's keys, and those of the robot's keys without their prefix."""
+    stripped = [override.lstrip() for override in overrides]
+    own = [override for override in stripped if not override.startswith(ROBOT_PREFIX)]
+    return own, [override[len(ROBOT_PREFIX) :] for override in stripped if override.startswith(ROBOT_PREFIX)]
+
+
+def _build(document: Document, for_robot: Sequence[str], allow_outside: bool) -> Scenario:
+    entry = document.to(ScenarioEntry)
+    if entry.name is not None and not entry.name.isprintable():
+        raise document.fault("must be one line of printable text", "name")
+    robot = load_robot(file_inside(entry.robot, document, allow_outside, "robot"), for_robot)
+    return Scenario(
+        name=entry.name or (Path(document.file).stem if document.file else "scenario"),
+        robot=robot,
+        base_position_m=read_only(np.multiply(entry.base.position_mm, 1e-3)),
+        base_R=_rotation(entry.base, document),
+        start=joint_values(entry.start, robot, document, "start"),
+        goal=_goal(entry.goal, robot, document),
+        anatomy=tuple(anatomy_part(part, k, document, allow_outside) for k, part in enumerate(entry.anatomy)),
+        margins=Margins(entry.margins.stability, entry.margins.max_strain),
+        cost=_cost(entry.cost),
+        planner=PlannerSettings(entry.planner.name, entry.planner.time_s, entry.planner.settle),
+        path=document.file,
+        sha256=document.sha256,
+        warnings=robot.warnings,
+    )
+
+
+def _rotation(base: BaseEntry, document: Document) -> Array:
+    w, x, y, z = base.quaternion_wxyz
+    norm = math.hypot(w, x, y, z)
+    if not abs(norm - 1) <= QUATERNION_TOLERANCE:
+        rule = f"must have norm 1 within {QUATERNION_TOLERANCE}, has {norm:g}"
+        raise document.fault(rule, "base", "quaternion_wxyz")
+    return read_only(Rotation.from_quat([x, y, z, w]).as_matrix())
+
+
+def _goal(entry: GoalEntry, robot: Robot, document: Document) -> Goal:
+    if (entry.joints is None) == (entry.tip_mm is None):
+        raise document.fault("must have either joints or tip_mm", "goal")
+    if entry.joints is not None and entry.direction is not None:
+        raise document.fault("goes with tip_mm, not with joints", "goal", "direction")
+    if (entry.direction is None) != (entry.direction_tolerance_deg is None):
+        missing = "direction" if entry.direction is None else "direction_tolerance_deg"
+        raise document.fault("is missing, direction and direction_tolerance_deg go together", "goal", missing)
+    tolerance = entry.direction_tolerance_deg
+    return Goal(
+        joints=None if entry.joints is None else joint_values(entry.joints, robot, document, "goal", "joints"),
+        tip_m=metres(entry.tip_mm),
+        tolerance_m=entry.tolerance_mm * 1e-3,
+        direction=None if entry.direction is None else _unit_vector(entry.direction, document),
+        direction_tolerance_rad=None if tolerance is None else math.radians(tolerance),
+    )
+
+
+def _unit_vector(vector: Vector, document: Document) -> Array:
+    largest = max(map(abs, vector))
+    if largest == 0:
+        raise document.fault("must not be zero", "goal", "direction")
+    scaled = np.array(vector) / largest  # so that squares neither overflow nor vanish
+    return read_only(scaled / np.linalg.norm(scaled))
+
+
+def _cost(entry: CostEntry) -> Cost:
+    limit_m = None if entry.max_error_goal_mm is None else entry.max_error_goal_mm * 1e-3
+    return Cost(entry.path, entry.mm_per_rad, entry.error_along, entry.error_goal, limit_m)

@@ -1,0 +1,47 @@
+"""Precurved tubes and the contacts between neighbours, outermost first."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class TubeSection:
+    """A piece of constant precurvature, a rotation rate: curvature_y > 0 bends towards +x at theta = 0."""
+
+    length_m: float
+    curvature_x_per_m: float
+    curvature_y_per_m: float
+
+    @property
+    def curvature_per_m(self) -> float:
+        """Magnitude [1/m] of the precurvature."""
+        return math.hypot(self.curvature_x_per_m, self.curvature_y_per_m)
+
+
+@dataclass(frozen=True)
+class Tube:
+    """One tube, its sections from base to tip; torsional stiffness is bending_stiffness_Nm2 / (1 + poisson_ratio)."""
+
+    outer_diameter_m: float
+    inner_diameter_m: float  # 0: a wire
+    bending_stiffness_Nm2: float
+    poisson_ratio: float  # calibrated values may be negative
+    sections: tuple[TubeSection, ...]
+    collar_length_m: float = 0.0  # least distance of this tube's base behind the base of the tube around it
+    max_strain: float = 0.08
+    density_kg_m3: float = 0.0
+
+    @property
+    def length_m(self) -> float:
+        """Length [m] from base to tip."""
+        return math.fsum(section.length_m for section in self.sections)
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Contact of tubes i and i + 1."""
+
+    friction_coefficient: tuple[float, float]  # lowest, highest
+    clearance_m: float | None = None  # radial; None: what the diameters leave

@@ -1,0 +1,73 @@
+// The friction bound at a configuration: the frictionless solution, every sign corner, the largest deviations.
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "ctr/friction.hpp"
+#include "ctr/shape.hpp"
+#include "ctr/zero_clearance.hpp"
+
+namespace ctr {
+
+// All solutions at one configuration; keeps its memory from one configuration to the next and starts warm where it can.
+class BoundSolver {
+  public:
+    explicit BoundSolver(const Robot& robot);
+
+    // Solves from scratch, along the branch of the zero-clearance model.
+    void solve(const Configuration& q, const MeshDensity& density);
+    // Starts from the previous solution where the mesh has the same layout; from scratch otherwise or if that fails.
+    void follow(const Configuration& q, const MeshDensity& density);
+    // One solution for given friction states, phi per pair, outermost first.
+    void solve_single(const Configuration& q, const MeshDensity& density, const std::vector<double>& phi);
+
+    int corners() const { return corners_; }
+    // Corner signs in itertools.product((1, -1)) order, outermost pair first.
+    int sign(int corner, int pair) const { return (corner >> (pairs_ - 1 - pair)) & 1 ? -1 : 1; }
+    const LaneState& corner_state(int corner) const { return *batches_[corner / kLanes]; }
+    int corner_lane(int corner) const { return corner % kLanes; }
+    const LaneState& frictionless_state() const { return frictionless_; }
+    const Convergence& frictionless() const { return frictionless_convergence_; }
+    const Convergence& corner(int k) const { return corner_convergence_[k]; }
+    bool all_converged() const;
+    double stability() const { return stability_; }
+    Status status() const;
+    int iterations() const;
+    int warm_starts() const { return warm_starts_; }
+    const FrictionSolver& solver() const { return solver_; }
+    const Configuration& configuration() const { return q_; }
+    const ZeroClearance& zero_clearance() const { return zero_; }
+
+    // Largest deviation of the corners from the frictionless solution; NaN unless everything converged.
+    double position = 0;           // tip, m
+    double tangent = 0;            // tip, rad
+    int worst_corner = 0;          // of the tip position
+    std::vector<double> envelope;  // (nodes) innermost centreline, m
+    double max_strain = 0;         // over frictionless and corners
+    Backbone backbone;             // frictionless
+    std::vector<Backbone> corner_backbones;
+
+  private:
+    void prepare(const Configuration& q, const MeshDensity& density);
+    void solve_frictionless();
+    void solve_corners();
+    void measure();
+    bool same_layout() const;
+
+    FrictionSolver solver_;
+    ZeroClearance zero_;
+    int pairs_, corners_;
+    LaneState frictionless_;
+    std::vector<std::unique_ptr<LaneState>> batches_;
+    Convergence frictionless_convergence_;
+    std::vector<Convergence> corner_convergence_;
+    double stability_ = 0;
+    int negative_ = 0, warm_starts_ = 0;
+    bool have_solution_ = false;
+    std::vector<int> layout_, previous_layout_;
+    std::vector<double> phi_;
+    Configuration q_;
+};
+
+}  // namespace ctr

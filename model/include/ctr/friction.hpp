@@ -1,0 +1,87 @@
+// Equilibria with clearance and friction: minimise (4)-(5) subject to (14) for phi = 0, and solve the balance (37) with
+// friction forces (38) and torques (41) otherwise, by a primal-dual interior point on the mesh of mesh.hpp. The friction
+// state phi of a pair multiplies its friction coefficient: phi = +1, -1 are the paper's eta, anything between is the share
+// of the Coulomb limit that acts circumferentially.
+#pragma once
+
+#include <vector>
+
+#include "ctr/aligned.hpp"
+#include "ctr/kernel.hpp"
+#include "ctr/mesh.hpp"
+#include "ctr/robot.hpp"
+#include "ctr/zero_clearance.hpp"
+
+namespace ctr {
+
+struct Convergence {
+    bool converged = false;
+    double residual = 0;         // largest imbalance of force * element length, moment, torque over EI * precurvature
+    double complementarity = 0;  // largest |lambda w - eps| / eps
+    int iterations = 0;
+};
+
+// The iterate of one or four friction states on a mesh. Values are interleaved, lane fastest (kernel.hpp).
+class LaneState {
+  public:
+    void resize(const KernelProblem& problem, int lanes);
+    void set_phi(const Robot& robot, const KernelProblem& problem, int lane, const double* phi);  // phi per pair, outermost first
+    int lanes() const { return lanes_; }
+    double& unknown(int node, int index, int lane) { return unknowns_[(static_cast<std::size_t>(node) * stride_ + index) * lanes_ + lane]; }
+    double unknown(int node, int index, int lane) const { return unknowns_[(static_cast<std::size_t>(node) * stride_ + index) * lanes_ + lane]; }
+    double& multiplier(int contact, int lane) { return multiplier_[static_cast<std::size_t>(contact) * lanes_ + lane]; }
+    double multiplier(int contact, int lane) const { return multiplier_[static_cast<std::size_t>(contact) * lanes_ + lane]; }
+    double& slack(int contact, int lane) { return slack_[static_cast<std::size_t>(contact) * lanes_ + lane]; }
+    double& rhs(int node, int index, int lane) { return rhs_[(static_cast<std::size_t>(node) * stride_ + index) * lanes_ + lane]; }
+    double step(int node, int index, int lane) const { return step_[(static_cast<std::size_t>(node) * stride_ + index) * lanes_ + lane]; }
+    double inverse_pivot(int node, int index, int lane) const {
+        return diagonal_[((static_cast<std::size_t>(node) * stride_ + index) * stride_ + index) * lanes_ + lane];
+    }
+    KernelState view();
+
+  private:
+    int lanes_ = 1, stride_ = 1;
+    AlignedArray unknowns_, multiplier_, slack_, phi_mu_, step_, multiplier_step_, slack_step_, diagonal_, upper_, lower_, rhs_;
+};
+
+// Barrier levels [N/m]: the multiplier of a contact satisfies lambda w = level * clearance * tributary length. The first
+// level is so stiff that its solution is close to the zero-clearance one; the last leaves contact-free points with a
+// force of about `last` times their length.
+struct BarrierPath {
+    double first = 3e4;
+    double last = 0.05;
+    double shrink = 0.05;
+    static BarrierPath cold() { return {}; }
+    static BarrierPath careful() { return {3e5, 0.05, 0.3}; }
+    static BarrierPath warm() { return {2.0, 0.05, 0.1}; }
+};
+
+class FrictionSolver {
+  public:
+    explicit FrictionSolver(const Robot& robot) : robot_(robot) {}
+
+    void build(const Configuration& q, const MeshDensity& density);
+    // Angles from the zero-clearance solution, no offsets, multipliers on the central path at the given level.
+    void start(LaneState& state, const Configuration& q, const ZeroClearance& guess, double level);
+    // Puts every contact of an earlier solution back on the central path at the given level, for a warm start.
+    void recentre(LaneState& state, double level);
+    // Base angles of a new configuration on an unchanged mesh layout; the twist at the base is kept.
+    void set_base(LaneState& state, const Configuration& q);
+    // Newton steps down the barrier path; every lane ends at path.last. converged is filled per lane.
+    void solve(LaneState& state, const BarrierPath& path, Convergence* result);
+    // The frictionless torsional second variation's smallest eigenvalue over GJ / L^2 of the innermost tube; uses the
+    // factors left in a one-lane state by solve(). Negative pivots are counted into `negative`.
+    double stability(LaneState& state, int& negative);
+
+    const Mesh& mesh() const { return mesh_; }
+    const Robot& robot() const { return robot_; }
+    double moment_scale() const { return moment_scale_; }
+
+  private:
+    const Robot robot_;
+    Mesh mesh_;
+    double moment_scale_ = 1;
+    std::vector<double> mass_vector_;  // [node][tube], the eigenvector of stability()
+};
+
+}  // namespace ctr

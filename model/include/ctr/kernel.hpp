@@ -1,0 +1,79 @@
+// Interface between the solver (friction.cpp) and the hot kernels, which are compiled once per instruction set.
+// Plain arrays only: kernel translation units use no std:: and no Eigen, so that nothing weak compiled with wider
+// instructions can be merged into baseline code by the linker.
+//
+// Inside the kernel tubes are counted from the innermost (t = 0), pairs likewise (p = 0 is the innermost pair): the
+// unknowns of a node are then [theta_0, d_0 (x, y), d_0' (x, y), theta_1, d_1, d_1', theta_2, ...] and what is left where
+// outer tubes have ended, or have not begun, is a prefix. d_p = y_inner - y_outer is the offset of neighbouring
+// centrelines. In front of the outermost collar the mean bending is eliminated point by point (docs/model.md), which
+// leaves 5 m - 4 unknowns for m tubes; behind it d_{m-1} is the offset of the outermost tube present from the axis, which
+// makes 5 m. At a collar the new tube lies on the axis, so that d_{m-1} simply turns into the offset of a pair.
+#pragma once
+
+namespace ctr {
+
+constexpr int kMaxTubes = 12;
+constexpr int kLanes = 4;      // friction states solved side by side
+constexpr int kAlignment = 64; // bytes, of every lane array
+
+// Everything the lanes share: the mesh, the tubes on it, the possible contacts.
+struct KernelProblem {
+    int tubes, nodes, elements, contacts;
+    int stride;                   // unknowns per node with all tubes, 5 tubes - 4
+    const int* node_unknowns;     // [node] leading unknowns that are free
+    const int* element_tubes;     // [element] number of tubes present
+    const int* element_unknowns;  // [element] unknowns per node: 5 m - 4, or 5 m behind the outermost collar
+    const int* element_regime;    // [element] row of P, C, D
+    const double* length;         // [element] m
+    const double* precurvature;   // [element][tube][2] v = (u_y, -u_x), 1/m
+    const double* stiffness;      // P [regime][tube][tube], N m^2
+    const double* pair_stiffness; // C [regime][pair][pair]
+    const double* mixed_stiffness;// D [regime][pair][tube]
+    const double* torsional_stiffness;  // [tube] N m^2
+    const int* contact_begin;     // [elements + 1]
+    const int* contact_pair;      // [contact]
+    const double* contact_shape;  // [contact][4] Hermite values, the slopes' in m
+    const double* contact_xi;     // [contact] position in the element, (0, 1]
+    const double* contact_weight; // [contact] tributary length, m
+    const double* half_square_clearance;  // [pair] c^2 / 2
+    const double* outer_torque_arm;       // [pair] r_in of the outer tube / c
+    const double* inner_torque_arm;       // [pair] r_out of the inner tube / c
+    const double* barrier_scale;          // [pair] c: barrier eps = level * c * weight, level in N/m
+};
+
+// Per lane: values are interleaved, lane fastest. Sizes in units of lanes.
+struct KernelState {
+    double* unknowns;     // [node][stride] d in m, d' in 1, theta in rad; fixed ones included
+    double* multiplier;   // [contact] lambda, N/m
+    double* slack;        // [contact] w > 0, m^2; equals (c^2 - |d|^2) / 2 at convergence
+    double* phi_mu;       // [contact] signed friction coefficient
+    double* step;         // [node][stride]
+    double* multiplier_step;  // [contact]
+    double* slack_step;       // [contact]
+    double* diagonal;     // [node][stride][stride] factored blocks
+    double* upper;        // [node][stride][stride] A^-1 U
+    double* lower;        // [node][stride][stride]
+    double* rhs;          // [node][stride]
+};
+
+// One function table per instruction set; the scalar ones treat a single lane.
+struct KernelTable {
+    // Assembles the primal-dual Newton system at barrier level [N/m] (one per lane), factors it and solves for step.
+    void (*newton)(const KernelProblem&, const KernelState&, const double* level);
+    // Largest fraction of the step, per lane, that keeps every slack and multiplier above (1 - keep) of its value, <= 1.
+    void (*step_length)(const KernelProblem&, const KernelState&, double keep, double* primal, double* dual);
+    // unknowns and slacks += primal * step, multiplier += dual * multiplier_step.
+    void (*advance)(const KernelProblem&, const KernelState&, const double* primal, const double* dual);
+    // True residual with the multipliers as they are: rhs is filled; moment [N m] is the largest of |force| * element
+    // length, |moment|, |torque|; complementarity is max |lambda w - eps| / eps.
+    void (*residual)(const KernelProblem&, const KernelState&, const double* level, double* moment, double* complementarity);
+    // Solves with the last factors for the right-hand side in rhs, into step (multiplier_step is not touched).
+    void (*solve)(const KernelProblem&, const KernelState&);
+};
+
+const KernelTable& baseline_kernel(int lanes);
+const KernelTable& avx2_kernel(int lanes);
+const KernelTable& kernel(int lanes);  // the best this CPU runs; CTRPLAN_KERNEL=baseline forces the baseline
+const char* kernel_name();
+
+}  // namespace ctr

@@ -1,0 +1,53 @@
+// Elements and possible contacts along the arc length, laid out for the kernels.
+#pragma once
+
+#include <vector>
+
+#include "ctr/kernel.hpp"
+#include "ctr/robot.hpp"
+
+namespace ctr {
+
+// Where elements are small: at pair ends, entries and section joints contact forces concentrate. Lengths in m.
+struct MeshDensity {
+    double finest = 1.5e-3;         // element length at tips of overlaps
+    double coarsest = 6e-3;         // element length far away
+    double growth = 0.35;           // increase of the element length per distance from a tip, collar, joint or the plate
+    double contact_finest = 3e-4;   // spacing of contact points at the same places
+    double contact_coarsest = 1.5e-3;
+    static MeshDensity search() { return {}; }
+    static MeshDensity certificate() { return {5e-4, 2.5e-3, 0.2, 1.25e-4, 5e-4}; }
+};
+
+// Tubes inside the mesh are counted from the innermost; see kernel.hpp.
+class Mesh {
+  public:
+    // Rebuilds for a configuration (validated by the caller); keeps its memory.
+    void build(const Robot& robot, const Configuration& q, const MeshDensity& density);
+
+    const KernelProblem& problem() const { return problem_; }
+    const std::vector<double>& s() const { return s_; }              // [node] arc length from the plate, m
+    const std::vector<int>& element_tubes() const { return element_tubes_; }
+    // True where the mean bending is free (in front of the plate); behind it tubes bend against the axis.
+    bool mean_is_free(int element) const { return element_regime_[element] % 2 == 0; }
+    const std::vector<double>& contact_s() const { return contact_s_; }
+    const std::vector<double>& contact_weight() const { return contact_weight_; }
+
+  private:
+    struct Break { double s; bool sharp; };
+    void find_breaks(const Robot& robot, const Configuration& q);
+    void place_nodes(const Robot& robot, const Configuration& q, const MeshDensity& density);
+    void fill_elements(const Robot& robot, const Configuration& q);
+    void place_contacts(const Robot& robot, const MeshDensity& density);
+    void fill_regimes(const Robot& robot);
+    void publish(const Robot& robot);
+    double distance_to_sharp(double s) const;
+
+    std::vector<Break> breaks_;
+    std::vector<double> s_, length_, precurvature_, stiffness_, pair_stiffness_, mixed_stiffness_, torsional_;
+    std::vector<double> contact_shape_, contact_xi_, contact_weight_, contact_s_, half_square_, outer_arm_, inner_arm_, scale_;
+    std::vector<int> node_unknowns_, element_tubes_, element_unknowns_, element_regime_, contact_begin_, contact_pair_;
+    KernelProblem problem_{};
+};
+
+}  // namespace ctr

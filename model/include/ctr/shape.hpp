@@ -1,0 +1,54 @@
+// Shapes out of solutions: centrelines, frames, curvatures, strains, contact forces.
+#pragma once
+
+#include <vector>
+
+#include "ctr/curve.hpp"
+#include "ctr/friction.hpp"
+#include "ctr/robot.hpp"
+#include "ctr/zero_clearance.hpp"
+
+namespace ctr {
+
+// Numbers are part of the Python contract (ctrplan.mechanics.Status).
+enum class Status { converged = 0, multiple = 1, unstable = 2, failed = 3 };
+
+struct TubeShape {
+    std::vector<double> s;          // (N) m from the plate
+    std::vector<Vec3> position;     // (N) m, world
+    std::vector<std::array<double, 9>> frame;  // (N) material frame R, row major
+    std::vector<double> theta;      // (N) rad, material angle against the tube's twist-free frame
+    std::vector<Vec3> curvature;    // (N) u in the material frame, 1/m
+    std::vector<double> strain;     // (N) r_out |u_xy - u_hat_xy|
+};
+
+struct ContactForces {
+    std::vector<double> s;      // m
+    std::vector<double> force;  // N, normal force between the tubes of the pair
+    std::vector<double> angle;  // rad, direction of the inner centreline seen from the outer one, twist-free frame
+};
+
+struct Shape {
+    std::vector<TubeShape> tubes;         // outermost first
+    std::vector<ContactForces> contacts;  // outermost pair first
+    std::vector<double> radius;           // (N) outer radius of what is there, at the innermost tube's s
+    Status status = Status::failed;
+    double residual = 0, stability = 0, max_strain = 0;
+};
+
+// The innermost centreline alone, with what the planner needs along it; memory is reused.
+struct Backbone {
+    std::vector<Frame> frame;          // (nodes) twist-free frames of the innermost tube
+    std::vector<Vec3> outer_position;  // (nodes) centreline of the outermost tube present, distal side of the node
+    double max_strain = 0;             // over all tubes
+};
+
+// Bending curvature of every tube (innermost first) and its rotated precurvature at xi in [0, 1] of an element.
+void element_curvature(const FrictionSolver& solver, const LaneState& state, int lane, int element, double xi,
+                       double (*curvature)[2], double (*rotated)[2]);
+
+void trace_backbone(const FrictionSolver& solver, const LaneState& state, int lane, double base_l, Backbone& out);
+Shape make_shape(const FrictionSolver& solver, const LaneState& state, int lane, const Configuration& q);
+Shape make_shape(const Robot& robot, const ZeroClearance& solution, const Configuration& q);
+
+}  // namespace ctr

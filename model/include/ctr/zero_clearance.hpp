@@ -1,0 +1,47 @@
+// The standard model (2)-(3): all tubes share one centreline. For s <= 0 the backbone is straight and the tubes twist
+// freely; in front the common curvature is the stiffness-weighted mean of the rotated precurvatures, so that only the
+// material angles theta_i(s) are unknown:
+//     E = sum_i int GJ_i/2 theta_i'^2 ds + int 1/2 sum_ij P_ij w_i . w_j ds,   w_i = R(theta_i) v_i,
+//     P = diag(EI) - EI EI^T / sum(EI).
+// Discretised by cubic Hermite elements for theta, minimised by Newton's method along a continuation of the precurvature.
+#pragma once
+
+#include <vector>
+
+#include "ctr/robot.hpp"
+
+namespace ctr {
+
+// A node of the solution in front of the plate: angles [rad] and twist rates [rad/m], innermost tube first.
+class ZeroClearance {
+  public:
+    // Follows the branch from vanishing precurvature to the robot's own. Returns false if the residual was not reached.
+    bool solve(const Robot& robot, const Configuration& q);
+    // Newton's method on the full precurvature from the angles of the last solution plus `twist` [rad per tube] that
+    // grows linearly from the plate to the tips: looks for other equilibria.
+    bool restart(const Robot& robot, const Configuration& q, const std::vector<double>& twist);
+
+    // Angle of tube t (innermost first) at arc length s, anywhere between its base and its tip.
+    double theta(int t, double s) const;
+    double twist_rate(int t, double s) const;
+    double residual() const { return residual_; }        // largest torque imbalance over EI * precurvature
+    int negative_pivots() const { return negative_; }    // > 0: not a minimum
+    double energy() const { return energy_; }            // N m
+    int iterations() const { return iterations_; }
+
+  private:
+    void build(const Robot& robot, const Configuration& q);
+    double assemble(double scale, bool factor);  // scale multiplies the bending energy; returns the largest imbalance
+    void solve_system();
+    bool correct(double scale, double first_step_limit);
+    int locate(double s) const;
+
+    int n_ = 0, nodes_ = 0, ld_ = 0;
+    std::vector<double> s_, v_, P_, gj_, base_theta_, base_l_, end_s_;
+    std::vector<int> tubes_;
+    std::vector<double> x_, best_, r_, A_, U_, L_, step_, tangent_;
+    double residual_ = 0, energy_ = 0, scale_moment_ = 1;
+    int negative_ = 0, iterations_ = 0;
+};
+
+}  // namespace ctr

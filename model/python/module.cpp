@@ -1,0 +1,375 @@
+// The thin Python face of the core: arrays in, arrays and plain dictionaries out. ctrplan/mechanics.py is its only user.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <algorithm>
+#include <atomic>
+#include <exception>
+#include <memory>
+#include <mutex>
+#include <thread>
+
+#include "ctr/bound.hpp"
+#include "ctr/edge.hpp"
+#include "ctr/kernel.hpp"
+#include "ctr/shape.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace {
+
+using Vector = nb::ndarray<const double, nb::numpy, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Matrix = nb::ndarray<const double, nb::numpy, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Field = nb::ndarray<const float, nb::numpy, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
+
+// Hands a buffer over to numpy.
+nb::object array(std::vector<double>&& values, std::initializer_list<std::size_t> shape) {
+    auto* owned = new std::vector<double>(std::move(values));
+    nb::capsule owner(owned, [](void* p) noexcept { delete static_cast<std::vector<double>*>(p); });
+    return nb::cast(nb::ndarray<nb::numpy, double>(owned->data(), shape, owner));
+}
+
+nb::object array(const std::vector<ctr::Vec3>& values) {
+    std::vector<double> flat;
+    flat.reserve(values.size() * 3);
+    for (const ctr::Vec3& v : values) flat.insert(flat.end(), v.begin(), v.end());
+    return array(std::move(flat), {values.size(), 3});
+}
+
+nb::object array(const std::vector<std::array<double, 9>>& values) {
+    std::vector<double> flat;
+    flat.reserve(values.size() * 9);
+    for (const auto& v : values) flat.insert(flat.end(), v.begin(), v.end());
+    return array(std::move(flat), {values.size(), 3, 3});
+}
+
+nb::object array(const std::vector<double>& values) {
+    std::vector<double> copy(values);
+    return array(std::move(copy), {values.size()});
+}
+
+nb::dict to_python(const ctr::Shape& shape) {
+    nb::list tubes, contacts;
+    for (const ctr::TubeShape& tube : shape.tubes)
+        tubes.append(nb::make_tuple(array(tube.s), array(tube.position), array(tube.frame), array(tube.theta),
+                                    array(tube.curvature), array(tube.strain)));
+    for (const ctr::ContactForces& contact : shape.contacts)
+        contacts.append(nb::make_tuple(array(contact.s), array(contact.force), array(contact.angle)));
+    nb::dict result;
+    result["tubes"] = tubes;
+    result["contacts"] = contacts;
+    result["radius"] = array(shape.radius);
+    result["status"] = static_cast<int>(shape.status);
+    result["residual"] = shape.residual;
+    result["stability"] = shape.stability;
+    result["max_strain"] = shape.max_strain;
+    return result;
+}
+
+ctr::MeshDensity density(bool certificate) {
+    return certificate ? ctr::MeshDensity::certificate() : ctr::MeshDensity::search();
+}
+
+ctr::Configuration configuration(const double* theta, const double* l, int n) {
+    return {std::vector<double>(theta, theta + n), std::vector<double>(l, l + n)};
+}
+
+// A robot with a pool of solvers, one per thread that asks at the same time.
+class Model {
+  public:
+    Model(const std::vector<std::vector<double>>& tubes, const std::vector<std::vector<std::vector<double>>>& sections,
+          const std::vector<std::vector<double>>& pairs) {
+        for (std::size_t i = 0; i < tubes.size(); ++i) {
+            const std::vector<double>& t = tubes[i];
+            if (t.size() != 5) throw ctr::InvalidInput("a tube is given by five numbers");
+            ctr::Tube tube{t[0], t[1], t[2], t[3], t[4], {}};
+            for (const std::vector<double>& s : sections.at(i)) tube.sections.push_back({s.at(0), s.at(1), s.at(2)});
+            robot_.tubes.push_back(tube);
+        }
+        for (const std::vector<double>& p : pairs) robot_.pairs.push_back({p.at(0), p.at(1), p.at(2), p.at(3)});
+        ctr::validate(robot_);
+        if (robot_.count() > ctr::kMaxTubes) throw ctr::InvalidInput("at most 12 tubes are supported");
+    }
+
+    nb::dict zero_clearance(Vector theta, Vector l) {
+        const ctr::Configuration q = read(theta, l);
+        ctr::ZeroClearance solution;
+        ctr::Shape shape;
+        {
+            nb::gil_scoped_release release;
+            const bool done = solution.solve(robot_, q);
+            shape = ctr::make_shape(robot_, solution, q);
+            shape.status = !done ? ctr::Status::failed : solution.negative_pivots() ? ctr::Status::unstable : ctr::Status::converged;
+        }
+        return to_python(shape);
+    }
+
+    nb::dict solve(Vector theta, Vector l, Vector phi, bool certificate) {
+        const ctr::Configuration q = read(theta, l);
+        if (phi.shape(0) != robot_.pairs.size()) throw ctr::InvalidInput("phi needs one value per neighbouring pair");
+        const std::vector<double> friction(phi.data(), phi.data() + phi.shape(0));
+        ctr::Shape shape;
+        {
+            nb::gil_scoped_release release;
+            Loan loan(*this);
+            loan->solve_single(q, density(certificate), friction);
+            shape = ctr::make_shape(loan->solver(), loan->frictionless_state(), 0, q);
+            shape.status = loan->status();
+            shape.stability = loan->stability();
+            shape.residual = loan->frictionless().residual;
+        }
+        return to_python(shape);
+    }
+
+    nb::dict bound(Vector theta, Vector l, bool certificate) {
+        const ctr::Configuration q = read(theta, l);
+        std::vector<ctr::Shape> shapes;
+        double position = 0, tangent = 0;
+        std::vector<double> envelope;
+        int worst = 0;
+        {
+            nb::gil_scoped_release release;
+            Loan loan(*this);
+            loan->solve(q, density(certificate));
+            position = loan->position;
+            tangent = loan->tangent;
+            envelope = loan->envelope;
+            worst = loan->worst_corner;
+            shapes.push_back(ctr::make_shape(loan->solver(), loan->frictionless_state(), 0, q));
+            shapes.back().status = loan->status();
+            shapes.back().stability = loan->stability();
+            shapes.back().residual = loan->frictionless().residual;
+            for (int k = 0; k < loan->corners(); ++k) {
+                shapes.push_back(ctr::make_shape(loan->solver(), loan->corner_state(k), loan->corner_lane(k), q));
+                shapes.back().residual = loan->corner(k).residual;
+                shapes.back().stability = loan->stability();
+                shapes.back().status = loan->corner(k).converged ? loan->status() : ctr::Status::failed;
+            }
+        }
+        nb::list corners;
+        for (std::size_t k = 1; k < shapes.size(); ++k) corners.append(to_python(shapes[k]));
+        nb::dict result;
+        result["position"] = position;
+        result["tangent"] = tangent;
+        result["envelope"] = array(envelope);
+        result["worst_corner"] = worst;
+        result["frictionless"] = to_python(shapes[0]);
+        result["corners"] = corners;
+        return result;
+    }
+
+    // Columns of the result: position bound, tangent bound, stability, max strain, residual, status, tip (3), tangent (3).
+    nb::object bound_many(Matrix theta, Matrix l, bool certificate, int threads) {
+        const std::vector<ctr::Configuration> all = read_many(theta, l);
+        constexpr std::size_t kColumns = 12;
+        std::vector<double> out(all.size() * kColumns);
+        {
+            nb::gil_scoped_release release;
+            parallel(all.size(), threads, [&](ctr::BoundSolver& solver, std::size_t k) {
+                solver.solve(all[k], density(certificate));
+                double* row = &out[k * kColumns];
+                row[0] = solver.position;
+                row[1] = solver.tangent;
+                row[2] = solver.stability();
+                row[3] = solver.max_strain;
+                row[4] = solver.frictionless().residual;
+                for (int c = 0; c < solver.corners(); ++c) row[4] = std::max(row[4], solver.corner(c).residual);
+                row[5] = static_cast<int>(solver.all_converged() ? solver.status() : ctr::Status::failed);
+                const ctr::Frame& tip = solver.backbone.frame.back();
+                const ctr::Vec3 tangent = tip.tangent();
+                for (int i = 0; i < 3; ++i) {
+                    row[6 + i] = tip.p[i];
+                    row[9 + i] = tangent[i];
+                }
+            });
+        }
+        return array(std::move(out), {all.size(), kColumns});
+    }
+
+    // Zero-clearance tips of many configurations: tip (3), tangent (3), status.
+    nb::object tips(Matrix theta, Matrix l, int threads) {
+        const std::vector<ctr::Configuration> all = read_many(theta, l);
+        std::vector<double> out(all.size() * 7);
+        {
+            nb::gil_scoped_release release;
+            parallel(all.size(), threads, [&](ctr::BoundSolver&, std::size_t k) {
+                ctr::ZeroClearance solution;
+                const bool done = solution.solve(robot_, all[k]);
+                const ctr::Shape shape = ctr::make_shape(robot_, solution, all[k]);
+                const ctr::TubeShape& inner = shape.tubes.back();
+                double* row = &out[k * 7];
+                for (int i = 0; i < 3; ++i) {
+                    row[i] = inner.position.back()[i];
+                    row[3 + i] = inner.frame.back()[3 * i + 2];
+                }
+                row[6] = !done ? 3 : solution.negative_pivots() ? 2 : 0;
+            });
+        }
+        return array(std::move(out), {all.size(), 7});
+    }
+
+    // A leg in order; see ctr::LegSample. Columns: position bound, tangent bound, stability, max strain, clearance, motion,
+    // status, tip (3), tangent (3). Rows stop after the first sample that breaks a limit.
+    nb::object check_leg(Matrix theta, Matrix l, nb::object field, Vector origin, double spacing, Matrix R_AB, Vector p_AB,
+                         double point_spacing, Vector limits, bool certificate) {
+        const std::vector<ctr::Configuration> all = read_many(theta, l);
+        ctr::SignedDistanceField sdf;
+        Field values;
+        if (!field.is_none()) {
+            values = nb::cast<Field>(field);
+            sdf.values = values.data();
+            sdf.nx = static_cast<int>(values.shape(0));
+            sdf.ny = static_cast<int>(values.shape(1));
+            sdf.nz = static_cast<int>(values.shape(2));
+            sdf.spacing = spacing;
+            std::copy(R_AB.data(), R_AB.data() + 9, sdf.R_AB.begin());
+            std::copy(p_AB.data(), p_AB.data() + 3, sdf.p_AB.begin());
+            std::copy(origin.data(), origin.data() + 3, sdf.origin.begin());
+        }
+        const ctr::LegLimits limit{limits(0), limits(1), limits(2)};
+        std::vector<ctr::LegSample> samples;
+        {
+            nb::gil_scoped_release release;
+            Loan loan(*this);
+            samples = ctr::check_leg(*loan, all, density(certificate), sdf, point_spacing, limit);
+        }
+        constexpr std::size_t kColumns = 13;
+        std::vector<double> out;
+        out.reserve(samples.size() * kColumns);
+        for (const ctr::LegSample& s : samples) {
+            for (double value : {s.position_bound, s.tangent_bound, s.stability, s.max_strain, s.clearance, s.motion,
+                                 static_cast<double>(static_cast<int>(s.status))})
+                out.push_back(value);
+            out.insert(out.end(), s.tip.begin(), s.tip.end());
+            out.insert(out.end(), s.tangent.begin(), s.tangent.end());
+        }
+        return array(std::move(out), {samples.size(), kColumns});
+    }
+
+    // Body points of the frictionless and all corner shapes in front of the plate: (shapes, N, 4) x, y, z, outer radius.
+    nb::object body(Vector theta, Vector l, bool certificate) {
+        const ctr::Configuration q = read(theta, l);
+        std::vector<double> out;
+        std::size_t shapes = 0, points = 0;
+        {
+            nb::gil_scoped_release release;
+            Loan loan(*this);
+            loan->solve(q, density(certificate));
+            const ctr::Mesh& mesh = loan->solver().mesh();
+            const ctr::KernelProblem& pb = mesh.problem();
+            auto add = [&](const ctr::Backbone& shape) {
+                points = 0;
+                for (int k = 0; k < pb.nodes; ++k) {
+                    if (mesh.s()[k] < 0) continue;
+                    const int m = pb.element_tubes[std::min(k, pb.elements - 1)];
+                    out.insert(out.end(), shape.outer_position[k].begin(), shape.outer_position[k].end());
+                    out.push_back(robot_.tubes[pb.tubes - m].outer_radius);
+                    ++points;
+                }
+                ++shapes;
+            };
+            add(loan->backbone);
+            for (const ctr::Backbone& shape : loan->corner_backbones) add(shape);
+        }
+        return array(std::move(out), {shapes, points, 4});
+    }
+
+  private:
+    // A solver borrowed from the pool for the length of a call.
+    class Loan {
+      public:
+        explicit Loan(Model& model) : model_(model) {
+            const std::lock_guard lock(model.mutex_);
+            if (!model.pool_.empty()) {
+                solver_ = std::move(model.pool_.back());
+                model.pool_.pop_back();
+            }
+            if (!solver_) solver_ = std::make_unique<ctr::BoundSolver>(model.robot_);
+        }
+        ~Loan() {
+            const std::lock_guard lock(model_.mutex_);
+            model_.pool_.push_back(std::move(solver_));
+        }
+        ctr::BoundSolver* operator->() { return solver_.get(); }
+        ctr::BoundSolver& operator*() { return *solver_; }
+
+      private:
+        Model& model_;
+        std::unique_ptr<ctr::BoundSolver> solver_;
+    };
+
+    template <class Work>
+    void parallel(std::size_t count, int threads, const Work& work) {
+        std::atomic<std::size_t> next{0};
+        std::exception_ptr failure;
+        std::mutex guard;
+        auto run = [&] {
+            try {
+                Loan loan(*this);
+                for (std::size_t k = next++; k < count; k = next++) work(*loan, k);
+            } catch (...) {
+                const std::lock_guard lock(guard);
+                if (!failure) failure = std::current_exception();
+            }
+        };
+        const int wanted = threads > 0 ? threads : static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
+        const int used = static_cast<int>(std::min<std::size_t>(wanted, std::max<std::size_t>(count, 1)));
+        std::vector<std::thread> pool;
+        for (int k = 1; k < used; ++k) pool.emplace_back(run);
+        run();
+        for (std::thread& thread : pool) thread.join();
+        if (failure) std::rethrow_exception(failure);
+    }
+
+    ctr::Configuration read(const Vector& theta, const Vector& l) const {
+        const ctr::Configuration q{std::vector<double>(theta.data(), theta.data() + theta.shape(0)),
+                                   std::vector<double>(l.data(), l.data() + l.shape(0))};
+        ctr::validate(robot_, q);
+        return q;
+    }
+
+    std::vector<ctr::Configuration> read_many(const Matrix& theta, const Matrix& l) const {
+        const int n = robot_.count();
+        if (theta.shape(0) != l.shape(0) || static_cast<int>(theta.shape(1)) != n || static_cast<int>(l.shape(1)) != n)
+            throw ctr::InvalidInput("theta_b and l_b need the same number of rows and one column per tube");
+        std::vector<ctr::Configuration> all;
+        all.reserve(theta.shape(0));
+        for (std::size_t k = 0; k < theta.shape(0); ++k) {
+            all.push_back(configuration(theta.data() + k * n, l.data() + k * n, n));
+            try {
+                ctr::validate(robot_, all.back());
+            } catch (const ctr::InvalidInput& reason) {
+                throw ctr::InvalidInput("row " + std::to_string(k) + ": " + reason.what());
+            }
+        }
+        return all;
+    }
+
+    ctr::Robot robot_;
+    std::mutex mutex_;
+    std::vector<std::unique_ptr<ctr::BoundSolver>> pool_;
+};
+
+}  // namespace
+
+NB_MODULE(_model, m) {
+    m.doc() = "Mechanics of concentric tube robots with clearance and friction (C++ core of ctrplan)";
+    nb::exception<ctr::InvalidInput>(m, "InvalidInput", PyExc_ValueError);
+    m.def("kernel_name", &ctr::kernel_name, "instruction set of the kernel in use");
+    nb::class_<Model>(m, "Model")
+        .def(nb::init<const std::vector<std::vector<double>>&, const std::vector<std::vector<std::vector<double>>>&,
+                      const std::vector<std::vector<double>>&>(),
+             "tubes"_a, "sections"_a, "pairs"_a)
+        .def("zero_clearance", &Model::zero_clearance, "theta_b"_a.noconvert(), "l_b"_a.noconvert())
+        .def("solve", &Model::solve, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(), "certificate"_a)
+        .def("bound", &Model::bound, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "certificate"_a)
+        .def("bound_many", &Model::bound_many, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "certificate"_a, "threads"_a)
+        .def("tips", &Model::tips, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "threads"_a)
+        .def("check_leg", &Model::check_leg, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "field"_a.none(),
+             "origin"_a.noconvert(), "spacing"_a, "R_AB"_a.noconvert(), "p_AB"_a.noconvert(), "point_spacing"_a,
+             "limits"_a.noconvert(), "certificate"_a)
+        .def("body", &Model::body, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "certificate"_a);
+}

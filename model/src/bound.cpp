@@ -1,0 +1,145 @@
+#include "ctr/bound.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace ctr {
+
+BoundSolver::BoundSolver(const Robot& robot)
+    : solver_(robot), pairs_(robot.count() - 1), corners_(1 << (robot.count() - 1)) {
+    corner_convergence_.resize((corners_ + kLanes - 1) / kLanes * kLanes);
+    for (int k = 0; k < corners_; k += kLanes) batches_.push_back(std::make_unique<LaneState>());
+    corner_backbones.resize(corners_);
+    phi_.resize(std::max(pairs_, 1));
+}
+
+void BoundSolver::prepare(const Configuration& q, const MeshDensity& density) {
+    q_ = q;
+    solver_.build(q, density);
+    const KernelProblem& pb = solver_.mesh().problem();
+    layout_.assign(pb.element_unknowns, pb.element_unknowns + pb.elements);
+    layout_.insert(layout_.end(), pb.contact_begin, pb.contact_begin + pb.elements + 1);
+}
+
+bool BoundSolver::same_layout() const { return have_solution_ && layout_ == previous_layout_; }
+
+void BoundSolver::solve_frictionless() {
+    const KernelProblem& pb = solver_.mesh().problem();
+    frictionless_.resize(pb, 1);
+    std::fill(phi_.begin(), phi_.end(), 0.0);
+    frictionless_.set_phi(solver_.robot(), pb, 0, phi_.data());
+    for (const BarrierPath& path : {BarrierPath::cold(), BarrierPath::careful()}) {
+        solver_.start(frictionless_, q_, zero_, path.first);
+        solver_.solve(frictionless_, path, &frictionless_convergence_);
+        if (frictionless_convergence_.converged) break;
+    }
+    stability_ = solver_.stability(frictionless_, negative_);
+}
+
+void BoundSolver::solve_corners() {
+    const KernelProblem& pb = solver_.mesh().problem();
+    for (std::size_t b = 0; b < batches_.size(); ++b) {
+        LaneState& state = *batches_[b];
+        state.resize(pb, kLanes);
+        for (int lane = 0; lane < kLanes; ++lane) {
+            const int corner = std::min(static_cast<int>(b) * kLanes + lane, corners_ - 1);  // spare lanes repeat the last
+            for (int pair = 0; pair < pairs_; ++pair) phi_[pair] = sign(corner, pair);
+            state.set_phi(solver_.robot(), pb, lane, phi_.data());
+        }
+        for (const BarrierPath& path : {BarrierPath::cold(), BarrierPath::careful()}) {
+            solver_.start(state, q_, zero_, path.first);
+            solver_.solve(state, path, &corner_convergence_[b * kLanes]);
+            if (std::all_of(&corner_convergence_[b * kLanes], &corner_convergence_[b * kLanes] + kLanes,
+                            [](const Convergence& c) { return c.converged; }))
+                break;
+        }
+    }
+}
+
+void BoundSolver::solve(const Configuration& q, const MeshDensity& density) {
+    zero_.solve(solver_.robot(), q);
+    prepare(q, density);
+    solve_frictionless();
+    solve_corners();
+    previous_layout_ = layout_;
+    measure();
+    have_solution_ = all_converged();
+}
+
+void BoundSolver::follow(const Configuration& q, const MeshDensity& density) {
+    prepare(q, density);
+    if (!same_layout()) return solve(q, density);
+    const BarrierPath path = BarrierPath::warm();
+    auto advance = [&](LaneState& state, Convergence* result) {
+        solver_.set_base(state, q_);
+        solver_.recentre(state, path.first);
+        solver_.solve(state, path, result);
+    };
+    advance(frictionless_, &frictionless_convergence_);
+    stability_ = solver_.stability(frictionless_, negative_);
+    for (std::size_t b = 0; b < batches_.size(); ++b) advance(*batches_[b], &corner_convergence_[b * kLanes]);
+    if (!all_converged()) return solve(q, density);
+    ++warm_starts_;
+    measure();
+}
+
+void BoundSolver::solve_single(const Configuration& q, const MeshDensity& density, const std::vector<double>& phi) {
+    zero_.solve(solver_.robot(), q);
+    prepare(q, density);
+    solve_frictionless();
+    have_solution_ = false;
+    if (std::all_of(phi.begin(), phi.end(), [](double value) { return value == 0; })) return;
+    const KernelProblem& pb = solver_.mesh().problem();
+    frictionless_.set_phi(solver_.robot(), pb, 0, phi.data());
+    for (const BarrierPath& path : {BarrierPath::cold(), BarrierPath::careful()}) {
+        solver_.start(frictionless_, q_, zero_, path.first);
+        solver_.solve(frictionless_, path, &frictionless_convergence_);
+        if (frictionless_convergence_.converged) break;
+    }
+}
+
+bool BoundSolver::all_converged() const {
+    return frictionless_convergence_.converged &&
+           std::all_of(corner_convergence_.begin(), corner_convergence_.end(), [](const Convergence& c) { return c.converged; });
+}
+
+Status BoundSolver::status() const {
+    if (!frictionless_convergence_.converged) return Status::failed;
+    return negative_ > 0 || stability_ <= 0 ? Status::unstable : Status::converged;
+}
+
+int BoundSolver::iterations() const {
+    int sum = frictionless_convergence_.iterations;
+    for (const Convergence& c : corner_convergence_) sum = std::max(sum, c.iterations);
+    return sum;
+}
+
+void BoundSolver::measure() {
+    trace_backbone(solver_, frictionless_, 0, q_.l.back(), backbone);
+    const std::size_t nodes = backbone.frame.size();
+    envelope.assign(nodes, 0.0);
+    position = tangent = 0;
+    worst_corner = 0;
+    max_strain = backbone.max_strain;
+    for (int k = 0; k < corners_; ++k) {
+        Backbone& other = corner_backbones[k];
+        trace_backbone(solver_, corner_state(k), corner_lane(k), q_.l.back(), other);
+        max_strain = std::max(max_strain, other.max_strain);
+        for (std::size_t i = 0; i < nodes; ++i) {
+            const Vec3 &a = backbone.frame[i].p, &b = other.frame[i].p;
+            envelope[i] = std::max(envelope[i], std::sqrt((a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1]) + (a[2] - b[2]) * (a[2] - b[2])));
+        }
+        const Vec3 &a = backbone.frame.back().p, &b = other.frame.back().p;
+        const double distance = std::sqrt((a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1]) + (a[2] - b[2]) * (a[2] - b[2]));
+        if (distance > position) {
+            position = distance;
+            worst_corner = k;
+        }
+        const Vec3 u = backbone.frame.back().tangent(), v = other.frame.back().tangent(), w = cross(u, v);
+        tangent = std::max(tangent, std::atan2(std::sqrt(dot(w, w)), dot(u, v)));
+    }
+    if (!all_converged()) position = tangent = std::numeric_limits<double>::quiet_NaN();
+}
+
+}  // namespace ctr

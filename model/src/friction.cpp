@@ -1,0 +1,189 @@
+#include "ctr/friction.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace ctr {
+namespace {
+
+constexpr int kMaxNewton = 60;
+constexpr double kKeep = 0.95;            // fraction of the way to the boundary
+constexpr double kMaxTwistStep = 0.6;     // rad
+constexpr double kResidual = 1e-8;        // of EI * precurvature
+constexpr double kComplementarity = 1e-2; // of the last barrier level, itself far below any contact force
+
+}  // namespace
+
+void LaneState::resize(const KernelProblem& problem, int lanes) {
+    lanes_ = lanes;
+    stride_ = problem.stride;
+    const std::size_t vector = static_cast<std::size_t>(problem.nodes) * stride_ * lanes, block = vector * stride_;
+    const std::size_t contacts = static_cast<std::size_t>(std::max(problem.contacts, 1)) * lanes;
+    unknowns_.resize(vector);
+    step_.resize(vector);
+    rhs_.resize(vector);
+    diagonal_.resize(block);
+    upper_.resize(block);
+    lower_.resize(block);
+    multiplier_.resize(contacts);
+    multiplier_step_.resize(contacts);
+    slack_.resize(contacts);
+    slack_step_.resize(contacts);
+    phi_mu_.resize(contacts);
+}
+
+void LaneState::set_phi(const Robot& robot, const KernelProblem& problem, int lane, const double* phi) {
+    const int n = robot.count();
+    for (int k = 0; k < problem.contacts; ++k) {
+        const int pair = n - 2 - problem.contact_pair[k];
+        phi_mu_[static_cast<std::size_t>(k) * lanes_ + lane] = phi[pair] * robot.pairs[pair].friction;
+    }
+}
+
+KernelState LaneState::view() {
+    return {unknowns_.data(),        multiplier_.data(), slack_.data(),    phi_mu_.data(), step_.data(),
+            multiplier_step_.data(), slack_step_.data(), diagonal_.data(), upper_.data(),  lower_.data(), rhs_.data()};
+}
+
+void FrictionSolver::build(const Configuration& q, const MeshDensity& density) {
+    mesh_.build(robot_, q, density);
+    moment_scale_ = 1e-9;
+    for (const Tube& tube : robot_.tubes)
+        for (const Section& section : tube.sections)
+            moment_scale_ = std::max(moment_scale_, tube.bending_stiffness * std::hypot(section.curvature_x, section.curvature_y));
+}
+
+void FrictionSolver::start(LaneState& state, const Configuration& q, const ZeroClearance& guess, double level) {
+    const KernelProblem& pb = mesh_.problem();
+    const int n = robot_.count();
+    for (int lane = 0; lane < state.lanes(); ++lane) {
+        for (int k = 0; k < pb.nodes; ++k) {
+            for (int i = 0; i < pb.stride; ++i) state.unknown(k, i, lane) = 0;
+            for (int t = 0; t < n; ++t)
+                state.unknown(k, 5 * t, lane) = mesh_.s()[k] <= q.l[n - 1 - t] ? q.theta[n - 1 - t] : guess.theta(t, mesh_.s()[k]);
+        }
+        for (int k = 0; k < pb.contacts; ++k) {
+            const int p = pb.contact_pair[k];
+            state.slack(k, lane) = pb.half_square_clearance[p];
+            state.multiplier(k, lane) = level * pb.barrier_scale[p] * pb.contact_weight[k] / pb.half_square_clearance[p];
+        }
+    }
+}
+
+void FrictionSolver::recentre(LaneState& state, double level) {
+    const KernelProblem& pb = mesh_.problem();
+    for (int k = 0; k < pb.contacts; ++k) {
+        const double eps = level * pb.barrier_scale[pb.contact_pair[k]] * pb.contact_weight[k];
+        const double balanced = std::sqrt(eps);
+        for (int lane = 0; lane < state.lanes(); ++lane) {
+            double &lambda = state.multiplier(k, lane), &w = state.slack(k, lane);
+            if (lambda * pb.half_square_clearance[pb.contact_pair[k]] > eps && lambda * balanced > w) w = eps / lambda;  // in contact: keep the force
+            else lambda = eps / w;
+        }
+    }
+}
+
+void FrictionSolver::set_base(LaneState& state, const Configuration& q) {
+    const KernelProblem& pb = mesh_.problem();
+    for (int k = 0; k < pb.nodes; ++k)
+        for (int t = 0; t < pb.tubes; ++t) {
+            const int i = pb.tubes - 1 - t;
+            if (mesh_.s()[k] > q.l[i]) break;  // farther out tubes begin later still
+            for (int lane = 0; lane < state.lanes(); ++lane) state.unknown(k, 5 * t, lane) = q.theta[i];
+        }
+}
+
+void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergence* result) {
+    const KernelProblem& pb = mesh_.problem();
+    const KernelState view = state.view();
+    const int lanes = state.lanes();
+    const KernelTable& run = kernel(lanes);
+    alignas(kAlignment) double level[kLanes], primal[kLanes], dual[kLanes], moment[kLanes], gap[kLanes];
+    bool done[kLanes] = {};
+    for (int lane = 0; lane < lanes; ++lane) {
+        level[lane] = path.first;
+        result[lane] = {};
+    }
+    for (int k = 0; k < kMaxNewton; ++k) {
+        run.newton(pb, view, level);
+        run.step_length(pb, view, kKeep, primal, dual);
+        for (int lane = 0; lane < lanes; ++lane) {
+            double twist = 0;
+            for (int node = 0; node < pb.nodes; ++node)
+                for (int t = 0; t < pb.tubes; ++t) twist = std::max(twist, std::fabs(state.step(node, 5 * t, lane)));
+            if (!(twist < 1e6)) primal[lane] = dual[lane] = 0;  // also NaN
+            primal[lane] = std::min(primal[lane], kMaxTwistStep / std::max(twist, 1e-12));
+            if (done[lane]) primal[lane] = dual[lane] = 0;
+        }
+        run.advance(pb, view, primal, dual);
+        bool check = false;
+        for (int lane = 0; lane < lanes; ++lane) {
+            if (done[lane]) continue;
+            ++result[lane].iterations;
+            if (level[lane] <= path.last) check = true;
+            const double worst = std::min(primal[lane], dual[lane]);
+            if (worst > 0.3) level[lane] = std::max(path.last, level[lane] * (worst > 0.8 ? path.shrink : 0.5));
+        }
+        if (!check) continue;
+        run.residual(pb, view, level, moment, gap);
+        bool all = true;
+        for (int lane = 0; lane < lanes; ++lane) {
+            if (done[lane]) continue;
+            result[lane].residual = moment[lane] / moment_scale_;
+            result[lane].complementarity = gap[lane];
+            if (level[lane] <= path.last && result[lane].residual < kResidual && gap[lane] < kComplementarity)
+                done[lane] = result[lane].converged = true;
+            all = all && done[lane];
+        }
+        if (all) return;
+    }
+}
+
+double FrictionSolver::stability(LaneState& state, int& negative) {
+    const KernelProblem& pb = mesh_.problem();
+    const KernelTable& run = kernel(1);
+    const KernelState view = state.view();
+    negative = 0;
+    for (int k = 0; k < pb.nodes; ++k)
+        for (int i = 0; i < pb.node_unknowns[k]; ++i)
+            if (state.inverse_pivot(k, i, 0) < 0) ++negative;
+    // inverse iteration on H x = mu M x, M the consistent mass of the angles
+    const int n = pb.tubes;
+    std::vector<double>& x = mass_vector_;
+    x.assign(static_cast<std::size_t>(pb.nodes) * n, 0.0);
+    for (int k = 1; k < pb.nodes; ++k)
+        for (int t = 0; t < n; ++t)
+            if (5 * t < pb.node_unknowns[k]) x[k * n + t] = std::sin(1.0 + 0.1 * k + t);  // overlaps every low mode
+    double value = 0;
+    for (int iteration = 0; iteration < 12; ++iteration) {
+        for (int k = 0; k < pb.nodes; ++k)
+            for (int i = 0; i < pb.stride; ++i) state.rhs(k, i, 0) = 0;
+        for (int e = 0; e < pb.elements; ++e)
+            for (int t = 0; t < pb.element_tubes[e]; ++t) {
+                const double h = pb.length[e], a = x[e * n + t], b = x[(e + 1) * n + t];
+                if (5 * t < pb.node_unknowns[e]) state.rhs(e, 5 * t, 0) -= h / 6 * (2 * a + b);
+                if (5 * t < pb.node_unknowns[e + 1]) state.rhs(e + 1, 5 * t, 0) -= h / 6 * (a + 2 * b);
+            }
+        run.solve(pb, view);
+        double numerator = 0, denominator = 0;  // x . M y and y . M y
+        for (int e = 0; e < pb.elements; ++e)
+            for (int t = 0; t < pb.element_tubes[e]; ++t) {
+                const double h = pb.length[e], a = x[e * n + t], b = x[(e + 1) * n + t];
+                const double c = 5 * t < pb.node_unknowns[e] ? state.step(e, 5 * t, 0) : 0.0;
+                const double d = 5 * t < pb.node_unknowns[e + 1] ? state.step(e + 1, 5 * t, 0) : 0.0;
+                numerator += h / 6 * (2 * a * c + a * d + b * c + 2 * b * d);
+                denominator += h / 3 * (c * c + c * d + d * d);
+            }
+        const double before = value;
+        value = numerator / denominator;
+        const double norm = 1 / std::sqrt(denominator);
+        for (int k = 0; k < pb.nodes; ++k)
+            for (int t = 0; t < n; ++t) x[k * n + t] = 5 * t < pb.node_unknowns[k] ? state.step(k, 5 * t, 0) * norm : 0.0;
+        if (iteration > 1 && std::fabs(value - before) < 1e-3 * std::fabs(value)) break;
+    }
+    const Tube& inner = robot_.tubes.back();
+    const double length = inner.length();
+    return value * length * length / inner.torsional_stiffness;
+}
+
+}  // namespace ctr

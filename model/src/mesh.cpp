@@ -1,0 +1,222 @@
+#include "ctr/mesh.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace ctr {
+namespace {
+
+// Breaks closer than this become one: shorter elements would only cost digits (their stiffness goes with 1 / length^3).
+constexpr double kMergeDistance = 1e-5;
+
+// A single tube carries no contact: its elements serve the integration of the shape and the torsional second variation.
+constexpr double kSingleTubeLength = 6e-3;
+
+}  // namespace
+
+void Mesh::build(const Robot& robot, const Configuration& q, const MeshDensity& density) {
+    find_breaks(robot, q);
+    place_nodes(robot, q, density);
+    fill_elements(robot, q);
+    place_contacts(robot, density);
+    fill_regimes(robot);
+    publish(robot);
+}
+
+void Mesh::find_breaks(const Robot& robot, const Configuration& q) {
+    breaks_.clear();
+    const int n = robot.count();
+    for (int i = 0; i < n; ++i) {
+        double s = q.l[i];
+        breaks_.push_back({s, n > 1});
+        for (const Section& section : robot.tubes[i].sections) breaks_.push_back({s += section.length, n > 1});
+    }
+    breaks_.push_back({0.0, n > 1});
+    const double first = q.l[n - 1], last = q.l[n - 1] + robot.tubes[n - 1].length();
+    std::sort(breaks_.begin(), breaks_.end(), [](const Break& a, const Break& b) { return a.s < b.s; });
+    std::vector<Break> merged;
+    for (const Break& b : breaks_)
+        if (merged.empty() || b.s - merged.back().s > kMergeDistance) merged.push_back(b);
+    // the two ends are exact whatever was merged into them
+    while (merged.size() > 1 && merged.back().s > last - kMergeDistance) merged.pop_back();
+    merged.front().s = first;
+    merged.push_back({last, true});
+    for (Break& b : merged)
+        if (std::fabs(b.s) <= kMergeDistance) b.s = 0;
+    breaks_.swap(merged);
+}
+
+double Mesh::distance_to_sharp(double s) const {
+    double best = 1e9;
+    for (const Break& b : breaks_)
+        if (b.sharp) best = std::min(best, std::fabs(s - b.s));
+    return best;
+}
+
+void Mesh::place_nodes(const Robot& robot, const Configuration& q, const MeshDensity& density) {
+    const int n = robot.count();
+    s_.assign(1, breaks_.front().s);
+    element_tubes_.clear();
+    for (std::size_t b = 0; b + 1 < breaks_.size(); ++b) {
+        const double from = breaks_[b].s, to = breaks_[b + 1].s, middle = 0.5 * (from + to), span = to - from;
+        int present = 0;
+        for (int i = 0; i < n; ++i)
+            if (q.l[i] < middle && middle < q.l[i] + robot.tubes[i].length()) ++present;
+        present = std::max(present, 1);
+        // count = integral of ds / h(s), h growing linearly from both ends of the interval
+        auto cumulative = [&](double x) {
+            const double reach = (density.coarsest - density.finest) / density.growth;
+            const double near = std::log1p(density.growth * std::min(x, reach) / density.finest) / density.growth;
+            return near + std::max(0.0, x - reach) / density.coarsest;
+        };
+        const double half = cumulative(0.5 * span);
+        int count = present == 1 ? static_cast<int>(std::ceil(span / kSingleTubeLength - 1e-9))
+                                 : static_cast<int>(std::ceil(2 * half - 1e-9));
+        count = std::max(count, 1);
+        for (int k = 1; k <= count; ++k) {
+            double x = span * k / count;
+            if (present > 1 && k < count) {  // invert the cumulative count by bisection on the nearer half
+                const double target = 2 * half * std::min(k, count - k) / count;
+                double low = 0, high = 0.5 * span;
+                for (int step = 0; step < 40; ++step) {
+                    const double mid = 0.5 * (low + high);
+                    (cumulative(mid) < target ? low : high) = mid;
+                }
+                x = 2 * k <= count ? high : span - high;
+            }
+            s_.push_back(k == count ? to : from + x);
+            element_tubes_.push_back(present);
+        }
+    }
+}
+
+void Mesh::fill_elements(const Robot& robot, const Configuration& q) {
+    const int n = robot.count(), elements = static_cast<int>(s_.size()) - 1;
+    length_.resize(elements);
+    element_regime_.resize(elements);
+    element_unknowns_.resize(elements);
+    precurvature_.assign(static_cast<std::size_t>(elements) * n * 2, 0.0);
+    node_unknowns_.assign(elements + 1, 0);
+    for (int e = 0; e < elements; ++e) {
+        length_[e] = s_[e + 1] - s_[e];
+        const double middle = 0.5 * (s_[e] + s_[e + 1]);
+        element_regime_[e] = (element_tubes_[e] - 1) * 2 + (middle < 0 ? 1 : 0);
+        element_unknowns_[e] = 5 * element_tubes_[e] - (middle < q.l[0] ? 0 : 4);
+        node_unknowns_[e + 1] = element_unknowns_[e];  // a tube that begins at a node is clamped there
+        for (int t = 0; t < element_tubes_[e]; ++t) {
+            const Tube& tube = robot.tubes[n - 1 - t];
+            double begin = q.l[n - 1 - t];
+            const Section* here = &tube.sections.front();
+            for (const Section& section : tube.sections) {
+                if (middle < begin) break;
+                here = &section;
+                begin += section.length;
+            }
+            precurvature_[(e * n + t) * 2] = here->curvature_y;
+            precurvature_[(e * n + t) * 2 + 1] = -here->curvature_x;
+        }
+    }
+}
+
+void Mesh::place_contacts(const Robot& robot, const MeshDensity& density) {
+    const int n = robot.count(), elements = static_cast<int>(length_.size());
+    contact_begin_.assign(1, 0);
+    contact_pair_.clear();
+    contact_shape_.clear();
+    contact_xi_.clear();
+    contact_weight_.clear();
+    contact_s_.clear();
+    for (int e = 0; e < elements; ++e) {
+        const double h = length_[e];
+        const double spacing = std::min(density.contact_coarsest,
+                                        density.contact_finest + density.growth * distance_to_sharp(0.5 * (s_[e] + s_[e + 1])) *
+                                            density.contact_coarsest / density.coarsest);
+        const int count = element_tubes_[e] > 1 ? std::max(1, static_cast<int>(std::ceil(h / spacing - 1e-9))) : 0;
+        for (int k = 1; k <= count; ++k)
+            for (int p = 0; p < element_tubes_[e] - 1; ++p) {
+                const double xi = static_cast<double>(k) / count, xi2 = xi * xi, xi3 = xi2 * xi;
+                contact_pair_.push_back(p);
+                contact_xi_.push_back(xi);
+                contact_weight_.push_back(h / count);
+                contact_s_.push_back(s_[e] + xi * h);
+                for (double value : {1 - 3 * xi2 + 2 * xi3, h * (xi - 2 * xi2 + xi3), 3 * xi2 - 2 * xi3, h * (xi3 - xi2)})
+                    contact_shape_.push_back(value);
+            }
+        contact_begin_.push_back(static_cast<int>(contact_pair_.size()));
+    }
+    half_square_.resize(n);
+    outer_arm_.resize(n);
+    inner_arm_.resize(n);
+    scale_.resize(n);
+    for (int p = 0; p < n - 1; ++p) {
+        const Pair& pair = robot.pairs[n - 2 - p];
+        half_square_[p] = 0.5 * pair.clearance * pair.clearance;
+        outer_arm_[p] = pair.outer_inner_radius / pair.clearance;
+        inner_arm_[p] = pair.inner_outer_radius / pair.clearance;
+        scale_[p] = pair.clearance;
+    }
+}
+
+// P = diag(EI) - EI EI^T / sum(EI) where the mean bending is free, diag(EI) behind the plate; C and D are its sums over
+// the tubes inside a pair (docs/model.md).
+void Mesh::fill_regimes(const Robot& robot) {
+    const int n = robot.count();
+    const std::size_t size = static_cast<std::size_t>(2 * n) * n * n;
+    stiffness_.assign(size, 0.0);
+    pair_stiffness_.assign(size, 0.0);
+    mixed_stiffness_.assign(size, 0.0);
+    for (int m = 1; m <= n; ++m)
+        for (int guided = 0; guided < 2; ++guided) {
+            const std::size_t base = static_cast<std::size_t>((m - 1) * 2 + guided) * n * n;
+            double total = 0;
+            for (int t = 0; t < m; ++t) total += robot.tubes[n - 1 - t].bending_stiffness;
+            for (int t = 0; t < m; ++t)
+                for (int l = 0; l < m; ++l) {
+                    const double a = robot.tubes[n - 1 - t].bending_stiffness, b = robot.tubes[n - 1 - l].bending_stiffness;
+                    stiffness_[base + t * n + l] = (t == l ? a : 0.0) - (guided ? 0.0 : a * b / total);
+                }
+            for (int p = 0; p < m; ++p)
+                for (int t = 0; t < m; ++t) {
+                    double sum = 0;
+                    for (int l = 0; l <= p; ++l) sum += stiffness_[base + l * n + t];
+                    mixed_stiffness_[base + p * n + t] = sum;
+                }
+            for (int p = 0; p < m; ++p)
+                for (int r = 0; r < m; ++r) {
+                    double sum = 0;
+                    for (int l = 0; l <= r; ++l) sum += mixed_stiffness_[base + p * n + l];
+                    pair_stiffness_[base + p * n + r] = sum;
+                }
+        }
+    torsional_.resize(n);
+    for (int t = 0; t < n; ++t) torsional_[t] = robot.tubes[n - 1 - t].torsional_stiffness;
+}
+
+void Mesh::publish(const Robot& robot) {
+    problem_.tubes = robot.count();
+    problem_.nodes = static_cast<int>(s_.size());
+    problem_.elements = problem_.nodes - 1;
+    problem_.contacts = static_cast<int>(contact_pair_.size());
+    problem_.stride = 5 * problem_.tubes - 4;
+    problem_.node_unknowns = node_unknowns_.data();
+    problem_.element_tubes = element_tubes_.data();
+    problem_.element_unknowns = element_unknowns_.data();
+    problem_.element_regime = element_regime_.data();
+    problem_.length = length_.data();
+    problem_.precurvature = precurvature_.data();
+    problem_.stiffness = stiffness_.data();
+    problem_.pair_stiffness = pair_stiffness_.data();
+    problem_.mixed_stiffness = mixed_stiffness_.data();
+    problem_.torsional_stiffness = torsional_.data();
+    problem_.contact_begin = contact_begin_.data();
+    problem_.contact_pair = contact_pair_.data();
+    problem_.contact_shape = contact_shape_.data();
+    problem_.contact_xi = contact_xi_.data();
+    problem_.contact_weight = contact_weight_.data();
+    problem_.half_square_clearance = half_square_.data();
+    problem_.outer_torque_arm = outer_arm_.data();
+    problem_.inner_torque_arm = inner_arm_.data();
+    problem_.barrier_scale = scale_.data();
+}
+
+}  // namespace ctr

@@ -1,0 +1,220 @@
+#include "ctr/shape.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace ctr {
+namespace {
+
+constexpr double kGauss[2] = {0.21132486540518711775, 0.78867513459481288225};
+constexpr double kOutputStep = 2e-3;  // m, zero-clearance shapes
+
+// Material frame and curvature of a tube from its twist-free frame, its angle and its bending in the twist-free frame.
+void append(TubeShape& tube, double s, const Frame& frame, double theta, double rate, const double* kappa,
+            const double* rotated, double radius) {
+    const double c = std::cos(theta), n = std::sin(theta);
+    std::array<double, 9> R;
+    for (int i = 0; i < 3; ++i) {
+        R[3 * i] = c * frame.R[3 * i] + n * frame.R[3 * i + 1];
+        R[3 * i + 1] = -n * frame.R[3 * i] + c * frame.R[3 * i + 1];
+        R[3 * i + 2] = frame.R[3 * i + 2];
+    }
+    tube.s.push_back(s);
+    tube.position.push_back(frame.p);
+    tube.frame.push_back(R);
+    tube.theta.push_back(theta);
+    const double wx = -kappa[1], wy = kappa[0];  // rotation rate
+    tube.curvature.push_back({c * wx + n * wy, -n * wx + c * wy, rate});
+    tube.strain.push_back(radius * std::hypot(kappa[0] - rotated[0], kappa[1] - rotated[1]));
+}
+
+double outermost_radius(const Robot& robot, const Configuration& q, double s) {
+    for (const Tube& tube : robot.tubes) {
+        const double begin = q.l[&tube - robot.tubes.data()];
+        if (begin <= s && s <= begin + tube.length() + 1e-12) return tube.outer_radius;
+    }
+    return robot.tubes.back().outer_radius;
+}
+
+const Section& section_at(const Tube& tube, double from_base) {
+    double end = 0;
+    for (const Section& section : tube.sections)
+        if (from_base < (end += section.length)) return section;
+    return tube.sections.back();
+}
+
+}  // namespace
+
+void element_curvature(const FrictionSolver& solver, const LaneState& state, int lane, int e, double xi,
+                       double (*curvature)[2], double (*rotated)[2]) {
+    const KernelProblem& pb = solver.mesh().problem();
+    const int m = pb.element_tubes[e], n = pb.tubes, offsets = pb.element_unknowns[e] == 5 * m ? m : m - 1;
+    const double h = pb.length[e];
+    const double b[4] = {(12 * xi - 6) / (h * h), (6 * xi - 4) / h, (6 - 12 * xi) / (h * h), (6 * xi - 2) / h};
+    double running[2] = {0, 0}, mean[2] = {0, 0}, total = 0;
+    for (int t = m - 1; t >= 0; --t) {
+        if (t < offsets)
+            for (int plane = 0; plane < 2; ++plane)
+                running[plane] += b[0] * state.unknown(e, 1 + 5 * t + plane, lane) + b[1] * state.unknown(e, 3 + 5 * t + plane, lane) +
+                                  b[2] * state.unknown(e + 1, 1 + 5 * t + plane, lane) + b[3] * state.unknown(e + 1, 3 + 5 * t + plane, lane);
+        const double theta = (1 - xi) * state.unknown(e, 5 * t, lane) + xi * state.unknown(e + 1, 5 * t, lane);
+        const double vx = pb.precurvature[(e * n + t) * 2], vy = pb.precurvature[(e * n + t) * 2 + 1];
+        const double c = std::cos(theta), s = std::sin(theta), EI = solver.robot().tubes[n - 1 - t].bending_stiffness;
+        rotated[t][0] = c * vx - s * vy;
+        rotated[t][1] = s * vx + c * vy;
+        total += EI;
+        for (int plane = 0; plane < 2; ++plane) {
+            curvature[t][plane] = running[plane];
+            mean[plane] += EI * (rotated[t][plane] - running[plane]);
+        }
+    }
+    if (!solver.mesh().mean_is_free(e)) return;
+    for (int t = 0; t < m; ++t)
+        for (int plane = 0; plane < 2; ++plane) curvature[t][plane] += mean[plane] / total;
+}
+
+void trace_backbone(const FrictionSolver& solver, const LaneState& state, int lane, double base_l, Backbone& out) {
+    const KernelProblem& pb = solver.mesh().problem();
+    double kappa[2][kMaxTubes][2], rotated[kMaxTubes][2];
+    out.frame.resize(pb.nodes);
+    out.outer_position.resize(pb.nodes);
+    out.max_strain = 0;
+    Frame frame;
+    frame.p = {0, 0, base_l};
+    out.frame[0] = frame;
+    for (int e = 0; e < pb.elements; ++e) {
+        const int m = pb.element_tubes[e];
+        for (int g = 0; g < 2; ++g) {
+            element_curvature(solver, state, lane, e, kGauss[g], kappa[g], rotated);
+            for (int t = 0; t < m; ++t) {
+                const double r = solver.robot().tubes[pb.tubes - 1 - t].outer_radius;
+                out.max_strain = std::max(out.max_strain, r * std::hypot(kappa[g][t][0] - rotated[t][0], kappa[g][t][1] - rotated[t][1]));
+            }
+        }
+        advance(frame, kappa[0][0], kappa[1][0], pb.length[e]);
+        out.frame[e + 1] = frame;
+    }
+    for (int k = 0; k < pb.nodes; ++k) {
+        const int m = pb.element_tubes[std::min(k, pb.elements - 1)];
+        double offset[2] = {0, 0};
+        for (int p = 0; p < m - 1; ++p)
+            for (int plane = 0; plane < 2; ++plane) offset[plane] += state.unknown(k, 1 + 5 * p + plane, lane);
+        const Frame& f = out.frame[k];
+        for (int i = 0; i < 3; ++i) out.outer_position[k][i] = f.p[i] - offset[0] * f.R[3 * i] - offset[1] * f.R[3 * i + 1];
+    }
+}
+
+Shape make_shape(const FrictionSolver& solver, const LaneState& state, int lane, const Configuration& q) {
+    const KernelProblem& pb = solver.mesh().problem();
+    const Robot& robot = solver.robot();
+    const std::vector<double>& s = solver.mesh().s();
+    const int n = robot.count();
+    Shape shape;
+    shape.tubes.resize(n);
+    double kappa[4][kMaxTubes][2], rotated[kMaxTubes][2], rotated_end[kMaxTubes][2];
+    std::vector<Frame> frame(n);
+    for (int e = 0; e < pb.elements; ++e) {
+        const int m = pb.element_tubes[e];
+        for (int g = 0; g < 2; ++g) element_curvature(solver, state, lane, e, kGauss[g], kappa[g], rotated);
+        element_curvature(solver, state, lane, e, 1.0, kappa[3], rotated_end);
+        element_curvature(solver, state, lane, e, 0.0, kappa[2], rotated);
+        for (int t = 0; t < m; ++t) {
+            const int i = n - 1 - t;
+            TubeShape& tube = shape.tubes[i];
+            const double radius = robot.tubes[i].outer_radius;
+            const double rate = (state.unknown(e + 1, 5 * t, lane) - state.unknown(e, 5 * t, lane)) / pb.length[e];
+            if (tube.s.empty()) {
+                frame[i].p = {0, 0, q.l[i]};
+                append(tube, s[e], frame[i], state.unknown(e, 5 * t, lane), rate, kappa[2][t], rotated[t], radius);
+            }
+            advance(frame[i], kappa[0][t], kappa[1][t], pb.length[e]);
+            append(tube, s[e + 1], frame[i], state.unknown(e + 1, 5 * t, lane), rate, kappa[3][t], rotated_end[t], radius);
+            // a section joint may jump the strain: report the larger side
+            const double proximal = radius * std::hypot(kappa[2][t][0] - rotated[t][0], kappa[2][t][1] - rotated[t][1]);
+            double& before = tube.strain[tube.strain.size() - 2];
+            before = std::max(before, proximal);
+        }
+    }
+    for (const TubeShape& tube : shape.tubes)
+        for (double strain : tube.strain) shape.max_strain = std::max(shape.max_strain, strain);
+    for (double at : shape.tubes[n - 1].s) shape.radius.push_back(outermost_radius(robot, q, at));
+    shape.contacts.resize(n - 1);
+    for (int e = 0; e < pb.elements; ++e)
+        for (int k = pb.contact_begin[e]; k < pb.contact_begin[e + 1]; ++k) {
+            const int p = pb.contact_pair[k];
+            double d[2];
+            for (int plane = 0; plane < 2; ++plane)
+                d[plane] = pb.contact_shape[4 * k] * state.unknown(e, 1 + 5 * p + plane, lane) +
+                           pb.contact_shape[4 * k + 1] * state.unknown(e, 3 + 5 * p + plane, lane) +
+                           pb.contact_shape[4 * k + 2] * state.unknown(e + 1, 1 + 5 * p + plane, lane) +
+                           pb.contact_shape[4 * k + 3] * state.unknown(e + 1, 3 + 5 * p + plane, lane);
+            ContactForces& contact = shape.contacts[n - 2 - p];
+            contact.s.push_back(solver.mesh().contact_s()[k]);
+            contact.force.push_back(state.multiplier(k, lane) * std::hypot(d[0], d[1]));
+            contact.angle.push_back(std::atan2(d[1], d[0]));
+        }
+    return shape;
+}
+
+Shape make_shape(const Robot& robot, const ZeroClearance& solution, const Configuration& q) {
+    const int n = robot.count();
+    Shape shape;
+    shape.tubes.resize(n);
+    shape.contacts.resize(n - 1);
+    std::vector<double> stations;
+    for (int i = 0; i < n; ++i) {
+        double s = q.l[i];
+        stations.push_back(s);
+        for (const Section& section : robot.tubes[i].sections) stations.push_back(s += section.length);
+    }
+    stations.push_back(0);
+    std::sort(stations.begin(), stations.end());
+    // curvature of the common centreline between stations, 0 behind the plate
+    auto common = [&](double s, double middle, double* kappa, double (*rotated)[2]) {
+        double total = 0;
+        kappa[0] = kappa[1] = 0;
+        for (int i = 0; i < n; ++i) {
+            if (middle < q.l[i] || middle > q.l[i] + robot.tubes[i].length()) continue;
+            const Section& section = section_at(robot.tubes[i], middle - q.l[i]);
+            const double theta = solution.theta(n - 1 - i, s), c = std::cos(theta), k = std::sin(theta), EI = robot.tubes[i].bending_stiffness;
+            rotated[i][0] = c * section.curvature_y + k * section.curvature_x;
+            rotated[i][1] = k * section.curvature_y - c * section.curvature_x;
+            total += EI;
+            for (int plane = 0; plane < 2; ++plane) kappa[plane] += EI * rotated[i][plane];
+        }
+        for (int plane = 0; plane < 2; ++plane) kappa[plane] = middle > 0 && total > 0 ? kappa[plane] / total : 0.0;
+    };
+    Frame frame;
+    frame.p = {0, 0, q.l[n - 1]};
+    double kappa[2], first[2], second[2], rotated[kMaxTubes][2];
+    for (std::size_t b = 0; b + 1 < stations.size(); ++b) {
+        const double from = stations[b], span = stations[b + 1] - from, middle = from + 0.5 * span;
+        if (span < 1e-9) continue;
+        const int count = std::max(1, static_cast<int>(std::ceil(span / kOutputStep)));
+        const double h = span / count;
+        for (int k = 0; k < count; ++k) {
+            const double s = from + k * h;
+            common(s + kGauss[0] * h, middle, first, rotated);
+            common(s + kGauss[1] * h, middle, second, rotated);
+            Frame start = frame;
+            ctr::advance(frame, first, second, h);
+            for (int side = 0; side < 2; ++side) {
+                common(s + side * h, middle, kappa, rotated);
+                for (int i = 0; i < n; ++i) {
+                    if (middle < q.l[i] || middle > q.l[i] + robot.tubes[i].length()) continue;
+                    TubeShape& tube = shape.tubes[i];
+                    if (side == 0 && !tube.s.empty()) continue;
+                    append(tube, s + side * h, side ? frame : start, solution.theta(n - 1 - i, s + side * h),
+                           solution.twist_rate(n - 1 - i, s + side * h), kappa, rotated[i], robot.tubes[i].outer_radius);
+                }
+            }
+        }
+    }
+    for (const TubeShape& tube : shape.tubes)
+        for (double strain : tube.strain) shape.max_strain = std::max(shape.max_strain, strain);
+    for (double at : shape.tubes[n - 1].s) shape.radius.push_back(outermost_radius(robot, q, at));
+    shape.residual = solution.residual();
+    return shape;
+}
+
+}  // namespace ctr
