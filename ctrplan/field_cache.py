@@ -1,10 +1,10 @@
 """Grids kept on disk between runs by the hash of all that determines them; a lost or damaged one is rebuilt."""
 
+import contextlib
 import hashlib
 import logging
 import os
 import tempfile
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -47,12 +47,15 @@ def load(key: str, shape: tuple[int, int, int]) -> NDArray[np.float32] | None:
             values, digest = stored["values_m"], str(stored["sha256"])
         if values.dtype != np.float32 or values.shape != shape or digest != _digest(key, values):
             raise ValueError("content does not match its hash")
-        os.utime(path)  # recently used ones are pruned last
-    except FileNotFoundError:
+    except OSError as error:
+        if not isinstance(error, FileNotFoundError):
+            logger.info("distance field cache can't be read: %s", error)
         return None
-    except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile, MemoryError) as error:
+    except Exception as error:  # a damaged archive makes its reader raise almost anything
         logger.warning("cached distance field %s is damaged and will be rebuilt (%s)", path, error)
         return None
+    with contextlib.suppress(OSError):
+        os.utime(path)  # recently used ones are pruned last
     return np.ascontiguousarray(values)
 
 

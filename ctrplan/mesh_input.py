@@ -56,8 +56,9 @@ def _read(path: Path) -> tuple[Array, Indices]:
             raise MeshRefusal(f"is {size / 1e6:.0f} MB large: must be at most {MAX_BYTES / 1e6:.0f} MB")
         with path.open("rb"):
             pass
-    except OSError as error:
-        raise MeshRefusal(f"can't be read: {(error.strerror or 'no such file').lower()}") from error
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        reason = getattr(error, "strerror", None) or str(error)
+        raise MeshRefusal(f"can't be read: {reason.lower()}") from error
     vertices, faces = _parsed(path)
     if not len(faces):
         raise MeshRefusal("is empty: holds no triangles")

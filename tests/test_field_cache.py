@@ -51,6 +51,17 @@ def test_everything_that_determines_the_values_is_in_the_key(cache: Path) -> Non
     assert len(list(cache.iterdir())) == 7
 
 
+def test_no_flipped_bit_goes_unnoticed(cache: Path) -> None:
+    first = built(spacing_m=8e-3)
+    (stored,) = cache.iterdir()
+    content = stored.read_bytes()
+    for at in np.random.default_rng(0).permutation(len(content))[:300]:
+        damaged = bytearray(content)
+        damaged[at] ^= 1 << (at % 8)
+        stored.write_bytes(damaged)
+        np.testing.assert_array_equal(built(spacing_m=8e-3).values_m, first.values_m)
+
+
 @pytest.mark.parametrize("damage", ["truncated", "flipped", "text", "other", "pickle"])
 def test_damaged_file_is_rebuilt_with_a_note(damage: str, cache: Path, caplog: pytest.LogCaptureFixture) -> None:
     first = built()

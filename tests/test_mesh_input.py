@@ -214,7 +214,7 @@ def test_the_place_of_a_hole_is_named(tmp_path: Path) -> None:
     [
         ("empty.stl", b"", "no triangles"),
         ("latin.stl", "solid Gefäß\n".encode("latin-1"), "UTF-8"),
-        ("short.stl", b"abc", "STL"),
+        ("short.stl", b"abc", "no triangles"),
         ("empty.ply", b"", "as PLY"),
         ("empty.obj", b"", "no triangles"),
         ("none.obj", b"# nothing\n", "no triangles"),
@@ -241,6 +241,8 @@ def test_unreadable_files_are_refused(name: str, content: bytes, phrase: str, tm
 def test_missing_truncated_and_huge_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="no such file"):
         load_mesh(tmp_path / "absent.stl")
+    with pytest.raises(InputError, match="null"):
+        load_mesh("a\0b.stl")
     (tmp_path / "directory.stl").mkdir()
     with pytest.raises(InputError, match="is not a file"):
         load_mesh(tmp_path / "directory.stl")

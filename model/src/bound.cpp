@@ -29,7 +29,7 @@ void BoundSolver::solve_frictionless() {
     frictionless_.resize(pb, 1);
     std::fill(phi_.begin(), phi_.end(), 0.0);
     frictionless_.set_phi(solver_.robot(), pb, 0, phi_.data());
-    for (const BarrierPath& path : {BarrierPath::cold(), BarrierPath::careful()}) {
+    for (const BarrierPath& path : {BarrierPath::cold(), BarrierPath::sliding()}) {
         solver_.start(frictionless_, q_, zero_, path.first);
         solver_.solve(frictionless_, path, &frictionless_convergence_);
         if (frictionless_convergence_.converged) break;
@@ -47,7 +47,7 @@ void BoundSolver::solve_corners() {
             for (int pair = 0; pair < pairs_; ++pair) phi_[pair] = sign(corner, pair);
             state.set_phi(solver_.robot(), pb, lane, phi_.data());
         }
-        for (const BarrierPath& path : {BarrierPath::cold(), BarrierPath::careful()}) {
+        for (const BarrierPath& path : {BarrierPath::cold(), BarrierPath::sliding()}) {
             solver_.start(state, q_, zero_, path.first);
             solver_.solve(state, path, &corner_convergence_[b * kLanes]);
             if (std::all_of(&corner_convergence_[b * kLanes], &corner_convergence_[b * kLanes] + kLanes,
@@ -92,7 +92,7 @@ void BoundSolver::solve_single(const Configuration& q, const MeshDensity& densit
     if (std::all_of(phi.begin(), phi.end(), [](double value) { return value == 0; })) return;
     const KernelProblem& pb = solver_.mesh().problem();
     frictionless_.set_phi(solver_.robot(), pb, 0, phi.data());
-    for (const BarrierPath& path : {BarrierPath::cold(), BarrierPath::careful()}) {
+    for (const BarrierPath& path : {BarrierPath::cold(), BarrierPath::sliding()}) {
         solver_.start(frictionless_, q_, zero_, path.first);
         solver_.solve(frictionless_, path, &frictionless_convergence_);
         if (frictionless_convergence_.converged) break;

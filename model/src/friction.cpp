@@ -6,7 +6,9 @@
 namespace ctr {
 namespace {
 
-constexpr int kMaxNewton = 60;
+constexpr double kFirstDamping = 30;     // 1/m^2, about the lowest torsional mode of a 0.2 m tube
+constexpr double kMostDamping = 1000;    // 1/m^2
+constexpr double kSlidingLevel = 30;     // N/m
 constexpr double kKeep = 0.95;            // fraction of the way to the boundary
 constexpr double kMaxTwistStep = 0.6;     // rad
 constexpr double kResidual = 1e-8;        // of EI * precurvature
@@ -88,7 +90,7 @@ void FrictionSolver::set_base(LaneState& state, const Configuration& q) {
     for (int k = 0; k < pb.nodes; ++k)
         for (int t = 0; t < pb.tubes; ++t) {
             const int i = pb.tubes - 1 - t;
-            if (mesh_.s()[k] > q.l[i]) break;  // farther out tubes begin later still
+            if (mesh_.s()[k] > q.l[i]) continue;  // past the collar the angle is an unknown
             for (int lane = 0; lane < state.lanes(); ++lane) state.unknown(k, 5 * t, lane) = q.theta[i];
         }
 }
@@ -98,22 +100,32 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
     const KernelState view = state.view();
     const int lanes = state.lanes();
     const KernelTable& run = kernel(lanes);
-    alignas(kAlignment) double level[kLanes], primal[kLanes], dual[kLanes], moment[kLanes], gap[kLanes];
+    alignas(kAlignment) double level[kLanes], damping[kLanes] = {}, primal[kLanes], dual[kLanes], moment[kLanes], gap[kLanes];
     bool done[kLanes] = {};
     for (int lane = 0; lane < lanes; ++lane) {
         level[lane] = path.first;
         result[lane] = {};
     }
-    for (int k = 0; k < kMaxNewton; ++k) {
-        run.newton(pb, view, level);
+    for (int k = 0; k < path.max_steps; ++k) {
+        run.newton(pb, view, level, damping);
         run.step_length(pb, view, kKeep, primal, dual);
         for (int lane = 0; lane < lanes; ++lane) {
-            double twist = 0;
-            for (int node = 0; node < pb.nodes; ++node)
-                for (int t = 0; t < pb.tubes; ++t) twist = std::max(twist, std::fabs(state.step(node, 5 * t, lane)));
-            if (!(twist < 1e6)) primal[lane] = dual[lane] = 0;  // also NaN
+            const double twist = largest_twist(state, lane);
+            if (done[lane] || !(twist < 1e6)) {  // also NaN
+                primal[lane] = dual[lane] = 0;
+                continue;
+            }
             primal[lane] = std::min(primal[lane], kMaxTwistStep / std::max(twist, 1e-12));
-            if (done[lane]) primal[lane] = dual[lane] = 0;
+            if (path.trust == 0) continue;
+            // Redo a step that is too long stiffer: across a fold the Newton step would point the wrong way. Beyond
+            // kMostDamping a negative pivot is not the twist's doing.
+            if (twist > path.trust || (damping[lane] < kMostDamping && has_negative_pivot(state, lane))) {
+                damping[lane] = std::max(kFirstDamping, 2 * damping[lane]);
+                level[lane] = std::max(level[lane], std::min(3 * level[lane], kSlidingLevel));  // contacts must move along
+                primal[lane] = dual[lane] = 0;
+            } else if (primal[lane] > 0.5) {
+                damping[lane] = damping[lane] < kFirstDamping ? 0 : (twist < 0.4 * path.trust ? 0.4 : 0.8) * damping[lane];
+            }
         }
         run.advance(pb, view, primal, dual);
         bool check = false;
@@ -121,7 +133,7 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
             if (done[lane]) continue;
             ++result[lane].iterations;
             if (level[lane] <= path.last) check = true;
-            const double worst = std::min(primal[lane], dual[lane]);
+            const double worst = damping[lane] > 0 ? 0 : std::min(primal[lane], dual[lane]);
             if (worst > 0.3) level[lane] = std::max(path.last, level[lane] * (worst > 0.8 ? path.shrink : 0.5));
         }
         if (!check) continue;
@@ -137,6 +149,25 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
         }
         if (all) return;
     }
+}
+
+double FrictionSolver::largest_twist(const LaneState& state, int lane) const {
+    const KernelProblem& pb = mesh_.problem();
+    double most = 0;
+    for (int node = 0; node < pb.nodes; ++node)
+        for (int t = 0; t < pb.tubes; ++t) {
+            const double twist = std::fabs(state.step(node, 5 * t, lane));
+            most = twist <= most ? most : twist;  // a NaN stays
+        }
+    return most;
+}
+
+bool FrictionSolver::has_negative_pivot(const LaneState& state, int lane) const {
+    const KernelProblem& pb = mesh_.problem();
+    for (int k = 0; k < pb.nodes; ++k)
+        for (int i = 0; i < pb.node_unknowns[k]; ++i)
+            if (state.inverse_pivot(k, i, lane) < 0) return true;
+    return false;
 }
 
 double FrictionSolver::stability(LaneState& state, int& negative) {

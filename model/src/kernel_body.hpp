@@ -288,7 +288,8 @@ inline void add_contacts(const KernelProblem& pb, const KernelState& st, int e, 
 }
 
 template <class V, bool MATRIX>
-inline void add_element(const KernelProblem& pb, const KernelState& st, int e, const ElementView<V>& el, const V* level) {
+inline void add_element(const KernelProblem& pb, const KernelState& st, int e, const ElementView<V>& el, const V* level,
+                        const V* damping) {
     const int m = pb.element_tubes[e];
     const bool free = pb.element_unknowns[e] == 5 * m;
     switch (free ? -m : m) {
@@ -302,6 +303,13 @@ inline void add_element(const KernelProblem& pb, const KernelState& st, int e, c
         default: add_elastic<V, MATRIX>(m, free ? m : m - 1, pb, e, el);
     }
     add_contacts<V, MATRIX>(pb, st, e, el, level);
+    if (!MATRIX) return;
+    for (int t = 0; t < m; ++t) {  // lumped, so that it never couples nodes
+        const V mass = damping[0] * (0.5 * pb.length[e] * pb.torsional_stiffness[t]);
+        const int i = theta_index(t) * (el.ld + 1);
+        el.block[0][0][i] += mass;
+        el.block[1][1][i] += mass;
+    }
 }
 
 // LU of the leading P x P part of A in place, U := A^-1 U (P x Q), r := A^-1 r. No pivoting: the blocks are elastic
@@ -419,10 +427,13 @@ void back_substitute(const KernelProblem& pb, const KernelState& st) {
 }
 
 template <class V>
-void newton(const KernelProblem& pb, const KernelState& st, const double* level_values) {
+void newton(const KernelProblem& pb, const KernelState& st, const double* level_values, const double* damping_values) {
     const int ld = pb.stride, square = ld * ld;
-    V level = zero_of(V{});
-    for (int lane = 0; lane < Lane<V>::count; ++lane) Lane<V>::at(level, lane) = level_values[lane];
+    V level = zero_of(V{}), damping = zero_of(V{});
+    for (int lane = 0; lane < Lane<V>::count; ++lane) {
+        Lane<V>::at(level, lane) = level_values[lane];
+        Lane<V>::at(damping, lane) = damping_values[lane];
+    }
     V *r = lanes<V>(st.rhs), *A = lanes<V>(st.diagonal), *U = lanes<V>(st.upper), *L = lanes<V>(st.lower);
     clear(r, pb.nodes * ld);
     clear(A, square);
@@ -430,7 +441,7 @@ void newton(const KernelProblem& pb, const KernelState& st, const double* level_
         clear(A + (e + 1) * square, square);
         clear(U + e * square, square);
         clear(L + e * square, square);
-        add_element<V, true>(pb, st, e, view<V>(pb, st, e), &level);
+        add_element<V, true>(pb, st, e, view<V>(pb, st, e), &level, &damping);
         const int P = pb.node_unknowns[e], Q = pb.element_unknowns[e];
         eliminate_any<V>(A + e * square, U + e * square, r + e * ld, L + e * square, A + (e + 1) * square,
                          r + (e + 1) * ld, ld, P, Q);
@@ -474,7 +485,7 @@ void residual(const KernelProblem& pb, const KernelState& st, const double* leve
     V worst = zero_of(V{}), gap_error = zero_of(V{});
     for (int e = 0; e < pb.elements; ++e) {
         const ElementView<V> el = view<V>(pb, st, e);
-        add_element<V, false>(pb, st, e, el, &level);
+        add_element<V, false>(pb, st, e, el, &level, nullptr);
         const double h = pb.length[e];
         const int P = pb.node_unknowns[e];
         for (int i = 0; i < P; ++i) worst = larger(worst, (i % 5 == 1 || i % 5 == 2) ? h * magnitude(el.r[0][i]) : magnitude(el.r[0][i]));

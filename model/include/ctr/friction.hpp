@@ -51,8 +51,10 @@ struct BarrierPath {
     double first = 3e4;
     double last = 0.05;
     double shrink = 0.05;
+    double trust = 0.0;     // rad; > 0: twist steps are held below it by damping, which slides off folds onto a stable branch
+    int max_steps = 40;
     static BarrierPath cold() { return {}; }
-    static BarrierPath careful() { return {3e5, 0.05, 0.3}; }
+    static BarrierPath sliding() { return {3e4, 0.05, 0.1, 0.2, 400}; }
     static BarrierPath warm() { return {2.0, 0.05, 0.1}; }
 };
 
@@ -78,6 +80,9 @@ class FrictionSolver {
     double moment_scale() const { return moment_scale_; }
 
   private:
+    double largest_twist(const LaneState& state, int lane) const;  // rad, of the last step
+    bool has_negative_pivot(const LaneState& state, int lane) const;
+
     const Robot robot_;
     Mesh mesh_;
     double moment_scale_ = 1;

@@ -59,7 +59,8 @@ struct KernelState {
 // One function table per instruction set; the scalar ones treat a single lane.
 struct KernelTable {
     // Assembles the primal-dual Newton system at barrier level [N/m] (one per lane), factors it and solves for step.
-    void (*newton)(const KernelProblem&, const KernelState&, const double* level);
+    // damping [1/m^2], one per lane, adds damping * GJ to the stiffness against every change of theta.
+    void (*newton)(const KernelProblem&, const KernelState&, const double* level, const double* damping);
     // Largest fraction of the step, per lane, that keeps every slack and multiplier above (1 - keep) of its value, <= 1.
     void (*step_length)(const KernelProblem&, const KernelState&, double keep, double* primal, double* dual);
     // unknowns and slacks += primal * step, multiplier += dual * multiplier_step.
