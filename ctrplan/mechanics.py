@@ -109,18 +109,45 @@ class Bounds:
 
 
 @dataclass(frozen=True, eq=False)
-class LegSamples:
-    """What `Mechanics.check_leg` found at each of the K configurations it reached; Bounds with clearance and motion."""
+class PathSamples:
+    """What `Mechanics.check_path` found at each of the K configurations it reached."""
 
+    segment: NDArray[np.int_]  # (K,) leg the sample lies on
+    fraction: Array  # (K,) of that leg
     position_m: Array  # (K,) bound of the tip
     tangent_rad: Array  # (K,)
     stability: Array  # (K,)
     max_strain: Array  # (K,)
     clearance_m: Array  # (K,) smallest over frictionless and corner shapes, outer radius taken off; 1e9 in free space
     motion_m: Array  # (K,) largest displacement of a body point since the sample before
-    status: NDArray[np.int_]  # (K,)
-    tip_m: Array  # (K, 3)
+    status: NDArray[np.int_]  # (K,) values of Status
+    tip_m: Array  # (K, 3) frictionless
     tip_tangent: Array  # (K, 3)
+    bodies: tuple[Array, ...] = ()  # per sample, if asked for: (N, 4) points of all shapes and their outer radius [m]
+
+
+@dataclass(frozen=True)
+class PathDensity:
+    """How densely a path is walked: longest joint steps, largest motion of a body point between samples.
+
+    Where `near_m` is below `motion_m`, a step may move a body point no farther than the clearance it starts with, or
+    `near_m`: clearances are 1-Lipschitz, so that an obstacle is noticed before it is passed.
+    """
+
+    rotation_rad: float = 0.18
+    translation_m: float = 5e-3
+    motion_m: float = 20e-3
+    near_m: float = 2e-3
+    point_spacing_m: float = 1.5e-3  # between the points of a shape that are looked up in the field
+
+
+@dataclass(frozen=True)
+class PathLimits:
+    """A walk ends at the first sample that breaks one of these."""
+
+    stability: float = -np.inf
+    max_strain: float = np.inf
+    clearance_m: float = -np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,22 +244,25 @@ class Mechanics:
             table: Array = self._model.tips(self._rows(theta_b), self._rows(l_b), threads)
         return table[:, :3], table[:, 3:6], table[:, 6].astype(int)
 
-    def check_leg(
+    def check_path(
         self,
         theta_b: ArrayLike,
         l_b: ArrayLike,
-        field: Field | None,
+        field: Field | None = None,
         *,
-        min_stability: float = -np.inf,
-        max_strain: float = np.inf,
-        min_clearance_m: float = -np.inf,
-        point_spacing_m: float = 1.5e-3,
+        density: PathDensity | None = None,
+        limits: PathLimits | None = None,
         accuracy: Accuracy = "search",
-    ) -> LegSamples:
-        """Configurations (K, n), (K, n) in order, each solved from the one before; stops after the first that breaks a limit."""
+        bodies: bool = False,
+    ) -> PathSamples:
+        """Walks the straight lines between configurations (K, n), (K, n), each solve starting from the one before.
+
+        Stops after the first sample that breaks a limit, fails, or is UNSTABLE, which a snap on the way is too.
+        """
         grid = field or Field(np.zeros((1, 1, 1), np.float32), np.zeros(3), 1.0, np.eye(3), np.zeros(3))
+        steps, stop = density or PathDensity(), limits or PathLimits()
         with _input_errors():
-            table: Array = self._model.check_leg(
+            table, points = self._model.check_path(
                 self._rows(theta_b),
                 self._rows(l_b),
                 None if field is None else grid.values_m,
@@ -240,15 +270,18 @@ class Mechanics:
                 grid.spacing_m,
                 np.ascontiguousarray(grid.R_AB),
                 np.ascontiguousarray(grid.p_AB),
-                point_spacing_m,
-                np.array([min_stability, max_strain, min_clearance_m]),
+                np.array([steps.rotation_rad, steps.translation_m, steps.motion_m, steps.near_m, steps.point_spacing_m]),
+                np.array([stop.stability, stop.max_strain, stop.clearance_m]),
                 _is_certificate(accuracy),
+                bodies,
             )
-        return LegSamples(
-            *(table[:, k] for k in range(6)),
-            status=table[:, 6].astype(int),
-            tip_m=table[:, 7:10],
-            tip_tangent=table[:, 10:13],
+        return PathSamples(
+            table[:, 0].astype(int),
+            *(table[:, k] for k in range(1, 8)),
+            status=table[:, 8].astype(int),
+            tip_m=table[:, 9:12],
+            tip_tangent=table[:, 12:15],
+            bodies=tuple(points),
         )
 
     def body(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> tuple[Array, Array]:

@@ -105,7 +105,7 @@ def _rows(mesh: object, name: str, dtype: type[Number]) -> NDArray[Number]:
 
 
 def _check_size(vertices: Array, faces: Indices, unit: str) -> None:
-    used = vertices[np.unique(faces)]
+    used = vertices[np.bincount(faces.reshape(-1), minlength=len(vertices)) > 0]
     bad = ~np.isfinite(used).all(axis=1)
     if bad.any():
         raise MeshRefusal(f"has {bad.sum()} vertices with NaN or infinite coordinates: all must be finite")

@@ -23,8 +23,9 @@ class MeshRefusal(Exception):
 
 def welded(vertices: Array, faces: Indices) -> tuple[Array, Indices]:
     """The mesh with coinciding vertices merged, and if that leaves it open, those within WELD_M too."""
-    unique, index = np.unique(vertices, axis=0, return_inverse=True)
-    exact = unique, _distinct(index.reshape(-1)[faces])
+    vertices, faces = _without_strays(vertices, faces)  # whose coordinates may be NaN
+    unique, _, index = igl.remove_duplicate_vertices(vertices, 0.0)
+    exact = np.asarray(unique), _distinct(np.asarray(index)[faces])
     if not len(_odd_edges(exact[1])):
         return _without_strays(*exact)
     pairs = cKDTree(unique).query_pairs(WELD_M, output_type="ndarray")
@@ -43,8 +44,9 @@ def welded(vertices: Array, faces: Indices) -> tuple[Array, Indices]:
 
 
 def _without_strays(vertices: Array, faces: Indices) -> tuple[Array, Indices]:
-    used, index = np.unique(faces, return_inverse=True)
-    return np.ascontiguousarray(vertices[used]), np.ascontiguousarray(index.reshape(-1, 3), dtype=np.int64)
+    used = np.bincount(faces.reshape(-1), minlength=len(vertices)) > 0
+    index = np.cumsum(used) - 1
+    return np.ascontiguousarray(vertices[used]), np.ascontiguousarray(index[faces], dtype=np.int64)
 
 
 def _distinct(faces: Indices) -> Indices:
@@ -52,27 +54,35 @@ def _distinct(faces: Indices) -> Indices:
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
     start = np.argmin(faces, axis=1)[:, None]
     turned = np.take_along_axis(faces, (start + np.arange(3)) % 3, axis=1)
+    leading = np.sort(turned[:, 0] * (faces.max(initial=0) + 1) + turned[:, 1])
+    if (leading[1:] != leading[:-1]).all():  # nearly always, and much faster than looking at whole triangles
+        return faces
     _, first = np.unique(turned, axis=0, return_index=True)
     return faces[np.sort(first)]
 
 
-def _directed_edges(faces: Indices) -> tuple[Indices, Indices]:
-    """Edges (3F, 2) with the lower vertex first, and the direction (3F,) +1 or -1 in which their triangle runs."""
-    edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    return np.sort(edges, axis=1), np.where(edges[:, 0] < edges[:, 1], 1, -1)
+def _edge_keys(faces: Indices) -> tuple[Indices, Array]:
+    """For each side (3F,) of the triangles one number for its edge, and the direction +1 or -1 it takes along it."""
+    start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+    keys = np.minimum(start, end) * (faces.max(initial=0) + 1) + np.maximum(start, end)
+    return keys, np.where(start < end, 1.0, -1.0)
+
+
+def _edges(keys: Indices, faces: Indices) -> Indices:
+    return np.stack(np.divmod(keys, faces.max(initial=0) + 1), axis=1)
 
 
 def _odd_edges(faces: Indices) -> Indices:
     """Edges (E, 2) at which an odd number of triangles meet: a surface ends there, or one branches off."""
-    edges, count = np.unique(_directed_edges(faces)[0], axis=0, return_counts=True)
-    return np.asarray(edges[count % 2 == 1])
+    keys, count = np.unique(_edge_keys(faces)[0], return_counts=True)
+    return _edges(keys[count % 2 == 1], faces)
 
 
 def _unbalanced_edges(faces: Indices) -> Indices:
     """Edges (E, 2) that triangles do not run along equally often in both directions: the winding changes there."""
-    edges, direction = _directed_edges(faces)
-    unique, index = np.unique(edges, axis=0, return_inverse=True)
-    return np.asarray(unique[np.bincount(index.reshape(-1), weights=direction) != 0])
+    keys, direction = _edge_keys(faces)
+    unique, index = np.unique(keys, return_inverse=True)
+    return _edges(unique[np.bincount(index.reshape(-1), weights=direction) != 0], faces)
 
 
 def turned_outward(vertices: Array, faces: Indices) -> Indices:
@@ -95,8 +105,8 @@ def turned_outward(vertices: Array, faces: Indices) -> Indices:
 def _bodies(faces: Indices) -> Indices:
     """Body (F,) of each triangle: closed patches where bodies touch along an edge, else what shares vertices."""
     patch = np.asarray(igl.orientable_patches(faces))
-    apart = faces + patch[:, None] * (faces.max() + 1)
-    return patch if not len(_odd_edges(apart)) else np.asarray(igl.vertex_components(faces))[faces[:, 0]]
+    _, apart = np.unique(faces + patch[:, None] * (faces.max() + 1), return_inverse=True)
+    return patch if not len(_odd_edges(apart.reshape(-1, 3))) else np.asarray(igl.vertex_components(faces))[faces[:, 0]]
 
 
 def _consistent(vertices: Array, faces: Indices) -> tuple[Indices, Indices]:

@@ -106,7 +106,7 @@ class Plan:
 
     def to_json(self) -> dict[str, Any]:
         """The content of plan.json, plain types only; the schema is in docs/plan.schema.json."""
-        from ctrplan.export import plan_to_json
+        from ctrplan.plan_json import plan_to_json
 
         return plan_to_json(self)
 

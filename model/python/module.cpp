@@ -211,11 +211,12 @@ class Model {
         return array(std::move(out), {all.size(), 7});
     }
 
-    // A leg in order; see ctr::LegSample. Columns: position bound, tangent bound, stability, max strain, clearance, motion,
-    // status, tip (3), tangent (3). Rows stop after the first sample that breaks a limit.
-    nb::object check_leg(Matrix theta, Matrix l, nb::object field, Vector origin, double spacing, Matrix R_AB, Vector p_AB,
-                         double point_spacing, Vector limits, bool certificate) {
-        const std::vector<ctr::Configuration> all = read_many(theta, l);
+    // See ctr::check_path. Columns: segment, fraction, position bound, tangent bound, stability, max strain, clearance,
+    // motion, status, tip (3), tangent (3). density: the five numbers of ctr::PathDensity; limits: the three of PathLimits.
+    // With bodies, a second item lists per sample the points (N, 4) of all shapes with their outer radius.
+    nb::tuple check_path(Matrix theta, Matrix l, nb::object field, Vector origin, double spacing, Matrix R_AB, Vector p_AB,
+                         Vector density_values, Vector limit_values, bool certificate, bool bodies) {
+        const std::vector<ctr::Configuration> corners = read_many(theta, l);
         ctr::SignedDistanceField sdf;
         Field values;
         if (!field.is_none()) {
@@ -229,24 +230,31 @@ class Model {
             std::copy(p_AB.data(), p_AB.data() + 3, sdf.p_AB.begin());
             std::copy(origin.data(), origin.data() + 3, sdf.origin.begin());
         }
-        const ctr::LegLimits limit{limits(0), limits(1), limits(2)};
-        std::vector<ctr::LegSample> samples;
+        const ctr::PathLimits limits{limit_values(0), limit_values(1), limit_values(2)};
+        const ctr::PathDensity path{density_values(0), density_values(1), density_values(2), density_values(3), density_values(4)};
+        std::vector<ctr::PathSample> samples;
         {
             nb::gil_scoped_release release;
             Loan loan(*this);
-            samples = ctr::check_leg(*loan, all, density(certificate), sdf, point_spacing, limit);
+            samples = ctr::check_path(*loan, corners, density(certificate), sdf, path, limits, bodies);
         }
-        constexpr std::size_t kColumns = 13;
+        constexpr std::size_t kColumns = 15;
         std::vector<double> out;
         out.reserve(samples.size() * kColumns);
-        for (const ctr::LegSample& s : samples) {
-            for (double value : {s.position_bound, s.tangent_bound, s.stability, s.max_strain, s.clearance, s.motion,
-                                 static_cast<double>(static_cast<int>(s.status))})
+        for (const ctr::PathSample& s : samples) {
+            for (double value : {static_cast<double>(s.segment), s.fraction, s.position_bound, s.tangent_bound, s.stability,
+                                 s.max_strain, s.clearance, s.motion, static_cast<double>(static_cast<int>(s.status))})
                 out.push_back(value);
             out.insert(out.end(), s.tip.begin(), s.tip.end());
             out.insert(out.end(), s.tangent.begin(), s.tangent.end());
         }
-        return array(std::move(out), {samples.size(), kColumns});
+        nb::list points;
+        if (bodies)
+            for (ctr::PathSample& s : samples) {
+                const std::size_t rows = s.body.size() / 4;
+                points.append(array(std::move(s.body), {rows, 4}));
+            }
+        return nb::make_tuple(array(std::move(out), {samples.size(), kColumns}), points);
     }
 
     // Body points of the frictionless and all corner shapes in front of the plate: (shapes, N, 4) x, y, z, outer radius.
@@ -368,8 +376,8 @@ NB_MODULE(_model, m) {
         .def("bound", &Model::bound, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "certificate"_a)
         .def("bound_many", &Model::bound_many, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "certificate"_a, "threads"_a)
         .def("tips", &Model::tips, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "threads"_a)
-        .def("check_leg", &Model::check_leg, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "field"_a.none(),
-             "origin"_a.noconvert(), "spacing"_a, "R_AB"_a.noconvert(), "p_AB"_a.noconvert(), "point_spacing"_a,
-             "limits"_a.noconvert(), "certificate"_a)
+        .def("check_path", &Model::check_path, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "field"_a.none(),
+             "origin"_a.noconvert(), "spacing"_a, "R_AB"_a.noconvert(), "p_AB"_a.noconvert(), "density"_a.noconvert(),
+             "limits"_a.noconvert(), "certificate"_a, "bodies"_a)
         .def("body", &Model::body, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "certificate"_a);
 }

@@ -6,6 +6,10 @@
 namespace ctr {
 namespace {
 
+constexpr double kShortestStep = 1.0 / 1024;  // of a leg
+constexpr double kMarkerSpacing = 4e-3;       // m
+constexpr double kSnap = 1.5e-3;              // m; motion in the shortest step that counts as a jump
+
 // Cubic Hermite between two nodes; tangents are unit, so that the element length scales them.
 Vec3 between(const Vec3& a, const Vec3& ta, const Vec3& b, const Vec3& tb, double h, double x) {
     const double x2 = x * x, x3 = x2 * x, A = 1 - 3 * x2 + 2 * x3, B = h * (x - 2 * x2 + x3), C = 3 * x2 - 2 * x3, D = h * (x3 - x2);
@@ -14,36 +18,96 @@ Vec3 between(const Vec3& a, const Vec3& ta, const Vec3& b, const Vec3& tb, doubl
     return p;
 }
 
-double backbone_clearance(const BoundSolver& bound, const Backbone& shape, const SignedDistanceField& field, double spacing) {
+// Calls visit(element, proximal point, distal point) for every element in front of the plate; the points are on the
+// outermost tube present, taken from this side of the distal node.
+template <class Visit>
+void for_outer_elements(const BoundSolver& bound, const Backbone& shape, const Visit& visit) {
     const Mesh& mesh = bound.solver().mesh();
     const KernelProblem& pb = mesh.problem();
-    const Robot& robot = bound.solver().robot();
-    double least = 1e9;
     for (int e = 0; e < pb.elements; ++e) {
         if (mesh.s()[e + 1] <= 0) continue;
-        const double radius = robot.tubes[pb.tubes - pb.element_tubes[e]].outer_radius, h = pb.length[e];
-        const int count = std::max(1, static_cast<int>(std::ceil(h / spacing)));
-        const Frame &fa = shape.frame[e], &fb = shape.frame[e + 1];
-        // offset of the outermost tube present, taken from this side of the distal node
-        Vec3 end = fb.p;
-        const Vec3& start = shape.outer_position[e];
-        if (e + 1 < pb.elements && pb.element_tubes[e + 1] == pb.element_tubes[e]) end = shape.outer_position[e + 1];
-        for (int k = e == 0 ? 0 : 1; k <= count; ++k) {
-            const Vec3 p = between(start, fa.tangent(), end, fb.tangent(), h, static_cast<double>(k) / count);
-            least = std::min(least, field.sample(p) - radius);
-        }
+        const bool goes_on = e + 1 < pb.elements && pb.element_tubes[e + 1] == pb.element_tubes[e];
+        visit(e, shape.outer_position[e], goes_on ? shape.outer_position[e + 1] : shape.frame[e + 1].p);
     }
+}
+
+// Calls visit(point, radius) along the outermost tubes of one shape, at points no farther apart than `spacing`.
+template <class Visit>
+void for_outer_points(const BoundSolver& bound, const Backbone& shape, double spacing, const Visit& visit) {
+    const KernelProblem& pb = bound.solver().mesh().problem();
+    for_outer_elements(bound, shape, [&](int e, const Vec3& start, const Vec3& end) {
+        const double radius = bound.solver().robot().tubes[pb.tubes - pb.element_tubes[e]].outer_radius, h = pb.length[e];
+        const int count = std::max(1, static_cast<int>(std::ceil(h / spacing)));
+        for (int k = 0; k <= count; ++k)
+            visit(between(start, shape.frame[e].tangent(), end, shape.frame[e + 1].tangent(), h, static_cast<double>(k) / count), radius);
+    });
+}
+
+double backbone_clearance(const BoundSolver& bound, const Backbone& shape, const SignedDistanceField& field, double spacing) {
+    double least = 1e9;
+    for_outer_points(bound, shape, spacing, [&](const Vec3& p, double radius) { least = std::min(least, field.sample(p) - radius); });
     return least;
 }
 
-double largest_motion(const std::vector<Frame>& before, const std::vector<Frame>& after) {
+// Points that move with the material, per tube where it is the outermost: at fixed distances from the tube's own tip.
+using Markers = std::vector<std::vector<Vec3>>;
+
+Markers material_markers(const BoundSolver& bound) {
+    const Mesh& mesh = bound.solver().mesh();
+    const KernelProblem& pb = mesh.problem();
+    Markers markers(pb.tubes);
+    const Backbone& shape = bound.backbone;
+    std::vector<double> tip(pb.tubes);
+    for (int i = 0; i < pb.tubes; ++i) tip[i] = bound.configuration().l[i] + bound.solver().robot().tubes[i].length();
+    for_outer_elements(bound, shape, [&](int e, const Vec3& start, const Vec3& end) {
+        const int i = pb.tubes - pb.element_tubes[e];
+        const double from = tip[i] - mesh.s()[e], h = pb.length[e];  // distances to the tip fall along the element
+        for (int k = static_cast<int>(std::ceil((from - h) / kMarkerSpacing - 1e-9)); k * kMarkerSpacing < from + 1e-12; ++k) {
+            if (k < 0) continue;
+            const double x = std::clamp((from - k * kMarkerSpacing) / h, 0.0, 1.0);
+            std::vector<Vec3>& row = markers[i];
+            if (static_cast<int>(row.size()) <= k) row.resize(k + 1, Vec3{1e9, 0, 0});
+            row[k] = between(start, shape.frame[e].tangent(), end, shape.frame[e + 1].tangent(), h, x);
+        }
+    });
+    return markers;
+}
+
+double largest_motion(const Markers& before, const Markers& after) {
     double most = 0;
-    const std::size_t last = std::min(before.size(), after.size());
-    for (std::size_t k = 1; k <= last; ++k) {  // counted from the tip: bases may have more or fewer nodes
-        const Vec3 &a = before[before.size() - k].p, &b = after[after.size() - k].p;
-        most = std::max(most, std::hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]));
-    }
+    for (std::size_t i = 0; i < before.size(); ++i)
+        for (std::size_t k = 0; k < std::min(before[i].size(), after[i].size()); ++k) {
+            const Vec3 &a = before[i][k], &b = after[i][k];
+            if (a[0] < 1e8 && b[0] < 1e8) most = std::max(most, std::hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]));
+        }
     return most;
+}
+
+// Joint steps of the density between two configurations.
+double steps(const Configuration& a, const Configuration& b, const PathDensity& density) {
+    double most = 0;
+    for (std::size_t i = 0; i < a.theta.size(); ++i)
+        most = std::max({most, std::fabs(b.theta[i] - a.theta[i]) / density.rotation, std::fabs(b.l[i] - a.l[i]) / density.translation});
+    return most;
+}
+
+Configuration between(const Configuration& a, const Configuration& b, double share) {
+    Configuration q = a;
+    for (std::size_t i = 0; i < a.theta.size(); ++i) {
+        q.theta[i] += share * (b.theta[i] - a.theta[i]);
+        q.l[i] += share * (b.l[i] - a.l[i]);
+    }
+    return share >= 1 ? b : q;
+}
+
+void collect_body(const BoundSolver& bound, double spacing, std::vector<double>& out) {
+    auto add = [&](const Backbone& shape) {
+        for_outer_points(bound, shape, spacing, [&](const Vec3& p, double radius) {
+            out.insert(out.end(), {p[0], p[1], p[2], radius});
+        });
+    };
+    add(bound.backbone);
+    for (const Backbone& shape : bound.corner_backbones) add(shape);
 }
 
 }  // namespace
@@ -55,30 +119,63 @@ double clearance(const BoundSolver& bound, const SignedDistanceField& field, dou
     return least;
 }
 
-std::vector<LegSample> check_leg(BoundSolver& solver, const std::vector<Configuration>& configurations,
-                                 const MeshDensity& density, const SignedDistanceField& field, double spacing,
-                                 const LegLimits& limits) {
-    std::vector<LegSample> samples;
-    std::vector<Frame> before;
-    for (const Configuration& q : configurations) {
-        samples.empty() ? solver.solve(q, density) : solver.follow(q, density);
-        LegSample sample;
-        sample.status = solver.status();
-        if (!solver.all_converged()) sample.status = Status::failed;
+std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Configuration>& corners, const MeshDensity& mesh,
+                                   const SignedDistanceField& field, const PathDensity& density, const PathLimits& limits,
+                                   bool keep_bodies) {
+    std::vector<PathSample> samples;
+    Markers before, now;
+    // Solves at q and appends the sample; false if it breaks a limit.
+    auto record = [&](int segment, double fraction, double motion) {
+        PathSample sample;
+        sample.segment = segment;
+        sample.fraction = fraction;
+        sample.status = solver.all_converged() ? solver.status() : Status::failed;
         sample.position_bound = solver.position;
         sample.tangent_bound = solver.tangent;
         sample.stability = solver.stability();
         sample.max_strain = solver.max_strain;
-        sample.clearance = clearance(solver, field, spacing);
-        sample.motion = samples.empty() ? 0 : largest_motion(before, solver.backbone.frame);
+        sample.clearance = clearance(solver, field, density.point_spacing);
+        sample.motion = motion;
         sample.tip = solver.backbone.frame.back().p;
         sample.tangent = solver.backbone.frame.back().tangent();
-        samples.push_back(sample);
-        const bool broken = sample.status == Status::failed || sample.status == Status::unstable ||
-                            sample.stability < limits.stability || sample.max_strain > limits.max_strain ||
-                            sample.clearance < limits.clearance;
-        if (broken) break;
-        before = solver.backbone.frame;
+        if (keep_bodies) collect_body(solver, density.point_spacing, sample.body);
+        samples.push_back(std::move(sample));
+        return sample.status != Status::failed && sample.status != Status::unstable && sample.stability >= limits.stability &&
+               sample.max_strain <= limits.max_strain && sample.clearance >= limits.clearance;
+    };
+    if (corners.empty()) return samples;
+    solver.solve(corners.front(), mesh);
+    before = material_markers(solver);
+    if (!record(0, 0, 0)) return samples;
+    for (std::size_t leg = 0; leg + 1 < corners.size(); ++leg) {
+        const Configuration &a = corners[leg], &b = corners[leg + 1];
+        const double longest = steps(a, b, density);  // joint steps this leg needs at least
+        double at = 0, step = longest > 0 ? 1 / std::ceil(longest - 1e-9) : 1, rate = 0;
+        const double largest = step;
+        while (at < 1) {
+            const double allowed = std::clamp(samples.back().clearance, density.near, density.motion);
+            if (rate > 0) step = std::min(step, 0.9 * allowed / rate);
+            double next = at + step > 1 - 1e-9 ? 1 : at + step;
+            if (next < 1 && at + 2 * step > 1) next = 0.5 * (at + 1);  // two even steps rather than a long and a sliver
+            solver.follow(between(a, b, next), mesh);
+            now = material_markers(solver);
+            const double motion = largest_motion(before, now);
+            if (motion > 1.2 * allowed && next - at > kShortestStep * std::max(1.0, largest)) {
+                step = std::max(0.5 * (next - at), 0.5 * kShortestStep);
+                rate = 0;
+                continue;
+            }
+            const bool jumped = motion > std::max(1.2 * allowed, kSnap);
+            rate = motion / (next - at);
+            if (!record(static_cast<int>(leg), next, motion)) return samples;
+            if (jumped) {
+                samples.back().status = Status::unstable;
+                return samples;
+            }
+            before.swap(now);
+            at = next;
+            step = largest;
+        }
     }
     return samples;
 }

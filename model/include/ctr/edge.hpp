@@ -1,4 +1,4 @@
-// Checking a leg: everything the planner asks about a sequence of configurations, in one call.
+// Checking a path of legs: everything the planner asks about a motion, in one call.
 #pragma once
 
 #include <vector>
@@ -8,7 +8,9 @@
 
 namespace ctr {
 
-struct LegSample {
+struct PathSample {
+    int segment = 0;            // leg the sample lies on
+    double fraction = 0;        // of that leg
     double position_bound = 0;  // m
     double tangent_bound = 0;   // rad
     double stability = 0;
@@ -18,21 +20,35 @@ struct LegSample {
     Vec3 tip{0, 0, 0};          // frictionless
     Vec3 tangent{0, 0, 1};
     Status status = Status::failed;
+    std::vector<double> body;   // x, y, z, outer radius of every point looked up, all shapes; only if asked for
 };
 
-// A leg is abandoned at the first sample that breaks one of these; the sample itself is still reported.
-struct LegLimits {
+// A path is abandoned at the first sample that breaks one of these; the sample itself is still reported.
+struct PathLimits {
     double stability = -1e300;
     double max_strain = 1e300;
-    double clearance = -1e300;
+    double clearance = -1e300;  // m
+};
+
+// How densely a path is walked. A step is never longer than the joint steps allow, and moves no body point farther than
+// `motion`; where `near` is smaller, it moves none farther than the clearance it starts with, but at least `near`: with
+// distances being 1-Lipschitz that is enough to notice an obstacle.
+struct PathDensity {
+    double rotation = 0.18;     // rad, any tube base
+    double translation = 5e-3;  // m
+    double motion = 20e-3;      // m
+    double near = 2e-3;         // m
+    double point_spacing = 1.5e-3;  // m, between the points of a shape that are looked up in the field
 };
 
 // Clearance of everything in front of the plate, in all shapes, at points no farther apart than `spacing`.
 double clearance(const BoundSolver& bound, const SignedDistanceField& field, double spacing);
 
-// Walks the configurations in order, each solve starting from the one before. Returns the samples made.
-std::vector<LegSample> check_leg(BoundSolver& solver, const std::vector<Configuration>& configurations,
-                                 const MeshDensity& density, const SignedDistanceField& field, double spacing,
-                                 const LegLimits& limits);
+// Walks the straight lines between consecutive configurations, each solve starting from the one before. The first sample
+// is the first configuration; every corner of the path is a sample. A jump that no shorter step removes ends the walk as
+// UNSTABLE: the robot snapped.
+std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Configuration>& corners, const MeshDensity& mesh,
+                                   const SignedDistanceField& field, const PathDensity& density, const PathLimits& limits,
+                                   bool keep_bodies = false);
 
 }  // namespace ctr

@@ -1,0 +1,191 @@
+"""The certificate: finished legs rechecked densely with the full model and exact distances to the anatomy."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ctrplan.anatomy import exact_clearance
+from ctrplan.drive import Array
+from ctrplan.legs import merge_legs
+from ctrplan.mechanics import Accuracy, PathDensity, PathLimits, PathSamples
+from ctrplan.planning.goals import target_in_robot_frame
+from ctrplan.planning.joint_space import JointSpace
+from ctrplan.planning.motion import MM_PER_M, breach, path_limits
+from ctrplan.planning.plan import Certificate, CertificateSamples
+
+if TYPE_CHECKING:
+    from ctrplan.scenario import Scenario
+
+SPACING_M = 0.5e-3  # largest motion of a body point between samples
+POINT_SPACING_M = 1e-3  # between the points of a shape
+DISCRETISATION_M = 0.3e-3  # largest error of a tip on the search mesh (benchmarks/mechanics.py)
+BRANCH_TOLERANCE_M = 0.2e-3  # between the ends of neighbouring pieces, the same state reached on two ways
+PIECE_MM = 40.0  # joint length of the pieces that run in parallel
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    leg: int
+    start: Array
+    end: Array
+    samples: PathSamples
+
+
+def certify(
+    scenario: Scenario, corners: Array, *, accuracy: Accuracy = "search", progress: Progress | None = None
+) -> Certificate:
+    """Walks the polyline `corners` (K, m) of actuated joints so that no body point moves more than 0.5 mm a sample.
+
+    Clearances are exact distances of points of the frictionless and every corner shape, less the outer radius, half the
+    motion between samples and the discretisation error; nothing of the search's field is used.
+    """
+    space = JointSpace.of(scenario)
+    limits = path_limits(scenario)
+    pieces = _walk(scenario, space, corners, accuracy, progress)
+    samples = _join(scenario, space, corners, pieces, accuracy)
+    problems = _problems(scenario, space, corners, pieces, samples, limits)
+    integral = np.trapezoid(samples.bound_m * MM_PER_M, samples.path_mm) / scenario.cost.mm_per_rad
+    weights, goal_bound = scenario.cost, float(samples.bound_m[-1])
+    length = float(samples.path_mm[-1])
+    cost = weights.path * length + weights.error_along * integral + weights.error_goal * goal_bound * MM_PER_M
+    return Certificate(
+        samples=samples,
+        valid=not problems,
+        problems=tuple(problems),
+        worst_bound_m=float(samples.bound_m.max()),
+        goal_bound_m=goal_bound,
+        goal_bound_rad=float(samples.bound_rad[-1]),
+        goal_tip_error_m=_goal_miss(scenario, samples.tip_m[-1]),
+        error_integral_mm=float(integral),
+        min_clearance_m=float(samples.clearance_m.min()),
+        min_stability=float(samples.stability.min()),
+        max_strain=float(samples.max_strain.max()),
+        length_mm=length,
+        stops=max(len(merge_legs(corners)) - 2, 0),
+        cost_mm=float(cost),
+        spacing_m=float(samples.motion_m.max()),
+    )
+
+
+def _walk(
+    scenario: Scenario, space: JointSpace, corners: Array, accuracy: Accuracy, progress: Progress | None
+) -> list[_Piece]:
+    """The legs in pieces, in parallel; each piece starts from scratch, which `_problems` compares with its predecessor."""
+    ends = []
+    for leg, (a, b) in enumerate(zip(corners[:-1], corners[1:], strict=True)):
+        count = max(1, int(np.ceil(space.straight_length_mm(b - a) / PIECE_MM)))
+        points = a + np.linspace(0, 1, count + 1)[:, None] * (b - a)
+        ends += [(leg, points[k], points[k + 1]) for k in range(count)]
+    if not ends:
+        ends = [(0, corners[0], corners[0])]
+    done = 0
+    density = PathDensity(motion_m=SPACING_M, near_m=SPACING_M, point_spacing_m=POINT_SPACING_M)
+
+    def walk(piece: tuple[int, Array, Array]) -> _Piece:
+        nonlocal done
+        leg, start, end = piece
+        theta_b, l_b = space.drive.collars(np.array([start, end]))
+        samples = scenario.robot.mechanics.check_path(
+            theta_b, l_b, density=density, accuracy=accuracy, bodies=bool(scenario.anatomy)
+        )
+        done += 1
+        if progress:
+            progress(done / len(ends))
+        return _Piece(leg, start, end, samples)
+
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        return list(pool.map(walk, ends))
+
+
+def _join(
+    scenario: Scenario, space: JointSpace, corners: Array, pieces: list[_Piece], accuracy: Accuracy
+) -> CertificateSamples:
+    """One table over all pieces; the first sample of every piece but the first repeats the last one before it."""
+    starts = np.concatenate([[0.0], np.cumsum([space.straight_length_mm(d) for d in np.diff(corners, axis=0)])])
+    slack = DISCRETISATION_M if accuracy == "search" else DISCRETISATION_M / 6
+    columns: dict[str, list[Array]] = {name: [] for name in CertificateSamples.__dataclass_fields__}
+    for number, piece in enumerate(pieces):
+        s = piece.samples
+        keep = slice(0 if number == 0 else 1, None)
+        joints = piece.start + s.fraction[:, None] * (piece.end - piece.start)
+        travelled = [space.straight_length_mm(q - corners[piece.leg]) for q in joints]
+        clearance = _exact(scenario, s) - s.motion_m / 2 - slack
+        rows = {
+            "leg": np.full(len(s.fraction), piece.leg),
+            "joints": joints,
+            "path_mm": starts[piece.leg] + np.array(travelled),
+            "bound_m": s.position_m,
+            "bound_rad": s.tangent_rad,
+            "stability": s.stability,
+            "max_strain": s.max_strain,
+            "clearance_m": clearance,
+            "motion_m": s.motion_m,
+            "tip_m": s.tip_m,
+        }
+        for name, values in rows.items():
+            columns[name].append(values[keep])
+    return CertificateSamples(**{name: np.concatenate(parts) for name, parts in columns.items()})
+
+
+def _exact(scenario: Scenario, samples: PathSamples) -> Array:
+    """(K,) smallest clearance of all shapes beyond the anatomy's margins [m]; inf in free space."""
+    if not scenario.anatomy:
+        return np.full(len(samples.fraction), np.inf)
+    points = np.concatenate(samples.bodies)
+    located = points[:, :3] @ scenario.base_R.T + scenario.base_position_m
+    clear = exact_clearance(scenario.anatomy, located) - points[:, 3]
+    firsts = np.concatenate([[0], np.cumsum([len(body) for body in samples.bodies])[:-1]])
+    least: Array = np.minimum.reduceat(clear, firsts)
+    return least
+
+
+def _problems(
+    scenario: Scenario,
+    space: JointSpace,
+    corners: Array,
+    pieces: list[_Piece],
+    samples: CertificateSamples,
+    limits: PathLimits,
+) -> list[str]:
+    """Sentences about everything that keeps the path from being certified."""
+    found = []
+    if not space.allowed(corners):
+        found.append("A waypoint breaks a joint limit or the nesting of the tubes.")
+    for before, piece in zip([None, *pieces[:-1]], pieces, strict=True):
+        where = f"leg {piece.leg + 1}"
+        if piece.samples.fraction[-1] < 1 and len(pieces) > 1 or breach(piece.samples, PathLimits()):
+            found.append(f"On {where}: {breach(piece.samples, PathLimits()) or 'the walk did not reach its end'}.")
+        elif before is not None and np.linalg.norm(before.samples.tip_m[-1] - piece.samples.tip_m[0]) > BRANCH_TOLERANCE_M:
+            found.append(f"On {where}: the shape depends on the way there, several equilibria exist.")
+    checks = [
+        (samples.stability < limits.stability, "stability falls to {:.3g}, below the margin", samples.stability.min()),
+        (samples.max_strain > limits.max_strain, "strain reaches {:.4g}, above the limit", samples.max_strain.max()),
+        (
+            samples.clearance_m < limits.clearance_m,
+            "a corner shape comes {:.2f} mm too close to the anatomy",
+            (limits.clearance_m - samples.clearance_m.min()) * MM_PER_M,
+        ),
+    ]
+    for broken, text, value in checks:
+        if broken.any():
+            found.append(f"On leg {samples.leg[np.argmax(broken)] + 1}: {text.format(value)}.")
+    goal, miss = scenario.goal, _goal_miss(scenario, samples.tip_m[-1])
+    if goal.tip_m is not None and miss > goal.tolerance_m:
+        found.append(f"The frictionless tip ends {miss * MM_PER_M:.2f} mm from the target, tolerance {goal.tolerance_m * MM_PER_M:g} mm.")
+    limit = scenario.cost.max_error_goal_m
+    if limit is not None and not samples.bound_m[-1] <= limit:
+        found.append(f"The worst-case error at the goal is {samples.bound_m[-1] * MM_PER_M:.2f} mm, above {limit * MM_PER_M:g} mm.")
+    return found
+
+
+def _goal_miss(scenario: Scenario, tip: Array) -> float:
+    if scenario.goal.tip_m is None:
+        return 0.0
+    return float(np.linalg.norm(tip - target_in_robot_frame(scenario)))

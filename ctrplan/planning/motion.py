@@ -1,0 +1,143 @@
+"""One motion, one call into the core: validity and cost of an edge, shared by whoever asks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ctrplan.anatomy import build_field, default_spacing_m, field_bounds
+from ctrplan.drive import Array
+from ctrplan.mechanics import Field, PathDensity, PathLimits, PathSamples, Status
+from ctrplan.planning.joint_space import JointSpace
+from ctrplan.planning.plan import MotionStyle
+
+if TYPE_CHECKING:
+    from ctrplan.scenario import Scenario
+
+MM_PER_M = 1e3
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What a motion is worth; an invalid one has the reason and infinite cost."""
+
+    valid: bool
+    reason: str
+    length_mm: float
+    error_integral_mm: float  # integral of the bound over the joint length, per mm_per_rad of length
+    end_bound_m: float
+
+
+class MotionChecker:
+    """Checks and prices motions of a scenario; remembers every one it was asked about."""
+
+    def __init__(self, scenario: Scenario, style: MotionStyle = "rotations before translations") -> None:
+        self.scenario = scenario
+        self.style = style
+        self.space = JointSpace.of(scenario)
+        self.mechanics = scenario.robot.mechanics
+        self.field = robot_field(scenario)
+        self.density = PathDensity()
+        self.limits = path_limits(scenario)
+        self.calls = 0  # into the core
+        self._known: dict[bytes, Motion] = {}
+        self._states: dict[bytes, Motion] = {}
+
+    def motion(self, a: Array, b: Array) -> Motion:
+        """The motion from joint values a to b, (m,) each, in the checker's style."""
+        key = a.tobytes() + b.tobytes()
+        found = self._known.get(key)
+        if found is None:
+            found = self._known[key] = self.along(self.space.corners(a, b, self.style))
+        return found
+
+    def state(self, q: Array) -> Motion:
+        """A single state as a motion of no length."""
+        key = q.tobytes()
+        found = self._states.get(key)
+        if found is None:
+            found = self._states[key] = self.along(q[None, :])
+        return found
+
+    def forbid(self, a: Array, b: Array, reason: str) -> None:
+        """Remembers that the motion from a to b failed a stricter check."""
+        self._known[a.tobytes() + b.tobytes()] = invalid(reason)
+
+    def along(self, corners: Array) -> Motion:
+        """The polyline (K, m) of joint values."""
+        if not self.space.allowed(corners):
+            return invalid("joint limit or nesting")
+        samples = self.walk(corners, self.density, self.limits)
+        reason = breach(samples, self.limits)
+        if reason:
+            return invalid(reason)
+        length, integral = self.price(corners, samples)
+        return Motion(True, "", length, integral, float(samples.position_m[-1]))
+
+    def walk(self, corners: Array, density: PathDensity, limits: PathLimits) -> PathSamples:
+        """The core's samples along a polyline."""
+        theta_b, l_b = self.space.drive.collars(corners)
+        self.calls += 1
+        return self.mechanics.check_path(theta_b, l_b, self.field, density=density, limits=limits)
+
+    def price(self, corners: Array, samples: PathSamples) -> tuple[float, float]:
+        """Weighted joint length [mm] and the error integral [mm] of a walked polyline."""
+        if len(corners) == 1:
+            return 0.0, 0.0
+        lengths = np.array([self.space.straight_length_mm(d) for d in np.diff(corners, axis=0)])
+        travelled = np.concatenate([[0.0], np.cumsum(lengths)])[samples.segment] + samples.fraction * lengths[samples.segment]
+        integral = np.trapezoid(samples.position_m * MM_PER_M, travelled) / self.scenario.cost.mm_per_rad
+        return float(lengths.sum()), float(integral)
+
+    def cost_mm(self, motion: Motion, *, ends_at_goal: bool) -> float:
+        """Weighted cost of a motion; one that ends at the goal pays for the error left there."""
+        weights = self.scenario.cost
+        cost = weights.path * motion.length_mm + weights.error_along * motion.error_integral_mm
+        if ends_at_goal:
+            cost += weights.error_goal * motion.end_bound_m * MM_PER_M
+        return cost
+
+
+def invalid(reason: str) -> Motion:
+    """A motion that must not be made."""
+    return Motion(False, reason, np.inf, np.inf, np.inf)
+
+
+def path_limits(scenario: Scenario) -> PathLimits:
+    """Margins as limits; the anatomy's own margins are in the field, what calibration left unexplained comes on top."""
+    strain = min([scenario.margins.max_strain, *(tube.max_strain for tube in scenario.robot.tubes)])
+    return PathLimits(scenario.margins.stability, strain, scenario.robot.model_error_m)
+
+
+def breach(samples: PathSamples, limits: PathLimits) -> str:
+    """Which limit the last sample breaks, in words; empty if none."""
+    if samples.status[-1] == Status.FAILED:
+        return "the mechanics solver failed"
+    if samples.status[-1] == Status.UNSTABLE:
+        return "elastically unstable, the robot would snap"
+    if samples.stability[-1] < limits.stability:
+        return f"stability {samples.stability[-1]:.3g} is below the margin {limits.stability:g}"
+    if samples.max_strain[-1] > limits.max_strain:
+        return f"strain {100 * samples.max_strain[-1]:.2f} % is above {100 * limits.max_strain:g} %"
+    if samples.clearance_m[-1] < limits.clearance_m:
+        short = (limits.clearance_m - samples.clearance_m[-1]) * MM_PER_M
+        return f"a corner shape comes {short:.2f} mm too close to the anatomy"
+    return ""
+
+
+def robot_field(scenario: Scenario) -> Field | None:
+    """The scenario's anatomy as a grid around the robot's reach; None in free space."""
+    reach = max(tube.length_m for tube in scenario.robot.tubes) + scenario.robot.tubes[0].outer_diameter_m
+    lower, upper = field_bounds(scenario.anatomy, reach, scenario.base_position_m, scenario.base_R)
+    grid = build_field(scenario.anatomy, lower, upper, default_spacing_m(lower, upper)) if scenario.anatomy else None
+    if grid is None:
+        return None
+    return Field(
+        np.ascontiguousarray(grid.values_m, dtype=np.float32),
+        np.ascontiguousarray(grid.origin_m, dtype=np.float64),
+        float(grid.spacing_m),
+        np.ascontiguousarray(scenario.base_R),
+        np.ascontiguousarray(scenario.base_position_m),
+    )

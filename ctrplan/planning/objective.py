@@ -1,0 +1,66 @@
+"""The friction bound as an OMPL objective, also for users with a set-up of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from ompl import base as ob
+
+from ctrplan.drive import Array
+from ctrplan.planning.motion import MotionChecker
+from ctrplan.planning.ompl_space import StateReader
+
+if TYPE_CHECKING:
+    from ctrplan.scenario import Scenario
+
+GOAL_TOLERANCE = 1e-9  # rad or m; states at the goal are copies of goal states
+
+
+class BoundObjective(ob.OptimizationObjective):  # type: ignore[misc]
+    """Weighted joint length + friction error along the path + error left at the goal, in mm.
+
+    A motion that ends at one of `goals` (G, m) pays for the error left there. Motions are L-shaped, rotations before
+    translations, and priced in the direction driven. States must be those of `ctrplan.planning.ompl_space.state_space`.
+    """
+
+    def __init__(
+        self,
+        space_information: Any,
+        scenario: Scenario,
+        *,
+        goals: Sequence[Array] = (),
+        checker: MotionChecker | None = None,
+    ) -> None:
+        super().__init__(space_information)
+        self.checker = checker or MotionChecker(scenario)
+        self.read = StateReader(self.checker.space)
+        self.goals = np.array(goals).reshape(-1, len(scenario.robot.drive.joints))
+
+    def motionCost(self, a: Any, b: Any) -> Any:  # noqa: N802, OMPL's names from here on
+        start, end = self.read(a), self.read(b)
+        motion = self.checker.motion(start, end)
+        if not motion.valid:
+            return self.infiniteCost()
+        cost = self.checker.cost_mm(motion, ends_at_goal=self.is_goal(end))
+        return ob.Cost(cost) if np.isfinite(cost) and cost >= 0 else self.infiniteCost()
+
+    def motionCostHeuristic(self, a: Any, b: Any) -> Any:  # noqa: N802
+        # admissible: the length of the L is exact, the error is never negative
+        space = self.checker.space
+        delta = space.difference(self.read(a), self.read(b))
+        return ob.Cost(self.checker.scenario.cost.path * space.length_mm(delta, self.checker.style))
+
+    def stateCost(self, state: Any) -> Any:  # noqa: N802
+        return ob.Cost(0.0)
+
+    def isSymmetric(self) -> bool:  # noqa: N802
+        return False
+
+    def is_goal(self, q: Array) -> bool:
+        """Whether q (m,) is one of the goal states."""
+        if not len(self.goals):
+            return False
+        gaps = np.array([self.checker.space.difference(goal, q) for goal in self.goals])
+        return bool(np.any(np.all(np.abs(gaps) < GOAL_TOLERANCE, axis=1)))

@@ -1,0 +1,149 @@
+"""Reordering: on any path, merge and reorder legs so that rotations come before translations, never at a higher cost."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ctrplan.drive import Array
+from ctrplan.errors import InputError, NoAnswerError
+from ctrplan.legs import merge_legs
+from ctrplan.planning.certify import certify
+from ctrplan.planning.motion import MM_PER_M, Motion, MotionChecker
+from ctrplan.planning.plan import Certificate, Leg, MotionStyle, Plan, ReorderReport, leg_kind
+from ctrplan.trajectory import time_parameterise
+
+if TYPE_CHECKING:
+    from ctrplan.scenario import Scenario
+
+LONGEST_SKIP = 12  # waypoints that one L-shaped motion may replace
+
+
+@dataclass(frozen=True, eq=False)
+class Reordered:
+    """Corners before and after, and what both are worth along the way."""
+
+    before: Array  # (K, m)
+    after: Array  # (L, m)
+    motion_before: Motion
+    motion_after: Motion
+
+
+def reorder(path: ArrayLike, scenario: Scenario, *, period_s: float = 0.01) -> Plan:
+    """Plan that drives a path (K, m) of actuated joint values, from anyone's planner, at lower or equal cost.
+
+    Consecutive waypoints are joined by straight lines as given; unlimited rotations keep their winding. Raises InputError
+    for a path of the wrong shape, NoAnswerError if the path itself is not valid in the scenario.
+    """
+    began = time.monotonic()
+    corners = np.array(path, dtype=np.float64)
+    m = len(scenario.robot.drive.joints)
+    if corners.ndim != 2 or corners.shape[1] != m or len(corners) < 2 or not np.all(np.isfinite(corners)):
+        raise InputError(f"must be finite, of shape (K, {m}) with K >= 2, not {corners.shape}", key="path")
+    checker = MotionChecker(scenario)
+    result = rotations_first(checker, merge_legs(corners))
+    if not result.motion_before.valid:
+        raise NoAnswerError(f"{scenario.name}: the path is not valid: {result.motion_before.reason}.")
+    certificate = certify(scenario, result.after)
+    elapsed = time.monotonic() - began
+    return assemble(scenario, result, certificate, planner="given path", seed=0, time_s=elapsed, first_s=0.0, period_s=period_s)
+
+
+def rotations_first(checker: MotionChecker, corners: Array) -> Reordered:
+    """The cheapest way through the corners (K, m), some of them skipped by L-shaped motions; ends are kept.
+
+    A shortest path over the corners whose edges are the given legs and all L-shaped motions between corners at most
+    LONGEST_SKIP apart: the given path is among the candidates, so that the cost cannot rise.
+    """
+    before = checker.along(corners)
+    count = len(corners)
+    cost = np.full(count, np.inf)
+    cost[0] = 0.0
+    came: list[tuple[int, Array]] = [(0, corners[:1])] * count
+    for j in range(1, count):
+        for i in range(max(0, j - LONGEST_SKIP), j):
+            if not np.isfinite(cost[i]):
+                continue
+            for piece in _pieces(checker, corners, i, j):
+                motion = checker.along(piece)
+                total = cost[i] + checker.cost_mm(motion, ends_at_goal=False) if motion.valid else np.inf
+                if total < cost[j] - 1e-9:
+                    cost[j], came[j] = total, (i, piece)
+    if not np.isfinite(cost[-1]):
+        return Reordered(corners, corners, before, before)
+    pieces, j = [], count - 1
+    while j > 0:
+        i, piece = came[j]
+        pieces.append(piece)
+        j = i
+    after = merge_legs(np.concatenate([corners[:1], *[piece[1:] for piece in reversed(pieces)]]))
+    motion = checker.along(after)
+    if not motion.valid or _way_cost(checker, motion) > _way_cost(checker, before) + 1e-9:
+        return Reordered(corners, corners, before, before)
+    return Reordered(corners, after, before, motion)
+
+
+def _pieces(checker: MotionChecker, corners: Array, i: int, j: int) -> list[Array]:
+    """Ways from corner i to corner j: the L-shaped motion with the path's own winding, and the leg itself."""
+    a, b = corners[i], corners[j]
+    turned = np.where(checker.space.drive.is_rotation, b, a)
+    ways = [np.array([a, turned, b])] if not (np.array_equal(turned, a) or np.array_equal(turned, b)) else [np.array([a, b])]
+    if j == i + 1 and len(ways[0]) > 2:
+        ways.append(np.array([a, b]))
+    return ways
+
+
+def _way_cost(checker: MotionChecker, motion: Motion) -> float:
+    return checker.cost_mm(motion, ends_at_goal=True) if motion.valid else np.inf
+
+
+def assemble(
+    scenario: Scenario,
+    result: Reordered,
+    certificate: Certificate,
+    *,
+    planner: str,
+    seed: int,
+    time_s: float,
+    first_s: float,
+    period_s: float = 0.01,
+    notes: tuple[str, ...] = (),
+) -> Plan:
+    """The plan of reordered corners: legs, trajectory, and what reordering gained."""
+    drive = scenario.robot.drive
+    legs = tuple(Leg(a, b, leg_kind(drive, a, b)) for a, b in zip(result.after[:-1], result.after[1:], strict=True))
+    style: MotionStyle = "simultaneous" if any(leg.kind == "simultaneous" for leg in legs) else "rotations before translations"
+    weights = scenario.cost
+
+    def cost(motion: Motion) -> float:
+        errors = weights.error_along * motion.error_integral_mm + weights.error_goal * motion.end_bound_m * MM_PER_M
+        return weights.path * motion.length_mm + errors
+
+    a, b = result.motion_before, result.motion_after
+    report = ReorderReport(
+        cost_before_mm=cost(a),
+        cost_after_mm=cost(b),
+        goal_bound_before_m=a.end_bound_m,
+        goal_bound_after_m=b.end_bound_m,
+        error_integral_before_mm=a.error_integral_mm,
+        error_integral_after_mm=b.error_integral_mm,
+        stops_before=max(len(merge_legs(result.before)) - 2, 0),
+        stops_after=max(len(result.after) - 2, 0),
+    )
+    return Plan(
+        scenario=scenario,
+        seed=seed,
+        planner=planner,
+        style=style,
+        legs=legs,
+        certificate=replace(certificate, stops=report.stops_after),
+        trajectory=time_parameterise(result.after, drive, period_s),
+        reorder=report,
+        search_time_s=time_s,
+        first_solution_s=first_s,
+        notes=notes,
+    )

@@ -1,0 +1,129 @@
+"""What a certificate says, in words: one sentence, and a table of requirements with their status."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ctrplan.planning.plan import Plan
+
+LARGEST_SPACING_M = 0.5e-3  # motion of the body between samples that the certificate allows itself
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A quantity of the certificate, ready to be read."""
+
+    quantity: str
+    value: str
+    requirement: str  # empty where there is none
+    met: bool | None  # None where there is nothing to meet
+
+
+def verdict(plan: Plan) -> str:
+    """One sentence: certified or not, with the figures that matter most, or with the first problem."""
+    certificate = plan.certificate
+    if not certificate.valid:
+        first = certificate.problems[0].rstrip(".") if certificate.problems else "a requirement is not met"
+        others = len(certificate.problems) - 1
+        return f"Not certified: {first}{f' (and {others} more)' if others > 0 else ''}."
+    parts = [f"worst-case friction error at the goal {millimetres(certificate.goal_bound_m)}"]
+    limit_m = plan.scenario.cost.max_error_goal_m
+    if limit_m is not None:
+        relation = "within" if certificate.goal_bound_m <= limit_m else "above"
+        parts[0] += f" ({relation} the required {millimetres(limit_m)})"
+    parts.append(f"at most {millimetres(certificate.worst_bound_m)} along the path")
+    if math.isfinite(certificate.min_clearance_m):
+        parts.append(f"smallest clearance {millimetres(certificate.min_clearance_m)} beyond the margins")
+    opening = "Certified" if is_acceptable(plan) else "Certified, but short of a requirement"
+    return f"{opening}: {', '.join(parts)}."
+
+
+def findings(plan: Plan) -> tuple[Finding, ...]:
+    """The certificate line by line, what is required first."""
+    return (*_errors(plan), *_margins(plan), *_figures(plan))
+
+
+def is_acceptable(plan: Plan) -> bool:
+    """Certified, and every requirement met."""
+    return plan.certificate.valid and all(finding.met is not False for finding in findings(plan))
+
+
+def millimetres(length_m: float) -> str:
+    """A length for people, about three digits."""
+    return f"{digits(length_m * 1e3)} mm" if not math.isnan(length_m) else "unknown"
+
+
+def degrees(angle_rad: float) -> str:
+    """An angle for people."""
+    return f"{digits(math.degrees(angle_rad))}°" if not math.isnan(angle_rad) else "unknown"
+
+
+def digits(value: float) -> str:
+    """Three digits or so, never in powers of ten where a plain number does."""
+    if value == 0 or abs(value) >= 0.1:
+        return f"{value:.{max(0, 2 - max(0, math.floor(math.log10(abs(value) or 1))))}f}"
+    return f"{value:.2g}"
+
+
+def _errors(plan: Plan) -> list[Finding]:
+    certificate, scenario = plan.certificate, plan.scenario
+    rows = [
+        _at_most(
+            "Worst-case friction error at the goal, position",
+            certificate.goal_bound_m,
+            scenario.cost.max_error_goal_m,
+        ),
+        Finding("Worst-case friction error at the goal, direction", degrees(certificate.goal_bound_rad), "", None),
+        Finding("Worst-case friction error along the path", millimetres(certificate.worst_bound_m), "", None),
+    ]
+    if scenario.goal.tip_m is not None:
+        tolerance = scenario.goal.tolerance_m
+        rows.append(_at_most("Distance from the goal without friction", certificate.goal_tip_error_m, tolerance))
+    return rows
+
+
+def _margins(plan: Plan) -> list[Finding]:
+    certificate, margins = plan.certificate, plan.scenario.margins
+    clearance_m = certificate.min_clearance_m
+    free = math.isinf(clearance_m)
+    clearance = "free space" if free else millimetres(clearance_m)
+    stable, strained = certificate.min_stability, certificate.max_strain
+    return [
+        Finding(
+            "Smallest clearance to the anatomy, beyond its margins",
+            clearance,
+            "" if free else "at least 0 mm",
+            None if free else clearance_m >= 0,
+        ),
+        Finding(
+            "Smallest stability", digits(stable), f"at least {margins.stability:g}", bool(stable >= margins.stability)
+        ),
+        Finding(
+            "Largest strain",
+            f"{digits(100 * strained)} %",
+            f"at most {100 * margins.max_strain:g} %",
+            bool(strained <= margins.max_strain),
+        ),
+        _at_most("Largest motion of the body between samples", certificate.spacing_m, LARGEST_SPACING_M),
+    ]
+
+
+def _figures(plan: Plan) -> list[Finding]:
+    certificate = plan.certificate
+    figures = [
+        ("Joint path length", f"{digits(certificate.length_mm)} mm"),
+        ("Error summed over the path", f"{digits(certificate.error_integral_mm)} mm"),
+        ("Cost", f"{digits(certificate.cost_mm)} mm"),
+        ("Stops on the way", str(certificate.stops)),
+        ("Duration", f"{digits(plan.trajectory.duration_s)} s"),
+    ]
+    return [Finding(quantity, value, "", None) for quantity, value in figures]
+
+
+def _at_most(quantity: str, value_m: float, limit_m: float | None) -> Finding:
+    if limit_m is None:
+        return Finding(quantity, millimetres(value_m), "", None)
+    return Finding(quantity, millimetres(value_m), f"at most {millimetres(limit_m)}", bool(value_m <= limit_m))
