@@ -11,10 +11,12 @@ from ctrplan import palette
 # The browser itself refuses whatever would reach for the network; plotly.js builds functions from strings.
 POLICY = "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:"
 
+FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
+BUTTONS_2D, BUTTONS_3D = ("toImage", "resetScale2d"), ("toImage", "resetCameraDefault3d")  # none that leaves the page
 STYLE = f"""
 :root {{ color-scheme: light; }}
 body {{ margin: 0; background: #f4f6f8; color: {palette.INK}; line-height: 1.5;
-  font-family: system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; font-size: 16px; }}
+  font-family: {FONT}; font-size: 16px; }}
 main {{ max-width: 1120px; margin: 0 auto; padding: 28px 20px 60px; }}
 h1 {{ font-size: 1.9rem; line-height: 1.2; margin: 0 0 14px; overflow-wrap: anywhere; }}
 h2 {{ font-size: 1.2rem; margin: 0 0 4px; }}
@@ -84,13 +86,14 @@ def plot(figure: Any, name: str, *, with_library: bool = False, script: str | No
 
     `script` runs once the figure stands. Texts of the figure must be escaped by whoever made it.
     """
+    buttons = BUTTONS_3D if "scene" in figure.layout else BUTTONS_2D
     content = figure.to_html(
         full_html=False,
         include_plotlyjs=with_library,
         include_mathjax=False,
         div_id=name,
         default_height=f"{figure.layout.height}px",
-        config={"displaylogo": False, "responsive": True},
+        config={"displaylogo": False, "responsive": True, "modeBarButtons": [list(buttons)]},
         auto_play=False,
         post_script=script,
     )

@@ -38,6 +38,7 @@ def plan_to_json(plan: Plan) -> dict[str, Any]:
         "style": plan.style,
         "search_time_s": plan.search_time_s,
         "first_solution_s": plan.first_solution_s,
+        "interrupted": plan.interrupted,
         "base": {"position_m": scenario.base_position_m, "R": scenario.base_R},
         "goal": _goal(scenario),
         "margins": asdict(scenario.margins),
@@ -55,8 +56,10 @@ def plan_to_json(plan: Plan) -> dict[str, Any]:
 
 
 def write_plan_json(path: str | os.PathLike[str], plan: Plan) -> None:
-    """Write plan.json as UTF-8, whole or not at all; as `write_atomically`."""
-    write_atomically(path, json.dumps(plan_to_json(plan), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    """Write plan.json as UTF-8, a line per key, whole or not at all; as `write_atomically`."""
+    content = plan_to_json(plan).items()
+    rows = (f"  {json.dumps(key)}: {json.dumps(value, ensure_ascii=False, allow_nan=False)}" for key, value in content)
+    write_atomically(path, "{\n" + ",\n".join(rows) + "\n}\n")
 
 
 def _goal(scenario: Scenario) -> dict[str, Any]:

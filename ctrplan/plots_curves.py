@@ -13,6 +13,7 @@ from matplotlib.patches import Patch
 from ctrplan import palette
 from ctrplan.drive import UNITS, Kind
 from ctrplan.plan_timing import leg_end_s, sample_time_s
+from ctrplan.planning.motion import path_limits
 from ctrplan.verdict import millimetres
 
 if TYPE_CHECKING:
@@ -45,14 +46,14 @@ def draw_bound(ax: Axes, plan: Plan) -> None:
 
 def draw_margins(ax: Axes, plan: Plan) -> None:
     """Clearance and stability, or in free space stability and strain, each with what it must keep."""
-    samples, margins = plan.certificate.samples, plan.scenario.margins
-    stability = ("stability", samples.stability, margins.stability, palette.STABILITY)
+    samples, limits = plan.certificate.samples, path_limits(plan.scenario)
+    stability = ("stability", samples.stability, limits.stability, palette.STABILITY)
     if np.isfinite(samples.clearance_m).any():
         title = "Clearance beyond the margins, and stability"
-        pair = (("clearance (mm)", samples.clearance_m * 1e3, 0.0, palette.CLEARANCE), stability)
+        pair = (("clearance (mm)", samples.clearance_m * 1e3, limits.clearance_m * 1e3, palette.CLEARANCE), stability)
     else:
         title = "Stability and strain"
-        pair = (stability, ("strain (%)", samples.max_strain * 100, margins.max_strain * 100, palette.STRAIN))
+        pair = (stability, ("strain (%)", samples.max_strain * 100, limits.max_strain * 100, palette.STRAIN))
     _prepare(ax, plan, f"{title}; dashed: their limits", "")
     ax.set_xlabel("time (s)")
     other = ax.twinx()

@@ -13,7 +13,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from ctrplan import palette
 from ctrplan.drive import Array
-from ctrplan.scene import Pose, goal_tip, plate, pose, tip_path, view_box
+from ctrplan.scene import Pose, goal_tip, plate, pose, side_azimuth_rad, tip_path, view_box
 from ctrplan.surface import Surface, anatomy_surface
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from ctrplan.planning.plan import Plan
 
-TRIANGLES = 4000  # per part of the anatomy: all are sorted and drawn in Python
+TRIANGLES = 6000  # per part of the anatomy: all are sorted and drawn in Python
 THINNEST_PT = 1.3
 ELEVATION_DEG = 18
 
@@ -51,16 +51,12 @@ def _points(pose: Pose) -> Array:
 
 
 def _frame(ax: Axes3D, points_m: Array, anatomy_m: Array) -> None:
-    """Equal scales, seen from the side to which the robot bends least."""
+    """Equal scales, seen from where the robot spreads widest."""
     lower, upper = (corner * 1e3 for corner in view_box(points_m, anatomy_m))
     ax.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), zlim=(lower[2], upper[2]))
     ax.set_box_aspect(tuple(upper - lower), zoom=1.04)
     ax.set_proj_type("ortho")
-    spread = np.cov((points_m - points_m.mean(axis=0))[:, :2].T)
-    sideways = np.linalg.eigh(spread)[1][:, 0]
-    azimuth = float(np.degrees(np.arctan2(sideways[1], sideways[0])))
-    quarter, rest = divmod(azimuth, 90)  # not along an axis, where the box looks flat
-    ax.view_init(elev=ELEVATION_DEG, azim=90 * quarter + float(np.clip(rest, 25, 65)))
+    ax.view_init(elev=ELEVATION_DEG, azim=float(np.degrees(side_azimuth_rad(points_m))))
     for axis, name in zip((ax.xaxis, ax.yaxis, ax.zaxis), "xyz", strict=True):
         axis.set_pane_color((0.975, 0.98, 0.985, 1.0))
         axis.set_tick_params(labelsize=9, colors=palette.MUTED)

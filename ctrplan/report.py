@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,20 +29,142 @@ document.getElementById('scene').on('plotly_animatingframe', function (frame) {{
   }});
 }});
 """
+SHADES = "Legs are shaded: rotations blue, translations yellow, simultaneous motions violet."
 MEANING = (
-    "Friction between the tubes makes the robot's shape depend on how it got there: the same joint values can give many "
-    "shapes. At every sampled place of the path the model was solved without friction, and with friction at its Coulomb "
-    "limit in every combination of directions (the corner shapes). The worst-case friction error is the largest distance "
-    "of the tip between a corner shape and the shape without friction; the envelope is the same distance all along the "
-    "robot, with the radius of the tubes added. Clearance, stability and strain were checked for all of these shapes.",
-    "What it does not cover: the model is quasi-static (slow motion, no vibration), friction follows Coulomb's law with "
-    "the coefficients of the robot file, and nothing touches the robot from outside, neither anatomy nor tools nor "
-    "gravity. The figures hold for the model as calibrated; what calibration left unexplained is in the robot file's "
-    "model error and nowhere else. That the corner shapes enclose every history of motion is an established observation, "
-    "not a theorem.",
+    "Friction between the tubes makes the robot's shape depend on how it got there: the same joint values can "
+    "give many shapes. At every sampled place of the path the model was solved without friction, and with "
+    "friction at its Coulomb limit in every combination of directions (the corner shapes). The worst-case "
+    "friction error is the largest distance of the tip in a corner shape from the tip without friction. The "
+    "envelope is that distance all along the robot, with the tubes' radius and the model error added; the "
+    "clearance is the smallest of all these shapes.",
+    "What the figures do not cover: the model is quasi-static (slow motion, no vibration), friction follows "
+    "Coulomb's law with the coefficients of the robot file, and nothing touches the robot from outside, neither "
+    "anatomy nor tools. They hold for the model as calibrated; what calibration could not explain is in the robot "
+    "file's model error and nowhere else. That no history of motion leads beyond the corner shapes is supported "
+    "by trials, not proved.",
 )
 
 
-def write_report(path: str | os.PathLike[str], plan: Plan) -> None:
-    """Write report.html, whole or not at all; as `write_atomically`."""
+def write_report(plan: Plan, path: str | os.PathLike[str]) -> None:
+    """Write report.html, one file that loads nothing, whole or not at all; as `write_atomically`."""
     write_atomically(path, report_html(plan))
+
+
+def report_html(plan: Plan) -> str:
+    """The content of report.html."""
+    scenario = plan.scenario
+    return page(
+        f"{scenario.name} - ctrplan",
+        tag("p", f"Motion plan for {scenario.robot.name}", kind="kicker"),
+        tag("h1", scenario.name),
+        tag("p", verdict(plan), kind=f"verdict {'good' if is_acceptable(plan) else 'bad'}"),
+        _remarks("What is wrong", plan.certificate.problems),
+        _tiles(plan),
+        _scene(plan),
+        section("Certificate", _certificate(plan)),
+        _remarks("Remarks", tuple(dict.fromkeys((*plan.notes, *scenario.warnings)))),
+        _margins(plan),
+        _joints(plan),
+        section("Legs", _legs(plan)),
+        section("What reordering changed", _reorder(plan)),
+        section("What the error bound means", *(tag("p", text) for text in MEANING)),
+        section("Where this comes from", _provenance(plan)),
+    )
+
+
+def _remarks(title: str, texts: Sequence[str]) -> Markup:
+    return section(title, tag("ul", *(tag("li", text) for text in texts))) if texts else Markup()
+
+
+def _tiles(plan: Plan) -> Markup:
+    certificate = plan.certificate
+    free = np.isinf(certificate.min_clearance_m)
+    shown = [
+        (millimetres(certificate.goal_bound_m), "worst-case friction error at the goal"),
+        (millimetres(certificate.worst_bound_m), "at most along the path"),
+        ("free space" if free else millimetres(certificate.min_clearance_m), "smallest clearance beyond the margins"),
+        (digits(certificate.min_stability), "smallest stability"),
+        (f"{digits(plan.trajectory.duration_s)} s", f"duration, {_counted(plan.trajectory.stops, 'stop')} on the way"),
+    ]
+    return tag(
+        "div", *(tag("div", tag("b", value), tag("span", name), kind="tile") for value, name in shown), kind="tiles"
+    )
+
+
+def _scene(plan: Plan) -> Markup:
+    hint = "Drag to turn, scroll to zoom; a click in the legend hides a part. The time is marked on the curves below."
+    figure = plot(scene_figure(plan), "scene", with_library=True, script=FOLLOW_SLIDER)
+    return section("The motion", tag("p", hint, kind="quiet"), figure)
+
+
+def _margins(plan: Plan) -> Markup:
+    count = len(plan.certificate.samples.joints)
+    hint = f"{_counted(count, 'place')} of the path, each solved with the full model. {SHADES}"
+    return section(
+        "Errors and margins along the path", tag("p", hint, kind="quiet"), plot(margins_figure(plan), "margins")
+    )
+
+
+def _joints(plan: Plan) -> Markup:
+    return section("Joints", tag("p", SHADES, kind="quiet"), plot(joints_figure(plan), "joints"))
+
+
+def _certificate(plan: Plan) -> Markup:
+    status = {True: tag("span", "✓ met", kind="good"), False: tag("span", "✗ not met", kind="bad"), None: escaped("")}
+    rows = ((f.quantity, f.value, f.requirement, status[f.met]) for f in findings(plan))
+    return table(("Quantity", "Value", "Required", "Status"), rows)
+
+
+def _legs(plan: Plan) -> Markup:
+    ends = leg_end_s(plan)
+    starts = np.concatenate([[0.0], ends[:-1]])
+    rows = (
+        (str(k), leg.kind, f"{start:.2f} to {end:.2f} s", lines(_moves(plan, leg.start, leg.end)))
+        for k, (leg, start, end) in enumerate(zip(plan.legs, starts, ends, strict=True), start=1)
+    )
+    return table(("Leg", "Kind", "Time", "What moves"), rows)
+
+
+def _moves(plan: Plan, start: Array, end: Array) -> Iterator[str]:
+    for joint, a, b in zip(plan.scenario.robot.drive.joints, start, end, strict=True):
+        if a != b:
+            unit = "°" if joint.unit == "deg" else f" {joint.unit}"
+            yield f"{joint.name}: {a / joint.si_per_unit:.2f}{unit} → {b / joint.si_per_unit:.2f}{unit}"
+
+
+def _reorder(plan: Plan) -> Markup:
+    report = plan.reorder
+    rows = [
+        ("Cost", f"{digits(report.cost_before_mm)} mm", f"{digits(report.cost_after_mm)} mm"),
+        (
+            "Worst-case friction error at the goal",
+            millimetres(report.goal_bound_before_m),
+            millimetres(report.goal_bound_after_m),
+        ),
+        (
+            "Error summed over the path",
+            f"{digits(report.error_integral_before_mm)} mm",
+            f"{digits(report.error_integral_after_mm)} mm",
+        ),
+        ("Stops on the way", str(report.stops_before), str(report.stops_after)),
+    ]
+    return table(("Quantity", "Before", "After"), rows)
+
+
+def _provenance(plan: Plan) -> Markup:
+    scenario, robot = plan.scenario, plan.scenario.robot
+    return facts(
+        [
+            ("Scenario", f"{scenario.name}, {scenario.path or 'not from a file'}"),
+            ("SHA-256 of the scenario", tag("code", scenario.sha256)),
+            ("Robot", f"{robot.name}, {robot.path or 'not from a file'}"),
+            ("SHA-256 of the robot", tag("code", robot.sha256)),
+            ("Planner", f"{plan.planner}, {plan.style}, seed {plan.seed}"),
+            ("Search", f"{digits(plan.search_time_s)} s, first path after {digits(plan.first_solution_s)} s"),
+            ("ctrplan", ctrplan.__version__),
+        ]
+    )
+
+
+def _counted(count: int, thing: str) -> str:
+    return f"{count} {thing}{'' if count == 1 else 's'}"

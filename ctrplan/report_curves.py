@@ -12,7 +12,9 @@ from plotly.subplots import make_subplots
 
 from ctrplan import palette
 from ctrplan.drive import UNITS, Array, Kind
+from ctrplan.html_page import FONT
 from ctrplan.plan_timing import leg_end_s, sample_time_s
+from ctrplan.planning.motion import path_limits
 
 if TYPE_CHECKING:
     from ctrplan.planning.plan import Plan
@@ -45,19 +47,25 @@ class Panel:
 
 def margins_figure(plan: Plan) -> go.Figure:
     """What the certificate found along the path, with what it requires as dashed lines."""
-    samples, margins, limit_m = plan.certificate.samples, plan.scenario.margins, plan.scenario.cost.max_error_goal_m
+    samples, limits, limit_m = plan.certificate.samples, path_limits(plan.scenario), plan.scenario.cost.max_error_goal_m
     allowed = () if limit_m is None else ((limit_m * 1e3, palette.LIMIT),)
     error = "Worst-case friction error of the tip" + (", dashed: allowed at the goal" if allowed else "")
     panels = [
         _single(error, "mm", samples.bound_m * 1e3, palette.BOUND, allowed),
-        _single("Worst-case friction error of the tip's direction", "deg", np.degrees(samples.bound_rad), palette.BOUND),
+        _single(
+            "Worst-case friction error of the tip's direction", "deg", np.degrees(samples.bound_rad), palette.BOUND
+        ),
     ]
     if np.isfinite(samples.clearance_m).any():
         clearance_mm = samples.clearance_m * 1e3
-        title = "Clearance to the anatomy beyond its margins"
-        panels.append(_single(title, "mm", clearance_mm, palette.CLEARANCE, ((0.0, palette.LIMIT),)))
-    stability, strain = (margins.stability, palette.LIMIT), (margins.max_strain * 100, palette.LIMIT)
-    panels.append(_single("Stability, dashed: least allowed", "-", samples.stability, palette.STABILITY, (stability,)))
+        title, least = "Clearance to the anatomy beyond its margins", (limits.clearance_m * 1e3, palette.LIMIT)
+        panels.append(_single(title, "mm", clearance_mm, palette.CLEARANCE, (least,)))
+    stability, strain = (limits.stability, palette.LIMIT), (limits.max_strain * 100, palette.LIMIT)
+    panels.append(
+        _single(
+            "Stability (dimensionless), dashed: least allowed", "", samples.stability, palette.STABILITY, (stability,)
+        )
+    )
     panels.append(_single("Strain, dashed: most allowed", "%", samples.max_strain * 100, palette.STRAIN, (strain,)))
     return _figure(plan, sample_time_s(plan), panels)
 
@@ -99,16 +107,16 @@ def _figure(plan: Plan, time_s: Array, panels: list[Panel]) -> go.Figure:
     for row, panel in enumerate(panels, start=1):
         _add_panel(figure, row, panel, time_s)
     figure.update_layout(
-        height=ROW_HEIGHT * count + 90,
-        margin={"l": 70, "r": 20, "t": 40, "b": 50},
-        shapes=[_cursor(plan.trajectory.duration_s), *_legs(plan)],
+        height=ROW_HEIGHT * count + 110,
+        margin={"l": 70, "r": 20, "t": 60, "b": 50},
+        shapes=[_cursor(plan.trajectory.duration_s), *(leg for row in range(1, count + 1) for leg in _legs(plan, row))],
         hovermode="x unified",
         plot_bgcolor="rgba(0,0,0,0)",
-        font={"color": palette.INK, "size": 13},
+        font={"color": palette.INK, "size": 13, "family": FONT},
         uirevision="stays",
     )
-    figure.update_xaxes(range=[0, max(plan.trajectory.duration_s, 1e-3)], showgrid=False, ticks="outside")
-    figure.update_xaxes(title_text="time (s)", row=count, col=1)
+    figure.update_xaxes(range=[0, max(plan.trajectory.duration_s, 1e-3)], showgrid=False)
+    figure.update_xaxes(title_text="time (s)", ticks="outside", row=count, col=1)
     return figure
 
 
@@ -122,7 +130,7 @@ def _add_panel(figure: go.Figure, row: int, panel: Panel, time_s: Array) -> None
             name=html.escape(curve.name),
             mode="lines",
             line={"color": curve.colour, "width": 2, "dash": curve.dash},
-            hovertemplate=f"%{{y:.4g}} {'' if panel.unit == '-' else panel.unit}",
+            hovertemplate=f"%{{y:.4g}} {panel.unit}",
             legend=legend,
             showlegend=several,
             row=row,
@@ -140,23 +148,26 @@ def _add_panel(figure: go.Figure, row: int, panel: Panel, time_s: Array) -> None
         text=f"<b>{panel.title}</b>", x=0, y=top, xref="paper", yref="paper", xanchor="left", yanchor="bottom",
         showarrow=False, yshift=4,
     )  # fmt: skip
-    place = {"orientation": "h", "x": 1, "xanchor": "right", "y": top, "yanchor": "bottom"}
+    place = {"orientation": "h", "x": 1, "xanchor": "right", "y": top, "yanchor": "bottom", "bgcolor": "rgba(0,0,0,0)"}
     figure.update_layout({legend: place})
 
 
-def _legs(plan: Plan) -> list[dict[str, Any]]:
+def _legs(plan: Plan, row: int) -> list[dict[str, Any]]:
+    """Rectangles behind the panel in `row`, one per leg."""
     ends = leg_end_s(plan)
     starts = np.concatenate([[0.0], ends[:-1]])
+    axis = f"y{'' if row == 1 else row} domain"
     return [
-        _across(start, end) | {"type": "rect", "fillcolor": palette.LEG_KINDS[leg.kind], "layer": "below"}
+        _upright(start, end, axis) | {"type": "rect", "fillcolor": palette.LEG_KINDS[leg.kind], "layer": "below"}
         for start, end, leg in zip(starts.tolist(), ends.tolist(), plan.legs, strict=True)
     ]
 
 
 def _cursor(time_s: float) -> dict[str, Any]:
-    return _across(time_s, time_s) | {"type": "line", "line": {"color": palette.INK, "width": 1.5}}
+    """A line across all panels."""
+    return _upright(time_s, time_s, "paper") | {"type": "line", "line": {"color": palette.INK, "width": 1.5}}
 
 
-def _across(start: float, end: float) -> dict[str, Any]:
-    """A shape over the whole height."""
-    return {"x0": start, "x1": end, "y0": 0, "y1": 1, "xref": "x", "yref": "paper", "line": {"width": 0}}
+def _upright(start: float, end: float, axis: str) -> dict[str, Any]:
+    """A shape over the whole height of an axis."""
+    return {"x0": start, "x1": end, "y0": 0, "y1": 1, "xref": "x", "yref": axis, "line": {"width": 0}}

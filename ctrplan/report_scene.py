@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +11,8 @@ import plotly.graph_objects as go
 
 from ctrplan import palette
 from ctrplan.drive import Array
-from ctrplan.scene import Pose, goal_tip, plate, pose, poses, tip_path, view_box
+from ctrplan.html_page import FONT
+from ctrplan.scene import Pose, goal_tip, plate, pose, poses, side_azimuth_rad, tip_path, view_box
 from ctrplan.surface import Surface, anatomy_surface, capsule
 from ctrplan.verdict import millimetres
 
@@ -20,8 +22,9 @@ if TYPE_CHECKING:
 FRAMES = 50
 SIDES, ENVELOPE_SIDES = 10, 12
 SHORTEST_FRAME_MS, LONGEST_FRAME_MS = 60, 200  # a motion plays in real time where that is neither jerky nor dull
+TILT = np.radians(16)
 BOUND_SCALE = [[0.0, "#2F6FB0"], [0.5, "#B07AA1"], [1.0, palette.BOUND]]
-LIGHT = {"ambient": 0.6, "diffuse": 0.7, "specular": 0.15, "roughness": 0.7}
+LIGHT = {"ambient": 0.75, "diffuse": 0.5, "specular": 0.15, "roughness": 0.7}
 
 
 def scene_figure(plan: Plan) -> go.Figure:
@@ -72,36 +75,37 @@ def _corner_lines(pose: Pose) -> dict[str, Any]:
 def _still(plan: Plan, anatomy: list[Surface]) -> list[Any]:
     scenario = plan.scenario
     start = pose(scenario, plan.legs[0].start)
+    slim = [replace(rod, radius_m=0.9 * rod.radius_m) for rod in start.tubes]  # hidden where the moving robot is
     ghost = [
-        _mesh(rod.surface(SIDES), palette.START, 0.45, "robot at the start", shown=i == 0)
-        for i, rod in enumerate(start.tubes)
+        _mesh(rod.surface(SIDES), palette.START, 1.0, "robot at the start", shown=i == 0) for i, rod in enumerate(slim)
     ]
     traces = [*ghost, _mesh(plate(scenario).surface(32), palette.PLATE, 1.0, "front plate"), _tip_path(plan)]
     traces += _goal(plan)
     names = {"avoid": "anatomy to avoid", "inside": "lumen to stay inside"}
     roles = [part.role for part in scenario.anatomy]
     for k, (role, surface) in enumerate(zip(roles, anatomy, strict=True)):
-        opacity = 0.45 if role == "avoid" else 0.22
+        opacity = 0.35 if role == "avoid" else 0.2
         traces.append(_mesh(surface, palette.ANATOMY[role], opacity, names[role], shown=role not in roles[:k]))
     return traces
 
 
 def _tip_path(plan: Plan) -> Any:
-    bound_mm = plan.certificate.samples.bound_m * 1e3
-    bar = {"title": {"text": "error bound<br>on the path (mm)"}, "thickness": 14, "len": 0.5, "x": 1.0, "y": 0.35}
+    bound_mm = (plan.certificate.samples.bound_m * 1e3).astype(np.float32)
+    bar = {"title": {"text": "path of the tip:<br>error bound (mm)"}, "thickness": 14, "len": 0.5, "x": 1.0, "y": 0.4}
+    scale = {"colorscale": BOUND_SCALE, "cmin": 0, "cmax": max(float(np.nanmax(bound_mm)), 1e-6), "colorbar": bar}
     return go.Scatter3d(
         **_xyz(tip_path(plan)),
         mode="lines",
-        line={"color": bound_mm.astype(np.float32), "colorscale": BOUND_SCALE, "width": 6, "colorbar": bar, "cmin": 0},
-        name="path of the tip",
-        customdata=bound_mm.astype(np.float32),
+        line={"color": bound_mm, "width": 6, **scale},
+        showlegend=False,
+        customdata=bound_mm,
         hovertemplate="worst-case friction error %{customdata:.2f} mm<extra></extra>",
     )
 
 
 def _goal(plan: Plan) -> list[Any]:
     goal, tip_m = plan.scenario.goal, goal_tip(plan)
-    marker = {"symbol": "x", "size": 6, "color": palette.GOAL}
+    marker = {"symbol": "diamond", "size": 6, "color": palette.GOAL}
     hover = {"hovertemplate": "goal<extra></extra>"}
     traces = [go.Scatter3d(**_xyz(tip_m[None]), mode="markers", marker=marker, name="goal", **hover)]
     if goal.tip_m is not None:
@@ -138,19 +142,23 @@ def _xyz(points_m: Array) -> dict[str, Any]:
 
 
 def _lay_out(figure: go.Figure, lower_m: Array, upper_m: Array, robot_m: Array) -> None:
-    """Equal scales that stay while the robot moves; seen from the side to which it bends least."""
-    axis = {"backgroundcolor": "#F8FAFB", "gridcolor": palette.GRID, "showbackground": True, "zeroline": False}
+    """Equal scales that stay while the robot moves; seen from where it spreads widest."""
+    axis = {"backgroundcolor": "#F8FAFB", "gridcolor": palette.GRID, "zeroline": False, "nticks": 6}
     ranges = (np.stack([lower_m, upper_m], axis=1) * 1e3).tolist()
     axes = {f"{n}axis": axis | {"title": {"text": f"{n} (mm)"}, "range": r} for n, r in zip("xyz", ranges, strict=True)}
-    sideways = np.linalg.eigh(np.cov((robot_m - robot_m.mean(axis=0))[:, :2].T))[1][:, 0]
-    eye = np.append(1.9 * sideways, 0.55)
+    azimuth, extent = side_azimuth_rad(robot_m), upper_m - lower_m
+    toward = np.array([np.cos(TILT) * np.cos(azimuth), np.cos(TILT) * np.sin(azimuth), np.sin(TILT)])
+    eye = (0.65 + 1.2 * extent.max() / np.cbrt(extent.prod())) * toward  # plotly's scenes have unit volume
+    light = dict(zip("xyz", (1e5 * toward).tolist(), strict=True))
+    camera = {"eye": dict(zip("xyz", eye.tolist(), strict=True)), "center": {"x": 0, "y": 0, "z": -0.12}}
+    figure.update_traces(lightposition=light, selector={"type": "mesh3d"})
     figure.update_layout(
-        height=720,
-        margin={"l": 0, "r": 0, "t": 10, "b": 10},
-        scene={"aspectmode": "data", "camera": {"eye": dict(zip("xyz", eye.tolist(), strict=True))}, **axes},
+        height=760,
+        margin={"l": 0, "r": 0, "t": 30, "b": 100},
+        scene={"aspectmode": "data", "domain": {"x": [0.14, 0.92]}, "camera": camera, **axes},
         legend={"x": 0.0, "y": 1.0, "bgcolor": "rgba(255,255,255,0.7)", "itemsizing": "constant"},
         uirevision="stays",
-        font={"color": palette.INK, "size": 13},
+        font={"color": palette.INK, "size": 13, "family": FONT},
     )
 
 
@@ -159,8 +167,8 @@ def _add_player(figure: go.Figure, names: list[str], duration_s: float) -> None:
     still = {"mode": "immediate", "frame": {"duration": 0, "redraw": True}, "transition": {"duration": 0}}
     play = still | {"frame": {"duration": step_ms, "redraw": True}, "fromcurrent": True}
     buttons = [
-        {"label": "▶ Play", "method": "animate", "args": [None, play]},
-        {"label": "⏸ Pause", "method": "animate", "args": [[None], still]},
+        {"label": "Play", "method": "animate", "args": [None, play]},
+        {"label": "Pause", "method": "animate", "args": [[None], still]},
     ]
     steps = [{"label": f"{float(name):.1f}", "method": "animate", "args": [[name], still]} for name in names]
     place = {"x": 0.0, "y": 0.0, "xanchor": "left", "yanchor": "top", "pad": {"t": 32, "r": 10}}
@@ -174,6 +182,7 @@ def _add_player(figure: go.Figure, names: list[str], duration_s: float) -> None:
                 "len": 0.83,
                 "y": 0.0,
                 "pad": {"t": 14},
+                "font": {"size": 11},
                 "currentvalue": {"prefix": "time ", "suffix": " s", "font": {"size": 13}},
             }
         ],

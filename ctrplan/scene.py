@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 STATIONS = 40
 STEP_M = 1e-5  # over which the outline drops from one tube's radius to the next one's
+THINNEST_BOX = 0.35  # of its longest side, or the scene is hard to turn
 PLATE_THICKNESS_M = 0.8e-3
 
 
@@ -44,17 +45,29 @@ class Pose:
 
 
 def poses(plan: Plan, count: int) -> list[Pose]:
-    """The robot at `count` equal steps of the trajectory's time, both ends included; one if it takes no time."""
+    """The robot at `count` equal steps of the trajectory's time, both ends included; one if it takes no time.
+
+    Left out are places where the model has no solution: a plan that is not certified may have some.
+    """
     duration_s = plan.trajectory.duration_s
     time_s = np.linspace(0.0, duration_s, count) if duration_s > 0 else np.zeros(1)
-    return [pose(plan.scenario, q, t) for t, q in zip(time_s.tolist(), joints_at(plan, time_s), strict=True)]
+    bounds = [_bound(plan.scenario, joints) for joints in joints_at(plan, time_s)]
+    solved = [k for k, bound in enumerate(bounds) if np.isfinite(bound.position_m)]
+    return [_posed(plan.scenario, bounds[k], float(time_s[k])) for k in solved]
 
 
 def pose(scenario: Scenario, joints: ArrayLike, time_s: float = 0.0) -> Pose:
     """The robot at joints (m,) [rad, m]."""
-    robot = scenario.robot
-    bound = robot.mechanics.bound(*robot.drive.collars(joints))
-    tubes, radii = bound.frictionless.tubes, [tube.outer_diameter_m / 2 for tube in robot.tubes]
+    return _posed(scenario, _bound(scenario, joints), time_s)
+
+
+def _bound(scenario: Scenario, joints: ArrayLike) -> Bound:
+    return scenario.robot.mechanics.bound(*scenario.robot.drive.collars(joints))
+
+
+def _posed(scenario: Scenario, bound: Bound, time_s: float) -> Pose:
+    robot, tubes = scenario.robot, bound.frictionless.tubes
+    radii = [tube.outer_diameter_m / 2 for tube in robot.tubes]
     rods = [_rod(tube, _stations(tube), radius) for tube, radius in zip(tubes, radii, strict=True)]
     return Pose(
         time_s,
@@ -96,8 +109,17 @@ def view_box(points_m: Array, anatomy_m: Array) -> tuple[Array, Array]:
     if len(anatomy_m):
         lower = np.minimum(lower, np.maximum(anatomy_m.min(axis=0), lower - around))
         upper = np.maximum(upper, np.minimum(anatomy_m.max(axis=0), upper + around))
-    rim = 0.03 * float((upper - lower).max()) + 1e-3
+    extent = upper - lower
+    rim = 0.03 * extent.max() + 1e-3 + np.maximum(THINNEST_BOX * extent.max() - extent, 0) / 2
     return lower - rim, upper + rim
+
+
+def side_azimuth_rad(points_m: Array) -> float:
+    """From where points (K, 3) spread widest to left and right; not along an axis, where a scene looks flat."""
+    spread = np.cov((points_m - points_m.mean(axis=0))[:, :2].T)
+    x, y = np.linalg.eigh(spread)[1][:, 0]
+    quarter, rest = divmod(float(np.arctan2(y, x)), np.pi / 2)
+    return float(np.pi / 2 * quarter + np.clip(rest, np.radians(25), np.radians(65)))
 
 
 def _in_anatomy(scenario: Scenario, rod: Rod) -> Rod:

@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from ctrplan.planning.motion import path_limits
+
 if TYPE_CHECKING:
     from ctrplan.planning.plan import Plan
-
-LARGEST_SPACING_M = 0.5e-3  # motion of the body between samples that the certificate allows itself
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,7 @@ def verdict(plan: Plan) -> str:
     certificate = plan.certificate
     if not certificate.valid:
         first = certificate.problems[0].rstrip(".") if certificate.problems else "a requirement is not met"
+        first = first[:1].lower() + first[1:]
         others = len(certificate.problems) - 1
         return f"Not certified: {first}{f' (and {others} more)' if others > 0 else ''}."
     parts = [f"worst-case friction error at the goal {millimetres(certificate.goal_bound_m)}"]
@@ -86,28 +87,21 @@ def _errors(plan: Plan) -> list[Finding]:
 
 
 def _margins(plan: Plan) -> list[Finding]:
-    certificate, margins = plan.certificate, plan.scenario.margins
-    clearance_m = certificate.min_clearance_m
-    free = math.isinf(clearance_m)
-    clearance = "free space" if free else millimetres(clearance_m)
-    stable, strained = certificate.min_stability, certificate.max_strain
+    certificate, limits = plan.certificate, path_limits(plan.scenario)
+    clearance_m, stable, strain = certificate.min_clearance_m, certificate.min_stability, certificate.max_strain
+    clearance = Finding("Clearance to the anatomy", "free space", "", None)
+    if not math.isinf(clearance_m):
+        quantity = "Smallest clearance to the anatomy, beyond its margins"
+        least = f"at least {digits(limits.clearance_m * 1e3)} mm{' (model error)' if limits.clearance_m else ''}"
+        clearance = Finding(quantity, millimetres(clearance_m), least, bool(clearance_m >= limits.clearance_m))
+    stability = Finding(
+        "Smallest stability", digits(stable), f"at least {limits.stability:g}", bool(stable >= limits.stability)
+    )
+    most = f"at most {100 * limits.max_strain:g} %"
     return [
-        Finding(
-            "Smallest clearance to the anatomy, beyond its margins",
-            clearance,
-            "" if free else "at least 0 mm",
-            None if free else clearance_m >= 0,
-        ),
-        Finding(
-            "Smallest stability", digits(stable), f"at least {margins.stability:g}", bool(stable >= margins.stability)
-        ),
-        Finding(
-            "Largest strain",
-            f"{digits(100 * strained)} %",
-            f"at most {100 * margins.max_strain:g} %",
-            bool(strained <= margins.max_strain),
-        ),
-        _at_most("Largest motion of the body between samples", certificate.spacing_m, LARGEST_SPACING_M),
+        clearance,
+        stability,
+        Finding("Largest strain", f"{digits(100 * strain)} %", most, bool(strain <= limits.max_strain)),
     ]
 
 
@@ -116,6 +110,7 @@ def _figures(plan: Plan) -> list[Finding]:
     figures = [
         ("Joint path length", f"{digits(certificate.length_mm)} mm"),
         ("Error summed over the path", f"{digits(certificate.error_integral_mm)} mm"),
+        ("Largest motion of the body between samples", millimetres(certificate.spacing_m)),
         ("Cost", f"{digits(certificate.cost_mm)} mm"),
         ("Stops on the way", str(certificate.stops)),
         ("Duration", f"{digits(plan.trajectory.duration_s)} s"),

@@ -115,19 +115,18 @@ def _blend(s: Array, begin: float, end: float) -> Array:
 
 
 def vessel() -> Mesh:
-    """A vessel 190 mm deep, tapering from 8 to 5 mm inner radius, that bends first towards +x, then out of that plane.
-
-    Radii of curvature are 220 mm (first bend) and 240 mm (second), as pre-curved tubes of this size follow.
+    """A vessel 205 mm long: a trunk of 13 mm radius that bends with 300 mm radius, as the proximal tubes of the robot of
+    Table II do, and from 150 mm on a branch of 9 mm radius that turns off with 75 mm radius, out of the trunk's plane.
     """
-
     def kx(s: Array) -> Array:
-        return (_blend(s, 15, 35) - _blend(s, 95, 120)) / 220
+        return _blend(s, 10, 30) / 300 + _blend(s, 162, 174) * (0.7 / 75 - 1 / 300)
 
     def ky(s: Array) -> Array:
-        return _blend(s, 95, 120) / 240
+        return _blend(s, 162, 174) * 0.7 / 75
 
-    centreline = space_curve(190 - FRONT_MM, 76, kx, ky, (0, 0, FRONT_MM))
-    return sweep_tube(centreline, np.linspace(8, 5, 76), 32)
+    centreline = space_curve(205 - FRONT_MM, 84, kx, ky, (0, 0, FRONT_MM))
+    s = np.linspace(0, 205 - FRONT_MM, 84)
+    return sweep_tube(centreline, 13 - 4 * _blend(s, 150, 195), 32)
 
 
 def ribs() -> Mesh:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 SAMPLES = 3000  # zero-clearance tips looked at first
 CANDIDATES = 80  # nearest of them, refined
-LARGEST_SET = 16
+LARGEST_SET = 24
 STEP = 1e-5  # rad or m, of the finite differences
 DISTINCT_MM = 5.0  # of joint length between goal states
 MM_PER_M = 1e3
@@ -33,7 +33,7 @@ class GoalState:
 
 
 def goal_states(checker: MotionChecker, rng: np.random.Generator) -> list[GoalState]:
-    """Valid goal states, lowest bound first, at most LARGEST_SET.
+    """Valid goal states, at most LARGEST_SET, the first one with the lowest bound.
 
     Raises NoAnswerError, saying why, when the goal is out of reach, blocked, or no state keeps the required error.
     """
@@ -45,7 +45,16 @@ def goal_states(checker: MotionChecker, rng: np.random.Generator) -> list[GoalSt
     if not kept:
         best = found[0].bound_m * MM_PER_M
         raise _no_answer(checker, f"no goal state keeps the required worst-case error of {(limit or 0) * MM_PER_M:g} mm, the best has {best:.2f} mm")
-    return kept[:LARGEST_SET]
+    return _choice(checker, kept)
+
+
+def _choice(checker: MotionChecker, states: list[GoalState]) -> list[GoalState]:
+    """At most LARGEST_SET of the states: half of them the lowest bounds, half the shortest ways from the start."""
+    if len(states) <= LARGEST_SET:
+        return states
+    lowest, others = states[: LARGEST_SET // 2], states[LARGEST_SET // 2 :]
+    others.sort(key=lambda state: _apart_mm(checker, checker.scenario.start, state.joints))
+    return lowest + others[: LARGEST_SET - len(lowest)]
 
 
 def _joint_goal(checker: MotionChecker, joints: Array) -> GoalState:

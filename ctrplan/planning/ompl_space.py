@@ -40,10 +40,11 @@ class StateReader:
         return np.array([state[i].value if wraps else state[i][0] for i, wraps in enumerate(self.wraps)])
 
     def write(self, state: Any, q: Array) -> None:
-        """Puts joint values into a state; unlimited rotations are wrapped into (-pi, pi]."""
+        """Puts joint values into a state; unlimited rotations are wrapped into [-pi, pi), OMPL's range."""
         for i, wraps in enumerate(self.wraps):
             if wraps:
-                state[i].value = math.remainder(float(q[i]), 2 * math.pi)
+                angle = math.remainder(float(q[i]), 2 * math.pi)
+                state[i].value = -math.pi if angle >= math.pi else angle
             else:
                 state[i][0] = float(q[i])
 

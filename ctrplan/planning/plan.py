@@ -98,6 +98,7 @@ class Plan:
     search_time_s: float
     first_solution_s: float  # time to the first path found, before certification
     notes: tuple[str, ...] = field(default=())
+    interrupted: bool = False  # by Ctrl-C: the best path found until then
 
     @property
     def waypoints(self) -> Array:

@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -88,7 +88,7 @@ def plan(
     notes = scenario.warnings
     if style == "simultaneous":
         notes += ("No path of rotations before translations was found in time; joints move simultaneously.",)
-    return assemble(
+    finished = assemble(
         scenario,
         result,
         certificate,
@@ -98,6 +98,7 @@ def plan(
         first_s=found.first_s,
         notes=notes,
     )
+    return replace(finished, interrupted=interrupted.is_set())
 
 
 def _search(
@@ -139,10 +140,10 @@ def _solve(
 
     def stop() -> bool:
         now = time.monotonic()
-        if not first and problem.definition.hasExactSolution():
+        cost = float(problem.planner.bestCost().value()) if cost_known else np.inf
+        if not first and (np.isfinite(cost) or problem.definition.hasExactSolution()):
             first.append(now - began)
         if progress:
-            cost = float(problem.planner.bestCost().value()) if cost_known else np.inf
             share = min(1.0, (now - started) / max(until - started, 1e-9))
             progress(Progress("search", share, cost if np.isfinite(cost) else None))
         return now >= until or interrupted.is_set()
@@ -152,11 +153,11 @@ def _solve(
         return None
     path = problem.definition.getSolutionPath()
     states = [problem.read(path.getState(k)) for k in range(path.getStateCount())]
-    states[0] = checker.scenario.start  # with its own winding
     corners = [states[0]]
     for target in states[1:]:
         corners.extend(checker.space.corners(corners[-1], target, checker.style)[1:])
-    return _Found(np.array(corners), first[0] if first else time.monotonic() - began)
+    winding = checker.scenario.start - states[0]  # whole turns that the state space does not know
+    return _Found(np.array(corners) + winding, first[0] if first else time.monotonic() - began)
 
 
 class _Problem:

@@ -17,12 +17,7 @@ BoundSolver::BoundSolver(const Robot& robot)
 void BoundSolver::prepare(const Configuration& q, const MeshDensity& density) {
     q_ = q;
     solver_.build(q, density);
-    const KernelProblem& pb = solver_.mesh().problem();
-    layout_.assign(pb.element_unknowns, pb.element_unknowns + pb.elements);
-    layout_.insert(layout_.end(), pb.contact_begin, pb.contact_begin + pb.elements + 1);
 }
-
-bool BoundSolver::same_layout() const { return have_solution_ && layout_ == previous_layout_; }
 
 void BoundSolver::solve_frictionless() {
     const KernelProblem& pb = solver_.mesh().problem();
@@ -37,16 +32,20 @@ void BoundSolver::solve_frictionless() {
     stability_ = solver_.stability(frictionless_, negative_);
 }
 
+void BoundSolver::set_corner_phi(std::size_t batch) {
+    for (int lane = 0; lane < kLanes; ++lane) {
+        const int corner = std::min(static_cast<int>(batch) * kLanes + lane, corners_ - 1);  // spare lanes repeat the last
+        for (int pair = 0; pair < pairs_; ++pair) phi_[pair] = sign(corner, pair);
+        batches_[batch]->set_phi(solver_.robot(), solver_.mesh().problem(), lane, phi_.data());
+    }
+}
+
 void BoundSolver::solve_corners() {
     const KernelProblem& pb = solver_.mesh().problem();
     for (std::size_t b = 0; b < batches_.size(); ++b) {
         LaneState& state = *batches_[b];
         state.resize(pb, kLanes);
-        for (int lane = 0; lane < kLanes; ++lane) {
-            const int corner = std::min(static_cast<int>(b) * kLanes + lane, corners_ - 1);  // spare lanes repeat the last
-            for (int pair = 0; pair < pairs_; ++pair) phi_[pair] = sign(corner, pair);
-            state.set_phi(solver_.robot(), pb, lane, phi_.data());
-        }
+        set_corner_phi(b);
         for (const BarrierPath& path : {BarrierPath::cold(), BarrierPath::sliding()}) {
             solver_.start(state, q_, zero_, path.first);
             solver_.solve(state, path, &corner_convergence_[b * kLanes]);
@@ -62,23 +61,51 @@ void BoundSolver::solve(const Configuration& q, const MeshDensity& density) {
     prepare(q, density);
     solve_frictionless();
     solve_corners();
-    previous_layout_ = layout_;
     measure();
     have_solution_ = all_converged();
 }
 
+namespace {
+
+// Largest joint motion between two configurations, in degrees or half millimetres.
+double joint_motion(const Configuration& a, const Configuration& b) {
+    double most = 0;
+    for (std::size_t i = 0; i < a.theta.size(); ++i)
+        most = std::max({most, std::fabs(a.theta[i] - b.theta[i]) * 57.3, std::fabs(a.l[i] - b.l[i]) / 0.5e-3});
+    return most;
+}
+
+}  // namespace
+
+void BoundSolver::advance(LaneState& state, const CarriedState& carried, const BarrierPath& path, Convergence* result) {
+    const int lanes = state.lanes();
+    state.resize(solver_.mesh().problem(), lanes);
+    carried.give(solver_.mesh(), state);
+    solver_.set_base(state, q_);
+    solver_.recentre(state, path.first);
+    solver_.solve(state, path, result);
+}
+
 void BoundSolver::follow(const Configuration& q, const MeshDensity& density) {
+    if (!have_solution_) return solve(q, density);
+    carried_.resize(batches_.size() + 1);
+    carried_[0].take(solver_.mesh(), frictionless_);
+    for (std::size_t b = 0; b < batches_.size(); ++b) carried_[b + 1].take(solver_.mesh(), *batches_[b]);
+    const BarrierPath path = BarrierPath::warm(joint_motion(q_, q));
     prepare(q, density);
-    if (!same_layout()) return solve(q, density);
-    const BarrierPath path = BarrierPath::warm();
-    auto advance = [&](LaneState& state, Convergence* result) {
-        solver_.set_base(state, q_);
-        solver_.recentre(state, path.first);
-        solver_.solve(state, path, result);
-    };
-    advance(frictionless_, &frictionless_convergence_);
+    if (!carried_[0].fits(solver_.mesh())) return solve(q, density);
+    frictionless_.resize(solver_.mesh().problem(), 1);
+    std::fill(phi_.begin(), phi_.end(), 0.0);
+    frictionless_.set_phi(solver_.robot(), solver_.mesh().problem(), 0, phi_.data());
+    advance(frictionless_, carried_[0], path, &frictionless_convergence_);
+    if (!frictionless_convergence_.converged) return solve(q, density);
     stability_ = solver_.stability(frictionless_, negative_);
-    for (std::size_t b = 0; b < batches_.size(); ++b) advance(*batches_[b], &corner_convergence_[b * kLanes]);
+    for (std::size_t b = 0; b < batches_.size(); ++b) {
+        LaneState& state = *batches_[b];
+        state.resize(solver_.mesh().problem(), kLanes);
+        set_corner_phi(b);
+        advance(state, carried_[b + 1], path, &corner_convergence_[b * kLanes]);
+    }
     if (!all_converged()) return solve(q, density);
     ++warm_starts_;
     measure();

@@ -154,18 +154,18 @@ std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Config
         const double largest = step;
         while (at < 1) {
             const double allowed = std::clamp(samples.back().clearance, density.near, density.motion);
-            if (rate > 0) step = std::min(step, 0.9 * allowed / rate);
+            if (rate > 0) step = std::min(step, 0.85 * allowed / rate);
             double next = at + step > 1 - 1e-9 ? 1 : at + step;
             if (next < 1 && at + 2 * step > 1) next = 0.5 * (at + 1);  // two even steps rather than a long and a sliver
             solver.follow(between(a, b, next), mesh);
             now = material_markers(solver);
             const double motion = largest_motion(before, now);
-            if (motion > 1.2 * allowed && next - at > kShortestStep * std::max(1.0, largest)) {
+            if (motion > allowed && next - at > kShortestStep * std::max(1.0, largest)) {
                 step = std::max(0.5 * (next - at), 0.5 * kShortestStep);
                 rate = 0;
                 continue;
             }
-            const bool jumped = motion > std::max(1.2 * allowed, kSnap);
+            const bool jumped = motion > std::max(allowed, kSnap);
             rate = motion / (next - at);
             if (!record(static_cast<int>(leg), next, motion)) return samples;
             if (jumped) {

@@ -44,6 +44,8 @@ void Mesh::find_breaks(const Robot& robot, const Configuration& q) {
     for (Break& b : merged)
         if (std::fabs(b.s) <= kMergeDistance) b.s = 0;
     breaks_.swap(merged);
+    break_s_.clear();
+    for (const Break& b : breaks_) break_s_.push_back(b.s);
 }
 
 double Mesh::distance_to_sharp(double s) const {

@@ -4,6 +4,7 @@
 #include <memory>
 #include <vector>
 
+#include "ctr/carry.hpp"
 #include "ctr/friction.hpp"
 #include "ctr/shape.hpp"
 #include "ctr/zero_clearance.hpp"
@@ -17,7 +18,7 @@ class BoundSolver {
 
     // Solves from scratch, along the branch of the zero-clearance model.
     void solve(const Configuration& q, const MeshDensity& density);
-    // Starts from the previous solution where the mesh has the same layout; from scratch otherwise or if that fails.
+    // Starts from the previous solution, carried over to the new mesh; from scratch if that is not possible or fails.
     void follow(const Configuration& q, const MeshDensity& density);
     // One solution for given friction states, phi per pair, outermost first.
     void solve_single(const Configuration& q, const MeshDensity& density, const std::vector<double>& phi);
@@ -52,8 +53,9 @@ class BoundSolver {
     void prepare(const Configuration& q, const MeshDensity& density);
     void solve_frictionless();
     void solve_corners();
+    void set_corner_phi(std::size_t batch);
     void measure();
-    bool same_layout() const;
+    void advance(LaneState& state, const CarriedState& carried, const BarrierPath& path, Convergence* result);
 
     FrictionSolver solver_;
     ZeroClearance zero_;
@@ -65,7 +67,7 @@ class BoundSolver {
     double stability_ = 0;
     int negative_ = 0, warm_starts_ = 0;
     bool have_solution_ = false;
-    std::vector<int> layout_, previous_layout_;
+    std::vector<CarriedState> carried_;  // frictionless, then the batches
     std::vector<double> phi_;
     Configuration q_;
 };

@@ -4,6 +4,7 @@
 // of the Coulomb limit that acts circumferentially.
 #pragma once
 
+#include <algorithm>
 #include <vector>
 
 #include "ctr/aligned.hpp"
@@ -32,6 +33,7 @@ class LaneState {
     double& multiplier(int contact, int lane) { return multiplier_[static_cast<std::size_t>(contact) * lanes_ + lane]; }
     double multiplier(int contact, int lane) const { return multiplier_[static_cast<std::size_t>(contact) * lanes_ + lane]; }
     double& slack(int contact, int lane) { return slack_[static_cast<std::size_t>(contact) * lanes_ + lane]; }
+    double slack(int contact, int lane) const { return slack_[static_cast<std::size_t>(contact) * lanes_ + lane]; }
     double& rhs(int node, int index, int lane) { return rhs_[(static_cast<std::size_t>(node) * stride_ + index) * lanes_ + lane]; }
     double step(int node, int index, int lane) const { return step_[(static_cast<std::size_t>(node) * stride_ + index) * lanes_ + lane]; }
     double inverse_pivot(int node, int index, int lane) const {
@@ -55,7 +57,8 @@ struct BarrierPath {
     int max_steps = 40;
     static BarrierPath cold() { return {}; }
     static BarrierPath sliding() { return {3e4, 0.05, 0.1, 0.2, 400}; }
-    static BarrierPath warm() { return {2.0, 0.05, 0.1}; }
+    // After a motion of so many degrees or half millimetres: the farther contacts move, the softer the barrier starts.
+    static BarrierPath warm(double motion) { return {std::clamp(0.2 * motion * motion, 0.2, 30.0), 0.05, 0.08}; }
 };
 
 class FrictionSolver {

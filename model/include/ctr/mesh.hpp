@@ -27,6 +27,7 @@ class Mesh {
 
     const KernelProblem& problem() const { return problem_; }
     const std::vector<double>& s() const { return s_; }              // [node] arc length from the plate, m
+    const std::vector<double>& breaks() const { return break_s_; }   // collars, joints, tips, the plate; ascending, m
     const std::vector<int>& element_tubes() const { return element_tubes_; }
     // True where the mean bending is free (in front of the plate); behind it tubes bend against the axis.
     bool mean_is_free(int element) const { return element_regime_[element] % 2 == 0; }
@@ -44,6 +45,7 @@ class Mesh {
     double distance_to_sharp(double s) const;
 
     std::vector<Break> breaks_;
+    std::vector<double> break_s_;
     std::vector<double> s_, length_, precurvature_, stiffness_, pair_stiffness_, mixed_stiffness_, torsional_;
     std::vector<double> contact_shape_, contact_xi_, contact_weight_, contact_s_, half_square_, outer_arm_, inner_arm_, scale_;
     std::vector<int> node_unknowns_, element_tubes_, element_unknowns_, element_regime_, contact_begin_, contact_pair_;
