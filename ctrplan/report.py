@@ -78,11 +78,13 @@ def _remarks(title: str, texts: Sequence[str]) -> Markup:
 
 def _tiles(plan: Plan) -> Markup:
     certificate = plan.certificate
-    free = np.isinf(certificate.min_clearance_m)
+    clearance = (millimetres(certificate.min_clearance_m), "smallest clearance beyond the margins")
+    if np.isinf(certificate.min_clearance_m):
+        clearance = ("free space", "no anatomy to stay clear of")
     shown = [
         (millimetres(certificate.goal_bound_m), "worst-case friction error at the goal"),
         (millimetres(certificate.worst_bound_m), "at most along the path"),
-        ("free space" if free else millimetres(certificate.min_clearance_m), "smallest clearance beyond the margins"),
+        clearance,
         (digits(certificate.min_stability), "smallest stability"),
         (f"{digits(plan.trajectory.duration_s)} s", f"duration, {_counted(plan.trajectory.stops, 'stop')} on the way"),
     ]
@@ -160,7 +162,7 @@ def _provenance(plan: Plan) -> Markup:
             ("Robot", f"{robot.name}, {robot.path or 'not from a file'}"),
             ("SHA-256 of the robot", tag("code", robot.sha256)),
             ("Planner", f"{plan.planner}, {plan.style}, seed {plan.seed}"),
-            ("Search", f"{digits(plan.search_time_s)} s, first path after {digits(plan.first_solution_s)} s"),
+            ("Search", f"{digits(plan.search_time_s)} s, first certified path at {digits(plan.first_certified_s)} s"),
             ("ctrplan", ctrplan.__version__),
         ]
     )

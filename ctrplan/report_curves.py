@@ -58,7 +58,8 @@ def margins_figure(plan: Plan) -> go.Figure:
     ]
     if np.isfinite(samples.clearance_m).any():
         clearance_mm = samples.clearance_m * 1e3
-        title, least = "Clearance to the anatomy beyond its margins", (limits.clearance_m * 1e3, palette.LIMIT)
+        title = "Clearance to the anatomy beyond its margins, dashed: least allowed"
+        least = (limits.clearance_m * 1e3, palette.LIMIT)
         panels.append(_single(title, "mm", clearance_mm, palette.CLEARANCE, (least,)))
     stability, strain = (limits.stability, palette.LIMIT), (limits.max_strain * 100, palette.LIMIT)
     panels.append(

@@ -54,16 +54,18 @@ def is_acceptable(plan: Plan) -> bool:
 
 def millimetres(length_m: float) -> str:
     """A length for people, about three digits."""
-    return f"{digits(length_m * 1e3)} mm" if not math.isnan(length_m) else "unknown"
+    return f"{digits(length_m * 1e3)} mm"
 
 
 def degrees(angle_rad: float) -> str:
     """An angle for people."""
-    return f"{digits(math.degrees(angle_rad))}°" if not math.isnan(angle_rad) else "unknown"
+    return f"{digits(math.degrees(angle_rad))}°"
 
 
 def digits(value: float) -> str:
-    """Three digits or so, never in powers of ten where a plain number does."""
+    """Three digits or so, never in powers of ten where a plain number does; a question mark for what is not finite."""
+    if not math.isfinite(value):
+        return "?"
     if value == 0 or abs(value) >= 0.1:
         return f"{value:.{max(0, 2 - max(0, math.floor(math.log10(abs(value) or 1))))}f}"
     return f"{value:.2g}"
@@ -92,7 +94,7 @@ def _margins(plan: Plan) -> list[Finding]:
     clearance = Finding("Clearance to the anatomy", "free space", "", None)
     if not math.isinf(clearance_m):
         quantity = "Smallest clearance to the anatomy, beyond its margins"
-        least = f"at least {digits(limits.clearance_m * 1e3)} mm{' (model error)' if limits.clearance_m else ''}"
+        least = f"at least {limits.clearance_m * 1e3:g} mm{' (model error)' if limits.clearance_m else ''}"
         clearance = Finding(quantity, millimetres(clearance_m), least, bool(clearance_m >= limits.clearance_m))
     stability = Finding(
         "Smallest stability", digits(stable), f"at least {limits.stability:g}", bool(stable >= limits.stability)

@@ -128,7 +128,7 @@ def test_bound_is_the_largest_deviation_of_its_shapes() -> None:
 
 @pytest.mark.parametrize("l_b", [0.0, -0.04])
 def test_one_tube_is_an_arc(l_b: float) -> None:
-    """A straight piece up to the plate, then constant curvature 1/R; nothing rubs; GJ / L^2 (pi / 2)^2 holds its tip."""
+    """Straight behind the plate, then of constant curvature; nothing rubs; its lowest torsional mode is a quarter wave."""
     curvature, angle, length = 8.0, 0.7, 0.15 + l_b
     model = Mechanics((Tube(1.2e-3, 1e-3, 0.05, 0.3, (TubeSection(0.15, 0.0, curvature),)),), [], [])
     bound, zero_clearance = model.bound([angle], [l_b]), model.zero_clearance([angle], [l_b])
@@ -169,7 +169,7 @@ def test_cutting_a_section_in_two_changes_nothing() -> None:
 
 @pytest.mark.parametrize(("angle_deg", "order"), [(60, 0.5), (90, 0.5), (135, 0.5), (180, 1.0)])
 def test_small_clearance_tends_to_the_zero_clearance_model(angle_deg: float, order: float) -> None:
-    """The end couple acts over a length that goes with sqrt(c), and so does the tip; at 180 deg it merely shifts by c / 2.
+    """The end couple acts over a length that goes with sqrt(c), and so does the tip; at 180 deg it shifts by c / 2.
 
     Without a transmission: behind the plate the zero-clearance model is a definition, not this limit.
     """

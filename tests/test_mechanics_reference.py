@@ -1,8 +1,8 @@
 """The core against values from independent solvers: tests/reference, and Table III of the paper.
 
 The references come with their own uncertainty, which is granted on top of each tolerance. Contact forces gather within
-millimetres, so that comparisons with the clearance and friction models are made on the finer "certificate" mesh; what the
-default "search" mesh adds to that is tested by itself.
+millimetres, so that comparisons with the clearance and friction models are made on the finer "certificate" mesh; what
+the default "search" mesh adds to that is tested by itself.
 """
 
 from __future__ import annotations
@@ -118,9 +118,9 @@ def deviations(points: list[GridPoint], accuracy: str, friction: bool) -> tuple[
 def test_table_3(grid: list[GridPoint], accuracy: str, friction: bool, row: list[float]) -> None:
     """Means and maxima on the grid as an exact-geometry solver finds them; friction pools the four corners.
 
-    At (0, 0, 180) deg fully retracted the zero-clearance and the frictionless solution are the symmetric saddle, which a
-    real robot snaps away from. It counts all the same, as in the reference: without it the means move by 2 %. A corner
-    counts where it converged.
+    At (0, 0, 180) deg fully retracted the zero-clearance and the frictionless solution are the symmetric saddle, which
+    a real robot snaps away from. It counts all the same, as in the reference: without it the means move by 2 %. A
+    corner counts where it converged.
     """
     position, tangent = deviations(grid, accuracy, friction)
     assert len(position) >= (4 * 63 if friction else 64)
@@ -136,7 +136,7 @@ def test_table_3_has_one_unstable_configuration(grid: list[GridPoint]) -> None:
 
 
 def test_discretisation_error_of_the_search_mesh(grid: list[GridPoint]) -> None:
-    """On every stable configuration of the grid, against the certificate mesh; a saddle has no tip to be right about."""
+    """On all of the grid but its saddle, which has no tip to be right about, against the certificate mesh."""
     worst = 0.0
     for point in grid:
         if point.search.frictionless.status is Status.UNSTABLE:
@@ -175,7 +175,7 @@ def test_table_1_pair_with_transmission(row: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("row", small(PAIRS["table_I_pair"]["couple_at_180_deg"]))
 def test_table_1_pair_couple(row: dict[str, Any]) -> None:
-    """Fig. 10: the moment that straightens each tube comes from the tip force and the opposite forces shortly before it."""
+    """Fig. 10: the tip force and the opposite forces shortly before it make the moment that straightens each tube."""
     transmission_m = row["transmission_m"]
     model = table_1_pair(row["clearance_m"], 0.0, transmission_m)
     shape = model.solve([0, np.pi], [0, -transmission_m], accuracy="certificate")
@@ -207,7 +207,7 @@ def test_table_5_pair(table_5_pair: Robot, row: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("row", PAIRS["three_tubes_with_several_solutions"])
 def test_several_solutions(row: dict[str, Any]) -> None:
-    """Where several equilibria exist, a stable one of the list is returned, or the saddle between them is called UNSTABLE."""
+    """Of several equilibria a stable one is returned, or the saddle between them, which is called UNSTABLE."""
     shape = THREE_TUBES.zero_clearance(np.deg2rad(row["theta_b_deg"]), row["l_b_m"])
     nearest_m = min(distance(shape.tip_m, tip_m) for tip_m in row["stable_zero_clearance_tips_m"])
     assert nearest_m <= 1e-5 if shape.status is Status.CONVERGED else shape.status is Status.UNSTABLE

@@ -62,4 +62,4 @@ def test_digits(value: float, text: str) -> None:
 
 
 def test_unknown_lengths_are_not_numbers() -> None:
-    assert millimetres(math.nan) == "unknown"
+    assert millimetres(math.nan) == millimetres(math.inf) == "? mm"

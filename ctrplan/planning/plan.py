@@ -96,7 +96,8 @@ class Plan:
     trajectory: Trajectory
     reorder: ReorderReport
     search_time_s: float
-    first_solution_s: float  # time to the first path found, before certification
+    first_found_s: float  # time to the first path found
+    first_certified_s: float  # time to the first path that passed its certificate
     notes: tuple[str, ...] = field(default=())
     interrupted: bool = False  # by Ctrl-C: the best path found until then
 

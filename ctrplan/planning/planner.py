@@ -22,8 +22,8 @@ from ctrplan.planning.goals import GoalState, goal_states
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.objective import BoundObjective
 from ctrplan.planning.ompl_space import MotionValidity, StateReader, Validity, state_space
-from ctrplan.planning.plan import MotionStyle, Plan
-from ctrplan.planning.reorder import assemble, rotations_first
+from ctrplan.planning.plan import Certificate, MotionStyle, Plan
+from ctrplan.planning.reorder import Reordered, assemble, rotations_first
 
 if TYPE_CHECKING:
     from ctrplan.scenario import Scenario
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 PLANNERS = {"BIT*": og.BITstar, "RRT*": og.RRTstar, "RRTConnect": og.RRTConnect}
 FALLBACK_SHARE = 0.3  # of the time, for simultaneous motions when no L-shaped path was found
 ATTEMPTS = 8  # searches after a path failed its certificate
+LATEST = 2.0  # times the budget: no further attempt begins after it
 
 
 @dataclass(frozen=True)
@@ -44,9 +45,16 @@ class Progress:
 
 
 @dataclass(frozen=True, eq=False)
-class _Found:
-    corners: Array  # (K, m)
-    first_s: float  # when the first path was found
+class _Candidate:
+    """A path that passed its certificate."""
+
+    result: Reordered
+    certificate: Certificate
+    found_s: float  # since planning began
+    certified_s: float
+
+
+Report = Callable[[Progress], None]
 
 
 def plan(
@@ -54,110 +62,112 @@ def plan(
     *,
     seed: int = 0,
     time_s: float | None = None,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Report | None = None,
 ) -> Plan:
     """A certified plan from the scenario's start to its goal.
 
-    Searches for `time_s` (default: the scenario's) and returns the cheapest path found, reordered, certified and
-    time-parameterised. Ctrl-C ends the search early and keeps the best path. Raises NoAnswerError when start or goal are
-    invalid or no path was found in time.
+    The first path found is certified at once, better ones are sought until `time_s` (default: the scenario's) is up.
+    Ctrl-C ends the search early and keeps the best. Raises NoAnswerError when start or goal are invalid or no path was
+    found in time.
     """
     began = time.monotonic()
-    budget = scenario.planner.time_s if time_s is None else time_s
     checker = MotionChecker(scenario)
     start = checker.state(scenario.start)
     if not start.valid:
         raise NoAnswerError(f"{scenario.path or scenario.name}: start: the start state is not valid: {start.reason}.")
     goals = goal_states(checker, np.random.default_rng(seed))
-    problems: tuple[str, ...] = ()
     with _interruptible() as interrupted:
-        for attempt in range(ATTEMPTS):
-            found, style = _search(checker, goals, seed + 1000 * attempt, began, budget, progress, interrupted)
-            result = rotations_first(checker if style == checker.style else MotionChecker(scenario, style), found.corners)
-            certificate = certify(
-                scenario, result.after, progress=progress and (lambda f: progress(Progress("certificate", f, None)))
-            )
-            if certificate.valid:
-                break
-            problems = certificate.problems
-            _forbid(checker, found.corners, certificate.samples.leg, problems)
-            if interrupted.is_set() or time.monotonic() - began > 2 * budget + 10:
-                break
-    if not certificate.valid:
-        raise NoAnswerError(f"{scenario.path or scenario.name}: no path in time passed its certificate: {problems[0]}")
+        budget = scenario.planner.time_s if time_s is None else time_s
+        work = _Work(checker, goals, seed, began, budget, progress or (lambda _: None), interrupted)
+        first, best = work.run()
     notes = scenario.warnings
-    if style == "simultaneous":
+    if best.result.style == "simultaneous":
         notes += ("No path of rotations before translations was found in time; joints move simultaneously.",)
     finished = assemble(
         scenario,
-        result,
-        certificate,
+        best.result,
+        best.certificate,
         planner=scenario.planner.name,
         seed=seed,
         time_s=time.monotonic() - began,
-        first_s=found.first_s,
+        first_found_s=first.found_s,
+        first_certified_s=first.certified_s,
         notes=notes,
     )
     return replace(finished, interrupted=interrupted.is_set())
 
 
-def _search(
-    checker: MotionChecker,
-    goals: list[GoalState],
-    seed: int,
-    began: float,
-    budget: float,
-    progress: Callable[[Progress], None] | None,
-    interrupted: threading.Event,
-) -> tuple[_Found, MotionStyle]:
-    """L-shaped motions for the whole time; simultaneous ones for a share of it if there was no L-shaped path."""
-    found = _solve(checker, goals, seed, began, time.monotonic() + budget, progress, interrupted)
-    if found is not None:
-        return found, checker.style
-    straight = MotionChecker(checker.scenario, "simultaneous")
-    until = time.monotonic() + FALLBACK_SHARE * budget
-    found = None if interrupted.is_set() else _solve(straight, goals, seed, began, until, progress, interrupted)
-    if found is None:
-        name = checker.scenario.path or checker.scenario.name
-        raise NoAnswerError(f"{name}: planner.time_s = {budget:g} s: no valid path to any of {len(goals)} goal states was found in time.")
-    return found, straight.style
+@dataclass(eq=False)
+class _Work:
+    """Searches, certifies and searches on, until time is up."""
 
+    checker: MotionChecker
+    goals: list[GoalState]
+    seed: int
+    began: float
+    budget: float
+    report: Report
+    interrupted: threading.Event
+    failure: str = ""  # of the last certificate
 
-def _solve(
-    checker: MotionChecker,
-    goals: list[GoalState],
-    seed: int,
-    began: float,
-    until: float,
-    progress: Callable[[Progress], None] | None,
-    interrupted: threading.Event,
-) -> _Found | None:
-    """One OMPL search; the corners of its best path, expanded into legs."""
-    problem = _Problem(checker, goals, seed)
-    first: list[float] = []
-    started = time.monotonic()
-    cost_known = hasattr(problem.planner, "bestCost")
+    def run(self) -> tuple[_Candidate, _Candidate]:
+        """The first and the best certified path."""
+        style: MotionStyle = self.checker.style
+        first = best = None
+        for attempt in range(ATTEMPTS):
+            began = time.monotonic()
+            if self.interrupted.is_set() or (attempt and began - self.began > LATEST * self.budget):
+                break
+            share = 1.0 if style == self.checker.style else FALLBACK_SHARE
+            checker = self.checker if style == self.checker.style else MotionChecker(self.checker.scenario, style)
+            problem = _Problem(checker, self.goals, self.seed + 1000 * attempt)
+            until = began + share * self.budget
+            if not self._search(problem, began, until, only_first=True):
+                if style == "simultaneous":
+                    break
+                style = "simultaneous"
+                continue
+            first = best = self._certified(problem)
+            if first is None:
+                continue
+            before = problem.corners()
+            if self._search(problem, began, until, only_first=False) and not np.array_equal(problem.corners(), before):
+                better = self._certified(problem)
+                if better is not None and better.certificate.cost_mm < best.certificate.cost_mm:
+                    best = better
+            return first, best
+        name = self.checker.scenario.path or self.checker.scenario.name
+        if self.failure:
+            raise NoAnswerError(f"{name}: no path in time passed its certificate: {self.failure}")
+        raise NoAnswerError(
+            f"{name}: planner.time_s = {self.budget:g} s: no valid path to any of {len(self.goals)} goal states was found in time."
+        )
 
-    def stop() -> bool:
-        now = time.monotonic()
-        cost = float(problem.planner.bestCost().value()) if cost_known else np.inf
-        if not first and (np.isfinite(cost) or problem.definition.hasExactSolution()):
-            first.append(now - began)
-        if progress:
-            share = min(1.0, (now - started) / max(until - started, 1e-9))
-            progress(Progress("search", share, cost if np.isfinite(cost) else None))
-        return now >= until or interrupted.is_set()
+    def _search(self, problem: _Problem, began: float, until: float, *, only_first: bool) -> bool:
+        """Runs or continues the search; whether there is a path."""
 
-    problem.planner.solve(ob.PlannerTerminationCondition(stop))
-    if not problem.definition.hasExactSolution():
+        def stop() -> bool:
+            now, cost = time.monotonic(), problem.best_cost()
+            share = min(1.0, (now - began) / max(until - began, 1e-9))
+            self.report(Progress("search", share, cost if np.isfinite(cost) else None))
+            return now >= until or self.interrupted.is_set() or (only_first and bool(np.isfinite(cost)))
+
+        if problem.improves or only_first:
+            problem.planner.solve(ob.PlannerTerminationCondition(stop))
+        return bool(problem.definition.hasExactSolution())
+
+    def _certified(self, problem: _Problem) -> _Candidate | None:
+        """The problem's best path, reordered and certified; None, and forbidden from now on, if it fails."""
+        corners, found_s = problem.corners(), time.monotonic() - self.began
+        result = rotations_first(problem.checker, corners)
+        certificate = certify(
+            problem.checker.scenario, result.after, progress=lambda f: self.report(Progress("certificate", f, None))
+        )
+        if certificate.valid:
+            return _Candidate(result, certificate, found_s, time.monotonic() - self.began)
+        self.failure = certificate.problems[0]
+        problem.forbid(self.failure)
         return None
-    path = problem.definition.getSolutionPath()
-    states = [problem.read(path.getState(k)) for k in range(path.getStateCount())]
-    corners = [states[0]]
-    for target in states[1:]:
-        corners.extend(checker.space.corners(corners[-1], target, checker.style)[1:])
-    winding = checker.scenario.start - states[0]  # whole turns that the state space does not know
-    return _Found(np.array(corners) + winding, first[0] if first else time.monotonic() - began)
 
 
 class _Problem:
@@ -165,6 +175,7 @@ class _Problem:
 
     def __init__(self, checker: MotionChecker, goals: list[GoalState], seed: int) -> None:
         _reseed(seed)
+        self.checker = checker
         self.read = StateReader(checker.space)
         self.space = state_space(checker.space)
         self.information: Any = ob.SpaceInformation(self.space)
@@ -186,6 +197,34 @@ class _Problem:
         self.planner.setProblemDefinition(self.definition)
         self.planner.setup()
 
+    @property
+    def improves(self) -> bool:
+        """Whether the planner goes on improving after its first path."""
+        return hasattr(self.planner, "bestCost")
+
+    def best_cost(self) -> float:
+        """Cost [mm] of the best path so far, inf without one."""
+        return float(self.planner.bestCost().value()) if self.improves else np.inf
+
+    def states(self) -> list[Array]:
+        """Joint values of the best path's states."""
+        path = self.definition.getSolutionPath()
+        return [self.read(path.getState(k)) for k in range(path.getStateCount())]
+
+    def corners(self) -> Array:
+        """(K, m) the best path expanded into legs, with the start's own winding."""
+        states = self.states()
+        corners = [states[0]]
+        for target in states[1:]:
+            corners.extend(self.checker.space.corners(corners[-1], target, self.checker.style)[1:])
+        return np.array(corners) + (self.checker.scenario.start - states[0])
+
+    def forbid(self, reason: str) -> None:
+        """Forbids the motions of the best path, which failed its certificate."""
+        states = self.states()
+        for a, b in zip(states[:-1], states[1:], strict=True):
+            self.checker.forbid(a, b, reason)
+
     def _state(self, q: Array) -> Any:
         state = self.information.allocState()
         self.read.write(state, q)
@@ -198,13 +237,6 @@ def _reseed(seed: int) -> None:
     ou.setLogLevel(ou.LOG_NONE)
     ou.RNG.setSeed(seed + 1)  # 0 would mean: take one from the clock
     ou.setLogLevel(max(level, ou.LOG_ERROR, key=lambda value: value.value))
-
-
-def _forbid(checker: MotionChecker, corners: Array, legs: Array, problems: tuple[str, ...]) -> None:
-    """Forbids the searched motions of a path that failed its certificate."""
-    for a, b in zip(corners[:-1], corners[1:], strict=True):
-        if np.array_equal(checker.space.corners(a, b, checker.style)[-1], b):
-            checker.forbid(a, b, problems[0])
 
 
 @contextmanager

@@ -31,6 +31,7 @@ class Reordered:
     after: Array  # (L, m)
     motion_before: Motion
     motion_after: Motion
+    style: MotionStyle
 
 
 def reorder(path: ArrayLike, scenario: Scenario, *, period_s: float = 0.01) -> Plan:
@@ -50,7 +51,7 @@ def reorder(path: ArrayLike, scenario: Scenario, *, period_s: float = 0.01) -> P
         raise NoAnswerError(f"{scenario.name}: the path is not valid: {result.motion_before.reason}.")
     certificate = certify(scenario, result.after)
     elapsed = time.monotonic() - began
-    return assemble(scenario, result, certificate, planner="given path", seed=0, time_s=elapsed, first_s=0.0, period_s=period_s)
+    return assemble(scenario, result, certificate, planner="given path", seed=0, time_s=elapsed, period_s=period_s)
 
 
 def rotations_first(checker: MotionChecker, corners: Array) -> Reordered:
@@ -74,7 +75,7 @@ def rotations_first(checker: MotionChecker, corners: Array) -> Reordered:
                 if total < cost[j] - 1e-9:
                     cost[j], came[j] = total, (i, piece)
     if not np.isfinite(cost[-1]):
-        return Reordered(corners, corners, before, before)
+        return Reordered(corners, corners, before, before, _style(checker, corners))
     pieces, j = [], count - 1
     while j > 0:
         i, piece = came[j]
@@ -83,8 +84,13 @@ def rotations_first(checker: MotionChecker, corners: Array) -> Reordered:
     after = merge_legs(np.concatenate([corners[:1], *[piece[1:] for piece in reversed(pieces)]]))
     motion = checker.along(after)
     if not motion.valid or _way_cost(checker, motion) > _way_cost(checker, before) + 1e-9:
-        return Reordered(corners, corners, before, before)
-    return Reordered(corners, after, before, motion)
+        return Reordered(corners, corners, before, before, _style(checker, corners))
+    return Reordered(corners, after, before, motion, _style(checker, after))
+
+
+def _style(checker: MotionChecker, corners: Array) -> MotionStyle:
+    kinds = {leg_kind(checker.space.drive, a, b) for a, b in zip(corners[:-1], corners[1:], strict=True)}
+    return "simultaneous" if "simultaneous" in kinds else "rotations before translations"
 
 
 def _pieces(checker: MotionChecker, corners: Array, i: int, j: int) -> list[Array]:
@@ -109,14 +115,14 @@ def assemble(
     planner: str,
     seed: int,
     time_s: float,
-    first_s: float,
+    first_found_s: float = 0.0,
+    first_certified_s: float = 0.0,
     period_s: float = 0.01,
     notes: tuple[str, ...] = (),
 ) -> Plan:
     """The plan of reordered corners: legs, trajectory, and what reordering gained."""
     drive = scenario.robot.drive
     legs = tuple(Leg(a, b, leg_kind(drive, a, b)) for a, b in zip(result.after[:-1], result.after[1:], strict=True))
-    style: MotionStyle = "simultaneous" if any(leg.kind == "simultaneous" for leg in legs) else "rotations before translations"
     weights = scenario.cost
 
     def cost(motion: Motion) -> float:
@@ -138,12 +144,13 @@ def assemble(
         scenario=scenario,
         seed=seed,
         planner=planner,
-        style=style,
+        style=result.style,
         legs=legs,
         certificate=replace(certificate, stops=report.stops_after),
         trajectory=time_parameterise(result.after, drive, period_s),
         reorder=report,
         search_time_s=time_s,
-        first_solution_s=first_s,
+        first_found_s=first_found_s,
+        first_certified_s=first_certified_s,
         notes=notes,
     )

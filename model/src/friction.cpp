@@ -7,7 +7,7 @@ namespace ctr {
 namespace {
 
 constexpr double kFirstDamping = 30;     // 1/m^2, about the lowest torsional mode of a 0.2 m tube
-constexpr double kMostDamping = 1000;    // 1/m^2
+constexpr double kMostDamping = 100;     // 1/m^2
 constexpr double kSlidingLevel = 30;     // N/m
 constexpr double kKeep = 0.95;            // fraction of the way to the boundary
 constexpr double kMaxTwistStep = 0.6;     // rad
@@ -117,9 +117,9 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
             }
             primal[lane] = std::min(primal[lane], kMaxTwistStep / std::max(twist, 1e-12));
             if (path.trust == 0) continue;
-            // Redo a step that is too long stiffer: across a fold the Newton step would point the wrong way. Beyond
-            // kMostDamping a negative pivot is not the twist's doing.
-            if (twist > path.trust || (damping[lane] < kMostDamping && has_negative_pivot(state, lane))) {
+            // Redo a step that is too long stiffer: across a fold the Newton step would point the wrong way. Pivots of
+            // offsets say nothing here, friction makes their blocks unsymmetric.
+            if (twist > path.trust || (damping[lane] < kMostDamping && has_negative_twist_pivot(state, lane))) {
                 damping[lane] = std::max(kFirstDamping, 2 * damping[lane]);
                 level[lane] = std::max(level[lane], std::min(3 * level[lane], kSlidingLevel));  // contacts must move along
                 primal[lane] = dual[lane] = 0;
@@ -162,10 +162,10 @@ double FrictionSolver::largest_twist(const LaneState& state, int lane) const {
     return most;
 }
 
-bool FrictionSolver::has_negative_pivot(const LaneState& state, int lane) const {
+bool FrictionSolver::has_negative_twist_pivot(const LaneState& state, int lane) const {
     const KernelProblem& pb = mesh_.problem();
     for (int k = 0; k < pb.nodes; ++k)
-        for (int i = 0; i < pb.node_unknowns[k]; ++i)
+        for (int i = 0; i < pb.node_unknowns[k]; i += 5)
             if (state.inverse_pivot(k, i, lane) < 0) return true;
     return false;
 }

@@ -84,7 +84,7 @@ class FrictionSolver {
 
   private:
     double largest_twist(const LaneState& state, int lane) const;  // rad, of the last step
-    bool has_negative_pivot(const LaneState& state, int lane) const;
+    bool has_negative_twist_pivot(const LaneState& state, int lane) const;
 
     const Robot robot_;
     Mesh mesh_;
