@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from ctrplan.mechanics import Array, Mechanics, Shape, Status, TubeShape
 from ctrplan.robot import load_robot
@@ -71,7 +72,7 @@ def rotated(vector: Array, angle: Array) -> Array:
     return np.stack([c * vector[:, 0] - s * vector[:, 1], s * vector[:, 0] + c * vector[:, 1]], axis=1)
 
 
-def bending(case: Case, i: int) -> tuple[Array, Array, Array]:
+def bending(case: Case, i: int) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Curvature kappa (t' = kappa) and rotated precurvature w of tube i, twist-free frame, and where sections join."""
     tube, shape = case.tubes[i], case.shape.tubes[i]
     rate = rotated(shape.curvature_per_m[:, :2], shape.theta_rad)

@@ -122,13 +122,13 @@ def test_bound_is_the_largest_deviation_of_its_shapes() -> None:
     np.testing.assert_allclose(bound.envelope_m, away.max(axis=0), rtol=0, atol=1e-12)
     assert bound.position_m == pytest.approx(bound.envelope_m[-1], abs=1e-12)
     assert bound.worst_corner == away[:, -1].argmax()
-    turned = [math.acos(min(1.0, corner.tip_tangent @ free.tip_tangent)) for corner in bound.corners]
+    turned = [math.acos(min(1.0, float(corner.tip_tangent @ free.tip_tangent))) for corner in bound.corners]
     assert bound.tangent_rad == pytest.approx(max(turned), abs=1e-6)
 
 
 @pytest.mark.parametrize("l_b", [0.0, -0.04])
 def test_one_tube_is_an_arc(l_b: float) -> None:
-    """Straight behind the plate, then of constant curvature; nothing rubs; its lowest torsional mode is a quarter wave."""
+    """Straight behind the plate, an arc in front; nothing rubs; the lowest torsional mode is a quarter wave."""
     curvature, angle, length = 8.0, 0.7, 0.15 + l_b
     model = Mechanics((Tube(1.2e-3, 1e-3, 0.05, 0.3, (TubeSection(0.15, 0.0, curvature),)),), [], [])
     bound, zero_clearance = model.bound([angle], [l_b]), model.zero_clearance([angle], [l_b])

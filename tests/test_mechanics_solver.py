@@ -31,7 +31,7 @@ def random_joints(seed: int, count: int) -> tuple[Array, Array]:
 
 
 def random_robot(n: int, rng: np.random.Generator) -> tuple[Mechanics, Array, Array]:
-    """n telescoping tubes, each bent in its own plane, and joints that nest, the outermost base behind the plate too."""
+    """n telescoping tubes, each bent in its own plane, and joints that nest, all bases behind the plate."""
     tubes: list[Tube] = []
     clearance_m = rng.uniform(2e-5, 1e-4, n - 1)
     diameter, base_m, reach_m = 5e-3, rng.uniform(-0.02, 0.0), 0.0
@@ -182,7 +182,12 @@ np.savez(sys.argv[3], tip_m=bounds.tip_m, position_m=bounds.position_m, kernel=k
 def test_baseline_kernel_agrees(tmp_path: Path) -> None:
     theta_b, l_b = random_joints(9, 30)
     np.save(tmp_path / "joints.npy", np.stack([theta_b, l_b]))
-    command = [sys.executable, "-c", BASELINE_SCRIPT, ROBOT_FILE, tmp_path / "joints.npy", tmp_path / "out.npz"]
+    command = [
+        sys.executable,
+        "-c",
+        BASELINE_SCRIPT,
+        *map(str, (ROBOT_FILE, tmp_path / "joints.npy", tmp_path / "out.npz")),
+    ]
     subprocess.run(command, env={**os.environ, "CTRPLAN_KERNEL": "baseline"}, check=True)
     ours, theirs = THREE_TUBES.bound_many(theta_b, l_b), np.load(tmp_path / "out.npz")
     assert str(theirs["kernel"]) == "baseline"

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from ctrplan.anatomy import build_field, default_spacing_m, field_bounds
+from ctrplan.anatomy import SignedDistanceField, build_field, default_spacing_m, field_bounds
 from ctrplan.drive import Array
 from ctrplan.mechanics import Field, PathDensity, PathLimits, PathSamples, Status
 from ctrplan.planning.joint_space import JointSpace
@@ -128,10 +129,8 @@ def breach(samples: PathSamples, limits: PathLimits) -> str:
 
 
 def robot_field(scenario: Scenario) -> Field | None:
-    """The scenario's anatomy as a grid around the robot's reach; None in free space."""
-    reach = max(tube.length_m for tube in scenario.robot.tubes) + scenario.robot.tubes[0].outer_diameter_m
-    lower, upper = field_bounds(scenario.anatomy, reach, scenario.base_position_m, scenario.base_R)
-    grid = build_field(scenario.anatomy, lower, upper, default_spacing_m(lower, upper)) if scenario.anatomy else None
+    """The scenario's anatomy as a grid for the core; None in free space."""
+    grid = anatomy_grid(scenario)
     if grid is None:
         return None
     return Field(
@@ -141,3 +140,19 @@ def robot_field(scenario: Scenario) -> Field | None:
         np.ascontiguousarray(scenario.base_R),
         np.ascontiguousarray(scenario.base_position_m),
     )
+
+
+_GRIDS: WeakKeyDictionary[Scenario, SignedDistanceField] = WeakKeyDictionary()
+
+
+def anatomy_grid(scenario: Scenario) -> SignedDistanceField | None:
+    """The scenario's anatomy as a signed-distance field around the robot's reach, built once; None in free space."""
+    if not scenario.anatomy:
+        return None
+    if scenario not in _GRIDS:
+        reach = max(tube.length_m for tube in scenario.robot.tubes) + scenario.robot.tubes[0].outer_diameter_m
+        lower, upper = field_bounds(scenario.anatomy, reach, scenario.base_position_m, scenario.base_R)
+        grid = build_field(scenario.anatomy, lower, upper, default_spacing_m(lower, upper))
+        assert grid is not None
+        _GRIDS[scenario] = grid
+    return _GRIDS[scenario]

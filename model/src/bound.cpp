@@ -24,10 +24,21 @@ void BoundSolver::solve_frictionless() {
     frictionless_.resize(pb, 1);
     std::fill(phi_.begin(), phi_.end(), 0.0);
     frictionless_.set_phi(solver_.robot(), pb, 0, phi_.data());
-    for (const BarrierPath& path : {BarrierPath::cold(), BarrierPath::sliding()}) {
-        solver_.start(frictionless_, q_, zero_, path.first);
-        solver_.solve(frictionless_, path, &frictionless_convergence_);
-        if (frictionless_convergence_.converged) break;
+    const BarrierPath shared = BarrierPath::shared();
+    solver_.start(frictionless_, q_, zero_, shared.first);
+    solver_.solve(frictionless_, shared, &frictionless_convergence_);
+    const int steps = frictionless_convergence_.iterations;
+    shared_is_good_ = frictionless_convergence_.converged;
+    if (shared_is_good_) {
+        shared_.resize(pb, 1);
+        solver_.spread(frictionless_, shared_);
+        solver_.solve(frictionless_, BarrierPath::parted(), &frictionless_convergence_);
+        frictionless_convergence_.iterations += steps;
+    }
+    if (!frictionless_convergence_.converged) {
+        const BarrierPath sliding = BarrierPath::sliding();
+        solver_.start(frictionless_, q_, zero_, sliding.first);
+        solver_.solve(frictionless_, sliding, &frictionless_convergence_);
     }
     stability_ = solver_.stability(frictionless_, negative_);
 }
@@ -46,12 +57,17 @@ void BoundSolver::solve_corners() {
         LaneState& state = *batches_[b];
         state.resize(pb, kLanes);
         set_corner_phi(b);
+        Convergence* result = &corner_convergence_[b * kLanes];
+        auto good = [&] { return std::all_of(result, result + kLanes, [](const Convergence& c) { return c.converged; }); };
+        if (shared_is_good_) {
+            solver_.spread(shared_, state);
+            solver_.solve(state, BarrierPath::parted(), result);
+            if (good()) continue;
+        }
         for (const BarrierPath& path : {BarrierPath::cold(), BarrierPath::sliding()}) {
             solver_.start(state, q_, zero_, path.first);
-            solver_.solve(state, path, &corner_convergence_[b * kLanes]);
-            if (std::all_of(&corner_convergence_[b * kLanes], &corner_convergence_[b * kLanes] + kLanes,
-                            [](const Convergence& c) { return c.converged; }))
-                break;
+            solver_.solve(state, path, result);
+            if (good()) break;
         }
     }
 }

@@ -19,7 +19,8 @@ constexpr double kComplementarity = 1e-2; // of the last barrier level, itself f
 void LaneState::resize(const KernelProblem& problem, int lanes) {
     lanes_ = lanes;
     stride_ = problem.stride;
-    const std::size_t vector = static_cast<std::size_t>(problem.nodes) * stride_ * lanes, block = vector * stride_;
+    block_stride_ = lanes == 1 ? (stride_ + 3) / 4 * 4 : stride_;
+    const std::size_t vector = static_cast<std::size_t>(problem.nodes) * stride_ * lanes, block = vector * block_stride_;
     const std::size_t contacts = static_cast<std::size_t>(std::max(problem.contacts, 1)) * lanes;
     unknowns_.resize(vector);
     step_.resize(vector);
@@ -44,7 +45,7 @@ void LaneState::set_phi(const Robot& robot, const KernelProblem& problem, int la
 
 KernelState LaneState::view() {
     return {unknowns_.data(),        multiplier_.data(), slack_.data(),    phi_mu_.data(), step_.data(),
-            multiplier_step_.data(), slack_step_.data(), diagonal_.data(), upper_.data(),  lower_.data(), rhs_.data()};
+            multiplier_step_.data(), slack_step_.data(), diagonal_.data(), upper_.data(),  lower_.data(), rhs_.data(), block_stride_};
 }
 
 void FrictionSolver::build(const Configuration& q, const MeshDensity& density) {
@@ -68,6 +69,18 @@ void FrictionSolver::start(LaneState& state, const Configuration& q, const ZeroC
             const int p = pb.contact_pair[k];
             state.slack(k, lane) = pb.half_square_clearance[p];
             state.multiplier(k, lane) = level * pb.barrier_scale[p] * pb.contact_weight[k] / pb.half_square_clearance[p];
+        }
+    }
+}
+
+void FrictionSolver::spread(const LaneState& from, LaneState& to) const {
+    const KernelProblem& pb = mesh_.problem();
+    for (int lane = 0; lane < to.lanes(); ++lane) {
+        for (int k = 0; k < pb.nodes; ++k)
+            for (int i = 0; i < pb.stride; ++i) to.unknown(k, i, lane) = from.unknown(k, i, 0);
+        for (int k = 0; k < pb.contacts; ++k) {
+            to.multiplier(k, lane) = from.multiplier(k, 0);
+            to.slack(k, lane) = from.slack(k, 0);
         }
     }
 }
@@ -133,8 +146,16 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
             if (done[lane]) continue;
             ++result[lane].iterations;
             if (level[lane] <= path.last) check = true;
+            if (path.centre_only && level[lane] <= path.last && std::min(primal[lane], dual[lane]) > 0.5) {
+                done[lane] = result[lane].converged = true;
+                continue;
+            }
             const double worst = damping[lane] > 0 ? 0 : std::min(primal[lane], dual[lane]);
             if (worst > 0.3) level[lane] = std::max(path.last, level[lane] * (worst > 0.8 ? path.shrink : 0.5));
+        }
+        if (path.centre_only) {
+            if (std::all_of(done, done + lanes, [](bool d) { return d; })) return;
+            continue;
         }
         if (!check) continue;
         run.residual(pb, view, level, moment, gap);

@@ -312,10 +312,49 @@ inline void add_element(const KernelProblem& pb, const KernelState& st, int e, c
     }
 }
 
-// LU of the leading P x P part of A in place, U := A^-1 U (P x Q), r := A^-1 r. No pivoting: the blocks are elastic
-// stiffnesses plus contact terms; a bad pivot shows in the residual, which is checked afterwards.
+// Rows of the blocks are handled in chunks that fill a register: one entry of all lanes, or four entries of a single lane.
 template <class V>
-__attribute__((always_inline)) inline void eliminate(V* A, V* U, V* r, int ld, int P, int Q) {
+struct Chunk;
+template <>
+struct Chunk<V4> {
+    static constexpr int width = 1;
+    static V4 load(const V4* p) { return *p; }
+    static void store(V4* p, V4 v) { *p = v; }
+};
+template <>
+struct Chunk<double> {
+    static constexpr int width = 4;
+    static V4 load(const double* p) {
+        V4 v;
+        __builtin_memcpy(&v, p, sizeof v);
+        return v;
+    }
+    static void store(double* p, V4 v) { __builtin_memcpy(p, &v, sizeof v); }
+};
+
+// row -= sum over k in [from, to) of factors[k] * rows[k], all of Q entries; the row stays in registers meanwhile.
+template <class V, int Q>
+__attribute__((always_inline)) inline void subtract(V* row, const V* factors, const V* rows, int ld, int from, int to) {
+    constexpr int count = (Q + Chunk<V>::width - 1) / Chunk<V>::width, width = Chunk<V>::width;
+    V4 kept[count];
+    for (int c = 0; c < count; ++c) kept[c] = Chunk<V>::load(row + c * width);
+    for (int k = from; k < to; ++k) {
+        const V factor = factors[k];
+        for (int c = 0; c < count; ++c) kept[c] -= factor * Chunk<V>::load(rows + k * ld + c * width);
+    }
+    for (int c = 0; c < count; ++c) Chunk<V>::store(row + c * width, kept[c]);
+}
+
+template <class V, int Q>
+__attribute__((always_inline)) inline void scale(V* row, V factor) {
+    constexpr int count = (Q + Chunk<V>::width - 1) / Chunk<V>::width, width = Chunk<V>::width;
+    for (int c = 0; c < count; ++c) Chunk<V>::store(row + c * width, factor * Chunk<V>::load(row + c * width));
+}
+
+// LU of the leading P x P part of A in place, pivots inverted. No pivoting: the blocks are elastic stiffnesses plus contact
+// terms; a bad pivot shows in the residual, which is checked afterwards.
+template <class V>
+__attribute__((always_inline)) inline void factorise(V* A, int ld, int P) {
     for (int k = 0; k < P; ++k) {
         const V pivot = 1.0 / A[k * ld + k];
         A[k * ld + k] = pivot;
@@ -323,51 +362,65 @@ __attribute__((always_inline)) inline void eliminate(V* A, V* U, V* r, int ld, i
             const V factor = A[i * ld + k] * pivot;
             A[i * ld + k] = factor;
             for (int j = k + 1; j < P; ++j) A[i * ld + j] -= factor * A[k * ld + j];
-            for (int j = 0; j < Q; ++j) U[i * ld + j] -= factor * U[k * ld + j];
-            r[i] -= factor * r[k];
         }
-    }
-    for (int k = P - 1; k >= 0; --k) {
-        for (int i = k + 1; i < P; ++i) {
-            const V factor = A[k * ld + i];
-            for (int j = 0; j < Q; ++j) U[k * ld + j] -= factor * U[i * ld + j];
-            r[k] -= factor * r[i];
-        }
-        const V pivot = A[k * ld + k];
-        for (int j = 0; j < Q; ++j) U[k * ld + j] *= pivot;
-        r[k] *= pivot;
     }
 }
 
-// next diagonal -= L (A^-1 U), next r -= L (A^-1 r); L is Q x P.
 template <class V>
-__attribute__((always_inline)) inline void reduce(const V* L, const V* U, const V* r, V* next, V* next_r, int ld, int P, int Q) {
+inline void apply_factors(const V* A, V* r, int ld, int P) {
+    for (int i = 1; i < P; ++i)
+        for (int k = 0; k < i; ++k) r[i] -= A[i * ld + k] * r[k];
+    for (int i = P - 1; i >= 0; --i) {
+        for (int k = i + 1; k < P; ++k) r[i] -= A[i * ld + k] * r[k];
+        r[i] *= A[i * ld + i];
+    }
+}
+
+// Eliminates a node of P unknowns: A factored, U := A^-1 U (P x Q), r := A^-1 r; next -= L U and next_r -= L r (L is Q x P).
+template <class V, int P, int Q>
+inline void eliminate_node(V* A, V* U, V* r, const V* L, V* next, V* next_r, int ld) {
+    factorise<V>(A, ld, P);
+    apply_factors<V>(A, r, ld, P);
+    for (int i = 1; i < P; ++i) subtract<V, Q>(U + i * ld, A + i * ld, U, ld, 0, i);
+    for (int i = P - 1; i >= 0; --i) {
+        subtract<V, Q>(U + i * ld, A + i * ld, U, ld, i + 1, P);
+        scale<V, Q>(U + i * ld, A[i * ld + i]);
+    }
     for (int i = 0; i < Q; ++i) {
-        for (int k = 0; k < P; ++k) {
-            const V factor = L[i * ld + k];
-            for (int j = 0; j < Q; ++j) next[i * ld + j] -= factor * U[k * ld + j];
-            next_r[i] -= factor * r[k];
-        }
+        subtract<V, Q>(next + i * ld, L + i * ld, U, ld, 0, P);
+        for (int k = 0; k < P; ++k) next_r[i] -= L[i * ld + k] * r[k];
     }
 }
 
-template <class V, int P, int Q, int LD>
-inline void eliminate_node(V* A, V* U, V* r, const V* L, V* next, V* next_r) {
-    eliminate<V>(A, U, r, LD, P, Q);
-    reduce<V>(L, U, r, next, next_r, LD, P, Q);
+// The same for sizes known only at run time.
+template <class V>
+void eliminate_node_any(V* A, V* U, V* r, const V* L, V* next, V* next_r, int ld, int P, int Q) {
+    factorise<V>(A, ld, P);
+    apply_factors<V>(A, r, ld, P);
+    for (int j = 0; j < Q; ++j) {
+        for (int i = 1; i < P; ++i)
+            for (int k = 0; k < i; ++k) U[i * ld + j] -= A[i * ld + k] * U[k * ld + j];
+        for (int i = P - 1; i >= 0; --i) {
+            for (int k = i + 1; k < P; ++k) U[i * ld + j] -= A[i * ld + k] * U[k * ld + j];
+            U[i * ld + j] *= A[i * ld + i];
+        }
+    }
+    for (int i = 0; i < Q; ++i)
+        for (int k = 0; k < P; ++k) {
+            for (int j = 0; j < Q; ++j) next[i * ld + j] -= L[i * ld + k] * U[k * ld + j];
+            next_r[i] -= L[i * ld + k] * r[k];
+        }
 }
 
 template <class V>
-inline void eliminate_any(V* A, V* U, V* r, const V* L, V* next, V* next_r, int ld, int P, int Q) {
-    if (ld == 11 && P == 11 && Q == 11) return eliminate_node<V, 11, 11, 11>(A, U, r, L, next, next_r);
-    if (ld == 6 && P == 6 && Q == 6) return eliminate_node<V, 6, 6, 6>(A, U, r, L, next, next_r);
-    if (ld == 11 && P == 10 && Q == 10) return eliminate_node<V, 10, 10, 11>(A, U, r, L, next, next_r);
-    if (ld == 11 && P == 5 && Q == 5) return eliminate_node<V, 5, 5, 11>(A, U, r, L, next, next_r);
-    if (ld == 6 && P == 5 && Q == 5) return eliminate_node<V, 5, 5, 6>(A, U, r, L, next, next_r);
-    if (ld == 11 && P == 6 && Q == 6) return eliminate_node<V, 6, 6, 11>(A, U, r, L, next, next_r);
-    if (ld == 16 && P == 16 && Q == 16) return eliminate_node<V, 16, 16, 16>(A, U, r, L, next, next_r);
-    eliminate<V>(A, U, r, ld, P, Q);
-    reduce<V>(L, U, r, next, next_r, ld, P, Q);
+inline void eliminate(V* A, V* U, V* r, const V* L, V* next, V* next_r, int ld, int P, int Q) {
+    if (P == 11 && Q == 11) return eliminate_node<V, 11, 11>(A, U, r, L, next, next_r, ld);
+    if (P == 6 && Q == 6) return eliminate_node<V, 6, 6>(A, U, r, L, next, next_r, ld);
+    if (P == 10 && Q == 10) return eliminate_node<V, 10, 10>(A, U, r, L, next, next_r, ld);
+    if (P == 5 && Q == 5) return eliminate_node<V, 5, 5>(A, U, r, L, next, next_r, ld);
+    if (P == 16 && Q == 16) return eliminate_node<V, 16, 16>(A, U, r, L, next, next_r, ld);
+    if (P == 1 && Q == 1) return eliminate_node<V, 1, 1>(A, U, r, L, next, next_r, ld);
+    eliminate_node_any<V>(A, U, r, L, next, next_r, ld, P, Q);
 }
 
 template <class V>
@@ -378,12 +431,12 @@ inline void clear(V* values, int count) {
 
 template <class V>
 inline ElementView<V> view(const KernelProblem& pb, const KernelState& st, int e) {
-    const int ld = pb.stride, square = ld * ld;
+    const int stride = pb.stride, ld = st.block_stride, square = stride * ld;
     V *x = lanes<V>(st.unknowns), *r = lanes<V>(st.rhs), *A = lanes<V>(st.diagonal);
     ElementView<V> el;
     for (int a = 0; a < 2; ++a) {
-        el.x[a] = x + (e + a) * ld;
-        el.r[a] = r + (e + a) * ld;
+        el.x[a] = x + (e + a) * stride;
+        el.r[a] = r + (e + a) * stride;
         el.block[a][a] = A + (e + a) * square;
     }
     el.block[0][1] = lanes<V>(st.upper) + e * square;
@@ -411,43 +464,43 @@ void recover_multipliers(const KernelProblem& pb, const KernelState& st, const V
 
 template <class V>
 void back_substitute(const KernelProblem& pb, const KernelState& st) {
-    const int ld = pb.stride, square = ld * ld;
+    const int stride = pb.stride, ld = st.block_stride, square = stride * ld;
     const V *r = lanes<V>(st.rhs), *U = lanes<V>(st.upper);
     V* step = lanes<V>(st.step);
     for (int k = pb.nodes - 1; k >= 0; --k) {
         const int P = pb.node_unknowns[k];
         const int Q = k + 1 < pb.nodes ? pb.element_unknowns[k] : 0;
-        for (int i = 0; i < ld; ++i) {
-            V sum = i < P ? -r[k * ld + i] : zero_of(V{});
+        for (int i = 0; i < stride; ++i) {
+            V sum = i < P ? -r[k * stride + i] : zero_of(V{});
             if (i < P)
-                for (int j = 0; j < Q; ++j) sum -= U[k * square + i * ld + j] * step[(k + 1) * ld + j];
-            step[k * ld + i] = sum;
+                for (int j = 0; j < Q; ++j) sum -= U[k * square + i * ld + j] * step[(k + 1) * stride + j];
+            step[k * stride + i] = sum;
         }
     }
 }
 
 template <class V>
 void newton(const KernelProblem& pb, const KernelState& st, const double* level_values, const double* damping_values) {
-    const int ld = pb.stride, square = ld * ld;
+    const int stride = pb.stride, ld = st.block_stride, square = stride * ld;
     V level = zero_of(V{}), damping = zero_of(V{});
     for (int lane = 0; lane < Lane<V>::count; ++lane) {
         Lane<V>::at(level, lane) = level_values[lane];
         Lane<V>::at(damping, lane) = damping_values[lane];
     }
     V *r = lanes<V>(st.rhs), *A = lanes<V>(st.diagonal), *U = lanes<V>(st.upper), *L = lanes<V>(st.lower);
-    clear(r, pb.nodes * ld);
+    clear(r, pb.nodes * stride);
     clear(A, square);
     for (int e = 0; e < pb.elements; ++e) {
         clear(A + (e + 1) * square, square);
         clear(U + e * square, square);
         clear(L + e * square, square);
         add_element<V, true>(pb, st, e, view<V>(pb, st, e), &level, &damping);
-        const int P = pb.node_unknowns[e], Q = pb.element_unknowns[e];
-        eliminate_any<V>(A + e * square, U + e * square, r + e * ld, L + e * square, A + (e + 1) * square,
-                         r + (e + 1) * ld, ld, P, Q);
+        eliminate<V>(A + e * square, U + e * square, r + e * stride, L + e * square, A + (e + 1) * square,
+                     r + (e + 1) * stride, ld, pb.node_unknowns[e], pb.element_unknowns[e]);
     }
     const int last = pb.nodes - 1;
-    eliminate<V>(A + last * square, A + last * square, r + last * ld, ld, pb.node_unknowns[last], 0);
+    factorise<V>(A + last * square, ld, pb.node_unknowns[last]);
+    apply_factors<V>(A + last * square, r + last * stride, ld, pb.node_unknowns[last]);
     back_substitute<V>(pb, st);
     recover_multipliers<V>(pb, st, &level);
 }
@@ -455,21 +508,15 @@ void newton(const KernelProblem& pb, const KernelState& st, const double* level_
 // Applies the factors to a new right-hand side; the sign is that of a Newton step (solves H step = -rhs).
 template <class V>
 void solve(const KernelProblem& pb, const KernelState& st) {
-    const int ld = pb.stride, square = ld * ld;
+    const int stride = pb.stride, ld = st.block_stride, square = stride * ld;
     V *r = lanes<V>(st.rhs), *A = lanes<V>(st.diagonal), *L = lanes<V>(st.lower);
     for (int k = 0; k < pb.nodes; ++k) {
         const int P = pb.node_unknowns[k];
-        V *a = A + k * square, *b = r + k * ld;
-        for (int j = 0; j < P; ++j)
-            for (int i = j + 1; i < P; ++i) b[i] -= a[i * ld + j] * b[j];
-        for (int i = P - 1; i >= 0; --i) {
-            for (int j = i + 1; j < P; ++j) b[i] -= a[i * ld + j] * b[j];
-            b[i] *= a[i * ld + i];
-        }
+        V* b = r + k * stride;
+        apply_factors<V>(A + k * square, b, ld, P);
         if (k + 1 == pb.nodes) break;
-        const int Q = pb.element_unknowns[k];
-        for (int i = 0; i < Q; ++i)
-            for (int j = 0; j < P; ++j) r[(k + 1) * ld + i] -= L[k * square + i * ld + j] * b[j];
+        for (int i = 0; i < pb.element_unknowns[k]; ++i)
+            for (int j = 0; j < P; ++j) r[(k + 1) * stride + i] -= L[k * square + i * ld + j] * b[j];
     }
     back_substitute<V>(pb, st);
 }

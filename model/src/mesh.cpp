@@ -9,8 +9,10 @@ namespace {
 // Breaks closer than this become one: shorter elements would only cost digits (their stiffness goes with 1 / length^3).
 constexpr double kMergeDistance = 1e-5;
 
-// A single tube carries no contact: its elements serve the integration of the shape and the torsional second variation.
-constexpr double kSingleTubeLength = 6e-3;
+// A single tube carries no contact. In front it is an arc, whose elements serve interpolation along it; behind the outermost
+// collar it bends between its collar and the next, exactly so in one element where it is straight.
+constexpr double kSingleTubeLength = 10e-3;
+constexpr double kStraightLength = 40e-3;
 
 }  // namespace
 
@@ -72,7 +74,10 @@ void Mesh::place_nodes(const Robot& robot, const Configuration& q, const MeshDen
             return near + std::max(0.0, x - reach) / density.coarsest;
         };
         const double half = cumulative(0.5 * span);
-        int count = present == 1 ? static_cast<int>(std::ceil(span / kSingleTubeLength - 1e-9))
+        const Section& inner = section_at(robot.tubes[n - 1], middle - q.l[n - 1]);
+        const bool straight = inner.curvature_x == 0 && inner.curvature_y == 0;
+        const double longest = straight ? kStraightLength : kSingleTubeLength;
+        int count = present == 1 ? static_cast<int>(std::ceil(span / longest - 1e-9))
                                  : static_cast<int>(std::ceil(2 * half - 1e-9));
         count = std::max(count, 1);
         for (int k = 1; k <= count; ++k) {
@@ -106,16 +111,9 @@ void Mesh::fill_elements(const Robot& robot, const Configuration& q) {
         element_unknowns_[e] = 5 * element_tubes_[e] - (middle < q.l[0] ? 0 : 4);
         node_unknowns_[e + 1] = element_unknowns_[e];  // a tube that begins at a node is clamped there
         for (int t = 0; t < element_tubes_[e]; ++t) {
-            const Tube& tube = robot.tubes[n - 1 - t];
-            double begin = q.l[n - 1 - t];
-            const Section* here = &tube.sections.front();
-            for (const Section& section : tube.sections) {
-                if (middle < begin) break;
-                here = &section;
-                begin += section.length;
-            }
-            precurvature_[(e * n + t) * 2] = here->curvature_y;
-            precurvature_[(e * n + t) * 2 + 1] = -here->curvature_x;
+            const Section& here = section_at(robot.tubes[n - 1 - t], middle - q.l[n - 1 - t]);
+            precurvature_[(e * n + t) * 2] = here.curvature_y;
+            precurvature_[(e * n + t) * 2 + 1] = -here.curvature_x;
         }
     }
 }

@@ -16,6 +16,13 @@ constexpr double kNestingTolerance = 1e-9;  // m; joint values come from decimal
 
 }  // namespace
 
+const Section& section_at(const Tube& tube, double from_base) {
+    double end = 0;
+    for (const Section& section : tube.sections)
+        if (from_base < (end += section.length)) return section;
+    return tube.sections.back();
+}
+
 void validate(const Robot& robot) {
     const int n = robot.count();
     if (n < 1) throw InvalidInput("a robot needs at least one tube");

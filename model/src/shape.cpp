@@ -36,13 +36,6 @@ double outermost_radius(const Robot& robot, const Configuration& q, double s) {
     return robot.tubes.back().outer_radius;
 }
 
-const Section& section_at(const Tube& tube, double from_base) {
-    double end = 0;
-    for (const Section& section : tube.sections)
-        if (from_base < (end += section.length)) return section;
-    return tube.sections.back();
-}
-
 }  // namespace
 
 void element_curvature(const FrictionSolver& solver, const LaneState& state, int lane, int e, double xi,

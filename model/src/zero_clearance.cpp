@@ -73,16 +73,9 @@ void ZeroClearance::build(const Robot& robot, const Configuration& q) {
             if (middle < end_s_[t]) ++m;
         tubes_[e] = m;
         for (int t = 0; t < m; ++t) {
-            const Tube& tube = robot.tubes[n_ - 1 - t];
-            double begin = base_l_[t];
-            const Section* here = &tube.sections.front();
-            for (const Section& section : tube.sections) {
-                if (middle < begin) break;
-                here = &section;
-                begin += section.length;
-            }
-            v_[(e * n_ + t) * 2] = here->curvature_y;
-            v_[(e * n_ + t) * 2 + 1] = -here->curvature_x;
+            const Section& here = section_at(robot.tubes[n_ - 1 - t], middle - base_l_[t]);
+            v_[(e * n_ + t) * 2] = here.curvature_y;
+            v_[(e * n_ + t) * 2 + 1] = -here.curvature_x;
         }
     }
     const std::size_t block = static_cast<std::size_t>(nodes_) * ld_ * ld_, vector = static_cast<std::size_t>(nodes_) * ld_;

@@ -60,7 +60,8 @@ class BoundSolver {
     FrictionSolver solver_;
     ZeroClearance zero_;
     int pairs_, corners_;
-    LaneState frictionless_;
+    LaneState frictionless_, shared_;  // shared_: the frictionless iterate where the friction states part
+    bool shared_is_good_ = false;
     std::vector<std::unique_ptr<LaneState>> batches_;
     Convergence frictionless_convergence_;
     std::vector<Convergence> corner_convergence_;

@@ -37,12 +37,12 @@ class LaneState {
     double& rhs(int node, int index, int lane) { return rhs_[(static_cast<std::size_t>(node) * stride_ + index) * lanes_ + lane]; }
     double step(int node, int index, int lane) const { return step_[(static_cast<std::size_t>(node) * stride_ + index) * lanes_ + lane]; }
     double inverse_pivot(int node, int index, int lane) const {
-        return diagonal_[((static_cast<std::size_t>(node) * stride_ + index) * stride_ + index) * lanes_ + lane];
+        return diagonal_[((static_cast<std::size_t>(node) * stride_ + index) * block_stride_ + index) * lanes_ + lane];
     }
     KernelState view();
 
   private:
-    int lanes_ = 1, stride_ = 1;
+    int lanes_ = 1, stride_ = 1, block_stride_ = 1;
     AlignedArray unknowns_, multiplier_, slack_, phi_mu_, step_, multiplier_step_, slack_step_, diagonal_, upper_, lower_, rhs_;
 };
 
@@ -55,8 +55,13 @@ struct BarrierPath {
     double shrink = 0.05;
     double trust = 0.0;     // rad; > 0: twist steps are held below it by damping, which slides off folds onto a stable branch
     int max_steps = 40;
+    bool centre_only = false;  // stop near the central path at the last level; the residual is not promised
     static BarrierPath cold() { return {}; }
+    // The cold path in two parts: what all friction states share, and where they part.
+    static BarrierPath shared() { return {3e4, kParting, 0.05, 0, 40, true}; }
+    static BarrierPath parted() { return {kParting, 0.05, 0.05}; }
     static BarrierPath sliding() { return {3e4, 0.05, 0.1, 0.2, 400}; }
+    static constexpr double kParting = 30;  // N/m
     // After a motion of so many degrees or half millimetres: the farther contacts move, the softer the barrier starts.
     static BarrierPath warm(double motion) { return {std::clamp(0.2 * motion * motion, 0.2, 30.0), 0.05, 0.08}; }
 };
@@ -68,6 +73,8 @@ class FrictionSolver {
     void build(const Configuration& q, const MeshDensity& density);
     // Angles from the zero-clearance solution, no offsets, multipliers on the central path at the given level.
     void start(LaneState& state, const Configuration& q, const ZeroClearance& guess, double level);
+    // Copies a one-lane iterate on the same mesh into every lane.
+    void spread(const LaneState& from, LaneState& to) const;
     // Puts every contact of an earlier solution back on the central path at the given level, for a warm start.
     void recentre(LaneState& state, double level);
     // Base angles of a new configuration on an unchanged mesh layout; the twist at the base is kept.

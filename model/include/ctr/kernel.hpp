@@ -50,10 +50,11 @@ struct KernelState {
     double* step;         // [node][stride]
     double* multiplier_step;  // [contact]
     double* slack_step;       // [contact]
-    double* diagonal;     // [node][stride][stride] factored blocks
-    double* upper;        // [node][stride][stride] A^-1 U
-    double* lower;        // [node][stride][stride]
+    double* diagonal;     // [node][stride][block_stride] factored blocks
+    double* upper;        // [node][stride][block_stride] A^-1 U
+    double* lower;        // [node][stride][block_stride]
     double* rhs;          // [node][stride]
+    int block_stride;     // row length of blocks: stride, for a single lane rounded up to whole registers
 };
 
 // One function table per instruction set; the scalar ones treat a single lane.

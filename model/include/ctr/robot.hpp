@@ -26,6 +26,9 @@ struct Tube {
     }
 };
 
+// The section at a distance from the tube's base; the last one beyond the tip.
+const Section& section_at(const Tube& tube, double from_base);
+
 // Pair (i, i + 1); the contact radii are those of (41).
 struct Pair {
     double clearance;           // c, radial, m

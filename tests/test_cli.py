@@ -1,0 +1,90 @@
+"""The command line as a person meets it: outputs, exit codes, one sentence for every failure."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from ctrplan.cli import main
+from ctrplan.export import read_trajectory_csv
+
+SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"
+ROBOT = str(SCENARIOS / "robots" / "three_tube.toml")
+
+
+def test_plan_writes_everything_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", str(SCENARIOS / "pair_free.toml"), "-o", str(tmp_path), "--time", "1"]) == 0
+    assert {p.name for p in tmp_path.iterdir()} == {"plan.json", "trajectory.csv", "report.html", "plan.png"}
+    content = json.loads((tmp_path / "plan.json").read_text())
+    assert content["certificate"]["valid"] is True
+    columns = read_trajectory_csv(tmp_path / "trajectory.csv")
+    assert columns["time_s"][0] == 0
+    assert (tmp_path / "plan.png").read_bytes()[:4] == b"\x89PNG"
+    assert "worst-case friction error" in capsys.readouterr().out
+
+
+def test_bound_prints_the_bound(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["bound", ROBOT, "--theta-deg", "0", "90", "180", "--l-mm", "0", "-17", "-62.8"]
+    assert main(arguments) == 0
+    assert "worst-case friction error of the tip: 17.7" in capsys.readouterr().out
+    assert main([*arguments, "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["bound_position_mm"] == pytest.approx(17.7, abs=0.15)
+    assert [corner["phi"] for corner in content["corners"]] == [[1, 1], [1, -1], [-1, 1], [-1, -1]]
+
+
+def test_set_changes_the_robot(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["bound", ROBOT, "--theta-deg", "0", "90", "180", "--l-mm", "0", "-17", "-62.8", "--json"]
+    bounds = []
+    for mu in ("0.0", "0.1", "0.2"):
+        main([*arguments, "--set", f"contact.1.friction_coefficient={mu}", "--set", f"contact.2.friction_coefficient={mu}"])
+        bounds.append(json.loads(capsys.readouterr().out)["bound_position_mm"])
+    assert bounds[0] < 1e-3 < bounds[1] < bounds[2]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["plan", "nowhere.toml"], 2, ["nowhere.toml"]),
+        (["plan", str(SCENARIOS / "ribs.toml"), "--time", "-1"], 2, ["--time", "-1", "above 0"]),
+        (["plan", str(SCENARIOS / "ribs.toml"), "--set", "goal.tip_mm=[900,0,0]", "--time", "0.5"], 1, ["goal.tip_mm", "out of reach"]),
+        (["plan", str(SCENARIOS / "ribs.toml"), "--set", "cost.pth=1"], 2, ["pth", "path"]),
+        (["bound", ROBOT, "--theta-deg", "0", "0", "--l-mm", "0", "-17", "-40"], 2, ["--theta-deg", "3 values"]),
+        (["bound", ROBOT, "--theta-deg", "0", "0", "nan", "--l-mm", "0", "-17", "-40"], 2, ["--theta-deg", "finite"]),
+        (["bound", ROBOT, "--theta-deg", "0", "0", "0", "--l-mm", "0", "-17", "-20"], 2, ["--l-mm", "17 mm apart"]),
+    ],
+)
+def test_failure_is_one_sentence(
+    arguments: list[str], code: int, words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if arguments[0] == "plan":
+        arguments = [*arguments, "-o", str(tmp_path / "out")]
+    assert main(arguments) == code
+    message = capsys.readouterr().err
+    assert message.startswith("ctrplan: ") and message.count("\n") == 1
+    assert all(word in message for word in words), message
+    assert not list(tmp_path.rglob("*.*"))
+
+
+def test_output_that_is_a_file_is_refused_before_planning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "out").write_text("mine")
+    assert main(["plan", str(SCENARIOS / "ribs.toml"), "-o", str(tmp_path / "out")]) == 2
+    assert "--output" in capsys.readouterr().err
+    assert (tmp_path / "out").read_text() == "mine"
+
+
+def test_ctrl_c_keeps_the_best_plan_so_far(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "ctrplan.cli", "plan", str(SCENARIOS / "pair_free.toml"), "-o", str(tmp_path), "--time", "300"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path, env=dict(os.environ))
+    time.sleep(8)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert json.loads((tmp_path / "plan.json").read_text())["certificate"]["valid"] is True

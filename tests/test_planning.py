@@ -1,0 +1,225 @@
+"""Planning as laws: order of motions, validity, costs that fall, answers that say why there is none."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ompl import base as ob
+from ompl import geometric as og
+
+import ctrplan
+from ctrplan.errors import InputError, NoAnswerError
+from ctrplan.mechanics import Status
+from ctrplan.planning.certify import SPACING_M, certify
+from ctrplan.planning.joint_space import JointSpace
+from ctrplan.planning.motion import Motion, MotionChecker, invalid
+from ctrplan.planning.ompl_space import MotionValidity, StateReader, Validity, state_space
+from ctrplan.planning.reorder import rotations_first
+from ctrplan.scenario import Scenario, load_scenario
+from ctrplan.trajectory import verify_limits
+
+SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"
+BLIND = ["cost.error_along=0", "cost.error_goal=0"]
+
+
+def scenario(name: str, *overrides: str) -> Scenario:
+    return load_scenario(SCENARIOS / f"{name}.toml", overrides)
+
+
+@pytest.fixture(scope="module")
+def ribs() -> ctrplan.Plan:
+    return ctrplan.plan(scenario("ribs"), seed=0, time_s=3)
+
+
+@pytest.fixture(scope="module")
+def snap() -> ctrplan.Plan:
+    return ctrplan.plan(scenario("snap"), seed=0, time_s=3)
+
+
+def check(plan: ctrplan.Plan) -> None:
+    """What every plan keeps."""
+    space, start = JointSpace.of(plan.scenario), plan.scenario.start
+    assert plan.certificate.valid and not plan.certificate.problems
+    np.testing.assert_array_equal(plan.legs[0].start, start)
+    for before, after in zip(plan.legs[:-1], plan.legs[1:], strict=True):
+        np.testing.assert_array_equal(before.end, after.start)
+    assert space.allowed(plan.waypoints)
+    assert plan.style == "rotations before translations"
+    assert all(leg.kind in ("rotation", "translation") for leg in plan.legs)
+    samples = plan.certificate.samples
+    assert samples.motion_m.max() <= SPACING_M
+    assert samples.stability.min() >= plan.scenario.margins.stability
+    assert samples.clearance_m.min() >= plan.scenario.robot.model_error_m
+    assert all(ratio <= 1 + 1e-9 for row in verify_limits(plan.trajectory, plan.scenario.robot.drive).values() for ratio in row.values())
+    np.testing.assert_allclose(plan.trajectory.position[-1], plan.legs[-1].end, atol=1e-9)
+
+
+def test_plan_past_obstacles_reaches_its_target(ribs: ctrplan.Plan) -> None:
+    check(ribs)
+    assert ribs.certificate.goal_tip_error_m <= ribs.scenario.goal.tolerance_m
+    target = ribs.scenario.goal.tip_m
+    reached = ribs.scenario.robot.bound(*ribs.scenario.robot.drive.collars(ribs.legs[-1].end))
+    assert target is not None and np.linalg.norm(reached.frictionless.tip_m - target) <= ribs.scenario.goal.tolerance_m
+    assert reached.position_m == pytest.approx(ribs.certificate.goal_bound_m, abs=1e-6)
+
+
+def test_bound_aware_plan_ends_with_less_error_than_blind_one(ribs: ctrplan.Plan) -> None:
+    blind = ctrplan.plan(scenario("ribs", *BLIND), seed=0, time_s=3)
+    assert ribs.certificate.goal_bound_m < 0.5 * blind.certificate.goal_bound_m
+
+
+def test_plan_goes_round_where_the_straight_line_snaps(snap: ctrplan.Plan) -> None:
+    checker = MotionChecker(snap.scenario)
+    assert snap.scenario.goal.joints is not None
+    straight = checker.along(np.array([snap.scenario.start, snap.scenario.goal.joints]))
+    assert not straight.valid and "unstable" in straight.reason
+    check(snap)
+
+
+def test_walk_reports_a_snap_it_was_not_told_about(snap: ctrplan.Plan) -> None:
+    """On a coarse walk too, a jump between branches ends as UNSTABLE, never as a long step."""
+    assert snap.scenario.goal.joints is not None
+    corners = np.array([snap.scenario.start, snap.scenario.goal.joints])
+    samples = snap.scenario.robot.mechanics.check_path(*snap.scenario.robot.drive.collars(corners))
+    assert samples.status[-1] == Status.UNSTABLE and samples.fraction[-1] < 1
+
+
+@pytest.mark.parametrize("name", ["RRT*", "RRTConnect"])
+def test_other_planners(name: str) -> None:
+    check(ctrplan.plan(scenario("pair_free", f'planner.name="{name}"'), seed=1, time_s=4))
+
+
+def test_reorder_puts_rotations_first_at_no_higher_cost() -> None:
+    case = scenario("pair_free")
+    rng = np.random.default_rng(2)
+    checker = MotionChecker(case)
+    tried = 0
+    for _ in range(40):
+        if tried == 4:
+            break
+        path = np.concatenate([[case.start], case.start + np.cumsum(rng.uniform(-1, 1, (4, 3)) * [0.4, 0.6, 8e-3], axis=0)])
+        if not checker.along(path).valid:
+            continue
+        tried += 1
+        plan = ctrplan.reorder(path, case)
+        assert plan.reorder.cost_after_mm <= plan.reorder.cost_before_mm + 1e-9
+        assert plan.reorder.stops_after == len(plan.legs) - 1
+        np.testing.assert_allclose(plan.waypoints[0], path[0])
+        np.testing.assert_allclose(plan.waypoints[-1], path[-1], atol=1e-12)
+        for kind, following in zip(plan.legs[:-1], plan.legs[1:], strict=True):
+            assert not (kind.kind == following.kind == "translation")
+    assert tried == 4
+
+
+def test_reorder_swaps_a_translation_before_a_rotation() -> None:
+    """Friction loaded by the rotation stays in the pair if it comes last; the L-shaped motion is at least as cheap."""
+    case = scenario("pair_free")
+    start = case.start
+    path = np.array([start, start + [0, 0, 0.01], start + [0, 0.5, 0.01]])
+    result = rotations_first(MotionChecker(case), path)
+    np.testing.assert_allclose(result.after[-1], path[-1])
+    assert result.motion_after.length_mm == pytest.approx(result.motion_before.length_mm)
+    assert result.motion_after.error_integral_mm <= result.motion_before.error_integral_mm + 1e-9
+
+
+@pytest.mark.parametrize("path", [[[0, 0, 0]], [[0, 0], [1, 1]], [[0, 0, 0], [math.nan, 0, 0]]])
+def test_reorder_refuses_what_is_no_path(path: list[list[float]]) -> None:
+    with pytest.raises(InputError, match="path"):
+        ctrplan.reorder(path, scenario("pair_free"))
+
+
+def test_joint_space_takes_the_short_way_round_only_where_unlimited() -> None:
+    space = JointSpace.of(scenario("ribs"))
+    a, b = np.radians([170.0, 170.0, 170.0, 0]), np.radians([-170.0, -170.0, -170.0, 0])
+    delta = np.degrees(space.difference(a, b))
+    np.testing.assert_allclose(delta, [-340, 20, 20, 0], atol=1e-9)
+    rng = np.random.default_rng(0)
+    for p, q in zip(space.sample(rng, 20), space.sample(rng, 20), strict=True):
+        corners = space.corners(p, q, "rotations before translations")
+        assert np.array_equal(corners[0], p) and np.allclose(space.difference(corners[-1], q), 0, atol=1e-12)
+        assert space.length_mm(space.difference(p, q), "simultaneous") <= space.length_mm(
+            space.difference(p, q), "rotations before translations"
+        )
+        turned = corners[1] - corners[0]
+        assert not np.any(turned[~space.drive.is_rotation])
+
+
+def test_certificate_sees_an_obstacle_the_search_never_had() -> None:
+    """The certificate measures exact distances: shrinking the margin by hand in the field does not fool it."""
+    case = scenario("ribs")
+    blocked = load_scenario(SCENARIOS / "ribs.toml", ["anatomy.1.margin_mm=4"])
+    plan = ctrplan.plan(case, seed=0, time_s=1)
+    assert not certify(blocked, plan.waypoints).valid
+
+
+def test_simultaneous_motion_is_a_named_fallback(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = MotionChecker.motion
+
+    def refuse_l_shapes(self: MotionChecker, a: np.ndarray, b: np.ndarray) -> Motion:
+        return real(self, a, b) if self.style == "simultaneous" else invalid("refused by the test")
+
+    monkeypatch.setattr(MotionChecker, "motion", refuse_l_shapes)
+    monkeypatch.setattr("ctrplan.planning.reorder._pieces", lambda checker, corners, i, j: [corners[i : j + 1]])
+    plan = ctrplan.plan(scenario("pair_free"), seed=0, time_s=1)
+    assert plan.style == "simultaneous" and any("simultaneously" in note for note in plan.notes)
+    assert plan.certificate.valid
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["goal.tip_mm=[300, 0, 50]"], "out of reach, the nearest tip found is"),
+        (["goal.tip_mm=[0, -30, 78]"], "out of reach"),
+        (["anatomy.1.margin_mm=60"], "start: the start state is not valid"),
+        (["cost.max_error_goal_mm=0.01"], "no goal state keeps the required worst-case error of 0.01 mm"),
+        (["goal.direction=[0, 0, -1]", "goal.direction_tolerance_deg=5"], "not in the direction asked for"),
+    ],
+)
+def test_no_answer_says_why(overrides: list[str], words: str) -> None:
+    with pytest.raises(NoAnswerError, match=words) as caught:
+        ctrplan.plan(scenario("ribs", *overrides), time_s=0.5)
+    assert caught.value.exit_code == 1 and str(caught.value).count("\n") == 0
+
+
+def test_unstable_start_is_refused() -> None:
+    case = scenario("snap", 'start={"rotate outer"=0, "rotate middle"=0, "rotate inner"=180, "translate inner"=-86.4}')
+    with pytest.raises(NoAnswerError, match="start: the start state is not valid: elastically unstable"):
+        ctrplan.plan(case, time_s=0.5)
+
+
+def test_objective_in_a_set_up_of_ones_own() -> None:
+    """As a user with an OMPL set-up would: own space information and planner, the bound as objective."""
+    case = scenario("pair_free")
+    checker = MotionChecker(case)
+    space = state_space(checker.space)
+    information = ob.SpaceInformation(space)
+    read = StateReader(checker.space)
+    validity, motions = Validity(information, checker, read), MotionValidity(information, checker, read)
+    information.setStateValidityChecker(validity)
+    information.setMotionValidator(motions)
+    information.setup()
+    start, goal = information.allocState(), information.allocState()
+    assert case.goal.joints is not None
+    read.write(start, case.start)
+    read.write(goal, case.goal.joints)
+    objective = ctrplan.planning.BoundObjective(information, case, goals=[read(goal)])
+    cost = objective.motionCost(start, goal).value()
+    motion = checker.motion(read(start), read(goal))
+    if motion.valid:
+        assert cost == pytest.approx(checker.cost_mm(motion, ends_at_goal=True))
+    assert objective.motionCostHeuristic(start, goal).value() <= cost + 1e-9
+    definition = ob.ProblemDefinition(information)
+    definition.addStartState(start)
+    target = ob.GoalStates(information)
+    target.addState(goal)
+    definition.setGoal(target)
+    definition.setOptimizationObjective(objective)
+    planner = og.RRTstar(information)
+    planner.setProblemDefinition(definition)
+    planner.setup()
+    calls = iter(range(10**6))
+    planner.solve(ob.PlannerTerminationCondition(lambda: next(calls) > 60))
+    assert objective.is_goal(read(goal)) and not objective.is_goal(read(start))
