@@ -18,7 +18,7 @@ test: install lint
 lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
+	cd $(VENV) && bin/mypy --config-file ../pyproject.toml  # of the installed package, which has the core's stub
 
 install: $(VENV)/.installed
 

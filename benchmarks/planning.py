@@ -1,6 +1,6 @@
 """Does the bound pay? Every scenario, the same seed and time, with the bound in the cost and with its weights at zero.
 
-    python benchmarks/planning.py [--seed N] [--write]     --write puts the table into README.md
+python benchmarks/planning.py [--seed N] [--write]     --write puts the table into README.md
 """
 
 from __future__ import annotations

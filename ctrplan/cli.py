@@ -60,9 +60,13 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     plan.add_argument("scenario", metavar="SCENARIO.toml")
-    plan.add_argument("-o", "--output", metavar="DIR", default="ctrplan-output", help="folder for the results (default: %(default)s)")
+    plan.add_argument(
+        "-o", "--output", metavar="DIR", default="ctrplan-output", help="folder for the results (default: %(default)s)"
+    )
     plan.add_argument("--seed", type=int, default=0, help="seed of the search (default: %(default)s)")
-    plan.add_argument("--time", type=float, metavar="S", help="seconds of search (default: the scenario's planner.time_s)")
+    plan.add_argument(
+        "--time", type=float, metavar="S", help="seconds of search (default: the scenario's planner.time_s)"
+    )
     plan.add_argument("--quiet", action="store_true", help="no progress bar")
     _add_set(plan, "the scenario's key, or the robot's after robot.")
     plan.set_defaults(run=_plan)
@@ -75,9 +79,20 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     bound.add_argument("robot", metavar="ROBOT.toml")
-    bound.add_argument("--theta-deg", type=float, nargs="+", required=True, metavar="DEG", help="base rotations, outermost tube first")
-    bound.add_argument("--l-mm", type=float, nargs="+", required=True, metavar="MM", help="base translations, outermost tube first, <= 0")
-    bound.add_argument("--accuracy", choices=["search", "certificate"], default="certificate", help="mesh (default: %(default)s)")
+    bound.add_argument(
+        "--theta-deg", type=float, nargs="+", required=True, metavar="DEG", help="base rotations, outermost tube first"
+    )
+    bound.add_argument(
+        "--l-mm",
+        type=float,
+        nargs="+",
+        required=True,
+        metavar="MM",
+        help="base translations, outermost tube first, <= 0",
+    )
+    bound.add_argument(
+        "--accuracy", choices=["search", "certificate"], default="certificate", help="mesh (default: %(default)s)"
+    )
     bound.add_argument("--json", action="store_true", help="machine-readable output")
     _add_set(bound, "the robot's key")
     bound.set_defaults(run=_bound)
@@ -85,7 +100,14 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_set(parser: argparse.ArgumentParser, what: str) -> None:
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides", help=f"change {what}, e.g. tube.2.poisson_ratio=0.28")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        dest="overrides",
+        help=f"change {what}, e.g. tube.2.poisson_ratio=0.28",
+    )
 
 
 def _plan(arguments: argparse.Namespace) -> int:
@@ -133,7 +155,9 @@ def _write(result: Plan, folder: Path) -> None:
 
 def _summary(result: Plan, folder: Path) -> str:
     c, report = result.certificate, result.reorder
-    clearance = "free space" if math.isinf(c.min_clearance_m) else f"{c.min_clearance_m * 1e3:.2f} mm beyond the margins"
+    clearance = (
+        "free space" if math.isinf(c.min_clearance_m) else f"{c.min_clearance_m * 1e3:.2f} mm beyond the margins"
+    )
     lines = [
         f"{result.scenario.name}: {len(result.legs)} legs, {result.style}, {result.trajectory.duration_s:.1f} s, {c.stops} stops",
         f"  worst-case friction error   {c.goal_bound_m * 1e3:.2f} mm at the goal, {c.worst_bound_m * 1e3:.2f} mm on the way",
@@ -144,7 +168,9 @@ def _summary(result: Plan, folder: Path) -> str:
         f"  written to                  {folder}/plan.json, trajectory.csv, report.html, plan.png",
     ]
     if result.style == "simultaneous":
-        lines.insert(1, "  note: no path of rotations before translations was found in time; joints move simultaneously")
+        lines.insert(
+            1, "  note: no path of rotations before translations was found in time; joints move simultaneously"
+        )
     return "\n".join(lines)
 
 
@@ -173,7 +199,12 @@ class _Bar:
             if self.bar is not None:
                 self.bar.close()
             self.stage = progress.stage
-            self.bar = tqdm(total=1.0, desc=f"{progress.stage:11}", bar_format="{desc}|{bar}| {percentage:3.0f} % {postfix}", leave=False)
+            self.bar = tqdm(
+                total=1.0,
+                desc=f"{progress.stage:11}",
+                bar_format="{desc}|{bar}| {percentage:3.0f} % {postfix}",
+                leave=False,
+            )
         self.bar.n = progress.fraction
         if progress.best_cost_mm is not None:
             self.bar.set_postfix_str(f"best cost {progress.best_cost_mm:.1f} mm", refresh=False)
@@ -220,7 +251,8 @@ def _bound_json(n: int, found: Any) -> dict[str, Any]:
         "bound_tangent_deg": math.degrees(found.tangent_rad) if finite else None,
         "frictionless": shape(found.frictionless),
         "corners": [
-            {"phi": list(phi), **shape(s)} for phi, s in zip(itertools.product((1, -1), repeat=n - 1), found.corners, strict=True)
+            {"phi": list(phi), **shape(s)}
+            for phi, s in zip(itertools.product((1, -1), repeat=n - 1), found.corners, strict=True)
         ],
     }
 
@@ -238,7 +270,9 @@ def _bound_text(n: int, found: Any) -> str:
     ]
     for phi, s in zip(itertools.product((1, -1), repeat=n - 1), found.corners, strict=True):
         signs = " ".join("+" if p > 0 else "-" for p in phi) or "none"
-        lines.append(f"  phi = {signs:9} {tip(s)}, {_distance_mm(s, found.frictionless):.3f} mm from the frictionless tip")
+        lines.append(
+            f"  phi = {signs:9} {tip(s)}, {_distance_mm(s, found.frictionless):.3f} mm from the frictionless tip"
+        )
     if not math.isfinite(found.position_m):
         lines.append("  a solve did not reach its residual: no bound is promised here")
     return "\n".join(lines)

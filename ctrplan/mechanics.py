@@ -181,7 +181,12 @@ class Mechanics:
             ],
             [[[s.length_m, s.curvature_x_per_m, s.curvature_y_per_m] for s in tube.sections] for tube in tubes],
             [
-                [float(gaps[j]), float(coefficients[j]), tubes[j].inner_diameter_m / 2, tubes[j + 1].outer_diameter_m / 2]
+                [
+                    float(gaps[j]),
+                    float(coefficients[j]),
+                    tubes[j].inner_diameter_m / 2,
+                    tubes[j + 1].outer_diameter_m / 2,
+                ]
                 for j in range(self.n - 1)
             ],
         )
@@ -191,7 +196,9 @@ class Mechanics:
         with _input_errors():
             return _shape(self._model.zero_clearance(self._row(theta_b), self._row(l_b)))
 
-    def solve(self, theta_b: ArrayLike, l_b: ArrayLike, phi: ArrayLike = 0.0, *, accuracy: Accuracy = "search") -> Shape:
+    def solve(
+        self, theta_b: ArrayLike, l_b: ArrayLike, phi: ArrayLike = 0.0, *, accuracy: Accuracy = "search"
+    ) -> Shape:
         """Equilibrium (37) with clearance (14) and friction (38), (41), phi taking the place of eta.
 
         phi: scalar or (n - 1,), in [-1, 1], share of the Coulomb limit; +1: inner tube last rotated counterclockwise.
@@ -270,7 +277,9 @@ class Mechanics:
                 grid.spacing_m,
                 np.ascontiguousarray(grid.R_AB),
                 np.ascontiguousarray(grid.p_AB),
-                np.array([steps.rotation_rad, steps.translation_m, steps.motion_m, steps.near_m, steps.point_spacing_m]),
+                np.array(
+                    [steps.rotation_rad, steps.translation_m, steps.motion_m, steps.near_m, steps.point_spacing_m]
+                ),
                 np.array([stop.stability, stop.max_strain, stop.clearance_m]),
                 _is_certificate(accuracy),
                 bodies,

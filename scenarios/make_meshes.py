@@ -118,6 +118,7 @@ def vessel() -> Mesh:
     """A vessel 205 mm long: a trunk of 13 mm radius that bends with 300 mm radius, as the proximal tubes of the robot of
     Table II do, and from 150 mm on a branch of 9 mm radius that turns off with 75 mm radius, out of the trunk's plane.
     """
+
     def kx(s: Array) -> Array:
         return _blend(s, 10, 30) / 300 + _blend(s, 162, 174) * (0.7 / 75 - 1 / 300)
 

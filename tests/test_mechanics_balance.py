@@ -213,10 +213,12 @@ def test_frames_are_rotations_that_follow_the_centreline(case: Case) -> None:
             shape.frames.transpose(0, 2, 1) @ shape.frames, np.tile(np.eye(3), (len(shape.s_m), 1, 1)), atol=1e-12
         )
         assert np.linalg.det(shape.frames).min() > 0
-        chord = np.diff(shape.centreline_m, axis=0) / np.diff(shape.s_m)[:, None]
-        mean = 0.5 * (shape.frames[1:, :, 2] + shape.frames[:-1, :, 2])
-        np.testing.assert_allclose(chord, mean, rtol=0, atol=2e-3)
-        np.testing.assert_allclose(np.linalg.norm(chord, axis=1), 1, rtol=0, atol=1e-3)
+        step = np.diff(shape.s_m)
+        short = step < 3e-3  # where differences are derivatives
+        chord = (np.diff(shape.centreline_m, axis=0) / step[:, None])[short]
+        mean = 0.5 * (shape.frames[1:, :, 2] + shape.frames[:-1, :, 2])[short]
+        np.testing.assert_allclose(chord, mean, rtol=0, atol=1e-3)
+        np.testing.assert_allclose(np.linalg.norm(chord, axis=1), 1, rtol=0, atol=1e-4)
 
 
 def test_frames_turn_at_the_rate_of_the_curvature(case: Case) -> None:
@@ -230,6 +232,6 @@ def test_frames_turn_at_the_rate_of_the_curvature(case: Case) -> None:
         rate /= 2 * np.diff(shape.s_m)[:, None]
         mean = 0.5 * (shape.curvature_per_m[1:] + shape.curvature_per_m[:-1])
         mean[:, 2] = shape.curvature_per_m[1:, 2]
-        inside = ~at_joint[1:] & ~at_joint[:-1]
+        inside = ~at_joint[1:] & ~at_joint[:-1] & (np.diff(shape.s_m) < 3e-3)
         error = np.linalg.norm(rate - mean, axis=1)[inside]
         assert np.quantile(error, 0.9) <= 0.1  # 1/m, of curvatures up to 18

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -53,7 +54,11 @@ def check(plan: ctrplan.Plan) -> None:
     assert samples.motion_m.max() <= SPACING_M
     assert samples.stability.min() >= plan.scenario.margins.stability
     assert samples.clearance_m.min() >= plan.scenario.robot.model_error_m
-    assert all(ratio <= 1 + 1e-9 for row in verify_limits(plan.trajectory, plan.scenario.robot.drive).values() for ratio in row.values())
+    assert all(
+        ratio <= 1 + 1e-9
+        for row in verify_limits(plan.trajectory, plan.scenario.robot.drive).values()
+        for ratio in row.values()
+    )
     np.testing.assert_allclose(plan.trajectory.position[-1], plan.legs[-1].end, atol=1e-9)
 
 
@@ -89,7 +94,7 @@ def test_walk_reports_a_snap_it_was_not_told_about(snap: ctrplan.Plan) -> None:
 
 @pytest.mark.parametrize("name", ["RRT*", "RRTConnect"])
 def test_other_planners(name: str) -> None:
-    check(ctrplan.plan(scenario("pair_free", f'planner.name="{name}"'), seed=1, time_s=4))
+    check(ctrplan.plan(scenario("ribs", f'planner.name="{name}"'), seed=1, time_s=3))
 
 
 def test_reorder_puts_rotations_first_at_no_higher_cost() -> None:
@@ -100,7 +105,9 @@ def test_reorder_puts_rotations_first_at_no_higher_cost() -> None:
     for _ in range(40):
         if tried == 4:
             break
-        path = np.concatenate([[case.start], case.start + np.cumsum(rng.uniform(-1, 1, (4, 3)) * [0.4, 0.6, 8e-3], axis=0)])
+        path = np.concatenate(
+            [[case.start], case.start + np.cumsum(rng.uniform(-1, 1, (4, 3)) * [0.4, 0.6, 8e-3], axis=0)]
+        )
         if not checker.along(path).valid:
             continue
         tried += 1
@@ -162,7 +169,10 @@ def test_simultaneous_motion_is_a_named_fallback(monkeypatch: pytest.MonkeyPatch
         return real(self, a, b) if self.style == "simultaneous" else invalid("refused by the test")
 
     monkeypatch.setattr(MotionChecker, "motion", refuse_l_shapes)
-    monkeypatch.setattr("ctrplan.planning.reorder._pieces", lambda checker, corners, i, j: [corners[i : j + 1]])
+    # the package exports a function of the module's name
+    monkeypatch.setattr(
+        sys.modules["ctrplan.planning.reorder"], "_pieces", lambda checker, corners, i, j: [corners[i : j + 1]]
+    )
     plan = ctrplan.plan(scenario("pair_free"), seed=0, time_s=1)
     assert plan.style == "simultaneous" and any("simultaneously" in note for note in plan.notes)
     assert plan.certificate.valid
@@ -221,5 +231,5 @@ def test_objective_in_a_set_up_of_ones_own() -> None:
     planner.setProblemDefinition(definition)
     planner.setup()
     calls = iter(range(10**6))
-    planner.solve(ob.PlannerTerminationCondition(lambda: next(calls) > 60))
+    planner.solve(ob.PlannerTerminationCondition(lambda: next(calls) > 12))
     assert objective.is_goal(read(goal)) and not objective.is_goal(read(start))

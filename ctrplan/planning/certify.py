@@ -173,7 +173,10 @@ def _problems(
         where = f"leg {piece.leg + 1}"
         if piece.samples.fraction[-1] < 1 and len(pieces) > 1 or breach(piece.samples, PathLimits()):
             found.append(f"On {where}: {breach(piece.samples, PathLimits()) or 'the walk did not reach its end'}.")
-        elif before is not None and np.linalg.norm(before.samples.tip_m[-1] - piece.samples.tip_m[0]) > BRANCH_TOLERANCE_M:
+        elif (
+            before is not None
+            and np.linalg.norm(before.samples.tip_m[-1] - piece.samples.tip_m[0]) > BRANCH_TOLERANCE_M
+        ):
             found.append(f"On {where}: the shape depends on the way there, several equilibria exist.")
     checks = [
         (samples.stability < limits.stability, "stability falls to {:.3g}, below the margin", samples.stability.min()),
@@ -189,10 +192,14 @@ def _problems(
             found.append(f"On leg {samples.leg[np.argmax(broken)] + 1}: {text.format(value)}.")
     goal, miss = scenario.goal, _goal_miss(scenario, samples.tip_m[-1])
     if goal.tip_m is not None and miss > goal.tolerance_m:
-        found.append(f"The frictionless tip ends {miss * MM_PER_M:.2f} mm from the target, tolerance {goal.tolerance_m * MM_PER_M:g} mm.")
+        found.append(
+            f"The frictionless tip ends {miss * MM_PER_M:.2f} mm from the target, tolerance {goal.tolerance_m * MM_PER_M:g} mm."
+        )
     limit = scenario.cost.max_error_goal_m
     if limit is not None and not samples.bound_m[-1] <= limit:
-        found.append(f"The worst-case error at the goal is {samples.bound_m[-1] * MM_PER_M:.2f} mm, above {limit * MM_PER_M:g} mm.")
+        found.append(
+            f"The worst-case error at the goal is {samples.bound_m[-1] * MM_PER_M:.2f} mm, above {limit * MM_PER_M:g} mm."
+        )
     return found
 
 

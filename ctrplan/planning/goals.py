@@ -44,7 +44,10 @@ def goal_states(checker: MotionChecker, rng: np.random.Generator) -> list[GoalSt
     kept = [state for state in found if limit is None or state.bound_m <= limit]
     if not kept:
         best = found[0].bound_m * MM_PER_M
-        raise _no_answer(checker, f"no goal state keeps the required worst-case error of {(limit or 0) * MM_PER_M:g} mm, the best has {best:.2f} mm")
+        raise _no_answer(
+            checker,
+            f"no goal state keeps the required worst-case error of {(limit or 0) * MM_PER_M:g} mm, the best has {best:.2f} mm",
+        )
     return _choice(checker, kept)
 
 

@@ -51,7 +51,9 @@ class JointSpace:
         if style == "simultaneous":
             return self.straight_length_mm(delta)
         rotation = self.drive.is_rotation
-        return self.straight_length_mm(np.where(rotation, delta, 0)) + self.straight_length_mm(np.where(rotation, 0, delta))
+        return self.straight_length_mm(np.where(rotation, delta, 0)) + self.straight_length_mm(
+            np.where(rotation, 0, delta)
+        )
 
     def corners(self, a: Array, b: Array, style: MotionStyle) -> Array:
         """(K, m) start, corner if both kinds of joints move, end; windings continue from a."""

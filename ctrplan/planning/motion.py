@@ -40,7 +40,7 @@ class MotionChecker:
         self.space = JointSpace.of(scenario)
         self.mechanics = scenario.robot.mechanics
         self.field = robot_field(scenario)
-        self.density = PathDensity()
+        self.density = PathDensity(rotation_rad=0.26, translation_m=8e-3, motion_m=15e-3)
         self.limits = path_limits(scenario)
         self.calls = 0  # into the core
         self._known: dict[bytes, Motion] = {}
@@ -88,7 +88,9 @@ class MotionChecker:
         if len(corners) == 1:
             return 0.0, 0.0
         lengths = np.array([self.space.straight_length_mm(d) for d in np.diff(corners, axis=0)])
-        travelled = np.concatenate([[0.0], np.cumsum(lengths)])[samples.segment] + samples.fraction * lengths[samples.segment]
+        travelled = (
+            np.concatenate([[0.0], np.cumsum(lengths)])[samples.segment] + samples.fraction * lengths[samples.segment]
+        )
         integral = np.trapezoid(samples.position_m * MM_PER_M, travelled) / self.scenario.cost.mm_per_rad
         return float(lengths.sum()), float(integral)
 

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 # Planners that grow forwards only, or check every motion in the direction it is driven.
 PLANNERS = {"BIT*": og.BITstar, "RRT*": og.RRTstar, "RRTConnect": og.RRTConnect}
 FALLBACK_SHARE = 0.3  # of the time, for simultaneous motions when no L-shaped path was found
+GOAL_BIAS = 0.3  # of a tree's samples: each is dear, and the goal is a set of many states
 ATTEMPTS = 8  # searches after a path failed its certificate
 LATEST = 2.0  # times the budget: no further attempt begins after it
 
@@ -194,6 +195,10 @@ class _Problem:
         self.objective = BoundObjective(self.information, checker.scenario, goals=targets, checker=checker)
         self.definition.setOptimizationObjective(self.objective)
         self.planner: Any = PLANNERS[checker.scenario.planner.name](self.information)
+        if hasattr(self.planner, "setRange"):
+            self.planner.setRange(self.space.getMaximumExtent())  # a motion is dear to check, long or short
+        if hasattr(self.planner, "setGoalBias"):
+            self.planner.setGoalBias(GOAL_BIAS)
         self.planner.setProblemDefinition(self.definition)
         self.planner.setup()
 

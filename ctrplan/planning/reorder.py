@@ -97,7 +97,11 @@ def _pieces(checker: MotionChecker, corners: Array, i: int, j: int) -> list[Arra
     """Ways from corner i to corner j: the L-shaped motion with the path's own winding, and the leg itself."""
     a, b = corners[i], corners[j]
     turned = np.where(checker.space.drive.is_rotation, b, a)
-    ways = [np.array([a, turned, b])] if not (np.array_equal(turned, a) or np.array_equal(turned, b)) else [np.array([a, b])]
+    ways = (
+        [np.array([a, turned, b])]
+        if not (np.array_equal(turned, a) or np.array_equal(turned, b))
+        else [np.array([a, b])]
+    )
     if j == i + 1 and len(ways[0]) > 2:
         ways.append(np.array([a, b]))
     return ways

@@ -8,6 +8,7 @@ namespace {
 
 constexpr double kShortestStep = 1.0 / 1024;  // of a leg
 constexpr double kMarkerSpacing = 4e-3;       // m
+constexpr double kSurprise = 4;                // times the motion expected from the step before
 constexpr double kSnap = 1.5e-3;              // m; motion in the shortest step that counts as a jump
 
 // Cubic Hermite between two nodes; tangents are unit, so that the element length scales them.
@@ -153,8 +154,10 @@ std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Config
         double at = 0, step = longest > 0 ? 1 / std::ceil(longest - 1e-9) : 1, rate = 0;
         const double largest = step;
         while (at < 1) {
-            const double allowed = std::clamp(samples.back().clearance, density.near, density.motion);
+            double allowed = std::clamp(samples.back().clearance, density.near, density.motion);
             if (rate > 0) step = std::min(step, 0.85 * allowed / rate);
+            // a body that suddenly moves much faster may have snapped: look closer
+            if (rate > 0) allowed = std::min(allowed, std::max(kSurprise * rate * step, kSnap));
             double next = at + step > 1 - 1e-9 ? 1 : at + step;
             if (next < 1 && at + 2 * step > 1) next = 0.5 * (at + 1);  // two even steps rather than a long and a sliver
             solver.follow(between(a, b, next), mesh);
@@ -162,7 +165,6 @@ std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Config
             const double motion = largest_motion(before, now);
             if (motion > allowed && next - at > kShortestStep * std::max(1.0, largest)) {
                 step = std::max(0.5 * (next - at), 0.5 * kShortestStep);
-                rate = 0;
                 continue;
             }
             const bool jumped = motion > std::max(allowed, kSnap);
