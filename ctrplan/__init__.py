@@ -14,7 +14,9 @@ if TYPE_CHECKING:
     from ctrplan import planning
     from ctrplan.errors import CtrplanError, InputError, NoAnswerError
     from ctrplan.mechanics import Bound, Bounds, Shape, Status
-    from ctrplan.planning import Plan, plan, reorder
+    from ctrplan.planning.plan import Plan
+    from ctrplan.planning.planner import plan as plan
+    from ctrplan.planning.reorder import reorder as reorder
     from ctrplan.robot import Robot, load_robot
     from ctrplan.scenario import Scenario, load_scenario
 
@@ -34,7 +36,23 @@ _HOMES = {
     "plan": "planning",
     "reorder": "planning",
 }
-__all__ = [*sorted(_HOMES), "planning"]
+__all__ = [
+    "Bound",
+    "Bounds",
+    "CtrplanError",
+    "InputError",
+    "NoAnswerError",
+    "Plan",
+    "Robot",
+    "Scenario",
+    "Shape",
+    "Status",
+    "load_robot",
+    "load_scenario",
+    "plan",
+    "planning",
+    "reorder",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -1,7 +1,7 @@
 """Typed face of the mechanics core: shapes, friction states, bounds. The only importer of the compiled module.
 
-Models and conventions: docs/model.md. Joint arrays are outermost tube first; SI units; the world frame stands at the front
-plate, z along insertion, s = 0 at the plate.
+Models and conventions: docs/model.md. Joint arrays are outermost tube first; SI units; the world frame stands at the
+front plate, z along insertion, s = 0 at the plate.
 """
 
 from __future__ import annotations
@@ -165,31 +165,31 @@ class Mechanics:
     """A robot's compiled model. Thread-safe: concurrent calls use separate workspaces; the GIL is released."""
 
     def __init__(self, tubes: Sequence[Tube], clearance_m: ArrayLike, friction: ArrayLike) -> None:
-        """`clearance_m` (n - 1,) radial; `friction` (n - 1,) Coulomb coefficients."""
+        """`clearance_m` (n - 1,) radial [m]; `friction` (n - 1,) Coulomb coefficients. Raises InputError."""
         self.n = len(tubes)
-        gaps, coefficients = np.atleast_1d(clearance_m), np.atleast_1d(friction)
-        self._model = _model.Model(
-            [
+        gaps, coefficients = self._pairs(clearance_m, "clearance_m"), self._pairs(friction, "friction")
+        if any(not tube.poisson_ratio > -1 for tube in tubes):
+            raise InputError("must be above -1", key="poisson_ratio", value=min(tube.poisson_ratio for tube in tubes))
+        with _input_errors():
+            self._model = _model.Model(
                 [
-                    tube.outer_diameter_m / 2,
-                    tube.inner_diameter_m / 2,
-                    tube.bending_stiffness_Nm2,
-                    tube.bending_stiffness_Nm2 / (1 + tube.poisson_ratio),
-                    tube.collar_length_m,
-                ]
-                for tube in tubes
-            ],
-            [[[s.length_m, s.curvature_x_per_m, s.curvature_y_per_m] for s in tube.sections] for tube in tubes],
-            [
+                    [
+                        tube.outer_diameter_m / 2,
+                        tube.inner_diameter_m / 2,
+                        tube.bending_stiffness_Nm2,
+                        tube.bending_stiffness_Nm2 / (1 + tube.poisson_ratio),
+                        tube.collar_length_m,
+                    ]
+                    for tube in tubes
+                ],
+                [[[s.length_m, s.curvature_x_per_m, s.curvature_y_per_m] for s in tube.sections] for tube in tubes],
                 [
-                    float(gaps[j]),
-                    float(coefficients[j]),
-                    tubes[j].inner_diameter_m / 2,
-                    tubes[j + 1].outer_diameter_m / 2,
-                ]
-                for j in range(self.n - 1)
-            ],
-        )
+                    [gap, mu, outer.inner_diameter_m / 2, inner.outer_diameter_m / 2]
+                    for gap, mu, outer, inner in zip(
+                        gaps.tolist(), coefficients.tolist(), tubes[:-1], tubes[1:], strict=True
+                    )
+                ],
+            )
 
     def zero_clearance(self, theta_b: ArrayLike, l_b: ArrayLike) -> Shape:
         """The standard model (2)-(3) at base rotations (n,) [rad] and translations (n,) [m]."""
@@ -203,7 +203,10 @@ class Mechanics:
 
         phi: scalar or (n - 1,), in [-1, 1], share of the Coulomb limit; +1: inner tube last rotated counterclockwise.
         """
-        state = np.broadcast_to(np.asarray(phi, dtype=np.float64), (self.n - 1,))
+        state = _numbers(phi, "phi")
+        if state.ndim == 0:
+            state = np.full(self.n - 1, state)
+        state = self._pairs(state, "phi")
         if not np.all(np.abs(state) <= 1):
             raise InputError("must lie in [-1, 1]", key="phi", value=_worst(state))
         with _input_errors():
@@ -231,8 +234,8 @@ class Mechanics:
     ) -> Bounds:
         """Bounds of K configurations, theta_b (K, n), l_b (K, n); threads = 0 uses every core."""
         with _input_errors():
-            table: Array = self._model.bound_many(
-                self._rows(theta_b), self._rows(l_b), _is_certificate(accuracy), threads
+            table: Array = np.asarray(
+                self._model.bound_many(self._rows(theta_b), self._rows(l_b), _is_certificate(accuracy), threads)
             )
         return Bounds(
             position_m=table[:, 0],
@@ -248,7 +251,7 @@ class Mechanics:
     def tips(self, theta_b: ArrayLike, l_b: ArrayLike, *, threads: int = 0) -> tuple[Array, Array, NDArray[np.int_]]:
         """Zero-clearance tips (K, 3) [m], tangents (K, 3) and status (K,) of K configurations."""
         with _input_errors():
-            table: Array = self._model.tips(self._rows(theta_b), self._rows(l_b), threads)
+            table: Array = np.asarray(self._model.tips(self._rows(theta_b), self._rows(l_b), threads))
         return table[:, :3], table[:, 3:6], table[:, 6].astype(int)
 
     def check_path(
@@ -285,8 +288,14 @@ class Mechanics:
                 bodies,
             )
         return PathSamples(
-            table[:, 0].astype(int),
-            *(table[:, k] for k in range(1, 8)),
+            segment=table[:, 0].astype(int),
+            fraction=table[:, 1],
+            position_m=table[:, 2],
+            tangent_rad=table[:, 3],
+            stability=table[:, 4],
+            max_strain=table[:, 5],
+            clearance_m=table[:, 6],
+            motion_m=table[:, 7],
             status=table[:, 8].astype(int),
             tip_m=table[:, 9:12],
             tip_tangent=table[:, 12:15],
@@ -296,17 +305,23 @@ class Mechanics:
     def body(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> tuple[Array, Array]:
         """Outermost centreline in front of the plate: points (1 + corners, N, 3) [m], outer radii (N,) [m]."""
         with _input_errors():
-            table: Array = self._model.body(self._row(theta_b), self._row(l_b), _is_certificate(accuracy))
+            table: Array = np.asarray(self._model.body(self._row(theta_b), self._row(l_b), _is_certificate(accuracy)))
         return table[:, :, :3], table[0, :, 3]
 
+    def _pairs(self, values: ArrayLike, key: str) -> Array:
+        pairs = np.atleast_1d(_numbers(values, key))
+        if pairs.shape != (self.n - 1,):
+            raise InputError(f"must have shape ({self.n - 1},), one value per pair, not {pairs.shape}", key=key)
+        return pairs
+
     def _row(self, values: ArrayLike) -> Array:
-        row = np.ascontiguousarray(values, dtype=np.float64)
+        row = np.ascontiguousarray(_numbers(values, "joint array"))
         if row.shape != (self.n,):
             raise InputError(f"must have shape ({self.n},), one value per tube, not {row.shape}", key="joint array")
         return row
 
     def _rows(self, values: ArrayLike) -> Array:
-        rows = np.ascontiguousarray(values, dtype=np.float64)
+        rows = np.ascontiguousarray(_numbers(values, "joint array"))
         if rows.ndim != 2 or rows.shape[1] != self.n:
             raise InputError(f"must have shape (K, {self.n}), not {rows.shape}", key="joint array")
         return rows
@@ -326,6 +341,13 @@ class _input_errors:
 def kernel_name() -> str:
     """Instruction set of the kernel in use: "avx2" or "baseline"."""
     return str(_model.kernel_name())
+
+
+def _numbers(values: ArrayLike, key: str) -> Array:
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError("must be numbers", key=key) from None
 
 
 def _is_certificate(accuracy: Accuracy) -> bool:

@@ -45,7 +45,7 @@ MEANING = (
 )
 
 
-def write_report(plan: Plan, path: str | os.PathLike[str]) -> None:
+def write_report(path: str | os.PathLike[str], plan: Plan) -> None:
     """Write report.html, one file that loads nothing, whole or not at all; as `write_atomically`."""
     write_atomically(path, report_html(plan))
 

@@ -115,8 +115,9 @@ def _blend(s: Array, begin: float, end: float) -> Array:
 
 
 def vessel() -> Mesh:
-    """A vessel 205 mm long: a trunk of 13 mm radius that bends with 300 mm radius, as the proximal tubes of the robot of
-    Table II do, and from 150 mm on a branch of 9 mm radius that turns off with 75 mm radius, out of the trunk's plane.
+    """A vessel 205 mm long: a trunk of 13 mm radius that bends with 300 mm radius, as the proximal tubes of the robot
+    of Table II do, and from 150 mm on a branch of 9 mm radius that turns off with 75 mm radius, out of the trunk's
+    plane.
     """
 
     def kx(s: Array) -> Array:

@@ -77,7 +77,7 @@ def test_nothing_is_loaded(content: str) -> None:
 
 
 def test_plotly_comes_once_and_the_file_is_small(plan: Plan, tmp_path: Path) -> None:
-    write_report(plan, tmp_path / "report.html")
+    write_report(tmp_path / "report.html", plan)
     assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
     assert (tmp_path / "report.html").stat().st_size < 9e6
     assert (tmp_path / "report.html").read_text(encoding="utf-8").count("* plotly.js v") == 1

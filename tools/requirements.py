@@ -1,4 +1,4 @@
-"""Prints what pyproject.toml requires to build, run and test, one requirement a line, for the Makefile's environment."""
+"""Prints what pyproject.toml requires to build, run and test, one per line, for the Makefile's environment."""
 
 import sys
 from pathlib import Path

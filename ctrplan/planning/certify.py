@@ -6,9 +6,10 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ctrplan.anatomy import exact_clearance
 from ctrplan.drive import Array
@@ -78,7 +79,7 @@ def certify(
 def _walk(
     scenario: Scenario, space: JointSpace, corners: Array, accuracy: Accuracy, progress: Progress | None
 ) -> list[_Piece]:
-    """The legs in pieces, in parallel; each piece starts from scratch, which `_problems` compares with its predecessor."""
+    """The legs in pieces, in parallel; each starts from scratch, which `_problems` compares with the one before."""
     ends = []
     for leg, (a, b) in enumerate(zip(corners[:-1], corners[1:], strict=True)):
         count = max(1, int(np.ceil(space.straight_length_mm(b - a) / PIECE_MM)))
@@ -111,14 +112,14 @@ def _join(
     """One table over all pieces; the first sample of every piece but the first repeats the last one before it."""
     starts = np.concatenate([[0.0], np.cumsum([space.straight_length_mm(d) for d in np.diff(corners, axis=0)])])
     slack = DISCRETISATION_M if accuracy == "search" else DISCRETISATION_M / 6
-    columns: dict[str, list[Array]] = {name: [] for name in CertificateSamples.__dataclass_fields__}
+    columns: dict[str, list[NDArray[Any]]] = {name: [] for name in CertificateSamples.__dataclass_fields__}
     for number, piece in enumerate(pieces):
         s = piece.samples
         keep = slice(0 if number == 0 else 1, None)
         joints = piece.start + s.fraction[:, None] * (piece.end - piece.start)
         travelled = [space.straight_length_mm(q - corners[piece.leg]) for q in joints]
         clearance = _exact(scenario, s) - s.motion_m / 2 - slack
-        rows = {
+        rows: dict[str, NDArray[Any]] = {
             "leg": np.full(len(s.fraction), piece.leg),
             "joints": joints,
             "path_mm": starts[piece.leg] + np.array(travelled),
@@ -192,14 +193,12 @@ def _problems(
             found.append(f"On leg {samples.leg[np.argmax(broken)] + 1}: {text.format(value)}.")
     goal, miss = scenario.goal, _goal_miss(scenario, samples.tip_m[-1])
     if goal.tip_m is not None and miss > goal.tolerance_m:
-        found.append(
-            f"The frictionless tip ends {miss * MM_PER_M:.2f} mm from the target, tolerance {goal.tolerance_m * MM_PER_M:g} mm."
-        )
+        miss_mm, tolerance_mm = miss * MM_PER_M, goal.tolerance_m * MM_PER_M
+        found.append(f"The frictionless tip ends {miss_mm:.2f} mm from the target, tolerance {tolerance_mm:g} mm.")
     limit = scenario.cost.max_error_goal_m
     if limit is not None and not samples.bound_m[-1] <= limit:
-        found.append(
-            f"The worst-case error at the goal is {samples.bound_m[-1] * MM_PER_M:.2f} mm, above {limit * MM_PER_M:g} mm."
-        )
+        error_mm, limit_mm = samples.bound_m[-1] * MM_PER_M, limit * MM_PER_M
+        found.append(f"The worst-case error at the goal is {error_mm:.2f} mm, above {limit_mm:g} mm.")
     return found
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ctrplan.drive import Array
 from ctrplan.errors import NoAnswerError
@@ -43,10 +44,10 @@ def goal_states(checker: MotionChecker, rng: np.random.Generator) -> list[GoalSt
     limit = checker.scenario.cost.max_error_goal_m
     kept = [state for state in found if limit is None or state.bound_m <= limit]
     if not kept:
-        best = found[0].bound_m * MM_PER_M
+        required, best = (limit or 0) * MM_PER_M, found[0].bound_m * MM_PER_M
         raise _no_answer(
             checker,
-            f"no goal state keeps the required worst-case error of {(limit or 0) * MM_PER_M:g} mm, the best has {best:.2f} mm",
+            f"no goal state keeps the required worst-case error of {required:g} mm, the best has {best:.2f} mm",
         )
     return _choice(checker, kept)
 
@@ -142,17 +143,17 @@ def _step(checker: MotionChecker, q: Array, miss: Array, jacobian: Array) -> Arr
     return np.where(allowed[:, None], moved, q)
 
 
-def _clearance_tips(checker: MotionChecker, q: Array) -> tuple[Array, Array, Array]:
+def _clearance_tips(checker: MotionChecker, q: Array) -> tuple[Array, NDArray[np.int_], Array]:
     bounds = checker.mechanics.bound_many(*checker.space.drive.collars(q))
     return bounds.tip_m, bounds.status, bounds.tip_tangent
 
 
-def _aligned(scenario: Scenario, tangents: Array) -> Array:
+def _aligned(scenario: Scenario, tangents: Array) -> NDArray[np.bool_]:
     goal = scenario.goal
     if goal.direction is None or goal.direction_tolerance_rad is None:
         return np.ones(len(tangents), dtype=bool)
     cosine = np.clip(tangents @ (scenario.base_R.T @ goal.direction), -1, 1)
-    aligned: Array = np.arccos(cosine) <= goal.direction_tolerance_rad
+    aligned: NDArray[np.bool_] = np.arccos(cosine) <= goal.direction_tolerance_rad
     return aligned
 
 

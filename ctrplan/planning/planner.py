@@ -1,4 +1,4 @@
-"""The search: OMPL planners over L-shaped motions with the friction bound in their cost; then reorder, certify, play."""
+"""The search: OMPL planners over L-shaped motions with the friction bound in their cost; reorder, certify, play."""
 
 from __future__ import annotations
 
@@ -114,7 +114,6 @@ class _Work:
     def run(self) -> tuple[_Candidate, _Candidate]:
         """The first and the best certified path."""
         style: MotionStyle = self.checker.style
-        first = best = None
         for attempt in range(ATTEMPTS):
             began = time.monotonic()
             if self.interrupted.is_set() or (attempt and began - self.began > LATEST * self.budget):
@@ -128,9 +127,10 @@ class _Work:
                     break
                 style = "simultaneous"
                 continue
-            first = best = self._certified(problem)
+            first = self._certified(problem)
             if first is None:
                 continue
+            best = first
             before = problem.corners()
             if self._search(problem, began, until, only_first=False) and not np.array_equal(problem.corners(), before):
                 better = self._certified(problem)
@@ -140,9 +140,8 @@ class _Work:
         name = self.checker.scenario.path or self.checker.scenario.name
         if self.failure:
             raise NoAnswerError(f"{name}: no path in time passed its certificate: {self.failure}")
-        raise NoAnswerError(
-            f"{name}: planner.time_s = {self.budget:g} s: no valid path to any of {len(self.goals)} goal states was found in time."
-        )
+        outcome = f"no valid path to any of {len(self.goals)} goal states was found in time"
+        raise NoAnswerError(f"{name}: planner.time_s = {self.budget:g} s: {outcome}.")
 
     def _search(self, problem: _Problem, began: float, until: float, *, only_first: bool) -> bool:
         """Runs or continues the search; whether there is a path."""

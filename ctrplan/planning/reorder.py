@@ -1,4 +1,4 @@
-"""Reordering: on any path, merge and reorder legs so that rotations come before translations, never at a higher cost."""
+"""Reordering: merges and reorders the legs of any path, rotations before translations, never at a higher cost."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ class Reordered:
 def reorder(path: ArrayLike, scenario: Scenario, *, period_s: float = 0.01) -> Plan:
     """Plan that drives a path (K, m) of actuated joint values, from anyone's planner, at lower or equal cost.
 
-    Consecutive waypoints are joined by straight lines as given; unlimited rotations keep their winding. Raises InputError
-    for a path of the wrong shape, NoAnswerError if the path itself is not valid in the scenario.
+    Consecutive waypoints are joined by straight lines as given; unlimited rotations keep their winding. Raises
+    InputError for a path of the wrong shape, NoAnswerError if the path itself is not valid in the scenario.
     """
     began = time.monotonic()
     corners = np.array(path, dtype=np.float64)

@@ -102,12 +102,15 @@ void BoundSolver::advance(LaneState& state, const CarriedState& carried, const B
     solver_.solve(state, path, result);
 }
 
-void BoundSolver::follow(const Configuration& q, const MeshDensity& density) {
+void BoundSolver::follow(const Configuration& q, const MeshDensity& density, bool retrying) {
     if (!have_solution_) return solve(q, density);
     carried_.resize(batches_.size() + 1);
-    carried_[0].take(solver_.mesh(), frictionless_);
-    for (std::size_t b = 0; b < batches_.size(); ++b) carried_[b + 1].take(solver_.mesh(), *batches_[b]);
-    const BarrierPath path = BarrierPath::warm(joint_motion(q_, q));
+    if (!retrying) {
+        carried_q_ = q_;
+        carried_[0].take(solver_.mesh(), frictionless_);
+        for (std::size_t b = 0; b < batches_.size(); ++b) carried_[b + 1].take(solver_.mesh(), *batches_[b]);
+    }
+    const BarrierPath path = BarrierPath::warm(joint_motion(carried_q_, q));
     prepare(q, density);
     if (!carried_[0].fits(solver_.mesh())) return solve(q, density);
     frictionless_.resize(solver_.mesh().problem(), 1);
@@ -182,7 +185,10 @@ void BoundSolver::measure() {
         const Vec3 u = backbone.frame.back().tangent(), v = other.frame.back().tangent(), w = cross(u, v);
         tangent = std::max(tangent, std::atan2(std::sqrt(dot(w, w)), dot(u, v)));
     }
-    if (!all_converged()) position = tangent = std::numeric_limits<double>::quiet_NaN();
+    if (!all_converged()) {
+        position = tangent = std::numeric_limits<double>::quiet_NaN();
+        std::fill(envelope.begin(), envelope.end(), position);
+    }
 }
 
 }  // namespace ctr

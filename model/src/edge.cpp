@@ -8,8 +8,8 @@ namespace {
 
 constexpr double kShortestStep = 1.0 / 1024;  // of a leg
 constexpr double kMarkerSpacing = 4e-3;       // m
-constexpr double kSurprise = 4;                // times the motion expected from the step before
-constexpr double kSnap = 1.5e-3;              // m; motion in the shortest step that counts as a jump
+constexpr double kSurprise = 1.5;              // times the motion expected from the step before
+constexpr double kSnap = 1e-3;                // m; more motion than expected that counts as a jump
 
 // Cubic Hermite between two nodes; tangents are unit, so that the element length scales them.
 Vec3 between(const Vec3& a, const Vec3& ta, const Vec3& b, const Vec3& tb, double h, double x) {
@@ -153,30 +153,37 @@ std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Config
         const double longest = steps(a, b, density);  // joint steps this leg needs at least
         double at = 0, step = longest > 0 ? 1 / std::ceil(longest - 1e-9) : 1, rate = 0;
         const double largest = step;
+        bool retrying = false;
+        double rejected = 0;  // motion of the last step that was not accepted
         while (at < 1) {
-            double allowed = std::clamp(samples.back().clearance, density.near, density.motion);
+            const double allowed = std::clamp(samples.back().clearance, density.near, density.motion);
             if (rate > 0) step = std::min(step, 0.85 * allowed / rate);
-            // a body that suddenly moves much faster may have snapped: look closer
-            if (rate > 0) allowed = std::min(allowed, std::max(kSurprise * rate * step, kSnap));
             double next = at + step > 1 - 1e-9 ? 1 : at + step;
             if (next < 1 && at + 2 * step > 1) next = 0.5 * (at + 1);  // two even steps rather than a long and a sliver
-            solver.follow(between(a, b, next), mesh);
+            solver.follow(between(a, b, next), mesh, retrying);
             now = material_markers(solver);
             const double motion = largest_motion(before, now);
-            if (motion > allowed && next - at > kShortestStep * std::max(1.0, largest)) {
+            // A body that moves much faster than before may have snapped: look closer, until its motion shrinks with the step.
+            const bool surprising = rate > 0 && motion > kSurprise * rate * (next - at) + kSnap && motion > 0.75 * rejected;
+            if ((motion > allowed || surprising) && next - at > kShortestStep) {
                 step = std::max(0.5 * (next - at), 0.5 * kShortestStep);
+                rejected = motion;
+                retrying = true;
                 continue;
             }
-            const bool jumped = motion > std::max(allowed, kSnap);
+            retrying = false;
+            const bool jumped = next - at <= kShortestStep && motion > std::max(allowed, kSnap);
+            const bool snapped = jumped || (surprising && next - at <= kShortestStep);
+            rejected = 0;
             rate = motion / (next - at);
             if (!record(static_cast<int>(leg), next, motion)) return samples;
-            if (jumped) {
+            if (snapped) {
                 samples.back().status = Status::unstable;
                 return samples;
             }
             before.swap(now);
+            step = std::min(largest, 2 * (next - at));  // after a closer look the steps grow again bit by bit
             at = next;
-            step = largest;
         }
     }
     return samples;

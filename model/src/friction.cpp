@@ -2,12 +2,14 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 namespace ctr {
 namespace {
 
 constexpr double kFirstDamping = 30;     // 1/m^2, about the lowest torsional mode of a 0.2 m tube
 constexpr double kMostDamping = 100;     // 1/m^2
+constexpr double kSettled = 2e-3;        // rad
 constexpr double kSlidingLevel = 30;     // N/m
 constexpr double kKeep = 0.95;            // fraction of the way to the boundary
 constexpr double kMaxTwistStep = 0.6;     // rad
@@ -118,6 +120,7 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
     for (int lane = 0; lane < lanes; ++lane) {
         level[lane] = path.first;
         result[lane] = {};
+        result[lane].residual = result[lane].complementarity = std::numeric_limits<double>::infinity();
     }
     for (int k = 0; k < path.max_steps; ++k) {
         run.newton(pb, view, level, damping);
@@ -137,7 +140,10 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
                 level[lane] = std::max(level[lane], std::min(3 * level[lane], kSlidingLevel));  // contacts must move along
                 primal[lane] = dual[lane] = 0;
             } else if (primal[lane] > 0.5) {
-                damping[lane] = damping[lane] < kFirstDamping ? 0 : (twist < 0.4 * path.trust ? 0.4 : 0.8) * damping[lane];
+                // where a fold is near the last of the damping stays until the twist settles
+                damping[lane] *= twist < 0.4 * path.trust ? 0.4 : 0.8;
+                if (damping[lane] > 0) damping[lane] = std::max(damping[lane], 0.4 * kFirstDamping);
+                if (twist < kSettled) damping[lane] = 0;
             }
         }
         run.advance(pb, view, primal, dual);
@@ -150,7 +156,7 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
                 done[lane] = result[lane].converged = true;
                 continue;
             }
-            const double worst = damping[lane] > 0 ? 0 : std::min(primal[lane], dual[lane]);
+            const double worst = damping[lane] > 0.4 * kFirstDamping ? 0 : std::min(primal[lane], dual[lane]);
             if (worst > 0.3) level[lane] = std::max(path.last, level[lane] * (worst > 0.8 ? path.shrink : 0.5));
         }
         if (path.centre_only) {

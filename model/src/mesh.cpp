@@ -132,8 +132,10 @@ void Mesh::place_contacts(const Robot& robot, const MeshDensity& density) {
                                         density.contact_finest + density.growth * distance_to_sharp(0.5 * (s_[e] + s_[e + 1])) *
                                             density.contact_coarsest / density.coarsest);
         const int count = element_tubes_[e] > 1 ? std::max(1, static_cast<int>(std::ceil(h / spacing - 1e-9))) : 0;
-        for (int k = 1; k <= count; ++k)
+        const int before = e == 0 ? 1 : element_tubes_[e - 1];
+        for (int k = 0; k <= count; ++k)
             for (int p = 0; p < element_tubes_[e] - 1; ++p) {
+                if (k == 0 && p < before - 1) continue;  // only where an overlap begins: the rim of the outer tube's base
                 const double xi = static_cast<double>(k) / count, xi2 = xi * xi, xi3 = xi2 * xi;
                 contact_pair_.push_back(p);
                 contact_xi_.push_back(xi);

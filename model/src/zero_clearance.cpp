@@ -8,7 +8,7 @@
 namespace ctr {
 namespace {
 
-constexpr double kElementLength = 8e-3;   // m; leaves about 1e-8 m at the tip of the three-tube robot
+constexpr double kElementLength = 12e-3;  // m; leaves less than 1e-6 m at the tip of the three-tube robot
 constexpr double kMergeDistance = 1e-7;   // m
 constexpr double kTolerance = 1e-11;      // torque imbalance over EI * precurvature
 constexpr int kMaxNewton = 12;

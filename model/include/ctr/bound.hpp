@@ -19,7 +19,8 @@ class BoundSolver {
     // Solves from scratch, along the branch of the zero-clearance model.
     void solve(const Configuration& q, const MeshDensity& density);
     // Starts from the previous solution, carried over to the new mesh; from scratch if that is not possible or fails.
-    void follow(const Configuration& q, const MeshDensity& density);
+    // retrying: from the solution the last call started from, whose outcome was rejected.
+    void follow(const Configuration& q, const MeshDensity& density, bool retrying = false);
     // One solution for given friction states, phi per pair, outermost first.
     void solve_single(const Configuration& q, const MeshDensity& density, const std::vector<double>& phi);
 
@@ -68,7 +69,8 @@ class BoundSolver {
     double stability_ = 0;
     int negative_ = 0, warm_starts_ = 0;
     bool have_solution_ = false;
-    std::vector<CarriedState> carried_;  // frictionless, then the batches
+    std::vector<CarriedState> carried_;  // what follow() starts from: frictionless, then the batches
+    Configuration carried_q_;
     std::vector<double> phi_;
     Configuration q_;
 };

@@ -33,7 +33,7 @@ struct KernelProblem {
     const int* contact_begin;     // [elements + 1]
     const int* contact_pair;      // [contact]
     const double* contact_shape;  // [contact][4] Hermite values, the slopes' in m
-    const double* contact_xi;     // [contact] position in the element, (0, 1]
+    const double* contact_xi;     // [contact] position in the element, 0 only at a rim
     const double* contact_weight; // [contact] tributary length, m
     const double* half_square_clearance;  // [pair] c^2 / 2
     const double* outer_torque_arm;       // [pair] r_in of the outer tube / c

@@ -11,9 +11,9 @@ namespace ctr {
 // Where elements are small: at pair ends, entries and section joints contact forces concentrate. Lengths in m.
 struct MeshDensity {
     double finest = 2e-3;           // element length at tips of overlaps
-    double coarsest = 8e-3;         // element length far away
-    double growth = 0.5;            // increase of the element length per distance from a tip, collar, joint or the plate
-    double contact_finest = 5e-4;   // spacing of contact points at the same places
+    double coarsest = 6e-3;         // element length far away
+    double growth = 0.4;            // increase of the element length per distance from a tip, collar, joint or the plate
+    double contact_finest = 4e-4;   // spacing of contact points at the same places
     double contact_coarsest = 2e-3;
     static MeshDensity search() { return {}; }
     static MeshDensity certificate() { return {5e-4, 2.5e-3, 0.2, 1.25e-4, 5e-4}; }

@@ -1,0 +1,84 @@
+"""`ctrplan bound`: the friction bound at one configuration, as text or JSON."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import math
+import sys
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from ctrplan.errors import InputError
+
+if TYPE_CHECKING:
+    from ctrplan.mechanics import Bound, Shape
+
+
+def run_bound(arguments: argparse.Namespace) -> int:
+    """Runs the command; returns its exit code. Raises CtrplanError when there is no bound to print."""
+    import numpy as np
+
+    from ctrplan.robot import load_robot, nesting_violation
+
+    robot = load_robot(arguments.robot, arguments.overrides)
+    for key, values in (("--theta-deg", arguments.theta_deg), ("--l-mm", arguments.l_mm)):
+        if len(values) != robot.n:
+            raise InputError(f"needs {robot.n} values, one per tube, outermost first", key=key, value=values)
+        if not all(map(math.isfinite, values)):
+            raise InputError("must be finite", key=key, value=values)
+    theta_b, l_b = np.radians(arguments.theta_deg), np.multiply(arguments.l_mm, 1e-3)
+    if sentence := nesting_violation(robot, theta_b, l_b):
+        raise InputError(sentence, key="--l-mm", value=arguments.l_mm, unit="mm")
+    for warning in robot.warnings:
+        print(f"ctrplan: warning: {warning}", file=sys.stderr)
+    found = robot.bound(theta_b, l_b, accuracy=arguments.accuracy)
+    print(json.dumps(_bound_json(robot.n, found), indent=1) if arguments.json else _bound_text(robot.n, found))
+    return 0 if math.isfinite(found.position_m) else 1
+
+
+def _corners(n: int, found: Bound) -> Iterator[tuple[tuple[int, ...], Shape]]:
+    """Friction states, one sign for each of the n - 1 pairs of tubes, and their shapes."""
+    return zip(itertools.product((1, -1), repeat=n - 1), found.corners, strict=True)
+
+
+def _bound_json(n: int, found: Bound) -> dict[str, Any]:
+    finite = math.isfinite(found.position_m)
+    return {
+        "bound_position_mm": found.position_m * 1e3 if finite else None,
+        "bound_tangent_deg": math.degrees(found.tangent_rad) if finite else None,
+        "frictionless": _shape_json(found.frictionless),
+        "corners": [{"phi": list(phi), **_shape_json(shape)} for phi, shape in _corners(n, found)],
+    }
+
+
+def _shape_json(shape: Shape) -> dict[str, Any]:
+    return {
+        "tip_mm": [round(x * 1e3, 6) for x in shape.tip_m.tolist()],
+        "tip_tangent": shape.tip_tangent.tolist(),
+        "status": shape.status.name,
+        "residual": shape.residual,
+        "stability": shape.stability,
+        "max_strain": shape.max_strain,
+    }
+
+
+def _bound_text(n: int, found: Bound) -> str:
+    free, position_mm, tangent_deg = found.frictionless, found.position_m * 1e3, math.degrees(found.tangent_rad)
+    lines = [
+        f"worst-case friction error of the tip: {position_mm:.3f} mm, {tangent_deg:.3f} deg",
+        f"  frictionless    {_tip(free)}, stability {free.stability:.2f}",
+    ]
+    for phi, shape in _corners(n, found):
+        signs = " ".join("+" if sign > 0 else "-" for sign in phi) or "none"
+        apart_mm = math.dist(shape.tip_m, free.tip_m) * 1e3
+        lines.append(f"  phi = {signs:9} {_tip(shape)}, {apart_mm:.3f} mm from the frictionless tip")
+    if not math.isfinite(found.position_m):
+        lines.append("  a solve did not reach its residual: no bound is promised here")
+    return "\n".join(lines)
+
+
+def _tip(shape: Shape) -> str:
+    x, y, z = shape.tip_m * 1e3
+    return f"tip ({x:9.3f}, {y:9.3f}, {z:9.3f}) mm   {shape.status.name}"

@@ -1,0 +1,88 @@
+"""`ctrplan plan`: plans a scenario, writes the results into a folder and summarises them."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ctrplan.commands.progress_bar import ProgressBar
+from ctrplan.errors import InputError
+
+if TYPE_CHECKING:
+    from ctrplan.planning.plan import Plan
+
+INTERRUPTED = 130  # exit code
+
+
+def run_plan(arguments: argparse.Namespace) -> int:
+    """Runs the command; returns its exit code. Raises CtrplanError when there is no plan to write."""
+    from ctrplan.planning import plan
+    from ctrplan.scenario import load_scenario
+
+    if arguments.time is not None and not 0 < arguments.time <= 3600:
+        raise InputError("must be above 0 and at most 3600", key="--time", value=arguments.time, unit="s")
+    if not 0 <= arguments.seed < 2**31 - 10**5:
+        raise InputError("must be from 0 to 2147383647", key="--seed", value=arguments.seed)
+    scenario = load_scenario(arguments.scenario, arguments.overrides)
+    folder = _output_folder(arguments.output)
+    for warning in scenario.warnings:
+        print(f"ctrplan: warning: {warning}", file=sys.stderr)
+    with ProgressBar(quiet=arguments.quiet or not sys.stderr.isatty()) as bar:
+        result = plan(scenario, seed=arguments.seed, time_s=arguments.time, progress=bar.update)
+    _write(folder, result)
+    print(_summary(folder, result))
+    return INTERRUPTED if result.interrupted else 0
+
+
+def _output_folder(name: str) -> Path:
+    """The folder, made if need be, before any time is spent on planning."""
+    folder = Path(name)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot be made: {error.strerror}", key="--output", value=name) from None
+    if not os.access(folder, os.W_OK):
+        raise InputError("is not writable", key="--output", value=name)
+    return folder
+
+
+def _write(folder: Path, plan: Plan) -> None:
+    from ctrplan.export import write_trajectory_csv
+    from ctrplan.plan_json import write_plan_json
+    from ctrplan.plots import write_plan_png
+    from ctrplan.report import write_report
+
+    write_plan_json(folder / "plan.json", plan)
+    write_trajectory_csv(folder / "trajectory.csv", plan.trajectory)
+    write_plan_png(folder / "plan.png", plan)
+    write_report(folder / "report.html", plan)
+
+
+def _summary(folder: Path, plan: Plan) -> str:
+    name, duration_s, stops = plan.scenario.name, plan.trajectory.duration_s, plan.certificate.stops
+    lines = [f"{name}: {len(plan.legs)} legs, {plan.style}, {duration_s:.1f} s, {stops} stops"]
+    if plan.style == "simultaneous":
+        lines.append("  note: no path of rotations before translations was found in time; joints move simultaneously")
+    lines += [f"  {label:27} {text}" for label, text in _figures(plan).items()]
+    lines.append(f"  {'written to':27} {folder}/plan.json, trajectory.csv, report.html, plan.png")
+    return "\n".join(lines)
+
+
+def _figures(plan: Plan) -> dict[str, str]:
+    certificate, reordered = plan.certificate, plan.reorder
+    goal_mm, worst_mm = certificate.goal_bound_m * 1e3, certificate.worst_bound_m * 1e3
+    clearance_mm, spacing_mm = certificate.min_clearance_m * 1e3, certificate.spacing_m * 1e3
+    before_mm, after_mm = reordered.cost_before_mm, reordered.cost_after_mm
+    count, strain_percent = len(certificate.samples.leg), 100 * certificate.max_strain
+    clearance = "free space" if math.isinf(clearance_mm) else f"{clearance_mm:.2f} mm beyond the margins"
+    return {
+        "worst-case friction error": f"{goal_mm:.2f} mm at the goal, {worst_mm:.2f} mm on the way",
+        "clearance of every shape": clearance,
+        "least stability": f"{certificate.min_stability:.2f}, largest strain {strain_percent:.2f} %",
+        "cost": f"{certificate.cost_mm:.1f} mm; reordering took {before_mm:.1f} to {after_mm:.1f} mm",
+        "certified on": f"{count} samples, no point moves more than {spacing_mm:.2f} mm between two",
+    }
