@@ -188,7 +188,8 @@ def test_baseline_kernel_agrees(tmp_path: Path) -> None:
         BASELINE_SCRIPT,
         *map(str, (ROBOT_FILE, tmp_path / "joints.npy", tmp_path / "out.npz")),
     ]
-    subprocess.run(command, env={**os.environ, "CTRPLAN_KERNEL": "baseline"}, check=True)
+    # away from the source tree, which would hide the installed package
+    subprocess.run(command, env={**os.environ, "CTRPLAN_KERNEL": "baseline"}, cwd=tmp_path, check=True)
     ours, theirs = THREE_TUBES.bound_many(theta_b, l_b), np.load(tmp_path / "out.npz")
     assert str(theirs["kernel"]) == "baseline"
     np.testing.assert_allclose(theirs["tip_m"], ours.tip_m, rtol=0, atol=1e-9)
