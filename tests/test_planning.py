@@ -76,6 +76,12 @@ def test_bound_aware_plan_ends_with_less_error_than_blind_one(ribs: ctrplan.Plan
     assert ribs.certificate.goal_bound_m < 0.5 * blind.certificate.goal_bound_m
 
 
+def test_bound_aware_plan_in_the_vessel_ends_with_less_error_than_blind_one() -> None:
+    aware, blind = (ctrplan.plan(scenario("vessel", *weights), seed=0, time_s=2) for weights in ([], BLIND))
+    check(aware)
+    assert aware.certificate.goal_bound_m < blind.certificate.goal_bound_m
+
+
 def test_plan_goes_round_where_the_straight_line_snaps(snap: ctrplan.Plan) -> None:
     checker = MotionChecker(snap.scenario)
     assert snap.scenario.goal.joints is not None
