@@ -21,7 +21,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from numpy.typing import NDArray
 from PIL import Image
+from scipy.interpolate import CubicHermiteSpline
 
 from ctrplan import palette
 from ctrplan.mechanics import Array, Bound, Shape, Status, TubeShape
@@ -104,7 +106,7 @@ def regions(shape: Shape) -> list[Region]:
     return [_region(core, nearest == k, s, force, angle) for k, core in enumerate(cores)]
 
 
-def _region(core: Array, nearest: Array, s: Array, force: Array, angle: Array) -> Region:
+def _region(core: NDArray[np.intp], nearest: NDArray[np.bool_], s: Array, force: Array, angle: Array) -> Region:
     """What the core of a region pushes together with the faint forces around it; from 5 to 95 % of the force."""
     middle = float(np.angle(force[core] @ np.exp(1j * angle[core])))
     own = np.where(nearest & (np.cos(angle - middle) > 0), force, 0)
@@ -207,7 +209,7 @@ def fig_4_5() -> str:
     for clearance, colour in zip(CLEARANCES_MM, COLOURS, strict=False):
         known = exact("deviation_from_zero_clearance", clearance_m=1e-3 * clearance)
         at = {angle: deviation_mm(clearance, angle) for angle in np.arange(0, 180.1, 5)}
-        for ax, angles in zip(axes, (tuple(at), np.arange(0, 20.1, 0.5)), strict=True):
+        for ax, angles in zip(axes, (np.arange(0, 180.1, 5), np.arange(0, 20.1, 0.5)), strict=True):
             ax.plot(angles, [deviation_mm(clearance, a) for a in angles], color=colour, label=f"{clearance:g} mm")
             shown = [row for row in known if row["base_angle_deg"] <= angles[-1]]
             points(ax, [r["base_angle_deg"] for r in shown], [1e3 * r["deviation_m"] for r in shown], colour)
@@ -278,7 +280,9 @@ def fig_8() -> str:
     for ax, length, title in zip(axes, (SMALL_MM, TRANSMISSION_MM), ("(a) no", "(b) 17 mm"), strict=True):
         shape = opposed(3, 0, length)
         for tube, colour, name in zip(shape.tubes, (palette.START, palette.INK), ("outer", "inner"), strict=True):
-            ax.plot(1e3 * tube.centreline_m[:, 2], 1e3 * tube.centreline_m[:, 0], color=colour, lw=2, label=name)
+            curve = CubicHermiteSpline(tube.s_m, tube.centreline_m, tube.frames[:, :, 2])
+            x, _, z = 1e3 * curve(np.linspace(tube.s_m[0], tube.s_m[-1], 400)).T
+            ax.plot(z, x, color=colour, linewidth=2, label=name)
         outer, inner = (1e3 * tube.centreline_m[-1, 0] for tube in shape.tubes)
         label(ax, f"Fig. 8{title} transmission, clearance 3 mm", "z (mm)", "x (mm)")
         ax.axhline(0, color=palette.MUTED, linewidth=0.8)
@@ -317,7 +321,7 @@ def fig_9() -> str:
 
 
 def _known_mm(known: list[dict[str, Any]], transmission_mm: float) -> float:
-    return next(1e3 * r["deviation_m"] for r in known if np.isclose(1e3 * r["transmission_m"], transmission_mm))
+    return next(1e3 * float(r["deviation_m"]) for r in known if np.isclose(1e3 * r["transmission_m"], transmission_mm))
 
 
 def zero_clearance_limit_mm() -> float:
@@ -333,12 +337,11 @@ def zero_clearance_limit_mm() -> float:
 # ---- C. contact forces
 
 
-def stems(ax: Axes, found: Sequence[Region], colour: str, name: str, factor: float = 1.0) -> None:
-    """A stem per contact region at its centroid, its extent as a bar."""
+def stems(ax: Axes, found: Sequence[Region], colour: str, name: str, mu: float = 0.0) -> None:
+    """A stem per contact region at its centroid, as high as normal force and friction together."""
     for k, r in enumerate(found):
-        at, force = 1e3 * r.s_m, factor * r.force_N
+        at, force = 1e3 * r.s_m, float(np.hypot(1, mu)) * r.force_N
         ax.plot([at, at], [0, force], color=colour, linewidth=1.4)
-        ax.plot([1e3 * r.begin_m, 1e3 * r.end_m], [force, force], color=colour, linewidth=2.6, solid_capstyle="round")
         ax.plot(at, force, "o", color=colour, markersize=5, label=name if k == 0 else None)
 
 
@@ -352,10 +355,10 @@ def fig_10_13() -> str:
     legend(axes[0], "clearance", loc="upper left")
     for k, mu in enumerate((0.0, 0.2, 0.5)):
         found = [r for r in regions(opposed(0.05, mu)) if r.s_m > 0.1]
-        stems(axes[1], found, COLOURS[k], f"{mu:g}", float(np.hypot(1, mu)))
-    axes[1].set(ylim=(42, 52), xlim=(141, 151))
+        stems(axes[1], found, COLOURS[k], f"{mu:g}", mu)
+    axes[1].set(ylim=(44, 52), xlim=(141, 151))
     label(axes[1], "Fig. 13, clearance 0.05 mm", "arc length (mm)", "force, normal and friction (N)")
-    legend(axes[1], "friction coefficient", loc="lower left")
+    legend(axes[1], "friction coefficient", loc="upper center")
     save(fig, "fig_10_13")
     rows = []
     for clearance in CLEARANCES_MM:
@@ -392,7 +395,7 @@ def fig_11_12() -> str:
         for r in regions(shape):
             at = [np.interp(r.s_m, shape.s_m, values) for values in (along, across)]
             axes[0].plot(*at, "o", markersize=0.45 * r.force_N, color=palette.SERIES[2], alpha=0.55, markeredgewidth=0)
-    axes[0].set(xlim=(-22, 165), ylim=(-25, 85))
+    axes[0].set_xlim(-22, 165)
     axes[0].set_aspect("equal", adjustable="datalim")
     label(axes[0], "Fig. 11, diameter in proportion to the force", "z (mm)", "in the bending plane (mm)")
     legend(axes[0], "base angle", loc="upper left")
@@ -461,7 +464,7 @@ def fig_14() -> str:
         ("(a), largest without friction", max(stable, key=lambda p: off_mm(p, [p.bound.frictionless]))),
         ("(b), largest with friction", max(stable, key=lambda p: off_mm(p, p.bound.corners))),
     )
-    fig = Figure(figsize=(9.6, 5.6), dpi=120, facecolor="white", layout="constrained")
+    fig = Figure(figsize=(9.6, 5.2), dpi=120, facecolor="white", layout="constrained")
     panels = [prepare(fig.add_subplot(1, 4, k + 1)) for k in range(4)]
     for ax, ((title, point), axis) in zip(panels, itertools.product(cases, (0, 1)), strict=True):
         draw_shapes(ax, point, axis)
@@ -529,7 +532,7 @@ def fig_17() -> str:
     axes[0].annotate("clearance", (0, clearance_mm), (0, 4), textcoords="offset points", fontsize=8.5)
     label(axes[0], "Fig. 17(a)", "arc length (mm)", "distance of the wire from the wall (mm)")
     label(axes[1], "Fig. 17(b)", "arc length (mm)", "where the wire leans, on the clear tube (deg)")
-    axes[0].set_ylim(-0.3, 1.8)
+    axes[0].set(ylim=(-0.3, 1.8), yticks=np.arange(0, 1.7, 0.25))
     axes[1].set(ylim=(-190, 190), yticks=range(-180, 181, 60))
     legend(axes[1], "relative angle", loc="upper left", ncols=3, bbox_to_anchor=(0, 0.93))
     save(fig, "fig_17")
@@ -549,7 +552,9 @@ def draw_contact(
     axes[1].plot(1e3 * s, lean, color=colour, linewidth=1.3, label=f"{angle} deg")
     for r in found:
         row = -0.05 - 0.035 * (angle / 30)
-        axes[0].plot([1e3 * r.begin_m, 1e3 * r.end_m + 0.3], [row, row], color=colour, lw=2.4, solid_capstyle="butt")
+        axes[0].plot(
+            [1e3 * r.begin_m - 0.5, 1e3 * r.end_m + 0.5], [row, row], color=colour, lw=2.4, solid_capstyle="butt"
+        )
         axes[1].plot(1e3 * r.s_m, _on_tube_deg(shape, r), "o", color=colour, markersize=6)
 
 

@@ -69,8 +69,8 @@ nb::dict to_python(const ctr::Shape& shape) {
     return result;
 }
 
-ctr::MeshDensity density(bool certificate) {
-    return certificate ? ctr::MeshDensity::certificate() : ctr::MeshDensity::search();
+ctr::Accuracy accuracy(bool certificate) {
+    return certificate ? ctr::Accuracy::certificate() : ctr::Accuracy::search();
 }
 
 ctr::Configuration configuration(const double* theta, const double* l, int n) {
@@ -115,7 +115,7 @@ class Model {
         {
             nb::gil_scoped_release release;
             Loan loan(*this);
-            loan->solve_single(q, density(certificate), friction);
+            loan->solve_single(q, accuracy(certificate), friction);
             shape = ctr::make_shape(loan->solver(), loan->frictionless_state(), 0, q);
             shape.status = loan->status();
             shape.stability = loan->stability();
@@ -133,7 +133,7 @@ class Model {
         {
             nb::gil_scoped_release release;
             Loan loan(*this);
-            loan->solve(q, density(certificate));
+            loan->solve(q, accuracy(certificate));
             position = loan->position;
             tangent = loan->tangent;
             envelope = loan->envelope;
@@ -169,7 +169,7 @@ class Model {
         {
             nb::gil_scoped_release release;
             parallel(all.size(), threads, [&](ctr::BoundSolver& solver, std::size_t k) {
-                solver.solve(all[k], density(certificate));
+                solver.solve(all[k], accuracy(certificate));
                 double* row = &out[k * kColumns];
                 row[0] = solver.position;
                 row[1] = solver.tangent;
@@ -236,7 +236,7 @@ class Model {
         {
             nb::gil_scoped_release release;
             Loan loan(*this);
-            samples = ctr::check_path(*loan, corners, density(certificate), sdf, path, limits, bodies);
+            samples = ctr::check_path(*loan, corners, accuracy(certificate), sdf, path, limits, bodies);
         }
         constexpr std::size_t kColumns = 15;
         std::vector<double> out;
@@ -265,7 +265,7 @@ class Model {
         {
             nb::gil_scoped_release release;
             Loan loan(*this);
-            loan->solve(q, density(certificate));
+            loan->solve(q, accuracy(certificate));
             const ctr::Mesh& mesh = loan->solver().mesh();
             const ctr::KernelProblem& pb = mesh.problem();
             auto add = [&](const ctr::Backbone& shape) {

@@ -14,9 +14,9 @@ BoundSolver::BoundSolver(const Robot& robot)
     phi_.resize(std::max(pairs_, 1));
 }
 
-void BoundSolver::prepare(const Configuration& q, const MeshDensity& density) {
+void BoundSolver::prepare(const Configuration& q, const Accuracy& accuracy) {
     q_ = q;
-    solver_.build(q, density);
+    solver_.build(q, accuracy);
 }
 
 void BoundSolver::solve_frictionless() {
@@ -32,11 +32,11 @@ void BoundSolver::solve_frictionless() {
     if (shared_is_good_) {
         shared_.resize(pb, 1);
         solver_.spread(frictionless_, shared_);
-        solver_.solve(frictionless_, BarrierPath::parted(), &frictionless_convergence_);
+        solver_.solve(frictionless_, BarrierPath::onward(solver_.last_barrier()), &frictionless_convergence_);
         frictionless_convergence_.iterations += steps;
     }
     if (!frictionless_convergence_.converged) {
-        const BarrierPath sliding = BarrierPath::sliding();
+        const BarrierPath sliding = BarrierPath::sliding(solver_.last_barrier());
         solver_.start(frictionless_, q_, zero_, sliding.first);
         solver_.solve(frictionless_, sliding, &frictionless_convergence_);
     }
@@ -61,10 +61,10 @@ void BoundSolver::solve_corners() {
         auto good = [&] { return std::all_of(result, result + kLanes, [](const Convergence& c) { return c.converged; }); };
         if (shared_is_good_) {
             solver_.spread(shared_, state);
-            solver_.solve(state, BarrierPath::parted(), result);
+            solver_.solve(state, BarrierPath::parted(solver_.last_barrier()), result);
             if (good()) continue;
         }
-        for (const BarrierPath& path : {BarrierPath::cold(), BarrierPath::sliding()}) {
+        for (const BarrierPath& path : {BarrierPath::cold(solver_.last_barrier()), BarrierPath::sliding(solver_.last_barrier())}) {
             solver_.start(state, q_, zero_, path.first);
             solver_.solve(state, path, result);
             if (good()) break;
@@ -72,9 +72,9 @@ void BoundSolver::solve_corners() {
     }
 }
 
-void BoundSolver::solve(const Configuration& q, const MeshDensity& density) {
+void BoundSolver::solve(const Configuration& q, const Accuracy& accuracy) {
     zero_.solve(solver_.robot(), q);
-    prepare(q, density);
+    prepare(q, accuracy);
     solve_frictionless();
     solve_corners();
     measure();
@@ -102,22 +102,22 @@ void BoundSolver::advance(LaneState& state, const CarriedState& carried, const B
     solver_.solve(state, path, result);
 }
 
-void BoundSolver::follow(const Configuration& q, const MeshDensity& density, bool retrying) {
-    if (!have_solution_) return solve(q, density);
+void BoundSolver::follow(const Configuration& q, const Accuracy& accuracy, bool retrying) {
+    if (!have_solution_) return solve(q, accuracy);
     carried_.resize(batches_.size() + 1);
     if (!retrying) {
         carried_q_ = q_;
         carried_[0].take(solver_.mesh(), frictionless_);
         for (std::size_t b = 0; b < batches_.size(); ++b) carried_[b + 1].take(solver_.mesh(), *batches_[b]);
     }
-    const BarrierPath path = BarrierPath::warm(joint_motion(carried_q_, q));
-    prepare(q, density);
-    if (!carried_[0].fits(solver_.mesh())) return solve(q, density);
+    const BarrierPath path = BarrierPath::warm(joint_motion(carried_q_, q), accuracy.barrier);
+    prepare(q, accuracy);
+    if (!carried_[0].fits(solver_.mesh())) return solve(q, accuracy);
     frictionless_.resize(solver_.mesh().problem(), 1);
     std::fill(phi_.begin(), phi_.end(), 0.0);
     frictionless_.set_phi(solver_.robot(), solver_.mesh().problem(), 0, phi_.data());
     advance(frictionless_, carried_[0], path, &frictionless_convergence_);
-    if (!frictionless_convergence_.converged) return solve(q, density);
+    if (!frictionless_convergence_.converged) return solve(q, accuracy);
     stability_ = solver_.stability(frictionless_, negative_);
     for (std::size_t b = 0; b < batches_.size(); ++b) {
         LaneState& state = *batches_[b];
@@ -125,20 +125,20 @@ void BoundSolver::follow(const Configuration& q, const MeshDensity& density, boo
         set_corner_phi(b);
         advance(state, carried_[b + 1], path, &corner_convergence_[b * kLanes]);
     }
-    if (!all_converged()) return solve(q, density);
+    if (!all_converged()) return solve(q, accuracy);
     ++warm_starts_;
     measure();
 }
 
-void BoundSolver::solve_single(const Configuration& q, const MeshDensity& density, const std::vector<double>& phi) {
+void BoundSolver::solve_single(const Configuration& q, const Accuracy& accuracy, const std::vector<double>& phi) {
     zero_.solve(solver_.robot(), q);
-    prepare(q, density);
+    prepare(q, accuracy);
     solve_frictionless();
     have_solution_ = false;
     if (std::all_of(phi.begin(), phi.end(), [](double value) { return value == 0; })) return;
     const KernelProblem& pb = solver_.mesh().problem();
     frictionless_.set_phi(solver_.robot(), pb, 0, phi.data());
-    for (const BarrierPath& path : {BarrierPath::cold(), BarrierPath::sliding()}) {
+    for (const BarrierPath& path : {BarrierPath::cold(solver_.last_barrier()), BarrierPath::sliding(solver_.last_barrier())}) {
         solver_.start(frictionless_, q_, zero_, path.first);
         solver_.solve(frictionless_, path, &frictionless_convergence_);
         if (frictionless_convergence_.converged) break;

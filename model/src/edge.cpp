@@ -120,7 +120,7 @@ double clearance(const BoundSolver& bound, const SignedDistanceField& field, dou
     return least;
 }
 
-std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Configuration>& corners, const MeshDensity& mesh,
+std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Configuration>& corners, const Accuracy& mesh,
                                    const SignedDistanceField& field, const PathDensity& density, const PathLimits& limits,
                                    bool keep_bodies) {
     std::vector<PathSample> samples;

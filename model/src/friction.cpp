@@ -10,11 +10,10 @@ namespace {
 constexpr double kFirstDamping = 30;     // 1/m^2, about the lowest torsional mode of a 0.2 m tube
 constexpr double kMostDamping = 100;     // 1/m^2
 constexpr double kSettled = 2e-3;        // rad
-constexpr double kSlidingLevel = 30;     // N/m
 constexpr double kKeep = 0.95;            // fraction of the way to the boundary
 constexpr double kMaxTwistStep = 0.6;     // rad
 constexpr double kResidual = 1e-8;        // of EI * precurvature
-constexpr double kComplementarity = 1e-2; // of the last barrier level, itself far below any contact force
+constexpr double kComplementarity = 1e-3; // of the last barrier level, itself far below any contact force
 
 }  // namespace
 
@@ -50,12 +49,15 @@ KernelState LaneState::view() {
             multiplier_step_.data(), slack_step_.data(), diagonal_.data(), upper_.data(),  lower_.data(), rhs_.data(), block_stride_};
 }
 
-void FrictionSolver::build(const Configuration& q, const MeshDensity& density) {
-    mesh_.build(robot_, q, density);
+void FrictionSolver::build(const Configuration& q, const Accuracy& accuracy) {
+    mesh_.build(robot_, q, accuracy);
+    last_barrier_ = accuracy.barrier;
     moment_scale_ = 1e-9;
     for (const Tube& tube : robot_.tubes)
         for (const Section& section : tube.sections)
             moment_scale_ = std::max(moment_scale_, tube.bending_stiffness * std::hypot(section.curvature_x, section.curvature_y));
+    const double length = robot_.tubes.back().length();
+    barrier_unit_ = moment_scale_ / (length * length);
 }
 
 void FrictionSolver::start(LaneState& state, const Configuration& q, const ZeroClearance& guess, double level) {
@@ -70,7 +72,7 @@ void FrictionSolver::start(LaneState& state, const Configuration& q, const ZeroC
         for (int k = 0; k < pb.contacts; ++k) {
             const int p = pb.contact_pair[k];
             state.slack(k, lane) = pb.half_square_clearance[p];
-            state.multiplier(k, lane) = level * pb.barrier_scale[p] * pb.contact_weight[k] / pb.half_square_clearance[p];
+            state.multiplier(k, lane) = level * barrier_unit_ * pb.barrier_scale[p] * pb.contact_weight[k] / pb.half_square_clearance[p];
         }
     }
 }
@@ -90,7 +92,7 @@ void FrictionSolver::spread(const LaneState& from, LaneState& to) const {
 void FrictionSolver::recentre(LaneState& state, double level) {
     const KernelProblem& pb = mesh_.problem();
     for (int k = 0; k < pb.contacts; ++k) {
-        const double eps = level * pb.barrier_scale[pb.contact_pair[k]] * pb.contact_weight[k];
+        const double eps = level * barrier_unit_ * pb.barrier_scale[pb.contact_pair[k]] * pb.contact_weight[k];
         const double balanced = std::sqrt(eps);
         for (int lane = 0; lane < state.lanes(); ++lane) {
             double &lambda = state.multiplier(k, lane), &w = state.slack(k, lane);
@@ -117,8 +119,9 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
     const KernelTable& run = kernel(lanes);
     alignas(kAlignment) double level[kLanes], damping[kLanes] = {}, primal[kLanes], dual[kLanes], moment[kLanes], gap[kLanes];
     bool done[kLanes] = {};
+    const double last = path.last * barrier_unit_;
     for (int lane = 0; lane < lanes; ++lane) {
-        level[lane] = path.first;
+        level[lane] = path.first * barrier_unit_;
         result[lane] = {};
         result[lane].residual = result[lane].complementarity = std::numeric_limits<double>::infinity();
     }
@@ -137,7 +140,7 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
             // offsets say nothing here, friction makes their blocks unsymmetric.
             if (twist > path.trust || (damping[lane] < kMostDamping && has_negative_twist_pivot(state, lane))) {
                 damping[lane] = std::max(kFirstDamping, 2 * damping[lane]);
-                level[lane] = std::max(level[lane], std::min(3 * level[lane], kSlidingLevel));  // contacts must move along
+                level[lane] = std::max(level[lane], std::min(3 * level[lane], BarrierPath::kSliding * barrier_unit_));  // contacts must move along
                 primal[lane] = dual[lane] = 0;
             } else if (primal[lane] > 0.5) {
                 // where a fold is near the last of the damping stays until the twist settles
@@ -151,13 +154,13 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
         for (int lane = 0; lane < lanes; ++lane) {
             if (done[lane]) continue;
             ++result[lane].iterations;
-            if (level[lane] <= path.last) check = true;
-            if (path.centre_only && level[lane] <= path.last && std::min(primal[lane], dual[lane]) > 0.5) {
+            if (level[lane] <= last) check = true;
+            if (path.centre_only && level[lane] <= last && std::min(primal[lane], dual[lane]) > 0.5) {
                 done[lane] = result[lane].converged = true;
                 continue;
             }
             const double worst = damping[lane] > 0.4 * kFirstDamping ? 0 : std::min(primal[lane], dual[lane]);
-            if (worst > 0.3) level[lane] = std::max(path.last, level[lane] * (worst > 0.8 ? path.shrink : 0.5));
+            if (worst > 0.3) level[lane] = std::max(last, level[lane] * (worst > 0.8 ? path.shrink : 0.5));
         }
         if (path.centre_only) {
             if (std::all_of(done, done + lanes, [](bool d) { return d; })) return;
@@ -170,7 +173,7 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
             if (done[lane]) continue;
             result[lane].residual = moment[lane] / moment_scale_;
             result[lane].complementarity = gap[lane];
-            if (level[lane] <= path.last && result[lane].residual < kResidual && gap[lane] < kComplementarity)
+            if (level[lane] <= last && result[lane].residual < kResidual && gap[lane] < kComplementarity)
                 done[lane] = result[lane].converged = true;
             all = all && done[lane];
         }
@@ -208,7 +211,7 @@ double FrictionSolver::stability(LaneState& state, int& negative) {
     // inverse iteration on H x = mu M x, M the consistent mass of the angles
     const int n = pb.tubes;
     std::vector<double>& x = mass_vector_;
-    x.assign(static_cast<std::size_t>(pb.nodes) * n, 0.0);
+    x.assign(static_cast<std::size_t>(pb.nodes) * n, 0.0);  // not the last mode: equal questions get equal answers
     for (int k = 1; k < pb.nodes; ++k)
         for (int t = 0; t < n; ++t)
             if (5 * t < pb.node_unknowns[k]) x[k * n + t] = std::sin(1.0 + 0.1 * k + t);  // overlaps every low mode

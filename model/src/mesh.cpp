@@ -16,11 +16,11 @@ constexpr double kStraightLength = 40e-3;
 
 }  // namespace
 
-void Mesh::build(const Robot& robot, const Configuration& q, const MeshDensity& density) {
+void Mesh::build(const Robot& robot, const Configuration& q, const Accuracy& accuracy) {
     find_breaks(robot, q);
-    place_nodes(robot, q, density);
+    place_nodes(robot, q, accuracy);
     fill_elements(robot, q);
-    place_contacts(robot, density);
+    place_contacts(robot, accuracy);
     fill_regimes(robot);
     publish(robot);
 }
@@ -57,7 +57,7 @@ double Mesh::distance_to_sharp(double s) const {
     return best;
 }
 
-void Mesh::place_nodes(const Robot& robot, const Configuration& q, const MeshDensity& density) {
+void Mesh::place_nodes(const Robot& robot, const Configuration& q, const Accuracy& accuracy) {
     const int n = robot.count();
     s_.assign(1, breaks_.front().s);
     element_tubes_.clear();
@@ -69,9 +69,9 @@ void Mesh::place_nodes(const Robot& robot, const Configuration& q, const MeshDen
         present = std::max(present, 1);
         // count = integral of ds / h(s), h growing linearly from both ends of the interval
         auto cumulative = [&](double x) {
-            const double reach = (density.coarsest - density.finest) / density.growth;
-            const double near = std::log1p(density.growth * std::min(x, reach) / density.finest) / density.growth;
-            return near + std::max(0.0, x - reach) / density.coarsest;
+            const double reach = (accuracy.coarsest - accuracy.finest) / accuracy.growth;
+            const double near = std::log1p(accuracy.growth * std::min(x, reach) / accuracy.finest) / accuracy.growth;
+            return near + std::max(0.0, x - reach) / accuracy.coarsest;
         };
         const double half = cumulative(0.5 * span);
         const Section& inner = section_at(robot.tubes[n - 1], middle - q.l[n - 1]);
@@ -118,7 +118,7 @@ void Mesh::fill_elements(const Robot& robot, const Configuration& q) {
     }
 }
 
-void Mesh::place_contacts(const Robot& robot, const MeshDensity& density) {
+void Mesh::place_contacts(const Robot& robot, const Accuracy& accuracy) {
     const int n = robot.count(), elements = static_cast<int>(length_.size());
     contact_begin_.assign(1, 0);
     contact_pair_.clear();
@@ -128,9 +128,9 @@ void Mesh::place_contacts(const Robot& robot, const MeshDensity& density) {
     contact_s_.clear();
     for (int e = 0; e < elements; ++e) {
         const double h = length_[e];
-        const double spacing = std::min(density.contact_coarsest,
-                                        density.contact_finest + density.growth * distance_to_sharp(0.5 * (s_[e] + s_[e + 1])) *
-                                            density.contact_coarsest / density.coarsest);
+        const double spacing = std::min(accuracy.contact_coarsest,
+                                        accuracy.contact_finest + accuracy.growth * distance_to_sharp(0.5 * (s_[e] + s_[e + 1])) *
+                                            accuracy.contact_coarsest / accuracy.coarsest);
         const int count = element_tubes_[e] > 1 ? std::max(1, static_cast<int>(std::ceil(h / spacing - 1e-9))) : 0;
         const int before = e == 0 ? 1 : element_tubes_[e - 1];
         for (int k = 0; k <= count; ++k)

@@ -516,7 +516,7 @@ def _loads(problem: Problem, R: Array, p: Array, multiplier: Array) -> _Loads:
     tangent, arm = R[at.outer, :, 2], p[at.outer] - p[at.inner]
     gap = arm - tangent * (tangent * arm).sum(-1, keepdims=True)
     on_outer = -multiplier[:, None] * (gap + at.eta_mu[:, None] * np.cross(tangent, gap))
-    torque = (multiplier * at.clearance * at.eta_mu)[:, None]
+    torque = (multiplier * at.eta_mu * (gap * gap).sum(-1) / at.clearance)[:, None]  # (41): c lambda, |gap| = c in contact
     force, moment = np.zeros_like(p), np.zeros_like(p)
     np.add.at(force, at.outer, on_outer)
     np.add.at(force, at.inner, -on_outer)
@@ -571,16 +571,17 @@ def stiffness_matrix(problem: Problem, u: Array, multiplier: Array) -> tuple[Arr
     em, lam = at.eta_mu[:, None, None], multiplier[:, None, None]
     d_force = -lam * (d_gap + em * (hat(t) @ d_gap - hat(gap) @ d_t))
     per_lambda = -(gap + at.eta_mu[:, None] * np.cross(t, gap))
-    torque = at.clearance * at.eta_mu
-    twist_out, twist_in = torque * at.r_in, -torque * at.r_out
+    torque = at.eta_mu * (gap * gap).sum(-1) / at.clearance
+    d_torque = 2 * (multiplier * at.eta_mu / at.clearance)[:, None] * np.einsum("ka,kaz->kz", gap, d_gap)
 
     H = np.diag(problem.K) - _geometric(problem, u, R, p, loads)
     H -= d_arm.reshape(-1, size).T @ d_force.reshape(-1, size)
     H_lambda = -np.einsum("kaz,ka->zk", d_arm, per_lambda)
-    for rows, twist, turning in ((at.outer, twist_out, d_t), (at.inner, twist_in, d_t_inner)):
-        weight = (twist * multiplier)[:, None, None]
-        H -= J_theta[rows].reshape(-1, size).T @ (weight * turning).reshape(-1, size)
-        H_lambda -= np.einsum("kaz,ka->zk", J_theta[rows], twist[:, None] * R[rows, :, 2])
+    for rows, radius, turning in ((at.outer, at.r_in, d_t), (at.inner, -at.r_out, d_t_inner)):
+        axis, turns = R[rows, :, 2], J_theta[rows]
+        d_moment = (multiplier * torque)[:, None, None] * turning + axis[:, :, None] * d_torque[:, None]
+        H -= turns.reshape(-1, size).T @ (radius[:, None, None] * d_moment).reshape(-1, size)
+        H_lambda -= np.einsum("kaz,ka->zk", turns, (radius * torque)[:, None] * axis)
     G = ((gap * gap).sum(-1) - at.clearance**2) / 2
     return r, H, H_lambda, G, np.einsum("ka,kaz->kz", gap, d_gap)
 
@@ -629,42 +630,76 @@ def _bending_of_dexp(rod: Rod, u: Array, b: Array, a: Array) -> Array:
     return np.stack(columns, axis=-1)
 
 
-def refine(
-    problem: Problem, start: Solution | None = None, *, tolerance: float = 1e-9, max_steps: int = 200
-) -> Solution:
+def refine(problem: Problem, start: Solution | None = None, *, tolerance: float = 1e-9, max_steps: int = 400) -> Solution:
     """KKT conditions of the discretised problem by semismooth Newton: (37) and 0 <= lambda, G <= 0, lambda G = 0.
 
-    Complementarity is Fischer and Burmeister's a + b = sqrt(a^2 + b^2 + 2 eps), a = lambda c / f_ref, b = -G / c^2;
-    eps falls to zero as the residual does. Geometry, normals and Jacobians are those of the current u in every step, so
-    that nothing is left to relinearise. Starts from the zero-clearance model, or where another solution ended.
+    Complementarity is Fischer and Burmeister's a + b = sqrt(a^2 + b^2 + 2 eps), a = lambda c / f_ref, b = -G / c^2.
+    Friction is turned on at the first eps, which then falls to 1e-15; a stage that Newton does not reach is halved.
+    Geometry, normals and Jacobians are those of the current u in every step, so that nothing is left to relinearise.
+    Starts from the zero-clearance model, or where another solution ended. `converged` demands `tolerance` of (37) in
+    units of the root of twice the energy that straightens the tubes, and of the complementarity.
     """
-    at = problem.contacts
-    unit = at.force_scale / at.clearance
+    unit = problem.contacts.force_scale / problem.contacts.clearance
     u = zero_clearance(problem) if start is None else start.u
-    multiplier = 0.1 * unit if start is None else np.maximum(start.multiplier, 1e-6 * unit)
-    smoothing = 1e-2 if start is None else 1e-4
-    free, scale = problem.free, 1 / np.sqrt(problem.K[problem.free] * 2 * problem.energy(np.zeros_like(u)))
-    size, steps = np.inf, 0
-    for steps in range(1, max_steps + 1):
-        system, right = _newton(problem, u, multiplier, unit, smoothing, scale)
+    state = u, 0.1 * unit if start is None else np.maximum(start.multiplier, 1e-3 * unit)
+    stages = [(0.0 if start is None else 1.0, 1e-2)]
+    stages += [(1.0, 1e-2)] * (start is None and bool(problem.contacts.eta_mu.any()))
+    stages += [(1.0, 10.0**-k) for k in (3, 4, 6, 8, 11, 15)]
+    steps, stages = 0, stages[::-1]
+    done = stages.pop()
+    state, _, steps = _stage(problem, state, *done, 1e-4, 60)
+    while stages and steps < max_steps:
+        target = stages[-1]
+        reached, good, used = _stage(problem, state, *target, tolerance if len(stages) == 1 else 1e-4, 15)
+        steps += used
+        if good:
+            state, done = reached, stages.pop()
+        else:
+            stages.append(((done[0] + target[0]) / 2, float(np.sqrt(done[1] * target[1]))))
+    u, multiplier = state
+    return Solution(u, *problem.forward(u), multiplier, not stages, steps, 0, 0.0)
+
+
+def _stage(
+    problem: Problem, state: tuple[Array, Array], friction: float, smoothing: float, tolerance: float, limit: int
+) -> tuple[tuple[Array, Array], bool, int]:
+    """Newton with line search at a share of friction and a fixed eps: (u, lambda), reached, steps."""
+    problem = _with_friction(problem, friction)
+    at, free = problem.contacts, problem.free
+    unit, count = at.force_scale / at.clearance, int(problem.free.sum())
+    scale = 1 / np.sqrt(problem.K[free] * 2 * problem.energy(np.zeros_like(problem.u_hat)))
+    for taken in range(limit + 1):
+        system, right = _newton(problem, *state, unit, smoothing, scale)
         norm = float(np.linalg.norm(right))
-        if norm < tolerance and smoothing <= 1e-14:
-            return Solution(u, *problem.forward(u), multiplier, True, steps, 0, size)
-        if norm < max(0.3 * np.sqrt(smoothing), tolerance) and smoothing > 1e-14:
-            smoothing = max(smoothing * 0.1, 1e-15)
-            continue
-        step = np.linalg.solve(system, -right)
-        share = 1.0
-        while share > 1e-4:
-            v = u.ravel().copy()
-            v[free] += share * step[: free.sum()]
-            trial = v.reshape(-1, 3), multiplier + share * step[free.sum() :] * unit
-            if np.linalg.norm(_conditions(problem, *trial, unit, smoothing, scale)) < (1 - 1e-4 * share) * norm:
+        if norm < tolerance or taken == limit:
+            break
+        step, share, before = np.linalg.solve(system, -right), 1.0, state
+        while True:
+            change = np.zeros(free.size)
+            change[free] = share * step[:count]
+            state = _moved(problem, before[0], change.reshape(-1, 3)), before[1] + share * step[count:] * unit
+            after = float(np.linalg.norm(_conditions(problem, *state, unit, smoothing, scale)))
+            if after < (1 - 1e-4 * share) * norm:
                 break
             share /= 2
-        u, multiplier = trial
-        size = float(np.linalg.norm(step[: free.sum()]) * share / np.linalg.norm(problem.u_hat))
-    return Solution(u, *problem.forward(u), multiplier, False, steps, 0, size)
+            if share < 1e-3:
+                return before, norm < 1e-6, taken
+    return state, norm < tolerance, taken
+
+
+def _moved(problem: Problem, u: Array, change: Array) -> Array:
+    """u + change to first order, but adding the bending curvatures in the tubes' twist-free frames.
+
+    Added in material frames, a twist of 0.1 rad would move the centreline by its square, several clearances. This is
+    what makes Newton's method take full steps.
+    """
+    result = u + change
+    for rod, e in zip(problem.rods, problem.elements, strict=True):
+        by_z = np.stack([u[e, 2], change[e, 2]]) * rod.ds
+        angle, turn = np.cumsum(by_z, axis=1) - by_z / 2  # up to the middle of each element
+        bend = _turn(angle, change[e, :2]) + turn[:, None] * _turn(angle + np.pi / 2, u[e, :2]) + _turn(angle, u[e, :2])
+        result[e, :2] = np.where(rod.held[:, None], 0.0, _turn(-angle - turn, bend))
+    return result
 
 
 def _conditions(problem: Problem, u: Array, lam: Array, unit: Array, smoothing: float, scale: Array) -> Array:
@@ -690,7 +725,7 @@ def _newton(problem: Problem, u: Array, lam: Array, unit: Array, smoothing: floa
     return system, np.concatenate([r[free] * scale, a + b - root])
 
 
-def at_friction(problem: Problem, share: float) -> Problem:
+def _with_friction(problem: Problem, share: float) -> Problem:
     """The same problem with `share` of its friction."""
     copy = object.__new__(Problem)
     copy.__dict__.update(problem.__dict__)

@@ -17,12 +17,12 @@ class BoundSolver {
     explicit BoundSolver(const Robot& robot);
 
     // Solves from scratch, along the branch of the zero-clearance model.
-    void solve(const Configuration& q, const MeshDensity& density);
+    void solve(const Configuration& q, const Accuracy& accuracy);
     // Starts from the previous solution, carried over to the new mesh; from scratch if that is not possible or fails.
     // retrying: from the solution the last call started from, whose outcome was rejected.
-    void follow(const Configuration& q, const MeshDensity& density, bool retrying = false);
+    void follow(const Configuration& q, const Accuracy& accuracy, bool retrying = false);
     // One solution for given friction states, phi per pair, outermost first.
-    void solve_single(const Configuration& q, const MeshDensity& density, const std::vector<double>& phi);
+    void solve_single(const Configuration& q, const Accuracy& accuracy, const std::vector<double>& phi);
 
     int corners() const { return corners_; }
     // Corner signs in itertools.product((1, -1)) order, outermost pair first.
@@ -51,7 +51,7 @@ class BoundSolver {
     std::vector<Backbone> corner_backbones;
 
   private:
-    void prepare(const Configuration& q, const MeshDensity& density);
+    void prepare(const Configuration& q, const Accuracy& accuracy);
     void solve_frictionless();
     void solve_corners();
     void set_corner_phi(std::size_t batch);

@@ -47,7 +47,7 @@ double clearance(const BoundSolver& bound, const SignedDistanceField& field, dou
 // Walks the straight lines between consecutive configurations, each solve starting from the one before. The first sample
 // is the first configuration; every corner of the path is a sample. A jump that no shorter step removes ends the walk as
 // UNSTABLE: the robot snapped.
-std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Configuration>& corners, const MeshDensity& mesh,
+std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Configuration>& corners, const Accuracy& mesh,
                                    const SignedDistanceField& field, const PathDensity& density, const PathLimits& limits,
                                    bool keep_bodies = false);
 

@@ -46,32 +46,36 @@ class LaneState {
     AlignedArray unknowns_, multiplier_, slack_, phi_mu_, step_, multiplier_step_, slack_step_, diagonal_, upper_, lower_, rhs_;
 };
 
-// Barrier levels [N/m]: the multiplier of a contact satisfies lambda w = level * clearance * tributary length. The first
-// level is so stiff that its solution is close to the zero-clearance one; the last leaves contact-free points with a
-// force of about `last` times their length.
+// Barrier levels, in units of the robot's own force per length (largest EI * precurvature over the innermost tube's length
+// squared; 3.6 N/m for the three-tube robot): the multiplier of a contact satisfies lambda w = level * clearance *
+// tributary length. The first level is so stiff that its solution is close to the zero-clearance one; the last leaves
+// contact-free points with a force of about `last` times their length.
 struct BarrierPath {
-    double first = 3e4;
-    double last = 0.05;
+    double first, last;
     double shrink = 0.05;
-    double trust = 0.0;     // rad; > 0: twist steps are held below it by damping, which slides off folds onto a stable branch
+    double trust = 0;       // rad; > 0: twist steps are held below it by damping, which slides off folds onto a stable branch
     int max_steps = 40;
     bool centre_only = false;  // stop near the central path at the last level; the residual is not promised
-    static BarrierPath cold() { return {}; }
-    // The cold path in two parts: what all friction states share, and where they part.
-    static BarrierPath shared() { return {3e4, kParting, 0.05, 0, 40, true}; }
-    static BarrierPath parted() { return {kParting, 0.05, 0.05}; }
-    static BarrierPath sliding() { return {3e4, 0.05, 0.1, 0.2, 400}; }
-    static constexpr double kParting = 30;  // N/m
+
+    static constexpr double kFirst = 8e3, kParting = 8, kSliding = 8;
+    static BarrierPath cold(double last) { return {kFirst, last}; }
+    // The cold path in parts: what all friction states share, where they part, and how the frictionless one goes on.
+    static BarrierPath shared() { return {kFirst, kParting, 0.05, 0, 40, true}; }
+    static BarrierPath parted(double last) { return {kParting, last}; }
+    static BarrierPath onward(double last) { return {std::max(0.05 * kParting, last), last}; }
+    static BarrierPath sliding(double last) { return {kFirst, last, 0.1, 0.2, 400}; }
     // After a motion of so many degrees or half millimetres: the farther contacts move, the softer the barrier starts.
-    static BarrierPath warm(double motion) { return {std::clamp(0.2 * motion * motion, 0.2, 30.0), 0.05, 0.08}; }
+    static BarrierPath warm(double motion, double last) {
+        return {std::clamp(0.06 * motion * motion, std::min(4 * last, 0.3), kParting), last, 0.08};
+    }
 };
 
 class FrictionSolver {
   public:
     explicit FrictionSolver(const Robot& robot) : robot_(robot) {}
 
-    void build(const Configuration& q, const MeshDensity& density);
-    // Angles from the zero-clearance solution, no offsets, multipliers on the central path at the given level.
+    void build(const Configuration& q, const Accuracy& accuracy);
+    // Angles from the zero-clearance solution, no offsets, multipliers on the central path at the given level (BarrierPath).
     void start(LaneState& state, const Configuration& q, const ZeroClearance& guess, double level);
     // Copies a one-lane iterate on the same mesh into every lane.
     void spread(const LaneState& from, LaneState& to) const;
@@ -88,6 +92,7 @@ class FrictionSolver {
     const Mesh& mesh() const { return mesh_; }
     const Robot& robot() const { return robot_; }
     double moment_scale() const { return moment_scale_; }
+    double last_barrier() const { return last_barrier_; }  // of the accuracy built for
 
   private:
     double largest_twist(const LaneState& state, int lane) const;  // rad, of the last step
@@ -95,7 +100,7 @@ class FrictionSolver {
 
     const Robot robot_;
     Mesh mesh_;
-    double moment_scale_ = 1;
+    double moment_scale_ = 1, barrier_unit_ = 1, last_barrier_ = 0.015;  // N m, N/m, in units
     std::vector<double> mass_vector_;  // [node][tube], the eigenvector of stability()
 };
 

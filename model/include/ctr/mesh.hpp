@@ -8,22 +8,24 @@
 
 namespace ctr {
 
-// Where elements are small: at pair ends, entries and section joints contact forces concentrate. Lengths in m.
-struct MeshDensity {
+// How finely the tubes are discretised, and how hard their contacts are. Elements are small where contact forces
+// concentrate: at pair ends, entries and section joints. Lengths in m.
+struct Accuracy {
     double finest = 2e-3;           // element length at tips of overlaps
     double coarsest = 6e-3;         // element length far away
     double growth = 0.4;            // increase of the element length per distance from a tip, collar, joint or the plate
     double contact_finest = 4e-4;   // spacing of contact points at the same places
     double contact_coarsest = 2e-3;
-    static MeshDensity search() { return {}; }
-    static MeshDensity certificate() { return {5e-4, 2.5e-3, 0.2, 1.25e-4, 5e-4}; }
+    double barrier = 0.3;           // last barrier level, in units of BarrierPath
+    static Accuracy search() { return {}; }
+    static Accuracy certificate() { return {5e-4, 2.5e-3, 0.2, 1.25e-4, 5e-4, 0.015}; }
 };
 
 // Tubes inside the mesh are counted from the innermost; see kernel.hpp.
 class Mesh {
   public:
     // Rebuilds for a configuration (validated by the caller); keeps its memory.
-    void build(const Robot& robot, const Configuration& q, const MeshDensity& density);
+    void build(const Robot& robot, const Configuration& q, const Accuracy& accuracy);
 
     const KernelProblem& problem() const { return problem_; }
     const std::vector<double>& s() const { return s_; }              // [node] arc length from the plate, m
@@ -37,9 +39,9 @@ class Mesh {
   private:
     struct Break { double s; bool sharp; };
     void find_breaks(const Robot& robot, const Configuration& q);
-    void place_nodes(const Robot& robot, const Configuration& q, const MeshDensity& density);
+    void place_nodes(const Robot& robot, const Configuration& q, const Accuracy& accuracy);
     void fill_elements(const Robot& robot, const Configuration& q);
-    void place_contacts(const Robot& robot, const MeshDensity& density);
+    void place_contacts(const Robot& robot, const Accuracy& accuracy);
     void fill_regimes(const Robot& robot);
     void publish(const Robot& robot);
     double distance_to_sharp(double s) const;
