@@ -102,7 +102,10 @@ class Model {
             nb::gil_scoped_release release;
             const bool done = solution.solve(robot_, q);
             shape = ctr::make_shape(robot_, solution, q);
-            shape.status = !done ? ctr::Status::failed : solution.negative_pivots() ? ctr::Status::unstable : ctr::Status::converged;
+            ctr::ZeroClearance other;
+            if (!done) shape.status = ctr::Status::failed;
+            else if (solution.negative_pivots()) shape.status = ctr::Status::unstable;
+            else shape.status = solution.search_other(robot_, q, 0, other) >= 0 ? ctr::Status::multiple : ctr::Status::converged;
         }
         return to_python(shape);
     }
@@ -134,6 +137,7 @@ class Model {
             nb::gil_scoped_release release;
             Loan loan(*this);
             loan->solve(q, accuracy(certificate));
+            loan->search_others();
             position = loan->position;
             tangent = loan->tangent;
             envelope = loan->envelope;
@@ -170,6 +174,7 @@ class Model {
             nb::gil_scoped_release release;
             parallel(all.size(), threads, [&](ctr::BoundSolver& solver, std::size_t k) {
                 solver.solve(all[k], accuracy(certificate));
+                solver.search_others();
                 double* row = &out[k * kColumns];
                 row[0] = solver.position;
                 row[1] = solver.tangent;

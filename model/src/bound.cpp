@@ -5,6 +5,11 @@
 #include <limits>
 
 namespace ctr {
+namespace {
+
+constexpr double kDistinct = 0.1;  // rad between angles of different equilibria
+
+}  // namespace
 
 BoundSolver::BoundSolver(const Robot& robot)
     : solver_(robot), pairs_(robot.count() - 1), corners_(1 << (robot.count() - 1)) {
@@ -16,6 +21,7 @@ BoundSolver::BoundSolver(const Robot& robot)
 
 void BoundSolver::prepare(const Configuration& q, const Accuracy& accuracy) {
     q_ = q;
+    multiple_ = false;
     solver_.build(q, accuracy);
 }
 
@@ -135,6 +141,7 @@ void BoundSolver::solve_single(const Configuration& q, const Accuracy& accuracy,
     prepare(q, accuracy);
     solve_frictionless();
     have_solution_ = false;
+    search_others();
     if (std::all_of(phi.begin(), phi.end(), [](double value) { return value == 0; })) return;
     const KernelProblem& pb = solver_.mesh().problem();
     frictionless_.set_phi(solver_.robot(), pb, 0, phi.data());
@@ -145,6 +152,27 @@ void BoundSolver::solve_single(const Configuration& q, const Accuracy& accuracy,
     }
 }
 
+void BoundSolver::search_others() {
+    multiple_ = false;
+    if (!frictionless_convergence_.converged) return;
+    const KernelProblem& pb = solver_.mesh().problem();
+    int attempt = -1;
+    while (!multiple_ && (attempt = zero_.search_other(solver_.robot(), q_, attempt + 1, other_)) >= 0) {
+        trial_.resize(pb, 1);
+        std::fill(phi_.begin(), phi_.end(), 0.0);
+        trial_.set_phi(solver_.robot(), pb, 0, phi_.data());
+        Convergence found;
+        const BarrierPath path = BarrierPath::cold(solver_.last_barrier());
+        solver_.start(trial_, q_, other_, path.first);
+        solver_.solve(trial_, path, &found);
+        int negative = 0;
+        if (!found.converged || solver_.stability(trial_, negative) <= 0 || negative > 0) continue;
+        for (int k = 0; k < pb.nodes; ++k)
+            for (int t = 0; t < pb.tubes; ++t)
+                multiple_ = multiple_ || std::fabs(trial_.unknown(k, 5 * t, 0) - frictionless_.unknown(k, 5 * t, 0)) > kDistinct;
+    }
+}
+
 bool BoundSolver::all_converged() const {
     return frictionless_convergence_.converged &&
            std::all_of(corner_convergence_.begin(), corner_convergence_.end(), [](const Convergence& c) { return c.converged; });
@@ -152,7 +180,8 @@ bool BoundSolver::all_converged() const {
 
 Status BoundSolver::status() const {
     if (!frictionless_convergence_.converged) return Status::failed;
-    return negative_ > 0 || stability_ <= 0 ? Status::unstable : Status::converged;
+    if (negative_ > 0 || stability_ <= 0) return Status::unstable;
+    return multiple_ ? Status::multiple : Status::converged;
 }
 
 int BoundSolver::iterations() const {

@@ -11,6 +11,8 @@ namespace {
 constexpr double kElementLength = 12e-3;  // m; leaves less than 1e-6 m at the tip of the three-tube robot
 constexpr double kMergeDistance = 1e-7;   // m
 constexpr double kTolerance = 1e-11;      // torque imbalance over EI * precurvature
+constexpr double kAligned = 1.0;          // rad; pairs turned less than this against each other have one well
+constexpr double kDistinct = 0.1;         // rad between the angles of different equilibria
 constexpr int kMaxNewton = 12;
 constexpr double kFirstCorrection = 0.35; // rad: a larger first corrector step means the predictor left the branch
 
@@ -285,11 +287,29 @@ bool ZeroClearance::restart(const Robot& robot, const Configuration& q, const st
     build(robot, q);
     if (kept.size() == x_.size()) x_ = kept;
     for (int k = 0; k < nodes_; ++k)
-        for (int t = 0; t < n_; ++t) x_[k * ld_ + 2 * t] += twist[t] * s_[k] / std::max(s_.back(), 1e-9);
+        for (int t = 0; t < n_; ++t) x_[k * ld_ + 2 * t] += twist[t] * (s_[k] - base_l_[t]) / std::max(s_.back() - base_l_[t], 1e-9);
     iterations_ = 0;
     const bool done = correct(1.0, 1e9);
     residual_ = assemble(1.0, false);
     return done;
+}
+
+int ZeroClearance::search_other(const Robot& robot, const Configuration& q, int from, ZeroClearance& other) const {
+    constexpr double kTurns[] = {1.25, 1.0, 1.5, 3.0};
+    constexpr int kCount = 4;
+    std::vector<double> twist(n_);
+    for (int attempt = from; attempt < kCount * (n_ - 1); ++attempt) {
+        const int inner = attempt / kCount;  // pairs counted from the innermost
+        const double tip = end_s_[inner + 1];
+        const double between = std::remainder(theta(inner, tip) - theta(inner + 1, tip), 2 * 3.141592653589793);
+        if (std::fabs(between) < kAligned) continue;
+        for (int t = 0; t < n_; ++t) twist[t] = t <= inner ? std::copysign(kTurns[attempt % kCount], between) : 0.0;
+        other = *this;
+        if (!other.restart(robot, q, twist) || other.negative_pivots() > 0) continue;
+        for (int t = 0; t < n_; ++t)
+            if (std::fabs(other.theta(t, end_s_[t]) - theta(t, end_s_[t])) > kDistinct) return attempt;
+    }
+    return -1;
 }
 
 int ZeroClearance::locate(double s) const {

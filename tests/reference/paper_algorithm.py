@@ -5,8 +5,8 @@ the equation that derivation and finite differences confirm stands here and the 
 solution of the same discretised problem:
 
 - `solve`, the documented default and the paper's own: linearise, climb the dual by projected gradient ascent with the
-  Woodbury solve of Appendix A, linearise again. Nothing is added but a unit for lambda (see `Ascent`); the switches
-  `momentum` and `diagonal_step`, off by default, are not the paper's.
+  Woodbury solve of Appendix A, linearise again. Nothing is added but a unit for lambda (see `Ascent`); the switch
+  `momentum`, off by default, is not the paper's.
 - `refine`, not the paper's: Newton on the KKT conditions of what that outer loop converges to, with exact derivatives.
 
 Conventions. Tubes are numbered from the outermost; tube i is clamped at its collar on the axis, position (0, 0, l_ib),
@@ -368,18 +368,18 @@ class Ascent:
 
     delta = 1e-3 "depends on the units", which the paper does not give. Here lambda_k is measured in f_ref / c, f_ref
     being the force expected of the pair (`_force_scale`), and G_k in c^2: the update is
-    lambda_k += delta (f_ref / c) G_k / c^2, and `start` is in f_ref / c.
+    lambda_k += delta (f_ref / c) G_k / c^2, and `start` is in f_ref / c. In these units delta = 1e-3 converges for the
+    robots of Tables I and II, in hundreds to thousands of inner iterations as the paper says; 1e-2 oscillates.
     """
 
     delta: float = 1e-3
     start: float = 1.0  # of every lambda_k, "such as 1"
     alpha: float = 1.0  # share of a step that the outer loop takes
-    gamma: float = 1e-6  # of |Delta u| / |u_hat|: end of the outer loop
-    tolerance: float = 1e-8  # change of lambda_k in f_ref / c between two iterations: end of the inner loop
+    gamma: float = 1e-3  # |Delta u| [1/m] that ends the outer loop: the paper's 1e-6 in 1/mm
+    tolerance: float = 1e-7  # change of lambda_k in f_ref / c between two iterations: end of the inner loop
     max_inner: int = 5000
     max_outer: int = 30
     momentum: bool = False  # NOT the paper's: Nesterov's extrapolation, restarted when the step turns round
-    diagonal_step: bool = False  # NOT the paper's: delta over the curvature of the dual along each lambda_k
 
 
 @dataclass(frozen=True, eq=False)
@@ -390,10 +390,10 @@ class Solution:
     frames: Array  # (E + n, 3, 3)
     points: Array  # (E + n, 3) [m]
     multiplier: Array  # (M,) lambda [N/m]
-    converged: bool
+    converged: bool  # both loops by their own criteria
     outer: int  # linearisations, or Newton steps
     inner: int  # iterations of the ascent, all together
-    step: float  # last |Delta u| / |u_hat|
+    step: float  # last |Delta u| [1/m]; nan from Newton
 
     @property
     def tip_m(self) -> Array:
@@ -458,11 +458,6 @@ def inner_loop(problem: Problem, linear: Linear, start: Array, ascent: Ascent) -
     at = problem.contacts
     unit = at.force_scale / at.clearance
     rate = ascent.delta * unit / at.clearance**2
-    if ascent.diagonal_step:
-        own = np.einsum(
-            "kii->k", linear.XKY.reshape(len(unit), 3, len(unit), 3)[np.arange(len(unit)), :, np.arange(len(unit))]
-        )
-        rate = ascent.delta / (at.clearance**2 / (1 / np.maximum(own, 1e-12) + 0.1 * unit))
     multiplier, ahead, age = start, start, 0
     for iteration in range(1, ascent.max_inner + 1):
         step = minimiser(problem, linear, ahead)
@@ -491,8 +486,9 @@ def solve(
         step, multiplier, iterations, done = inner_loop(problem, linearise(problem, u), multiplier, ascent)
         u = u + ascent.alpha * step.reshape(-1, 3)
         inner += iterations
-        size = float(np.linalg.norm(step) / np.linalg.norm(problem.u_hat))
-        if converged := done and size < ascent.gamma:
+        size = float(np.linalg.norm(step))
+        if size < ascent.gamma:
+            converged = done
             break
     return Solution(u, *problem.forward(u), multiplier, converged, outer, inner, size)
 
@@ -516,7 +512,9 @@ def _loads(problem: Problem, R: Array, p: Array, multiplier: Array) -> _Loads:
     tangent, arm = R[at.outer, :, 2], p[at.outer] - p[at.inner]
     gap = arm - tangent * (tangent * arm).sum(-1, keepdims=True)
     on_outer = -multiplier[:, None] * (gap + at.eta_mu[:, None] * np.cross(tangent, gap))
-    torque = (multiplier * at.eta_mu * (gap * gap).sum(-1) / at.clearance)[:, None]  # (41): c lambda, |gap| = c in contact
+    torque = (multiplier * at.eta_mu * (gap * gap).sum(-1) / at.clearance)[
+        :, None
+    ]  # (41): c lambda, |gap| = c in contact
     force, moment = np.zeros_like(p), np.zeros_like(p)
     np.add.at(force, at.outer, on_outer)
     np.add.at(force, at.inner, -on_outer)
@@ -630,7 +628,9 @@ def _bending_of_dexp(rod: Rod, u: Array, b: Array, a: Array) -> Array:
     return np.stack(columns, axis=-1)
 
 
-def refine(problem: Problem, start: Solution | None = None, *, tolerance: float = 1e-9, max_steps: int = 400) -> Solution:
+def refine(
+    problem: Problem, start: Solution | None = None, *, tolerance: float = 1e-9, max_steps: int = 400
+) -> Solution:
     """KKT conditions of the discretised problem by semismooth Newton: (37) and 0 <= lambda, G <= 0, lambda G = 0.
 
     Complementarity is Fischer and Burmeister's a + b = sqrt(a^2 + b^2 + 2 eps), a = lambda c / f_ref, b = -G / c^2.
@@ -657,7 +657,7 @@ def refine(problem: Problem, start: Solution | None = None, *, tolerance: float 
         else:
             stages.append(((done[0] + target[0]) / 2, float(np.sqrt(done[1] * target[1]))))
     u, multiplier = state
-    return Solution(u, *problem.forward(u), multiplier, not stages, steps, 0, 0.0)
+    return Solution(u, *problem.forward(u), multiplier, not stages, steps, 0, float("nan"))
 
 
 def _stage(

@@ -24,6 +24,10 @@ class BoundSolver {
     // One solution for given friction states, phi per pair, outermost first.
     void solve_single(const Configuration& q, const Accuracy& accuracy, const std::vector<double>& phi);
 
+    // Looks for other stable equilibria: restarts of the zero-clearance model with the inner tubes of each pair turned
+    // across opposed precurvatures, confirmed on the frictionless clearance model. status() then says multiple.
+    void search_others();
+
     int corners() const { return corners_; }
     // Corner signs in itertools.product((1, -1)) order, outermost pair first.
     int sign(int corner, int pair) const { return (corner >> (pairs_ - 1 - pair)) & 1 ? -1 : 1; }
@@ -68,6 +72,9 @@ class BoundSolver {
     std::vector<Convergence> corner_convergence_;
     double stability_ = 0;
     int negative_ = 0, warm_starts_ = 0;
+    bool multiple_ = false;
+    ZeroClearance other_;
+    LaneState trial_;
     bool have_solution_ = false;
     std::vector<CarriedState> carried_;  // what follow() starts from: frictionless, then the batches
     Configuration carried_q_;

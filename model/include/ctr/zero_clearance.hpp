@@ -18,8 +18,12 @@ class ZeroClearance {
     // Follows the branch from vanishing precurvature to the robot's own. Returns false if the residual was not reached.
     bool solve(const Robot& robot, const Configuration& q);
     // Newton's method on the full precurvature from the angles of the last solution plus `twist` [rad per tube] that
-    // grows linearly from the plate to the tips: looks for other equilibria.
+    // grows linearly from the collars to the tips: looks for other equilibria.
     bool restart(const Robot& robot, const Configuration& q, const std::vector<double>& twist);
+
+    // Looks for other stable equilibria by restarts with the inner tubes of a pair turned across opposed precurvatures. Makes
+    // the attempts from number `from` on; returns the number of the first that found one, left in `other`, or -1.
+    int search_other(const Robot& robot, const Configuration& q, int from, ZeroClearance& other) const;
 
     // Angle of tube t (innermost first) at arc length s, anywhere between its base and its tip.
     double theta(int t, double s) const;
