@@ -3,7 +3,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-SOURCES := $(shell find ctrplan model scenarios -type f -not -name '*.pyc' 2>/dev/null)
+SOURCES := $(shell find ctrplan model scenarios -type f -not -name '*.pyc' -not -name '_model*' 2>/dev/null)
 SCENARIO ?= scenarios/vessel.toml
 OUTPUT ?= demo-output
 
@@ -32,6 +32,7 @@ $(VENV)/.deps: pyproject.toml
 
 $(VENV)/.installed: $(VENV)/.deps $(SOURCES)
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps .
+	cp $(VENV)/lib/python*/site-packages/ctrplan/_model* ctrplan/  # for scripts started in this folder, which find ctrplan/ first
 	touch $@
 
 # The core's random solves under the address and undefined-behaviour sanitizers.

@@ -19,14 +19,15 @@ ROOT = Path(__file__).resolve().parents[1]
 BEGIN, END = "<!-- planning table -->\n", "<!-- end of planning table -->"
 BLIND = ["cost.error_along=0", "cost.error_goal=0"]
 HEADER = (
-    "| scenario | bound in the cost | first certified path | cost | joint length | worst bound | bound at the goal | stops |\n"
+    "| scenario | bound in the cost | first certified path | cost | joint length | worst bound | bound at the goal "
+    "| stops |\n"
     "|---|---|---|---|---|---|---|---|\n"
 )
 
 
-def cost_mm(plan: Plan) -> float:
-    """What the plan costs with the bound in the cost, whatever the planner was told."""
-    c, weights = plan.certificate, Cost()
+def cost_mm(plan: Plan, weights: Cost) -> float:
+    """What the plan costs with the scenario's own weights, whatever the planner was told."""
+    c = plan.certificate
     return (
         weights.path * c.length_mm
         + weights.error_along * c.error_integral_mm
@@ -34,10 +35,11 @@ def cost_mm(plan: Plan) -> float:
     )
 
 
-def row(name: str, label: str, plan: Plan) -> str:
+def row(name: str, label: str, plan: Plan, weights: Cost) -> str:
     c = plan.certificate
     return (
-        f"| {name} | {label} | {plan.first_certified_s:.1f} s | {cost_mm(plan):.0f} mm | {c.length_mm:.0f} mm | {c.worst_bound_m * 1e3:.2f} mm "
+        f"| {name} | {label} | {plan.first_certified_s:.1f} s | {cost_mm(plan, weights):.0f} mm "
+        f"| {c.length_mm:.0f} mm | {c.worst_bound_m * 1e3:.2f} mm "
         f"| {c.goal_bound_m * 1e3:.2f} mm | {c.stops} |\n"
     )
 
@@ -48,7 +50,7 @@ def table(seed: int) -> str:
         for label, overrides in (("yes", []), ("no", BLIND)):
             try:
                 plan = ctrplan.plan(ctrplan.load_scenario(path, overrides), seed=seed)
-                line = row(plan.scenario.name, label, plan)
+                line = row(plan.scenario.name, label, plan, ctrplan.load_scenario(path).cost)
             except CtrplanError as error:
                 line = f"| {path.stem} | {label} | {error} | | | | | |\n"
             print(line, end="", file=sys.stderr, flush=True)

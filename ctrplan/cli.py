@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -10,6 +11,7 @@ from typing import Any
 
 import ctrplan
 from ctrplan.commands.bound import run_bound
+from ctrplan.commands.output_folder import DEFAULT as OUTPUT
 from ctrplan.commands.plan import INTERRUPTED, run_plan
 from ctrplan.errors import CtrplanError
 
@@ -22,14 +24,22 @@ BOUND_EXAMPLES = """examples:
   ctrplan bound scenarios/robots/three_tube.toml --theta-deg 0 90 180 --l-mm 0 -17 -62.8
   ctrplan bound scenarios/robots/table_1_pair.toml --theta-deg 0 180 --l-mm 0 -17 \
 --set contact.1.friction_coefficient=0.4
+  ctrplan bound scenarios/robots/three_tube.toml --theta-deg 0 90 0 --l-mm 0 -17 -62.8 --sweep theta_3=0:360:121 -o out
+  ctrplan bound scenarios/robots/table_1_pair.toml --theta-deg 0 180 --l-mm 0 -17 -o out \
+    --sweep contact.1.clearance_mm=0.05:3:30 --sweep contact.1.friction_coefficient=0:0.5:26
 """
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command; returns its exit code: 0 done, 1 no answer, 2 malformed input, 130 interrupted."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a name the terminal can't show must not end the program
     parsed = _parser().parse_args(arguments)
     try:
-        return int(parsed.run(parsed))
+        code = int(parsed.run(parsed))
+        sys.stdout.flush()
+        return code
     except CtrplanError as error:
         print(f"ctrplan: {error}", file=sys.stderr)
         return error.exit_code
@@ -38,6 +48,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
     except BrokenPipeError:  # the reader of our output went away
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except OSError as error:  # of standard output; files have sentences of their own
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        print(f"ctrplan: could not print the result: {error.strerror or error}.", file=sys.stderr)
         return 1
 
 
@@ -61,7 +75,7 @@ def _add_plan(commands: Any) -> None:
     )
     parser.add_argument("scenario", metavar="SCENARIO.toml")
     parser.add_argument(
-        "-o", "--output", metavar="DIR", default="ctrplan-output", help="folder for the results (default: %(default)s)"
+        "-o", "--output", metavar="DIR", default=OUTPUT, help="folder for the results (default: %(default)s)"
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of the search (default: %(default)s)")
     parser.add_argument(
@@ -75,9 +89,9 @@ def _add_plan(commands: Any) -> None:
 def _add_bound(commands: Any) -> None:
     parser = commands.add_parser(
         "bound",
-        help="bound the friction error at one configuration",
+        help="bound the friction error at one configuration, or over a sweep",
         description="Largest tip deviation that friction can cause at one configuration, "
-        "over all directions of approach.",
+        "over all directions of approach; with --sweep, sweep.csv and sweep.png over one or two axes.",
         epilog=BOUND_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -88,7 +102,15 @@ def _add_bound(commands: Any) -> None:
     ):
         parser.add_argument(option, type=float, nargs="+", required=True, metavar=metavar, help=what)
     parser.add_argument(
-        "--accuracy", choices=["search", "certificate"], default="certificate", help="mesh (default: %(default)s)"
+        "--sweep",
+        action="append",
+        default=[],
+        metavar="KEY=FROM:TO:COUNT",
+        help="axis of a sweep, at most two: theta_I (deg) or l_I (mm) of tube I, or a key as in --set",
+    )
+    parser.add_argument("-o", "--output", metavar="DIR", help=f"folder for a sweep's files (default: {OUTPUT})")
+    parser.add_argument(
+        "--accuracy", choices=["search", "certificate"], help="mesh (default: certificate; search with --sweep)"
     )
     parser.add_argument("--json", action="store_true", help="machine-readable output")
     _add_set(parser, "the robot's key")

@@ -15,9 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrplan import _model
+from ctrplan.batch import CHUNK, Progress, bounds_in_chunks, bounds_on_executor
 from ctrplan.errors import InputError
+from ctrplan.nesting import TOLERANCE_M, nesting_inequalities
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from ctrplan.tube import Tube
 
 Array = NDArray[np.float64]
@@ -168,6 +172,7 @@ class Mechanics:
         """`clearance_m` (n - 1,) radial [m]; `friction` (n - 1,) Coulomb coefficients. Raises InputError."""
         self.n = len(tubes)
         gaps, coefficients = self._pairs(clearance_m, "clearance_m"), self._pairs(friction, "friction")
+        self._given = (tuple(tubes), gaps.copy(), coefficients.copy())
         if any(not tube.poisson_ratio > -1 for tube in tubes):
             raise InputError("must be above -1", key="poisson_ratio", value=min(tube.poisson_ratio for tube in tubes))
         with _input_errors():
@@ -190,6 +195,10 @@ class Mechanics:
                     )
                 ],
             )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled as the numbers it was made of, and compiled again where it is read."""
+        return type(self), self._given
 
     def zero_clearance(self, theta_b: ArrayLike, l_b: ArrayLike) -> Shape:
         """The standard model (2)-(3) at base rotations (n,) [rad] and translations (n,) [m]."""
@@ -230,23 +239,45 @@ class Mechanics:
         )
 
     def bound_many(
-        self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search", threads: int = 0
+        self,
+        theta_b: ArrayLike,
+        l_b: ArrayLike,
+        *,
+        accuracy: Accuracy = "search",
+        threads: int = 0,
+        progress: Progress | None = None,
+        executor: Executor | None = None,
     ) -> Bounds:
-        """Bounds of K configurations, theta_b (K, n), l_b (K, n); threads = 0 uses every core."""
-        with _input_errors():
-            table: Array = np.asarray(
-                self._model.bound_many(self._rows(theta_b), self._rows(l_b), _is_certificate(accuracy), threads)
-            )
-        return Bounds(
-            position_m=table[:, 0],
-            tangent_rad=table[:, 1],
-            stability=table[:, 2],
-            max_strain=table[:, 3],
-            residual=table[:, 4],
-            status=table[:, 5].astype(int),
-            tip_m=table[:, 6:9],
-            tip_tangent=table[:, 9:12],
-        )
+        """Bounds of K configurations, theta_b (K, n), l_b (K, n); threads = 0 uses every core.
+
+        `progress` is told the finished share between chunks of a few hundred. With an `executor`, any that has the
+        interface of concurrent.futures, chunks are its tasks, by default on one thread each; the result is the same.
+        """
+        (thetas, ls), certificate = self._configurations(theta_b, l_b), _is_certificate(accuracy)
+        if executor is not None or len(thetas) > CHUNK:  # nothing is solved before all is known to be well-formed
+            self._refuse(thetas, ls)
+        if executor is not None:
+            return bounds_on_executor(executor, self, thetas, ls, accuracy, threads, progress)
+
+        def solve(theta_b: Array, l_b: Array) -> Bounds:
+            with _input_errors():
+                return _bounds(np.asarray(self._model.bound_many(theta_b, l_b, certificate, threads)))
+
+        return bounds_in_chunks(solve, thetas, ls, progress)
+
+    def first_refused(self, theta_b: ArrayLike, l_b: ArrayLike) -> tuple[int, str] | None:
+        """The first of K configurations (K, n), (K, n) that is malformed or does not nest, and why; None if none is."""
+        thetas, ls = self._configurations(theta_b, l_b)
+        tubes = self._given[0]
+        G, h = nesting_inequalities(tubes)
+        sound = np.all(ls @ G.T <= h + TOLERANCE_M / 2, axis=1) & (ls[:, 0] + tubes[0].length_m > TOLERANCE_M)
+        sound &= np.all(np.abs(thetas) < 1e5, axis=1) & np.all(np.isfinite(ls), axis=1)
+        for k in np.flatnonzero(~sound).tolist():  # the core has the last word
+            try:
+                self._model.zero_clearance(thetas[k], ls[k])
+            except _model.InvalidInput as refusal:
+                return k, str(refusal)
+        return None
 
     def tips(self, theta_b: ArrayLike, l_b: ArrayLike, *, threads: int = 0) -> tuple[Array, Array, NDArray[np.int_]]:
         """Zero-clearance tips (K, 3) [m], tangents (K, 3) and status (K,) of K configurations."""
@@ -308,6 +339,16 @@ class Mechanics:
             table: Array = np.asarray(self._model.body(self._row(theta_b), self._row(l_b), _is_certificate(accuracy)))
         return table[:, :, :3], table[0, :, 3]
 
+    def _configurations(self, theta_b: ArrayLike, l_b: ArrayLike) -> tuple[Array, Array]:
+        rows = self._rows(theta_b), self._rows(l_b)
+        if len(rows[0]) != len(rows[1]):
+            raise InputError("theta_b and l_b need the same number of rows")
+        return rows
+
+    def _refuse(self, theta_b: Array, l_b: Array) -> None:
+        if refused := self.first_refused(theta_b, l_b):
+            raise InputError("row {}: {}".format(*refused))
+
     def _pairs(self, values: ArrayLike, key: str) -> Array:
         pairs = np.atleast_1d(_numbers(values, key))
         if pairs.shape != (self.n - 1,):
@@ -358,6 +399,19 @@ def _is_certificate(accuracy: Accuracy) -> bool:
 
 def _worst(values: Array) -> float:
     return float(values[np.argmax(np.where(np.isnan(values), np.inf, np.abs(values)))])
+
+
+def _bounds(table: Array) -> Bounds:
+    return Bounds(
+        position_m=table[:, 0],
+        tangent_rad=table[:, 1],
+        stability=table[:, 2],
+        max_strain=table[:, 3],
+        residual=table[:, 4],
+        status=table[:, 5].astype(int),
+        tip_m=table[:, 6:9],
+        tip_tangent=table[:, 9:12],
+    )
 
 
 def _shape(raw: dict[str, Any]) -> Shape:

@@ -21,6 +21,9 @@ from ctrplan.toml_input import Document, read_document
 from ctrplan.tube import Contact, Tube, TubeSection
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+    from ctrplan.batch import Progress
     from ctrplan.mechanics import Accuracy, Bound, Bounds, Mechanics, Shape
 
 __all__ = [
@@ -100,10 +103,22 @@ class Robot:
         return self.mechanics.bound(theta_b, l_b, accuracy=accuracy)
 
     def bound_many(
-        self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search", threads: int = 0
+        self,
+        theta_b: ArrayLike,
+        l_b: ArrayLike,
+        *,
+        accuracy: Accuracy = "search",
+        threads: int = 0,
+        progress: Progress | None = None,
+        executor: Executor | None = None,
     ) -> Bounds:
-        """Bounds of K configurations, (K, n) [rad], (K, n) [m], on every core. See `Mechanics.bound_many`."""
-        return self.mechanics.bound_many(theta_b, l_b, accuracy=accuracy, threads=threads)
+        """Bounds of K configurations, (K, n) [rad], (K, n) [m], on every core or on an executor's workers.
+
+        `progress` is told the finished share, 0 to 1. See `Mechanics.bound_many`.
+        """
+        return self.mechanics.bound_many(
+            theta_b, l_b, accuracy=accuracy, threads=threads, progress=progress, executor=executor
+        )
 
     def _clearance(self, i: int) -> float:
         given = self.contacts[i].clearance_m

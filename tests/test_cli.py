@@ -94,6 +94,29 @@ def test_output_that_is_a_file_is_refused_before_planning(tmp_path: Path, capsys
     assert (tmp_path / "out").read_text() == "mine"
 
 
+def test_all_outputs_or_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "report.html").mkdir()
+    assert main(["plan", str(SCENARIOS / "pair_free.toml"), "-o", str(tmp_path), "--time", "0.5"]) == 2
+    assert "report.html" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+
+
+@pytest.mark.parametrize("seconds", [0.15, 0.4, 0.9, 1.6])
+def test_ctrl_c_at_any_moment(tmp_path: Path, seconds: float) -> None:
+    """Never a traceback: 130, and all files or none; 0 only if the plan was finished before."""
+    command = [sys.executable, "-m", "ctrplan.cli", "plan", str(SCENARIOS / "pair_free.toml")]
+    command += ["-o", str(tmp_path / "out"), "--time", "1"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path, text=True)
+    time.sleep(seconds)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    if seconds > 0.3:  # before that the interpreter itself may still be starting
+        assert process.returncode == 130, err
+        assert "Traceback" not in err
+    written = sorted(p.name for p in (tmp_path / "out").iterdir()) if (tmp_path / "out").exists() else []
+    assert written in ([], ["plan.json", "plan.png", "report.html", "trajectory.csv"])
+
+
 def test_ctrl_c_keeps_the_best_plan_so_far(tmp_path: Path) -> None:
     command = [
         sys.executable,

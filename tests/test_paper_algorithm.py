@@ -92,18 +92,13 @@ def test_newton_derivatives(loaded: tuple[Any, Array, Array, Array]) -> None:
     problem, u, multiplier, direction = loaded
     free = problem.free
     r, H, H_lambda, G, G_u = paper.stiffness_matrix(problem, u, multiplier)
-    np.testing.assert_allclose(r[free], residual_of_smoothed(problem, u, multiplier)[free], atol=1e-12 * abs(r).max())
-    slope = central(lambda v: residual_of_smoothed(problem, v, multiplier), u, direction)[free]
+    np.testing.assert_allclose(r[free], paper.residual(problem, u, multiplier)[free], atol=1e-12 * abs(r).max())
+    slope = central(lambda v: paper.residual(problem, v, multiplier), u, direction)[free]
     np.testing.assert_allclose((H @ direction.ravel())[free], slope, atol=1e-6 * abs(slope).max())
-    by_lambda = central(lambda m: residual_of_smoothed(problem, u, m), multiplier, np.ones_like(multiplier), 1.0)[free]
+    by_lambda = central(lambda m: paper.residual(problem, u, m), multiplier, np.ones_like(multiplier), 1.0)[free]
     np.testing.assert_allclose(H_lambda.sum(1)[free], by_lambda, atol=1e-9 * abs(by_lambda).max())
     opening = central(lambda v: paper.stiffness_matrix(problem, v, multiplier)[3], u, direction)
     np.testing.assert_allclose(G_u @ direction.ravel(), opening, atol=1e-6 * abs(opening).max())
-
-
-def residual_of_smoothed(problem: Any, u: Array, multiplier: Array) -> Array:
-    values: Array = paper.residual(problem, u, multiplier)
-    return values
 
 
 def test_woodbury_solve(loaded: tuple[Any, Array, Array, Array]) -> None:
@@ -179,7 +174,7 @@ def test_refined_solution_satisfies_the_conditions(problem: Any) -> None:
 
 
 def test_frictionless_solution_minimises_the_energy() -> None:
-    """Least elastic energy (10) among curvatures that keep (19), with the solution's normals: P is held in (18)-(25)."""
+    """Least energy (10) among curvatures that keep (19), with the normals of the solution, as (18)-(25) hold P."""
     problem = pair_problem(2.5e-4, 0.0, 140)
     best = paper.refine(problem)
     least, at = problem.energy(best.u), problem.contacts
@@ -213,7 +208,7 @@ def closed_contacts(problem: Any, solution: Any) -> tuple[Array, Array]:
     return closed, np.einsum("ka,kaz->kz", linear.x, linear.X.reshape(len(closed), 3, -1))[closed]
 
 
-FINE = 2.5e-3, 1e-3, 15e-3  # 2.5 mm, and 1 mm within 15 mm of tips and section joints, where the forces are
+FINE = 2.5e-3, 1e-3, 10e-3  # 2.5 mm, and 1 mm within 10 mm of tips and section joints, where the forces are
 
 
 @pytest.mark.parametrize("clearance_m", [5e-5, 2.5e-4])
@@ -235,14 +230,23 @@ def test_against_the_references_and_ctrplan(clearance_m: float, mu: float) -> No
     assert np.linalg.norm(ours.tip_m - oracle.tip_m) <= allowed
 
 
-@pytest.mark.parametrize(("signs", "eta"), [("0,0", (0, 0)), ("+,-", (1, -1))])
-def test_three_tubes_against_the_references_and_ctrplan(signs: str, eta: tuple[int, int]) -> None:
-    """Table II robot on the paper's mesh density: oracle within 0.1 mm (its mesh error) of the reference, ours of it."""
+@pytest.mark.parametrize(
+    ("signs", "spacing", "mesh_error_m", "tolerance_m"),
+    [
+        ("+,+", (2.5e-3,), 5e-5, 5e-5),
+        ("+,-", (5e-3, 1e-3, 6e-3), 5e-5, 1e-4),  # a uniform 2.5 mm leaves 0.13 mm to the oracle here, this 0.05 mm
+    ],
+)
+def test_three_tubes_against_the_references_and_ctrplan(
+    signs: str, spacing: tuple[float, ...], mesh_error_m: float, tolerance_m: float
+) -> None:
+    """Table II robot: oracle within its mesh error and the uncertainty of the reference, ctrplan close to it."""
     robot, point = load_robot(ROBOTS / "three_tube.toml"), THREE_TUBE_POINTS[1]
     q = np.deg2rad(point["theta_b_deg"]), np.array(point["l_b_m"])
-    nodes = paper.mesh(robot.tubes, q[1], 2.5e-3)
+    eta = [{"0": 0.0, "+": 1.0, "-": -1.0}[sign] for sign in signs.split(",")]
+    nodes = paper.mesh(robot.tubes, q[1], *spacing)
     oracle = paper.refine(paper.Problem(robot.tubes, robot.clearance_m, 0.2, *q, eta, nodes))
     assert oracle.converged
-    assert np.linalg.norm(oracle.tip_m - point["tip_m"][signs]) <= 5e-5 + point["uncertainty_m"][signs]
+    assert np.linalg.norm(oracle.tip_m - point["tip_m"][signs]) <= mesh_error_m + point["uncertainty_m"][signs]
     ours = robot.solve(*q, eta, accuracy="certificate")
-    assert np.linalg.norm(ours.tip_m - oracle.tip_m) <= 1e-4
+    assert np.linalg.norm(ours.tip_m - oracle.tip_m) <= tolerance_m

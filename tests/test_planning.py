@@ -138,10 +138,10 @@ def test_reorder_swaps_a_translation_before_a_rotation() -> None:
     assert result.motion_after.error_integral_mm <= result.motion_before.error_integral_mm + 1e-9
 
 
-@pytest.mark.parametrize("path", [[[0, 0, 0]], [[0, 0], [1, 1]], [[0, 0, 0], [math.nan, 0, 0]]])
-def test_reorder_refuses_what_is_no_path(path: list[list[float]]) -> None:
+@pytest.mark.parametrize("path", ["abc", [[0, 1], [2]], [[0, 0, 0]], [[0, 0], [1, 1]], [[0, 0, 0], [math.nan, 0, 0]]])
+def test_reorder_refuses_what_is_no_path(path: object) -> None:
     with pytest.raises(InputError, match="path"):
-        ctrplan.reorder(path, scenario("pair_free"))
+        ctrplan.reorder(path, scenario("pair_free"))  # type: ignore[arg-type]
 
 
 def test_joint_space_takes_the_short_way_round_only_where_unlimited() -> None:
@@ -153,9 +153,8 @@ def test_joint_space_takes_the_short_way_round_only_where_unlimited() -> None:
     for p, q in zip(space.sample(rng, 20), space.sample(rng, 20), strict=True):
         corners = space.corners(p, q, "rotations before translations")
         assert np.array_equal(corners[0], p) and np.allclose(space.difference(corners[-1], q), 0, atol=1e-12)
-        assert space.length_mm(space.difference(p, q), "simultaneous") <= space.length_mm(
-            space.difference(p, q), "rotations before translations"
-        )
+        legs = sum(space.length_mm(leg) for leg in np.diff(corners, axis=0))
+        assert legs == pytest.approx(space.length_mm(space.difference(p, q)))  # the L is no longer than the diagonal
         turned = corners[1] - corners[0]
         assert not np.any(turned[~space.drive.is_rotation])
 
@@ -191,13 +190,41 @@ def test_simultaneous_motion_is_a_named_fallback(monkeypatch: pytest.MonkeyPatch
         (["goal.tip_mm=[0, -30, 78]"], "out of reach"),
         (["anatomy.1.margin_mm=60"], "start: the start state is not valid"),
         (["cost.max_error_goal_mm=0.01"], "no goal state keeps the required worst-case error of 0.01 mm"),
-        (["goal.direction=[0, 0, -1]", "goal.direction_tolerance_deg=5"], "not in the direction asked for"),
+        (
+            ["goal.direction=[0, 0, -1]", "goal.direction_tolerance_deg=5"],
+            "deg from goal.direction, beyond its tolerance",
+        ),
     ],
 )
 def test_no_answer_says_why(overrides: list[str], words: str) -> None:
     with pytest.raises(NoAnswerError, match=words) as caught:
         ctrplan.plan(scenario("ribs", *overrides), time_s=0.5)
     assert caught.value.exit_code == 1 and str(caught.value).count("\n") == 0
+
+
+def test_path_outside_limits_is_refused_with_joint_and_row() -> None:
+    case = scenario("pair_free")
+    with pytest.raises(
+        NoAnswerError, match=r"path: not valid: row 1: translate inner = 70 mm: must be within -43 and 43.4"
+    ):
+        ctrplan.reorder([case.start, [0, 0, 0.07]], case)
+
+
+def test_tip_goal_of_a_robot_whose_tubes_all_translate(tmp_path: Path) -> None:
+    """Without [[joint]] every tube has its own translation, and the goal's configurations touch the nesting limits."""
+    robot = (SCENARIOS / "robots" / "table_5_pair.toml").read_text().split("[[joint]]")[0]
+    (tmp_path / "robot.toml").write_text(robot)
+    names = [f"{what} {tube}" for tube in (1, 2) for what in ("rotate", "translate")]
+    start = "\n".join(f'"{name}" = 0' for name in names)
+    (tmp_path / "case.toml").write_text(
+        f'robot = "robot.toml"\n[start]\n{start}\n[goal]\ntip_mm = [50, 10, 200]\ntolerance_mm = 2\n[planner]\ntime_s = 1\n'
+    )
+    check(ctrplan.plan(load_scenario(tmp_path / "case.toml")))
+
+
+def test_settling_is_refused_rather_than_ignored() -> None:
+    with pytest.raises(InputError, match="planner.settle"):
+        ctrplan.plan(scenario("pair_free", 'planner.settle="oscillate"'))
 
 
 def test_unstable_start_is_refused() -> None:

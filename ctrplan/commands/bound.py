@@ -1,4 +1,4 @@
-"""`ctrplan bound`: the friction bound at one configuration, as text or JSON."""
+"""`ctrplan bound`: the friction bound at one configuration, as text or JSON; with --sweep see sweep.py beside."""
 
 from __future__ import annotations
 
@@ -10,32 +10,49 @@ import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from ctrplan.errors import InputError
+from ctrplan.errors import InputError, NoAnswerError, SolverError
 
 if TYPE_CHECKING:
+    from ctrplan.drive import Array
     from ctrplan.mechanics import Bound, Shape
 
 
 def run_bound(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is no bound to print."""
-    import numpy as np
-
+    from ctrplan.mechanics import Status
     from ctrplan.robot import load_robot, nesting_violation
 
+    if arguments.sweep:
+        from ctrplan.commands.sweep import run_sweep
+
+        return run_sweep(arguments)
+    if arguments.output is not None:
+        raise InputError("goes with --sweep only", key="--output", value=arguments.output)
     robot = load_robot(arguments.robot, arguments.overrides)
-    for key, values in (("--theta-deg", arguments.theta_deg), ("--l-mm", arguments.l_mm)):
-        if len(values) != robot.n:
-            raise InputError(f"needs {robot.n} values, one per tube, outermost first", key=key, value=values)
-        if not all(map(math.isfinite, values)):
-            raise InputError("must be finite", key=key, value=values)
-    theta_b, l_b = np.radians(arguments.theta_deg), np.multiply(arguments.l_mm, 1e-3)
+    theta_b, l_b = configuration(arguments, robot.n)
     if sentence := nesting_violation(robot, theta_b, l_b):
         raise InputError(sentence, key="--l-mm", value=arguments.l_mm, unit="mm")
     for warning in robot.warnings:
         print(f"ctrplan: warning: {warning}", file=sys.stderr)
-    found = robot.bound(theta_b, l_b, accuracy=arguments.accuracy)
+    found = robot.bound(theta_b, l_b, accuracy=arguments.accuracy or "certificate")
     print(json.dumps(_bound_json(robot.n, found), indent=1) if arguments.json else _bound_text(robot.n, found))
-    return 0 if math.isfinite(found.position_m) else 1
+    if not math.isfinite(found.position_m):
+        raise SolverError("a solve did not reach its residual: no bound is promised at this configuration.")
+    if found.frictionless.status is Status.UNSTABLE:
+        raise NoAnswerError("the configuration is elastically unstable: the robot snaps away, no bound is promised.")
+    return 0
+
+
+def configuration(arguments: argparse.Namespace, n: int) -> tuple[Array, Array]:
+    """theta_b (n,) [rad] and l_b (n,) [m] of the command line. Raises InputError unless there is a number per tube."""
+    import numpy as np
+
+    for key, values in (("--theta-deg", arguments.theta_deg), ("--l-mm", arguments.l_mm)):
+        if len(values) != n:
+            raise InputError(f"needs {n} values, one per tube, outermost first", key=key, value=values)
+        if not all(map(math.isfinite, values)):
+            raise InputError("must be finite", key=key, value=values)
+    return np.radians(arguments.theta_deg), np.multiply(arguments.l_mm, 1e-3)
 
 
 def _corners(n: int, found: Bound) -> Iterator[tuple[tuple[int, ...], Shape]]:

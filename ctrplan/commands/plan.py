@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
+import signal
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ctrplan.commands.output_folder import output_folder, written_together
 from ctrplan.commands.progress_bar import ProgressBar
 from ctrplan.errors import InputError
 
@@ -16,60 +20,76 @@ if TYPE_CHECKING:
     from ctrplan.planning.plan import Plan
 
 INTERRUPTED = 130  # exit code
+OUTPUTS = ("plan.json", "trajectory.csv", "plan.png", "report.html")
 
 
 def run_plan(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is no plan to write."""
-    from ctrplan.planning import plan
-    from ctrplan.scenario import load_scenario
-
     if arguments.time is not None and not 0 < arguments.time <= 3600:
         raise InputError("must be above 0 and at most 3600", key="--time", value=arguments.time, unit="s")
     if not 0 <= arguments.seed < 2**31 - 10**5:
         raise InputError("must be from 0 to 2147383647", key="--seed", value=arguments.seed)
-    scenario = load_scenario(arguments.scenario, arguments.overrides)
-    folder = _output_folder(arguments.output)
-    for warning in scenario.warnings:
-        print(f"ctrplan: warning: {warning}", file=sys.stderr)
-    with ProgressBar(quiet=arguments.quiet or not sys.stderr.isatty()) as bar:
-        result = plan(scenario, seed=arguments.seed, time_s=arguments.time, progress=bar.update)
-    _write(folder, result)
-    print(_summary(folder, result))
-    return INTERRUPTED if result.interrupted else 0
+    with _interrupt_event() as interrupted:
+        from ctrplan.planning import plan
+        from ctrplan.scenario import load_scenario
+
+        scenario = load_scenario(arguments.scenario, arguments.overrides)
+        folder = output_folder(arguments.output, OUTPUTS)
+        for warning in scenario.warnings:
+            print(f"ctrplan: warning: {warning}", file=sys.stderr)
+        if interrupted.is_set():
+            raise KeyboardInterrupt
+        terminal = sys.stderr is not None and sys.stderr.isatty()
+        with ProgressBar(quiet=arguments.quiet or not terminal) as bar:
+            result = plan(
+                scenario, seed=arguments.seed, time_s=arguments.time, progress=bar.update, interrupted=interrupted
+            )
+        _write(folder, result)
+        print(_summary(folder, result))
+        return INTERRUPTED if interrupted.is_set() else 0
 
 
-def _output_folder(name: str) -> Path:
-    """The folder, made if need be, before any time is spent on planning."""
-    folder = Path(name)
+@contextmanager
+def _interrupt_event() -> Iterator[threading.Event]:
+    """Ctrl-C only sets the event: nothing is lost in the middle of an import, a search or a write."""
+    event = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield event
+        return
+    previous = signal.signal(signal.SIGINT, lambda *_: event.set())
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot be made: {error.strerror}", key="--output", value=name) from None
-    if not os.access(folder, os.W_OK):
-        raise InputError("is not writable", key="--output", value=name)
-    return folder
+        yield event
+    finally:
+        signal.signal(signal.SIGINT, previous)
 
 
 def _write(folder: Path, plan: Plan) -> None:
+    """All files or none."""
     from ctrplan.export import write_trajectory_csv
     from ctrplan.plan_json import write_plan_json
     from ctrplan.plots import write_plan_png
     from ctrplan.report import write_report
 
-    write_plan_json(folder / "plan.json", plan)
-    write_trajectory_csv(folder / "trajectory.csv", plan.trajectory)
-    write_plan_png(folder / "plan.png", plan)
-    write_report(folder / "report.html", plan)
+    with written_together(folder, OUTPUTS) as made:
+        write_plan_json(made / "plan.json", plan)
+        write_trajectory_csv(made / "trajectory.csv", plan.trajectory)
+        write_plan_png(made / "plan.png", plan)
+        write_report(made / "report.html", plan)
 
 
 def _summary(folder: Path, plan: Plan) -> str:
     name, duration_s, stops = plan.scenario.name, plan.trajectory.duration_s, plan.certificate.stops
-    lines = [f"{name}: {len(plan.legs)} legs, {plan.style}, {duration_s:.1f} s, {stops} stops"]
+    legs, halts = _counted(len(plan.legs), "leg"), _counted(stops, "stop")
+    lines = [f"{name}: {legs}, {plan.style}, the motion takes {duration_s:.1f} s with {halts}"]
     if plan.style == "simultaneous":
         lines.append("  note: no path of rotations before translations was found in time; joints move simultaneously")
     lines += [f"  {label:27} {text}" for label, text in _figures(plan).items()]
     lines.append(f"  {'written to':27} {folder}/plan.json, trajectory.csv, report.html, plan.png")
     return "\n".join(lines)
+
+
+def _counted(count: int, thing: str) -> str:
+    return f"{count} {thing}" if count == 1 else f"{count} {thing}s"
 
 
 def _figures(plan: Plan) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Progress on a terminal: the search with its best cost, then the certificate."""
+"""Progress on a terminal: a bar per stage of what takes long."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ if TYPE_CHECKING:
 
 
 class ProgressBar:
-    """One bar per stage of planning, gone from the terminal when the stage is over."""
+    """One bar per stage, gone from the terminal when the stage is over; none for stages shorter than `patience_s`."""
 
-    def __init__(self, *, quiet: bool) -> None:
+    def __init__(self, *, quiet: bool, patience_s: float = 0.0) -> None:
         self.quiet = quiet
+        self.patience_s = patience_s
         self.bar: Any = None
         self.stage = ""
 
@@ -24,14 +25,19 @@ class ProgressBar:
             self.bar.close()
 
     def update(self, progress: Progress) -> None:
+        """Moves the bar to where a planner is."""
+        cost_mm = progress.best_cost_mm
+        self.show(progress.stage, progress.fraction, "" if cost_mm is None else f"best cost {cost_mm:.1f} mm")
+
+    def show(self, stage: str, fraction: float, note: str = "") -> None:
         """Moves the bar to a stage's fraction."""
         if self.quiet:
             return
-        if progress.stage != self.stage:
-            self._begin(progress.stage)
-        self.bar.n = progress.fraction
-        if progress.best_cost_mm is not None:
-            self.bar.set_postfix_str(f"best cost {progress.best_cost_mm:.1f} mm", refresh=False)
+        if stage != self.stage:
+            self._begin(stage)
+        self.bar.n = fraction
+        if note:
+            self.bar.set_postfix_str(note, refresh=False)
         self.bar.update(0)
 
     def _begin(self, stage: str) -> None:
@@ -41,4 +47,4 @@ class ProgressBar:
             self.bar.close()
         self.stage = stage
         shown = "{desc}|{bar}| {percentage:3.0f} % {postfix}"
-        self.bar = tqdm(total=1.0, desc=f"{stage:11}", bar_format=shown, leave=False)
+        self.bar = tqdm(total=1.0, desc=f"{stage:11}", bar_format=shown, leave=False, delay=self.patience_s)

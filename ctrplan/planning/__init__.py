@@ -1,10 +1,33 @@
-"""Planning: search, reordering and certification of motions. The only package that imports OMPL."""
+"""Planning: search, reordering and certification of motions. The only package that imports OMPL.
+
+For an OMPL set-up of one's own: `state_space`, `Validity`, `MotionValidity` and `BoundObjective` share a
+`MotionChecker`; `StateReader` reads and writes states, `l_shaped` expands a path of states into legs.
+"""
 
 from __future__ import annotations
 
+from ctrplan.planning.joint_space import JointSpace, l_shaped
+from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.objective import BoundObjective
+from ctrplan.planning.ompl_space import MotionValidity, StateReader, Validity, state_space
 from ctrplan.planning.plan import Certificate, CertificateSamples, Leg, Plan, ReorderReport
 from ctrplan.planning.planner import plan
 from ctrplan.planning.reorder import reorder
 
-__all__ = ["BoundObjective", "Certificate", "CertificateSamples", "Leg", "Plan", "ReorderReport", "plan", "reorder"]
+__all__ = [
+    "BoundObjective",
+    "Certificate",
+    "CertificateSamples",
+    "JointSpace",
+    "Leg",
+    "MotionChecker",
+    "MotionValidity",
+    "Plan",
+    "ReorderReport",
+    "StateReader",
+    "Validity",
+    "l_shaped",
+    "plan",
+    "reorder",
+    "state_space",
+]

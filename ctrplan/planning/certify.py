@@ -82,7 +82,7 @@ def _walk(
     """The legs in pieces, in parallel; each starts from scratch, which `_problems` compares with the one before."""
     ends = []
     for leg, (a, b) in enumerate(zip(corners[:-1], corners[1:], strict=True)):
-        count = max(1, int(np.ceil(space.straight_length_mm(b - a) / PIECE_MM)))
+        count = max(1, int(np.ceil(space.length_mm(b - a) / PIECE_MM)))
         points = a + np.linspace(0, 1, count + 1)[:, None] * (b - a)
         ends += [(leg, points[k], points[k + 1]) for k in range(count)]
     if not ends:
@@ -110,14 +110,14 @@ def _join(
     scenario: Scenario, space: JointSpace, corners: Array, pieces: list[_Piece], accuracy: Accuracy
 ) -> CertificateSamples:
     """One table over all pieces; the first sample of every piece but the first repeats the last one before it."""
-    starts = np.concatenate([[0.0], np.cumsum([space.straight_length_mm(d) for d in np.diff(corners, axis=0)])])
+    starts = np.concatenate([[0.0], np.cumsum([space.length_mm(d) for d in np.diff(corners, axis=0)])])
     slack = DISCRETISATION_M if accuracy == "search" else DISCRETISATION_M / 6
     columns: dict[str, list[NDArray[Any]]] = {name: [] for name in CertificateSamples.__dataclass_fields__}
     for number, piece in enumerate(pieces):
         s = piece.samples
         keep = slice(0 if number == 0 else 1, None)
         joints = piece.start + s.fraction[:, None] * (piece.end - piece.start)
-        travelled = [space.straight_length_mm(q - corners[piece.leg]) for q in joints]
+        travelled = [space.length_mm(q - corners[piece.leg]) for q in joints]
         clearance = _exact(scenario, s) - s.motion_m / 2 - slack
         rows: dict[str, NDArray[Any]] = {
             "leg": np.full(len(s.fraction), piece.leg),

@@ -76,11 +76,17 @@ def _tip_goals(checker: MotionChecker, rng: np.random.Generator) -> list[GoalSta
     q = _refine(checker, q, target)
     tips, status, tangents = _clearance_tips(checker, q)
     errors = np.linalg.norm(tips - target, axis=1)
-    reached = (errors <= tolerance) & (status != Status.FAILED) & _aligned(checker.scenario, tangents)
+    near = (errors <= tolerance) & (status != Status.FAILED)
+    if not near.any():
+        nearest, allowed = float(np.nanmin(errors)) * MM_PER_M, tolerance * MM_PER_M
+        raise _no_answer(
+            checker, f"out of reach, the nearest tip found is {nearest:.3g} mm away, goal.tolerance_mm = {allowed:g}"
+        )
+    turned = _turned_rad(checker.scenario, tangents)
+    reached = near & (turned <= (checker.scenario.goal.direction_tolerance_rad or np.inf))
     if not reached.any():
-        nearest = float(np.nanmin(errors)) * MM_PER_M
-        turned = "" if nearest > tolerance * MM_PER_M else ", but not in the direction asked for"
-        raise _no_answer(checker, f"out of reach, the nearest tip found is {nearest:.2f} mm away{turned}")
+        best = np.degrees(turned[near].min())
+        raise _no_answer(checker, f"reached, but at best {best:.1f} deg from goal.direction, beyond its tolerance")
     reasons: dict[str, int] = {}
     found: list[GoalState] = []
     for k in np.flatnonzero(reached):
@@ -120,15 +126,21 @@ def _refine(checker: MotionChecker, q: Array, target: Array) -> Array:
 
 
 def _tips_and_jacobian(checker: MotionChecker, q: Array) -> tuple[Array, Array]:
-    """Zero-clearance tips (K, 3) and their derivatives (K, 3, m) by one-sided differences, into the limits."""
+    """Zero-clearance tips (K, 3) and derivatives (K, 3, m) by one-sided differences, to a side that is allowed."""
     count, m = q.shape
-    sign = np.where(q + STEP > checker.space.drive.upper, -STEP, STEP)
     moved = np.repeat(q[:, None, :], m + 1, axis=1)
+    change = np.ones((count, m))
     for j in range(m):
-        moved[:, j + 1, j] += sign[:, j]
+        for step in (STEP, -STEP):
+            moved[:, j + 1, j] = np.where(checker.space.allowed_rows(moved[:, j + 1]), moved[:, j + 1, j], q[:, j])
+            same = moved[:, j + 1, j] == q[:, j]
+            moved[same, j + 1, j] += step
+        moved[:, j + 1, j] = np.where(checker.space.allowed_rows(moved[:, j + 1]), moved[:, j + 1, j], q[:, j])
+        change[:, j] = moved[:, j + 1, j] - q[:, j]
     tips, _, _ = checker.mechanics.tips(*checker.space.drive.collars(moved.reshape(-1, m)))
     tips = tips.reshape(count, m + 1, 3)
-    return tips[:, 0], np.swapaxes((tips[:, 1:] - tips[:, :1]) / sign[:, :, None], 1, 2)
+    change[change == 0] = np.inf  # a joint that can move to neither side contributes nothing
+    return tips[:, 0], np.swapaxes((tips[:, 1:] - tips[:, :1]) / change[:, :, None], 1, 2)
 
 
 def _step(checker: MotionChecker, q: Array, miss: Array, jacobian: Array) -> Array:
@@ -139,8 +151,7 @@ def _step(checker: MotionChecker, q: Array, miss: Array, jacobian: Array) -> Arr
     length = np.linalg.norm(step, axis=1, keepdims=True)
     step *= np.minimum(1.0, 30.0 / np.maximum(length, 1e-12))
     moved = np.clip(q + step / checker.space.weights_mm, checker.space.drive.lower, checker.space.drive.upper)
-    allowed = np.array([checker.space.allowed(row) for row in moved])
-    return np.where(allowed[:, None], moved, q)
+    return np.where(checker.space.allowed_rows(moved)[:, None], moved, q)
 
 
 def _clearance_tips(checker: MotionChecker, q: Array) -> tuple[Array, NDArray[np.int_], Array]:
@@ -148,17 +159,17 @@ def _clearance_tips(checker: MotionChecker, q: Array) -> tuple[Array, NDArray[np
     return bounds.tip_m, bounds.status, bounds.tip_tangent
 
 
-def _aligned(scenario: Scenario, tangents: Array) -> NDArray[np.bool_]:
-    goal = scenario.goal
-    if goal.direction is None or goal.direction_tolerance_rad is None:
-        return np.ones(len(tangents), dtype=bool)
-    cosine = np.clip(tangents @ (scenario.base_R.T @ goal.direction), -1, 1)
-    aligned: NDArray[np.bool_] = np.arccos(cosine) <= goal.direction_tolerance_rad
-    return aligned
+def _turned_rad(scenario: Scenario, tangents: Array) -> Array:
+    """(K,) angles [rad] between tip tangents and the direction asked for; 0 if none is."""
+    if scenario.goal.direction is None:
+        return np.zeros(len(tangents))
+    cosine = np.clip(tangents @ (scenario.base_R.T @ scenario.goal.direction), -1, 1)
+    angle: Array = np.arccos(cosine)
+    return angle
 
 
 def _apart_mm(checker: MotionChecker, a: Array, b: Array) -> float:
-    return checker.space.straight_length_mm(checker.space.difference(a, b))
+    return checker.space.length_mm(checker.space.difference(a, b))
 
 
 def _no_answer(checker: MotionChecker, sentence: str) -> NoAnswerError:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.drive import Array, Drive
 from ctrplan.nesting import TOLERANCE_M, nesting_inequalities
@@ -42,18 +42,14 @@ class JointSpace:
         shortest: Array = np.where(self.drive.wraps, delta - 2 * math.pi * turns, delta)
         return shortest
 
-    def straight_length_mm(self, delta: Array) -> float:
-        """Weighted length of a straight motion: Euclidean over the joints that move together."""
-        return float(np.linalg.norm(delta * self.weights_mm))
+    def length_mm(self, delta: Array) -> float:
+        """Weighted length of a motion by delta (m,): rotations and translations are each Euclidean, and add up.
 
-    def length_mm(self, delta: Array, style: MotionStyle) -> float:
-        """Weighted joint length of a motion: its rotations, then its translations, or both at once."""
-        if style == "simultaneous":
-            return self.straight_length_mm(delta)
+        It is the same whether they move one after the other or together.
+        """
         rotation = self.drive.is_rotation
-        return self.straight_length_mm(np.where(rotation, delta, 0)) + self.straight_length_mm(
-            np.where(rotation, 0, delta)
-        )
+        weighted = delta * self.weights_mm
+        return float(np.linalg.norm(weighted[rotation]) + np.linalg.norm(weighted[~rotation]))
 
     def corners(self, a: Array, b: Array, style: MotionStyle) -> Array:
         """(K, m) start, corner if both kinds of joints move, end; windings continue from a."""
@@ -65,11 +61,24 @@ class JointSpace:
 
     def allowed(self, q: ArrayLike) -> bool:
         """Whether limits and nesting hold at q (m,) or at every row of q (K, m)."""
-        values = np.atleast_2d(q)
-        if np.any(values < self.drive.lower - 1e-9) or np.any(values > self.drive.upper + 1e-9):
-            return False
-        _, l_b = self.drive.collars(values)
-        return bool(np.all(l_b @ self.nesting_G.T <= self.nesting_h + TOLERANCE_M))
+        return bool(np.all(self.allowed_rows(np.atleast_2d(q))))
+
+    def allowed_rows(self, q: Array) -> NDArray[np.bool_]:
+        """(K,) whether limits and nesting hold at each row of q (K, m)."""
+        within = np.all((q >= self.drive.lower - 1e-9) & (q <= self.drive.upper + 1e-9), axis=1)
+        _, l_b = self.drive.collars(q)
+        rows: NDArray[np.bool_] = within & np.all(l_b @ self.nesting_G.T <= self.nesting_h + TOLERANCE_M, axis=1)
+        return rows
+
+    def violation(self, q: Array) -> str:
+        """Sentence about the first row of q (K, m) that breaks a limit or the nesting."""
+        row = int(np.argmin(self.allowed_rows(q)))
+        outside = (q[row] < self.drive.lower - 1e-9) | (q[row] > self.drive.upper + 1e-9)
+        if not outside.any():
+            return f"row {row}: the tubes' bases or tips are not nested"
+        joint = self.drive.joints[int(np.argmax(outside))]
+        value, low, high = (x / joint.si_per_unit for x in (q[row][outside][0], joint.lower, joint.upper))
+        return f"row {row}: {joint.name} = {value:g} {joint.unit}: must be within {low:g} and {high:g} {joint.unit}"
 
     def sample(self, rng: np.random.Generator, count: int) -> Array:
         """(count, m) joint vectors within limits, uniform, nested; unlimited rotations in (-pi, pi]."""
@@ -83,3 +92,17 @@ class JointSpace:
             if len(found) >= count:
                 break
         return np.array(found[:count]).reshape(-1, low.size)
+
+
+def l_shaped(path: ArrayLike, scenario: Scenario) -> Array:
+    """(L, m) corners of the L-shaped motions through the states of path (K, m), rotations before translations.
+
+    For planners whose edges are priced by `BoundObjective`: unlimited rotations take the shorter way, as the objective
+    assumes; hand the result to `ctrplan.reorder`.
+    """
+    states = np.array(path, dtype=np.float64)
+    space = JointSpace.of(scenario)
+    corners = [states[0]]
+    for target in states[1:]:
+        corners.extend(space.corners(corners[-1], target, "rotations before translations")[1:])
+    return np.array(corners)

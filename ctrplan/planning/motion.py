@@ -69,7 +69,7 @@ class MotionChecker:
     def along(self, corners: Array) -> Motion:
         """The polyline (K, m) of joint values."""
         if not self.space.allowed(corners):
-            return invalid("joint limit or nesting")
+            return invalid(self.space.violation(corners))
         samples = self.walk(corners, self.density, self.limits)
         reason = breach(samples, self.limits)
         if reason:
@@ -87,7 +87,7 @@ class MotionChecker:
         """Weighted joint length [mm] and the error integral [mm] of a walked polyline."""
         if len(corners) == 1:
             return 0.0, 0.0
-        lengths = np.array([self.space.straight_length_mm(d) for d in np.diff(corners, axis=0)])
+        lengths = np.array([self.space.length_mm(d) for d in np.diff(corners, axis=0)])
         travelled = (
             np.concatenate([[0.0], np.cumsum(lengths)])[samples.segment] + samples.fraction * lengths[samples.segment]
         )

@@ -50,7 +50,7 @@ class BoundObjective(ob.OptimizationObjective):  # type: ignore[misc]
         # admissible: the length of the L is exact, the error is never negative
         space = self.checker.space
         delta = space.difference(self.read(a), self.read(b))
-        return ob.Cost(self.checker.scenario.cost.path * space.length_mm(delta, self.checker.style))
+        return ob.Cost(self.checker.scenario.cost.path * space.length_mm(delta))
 
     def stateCost(self, state: Any) -> Any:  # noqa: N802
         return ob.Cost(0.0)

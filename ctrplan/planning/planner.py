@@ -16,7 +16,7 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from ctrplan.drive import Array
-from ctrplan.errors import NoAnswerError
+from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.planning.certify import certify
 from ctrplan.planning.goals import GoalState, goal_states
 from ctrplan.planning.motion import MotionChecker
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 # Planners that grow forwards only, or check every motion in the direction it is driven.
 PLANNERS = {"BIT*": og.BITstar, "RRT*": og.RRTstar, "RRTConnect": og.RRTConnect}
 FALLBACK_SHARE = 0.3  # of the time, for simultaneous motions when no L-shaped path was found
+# Longest motion of a tree; two trees meet by steps, a single one reaches for the goal at once.
+RANGE_MM = {"RRTConnect": 30.0}
 GOAL_BIAS = 0.3  # of a tree's samples: each is dear, and the goal is a set of many states
 ATTEMPTS = 8  # searches after a path failed its certificate
 LATEST = 2.0  # times the budget: no further attempt begins after it
@@ -64,20 +66,25 @@ def plan(
     seed: int = 0,
     time_s: float | None = None,
     progress: Report | None = None,
+    interrupted: threading.Event | None = None,
 ) -> Plan:
     """A certified plan from the scenario's start to its goal.
 
     The first path found is certified at once, better ones are sought until `time_s` (default: the scenario's) is up.
-    Ctrl-C ends the search early and keeps the best. Raises NoAnswerError when start or goal are invalid or no path was
-    found in time.
+    Ctrl-C, or setting `interrupted`, ends the search early and keeps the best. Raises NoAnswerError when start or goal
+    are invalid or no path was found in time, KeyboardInterrupt when it was interrupted before there was a path.
     """
+    if scenario.planner.settle != "none":
+        raise InputError(
+            "is not supported yet, only 'none'", file=scenario.path, key="planner.settle", value=scenario.planner.settle
+        )
     began = time.monotonic()
     checker = MotionChecker(scenario)
     start = checker.state(scenario.start)
     if not start.valid:
         raise NoAnswerError(f"{scenario.path or scenario.name}: start: the start state is not valid: {start.reason}.")
     goals = goal_states(checker, np.random.default_rng(seed))
-    with _interruptible() as interrupted:
+    with _interruptible(interrupted) as interrupted:
         budget = scenario.planner.time_s if time_s is None else time_s
         work = _Work(checker, goals, seed, began, budget, progress or (lambda _: None), interrupted)
         first, best = work.run()
@@ -137,6 +144,8 @@ class _Work:
                 if better is not None and better.certificate.cost_mm < best.certificate.cost_mm:
                     best = better
             return first, best
+        if self.interrupted.is_set():
+            raise KeyboardInterrupt
         name = self.checker.scenario.path or self.checker.scenario.name
         if self.failure:
             raise NoAnswerError(f"{name}: no path in time passed its certificate: {self.failure}")
@@ -195,7 +204,7 @@ class _Problem:
         self.definition.setOptimizationObjective(self.objective)
         self.planner: Any = PLANNERS[checker.scenario.planner.name](self.information)
         if hasattr(self.planner, "setRange"):
-            self.planner.setRange(self.space.getMaximumExtent())  # a motion is dear to check, long or short
+            self.planner.setRange(RANGE_MM.get(checker.scenario.planner.name, self.space.getMaximumExtent()))
         if hasattr(self.planner, "setGoalBias"):
             self.planner.setGoalBias(GOAL_BIAS)
         self.planner.setProblemDefinition(self.definition)
@@ -244,10 +253,10 @@ def _reseed(seed: int) -> None:
 
 
 @contextmanager
-def _interruptible() -> Iterator[threading.Event]:
+def _interruptible(given: threading.Event | None) -> Iterator[threading.Event]:
     """Ctrl-C sets the event instead of raising inside a callback, where OMPL would lose the best path."""
-    event = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
+    event = given or threading.Event()
+    if given is not None or threading.current_thread() is not threading.main_thread():
         yield event
         return
     previous = signal.signal(signal.SIGINT, lambda *_: event.set())

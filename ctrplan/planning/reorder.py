@@ -41,14 +41,17 @@ def reorder(path: ArrayLike, scenario: Scenario, *, period_s: float = 0.01) -> P
     InputError for a path of the wrong shape, NoAnswerError if the path itself is not valid in the scenario.
     """
     began = time.monotonic()
-    corners = np.array(path, dtype=np.float64)
     m = len(scenario.robot.drive.joints)
+    try:
+        corners = np.array(path, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"must be numbers of shape (K, {m})", key="path") from None
     if corners.ndim != 2 or corners.shape[1] != m or len(corners) < 2 or not np.all(np.isfinite(corners)):
         raise InputError(f"must be finite, of shape (K, {m}) with K >= 2, not {corners.shape}", key="path")
     checker = MotionChecker(scenario)
     result = rotations_first(checker, merge_legs(corners))
     if not result.motion_before.valid:
-        raise NoAnswerError(f"{scenario.name}: the path is not valid: {result.motion_before.reason}.")
+        raise NoAnswerError(f"{scenario.path or scenario.name}: path: not valid: {result.motion_before.reason}.")
     certificate = certify(scenario, result.after)
     elapsed = time.monotonic() - began
     return assemble(scenario, result, certificate, planner="given path", seed=0, time_s=elapsed, period_s=period_s)

@@ -1,8 +1,8 @@
 """The algorithm of Ha, Fagogenis, Dupont, IEEE T-RO 35(2), 2019, as printed: an oracle for tests, a baseline for time.
 
-Sections II-E and III with Appendices A and B, in SI units. Equation numbers are the paper's; where its text is damaged,
-the equation that derivation and finite differences confirm stands here and the line says so ("erratum"). Two ways to the
-solution of the same discretised problem:
+Sections II-E and III with Appendices A and B, in SI units. Equation numbers are the paper's; where its text is damaged
+the equation that derivation and finite differences confirm stands here, and the line says so ("erratum"). Two ways to
+the solution of the same discretised problem:
 
 - `solve`, the documented default and the paper's own: linearise, climb the dual by projected gradient ascent with the
   Woodbury solve of Appendix A, linearise again. Nothing is added but a unit for lambda (see `Ascent`); the switch
@@ -13,6 +13,7 @@ Conventions. Tubes are numbered from the outermost; tube i is clamped at its col
 frame Rz(theta_ib); u_y > 0 bends towards +x. Behind the plate (s <= 0) tube 1 lies on the axis and may twist; the other
 tubes are held there by their collars and by contact alone. A mesh is one list of nodes for all tubes; the curvature of
 a tube is constant between nodes. The paper's curvature at the last node of a tube moves nothing and is left out.
+OPENBLAS_NUM_THREADS=1 pays: the matrices are small, and on a busy machine a second thread makes it 5-10 times slower.
 Indices: element e of a tube lies between its nodes e and e + 1, both counted from its collar.
 """
 
@@ -20,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,7 +30,7 @@ Array = NDArray[np.float64]
 E_Z = np.array([0.0, 0.0, 1.0])
 
 
-# --- what a robot must tell; ctrplan.tube.Tube does ---------------------------------------------------------------------
+# --- what a robot must tell; ctrplan.tube.Tube does -------------------------------------------------------------------
 
 
 class Section(Protocol):
@@ -55,10 +56,10 @@ class Tube(Protocol):
     @property
     def poisson_ratio(self) -> float: ...
     @property
-    def sections(self) -> Sequence[Any]: ...  # of Section
+    def sections(self) -> Sequence[Section]: ...
 
 
-# --- SE(3): (2), (57), (73)-(75) ----------------------------------------------------------------------------------------
+# --- SE(3): (2), (57), (73)-(75) --------------------------------------------------------------------------------------
 
 
 def hat(v: Array) -> Array:
@@ -106,7 +107,7 @@ def rotation_z(angle_rad: float) -> Array:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-# --- the discretised robot ----------------------------------------------------------------------------------------------
+# --- the discretised robot --------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +118,7 @@ class Rod:
     ds: Array  # (E,) [m]
     u_hat: Array  # (E, 3) precurvature [1/m]
     stiffness: Array  # (E, 3) k_xy, k_xy, k_z [N m^2]
-    held: Array  # (E,) bool: on the axis, inside the plate's guide
+    held: NDArray[np.bool_]  # (E,) on the axis, inside the plate's guide
     base_R: Array  # (3, 3)
     base_p: Array  # (3,) [m]
 
@@ -271,14 +272,18 @@ def _force_scale(outer: Tube, inner: Tube, clearance: float) -> float:
 
 
 def _jacobians(rod: Rod, u: Array, R: Array, p: Array) -> tuple[Array, Array]:
-    """J_p, J_omega of one tube; p, R at E + 1 nodes. Erratum: block (j, k) is of element k = [k, k+1], zero for j <= k."""
+    """J_p, J_omega of one tube; p, R at E + 1 nodes.
+
+    Erratum to (62)-(63): block (j, k) is of element k, from node k to k + 1, and vanishes for j <= k.
+    """
     D, E = _D_E(rod, u, R)
     arm = p[:, None] - p[None, :-1]  # (node j, element k, 3)
     J_p = -hat(arm) @ D + E  # erratum: (69) has the sign of <p_j - p_k> wrong
     J_omega = R.transpose(0, 2, 1)[:, None] @ D  # (70)
     later = (np.arange(len(p))[:, None] > np.arange(len(u)))[..., None, None]
     shape = 3 * len(p), 3 * len(u)
-    return tuple(np.where(later, J, 0.0).transpose(0, 2, 1, 3).reshape(shape) for J in (J_p, J_omega))  # type: ignore[return-value]
+    flat = [np.where(later, J, 0.0).transpose(0, 2, 1, 3).reshape(shape) for J in (J_p, J_omega)]
+    return flat[0], flat[1]
 
 
 def _D_E(rod: Rod, u: Array, R: Array) -> tuple[Array, Array]:
@@ -288,7 +293,7 @@ def _D_E(rod: Rod, u: Array, R: Array) -> tuple[Array, Array]:
     return R[:-1] @ dexp(turn) * ds, R[:-1] @ C(turn) * ds**2
 
 
-# --- step 1 of the outer loop: the zero-clearance model -----------------------------------------------------------------
+# --- step 1 of the outer loop: the zero-clearance model ---------------------------------------------------------------
 
 
 def zero_clearance(problem: Problem, scales: Sequence[float] = (0.5, 1.0)) -> Array:
@@ -359,7 +364,7 @@ def _turn(angle: ArrayLike, v: Array) -> Array:
     return np.stack([c * v[..., 0] - s * v[..., 1], s * v[..., 0] + c * v[..., 1]], axis=-1)
 
 
-# --- the paper's algorithm ----------------------------------------------------------------------------------------------
+# --- the paper's algorithm --------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -369,7 +374,7 @@ class Ascent:
     delta = 1e-3 "depends on the units", which the paper does not give. Here lambda_k is measured in f_ref / c, f_ref
     being the force expected of the pair (`_force_scale`), and G_k in c^2: the update is
     lambda_k += delta (f_ref / c) G_k / c^2, and `start` is in f_ref / c. In these units delta = 1e-3 converges for the
-    robots of Tables I and II, in hundreds to thousands of inner iterations as the paper says; 1e-2 oscillates.
+    robots of Tables I and II, with hundreds to thousands of inner iterations as the paper says; 1e-2 oscillates.
     """
 
     delta: float = 1e-3
@@ -390,7 +395,7 @@ class Solution:
     frames: Array  # (E + n, 3, 3)
     points: Array  # (E + n, 3) [m]
     multiplier: Array  # (M,) lambda [N/m]
-    converged: bool  # both loops by their own criteria
+    converged: bool  # all loops, by their own criteria
     outer: int  # linearisations, or Newton steps
     inner: int  # iterations of the ascent, all together
     step: float  # last |Delta u| [1/m]; nan from Newton
@@ -450,7 +455,8 @@ def minimiser(problem: Problem, linear: Linear, multiplier: Array) -> Array:
 def constraint(linear: Linear, step: Array) -> Array:
     """G_k (24), the gradient of the dual (30); (M,) [m^2]."""
     y = (linear.X @ step).reshape(-1, 3)
-    return (y * y).sum(-1) / 2 + (linear.x * y).sum(-1) + linear.q
+    G: Array = (y * y).sum(-1) / 2 + (linear.x * y).sum(-1) + linear.q
+    return G
 
 
 def inner_loop(problem: Problem, linear: Linear, start: Array, ascent: Ascent) -> tuple[Array, Array, int, bool]:
@@ -474,26 +480,25 @@ def inner_loop(problem: Problem, linear: Linear, start: Array, ascent: Ascent) -
     return minimiser(problem, linear, multiplier), multiplier, ascent.max_inner, False
 
 
+DEFAULT_ASCENT = Ascent()
+
+
 def solve(
-    problem: Problem, ascent: Ascent = Ascent(), u: Array | None = None, multiplier: Array | None = None
-) -> Solution:  # noqa: B008
+    problem: Problem, ascent: Ascent = DEFAULT_ASCENT, u: Array | None = None, multiplier: Array | None = None
+) -> Solution:
     """The outer loop of Section II-E, from the zero-clearance model unless given a start; eta selects Section III."""
     at = problem.contacts
     u = zero_clearance(problem) if u is None else u
     multiplier = ascent.start * at.force_scale / at.clearance if multiplier is None else multiplier
-    inner, size, converged = 0, np.inf, False
-    for outer in range(1, ascent.max_outer + 1):
+    outer, inner, size, done = 0, 0, np.inf, False
+    while outer < ascent.max_outer and size >= ascent.gamma:
         step, multiplier, iterations, done = inner_loop(problem, linearise(problem, u), multiplier, ascent)
         u = u + ascent.alpha * step.reshape(-1, 3)
-        inner += iterations
-        size = float(np.linalg.norm(step))
-        if size < ascent.gamma:
-            converged = done
-            break
-    return Solution(u, *problem.forward(u), multiplier, converged, outer, inner, size)
+        outer, inner, size = outer + 1, inner + iterations, float(np.linalg.norm(step))
+    return Solution(u, *problem.forward(u), multiplier, done and size < ascent.gamma, outer, inner, size)
 
 
-# --- not the paper's: Newton on the same equations ----------------------------------------------------------------------
+# --- not the paper's: Newton on the same equations --------------------------------------------------------------------
 
 
 class _Loads(NamedTuple):
@@ -543,10 +548,9 @@ def imbalance(problem: Problem, u: Array, multiplier: Array) -> float:
 def gaps(problem: Problem, u: Array) -> Array:
     """|P S p| - c, (M,) [m]; (14) demands <= 0."""
     R, p = problem.forward(u)
-    return (
-        np.linalg.norm(_loads(problem, R, p, np.zeros(len(problem.contacts.node))).gap, axis=1)
-        - problem.contacts.clearance
-    )
+    gap = _loads(problem, R, p, np.zeros(len(problem.contacts.node))).gap
+    beyond: Array = np.linalg.norm(gap, axis=1) - problem.contacts.clearance
+    return beyond
 
 
 def stiffness_matrix(problem: Problem, u: Array, multiplier: Array) -> tuple[Array, Array, Array, Array, Array]:
@@ -601,19 +605,19 @@ def _geometric_of(rod: Rod, u: Array, R: Array, p: Array, force: Array, moment: 
     """One tube's part. Beyond node k act F = sum f_j, W = sum (p_j - p_k) x f_j + m_j, and S = sum <f_j><p_j - p_k>."""
     D, E = _D_E(rod, u, R)
     count = len(u)
-    F = np.cumsum(force[::-1], axis=0)[::-1][1:]
+    F, W = _beyond(p, force, moment)
     lever = p[None] - p[:-1, None]  # (element k, node j, 3)
     beyond = (np.arange(count + 1) > np.arange(count)[:, None])[..., None]
-    W = (np.where(beyond, np.cross(lever, force[None]) + moment[None], 0.0)).sum(1)
     S = np.where(beyond[..., None], hat(force)[None] @ hat(lever), 0.0).sum(1)
     DT, ET = D.transpose(0, 2, 1), E.transpose(0, 2, 1)
     below = np.einsum("kab,lbc->kalc", DT @ (S + hat(W)) + ET @ hat(F), D)  # element l before k
     above = np.einsum("kab,lbc->kalc", DT, S @ D - hat(F) @ E)  # element l after k, or k itself
     earlier = np.tri(count, k=-1, dtype=bool)[:, None, :, None]
-    blocks = np.where(earlier, below, above)
+    blocks: Array = np.where(earlier, below, above)
     k = np.arange(count)
     blocks[k, :, k] += _bending_of_dexp(rod, u, np.einsum("kba,kb->ka", R[:-1], W), np.einsum("kba,kb->ka", R[:-1], F))
-    return blocks.reshape(3 * count, 3 * count)
+    matrix: Array = blocks.reshape(3 * count, 3 * count)
+    return matrix
 
 
 def _bending_of_dexp(rod: Rod, u: Array, b: Array, a: Array) -> Array:
@@ -702,12 +706,23 @@ def _moved(problem: Problem, u: Array, change: Array) -> Array:
     return result
 
 
+def _beyond(p: Array, force: Array, moment: Array) -> tuple[Array, Array]:
+    """F = sum f_j and W = sum (p_j - p_k) x f_j + m_j over the nodes j > k of a tube, (E, 3) each."""
+    F, W = (np.cumsum(x[::-1], axis=0)[::-1][1:] for x in (force, np.cross(p, force) + moment))
+    return F, W - np.cross(p[:-1], F)
+
+
 def _conditions(problem: Problem, u: Array, lam: Array, unit: Array, smoothing: float, scale: Array) -> Array:
+    """(37) and complementarity, scaled; J_p^T f + J_omega^T tau summed from the tip, without the matrices."""
     R, p = problem.forward(u)
-    gap = _loads(problem, R, p, lam).gap
-    a, b = lam / unit, (1 - (gap * gap).sum(-1) / problem.contacts.clearance**2) / 2
-    r = residual(problem, u, lam)[problem.free] * scale
-    return np.concatenate([r, a + b - np.sqrt(a * a + b * b + 2 * smoothing)])
+    loads = _loads(problem, R, p, lam)
+    r = (problem.K * (u - problem.u_hat).ravel()).reshape(-1, 3)
+    for rod, e, at in zip(problem.rods, problem.elements, problem.points, strict=True):
+        D, E = _D_E(rod, u[e], R[at])
+        F, W = _beyond(p[at], loads.force[at], loads.moment[at])
+        r[e] -= np.einsum("kab,ka->kb", D, W) + np.einsum("kab,ka->kb", E, F)
+    a, b = lam / unit, (1 - (loads.gap**2).sum(-1) / problem.contacts.clearance**2) / 2
+    return np.concatenate([r.ravel()[problem.free] * scale, a + b - np.sqrt(a * a + b * b + 2 * smoothing)])
 
 
 def _newton(problem: Problem, u: Array, lam: Array, unit: Array, smoothing: float, scale: Array) -> tuple[Array, Array]:
