@@ -26,7 +26,7 @@ BOUND_EXAMPLES = """examples:
 --set contact.1.friction_coefficient=0.4
   ctrplan bound scenarios/robots/three_tube.toml --theta-deg 0 90 0 --l-mm 0 -17 -62.8 --sweep theta_3=0:360:121 -o out
   ctrplan bound scenarios/robots/table_1_pair.toml --theta-deg 0 180 --l-mm 0 -17 -o out \
-    --sweep contact.1.clearance_mm=0.05:3:30 --sweep contact.1.friction_coefficient=0:0.5:26
+--sweep contact.1.clearance_mm=0.05:3:30 --sweep contact.1.friction_coefficient=0:0.5:26
 """
 
 

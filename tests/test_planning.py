@@ -216,8 +216,9 @@ def test_tip_goal_of_a_robot_whose_tubes_all_translate(tmp_path: Path) -> None:
     (tmp_path / "robot.toml").write_text(robot)
     names = [f"{what} {tube}" for tube in (1, 2) for what in ("rotate", "translate")]
     start = "\n".join(f'"{name}" = 0' for name in names)
+    goal = "tip_mm = [50, 10, 200]\ntolerance_mm = 2"
     (tmp_path / "case.toml").write_text(
-        f'robot = "robot.toml"\n[start]\n{start}\n[goal]\ntip_mm = [50, 10, 200]\ntolerance_mm = 2\n[planner]\ntime_s = 1\n'
+        f'robot = "robot.toml"\n[start]\n{start}\n[goal]\n{goal}\n[planner]\ntime_s = 1\n'
     )
     check(ctrplan.plan(load_scenario(tmp_path / "case.toml")))
 

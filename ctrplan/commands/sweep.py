@@ -17,10 +17,9 @@ if TYPE_CHECKING:
     from ctrplan.mechanics import Accuracy
     from ctrplan.sweep import Sweep
 
+OUTPUTS = ("sweep.csv", "sweep.png")
 PATIENCE_S = 1.0  # before a progress bar shows up
 
-
-OUTPUTS = ("sweep.csv", "sweep.png")
 
 def run_sweep(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code, 1 if no point has a bound. Raises CtrplanError."""

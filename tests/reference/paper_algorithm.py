@@ -654,7 +654,8 @@ def refine(
     state, _, steps = _stage(problem, state, *done, 1e-4, 60)
     while stages and steps < max_steps:
         target = stages[-1]
-        reached, good, used = _stage(problem, state, *target, tolerance if len(stages) == 1 else 1e-4, 15)
+        enough = tolerance if len(stages) == 1 else min(1e-4, 0.1 * float(np.sqrt(target[1])))
+        reached, good, used = _stage(problem, state, *target, enough, 15)
         steps += used
         if good:
             state, done = reached, stages.pop()
