@@ -6,9 +6,7 @@ front plate, z along insertion, s = 0 at the plate.
 
 from __future__ import annotations
 
-import enum
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -18,151 +16,31 @@ from ctrplan import _model
 from ctrplan.batch import CHUNK, Progress, bounds_in_chunks, bounds_on_executor
 from ctrplan.errors import InputError
 from ctrplan.nesting import TOLERANCE_M, nesting_inequalities
+from ctrplan.path_walk import Field, PathDensity, PathLimits, PathSamples
+from ctrplan.shapes import Array, Bound, Bounds, Shape, Status, TubeShape
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from ctrplan.tube import Tube
 
-Array = NDArray[np.float64]
+__all__ = [
+    "Accuracy",
+    "Array",
+    "Bound",
+    "Bounds",
+    "Field",
+    "Mechanics",
+    "PathDensity",
+    "PathLimits",
+    "PathSamples",
+    "Shape",
+    "Status",
+    "TubeShape",
+    "kernel_name",
+]
+
 Accuracy = Literal["search", "certificate"]  # discretisation error of a tip: <= 0.3 mm, <= 0.05 mm
-
-
-class Status(enum.IntEnum):
-    """What a solve found; nothing else promises a tip."""
-
-    CONVERGED = 0  # residual reached, stable
-    MULTIPLE = 1  # as CONVERGED, and another stable solution is known
-    UNSTABLE = 2  # an equilibrium, but not a minimum of the energy: the robot would snap away from it
-    FAILED = 3  # residual not reached
-
-
-@dataclass(frozen=True, eq=False)
-class TubeShape:
-    """One tube from its collar to its tip, N stations."""
-
-    s_m: Array  # (N,) arc length from the front plate
-    centreline_m: Array  # (N, 3) world frame
-    frames: Array  # (N, 3, 3) material frames, columns are the axes in the world frame
-    theta_rad: Array  # (N,) material angle against the tube's twist-free frame
-    curvature_per_m: Array  # (N, 3) rotation rate u in the material frame
-    strain: Array  # (N,) largest bending strain r_out |u_xy - u_hat_xy|
-
-
-@dataclass(frozen=True, eq=False)
-class Shape:
-    """An equilibrium of the robot; the centreline is the innermost tube's."""
-
-    tubes: tuple[TubeShape, ...]  # outermost first
-    radius_m: Array  # (N,) outer radius of what is there, at s_m
-    contact_s_m: tuple[Array, ...]  # per pair: stations of possible contacts
-    contact_force_N: tuple[Array, ...]  # per pair: normal force at each station, a discretised distribution
-    contact_angle_rad: tuple[Array, ...]  # per pair: where the inner tube leans, twist-free frame
-    status: Status
-    residual: float  # largest imbalance of moments over the robot's own, EI * precurvature
-    stability: float  # smallest eigenvalue of the torsional second variation over GJ / L^2 of the innermost tube
-    max_strain: float
-
-    @property
-    def s_m(self) -> Array:
-        """(N,) arc length of the innermost tube from the front plate."""
-        return self.tubes[-1].s_m
-
-    @property
-    def centreline_m(self) -> Array:
-        """(N, 3) innermost tube, world frame."""
-        return self.tubes[-1].centreline_m
-
-    @property
-    def tip_m(self) -> Array:
-        """(3,) tip of the innermost tube, world frame."""
-        tip: Array = self.centreline_m[-1]
-        return tip
-
-    @property
-    def tip_tangent(self) -> Array:
-        """(3,) unit tangent at the tip, world frame."""
-        tangent: Array = self.tubes[-1].frames[-1, :, 2]
-        return tangent
-
-
-@dataclass(frozen=True, eq=False)
-class Bound:
-    """Largest deviations that friction can cause, over all sign corners, from the frictionless clearance solution."""
-
-    position_m: float  # of the tip
-    tangent_rad: float  # of the tip tangent
-    frictionless: Shape  # phi = 0
-    corners: tuple[Shape, ...]  # phi in itertools.product((1, -1), repeat=n - 1)
-    envelope_m: Array  # (N,) of the centreline, at frictionless.s_m
-    worst_corner: int  # index of the corner that gives position_m
-
-
-@dataclass(frozen=True, eq=False)
-class Bounds:
-    """`Bound` for K configurations, without the shapes. Entries of failed solves are NaN."""
-
-    position_m: Array  # (K,)
-    tangent_rad: Array  # (K,)
-    stability: Array  # (K,)
-    max_strain: Array  # (K,)
-    residual: Array  # (K,)
-    status: NDArray[np.int_]  # (K,) values of Status
-    tip_m: Array  # (K, 3) frictionless
-    tip_tangent: Array  # (K, 3)
-
-
-@dataclass(frozen=True, eq=False)
-class PathSamples:
-    """What `Mechanics.check_path` found at each of the K configurations it reached."""
-
-    segment: NDArray[np.int_]  # (K,) leg the sample lies on
-    fraction: Array  # (K,) of that leg
-    position_m: Array  # (K,) bound of the tip
-    tangent_rad: Array  # (K,)
-    stability: Array  # (K,)
-    max_strain: Array  # (K,)
-    clearance_m: Array  # (K,) smallest over frictionless and corner shapes, outer radius taken off; 1e9 in free space
-    motion_m: Array  # (K,) largest displacement of a body point since the sample before
-    status: NDArray[np.int_]  # (K,) values of Status
-    tip_m: Array  # (K, 3) frictionless
-    tip_tangent: Array  # (K, 3)
-    bodies: tuple[Array, ...] = ()  # per sample, if asked for: (N, 4) points of all shapes and their outer radius [m]
-
-
-@dataclass(frozen=True)
-class PathDensity:
-    """How densely a path is walked: longest joint steps, largest motion of a body point between samples.
-
-    Where `near_m` is below `motion_m`, a step may move a body point no farther than the clearance it starts with, or
-    `near_m`: clearances are 1-Lipschitz, so that an obstacle is noticed before it is passed.
-    """
-
-    rotation_rad: float = 0.18
-    translation_m: float = 5e-3
-    motion_m: float = 20e-3
-    near_m: float = 2e-3
-    point_spacing_m: float = 1.5e-3  # between the points of a shape that are looked up in the field
-
-
-@dataclass(frozen=True)
-class PathLimits:
-    """A walk ends at the first sample that breaks one of these."""
-
-    stability: float = -np.inf
-    max_strain: float = np.inf
-    clearance_m: float = -np.inf
-
-
-@dataclass(frozen=True, eq=False)
-class Field:
-    """A grid of clearances [m] in the anatomy's frame A, and where the robot's base B stands in it."""
-
-    values_m: NDArray[np.float32]  # (nx, ny, nz)
-    origin_m: Array  # (3,)
-    spacing_m: float
-    R_AB: Array  # (3, 3)
-    p_AB: Array  # (3,)
 
 
 class Mechanics:

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import argparse
 import math
-import signal
 import sys
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ctrplan.commands.output_folder import output_folder, written_together
 from ctrplan.commands.progress_bar import ProgressBar
 from ctrplan.errors import InputError
+from ctrplan.interrupts import interrupt_event
 
 if TYPE_CHECKING:
     from ctrplan.planning.plan import Plan
@@ -29,7 +26,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
         raise InputError("must be above 0 and at most 3600", key="--time", value=arguments.time, unit="s")
     if not 0 <= arguments.seed < 2**31 - 10**5:
         raise InputError("must be from 0 to 2147383647", key="--seed", value=arguments.seed)
-    with _interrupt_event() as interrupted:
+    with interrupt_event() as interrupted:
         from ctrplan.planning import plan
         from ctrplan.scenario import load_scenario
 
@@ -47,20 +44,6 @@ def run_plan(arguments: argparse.Namespace) -> int:
         _write(folder, result)
         print(_summary(folder, result))
         return INTERRUPTED if interrupted.is_set() else 0
-
-
-@contextmanager
-def _interrupt_event() -> Iterator[threading.Event]:
-    """Ctrl-C only sets the event: nothing is lost in the middle of an import, a search or a write."""
-    event = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield event
-        return
-    previous = signal.signal(signal.SIGINT, lambda *_: event.set())
-    try:
-        yield event
-    finally:
-        signal.signal(signal.SIGINT, previous)
 
 
 def _write(folder: Path, plan: Plan) -> None:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +15,7 @@ from ompl import util as ou
 
 from ctrplan.drive import Array
 from ctrplan.errors import InputError, NoAnswerError
+from ctrplan.interrupts import interrupt_event
 from ctrplan.planning.certify import certify
 from ctrplan.planning.goals import GoalState, goal_states
 from ctrplan.planning.motion import MotionChecker
@@ -84,7 +83,7 @@ def plan(
     if not start.valid:
         raise NoAnswerError(f"{scenario.path or scenario.name}: start: the start state is not valid: {start.reason}.")
     goals = goal_states(checker, np.random.default_rng(seed))
-    with _interruptible(interrupted) as interrupted:
+    with interrupt_event(interrupted) as interrupted:
         budget = scenario.planner.time_s if time_s is None else time_s
         work = _Work(checker, goals, seed, began, budget, progress or (lambda _: None), interrupted)
         first, best = work.run()
@@ -250,17 +249,3 @@ def _reseed(seed: int) -> None:
     ou.setLogLevel(ou.LOG_NONE)
     ou.RNG.setSeed(seed + 1)  # 0 would mean: take one from the clock
     ou.setLogLevel(max(level, ou.LOG_ERROR, key=lambda value: value.value))
-
-
-@contextmanager
-def _interruptible(given: threading.Event | None) -> Iterator[threading.Event]:
-    """Ctrl-C sets the event instead of raising inside a callback, where OMPL would lose the best path."""
-    event = given or threading.Event()
-    if given is not None or threading.current_thread() is not threading.main_thread():
-        yield event
-        return
-    previous = signal.signal(signal.SIGINT, lambda *_: event.set())
-    try:
-        yield event
-    finally:
-        signal.signal(signal.SIGINT, previous)

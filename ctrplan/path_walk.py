@@ -1,0 +1,63 @@
+"""Walking a path through the mechanics: how densely, until what, and what is found on the way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PathSamples:
+    """What `Mechanics.check_path` found at each of the K configurations it reached."""
+
+    segment: NDArray[np.int_]  # (K,) leg the sample lies on
+    fraction: Array  # (K,) of that leg
+    position_m: Array  # (K,) bound of the tip
+    tangent_rad: Array  # (K,)
+    stability: Array  # (K,)
+    max_strain: Array  # (K,)
+    clearance_m: Array  # (K,) smallest over frictionless and corner shapes, outer radius taken off; 1e9 in free space
+    motion_m: Array  # (K,) largest displacement of a body point since the sample before
+    status: NDArray[np.int_]  # (K,) values of Status
+    tip_m: Array  # (K, 3) frictionless
+    tip_tangent: Array  # (K, 3)
+    bodies: tuple[Array, ...] = ()  # per sample, if asked for: (N, 4) points of all shapes and their outer radius [m]
+
+
+@dataclass(frozen=True)
+class PathDensity:
+    """How densely a path is walked: longest joint steps, largest motion of a body point between samples.
+
+    Where `near_m` is below `motion_m`, a step may move a body point no farther than the clearance it starts with, or
+    `near_m`: clearances are 1-Lipschitz, so that an obstacle is noticed before it is passed.
+    """
+
+    rotation_rad: float = 0.18
+    translation_m: float = 5e-3
+    motion_m: float = 20e-3
+    near_m: float = 2e-3
+    point_spacing_m: float = 1.5e-3  # between the points of a shape that are looked up in the field
+
+
+@dataclass(frozen=True)
+class PathLimits:
+    """A walk ends at the first sample that breaks one of these."""
+
+    stability: float = -np.inf
+    max_strain: float = np.inf
+    clearance_m: float = -np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """A grid of clearances [m] in the anatomy's frame A, and where the robot's base B stands in it."""
+
+    values_m: NDArray[np.float32]  # (nx, ny, nz)
+    origin_m: Array  # (3,)
+    spacing_m: float
+    R_AB: Array  # (3, 3)
+    p_AB: Array  # (3,)
