@@ -7,8 +7,7 @@ from ompl import geometric as og
 from ompl import util as ou
 
 import ctrplan
-from ctrplan.planning.motion import MotionChecker
-from ctrplan.planning.ompl_space import MotionValidity, StateReader, Validity, state_space
+from ctrplan.planning import MotionChecker, MotionValidity, StateReader, Validity, state_space
 
 SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"
 

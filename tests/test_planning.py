@@ -15,10 +15,11 @@ import ctrplan
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.mechanics import Status
 from ctrplan.planning.certify import SPACING_M, certify
-from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.motion import Motion, MotionChecker, invalid
-from ctrplan.planning.ompl_space import MotionValidity, StateReader, Validity, state_space
+from ctrplan.planning.ompl_space import StateReader, state_space
 from ctrplan.planning.reorder import rotations_first
+from ctrplan.planning.space import JointSpace
+from ctrplan.planning.validity import MotionValidity, Validity
 from ctrplan.scenario import Scenario, load_scenario
 from ctrplan.trajectory import verify_limits
 

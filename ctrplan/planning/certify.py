@@ -16,9 +16,9 @@ from ctrplan.drive import Array
 from ctrplan.legs import merge_legs
 from ctrplan.mechanics import Accuracy, PathDensity, PathLimits, PathSamples
 from ctrplan.planning.goals import target_in_robot_frame
-from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.motion import MM_PER_M, anatomy_grid, breach, path_limits
 from ctrplan.planning.plan import Certificate, CertificateSamples
+from ctrplan.planning.space import JointSpace
 
 if TYPE_CHECKING:
     from ctrplan.scenario import Scenario

@@ -11,8 +11,8 @@ import numpy as np
 from ctrplan.anatomy import SignedDistanceField, build_field, default_spacing_m, field_bounds
 from ctrplan.drive import Array
 from ctrplan.mechanics import Field, PathDensity, PathLimits, PathSamples, Status
-from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.plan import MotionStyle
+from ctrplan.planning.space import JointSpace
 
 if TYPE_CHECKING:
     from ctrplan.scenario import Scenario

@@ -1,4 +1,4 @@
-"""The joint space as an OMPL state space, and its callbacks. OMPL objects hold no Python state of ours beyond these."""
+"""The joint space as an OMPL state space."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import numpy as np
 from ompl import base as ob
 
 from ctrplan.drive import Array
-from ctrplan.planning.joint_space import JointSpace
-from ctrplan.planning.motion import MotionChecker
+from ctrplan.planning.space import JointSpace
 
 
 def state_space(space: JointSpace) -> Any:
@@ -47,25 +46,3 @@ class StateReader:
                 state[i].value = -math.pi if angle >= math.pi else angle
             else:
                 state[i][0] = float(q[i])
-
-
-class Validity(ob.StateValidityChecker):  # type: ignore[misc]
-    """Limits, nesting, stability, strain and clearance of a state."""
-
-    def __init__(self, space_information: Any, checker: MotionChecker, read: StateReader) -> None:
-        super().__init__(space_information)
-        self.checker, self.read = checker, read
-
-    def isValid(self, state: Any) -> bool:  # noqa: N802, OMPL's name
-        return self.checker.state(self.read(state)).valid
-
-
-class MotionValidity(ob.MotionValidator):  # type: ignore[misc]
-    """The whole motion in the direction driven; OMPL's own interpolation is never asked."""
-
-    def __init__(self, space_information: Any, checker: MotionChecker, read: StateReader) -> None:
-        super().__init__(space_information)
-        self.checker, self.read = checker, read
-
-    def checkMotion(self, a: Any, b: Any, *_: Any) -> bool:  # noqa: N802, OMPL's name
-        return self.checker.motion(self.read(a), self.read(b)).valid

@@ -20,9 +20,10 @@ from ctrplan.planning.certify import certify
 from ctrplan.planning.goals import GoalState, goal_states
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.objective import BoundObjective
-from ctrplan.planning.ompl_space import MotionValidity, StateReader, Validity, state_space
+from ctrplan.planning.ompl_space import StateReader, state_space
 from ctrplan.planning.plan import Certificate, MotionStyle, Plan
 from ctrplan.planning.reorder import Reordered, assemble, rotations_first
+from ctrplan.planning.validity import MotionValidity, Validity
 
 if TYPE_CHECKING:
     from ctrplan.scenario import Scenario
