@@ -82,7 +82,7 @@ def _draw_map(ax: Axes, result: Sweep) -> None:
     for which, (colour, hatch, _) in UNUSABLE.items():
         cells = status == which
         if cells.any():
-            shown = np.ma.masked_array(np.zeros(cells.shape), ~cells)
+            shown = np.where(cells, 0.0, np.nan)  # NaN is not drawn
             ax.imshow(shown, cmap=ListedColormap([colour]), interpolation="nearest", **placed)
             if hatch:
                 _hatch(ax, x, y, cells, hatch)

@@ -50,7 +50,7 @@ def poses(plan: Plan, count: int) -> list[Pose]:
     Left out are places where the model has no solution: a plan that is not certified may have some.
     """
     duration_s = plan.trajectory.duration_s
-    time_s = np.linspace(0.0, duration_s, count) if duration_s > 0 else np.zeros(1)
+    time_s = np.asarray(np.linspace(0.0, duration_s, count if duration_s > 0 else 1), dtype=np.float64)
     bounds = [_bound(plan.scenario, joints) for joints in joints_at(plan, time_s)]
     solved = [k for k, bound in enumerate(bounds) if np.isfinite(bound.position_m)]
     return [_posed(plan.scenario, bounds[k], float(time_s[k])) for k in solved]

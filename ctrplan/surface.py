@@ -66,7 +66,7 @@ def _rod_faces(stations: int, sides: int) -> NDArray[np.int64]:
     start, end = np.full(sides, stations * sides), np.full(sides, stations * sides + 1)
     first_cap = np.stack([start, (around + 1) % sides, around], axis=1)
     last_cap = np.stack([end, last + around, last + (around + 1) % sides], axis=1)
-    return np.concatenate([wall, first_cap, last_cap]).astype(np.int64)
+    return np.asarray(np.concatenate([wall, first_cap, last_cap]), dtype=np.int64)
 
 
 def anatomy_surface(part: AnatomyPart, triangles: int = 12_000) -> Surface:

@@ -52,7 +52,8 @@ class Sweep:
     @property
     def usable(self) -> NDArray[np.bool_]:
         """(K,) whether the bound holds: the solves converged and the robot does not snap."""
-        return np.isin(self.bounds.status, (Status.CONVERGED, Status.MULTIPLE)) & np.isfinite(self.bounds.position_m)
+        converged = np.isin(self.bounds.status, (Status.CONVERGED, Status.MULTIPLE))
+        return np.asarray(converged & np.isfinite(self.bounds.position_m), dtype=np.bool_)
 
 
 @dataclass(frozen=True, eq=False)

@@ -75,7 +75,7 @@ def _values(parts: list[str], text: str) -> Array:
         raise InputError("COUNT must be at least 2", key="--sweep", value=text)
     if count > MOST_POINTS:
         raise InputError(f"COUNT must be at most {MOST_POINTS:,}", key="--sweep", value=text)
-    values: Array = np.linspace(first, last, count)
+    values: Array = np.asarray(np.linspace(first, last, count), dtype=np.float64)
     if len(np.unique(values)) < count:
         raise InputError("FROM and TO must differ, by enough for COUNT values", key="--sweep", value=text)
     return values
