@@ -1,6 +1,6 @@
 """How accurate is the mechanics core, and how long does an answer take?
 
-    python benchmarks/mechanics.py [references] [pairs] [table3] [speed]        (all of them if none is named)
+    python benchmarks/mechanics.py [references] [pairs] [table3] [meshes] [speed]        (all of them if none is named)
 
 References are in tests/reference, each with its own uncertainty. Times are of one core unless a row says otherwise;
 medians, because the machine may be doing other things.
@@ -171,6 +171,19 @@ def table3() -> None:
     )
 
 
+def meshes() -> None:
+    """Search against certificate mesh on random configurations: the worst of the five tips of each."""
+    worst = []
+    for theta_b, l_b in zip(*random_joints(1000), strict=True):
+        coarse, fine = THREE_TUBES.bound(theta_b, l_b), THREE_TUBES.bound(theta_b, l_b, accuracy="certificate")
+        if np.isfinite(coarse.position_m + fine.position_m) and coarse.frictionless.stability > 0:
+            shapes = zip((coarse.frictionless, *coarse.corners), (fine.frictionless, *fine.corners), strict=True)
+            worst.append(max(distance(a.tip_m, b.tip_m) * 1e3 for a, b in shapes))
+    error = np.array(worst)
+    row = (len(error), *map(float, np.quantile(error, (0.5, 0.95, 0.99, 1.0))), float(np.mean(error > 0.3)))
+    table("search mesh off the grid, mm", ("configurations", "median", "95 %", "99 %", "max", "share > 0.3"), [row])
+
+
 def record(into: tuple[list[float], list[float]], shape: Shape, zero: Shape) -> None:
     into[0].append(1e3 * distance(shape.tip_m, zero.tip_m))
     u, v = shape.tip_tangent, zero.tip_tangent
@@ -241,6 +254,6 @@ def speed() -> None:
 
 
 if __name__ == "__main__":
-    sections = {"references": references, "pairs": pairs, "table3": table3, "speed": speed}
+    sections = {"references": references, "pairs": pairs, "table3": table3, "meshes": meshes, "speed": speed}
     for name in sys.argv[1:] or sections:
         sections[name]()

@@ -40,7 +40,7 @@ __all__ = [
     "kernel_name",
 ]
 
-Accuracy = Literal["search", "certificate"]  # discretisation error of a tip: <= 0.3 mm, <= 0.05 mm
+Accuracy = Literal["search", "certificate"]  # error of a tip on the Table III grid: <= 0.3, <= 0.05 mm
 
 
 class Mechanics:
