@@ -15,9 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 from ctrplan import _model
 from ctrplan.batch import CHUNK, Progress, bounds_in_chunks, bounds_on_executor
 from ctrplan.errors import InputError
+from ctrplan.loads import Loads
 from ctrplan.nesting import TOLERANCE_M, nesting_inequalities
+from ctrplan.parameters import directions
 from ctrplan.path_walk import Field, PathDensity, PathLimits, PathSamples
-from ctrplan.shapes import Array, Bound, Bounds, Shape, Status, TubeShape
+from ctrplan.shapes import Array, Bound, Bounds, Shape, Status, Tips, TubeShape
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -36,6 +38,7 @@ __all__ = [
     "PathSamples",
     "Shape",
     "Status",
+    "Tips",
     "TubeShape",
     "kernel_name",
 ]
@@ -46,32 +49,30 @@ Accuracy = Literal["search", "certificate"]  # error of a tip on the Table III g
 class Mechanics:
     """A robot's compiled model. Thread-safe: concurrent calls use separate workspaces; the GIL is released."""
 
-    def __init__(self, tubes: Sequence[Tube], clearance_m: ArrayLike, friction: ArrayLike) -> None:
+    def __init__(
+        self, tubes: Sequence[Tube], clearance_m: ArrayLike, friction: ArrayLike, loads: Loads | None = None
+    ) -> None:
         """`clearance_m` (n - 1,) radial [m]; `friction` (n - 1,) Coulomb coefficients. Raises InputError."""
         self.n = len(tubes)
         gaps, coefficients = self._pairs(clearance_m, "clearance_m"), self._pairs(friction, "friction")
-        self._given = (tuple(tubes), gaps.copy(), coefficients.copy())
+        loads = loads or Loads()
+        self._given = (tuple(tubes), gaps.copy(), coefficients.copy(), loads)
         if any(not tube.poisson_ratio > -1 for tube in tubes):
             raise InputError("must be above -1", key="poisson_ratio", value=min(tube.poisson_ratio for tube in tubes))
         with _input_errors():
             self._model = _model.Model(
+                [_tube_numbers(tube) for tube in tubes],
                 [
-                    [
-                        tube.outer_diameter_m / 2,
-                        tube.inner_diameter_m / 2,
-                        tube.bending_stiffness_Nm2,
-                        tube.bending_stiffness_Nm2 / (1 + tube.poisson_ratio),
-                        tube.collar_length_m,
-                    ]
+                    [[s.length_m, s.curvature_x_per_m, s.curvature_y_per_m, s.gradient] for s in tube.sections]
                     for tube in tubes
                 ],
-                [[[s.length_m, s.curvature_x_per_m, s.curvature_y_per_m] for s in tube.sections] for tube in tubes],
                 [
                     [gap, mu, outer.inner_diameter_m / 2, inner.outer_diameter_m / 2]
                     for gap, mu, outer, inner in zip(
                         gaps.tolist(), coefficients.tolist(), tubes[:-1], tubes[1:], strict=True
                     )
                 ],
+                [list(loads.tip_force_N), list(loads.tip_moment_Nm), list(loads.gravity_m_s2)],
             )
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -162,6 +163,44 @@ class Mechanics:
         with _input_errors():
             table: Array = np.asarray(self._model.tips(self._rows(theta_b), self._rows(l_b), threads))
         return table[:, :3], table[:, 3:6], table[:, 6].astype(int)
+
+    def tips_with_friction(
+        self,
+        theta_b: ArrayLike,
+        l_b: ArrayLike,
+        phi: ArrayLike,
+        *,
+        parameters: Sequence[str] = (),
+        threads: int = 0,
+        accuracy: Accuracy = "search",
+    ) -> Tips:
+        """Tips of K friction states, theta_b, l_b (K, n), phi (K, n - 1), and their derivatives by P parameters.
+
+        Parameters are named as in `ctrplan.parameters`. Rows of one configuration are solved faster when they follow
+        each other. Derivatives are those of the discretised equations; NaN where a solve FAILED, where a collar, joint
+        or tip would pass another one, and by the compliance of a shaft that is rigid.
+        """
+        thetas, ls = self._configurations(theta_b, l_b)
+        states = np.ascontiguousarray(_numbers(phi, "phi"))
+        if states.shape != (len(thetas), self.n - 1):
+            raise InputError(f"must have shape ({len(thetas)}, {self.n - 1}), not {states.shape}", key="phi")
+        if not np.all(np.abs(states) <= 1):
+            raise InputError("must lie in [-1, 1]", key="phi", value=_worst(states))
+        given = directions(parameters, self._given[0], self._model.number_names())
+        with _input_errors():
+            table: Array = np.asarray(
+                self._model.tips_with_friction(thetas, ls, states, given, _is_certificate(accuracy), threads)
+            )
+        slopes = table[:, 9:].reshape(len(thetas), len(given), 2, 3)
+        return Tips(
+            position_m=table[:, :3],
+            tangent=table[:, 3:6],
+            status=table[:, 6].astype(int),
+            residual=table[:, 7],
+            max_strain=table[:, 8],
+            position_by=np.moveaxis(slopes[:, :, 0], 1, 2),
+            tangent_by=np.moveaxis(slopes[:, :, 1], 1, 2),
+        )
 
     def check_path(
         self,
@@ -260,6 +299,22 @@ class _input_errors:
 def kernel_name() -> str:
     """Instruction set of the kernel in use: "avx2" or "baseline"."""
     return str(_model.kernel_name())
+
+
+def _tube_numbers(tube: Tube) -> list[float]:
+    return [
+        tube.outer_diameter_m / 2,
+        tube.inner_diameter_m / 2,
+        tube.bending_stiffness_Nm2,
+        tube.bending_stiffness_Nm2 / (1 + tube.poisson_ratio),
+        tube.collar_length_m,
+        tube.ovality,
+        tube.ovality_axis_rad,
+        min(tube.softening_strain, 1e300),
+        tube.softening_fraction,
+        tube.shaft_compliance_rad_per_Nm,
+        tube.mass_per_length_kg_m,
+    ]
 
 
 def _numbers(values: ArrayLike, key: str) -> Array:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from ctrplan.drive import Array, Drive, Joint, read_only
 from ctrplan.drive_file import HomeEntry, build_drive
+from ctrplan.loads import Loads
 from ctrplan.nesting import nesting_violation, never_nests
 from ctrplan.robot_file import MeasurementEntry, RobotEntry, build_contacts, build_tubes
 from ctrplan.toml_input import Document, read_document
@@ -61,6 +62,7 @@ class Robot:
     drive: Drive
     model_error_m: float = 0.0
     measurement: Measurement | None = None
+    loads: Loads = Loads()  # beyond the paper, set by [effects.*]
     effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # [effects.*] as in the file
     path: str | None = None
     sha256: str = ""  # of the file's content after overrides
@@ -86,7 +88,7 @@ class Robot:
         """The compiled model; where friction is an interval it uses the upper end, whose corners enclose the rest."""
         from ctrplan.mechanics import Mechanics
 
-        return Mechanics(self.tubes, self.clearance_m, self.friction[:, 1])
+        return Mechanics(self.tubes, self.clearance_m, self.friction[:, 1], self.loads)
 
     def zero_clearance(self, theta_b: ArrayLike, l_b: ArrayLike) -> Shape:
         """Zero-clearance, frictionless shape at base rotations (n,) [rad] and translations (n,) [m], (2)-(3)."""

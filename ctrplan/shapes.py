@@ -93,3 +93,16 @@ class Bounds:
     status: NDArray[np.int_]  # (K,) values of Status
     tip_m: Array  # (K, 3) frictionless
     tip_tangent: Array  # (K, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Tips:
+    """Tips of K friction states and their derivatives by P parameters, per unit of each in SI units."""
+
+    position_m: Array  # (K, 3)
+    tangent: Array  # (K, 3)
+    status: NDArray[np.int_]  # (K,) Status; UNSTABLE: the robot would turn away from the solution
+    residual: Array  # (K,)
+    max_strain: Array  # (K,)
+    position_by: Array  # (K, 3, P)
+    tangent_by: Array  # (K, 3, P)

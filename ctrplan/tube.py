@@ -8,11 +8,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class TubeSection:
-    """A piece of constant precurvature, a rotation rate: curvature_y > 0 bends towards +x at theta = 0."""
+    """A piece of constant or linearly varying precurvature, a rotation rate: y > 0 bends towards +x at theta = 0."""
 
     length_m: float
     curvature_x_per_m: float
     curvature_y_per_m: float
+    gradient: float = 0.0  # precurvature at x from its base: (1 + gradient (2 x / length - 1)) times the mean
 
     @property
     def curvature_per_m(self) -> float:
@@ -32,6 +33,16 @@ class Tube:
     collar_length_m: float = 0.0  # least distance of this tube's base behind the base of the tube around it
     max_strain: float = 0.08
     density_kg_m3: float = 0.0
+    ovality: float = 0.0  # EI (1 + ovality) for bending along one axis, EI (1 - ovality) across
+    ovality_axis_rad: float = 0.0  # of that axis in the tube
+    softening_strain: float = math.inf  # of r_out |u - u_hat|, where the bending stiffness drops (NiTi)
+    softening_fraction: float = 1.0  # tangent stiffness beyond it over EI
+    shaft_compliance_rad_per_Nm: float = 0.0  # torsion between actuator and collar
+
+    @property
+    def mass_per_length_kg_m(self) -> float:
+        """Density times the cross section."""
+        return self.density_kg_m3 * math.pi / 4 * (self.outer_diameter_m**2 - self.inner_diameter_m**2)
 
     @property
     def length_m(self) -> float:

@@ -2,11 +2,13 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
 #include <atomic>
 #include <exception>
+#include <limits>
 #include <memory>
 #include <mutex>
 #include <thread>
@@ -15,6 +17,7 @@
 #include "ctr/edge.hpp"
 #include "ctr/kernel.hpp"
 #include "ctr/shape.hpp"
+#include "ctr/tip_solver.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -81,15 +84,20 @@ ctr::Configuration configuration(const double* theta, const double* l, int n) {
 class Model {
   public:
     Model(const std::vector<std::vector<double>>& tubes, const std::vector<std::vector<std::vector<double>>>& sections,
-          const std::vector<std::vector<double>>& pairs) {
+          const std::vector<std::vector<double>>& pairs, const std::vector<std::vector<double>>& loads) {
         for (std::size_t i = 0; i < tubes.size(); ++i) {
             const std::vector<double>& t = tubes[i];
-            if (t.size() != 5) throw ctr::InvalidInput("a tube is given by five numbers");
-            ctr::Tube tube{t[0], t[1], t[2], t[3], t[4], {}};
-            for (const std::vector<double>& s : sections.at(i)) tube.sections.push_back({s.at(0), s.at(1), s.at(2)});
+            if (t.size() != 11) throw ctr::InvalidInput("a tube is given by eleven numbers");
+            ctr::Tube tube{t[0], t[1], t[2], t[3], t[4], {}, t[5], t[6], t[7], t[8], t[9], t[10]};
+            for (const std::vector<double>& s : sections.at(i)) tube.sections.push_back({s.at(0), s.at(1), s.at(2), s.at(3)});
             robot_.tubes.push_back(tube);
         }
         for (const std::vector<double>& p : pairs) robot_.pairs.push_back({p.at(0), p.at(1), p.at(2), p.at(3)});
+        for (int k = 0; k < 3; ++k) {
+            robot_.loads.tip_force[k] = loads.at(0).at(k);
+            robot_.loads.tip_moment[k] = loads.at(1).at(k);
+            robot_.loads.gravity[k] = loads.at(2).at(k);
+        }
         ctr::validate(robot_);
         if (robot_.count() > ctr::kMaxTubes) throw ctr::InvalidInput("at most 12 tubes are supported");
     }
@@ -216,6 +224,61 @@ class Model {
         return array(std::move(out), {all.size(), 7});
     }
 
+    std::vector<std::string> number_names() const { return ctr::number_names(robot_); }
+
+    // Tips under friction of many configurations, phi (K, pairs). Columns: tip (3), tangent (3), status, residual, max strain,
+    // then per direction the derivatives of tip (3) and tangent (3). A direction is (indices into number_names, weights, step).
+    nb::object tips_with_friction(Matrix theta, Matrix l, Matrix phi,
+                                  const std::vector<std::tuple<std::vector<int>, std::vector<double>, double>>& given,
+                                  bool certificate, int threads) {
+        const std::vector<ctr::Configuration> all = read_many(theta, l);
+        const std::size_t pairs = robot_.pairs.size();
+        if (phi.shape(0) != all.size() || phi.shape(1) != pairs) throw ctr::InvalidInput("phi needs one row per configuration, one value per pair");
+        const int names = static_cast<int>(ctr::number_names(robot_).size());
+        std::vector<ctr::Direction> directions;
+        for (const auto& [indices, weights, step] : given) {
+            directions.push_back({{}, step});
+            for (std::size_t k = 0; k < indices.size(); ++k) {
+                if (indices[k] < 0 || indices[k] >= names) throw ctr::InvalidInput("a direction names a number that does not exist");
+                directions.back().weights.emplace_back(indices[k], weights.at(k));
+            }
+        }
+        const std::size_t columns = 9 + 6 * directions.size();
+        std::vector<double> out(all.size() * columns, std::numeric_limits<double>::quiet_NaN());
+        // rows of one configuration stay together, they share their mesh
+        std::vector<std::size_t> first;
+        for (std::size_t k = 0; k < all.size(); ++k)
+            if (k == 0 || all[k].theta != all[k - 1].theta || all[k].l != all[k - 1].l) first.push_back(k);
+        first.push_back(all.size());
+        {
+            nb::gil_scoped_release release;
+            share(first.size() - 1, threads, [&] { return std::make_unique<ctr::TipSolver>(robot_); }, [&](ctr::TipSolver& solver, std::size_t group) {
+                std::vector<ctr::TipDerivative> derivatives;
+                for (std::size_t k = first[group]; k < first[group + 1]; ++k) {
+                    const double* state = phi.data() + k * pairs;
+                    ctr::Status status = solver.solve(all[k], accuracy(certificate), std::vector<double>(state, state + pairs));
+                    double* row = &out[k * columns];
+                    const ctr::Vec3 tangent = solver.tip().tangent();
+                    for (int i = 0; i < 3; ++i) {
+                        row[i] = solver.tip().p[i];
+                        row[3 + i] = tangent[i];
+                    }
+                    row[6] = static_cast<int>(status);
+                    row[7] = solver.convergence().residual;
+                    row[8] = solver.max_strain();
+                    if (directions.empty() || status == ctr::Status::failed) continue;
+                    solver.differentiate(directions, derivatives);
+                    for (std::size_t j = 0; j < directions.size(); ++j)
+                        for (int i = 0; i < 3; ++i) {
+                            row[9 + 6 * j + i] = derivatives[j].position[i];
+                            row[12 + 6 * j + i] = derivatives[j].tangent[i];
+                        }
+                }
+            });
+        }
+        return array(std::move(out), {all.size(), columns});
+    }
+
     // See ctr::check_path. Columns: segment, fraction, position bound, tangent bound, stability, max strain, clearance,
     // motion, status, tip (3), tangent (3). density: the five numbers of ctr::PathDensity; limits: the three of PathLimits.
     // With bodies, a second item lists per sample the points (N, 4) of all shapes with their outer radius.
@@ -316,13 +379,19 @@ class Model {
 
     template <class Work>
     void parallel(std::size_t count, int threads, const Work& work) {
+        share(count, threads, [&] { return std::make_unique<Loan>(*this); }, [&](Loan& loan, std::size_t k) { work(*loan, k); });
+    }
+
+    // Hands the numbers below count to threads, each with a workspace of its own; the first failure is thrown at the end.
+    template <class Make, class Work>
+    static void share(std::size_t count, int threads, const Make& make, const Work& work) {
         std::atomic<std::size_t> next{0};
         std::exception_ptr failure;
         std::mutex guard;
         auto run = [&] {
             try {
-                Loan loan(*this);
-                for (std::size_t k = next++; k < count; k = next++) work(*loan, k);
+                const auto workspace = make();
+                for (std::size_t k = next++; k < count; k = next++) work(*workspace, k);
             } catch (...) {
                 const std::lock_guard lock(guard);
                 if (!failure) failure = std::current_exception();
@@ -374,13 +443,16 @@ NB_MODULE(_model, m) {
     m.def("kernel_name", &ctr::kernel_name, "instruction set of the kernel in use");
     nb::class_<Model>(m, "Model")
         .def(nb::init<const std::vector<std::vector<double>>&, const std::vector<std::vector<std::vector<double>>>&,
-                      const std::vector<std::vector<double>>&>(),
-             "tubes"_a, "sections"_a, "pairs"_a)
+                      const std::vector<std::vector<double>>&, const std::vector<std::vector<double>>&>(),
+             "tubes"_a, "sections"_a, "pairs"_a, "loads"_a)
         .def("zero_clearance", &Model::zero_clearance, "theta_b"_a.noconvert(), "l_b"_a.noconvert())
         .def("solve", &Model::solve, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(), "certificate"_a)
         .def("bound", &Model::bound, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "certificate"_a)
         .def("bound_many", &Model::bound_many, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "certificate"_a, "threads"_a)
         .def("tips", &Model::tips, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "threads"_a)
+        .def("number_names", &Model::number_names)
+        .def("tips_with_friction", &Model::tips_with_friction, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(),
+             "directions"_a, "certificate"_a, "threads"_a)
         .def("check_path", &Model::check_path, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "field"_a.none(),
              "origin"_a.noconvert(), "spacing"_a, "R_AB"_a.noconvert(), "p_AB"_a.noconvert(), "density"_a.noconvert(),
              "limits"_a.noconvert(), "certificate"_a, "bodies"_a)

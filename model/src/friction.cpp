@@ -4,6 +4,8 @@
 #include <cmath>
 #include <limits>
 
+#include "ctr/loads.hpp"
+
 namespace ctr {
 namespace {
 
@@ -34,6 +36,8 @@ void LaneState::resize(const KernelProblem& problem, int lanes) {
     slack_.resize(contacts);
     slack_step_.resize(contacts);
     phi_mu_.resize(contacts);
+    load_moment_.resize(static_cast<std::size_t>(problem.elements) * 4 * lanes);
+    std::fill(load_moment_.data(), load_moment_.data() + static_cast<std::size_t>(problem.elements) * 4 * lanes, 0.0);
 }
 
 void LaneState::set_phi(const Robot& robot, const KernelProblem& problem, int lane, const double* phi) {
@@ -46,11 +50,20 @@ void LaneState::set_phi(const Robot& robot, const KernelProblem& problem, int la
 
 KernelState LaneState::view() {
     return {unknowns_.data(),        multiplier_.data(), slack_.data(),    phi_mu_.data(), step_.data(),
-            multiplier_step_.data(), slack_step_.data(), diagonal_.data(), upper_.data(),  lower_.data(), rhs_.data(), block_stride_};
+            multiplier_step_.data(), slack_step_.data(), diagonal_.data(), upper_.data(),  lower_.data(), rhs_.data(), load_moment_.data(), block_stride_};
+}
+
+FrictionSolver::FrictionSolver(const Robot& robot) : robot_(robot) {
+    if (robot.loaded()) loads_ = std::make_shared<LoadMoments>();
+}
+
+void FrictionSolver::weigh(LaneState& state) {
+    if (loads_) loads_->update(*this, state, base_l_);
 }
 
 void FrictionSolver::build(const Configuration& q, const Accuracy& accuracy) {
     mesh_.build(robot_, q, accuracy);
+    base_l_ = q.l.back();
     last_barrier_ = accuracy.barrier;
     moment_scale_ = 1e-9;
     for (const Tube& tube : robot_.tubes)
@@ -58,6 +71,30 @@ void FrictionSolver::build(const Configuration& q, const Accuracy& accuracy) {
             moment_scale_ = std::max(moment_scale_, tube.bending_stiffness * std::hypot(section.curvature_x, section.curvature_y));
     const double length = robot_.tubes.back().length();
     barrier_unit_ = moment_scale_ / (length * length);
+}
+
+void FrictionSolver::weigh_out(LaneState& state) {
+    constexpr int kMost = 60;
+    for (int k = 0; loads_ && k < kMost; ++k)
+        if (!(loads_->update(*this, state, base_l_) > 1e-12 * moment_scale_)) return;
+}
+
+bool FrictionSolver::move(const FrictionSolver& from, const Robot& robot, const Configuration& q) {
+    mesh_ = from.mesh_;
+    robot_ = robot;
+    moment_scale_ = from.moment_scale_;
+    barrier_unit_ = from.barrier_unit_;
+    last_barrier_ = from.last_barrier_;
+    base_l_ = q.l.back();
+    loads_ = robot.loaded() ? std::make_shared<LoadMoments>() : nullptr;
+    return mesh_.move(robot, q);
+}
+
+void FrictionSolver::factorise(LaneState& state) {
+    alignas(kAlignment) double level[kLanes], damping[kLanes] = {};
+    std::fill(level, level + kLanes, last_level());
+    weigh(state);
+    kernel(state.lanes()).newton(mesh_.problem(), state.view(), level, damping);
 }
 
 void FrictionSolver::start(LaneState& state, const Configuration& q, const ZeroClearance& guess, double level) {
@@ -107,7 +144,7 @@ void FrictionSolver::set_base(LaneState& state, const Configuration& q) {
     for (int k = 0; k < pb.nodes; ++k)
         for (int t = 0; t < pb.tubes; ++t) {
             const int i = pb.tubes - 1 - t;
-            if (mesh_.s()[k] > q.l[i]) continue;  // past the collar the angle is an unknown
+            if (mesh_.s()[k] > q.l[i] || 5 * t < pb.node_unknowns[k]) continue;  // an unknown there
             for (int lane = 0; lane < state.lanes(); ++lane) state.unknown(k, 5 * t, lane) = q.theta[i];
         }
 }
@@ -125,6 +162,7 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
         result[lane] = {};
         result[lane].residual = result[lane].complementarity = std::numeric_limits<double>::infinity();
     }
+    weigh(state);
     for (int k = 0; k < path.max_steps; ++k) {
         run.newton(pb, view, level, damping);
         run.step_length(pb, view, kKeep, primal, dual);
@@ -138,7 +176,7 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
             if (path.trust == 0) continue;
             // Redo a step that is too long stiffer: across a fold the Newton step would point the wrong way. Pivots of
             // offsets say nothing here, friction makes their blocks unsymmetric.
-            if (twist > path.trust || (damping[lane] < kMostDamping && has_negative_twist_pivot(state, lane))) {
+            if (twist > path.trust || (damping[lane] < kMostDamping && turns_away(state, lane))) {
                 damping[lane] = std::max(kFirstDamping, 2 * damping[lane]);
                 level[lane] = std::max(level[lane], std::min(3 * level[lane], BarrierPath::kSliding * barrier_unit_));  // contacts must move along
                 primal[lane] = dual[lane] = 0;
@@ -150,6 +188,7 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
             }
         }
         run.advance(pb, view, primal, dual);
+        weigh(state);
         bool check = false;
         for (int lane = 0; lane < lanes; ++lane) {
             if (done[lane]) continue;
@@ -192,7 +231,7 @@ double FrictionSolver::largest_twist(const LaneState& state, int lane) const {
     return most;
 }
 
-bool FrictionSolver::has_negative_twist_pivot(const LaneState& state, int lane) const {
+bool FrictionSolver::turns_away(const LaneState& state, int lane) const {
     const KernelProblem& pb = mesh_.problem();
     for (int k = 0; k < pb.nodes; ++k)
         for (int i = 0; i < pb.node_unknowns[k]; i += 5)

@@ -2,6 +2,8 @@
 // No std::, no Eigen, no functions shared with other translation units (see kernel.hpp).
 #include "kernel_lanes.hpp"
 #include "kernel_elastic.hpp"
+#include "bending_law.hpp"
+#include "kernel_softened.hpp"
 #include "kernel_contact.hpp"
 #include "kernel_elimination.hpp"
 
@@ -10,7 +12,8 @@ inline void add_element(const KernelProblem& pb, const KernelState& st, int e, c
                         const V* damping) {
     const int m = pb.element_tubes[e];
     const bool free = pb.element_unknowns[e] == 5 * m;
-    switch (free ? -m : m) {
+    if (pb.law) add_softened<V, MATRIX>(pb, st, e, el);
+    else switch (free ? -m : m) {
         case 1: add_elastic<V, MATRIX>(1, 0, pb, e, el); break;
         case 2: add_elastic<V, MATRIX>(2, 1, pb, e, el); break;
         case 3: add_elastic<V, MATRIX>(3, 2, pb, e, el); break;

@@ -25,6 +25,25 @@ struct ElementView {
     int ld;
 };
 
+// Torsion of tube t, and the spring between its actuator and its collar where it begins here.
+template <class V, bool MATRIX>
+__attribute__((always_inline)) inline void add_torsion(const KernelProblem& pb, int e, int t, const ElementView<V>& el) {
+    const double k = pb.torsional_stiffness[t] / pb.length[e];
+    const int i = theta_index(t), ld = el.ld;
+    const V moment = k * (el.x[1][i] - el.x[0][i]);
+    el.r[0][i] -= moment;
+    el.r[1][i] += moment;
+    if (MATRIX) {
+        el.block[0][0][i * ld + i] += k;
+        el.block[1][1][i * ld + i] += k;
+        el.block[0][1][i * ld + i] -= k;
+        el.block[1][0][i * ld + i] -= k;
+    }
+    if (pb.shaft_node[t] != e || pb.shaft_stiffness[t] == 0) return;
+    el.r[0][i] += pb.shaft_stiffness[t] * (el.x[0][i] - pb.shaft_angle[t]);
+    if (MATRIX) el.block[0][0][i * ld + i] += pb.shaft_stiffness[t];
+}
+
 // Bending and torsion of one element with M tubes: adds the gradient to r and, if MATRIX, the Hessian. Inlined with
 // constants for up to four tubes, so that the loops unroll. offsets: M - 1, or M where the outermost present is free.
 template <class V, bool MATRIX>
@@ -35,23 +54,10 @@ __attribute__((always_inline)) inline void add_elastic(const int M, const int of
     const double* P = pb.stiffness + pb.element_regime[e] * n * n;
     const double* C = pb.pair_stiffness + pb.element_regime[e] * n * n;
     const double* D = pb.mixed_stiffness + pb.element_regime[e] * n * n;
-    const double* v = pb.precurvature + e * n * 2;
     const int ld = el.ld;
     const V zero = zero_of(V{});
 
-    for (int t = 0; t < M; ++t) {
-        const double k = pb.torsional_stiffness[t] / h;
-        const int i = theta_index(t);
-        const V moment = k * (el.x[1][i] - el.x[0][i]);
-        el.r[0][i] -= moment;
-        el.r[1][i] += moment;
-        if (MATRIX) {
-            el.block[0][0][i * ld + i] += k;
-            el.block[1][1][i * ld + i] += k;
-            el.block[0][1][i * ld + i] -= k;
-            el.block[1][0][i * ld + i] -= k;
-        }
-    }
+    for (int t = 0; t < M; ++t) add_torsion<V, MATRIX>(pb, e, t, el);
     if (offsets == 0) return;
 
     if (MATRIX) {
@@ -73,6 +79,7 @@ __attribute__((always_inline)) inline void add_elastic(const int M, const int of
     }
     for (int gauss = 0; gauss < 2; ++gauss) {
         const double xi = kGauss[gauss], weight = 0.5 * h;
+        const double* v = pb.precurvature + (e * 2 + gauss) * n * 2;
         double b[4];
         hermite_second(xi, h, b);
         const double linear[2] = {1 - xi, xi};

@@ -9,6 +9,9 @@ namespace {
 // Breaks closer than this become one: shorter elements would only cost digits (their stiffness goes with 1 / length^3).
 constexpr double kMergeDistance = 1e-5;
 
+// Shafts stiffer than this would only cost digits: they turn by less than 1e-8 rad.
+constexpr double kRigidShaft = 1e-7;  // rad / (N m)
+
 // A single tube carries no contact. In front it is an arc, whose elements serve interpolation along it; behind the outermost
 // collar it bends between its collar and the next, exactly so in one element where it is straight.
 constexpr double kSingleTubeLength = 10e-3;
@@ -21,8 +24,35 @@ void Mesh::build(const Robot& robot, const Configuration& q, const Accuracy& acc
     place_nodes(robot, q, accuracy);
     fill_elements(robot, q);
     place_contacts(robot, accuracy);
+    fill_pairs(robot);
     fill_regimes(robot);
+    fill_laws(robot);
     publish(robot);
+}
+
+bool Mesh::move(const Robot& robot, const Configuration& q) {
+    const std::vector<double> breaks = break_s_, lengths = length_;
+    const std::vector<int> unknowns = node_unknowns_;
+    find_breaks(robot, q);
+    if (breaks.size() != break_s_.size()) return false;
+    std::size_t b = 0;
+    for (double& s : s_) {
+        while (b + 2 < breaks.size() && s > breaks[b + 1] + 0.5 * kMergeDistance) ++b;
+        s = break_s_[b] + (s - breaks[b]) / (breaks[b + 1] - breaks[b]) * (break_s_[b + 1] - break_s_[b]);
+    }
+    fill_elements(robot, q);
+    if (node_unknowns_ != unknowns) return false;
+    for (int e = 0; e < problem_.elements; ++e)
+        for (int k = contact_begin_[e]; k < contact_begin_[e + 1]; ++k) {
+            contact_weight_[k] *= length_[e] / lengths[e];
+            contact_s_[k] = s_[e] + contact_xi_[k] * length_[e];
+            fill_contact_shape(contact_xi_[k], length_[e], &contact_shape_[4 * k]);
+        }
+    fill_pairs(robot);
+    fill_regimes(robot);
+    fill_laws(robot);
+    publish(robot);
+    return true;
 }
 
 void Mesh::find_breaks(const Robot& robot, const Configuration& q) {
@@ -75,7 +105,7 @@ void Mesh::place_nodes(const Robot& robot, const Configuration& q, const Accurac
         };
         const double half = cumulative(0.5 * span);
         const Section& inner = section_at(robot.tubes[n - 1], middle - q.l[n - 1]);
-        const bool straight = inner.curvature_x == 0 && inner.curvature_y == 0;
+        const bool straight = inner.curvature_x == 0 && inner.curvature_y == 0 && !robot.loaded();
         const double longest = straight ? kStraightLength : kSingleTubeLength;
         int count = present == 1 ? static_cast<int>(std::ceil(span / longest - 1e-9))
                                  : static_cast<int>(std::ceil(2 * half - 1e-9));
@@ -99,11 +129,15 @@ void Mesh::place_nodes(const Robot& robot, const Configuration& q, const Accurac
 
 void Mesh::fill_elements(const Robot& robot, const Configuration& q) {
     const int n = robot.count(), elements = static_cast<int>(s_.size()) - 1;
+    constexpr double kGauss[2] = {0.21132486540518711775, 0.78867513459481288225};
     length_.resize(elements);
     element_regime_.resize(elements);
     element_unknowns_.resize(elements);
-    precurvature_.assign(static_cast<std::size_t>(elements) * n * 2, 0.0);
+    precurvature_.assign(static_cast<std::size_t>(elements) * n * 4, 0.0);
     node_unknowns_.assign(elements + 1, 0);
+    shaft_stiffness_.assign(n, 0.0);
+    shaft_angle_.assign(n, 0.0);
+    shaft_node_.assign(n, -1);
     for (int e = 0; e < elements; ++e) {
         length_[e] = s_[e + 1] - s_[e];
         const double middle = 0.5 * (s_[e] + s_[e + 1]);
@@ -111,9 +145,17 @@ void Mesh::fill_elements(const Robot& robot, const Configuration& q) {
         element_unknowns_[e] = 5 * element_tubes_[e] - (middle < q.l[0] ? 0 : 4);
         node_unknowns_[e + 1] = element_unknowns_[e];  // a tube that begins at a node is clamped there
         for (int t = 0; t < element_tubes_[e]; ++t) {
-            const Section& here = section_at(robot.tubes[n - 1 - t], middle - q.l[n - 1 - t]);
-            precurvature_[(e * n + t) * 2] = here.curvature_y;
-            precurvature_[(e * n + t) * 2 + 1] = -here.curvature_x;
+            const double base = q.l[n - 1 - t];
+            for (int g = 0; g < 2; ++g)
+                precurvature_at(robot.tubes[n - 1 - t], s_[e] + kGauss[g] * length_[e] - base, middle - base,
+                                &precurvature_[((e * 2 + g) * n + t) * 2]);
+            if (shaft_node_[t] >= 0) continue;
+            shaft_node_[t] = e;
+            shaft_angle_[t] = q.theta[n - 1 - t];
+            const double compliance = robot.tubes[n - 1 - t].shaft_compliance;
+            if (compliance < kRigidShaft) continue;
+            shaft_stiffness_[t] = 1 / compliance;
+            node_unknowns_[e] = 5 * t + 1;  // its angle there is free too
         }
     }
 }
@@ -136,16 +178,28 @@ void Mesh::place_contacts(const Robot& robot, const Accuracy& accuracy) {
         for (int k = 0; k <= count; ++k)
             for (int p = 0; p < element_tubes_[e] - 1; ++p) {
                 if (k == 0 && p < before - 1) continue;  // only where an overlap begins: the rim of the outer tube's base
-                const double xi = static_cast<double>(k) / count, xi2 = xi * xi, xi3 = xi2 * xi;
+                const double xi = static_cast<double>(k) / count;
                 contact_pair_.push_back(p);
                 contact_xi_.push_back(xi);
                 contact_weight_.push_back(h / count);
                 contact_s_.push_back(s_[e] + xi * h);
-                for (double value : {1 - 3 * xi2 + 2 * xi3, h * (xi - 2 * xi2 + xi3), 3 * xi2 - 2 * xi3, h * (xi3 - xi2)})
-                    contact_shape_.push_back(value);
+                contact_shape_.resize(contact_shape_.size() + 4);
+                fill_contact_shape(xi, h, &contact_shape_[contact_shape_.size() - 4]);
             }
         contact_begin_.push_back(static_cast<int>(contact_pair_.size()));
     }
+}
+
+void Mesh::fill_contact_shape(double xi, double h, double* shape) {
+    const double xi2 = xi * xi, xi3 = xi2 * xi;
+    shape[0] = 1 - 3 * xi2 + 2 * xi3;
+    shape[1] = h * (xi - 2 * xi2 + xi3);
+    shape[2] = 3 * xi2 - 2 * xi3;
+    shape[3] = h * (xi3 - xi2);
+}
+
+void Mesh::fill_pairs(const Robot& robot) {
+    const int n = robot.count();
     half_square_.resize(n);
     outer_arm_.resize(n);
     inner_arm_.resize(n);
@@ -156,6 +210,16 @@ void Mesh::place_contacts(const Robot& robot, const Accuracy& accuracy) {
         outer_arm_[p] = pair.outer_inner_radius / pair.clearance;
         inner_arm_[p] = pair.inner_outer_radius / pair.clearance;
         scale_[p] = pair.clearance;
+    }
+}
+
+void Mesh::fill_laws(const Robot& robot) {
+    const int n = robot.count();
+    laws_.resize(n);
+    for (int t = 0; t < n; ++t) {
+        const Tube& tube = robot.tubes[n - 1 - t];
+        const double knee = std::min(tube.softening_strain / tube.outer_radius, 1e50);
+        laws_[t] = {tube.bending_stiffness, tube.ovality, tube.ovality_axis, knee, tube.softening_fraction};
     }
 }
 
@@ -210,6 +274,10 @@ void Mesh::publish(const Robot& robot) {
     problem_.pair_stiffness = pair_stiffness_.data();
     problem_.mixed_stiffness = mixed_stiffness_.data();
     problem_.torsional_stiffness = torsional_.data();
+    problem_.law = robot.linear_round() && !robot.loaded() ? nullptr : laws_.data();
+    problem_.shaft_stiffness = shaft_stiffness_.data();
+    problem_.shaft_angle = shaft_angle_.data();
+    problem_.shaft_node = shaft_node_.data();
     problem_.contact_begin = contact_begin_.data();
     problem_.contact_pair = contact_pair_.data();
     problem_.contact_shape = contact_shape_.data();

@@ -3,8 +3,13 @@
 #include <algorithm>
 #include <cmath>
 
+#include "ctr/kernel.hpp"
+
 namespace ctr {
 namespace {
+
+#include "kernel_lanes.hpp"
+#include "bending_law.hpp"
 
 constexpr double kGauss[2] = {0.21132486540518711775, 0.78867513459481288225};
 constexpr double kOutputStep = 2e-3;  // m, zero-clearance shapes
@@ -44,17 +49,20 @@ void element_curvature(const FrictionSolver& solver, const LaneState& state, int
     const int m = pb.element_tubes[e], n = pb.tubes, offsets = pb.element_unknowns[e] == 5 * m ? m : m - 1;
     const double h = pb.length[e];
     const double b[4] = {(12 * xi - 6) / (h * h), (6 * xi - 4) / h, (6 - 12 * xi) / (h * h), (6 * xi - 2) / h};
-    double running[2] = {0, 0}, mean[2] = {0, 0}, total = 0;
+    const double part = (xi - kGauss[0]) / (kGauss[1] - kGauss[0]);  // precurvature and load moment are linear in between
+    double running[2] = {0, 0}, mean[2] = {0, 0}, total = 0, angle[kMaxTubes], v[kMaxTubes][2];
     for (int t = m - 1; t >= 0; --t) {
-        if (t < offsets)
-            for (int plane = 0; plane < 2; ++plane)
+        for (int plane = 0; plane < 2; ++plane) {
+            if (t < offsets)
                 running[plane] += b[0] * state.unknown(e, 1 + 5 * t + plane, lane) + b[1] * state.unknown(e, 3 + 5 * t + plane, lane) +
                                   b[2] * state.unknown(e + 1, 1 + 5 * t + plane, lane) + b[3] * state.unknown(e + 1, 3 + 5 * t + plane, lane);
-        const double theta = (1 - xi) * state.unknown(e, 5 * t, lane) + xi * state.unknown(e + 1, 5 * t, lane);
-        const double vx = pb.precurvature[(e * n + t) * 2], vy = pb.precurvature[(e * n + t) * 2 + 1];
-        const double c = std::cos(theta), s = std::sin(theta), EI = solver.robot().tubes[n - 1 - t].bending_stiffness;
-        rotated[t][0] = c * vx - s * vy;
-        rotated[t][1] = s * vx + c * vy;
+            const double first = pb.precurvature[(e * 2 * n + t) * 2 + plane], second = pb.precurvature[((e * 2 + 1) * n + t) * 2 + plane];
+            v[t][plane] = first + part * (second - first);
+        }
+        angle[t] = (1 - xi) * state.unknown(e, 5 * t, lane) + xi * state.unknown(e + 1, 5 * t, lane);
+        const double c = std::cos(angle[t]), s = std::sin(angle[t]), EI = solver.robot().tubes[n - 1 - t].bending_stiffness;
+        rotated[t][0] = c * v[t][0] - s * v[t][1];
+        rotated[t][1] = s * v[t][0] + c * v[t][1];
         total += EI;
         for (int plane = 0; plane < 2; ++plane) {
             curvature[t][plane] = running[plane];
@@ -62,8 +70,19 @@ void element_curvature(const FrictionSolver& solver, const LaneState& state, int
         }
     }
     if (!solver.mesh().mean_is_free(e)) return;
+    for (double& value : mean) value /= total;
+    if (pb.law) {
+        BentSection<double> section[kMaxTubes];
+        double load[2], inverse[3];
+        for (int t = 0; t < m; ++t) turn_section<double>(pb.law[t], v[t], angle[t], section[t]);
+        for (int plane = 0; plane < 2; ++plane) {
+            const double first = state.load_moment(e, 0, plane, lane), second = state.load_moment(e, 1, plane, lane);
+            load[plane] = first + part * (second - first);
+        }
+        free_mean<double>(m, pb.law, curvature, load, section, mean, inverse);
+    }
     for (int t = 0; t < m; ++t)
-        for (int plane = 0; plane < 2; ++plane) curvature[t][plane] += mean[plane] / total;
+        for (int plane = 0; plane < 2; ++plane) curvature[t][plane] += mean[plane];
 }
 
 void trace_backbone(const FrictionSolver& solver, const LaneState& state, int lane, double base_l, Backbone& out) {
@@ -168,10 +187,11 @@ Shape make_shape(const Robot& robot, const ZeroClearance& solution, const Config
         kappa[0] = kappa[1] = 0;
         for (int i = 0; i < n; ++i) {
             if (middle < q.l[i] || middle > q.l[i] + robot.tubes[i].length()) continue;
-            const Section& section = section_at(robot.tubes[i], middle - q.l[i]);
+            double v[2];
+            precurvature_at(robot.tubes[i], s - q.l[i], middle - q.l[i], v);
             const double theta = solution.theta(n - 1 - i, s), c = std::cos(theta), k = std::sin(theta), EI = robot.tubes[i].bending_stiffness;
-            rotated[i][0] = c * section.curvature_y + k * section.curvature_x;
-            rotated[i][1] = k * section.curvature_y - c * section.curvature_x;
+            rotated[i][0] = c * v[0] - k * v[1];
+            rotated[i][1] = k * v[0] + c * v[1];
             total += EI;
             for (int plane = 0; plane < 2; ++plane) kappa[plane] += EI * rotated[i][plane];
         }

@@ -27,6 +27,7 @@ void ZeroClearance::build(const Robot& robot, const Configuration& q) {
     gj_.resize(n_);
     base_theta_.resize(n_);
     base_l_.resize(n_);
+    shaft_.resize(n_);
     end_s_.resize(n_);
     std::vector<double> breaks{0.0};
     scale_moment_ = 1e-12;
@@ -36,6 +37,7 @@ void ZeroClearance::build(const Robot& robot, const Configuration& q) {
         gj_[t] = tube.torsional_stiffness;
         base_theta_[t] = q.theta[i];
         base_l_[t] = q.l[i];
+        shaft_[t] = tube.shaft_compliance;
         double s = q.l[i];
         for (const Section& section : tube.sections) {
             s += section.length;
@@ -57,7 +59,7 @@ void ZeroClearance::build(const Robot& robot, const Configuration& q) {
     }
     nodes_ = static_cast<int>(s_.size());
     tubes_.assign(nodes_, n_);
-    v_.assign(static_cast<std::size_t>(nodes_) * n_ * 2, 0.0);
+    v_.assign(static_cast<std::size_t>(nodes_) * 3 * n_ * 2, 0.0);
     P_.assign(static_cast<std::size_t>(n_ + 1) * n_ * n_, 0.0);
     for (int m = 1; m <= n_; ++m) {
         double total = 0;
@@ -74,11 +76,10 @@ void ZeroClearance::build(const Robot& robot, const Configuration& q) {
         for (int t = 0; t < n_; ++t)
             if (middle < end_s_[t]) ++m;
         tubes_[e] = m;
-        for (int t = 0; t < m; ++t) {
-            const Section& here = section_at(robot.tubes[n_ - 1 - t], middle - base_l_[t]);
-            v_[(e * n_ + t) * 2] = here.curvature_y;
-            v_[(e * n_ + t) * 2 + 1] = -here.curvature_x;
-        }
+        for (int g = 0; g < 3; ++g)
+            for (int t = 0; t < m; ++t)
+                precurvature_at(robot.tubes[n_ - 1 - t], s_[e] + kPoint[g] * (s_[e + 1] - s_[e]) - base_l_[t], middle - base_l_[t],
+                                &v_[((e * 3 + g) * n_ + t) * 2]);
     }
     const std::size_t block = static_cast<std::size_t>(nodes_) * ld_ * ld_, vector = static_cast<std::size_t>(nodes_) * ld_;
     x_.assign(vector, 0.0);
@@ -92,6 +93,10 @@ void ZeroClearance::build(const Robot& robot, const Configuration& q) {
         for (int t = 0; t < n_; ++t) x_[k * ld_ + 2 * t] = base_theta_[t];
 }
 
+bool ZeroClearance::is_clamped(int t) const { return -base_l_[t] <= kMergeDistance && shaft_[t] == 0; }
+
+double ZeroClearance::transmission_stiffness(int t) const { return 1 / (shaft_[t] - base_l_[t] / gj_[t]); }
+
 // Unknowns of a node: [theta_t, theta_t'] innermost first. Returns the largest torque imbalance at the present angles.
 double ZeroClearance::assemble(double scale, bool factor) {
     std::fill(r_.begin(), r_.end(), 0.0);
@@ -103,9 +108,8 @@ double ZeroClearance::assemble(double scale, bool factor) {
     const int block = ld_ * ld_;
     // transmission behind the plate: a torsion spring from the collar, or a fixed angle where the collar is at the plate
     for (int t = 0; t < n_; ++t) {
-        const double length = -base_l_[t];
-        if (length <= kMergeDistance) continue;
-        const double k = gj_[t] / length, turn = x_[2 * t] - base_theta_[t];
+        if (is_clamped(t)) continue;
+        const double k = transmission_stiffness(t), turn = x_[2 * t] - base_theta_[t];
         energy_ += 0.5 * k * turn * turn;
         r_[2 * t] += k * turn;
         if (factor) A_[2 * t * ld_ + 2 * t] += k;
@@ -113,11 +117,11 @@ double ZeroClearance::assemble(double scale, bool factor) {
     for (int e = 0; e + 1 < nodes_; ++e) {
         const int m = tubes_[e];
         const double h = s_[e + 1] - s_[e];
-        const double *xa = &x_[e * ld_], *xb = &x_[(e + 1) * ld_], *P = &P_[m * n_ * n_], *v = &v_[e * n_ * 2];
+        const double *xa = &x_[e * ld_], *xb = &x_[(e + 1) * ld_], *P = &P_[m * n_ * n_];
         double *ra = &r_[e * ld_], *rb = &r_[(e + 1) * ld_];
         double* blocks[2][2] = {{&A_[e * block], &U_[e * block]}, {nullptr, &A_[(e + 1) * block]}};
         for (int gauss = 0; gauss < 3; ++gauss) {
-            const double x = kPoint[gauss], weight = kWeight[gauss] * h;
+            const double x = kPoint[gauss], weight = kWeight[gauss] * h, *v = &v_[(e * 3 + gauss) * n_ * 2];
             const double N[4] = {1 - 3 * x * x + 2 * x * x * x, h * (x - 2 * x * x + x * x * x), 3 * x * x - 2 * x * x * x,
                                  h * (x * x * x - x * x)};
             const double B[4] = {6 * (x * x - x) / h, 1 - 4 * x + 3 * x * x, 6 * (x - x * x) / h, 3 * x * x - 2 * x};
@@ -166,7 +170,7 @@ double ZeroClearance::assemble(double scale, bool factor) {
         const int m = k == 0 ? n_ : tubes_[k - 1];
         for (int i = 0; i < ld_; ++i) {
             const bool absent = i >= 2 * m || nodes_ == 1;
-            const bool fixed = k == 0 && i % 2 == 0 && -base_l_[i / 2] <= kMergeDistance;
+            const bool fixed = k == 0 && i % 2 == 0 && is_clamped(i / 2);
             if (absent || fixed) {
                 r_[k * ld_ + i] = 0;
                 if (factor) {
@@ -319,9 +323,9 @@ int ZeroClearance::locate(double s) const {
 
 double ZeroClearance::theta(int t, double s) const {
     if (s <= 0) {
-        const double length = -base_l_[t];
-        const double part = length > kMergeDistance ? std::clamp((s + length) / length, 0.0, 1.0) : 1.0;
-        return base_theta_[t] + part * (x_[2 * t] - base_theta_[t]);
+        if (is_clamped(t)) return base_theta_[t];
+        const double torque = transmission_stiffness(t) * (x_[2 * t] - base_theta_[t]);
+        return base_theta_[t] + torque * (shaft_[t] + std::clamp(s - base_l_[t], 0.0, -base_l_[t]) / gj_[t]);
     }
     if (nodes_ < 2) return x_[2 * t];
     const double last = std::min(s, std::min(end_s_[t], s_.back()));
@@ -334,8 +338,7 @@ double ZeroClearance::theta(int t, double s) const {
 
 double ZeroClearance::twist_rate(int t, double s) const {
     if (s <= 0) {
-        const double length = -base_l_[t];
-        return length > kMergeDistance ? (x_[2 * t] - base_theta_[t]) / length : 0.0;
+        return is_clamped(t) ? 0.0 : transmission_stiffness(t) * (x_[2 * t] - base_theta_[t]) / gj_[t];
     }
     if (nodes_ < 2 || s >= std::min(end_s_[t], s_.back())) return 0.0;
     const int e = locate(s);

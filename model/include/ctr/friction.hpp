@@ -5,6 +5,7 @@
 #pragma once
 
 #include <algorithm>
+#include <memory>
 #include <vector>
 
 #include "ctr/aligned.hpp"
@@ -14,6 +15,8 @@
 #include "ctr/zero_clearance.hpp"
 
 namespace ctr {
+
+class LoadMoments;
 
 struct Convergence {
     bool converged = false;
@@ -28,12 +31,20 @@ class LaneState {
     void resize(const KernelProblem& problem, int lanes);
     void set_phi(const Robot& robot, const KernelProblem& problem, int lane, const double* phi);  // phi per pair, outermost first
     int lanes() const { return lanes_; }
+    int stride() const { return stride_; }
+    double* load_moments() { return load_moment_.data(); }
     double& unknown(int node, int index, int lane) { return unknowns_[(static_cast<std::size_t>(node) * stride_ + index) * lanes_ + lane]; }
     double unknown(int node, int index, int lane) const { return unknowns_[(static_cast<std::size_t>(node) * stride_ + index) * lanes_ + lane]; }
     double& multiplier(int contact, int lane) { return multiplier_[static_cast<std::size_t>(contact) * lanes_ + lane]; }
     double multiplier(int contact, int lane) const { return multiplier_[static_cast<std::size_t>(contact) * lanes_ + lane]; }
     double& slack(int contact, int lane) { return slack_[static_cast<std::size_t>(contact) * lanes_ + lane]; }
     double slack(int contact, int lane) const { return slack_[static_cast<std::size_t>(contact) * lanes_ + lane]; }
+    double& load_moment(int element, int gauss, int plane, int lane) {
+        return load_moment_[((static_cast<std::size_t>(element) * 2 + gauss) * 2 + plane) * lanes_ + lane];
+    }
+    double load_moment(int element, int gauss, int plane, int lane) const {
+        return load_moment_[((static_cast<std::size_t>(element) * 2 + gauss) * 2 + plane) * lanes_ + lane];
+    }
     double& rhs(int node, int index, int lane) { return rhs_[(static_cast<std::size_t>(node) * stride_ + index) * lanes_ + lane]; }
     double step(int node, int index, int lane) const { return step_[(static_cast<std::size_t>(node) * stride_ + index) * lanes_ + lane]; }
     double inverse_pivot(int node, int index, int lane) const {
@@ -43,7 +54,7 @@ class LaneState {
 
   private:
     int lanes_ = 1, stride_ = 1, block_stride_ = 1;
-    AlignedArray unknowns_, multiplier_, slack_, phi_mu_, step_, multiplier_step_, slack_step_, diagonal_, upper_, lower_, rhs_;
+    AlignedArray unknowns_, multiplier_, slack_, phi_mu_, step_, multiplier_step_, slack_step_, diagonal_, upper_, lower_, rhs_, load_moment_;
 };
 
 // Barrier levels, in units of the robot's own force per length (largest EI * precurvature over the innermost tube's length
@@ -72,9 +83,11 @@ struct BarrierPath {
 
 class FrictionSolver {
   public:
-    explicit FrictionSolver(const Robot& robot) : robot_(robot) {}
+    explicit FrictionSolver(const Robot& robot);
 
     void build(const Configuration& q, const Accuracy& accuracy);
+    // Takes over another solver's mesh, moved along to a robot and configuration a little way off (Mesh::move).
+    bool move(const FrictionSolver& from, const Robot& robot, const Configuration& q);
     // Angles from the zero-clearance solution, no offsets, multipliers on the central path at the given level (BarrierPath).
     void start(LaneState& state, const Configuration& q, const ZeroClearance& guess, double level);
     // Copies a one-lane iterate on the same mesh into every lane.
@@ -88,19 +101,30 @@ class FrictionSolver {
     // The frictionless torsional second variation's smallest eigenvalue over GJ / L^2 of the innermost tube; uses the
     // factors left in a one-lane state by solve(). Negative pivots are counted into `negative`.
     double stability(LaneState& state, int& negative);
+    // Whether an angle's pivot of the last factors is negative.
+    bool turns_away(const LaneState& state, int lane = 0) const;
+    // Factors the Newton matrix at a converged iterate, for derivatives.
+    void factorise(LaneState& state);
+
+    // Brings the moments of the loads up to date with the shape: once, or until both agree for the unknowns as they are.
+    void weigh(LaneState& state);
+    void weigh_out(LaneState& state);
 
     const Mesh& mesh() const { return mesh_; }
     const Robot& robot() const { return robot_; }
+    double base_l() const { return base_l_; }  // m, of the innermost tube
     double moment_scale() const { return moment_scale_; }
     double last_barrier() const { return last_barrier_; }  // of the accuracy built for
+    double last_level() const { return last_barrier_ * barrier_unit_; }  // N/m
 
   private:
     double largest_twist(const LaneState& state, int lane) const;  // rad, of the last step
-    bool has_negative_twist_pivot(const LaneState& state, int lane) const;
 
-    const Robot robot_;
+    Robot robot_;
     Mesh mesh_;
     double moment_scale_ = 1, barrier_unit_ = 1, last_barrier_ = 0.015;  // N m, N/m, in units
+    double base_l_ = 0;
+    std::shared_ptr<LoadMoments> loads_;  // null without loads
     std::vector<double> mass_vector_;  // [node][tube], the eigenvector of stability()
 };
 

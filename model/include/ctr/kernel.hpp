@@ -16,6 +16,15 @@ constexpr int kMaxTubes = 12;
 constexpr int kLanes = 4;      // friction states solved side by side
 constexpr int kAlignment = 64; // bytes, of every lane array
 
+// How a tube bends where it is not linear and round: with k = u - u_hat as a curvature vector along the tube's oval axes and
+// q = (1 + e) k_1^2 + (1 - e) k_2^2, the energy per length grows like EI q / 2 up to q = knee^2 and from there on with the
+// fraction of the stiffness.
+struct BendingLaw {
+    double stiffness;              // EI, N m^2
+    double ovality, axis;          // e; angle of the first axis in the tube, rad
+    double knee, fraction;         // 1/m; tangent stiffness beyond, over EI
+};
+
 // Everything the lanes share: the mesh, the tubes on it, the possible contacts.
 struct KernelProblem {
     int tubes, nodes, elements, contacts;
@@ -25,11 +34,15 @@ struct KernelProblem {
     const int* element_unknowns;  // [element] unknowns per node: 5 m - 4, or 5 m behind the outermost collar
     const int* element_regime;    // [element] row of P, C, D
     const double* length;         // [element] m
-    const double* precurvature;   // [element][tube][2] v = (u_y, -u_x), 1/m
+    const double* precurvature;   // [element][Gauss point][tube][2] v = (u_y, -u_x), 1/m
     const double* stiffness;      // P [regime][tube][tube], N m^2
     const double* pair_stiffness; // C [regime][pair][pair]
     const double* mixed_stiffness;// D [regime][pair][tube]
     const double* torsional_stiffness;  // [tube] N m^2
+    const BendingLaw* law;        // [tube], or null where all tubes are linear and round and nothing pulls
+    const double* shaft_stiffness;// [tube] between actuator and collar, N m / rad; 0: rigid
+    const double* shaft_angle;    // [tube] of the actuator, rad
+    const int* shaft_node;        // [tube] where the tube begins
     const int* contact_begin;     // [elements + 1]
     const int* contact_pair;      // [contact]
     const double* contact_shape;  // [contact][4] Hermite values, the slopes' in m
@@ -54,6 +67,7 @@ struct KernelState {
     double* upper;        // [node][stride][block_stride] A^-1 U
     double* lower;        // [node][stride][block_stride]
     double* rhs;          // [node][stride]
+    const double* load_moment;  // [element][Gauss point][2] of the loads beyond, N m as a curvature vector; null without loads
     int block_stride;     // row length of blocks: stride, for a single lane rounded up to whole registers
 };
 

@@ -27,6 +27,10 @@ class Mesh {
     // Rebuilds for a configuration (validated by the caller); keeps its memory.
     void build(const Robot& robot, const Configuration& q, const Accuracy& accuracy);
 
+    // Carries nodes and contact points along to a robot or configuration a little way off, without changing their number:
+    // what derivatives are taken along. False where collars, joints or tips meet in another order or a shaft becomes compliant.
+    bool move(const Robot& robot, const Configuration& q);
+
     const KernelProblem& problem() const { return problem_; }
     const std::vector<double>& s() const { return s_; }              // [node] arc length from the plate, m
     const std::vector<double>& breaks() const { return break_s_; }   // collars, joints, tips, the plate; ascending, m
@@ -42,15 +46,20 @@ class Mesh {
     void place_nodes(const Robot& robot, const Configuration& q, const Accuracy& accuracy);
     void fill_elements(const Robot& robot, const Configuration& q);
     void place_contacts(const Robot& robot, const Accuracy& accuracy);
+    static void fill_contact_shape(double xi, double h, double* shape);
+    void fill_pairs(const Robot& robot);
     void fill_regimes(const Robot& robot);
+    void fill_laws(const Robot& robot);
     void publish(const Robot& robot);
     double distance_to_sharp(double s) const;
 
     std::vector<Break> breaks_;
     std::vector<double> break_s_;
     std::vector<double> s_, length_, precurvature_, stiffness_, pair_stiffness_, mixed_stiffness_, torsional_;
+    std::vector<double> shaft_stiffness_, shaft_angle_;
+    std::vector<BendingLaw> laws_;
     std::vector<double> contact_shape_, contact_xi_, contact_weight_, contact_s_, half_square_, outer_arm_, inner_arm_, scale_;
-    std::vector<int> node_unknowns_, element_tubes_, element_unknowns_, element_regime_, contact_begin_, contact_pair_;
+    std::vector<int> node_unknowns_, element_tubes_, element_unknowns_, element_regime_, contact_begin_, contact_pair_, shaft_node_;
     KernelProblem problem_{};
 };
 

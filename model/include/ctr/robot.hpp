@@ -10,8 +10,11 @@ namespace ctr {
 
 struct Section {
     double length;                    // m
-    double curvature_x, curvature_y;  // precurvature u_hat as a rotation rate, 1/m
+    double curvature_x, curvature_y;  // precurvature u_hat as a rotation rate, mean over the section, 1/m
+    double gradient = 0;              // relative change along it: (1 + gradient (2 x / length - 1)) times the mean
 };
+
+constexpr double kNeverSoft = 1e300;
 
 struct Tube {
     double outer_radius, inner_radius;  // m
@@ -19,6 +22,12 @@ struct Tube {
     double torsional_stiffness;         // GJ = EI / (1 + nu), the paper's k_z
     double collar_length;               // m
     std::vector<Section> sections;      // from base to tip
+    // Beyond the paper; these values leave its tube.
+    double ovality = 0, ovality_axis = 0;     // EI (1 + e) for bending along an axis at this angle [rad] in the tube, EI (1 - e) across
+    double softening_strain = kNeverSoft;     // of r_out |u - u_hat|, where the stiffness drops
+    double softening_fraction = 1;            // tangent stiffness beyond it over EI
+    double shaft_compliance = 0;              // between actuator and collar, rad / (N m)
+    double mass_per_length = 0;               // kg/m
     double length() const {
         double sum = 0;
         for (const Section& section : sections) sum += section.length;
@@ -26,8 +35,13 @@ struct Tube {
     }
 };
 
-// The section at a distance from the tube's base; the last one beyond the tip.
+// The section at a distance from the tube's base; the last one beyond the tip. `begin` is where it begins.
 const Section& section_at(const Tube& tube, double from_base);
+const Section& section_at(const Tube& tube, double from_base, double& begin);
+
+// Its precurvature there as a curvature vector v = (u_y, -u_x), 1/m; sections are told apart at `inside`, a point between
+// joints, so that a point on a joint may be asked from either side.
+void precurvature_at(const Tube& tube, double from_base, double inside, double* v);
 
 // Pair (i, i + 1); the contact radii are those of (41).
 struct Pair {
@@ -37,10 +51,21 @@ struct Pair {
     double inner_outer_radius;  // r_out of the inner tube, m
 };
 
+// Dead loads in the world frame: on the innermost tip, and the acceleration that gives every tube its weight. The plate
+// carries what hangs behind it.
+struct Loads {
+    double tip_force[3] = {0, 0, 0};   // N
+    double tip_moment[3] = {0, 0, 0};  // N m
+    double gravity[3] = {0, 0, 0};     // m/s^2
+};
+
 struct Robot {
     std::vector<Tube> tubes;
     std::vector<Pair> pairs;
+    Loads loads;
     int count() const { return static_cast<int>(tubes.size()); }
+    bool loaded() const;        // whether any load acts
+    bool linear_round() const;  // whether all tubes bend linearly and alike in every direction
 };
 
 // One joint-space point: base rotations [rad] and base translations [m], outermost first.

@@ -39,9 +39,11 @@ class ZeroClearance {
     void solve_system();
     bool correct(double scale, double first_step_limit);
     int locate(double s) const;
+    bool is_clamped(int t) const;                  // at the plate: actuator and collar are one
+    double transmission_stiffness(int t) const;    // from the actuator to the plate, N m / rad
 
     int n_ = 0, nodes_ = 0, ld_ = 0;
-    std::vector<double> s_, v_, P_, gj_, base_theta_, base_l_, end_s_;
+    std::vector<double> s_, v_, P_, gj_, base_theta_, base_l_, end_s_, shaft_;
     std::vector<int> tubes_;
     std::vector<double> x_, best_, r_, A_, U_, L_, step_, tangent_;
     double residual_ = 0, energy_ = 0, scale_moment_ = 1;

@@ -1,0 +1,21 @@
+"""External loads on a robot: dead forces in the world frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+Vector = tuple[float, float, float]
+
+ZERO: Vector = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Loads:
+    """Force [N] and moment [N m] on the innermost tip, and the acceleration [m/s^2] that gives every tube its weight.
+
+    Vectors of three in the world frame, z along insertion. The front plate carries what is behind it.
+    """
+
+    tip_force_N: Vector = ZERO
+    tip_moment_Nm: Vector = ZERO
+    gravity_m_s2: Vector = ZERO

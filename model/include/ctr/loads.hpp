@@ -1,0 +1,22 @@
+// What tip loads and weight ask of the common curvature: their moment about every cross section in front of the plate.
+#pragma once
+
+#include <vector>
+
+#include "ctr/friction.hpp"
+#include "ctr/shape.hpp"
+
+namespace ctr {
+
+// Moments of the loads beyond a cross section on the present shape of each lane, filled into the state. They depend on the
+// shape, so that a solve repeats this between its Newton steps; nothing is done for a robot without loads.
+class LoadMoments {
+  public:
+    // The moments bend the shape that they are taken from: returns by how much they changed, N m, at most.
+    double update(const FrictionSolver& solver, LaneState& state, double base_l);
+
+  private:
+    Backbone backbone_;
+};
+
+}  // namespace ctr

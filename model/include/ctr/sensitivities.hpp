@@ -1,0 +1,61 @@
+// Derivatives of a solution by joints and by the robot's numbers, from the last factorisation: one right-hand side each.
+#pragma once
+
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "ctr/friction.hpp"
+#include "ctr/shape.hpp"
+
+namespace ctr {
+
+// Every number of a robot and of a configuration, in one order; names like "tube.1.section.2.length", from 1, outermost
+// first, SI units. Joints come last: theta_b.1, ..., l_b.1, ...
+std::vector<std::string> number_names(const Robot& robot);
+std::vector<double*> numbers(Robot& robot, Configuration& q);
+
+// A change of several numbers at once: what is asked for may be a combination of them. `step` [in units of the parameter] is
+// small for it: differences are taken across it of expressions that are polynomials or trigonometric in the parameter.
+struct Direction {
+    std::vector<std::pair<int, double>> weights;  // index into numbers(), derivative of the number by the parameter
+    double step;
+};
+
+struct TipDerivative {
+    Vec3 position{0, 0, 0};  // m per unit
+    Vec3 tangent{0, 0, 0};
+};
+
+// Differentiates the converged equations (d)-(e) of docs/model.md at constant barrier level. With F(x, lambda, w; p) = 0,
+// contact multipliers and gaps eliminated as in a Newton step, H dx/dp = -dF/dp; the tip follows along dx and dp.
+class Sensitivities {
+  public:
+    // state: one lane, converged on the solver's mesh for the friction states phi. out: one entry per direction, NaN
+    // where a collar, joint or tip would pass another one, a rigid shaft would yield, or the loads' share does not converge.
+    void compute(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi,
+                 const std::vector<Direction>& directions, std::vector<TipDerivative>& out);
+
+  private:
+    struct Side {  // the problem at parameter +- step
+        std::unique_ptr<FrictionSolver> solver;
+        Configuration q;
+        std::vector<double> gap, barrier, rhs;  // of every contact, every unknown
+    };
+    bool shift(const FrictionSolver& solver, const Configuration& q, const Direction& direction, double amount, Side& side);
+    void measure_gaps(const LaneState& state, Side& side) const;
+    void measure_imbalance(LaneState& state, const std::vector<double>& phi, double amount, Side& side);
+    void move_state(LaneState& state, double amount) const;  // along change_
+    void set_load_moments(LaneState& state, double amount) const;
+    void move_to(LaneState& state, double amount, const Side& side) const;
+    void rest(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi) const;
+    void solve_change(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi, double step);
+    bool follow_loads(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi, double step);
+    Frame tip(const FrictionSolver& solver, LaneState& state);
+
+    Side plus_, minus_;
+    std::vector<double> unknowns_, change_, multiplier_, multiplier_change_, moments_, moments_change_;
+    Backbone backbone_;
+};
+
+}  // namespace ctr

@@ -1,0 +1,43 @@
+#include "ctr/tip_solver.hpp"
+
+namespace ctr {
+
+void TipSolver::begin(const Configuration& q, const Accuracy& accuracy) {
+    if (begun_ && q.theta == q_.theta && q.l == q_.l && accuracy.barrier == barrier_) return;
+    q_ = q;
+    barrier_ = accuracy.barrier;
+    zero_.solve(solver_.robot(), q);
+    solver_.build(q, accuracy);
+    const KernelProblem& pb = solver_.mesh().problem();
+    shared_.resize(pb, 1);
+    const std::vector<double> frictionless(solver_.robot().pairs.size() + 1, 0.0);
+    shared_.set_phi(solver_.robot(), pb, 0, frictionless.data());
+    const BarrierPath path = BarrierPath::shared();
+    solver_.start(shared_, q_, zero_, path.first);
+    solver_.solve(shared_, path, &convergence_);
+    shared_is_good_ = convergence_.converged;
+    begun_ = true;
+}
+
+Status TipSolver::solve(const Configuration& q, const Accuracy& accuracy, const std::vector<double>& phi) {
+    begin(q, accuracy);
+    phi_ = phi;
+    const KernelProblem& pb = solver_.mesh().problem();
+    state_.resize(pb, 1);
+    state_.set_phi(solver_.robot(), pb, 0, phi.data());
+    convergence_ = {};
+    if (shared_is_good_) {
+        solver_.spread(shared_, state_);
+        solver_.solve(state_, BarrierPath::parted(solver_.last_barrier()), &convergence_);
+    }
+    for (const BarrierPath& path : {BarrierPath::cold(solver_.last_barrier()), BarrierPath::sliding(solver_.last_barrier())}) {
+        if (convergence_.converged) break;
+        solver_.start(state_, q_, zero_, path.first);
+        solver_.solve(state_, path, &convergence_);
+    }
+    trace_backbone(solver_, state_, 0, q_.l.back(), backbone_);
+    if (!convergence_.converged) return Status::failed;
+    return solver_.turns_away(state_) ? Status::unstable : Status::converged;
+}
+
+}  // namespace ctr
