@@ -13,6 +13,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from ctrplan import planning
     from ctrplan.errors import CtrplanError, InputError, NoAnswerError
+    from ctrplan.history import History, HistoryStep
     from ctrplan.mechanics import Bound, Bounds, Shape, Status
     from ctrplan.planning.plan import Plan
     from ctrplan.planning.planner import plan as plan
@@ -25,6 +26,8 @@ _HOMES = {
     "Bounds": "mechanics",
     "Shape": "mechanics",
     "Status": "mechanics",
+    "History": "history",
+    "HistoryStep": "history",
     "CtrplanError": "errors",
     "InputError": "errors",
     "NoAnswerError": "errors",
@@ -40,6 +43,8 @@ __all__ = [
     "Bound",
     "Bounds",
     "CtrplanError",
+    "History",
+    "HistoryStep",
     "InputError",
     "NoAnswerError",
     "Plan",

@@ -24,6 +24,7 @@ from ctrplan.shapes import Array, Bound, Bounds, Shape, Status, Tips, TubeShape
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
+    from ctrplan.history import HistoryOptions
     from ctrplan.tube import Tube
 
 __all__ = [
@@ -59,7 +60,7 @@ class Mechanics:
         self._given = (tuple(tubes), gaps.copy(), coefficients.copy(), loads)
         if any(not tube.poisson_ratio > -1 for tube in tubes):
             raise InputError("must be above -1", key="poisson_ratio", value=min(tube.poisson_ratio for tube in tubes))
-        with _input_errors():
+        with input_errors():
             self._model = _model.Model(
                 [_tube_numbers(tube) for tube in tubes],
                 [
@@ -81,8 +82,8 @@ class Mechanics:
 
     def zero_clearance(self, theta_b: ArrayLike, l_b: ArrayLike) -> Shape:
         """The standard model (2)-(3) at base rotations (n,) [rad] and translations (n,) [m]."""
-        with _input_errors():
-            return _shape(self._model.zero_clearance(self._row(theta_b), self._row(l_b)))
+        with input_errors():
+            return shape_from_core(self._model.zero_clearance(self._row(theta_b), self._row(l_b)))
 
     def solve(
         self, theta_b: ArrayLike, l_b: ArrayLike, phi: ArrayLike = 0.0, *, accuracy: Accuracy = "search"
@@ -97,8 +98,8 @@ class Mechanics:
         state = self._pairs(state, "phi")
         if not np.all(np.abs(state) <= 1):
             raise InputError("must lie in [-1, 1]", key="phi", value=_worst(state))
-        with _input_errors():
-            return _shape(
+        with input_errors():
+            return shape_from_core(
                 self._model.solve(
                     self._row(theta_b), self._row(l_b), np.ascontiguousarray(state), _is_certificate(accuracy)
                 )
@@ -106,13 +107,13 @@ class Mechanics:
 
     def bound(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> Bound:
         """Frictionless solution, every corner phi in {-1, 1}^(n-1), and the largest deviations between them."""
-        with _input_errors():
+        with input_errors():
             raw = self._model.bound(self._row(theta_b), self._row(l_b), _is_certificate(accuracy))
         return Bound(
             position_m=raw["position"],
             tangent_rad=raw["tangent"],
-            frictionless=_shape(raw["frictionless"]),
-            corners=tuple(_shape(corner) for corner in raw["corners"]),
+            frictionless=shape_from_core(raw["frictionless"]),
+            corners=tuple(shape_from_core(corner) for corner in raw["corners"]),
             envelope_m=raw["envelope"],
             worst_corner=raw["worst_corner"],
         )
@@ -139,7 +140,7 @@ class Mechanics:
             return bounds_on_executor(executor, self, thetas, ls, accuracy, threads, progress)
 
         def solve(theta_b: Array, l_b: Array) -> Bounds:
-            with _input_errors():
+            with input_errors():
                 return _bounds(np.asarray(self._model.bound_many(theta_b, l_b, certificate, threads)))
 
         return bounds_in_chunks(solve, thetas, ls, progress)
@@ -160,7 +161,7 @@ class Mechanics:
 
     def tips(self, theta_b: ArrayLike, l_b: ArrayLike, *, threads: int = 0) -> tuple[Array, Array, NDArray[np.int_]]:
         """Zero-clearance tips (K, 3) [m], tangents (K, 3) and status (K,) of K configurations."""
-        with _input_errors():
+        with input_errors():
             table: Array = np.asarray(self._model.tips(self._rows(theta_b), self._rows(l_b), threads))
         return table[:, :3], table[:, 3:6], table[:, 6].astype(int)
 
@@ -187,7 +188,7 @@ class Mechanics:
         if not np.all(np.abs(states) <= 1):
             raise InputError("must lie in [-1, 1]", key="phi", value=_worst(states))
         given = directions(parameters, self._given[0], self._model.number_names())
-        with _input_errors():
+        with input_errors():
             table: Array = np.asarray(
                 self._model.tips_with_friction(thetas, ls, states, given, _is_certificate(accuracy), threads)
             )
@@ -201,6 +202,13 @@ class Mechanics:
             position_by=np.moveaxis(slopes[:, :, 0], 1, 2),
             tangent_by=np.moveaxis(slopes[:, :, 1], 1, 2),
         )
+
+    def core_history(self, options: HistoryOptions, accuracy: Accuracy) -> _model.History:
+        """The compiled simulation that `ctrplan.history.History` drives."""
+        given = (options.breakaway_m, options.rotation_rad, options.translation_m)
+        if not all(0 < value < np.inf for value in given):
+            raise InputError("steps and breakaway length of a history must be positive")
+        return self._model.history(_is_certificate(accuracy), *given)
 
     def check_path(
         self,
@@ -219,7 +227,7 @@ class Mechanics:
         """
         grid = field or Field(np.zeros((1, 1, 1), np.float32), np.zeros(3), 1.0, np.eye(3), np.zeros(3))
         steps, stop = density or PathDensity(), limits or PathLimits()
-        with _input_errors():
+        with input_errors():
             table, points = self._model.check_path(
                 self._rows(theta_b),
                 self._rows(l_b),
@@ -252,15 +260,12 @@ class Mechanics:
 
     def body(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> tuple[Array, Array]:
         """Outermost centreline in front of the plate: points (1 + corners, N, 3) [m], outer radii (N,) [m]."""
-        with _input_errors():
+        with input_errors():
             table: Array = np.asarray(self._model.body(self._row(theta_b), self._row(l_b), _is_certificate(accuracy)))
         return table[:, :, :3], table[0, :, 3]
 
     def _configurations(self, theta_b: ArrayLike, l_b: ArrayLike) -> tuple[Array, Array]:
-        rows = self._rows(theta_b), self._rows(l_b)
-        if len(rows[0]) != len(rows[1]):
-            raise InputError("theta_b and l_b need the same number of rows")
-        return rows
+        return joint_rows(theta_b, l_b, self.n)
 
     def _refuse(self, theta_b: Array, l_b: Array) -> None:
         if refused := self.first_refused(theta_b, l_b):
@@ -273,19 +278,13 @@ class Mechanics:
         return pairs
 
     def _row(self, values: ArrayLike) -> Array:
-        row = np.ascontiguousarray(_numbers(values, "joint array"))
-        if row.shape != (self.n,):
-            raise InputError(f"must have shape ({self.n},), one value per tube, not {row.shape}", key="joint array")
-        return row
+        return joint_row(values, self.n)
 
     def _rows(self, values: ArrayLike) -> Array:
-        rows = np.ascontiguousarray(_numbers(values, "joint array"))
-        if rows.ndim != 2 or rows.shape[1] != self.n:
-            raise InputError(f"must have shape (K, {self.n}), not {rows.shape}", key="joint array")
-        return rows
+        return _joint_table(values, self.n)
 
 
-class _input_errors:
+class input_errors:
     """Turns the core's refusals into InputError."""
 
     def __enter__(self) -> None:
@@ -294,6 +293,29 @@ class _input_errors:
     def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
         if isinstance(error, _model.InvalidInput):
             raise InputError(str(error)) from None
+
+
+def joint_row(values: ArrayLike, n: int) -> Array:
+    """The (n,) joint array in the layout of the core. Raises InputError."""
+    row = np.ascontiguousarray(_numbers(values, "joint array"))
+    if row.shape != (n,):
+        raise InputError(f"must have shape ({n},), one value per tube, not {row.shape}", key="joint array")
+    return row
+
+
+def joint_rows(theta_b: ArrayLike, l_b: ArrayLike, n: int) -> tuple[Array, Array]:
+    """Base rotations and translations (K, n) in the layout of the core. Raises InputError."""
+    rows = _joint_table(theta_b, n), _joint_table(l_b, n)
+    if len(rows[0]) != len(rows[1]):
+        raise InputError("theta_b and l_b need the same number of rows")
+    return rows
+
+
+def _joint_table(values: ArrayLike, n: int) -> Array:
+    rows = np.ascontiguousarray(_numbers(values, "joint array"))
+    if rows.ndim != 2 or rows.shape[1] != n:
+        raise InputError(f"must have shape (K, {n}), not {rows.shape}", key="joint array")
+    return rows
 
 
 def kernel_name() -> str:
@@ -347,7 +369,8 @@ def _bounds(table: Array) -> Bounds:
     )
 
 
-def _shape(raw: dict[str, Any]) -> Shape:
+def shape_from_core(raw: dict[str, Any]) -> Shape:
+    """The Shape of what the core returns."""
     contacts = raw["contacts"]
     return Shape(
         tubes=tuple(TubeShape(*tube) for tube in raw["tubes"]),

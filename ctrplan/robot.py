@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from ctrplan.batch import Progress
+    from ctrplan.history import History, HistoryOptions, Start
     from ctrplan.mechanics import Accuracy, Bound, Bounds, Mechanics, Shape
 
 __all__ = [
@@ -121,6 +122,14 @@ class Robot:
         return self.mechanics.bound_many(
             theta_b, l_b, accuracy=accuracy, threads=threads, progress=progress, executor=executor
         )
+
+    def history(
+        self, start: Start = "released", *, accuracy: Accuracy = "search", options: HistoryOptions | None = None
+    ) -> History:
+        """A simulation along a joint path, friction included: advance it waypoint by waypoint. See `History`."""
+        from ctrplan.history import History
+
+        return History(self.mechanics, start, accuracy=accuracy, options=options)
 
     def _clearance(self, i: int) -> float:
         given = self.contacts[i].clearance_m

@@ -3,6 +3,7 @@
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
+#include <nanobind/stl/unique_ptr.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
@@ -15,6 +16,7 @@
 
 #include "ctr/bound.hpp"
 #include "ctr/edge.hpp"
+#include "ctr/history.hpp"
 #include "ctr/kernel.hpp"
 #include "ctr/shape.hpp"
 #include "ctr/tip_solver.hpp"
@@ -79,6 +81,110 @@ ctr::Accuracy accuracy(bool certificate) {
 ctr::Configuration configuration(const double* theta, const double* l, int n) {
     return {std::vector<double>(theta, theta + n), std::vector<double>(l, l + n)};
 }
+
+// A simulation of what happens along a joint path (ctr/history.hpp).
+class PathHistory {
+  public:
+    PathHistory(const ctr::Robot& robot, const ctr::Accuracy& accuracy, const ctr::HistoryOptions& options)
+        : robot_(robot), history_(robot, accuracy, options) {}
+
+    int start(Vector theta, Vector l, Vector phi) {
+        if (phi.shape(0) != robot_.pairs.size()) throw ctr::InvalidInput("phi needs one value per neighbouring pair");
+        const ctr::Configuration q = read(theta, l);
+        std::vector<double> friction(phi.data(), phi.data() + phi.shape(0));
+        friction.resize(std::max<std::size_t>(friction.size(), 1));
+        nb::gil_scoped_release release;
+        return static_cast<int>(history_.start(q, friction));
+    }
+
+    // status, residual, steps, snaps, work, growth of elastic energy, growth of breakaway energy, loss, smallest loss.
+    nb::tuple advance(Vector theta, Vector l) {
+        const ctr::Configuration q = read(theta, l);
+        int status;
+        {
+            nb::gil_scoped_release release;
+            status = static_cast<int>(history_.advance(q));
+        }
+        const ctr::EnergyBalance& energy = history_.energy();
+        return nb::make_tuple(status, history_.residual(), history_.steps(), history_.snaps(), energy.work, energy.elastic,
+                              energy.breakaway, energy.loss, energy.smallest_loss);
+    }
+
+    // Waypoint after waypoint; columns: status, snaps, tip (3), tangent (3), then per pair phi averaged by normal force.
+    // Rows after a failure are NaN.
+    nb::object follow(Matrix theta, Matrix l) {
+        const std::size_t rows = theta.shape(0), n = robot_.tubes.size(), columns = 8 + n - 1;
+        if (theta.shape(1) != n || l.shape(0) != rows || l.shape(1) != n)
+            throw ctr::InvalidInput("theta_b and l_b need the same number of rows and one column per tube");
+        std::vector<ctr::Configuration> path;
+        for (std::size_t k = 0; k < rows; ++k) {
+            path.push_back(configuration(theta.data() + k * n, l.data() + k * n, static_cast<int>(n)));
+            try {
+                ctr::validate(robot_, path.back());
+            } catch (const ctr::InvalidInput& reason) {
+                throw ctr::InvalidInput("row " + std::to_string(k) + ": " + reason.what());
+            }
+        }
+        std::vector<double> out(rows * columns, std::numeric_limits<double>::quiet_NaN());
+        {
+            nb::gil_scoped_release release;
+            ctr::Backbone backbone;
+            for (std::size_t k = 0; k < rows; ++k) {
+                double* row = &out[k * columns];
+                row[0] = static_cast<int>(history_.advance(path[k]));
+                if (history_.status() == ctr::Status::failed) break;
+                ctr::trace_backbone(history_.solver(), history_.state(), 0, path[k].l.back(), backbone);
+                row[1] = history_.snaps();
+                const ctr::Vec3 tangent = backbone.frame.back().tangent();
+                for (int i = 0; i < 3; ++i) {
+                    row[2 + i] = backbone.frame.back().p[i];
+                    row[5 + i] = tangent[i];
+                }
+                history_.mean_phi(row + 8);
+            }
+        }
+        return array(std::move(out), {rows, columns});
+    }
+
+    nb::dict shape() const {
+        ctr::Shape shape = ctr::make_shape(history_.solver(), history_.state(), 0, history_.configuration());
+        shape.status = history_.status();
+        shape.residual = history_.residual();
+        shape.stability = std::numeric_limits<double>::quiet_NaN();
+        return to_python(shape);
+    }
+
+    // Per pair, outermost first: s, phi, psi, normal force of every contact.
+    nb::list friction() const {
+        const ctr::KernelProblem& pb = history_.solver().mesh().problem();
+        nb::list pairs;
+        const ctr::Shape shape = ctr::make_shape(history_.solver(), history_.state(), 0, history_.configuration());
+        for (int pair = 0; pair + 1 < pb.tubes; ++pair) {
+            std::vector<double> phi, psi;
+            for (int k = 0; k < pb.contacts; ++k)
+                if (pb.contact_pair[k] == pb.tubes - 2 - pair) {
+                    phi.push_back(history_.phi()[k]);
+                    psi.push_back(history_.psi()[k]);
+                }
+            pairs.append(nb::make_tuple(array(shape.contacts[pair].s), array(phi), array(psi), array(shape.contacts[pair].force)));
+        }
+        return pairs;
+    }
+
+    ctr::History::State save() const { return history_.save(); }
+    void restore(const ctr::History::State& state) { history_.restore(state); }
+
+  private:
+    ctr::Configuration read(const Vector& theta, const Vector& l) const {
+        const ctr::Configuration q{std::vector<double>(theta.data(), theta.data() + theta.shape(0)),
+                                   std::vector<double>(l.data(), l.data() + l.shape(0))};
+        ctr::validate(robot_, q);
+        return q;
+    }
+
+    ctr::Robot robot_;
+    ctr::History history_;
+};
 
 // A robot with a pool of solvers, one per thread that asks at the same time.
 class Model {
@@ -222,6 +328,14 @@ class Model {
             });
         }
         return array(std::move(out), {all.size(), 7});
+    }
+
+    std::unique_ptr<PathHistory> history(bool certificate, double breakaway, double rotation, double translation) const {
+        ctr::HistoryOptions options;
+        options.breakaway = breakaway;
+        options.rotation = rotation;
+        options.translation = translation;
+        return std::make_unique<PathHistory>(robot_, accuracy(certificate), options);
     }
 
     std::vector<std::string> number_names() const { return ctr::number_names(robot_); }
@@ -441,6 +555,15 @@ NB_MODULE(_model, m) {
     m.doc() = "Mechanics of concentric tube robots with clearance and friction (C++ core of ctrplan)";
     nb::exception<ctr::InvalidInput>(m, "InvalidInput", PyExc_ValueError);
     m.def("kernel_name", &ctr::kernel_name, "instruction set of the kernel in use");
+    nb::class_<ctr::History::State>(m, "HistoryState");
+    nb::class_<PathHistory>(m, "History")
+        .def("start", &PathHistory::start, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert())
+        .def("advance", &PathHistory::advance, "theta_b"_a.noconvert(), "l_b"_a.noconvert())
+        .def("follow", &PathHistory::follow, "theta_b"_a.noconvert(), "l_b"_a.noconvert())
+        .def("shape", &PathHistory::shape)
+        .def("friction", &PathHistory::friction)
+        .def("save", &PathHistory::save)
+        .def("restore", &PathHistory::restore, "state"_a);
     nb::class_<Model>(m, "Model")
         .def(nb::init<const std::vector<std::vector<double>>&, const std::vector<std::vector<std::vector<double>>>&,
                       const std::vector<std::vector<double>>&, const std::vector<std::vector<double>>&>(),
@@ -450,6 +573,7 @@ NB_MODULE(_model, m) {
         .def("bound", &Model::bound, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "certificate"_a)
         .def("bound_many", &Model::bound_many, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "certificate"_a, "threads"_a)
         .def("tips", &Model::tips, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "threads"_a)
+        .def("history", &Model::history, "certificate"_a, "breakaway"_a, "rotation"_a, "translation"_a)
         .def("number_names", &Model::number_names)
         .def("tips_with_friction", &Model::tips_with_friction, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(),
              "directions"_a, "certificate"_a, "threads"_a)

@@ -50,7 +50,7 @@ void LaneState::set_phi(const Robot& robot, const KernelProblem& problem, int la
 
 KernelState LaneState::view() {
     return {unknowns_.data(),        multiplier_.data(), slack_.data(),    phi_mu_.data(), step_.data(),
-            multiplier_step_.data(), slack_step_.data(), diagonal_.data(), upper_.data(),  lower_.data(), rhs_.data(), load_moment_.data(), block_stride_};
+            multiplier_step_.data(), slack_step_.data(), diagonal_.data(), upper_.data(),  lower_.data(), rhs_.data(), load_moment_.data(), slip_, block_stride_};
 }
 
 FrictionSolver::FrictionSolver(const Robot& robot) : robot_(robot) {
@@ -63,6 +63,15 @@ void FrictionSolver::weigh(LaneState& state) {
 
 void FrictionSolver::build(const Configuration& q, const Accuracy& accuracy) {
     mesh_.build(robot_, q, accuracy);
+    scale(q, accuracy);
+}
+
+void FrictionSolver::adopt(const Mesh& mesh, const Configuration& q, const Accuracy& accuracy) {
+    mesh_ = mesh;
+    scale(q, accuracy);
+}
+
+void FrictionSolver::scale(const Configuration& q, const Accuracy& accuracy) {
     base_l_ = q.l.back();
     last_barrier_ = accuracy.barrier;
     moment_scale_ = 1e-9;
@@ -80,7 +89,7 @@ void FrictionSolver::weigh_out(LaneState& state) {
 }
 
 bool FrictionSolver::move(const FrictionSolver& from, const Robot& robot, const Configuration& q) {
-    mesh_ = from.mesh_;
+    if (&from != this) mesh_ = from.mesh_;
     robot_ = robot;
     moment_scale_ = from.moment_scale_;
     barrier_unit_ = from.barrier_unit_;

@@ -5,6 +5,7 @@
 #include "bending_law.hpp"
 #include "kernel_softened.hpp"
 #include "kernel_contact.hpp"
+#include "kernel_slip.hpp"
 #include "kernel_elimination.hpp"
 
 template <class V, bool MATRIX>
@@ -23,7 +24,9 @@ inline void add_element(const KernelProblem& pb, const KernelState& st, int e, c
         case -3: add_elastic<V, MATRIX>(3, 3, pb, e, el); break;
         default: add_elastic<V, MATRIX>(m, free ? m : m - 1, pb, e, el);
     }
+    if (st.slip) follow_slip<V>(pb, st, e, el);
     add_contacts<V, MATRIX>(pb, st, e, el, level);
+    if (MATRIX && st.slip) add_slip_tangent<V>(pb, st, e, el);
     if (!MATRIX) return;
     for (int t = 0; t < m; ++t) {  // lumped, so that it never couples nodes
         const V mass = damping[0] * (0.5 * pb.length[e] * pb.torsional_stiffness[t]);

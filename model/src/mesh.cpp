@@ -23,11 +23,11 @@ void Mesh::build(const Robot& robot, const Configuration& q, const Accuracy& acc
     find_breaks(robot, q);
     place_nodes(robot, q, accuracy);
     fill_elements(robot, q);
-    place_contacts(robot, accuracy);
+    place_contacts(accuracy);
     fill_pairs(robot);
     fill_regimes(robot);
     fill_laws(robot);
-    publish(robot);
+    publish();
 }
 
 bool Mesh::move(const Robot& robot, const Configuration& q) {
@@ -51,7 +51,7 @@ bool Mesh::move(const Robot& robot, const Configuration& q) {
     fill_pairs(robot);
     fill_regimes(robot);
     fill_laws(robot);
-    publish(robot);
+    publish();
     return true;
 }
 
@@ -160,8 +160,8 @@ void Mesh::fill_elements(const Robot& robot, const Configuration& q) {
     }
 }
 
-void Mesh::place_contacts(const Robot& robot, const Accuracy& accuracy) {
-    const int n = robot.count(), elements = static_cast<int>(length_.size());
+void Mesh::place_contacts(const Accuracy& accuracy) {
+    const int elements = static_cast<int>(length_.size());
     contact_begin_.assign(1, 0);
     contact_pair_.clear();
     contact_shape_.clear();
@@ -215,6 +215,8 @@ void Mesh::fill_pairs(const Robot& robot) {
 
 void Mesh::fill_laws(const Robot& robot) {
     const int n = robot.count();
+    tubes_ = n;
+    has_laws_ = !robot.linear_round() || robot.loaded();
     laws_.resize(n);
     for (int t = 0; t < n; ++t) {
         const Tube& tube = robot.tubes[n - 1 - t];
@@ -258,10 +260,10 @@ void Mesh::fill_regimes(const Robot& robot) {
     for (int t = 0; t < n; ++t) torsional_[t] = robot.tubes[n - 1 - t].torsional_stiffness;
 }
 
-void Mesh::publish(const Robot& robot) {
-    problem_.tubes = robot.count();
+void Mesh::publish() {
+    problem_.tubes = tubes_;
     problem_.nodes = static_cast<int>(s_.size());
-    problem_.elements = problem_.nodes - 1;
+    problem_.elements = static_cast<int>(length_.size());
     problem_.contacts = static_cast<int>(contact_pair_.size());
     problem_.stride = 5 * problem_.tubes - 4;
     problem_.node_unknowns = node_unknowns_.data();
@@ -274,7 +276,7 @@ void Mesh::publish(const Robot& robot) {
     problem_.pair_stiffness = pair_stiffness_.data();
     problem_.mixed_stiffness = mixed_stiffness_.data();
     problem_.torsional_stiffness = torsional_.data();
-    problem_.law = robot.linear_round() && !robot.loaded() ? nullptr : laws_.data();
+    problem_.law = has_laws_ ? laws_.data() : nullptr;
     problem_.shaft_stiffness = shaft_stiffness_.data();
     problem_.shaft_angle = shaft_angle_.data();
     problem_.shaft_node = shaft_node_.data();

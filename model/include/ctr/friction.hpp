@@ -32,6 +32,9 @@ class LaneState {
     void set_phi(const Robot& robot, const KernelProblem& problem, int lane, const double* phi);  // phi per pair, outermost first
     int lanes() const { return lanes_; }
     int stride() const { return stride_; }
+    double phi_mu(int contact, int lane) const { return phi_mu_[static_cast<std::size_t>(contact) * lanes_ + lane]; }
+    void set_phi_mu(int contact, int lane, double value) { phi_mu_[static_cast<std::size_t>(contact) * lanes_ + lane] = value; }
+    void follow_slip(const SlipLaw* law) { slip_ = law; }  // null: friction states stay as they are set
     double* load_moments() { return load_moment_.data(); }
     double& unknown(int node, int index, int lane) { return unknowns_[(static_cast<std::size_t>(node) * stride_ + index) * lanes_ + lane]; }
     double unknown(int node, int index, int lane) const { return unknowns_[(static_cast<std::size_t>(node) * stride_ + index) * lanes_ + lane]; }
@@ -54,6 +57,7 @@ class LaneState {
 
   private:
     int lanes_ = 1, stride_ = 1, block_stride_ = 1;
+    const SlipLaw* slip_ = nullptr;
     AlignedArray unknowns_, multiplier_, slack_, phi_mu_, step_, multiplier_step_, slack_step_, diagonal_, upper_, lower_, rhs_, load_moment_;
 };
 
@@ -87,6 +91,7 @@ class FrictionSolver {
 
     void build(const Configuration& q, const Accuracy& accuracy);
     // Takes over another solver's mesh, moved along to a robot and configuration a little way off (Mesh::move).
+    void adopt(const Mesh& mesh, const Configuration& q, const Accuracy& accuracy);  // a mesh kept from an earlier build
     bool move(const FrictionSolver& from, const Robot& robot, const Configuration& q);
     // Angles from the zero-clearance solution, no offsets, multipliers on the central path at the given level (BarrierPath).
     void start(LaneState& state, const Configuration& q, const ZeroClearance& guess, double level);
@@ -118,6 +123,7 @@ class FrictionSolver {
     double last_level() const { return last_barrier_ * barrier_unit_; }  // N/m
 
   private:
+    void scale(const Configuration& q, const Accuracy& accuracy);
     double largest_twist(const LaneState& state, int lane) const;  // rad, of the last step
 
     Robot robot_;

@@ -54,6 +54,19 @@ struct KernelProblem {
     const double* barrier_scale;          // [pair] c: barrier eps = level * c * weight, level in N/m
 };
 
+// How friction follows the slip of contact points (history.hpp). The circumferential share of the Coulomb limit is that of
+// (phi, psi) = (before + slip / breakaway) projected onto the unit disc.
+struct SlipLaw {
+    const double* friction;    // [contact] mu
+    const double* reference;   // [contact] m: slip = r_out theta_in - r_in theta_out + across . d - reference
+    const double* across;      // [contact][2] direction in which the contact slides around the bore
+    const double* inner_arm;   // [pair] r_out of the inner tube, m
+    const double* outer_arm;   // [pair] r_in of the outer tube, m
+    const double* phi;         // [contact] before the step
+    const double* psi;         // [contact] axial share, with the axial slip of the step
+    double breakaway;          // m
+};
+
 // Per lane: values are interleaved, lane fastest. Sizes in units of lanes.
 struct KernelState {
     double* unknowns;     // [node][stride] d in m, d' in 1, theta in rad; fixed ones included
@@ -68,6 +81,7 @@ struct KernelState {
     double* lower;        // [node][stride][block_stride]
     double* rhs;          // [node][stride]
     const double* load_moment;  // [element][Gauss point][2] of the loads beyond, N m as a curvature vector; null without loads
+    const SlipLaw* slip;      // null: phi_mu is given; else it follows the slip (single lane)
     int block_stride;     // row length of blocks: stride, for a single lane rounded up to whole registers
 };
 

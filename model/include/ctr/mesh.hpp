@@ -21,9 +21,30 @@ struct Accuracy {
     static Accuracy certificate() { return {5e-4, 2.5e-3, 0.2, 1.25e-4, 5e-4, 0.015}; }
 };
 
+// What a mesh owns; KernelProblem points into it.
+struct MeshArrays {
+    struct Break { double s; bool sharp; };
+    std::vector<Break> breaks_;
+    std::vector<double> break_s_;
+    std::vector<double> s_, length_, precurvature_, stiffness_, pair_stiffness_, mixed_stiffness_, torsional_;
+    std::vector<double> shaft_stiffness_, shaft_angle_;
+    std::vector<BendingLaw> laws_;
+    std::vector<double> contact_shape_, contact_xi_, contact_weight_, contact_s_, half_square_, outer_arm_, inner_arm_, scale_;
+    std::vector<int> node_unknowns_, element_tubes_, element_unknowns_, element_regime_, contact_begin_, contact_pair_, shaft_node_;
+    int tubes_ = 0;
+    bool has_laws_ = false;  // cross sections obey laws of their own
+};
+
 // Tubes inside the mesh are counted from the innermost; see kernel.hpp.
-class Mesh {
+class Mesh : private MeshArrays {
   public:
+    Mesh() = default;
+    Mesh(const Mesh& other) : MeshArrays(other) { publish(); }
+    Mesh& operator=(const Mesh& other) {
+        MeshArrays::operator=(other);
+        publish();
+        return *this;
+    }
     // Rebuilds for a configuration (validated by the caller); keeps its memory.
     void build(const Robot& robot, const Configuration& q, const Accuracy& accuracy);
 
@@ -41,25 +62,17 @@ class Mesh {
     const std::vector<double>& contact_weight() const { return contact_weight_; }
 
   private:
-    struct Break { double s; bool sharp; };
     void find_breaks(const Robot& robot, const Configuration& q);
     void place_nodes(const Robot& robot, const Configuration& q, const Accuracy& accuracy);
     void fill_elements(const Robot& robot, const Configuration& q);
-    void place_contacts(const Robot& robot, const Accuracy& accuracy);
+    void place_contacts(const Accuracy& accuracy);
     static void fill_contact_shape(double xi, double h, double* shape);
     void fill_pairs(const Robot& robot);
     void fill_regimes(const Robot& robot);
     void fill_laws(const Robot& robot);
-    void publish(const Robot& robot);
+    void publish();
     double distance_to_sharp(double s) const;
 
-    std::vector<Break> breaks_;
-    std::vector<double> break_s_;
-    std::vector<double> s_, length_, precurvature_, stiffness_, pair_stiffness_, mixed_stiffness_, torsional_;
-    std::vector<double> shaft_stiffness_, shaft_angle_;
-    std::vector<BendingLaw> laws_;
-    std::vector<double> contact_shape_, contact_xi_, contact_weight_, contact_s_, half_square_, outer_arm_, inner_arm_, scale_;
-    std::vector<int> node_unknowns_, element_tubes_, element_unknowns_, element_regime_, contact_begin_, contact_pair_, shaft_node_;
     KernelProblem problem_{};
 };
 

@@ -1,0 +1,109 @@
+// What the robot does along a joint path: equilibria whose friction follows the slip of every contact point.
+//
+// Each contact carries a friction vector (phi, psi) in the unit disc, the circumferential and axial share of the Coulomb
+// limit. A step of the joints slips it circumferentially by r_out dtheta_in - r_in dtheta_out + c dalpha, taken at the material
+// points that are in contact now, and axially by the relative translation; the vector follows over a short breakaway
+// length and is projected back onto the disc (return mapping). phi enters the equilibrium and is solved with it.
+#pragma once
+
+#include <vector>
+
+#include "ctr/carry.hpp"
+#include "ctr/friction.hpp"
+#include "ctr/shape.hpp"
+#include "ctr/tip_solver.hpp"
+
+namespace ctr {
+
+struct HistoryOptions {
+    double breakaway = 0.02e-3;        // m
+    double rotation = 0.05;            // rad, longest step of a tube base
+    double translation = 1e-3;         // m
+    double state_change = 0.5;         // of (phi, psi), mean over the contacts weighted by force, aimed at in a step
+};
+
+// Work and energy of a step of pure rotations, N m. Translations are left out on all sides, their friction is.
+struct EnergyBalance {
+    double work = 0;           // of the actuators
+    double elastic = 0;        // growth of elastic energy
+    double breakaway = 0;      // growth of what is stored before contacts slip
+    double loss = 0;           // in contacts that slip
+    double smallest_loss = 0;  // of any contact in any step
+};
+
+class History {
+  public:
+    History(const Robot& robot, const Accuracy& accuracy, const HistoryOptions& options);
+
+    // Begins at a configuration with every contact of a pair at phi, e.g. 0 released, +-1 fully loaded in a corner.
+    Status start(const Configuration& q, const std::vector<double>& phi);
+    // Moves all joints together to a configuration. A step that no equilibrium continues ends where the robot slides to.
+    Status advance(const Configuration& q);
+
+    // A memory of where a history stands.
+    struct State {
+        Configuration q;
+        Mesh mesh;
+        std::vector<double> unknowns, multiplier, slack, phi, psi;
+        Status status = Status::failed;
+    };
+    State save() const;
+    void restore(const State& state);
+
+    const FrictionSolver& solver() const { return solver_; }
+    const LaneState& state() const { return state_; }
+    const Configuration& configuration() const { return q_; }
+    Status status() const { return status_; }
+    double residual() const { return convergence_.residual; }
+    const std::vector<double>& phi() const { return phi_; }  // [contact] of the mesh
+    const std::vector<double>& psi() const { return psi_; }
+    void mean_phi(double* phi) const;  // [pair] outermost first, averaged by normal force
+    const EnergyBalance& energy() const { return energy_; }  // of the last advance
+    int steps() const { return steps_; }                     // of the last advance
+    int snaps() const { return snaps_; }                     // of the last advance
+
+  private:
+    // Contacts of a pair where the last step ended.
+    struct OldContacts {
+        std::vector<double> s, phi, psi, d;
+    };
+    struct Before {
+        Configuration q;
+        std::vector<double> breaks, s, unknowns;
+        std::vector<OldContacts> pairs;
+    };
+    void remember();
+    void move_mesh(const Configuration& q);
+    void refer(const Configuration& q);
+    void publish_law();
+    double old_angle(int tube, double s) const;
+    double offset(int element, int contact, int plane) const;
+    double slip_of(int element, int contact) const;
+    bool try_step(const Configuration& q);
+    bool slide();
+    void finish_step(const Configuration& q);
+    double elastic_energy() const;
+    double base_torque(int tube) const;
+
+    HistoryOptions options_;
+    Accuracy accuracy_;
+    FrictionSolver solver_;
+    TipSolver starter_;
+    LaneState state_;
+    Configuration q_;
+    Status status_ = Status::failed;
+    Convergence convergence_;
+    std::vector<double> phi_, psi_;
+    Before before_;
+    CarriedState carried_;
+    std::vector<double> built_breaks_;
+    std::vector<double> friction_, reference_, across_, last_phi_, next_psi_, inner_arm_, outer_arm_;
+    SlipLaw law_{};
+    EnergyBalance energy_;
+    double elastic_ = 0;
+    std::vector<double> torque_;
+    int steps_ = 0, snaps_ = 0;
+    double change_ = 0;  // of the friction state in the last step
+};
+
+}  // namespace ctr

@@ -1,0 +1,382 @@
+#include "ctr/history.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace ctr {
+namespace {
+
+constexpr double kGauss[2] = {0.21132486540518711775, 0.78867513459481288225};
+constexpr double kMostStretch = 1.4;    // of the elements between two breaks, before the mesh is made anew
+constexpr double kShortestStep = 1e-3;  // of the longest
+constexpr double kDegree = 0.017453292519943295;
+
+// Interval of ascending values that holds x, and where in it.
+int locate(const std::vector<double>& values, double x, double& part) {
+    const auto it = std::upper_bound(values.begin(), values.end(), x);
+    const int i = std::clamp(static_cast<int>(it - values.begin()) - 1, 0, static_cast<int>(values.size()) - 2);
+    part = std::clamp((x - values[i]) / (values[i + 1] - values[i]), 0.0, 1.0);
+    return i;
+}
+
+// Longest joint motion between two configurations in units of the longest steps.
+double motion(const Configuration& a, const Configuration& b, const HistoryOptions& options) {
+    double most = 0;
+    for (std::size_t i = 0; i < a.theta.size(); ++i)
+        most = std::max({most, std::fabs(b.theta[i] - a.theta[i]) / options.rotation, std::fabs(b.l[i] - a.l[i]) / options.translation});
+    return most;
+}
+
+Configuration between(const Configuration& a, const Configuration& b, double part) {
+    Configuration q = a;
+    for (std::size_t i = 0; i < a.theta.size(); ++i) {
+        q.theta[i] += part * (b.theta[i] - a.theta[i]);
+        q.l[i] += part * (b.l[i] - a.l[i]);
+    }
+    return part == 1 ? b : q;
+}
+
+// Energy per length over EI of a cross section that is bent to rho, see (f) in docs/model.md.
+double bending(double rho, double knee, double fraction) {
+    if (rho <= knee) return 0.5 * rho * rho;
+    return (1 - fraction) * knee * (rho - 0.5 * knee) + 0.5 * fraction * rho * rho;
+}
+
+}  // namespace
+
+History::History(const Robot& robot, const Accuracy& accuracy, const HistoryOptions& options)
+    : options_(options), accuracy_(accuracy), solver_(robot), starter_(robot) {
+    const int pairs = robot.count() - 1;
+    for (int p = 0; p < pairs; ++p) {
+        inner_arm_.push_back(robot.pairs[pairs - 1 - p].inner_outer_radius);
+        outer_arm_.push_back(robot.pairs[pairs - 1 - p].outer_inner_radius);
+    }
+}
+
+Status History::start(const Configuration& q, const std::vector<double>& phi) {
+    status_ = starter_.solve(q, accuracy_, phi);
+    convergence_ = starter_.convergence();
+    q_ = q;
+    solver_.build(q, accuracy_);
+    const KernelProblem& pb = solver_.mesh().problem();
+    state_.resize(pb, 1);
+    state_.set_phi(solver_.robot(), pb, 0, phi.data());
+    state_.follow_slip(nullptr);
+    solver_.spread(starter_.state(), state_);
+    phi_.resize(pb.contacts);
+    psi_.assign(pb.contacts, 0.0);
+    for (int k = 0; k < pb.contacts; ++k) phi_[k] = phi[pb.tubes - 2 - pb.contact_pair[k]];
+    energy_ = {};
+    steps_ = snaps_ = 0;
+    elastic_ = elastic_energy();
+    publish_law();
+    double level[kLanes], moment[kLanes], gap[kLanes];
+    std::fill(level, level + kLanes, solver_.last_level());
+    solver_.weigh_out(state_);
+    kernel(1).residual(pb, state_.view(), level, moment, gap);
+    torque_.resize(pb.tubes);
+    for (int t = 0; t < pb.tubes; ++t) torque_[t] = base_torque(t);
+    return status_;
+}
+
+History::State History::save() const {
+    State saved{q_, solver_.mesh(), {}, {}, {}, phi_, psi_, status_};
+    const KernelProblem& pb = solver_.mesh().problem();
+    for (int k = 0; k < pb.nodes; ++k)
+        for (int i = 0; i < pb.stride; ++i) saved.unknowns.push_back(state_.unknown(k, i, 0));
+    for (int k = 0; k < pb.contacts; ++k) {
+        saved.multiplier.push_back(state_.multiplier(k, 0));
+        saved.slack.push_back(state_.slack(k, 0));
+    }
+    return saved;
+}
+
+void History::restore(const State& saved) {
+    q_ = saved.q;
+    status_ = saved.status;
+    phi_ = saved.phi;
+    psi_ = saved.psi;
+    solver_.adopt(saved.mesh, q_, accuracy_);
+    const KernelProblem& pb = solver_.mesh().problem();
+    state_.resize(pb, 1);
+    for (int k = 0; k < pb.nodes; ++k)
+        for (int i = 0; i < pb.stride; ++i) state_.unknown(k, i, 0) = saved.unknowns[static_cast<std::size_t>(k) * pb.stride + i];
+    for (int k = 0; k < pb.contacts; ++k) {
+        state_.multiplier(k, 0) = saved.multiplier[k];
+        state_.slack(k, 0) = saved.slack[k];
+        state_.set_phi_mu(k, 0, phi_[k] * solver_.robot().pairs[pb.tubes - 2 - pb.contact_pair[k]].friction);
+    }
+    state_.follow_slip(nullptr);
+    solver_.weigh_out(state_);
+    elastic_ = elastic_energy();
+    double level[kLanes], moment[kLanes], gap[kLanes];
+    std::fill(level, level + kLanes, solver_.last_level());
+    kernel(1).residual(pb, state_.view(), level, moment, gap);
+    torque_.resize(pb.tubes);
+    for (int t = 0; t < pb.tubes; ++t) torque_[t] = base_torque(t);
+    publish_law();
+}
+
+void History::remember() {
+    const KernelProblem& pb = solver_.mesh().problem();
+    before_.q = q_;
+    before_.breaks = solver_.mesh().breaks();
+    before_.s = solver_.mesh().s();
+    before_.unknowns.resize(static_cast<std::size_t>(pb.nodes) * pb.stride);
+    for (int k = 0; k < pb.nodes; ++k)
+        for (int i = 0; i < pb.stride; ++i) before_.unknowns[static_cast<std::size_t>(k) * pb.stride + i] = state_.unknown(k, i, 0);
+    before_.pairs.resize(std::max(pb.tubes - 1, 0));
+    for (OldContacts& old : before_.pairs) old = {};
+    for (int e = 0; e < pb.elements; ++e)
+        for (int k = pb.contact_begin[e]; k < pb.contact_begin[e + 1]; ++k) {
+            const int p = pb.contact_pair[k];
+            OldContacts& old = before_.pairs[p];
+            old.s.push_back(solver_.mesh().contact_s()[k]);
+            old.phi.push_back(phi_[k]);
+            old.psi.push_back(psi_[k]);
+            for (int plane = 0; plane < 2; ++plane) old.d.push_back(offset(e, k, plane));
+        }
+}
+
+double History::offset(int e, int k, int plane) const {
+    const KernelProblem& pb = solver_.mesh().problem();
+    const int d = 1 + 5 * pb.contact_pair[k] + plane;
+    const double* N = pb.contact_shape + 4 * k;
+    return N[0] * state_.unknown(e, d, 0) + N[1] * state_.unknown(e, d + 2, 0) + N[2] * state_.unknown(e + 1, d, 0) +
+           N[3] * state_.unknown(e + 1, d + 2, 0);
+}
+
+// Nodes move with collars, joints and tips; where these meet in another order, or elements would be stretched far, a new mesh
+// takes over.
+void History::move_mesh(const Configuration& q) {
+    const std::vector<double> breaks = solver_.mesh().breaks();
+    bool same = solver_.move(solver_, solver_.robot(), q);
+    if (same && !built_breaks_.empty()) {
+        const std::vector<double>& now = solver_.mesh().breaks();
+        for (std::size_t i = 0; i + 1 < now.size(); ++i) {
+            const double ratio = (now[i + 1] - now[i]) / (built_breaks_[i + 1] - built_breaks_[i]);
+            same = same && ratio < kMostStretch && ratio > 1 / kMostStretch;
+        }
+    }
+    if (same) return;
+    solver_.build(q, accuracy_);
+    built_breaks_ = solver_.mesh().breaks();
+    state_.resize(solver_.mesh().problem(), 1);
+    if (carried_.fits(solver_.mesh())) {
+        carried_.give(solver_.mesh(), state_);
+        return;
+    }
+    ZeroClearance zero;
+    zero.solve(solver_.robot(), q);
+    solver_.start(state_, q, zero, BarrierPath::kParting);
+}
+
+double History::old_angle(int tube, double s) const {
+    double part;
+    const int stride = solver_.mesh().problem().stride, e = locate(before_.s, s, part);
+    const double *a = &before_.unknowns[static_cast<std::size_t>(e) * stride], *b = a + stride;
+    return (1 - part) * a[5 * tube] + part * b[5 * tube];
+}
+
+// What slip is counted from: the angles that the material points now in contact had, where the contact was.
+void History::refer(const Configuration& q) {
+    const Mesh& mesh = solver_.mesh();
+    const KernelProblem& pb = mesh.problem();
+    const int n = pb.tubes;
+    for (auto* values : {&friction_, &reference_, &last_phi_, &next_psi_}) values->assign(pb.contacts, 0.0);
+    across_.assign(2 * static_cast<std::size_t>(pb.contacts), 0.0);
+    const bool corresponds = mesh.breaks().size() == before_.breaks.size();
+    for (int k = 0; k < pb.contacts; ++k) {
+        const int p = pb.contact_pair[k], inner = n - 1 - p, outer = n - 2 - p;
+        const double s = mesh.contact_s()[k];
+        friction_[k] = solver_.robot().pairs[outer].friction;
+        reference_[k] = inner_arm_[p] * old_angle(p, s - q.l[inner] + before_.q.l[inner]) -
+                        outer_arm_[p] * old_angle(p + 1, s - q.l[outer] + before_.q.l[outer]);
+        const double axial = q.l[inner] - before_.q.l[inner] - q.l[outer] + before_.q.l[outer];
+        next_psi_[k] = axial / options_.breakaway;
+        const OldContacts& old = before_.pairs[p];
+        if (old.s.size() < 2) continue;
+        double part, image = s;
+        if (corresponds) {
+            const int b = locate(mesh.breaks(), s, part);
+            image = before_.breaks[b] + part * (before_.breaks[b + 1] - before_.breaks[b]);
+        }
+        const int i = locate(old.s, image, part);
+        last_phi_[k] = (1 - part) * old.phi[i] + part * old.phi[i + 1];
+        next_psi_[k] += (1 - part) * old.psi[i] + part * old.psi[i + 1];
+        const double dx = (1 - part) * old.d[2 * i] + part * old.d[2 * i + 2], dy = (1 - part) * old.d[2 * i + 1] + part * old.d[2 * i + 3];
+        const double size = std::hypot(dx, dy);
+        if (size == 0) continue;
+        across_[2 * k] = -dy / size;
+        across_[2 * k + 1] = dx / size;
+    }
+    publish_law();
+}
+
+void History::publish_law() {
+    law_ = {friction_.data(), reference_.data(), across_.data(),   inner_arm_.data(),
+            outer_arm_.data(), last_phi_.data(), next_psi_.data(), options_.breakaway};
+}
+
+bool History::try_step(const Configuration& q) {
+    double most = 0;  // degrees or half millimetres
+    for (std::size_t i = 0; i < q.l.size(); ++i)
+        most = std::max({most, std::fabs(q.theta[i] - q_.theta[i]) / kDegree, std::fabs(q.l[i] - q_.l[i]) / 0.5e-3});
+    carried_.take(solver_.mesh(), state_);
+    move_mesh(q);
+    refer(q);
+    solver_.set_base(state_, q);
+    const BarrierPath path = BarrierPath::warm(most, solver_.last_barrier());
+    solver_.recentre(state_, path.first);
+    state_.follow_slip(&law_);
+    solver_.solve(state_, path, &convergence_);
+    return convergence_.converged;
+}
+
+// No equilibrium near by: friction as it was, the robot slides to where there is one, and friction follows that slip.
+bool History::slide() {
+    const KernelProblem& pb = solver_.mesh().problem();
+    state_.follow_slip(nullptr);
+    for (int k = 0; k < pb.contacts; ++k) state_.set_phi_mu(k, 0, friction_[k] * std::clamp(last_phi_[k], -1.0, 1.0));
+    BarrierPath path = BarrierPath::sliding(solver_.last_barrier());
+    path.first = BarrierPath::kSliding;
+    solver_.recentre(state_, path.first);
+    solver_.solve(state_, path, &convergence_);
+    if (!convergence_.converged) return false;
+    state_.follow_slip(&law_);
+    solver_.recentre(state_, 1);
+    solver_.solve(state_, BarrierPath::warm(10, solver_.last_barrier()), &convergence_);
+    return convergence_.converged;
+}
+
+void History::finish_step(const Configuration& q) {
+    const KernelProblem& pb = solver_.mesh().problem();
+    const double elastic = elastic_energy();
+    double forces = 1e-12, changes = 0;
+    phi_.resize(pb.contacts);
+    psi_.resize(pb.contacts);
+    for (int e = 0; e < pb.elements; ++e)
+        for (int k = pb.contact_begin[e]; k < pb.contact_begin[e + 1]; ++k) {
+            const int pair = pb.tubes - 2 - pb.contact_pair[k];
+            const double mu = solver_.robot().pairs[pair].friction, c = solver_.robot().pairs[pair].clearance;
+            const double slip = slip_of(e, k), trial = last_phi_[k] + slip / options_.breakaway;
+            const double norm = std::max(1.0, std::hypot(trial, next_psi_[k]));
+            phi_[k] = trial / norm;
+            psi_[k] = next_psi_[k] / norm;
+            const double d = std::hypot(offset(e, k, 0), offset(e, k, 1)), force = state_.multiplier(k, 0) * d * d / c;
+            forces += force;
+            changes += force * std::fabs(phi_[k] - last_phi_[k]);
+            const double slid = slip - options_.breakaway * (phi_[k] - last_phi_[k]);
+            const double loss = mu * force * phi_[k] * slid;
+            energy_.loss += loss;
+            energy_.smallest_loss = std::min(energy_.smallest_loss, loss);
+            energy_.breakaway += 0.5 * mu * force * options_.breakaway * (phi_[k] * phi_[k] - last_phi_[k] * last_phi_[k]);
+        }
+    change_ = changes / forces;
+    for (int t = 0; t < pb.tubes; ++t) {
+        const double torque = base_torque(t);
+        energy_.work += 0.5 * (torque + torque_[t]) * (q.theta[pb.tubes - 1 - t] - q_.theta[pb.tubes - 1 - t]);
+        torque_[t] = torque;
+    }
+    energy_.elastic += elastic - elastic_;
+    elastic_ = elastic;
+    q_ = q;
+    ++steps_;
+}
+
+void History::mean_phi(double* phi) const {
+    const KernelProblem& pb = solver_.mesh().problem();
+    for (int pair = 0; pair + 1 < pb.tubes; ++pair) {
+        double forces = 1e-300, sum = 0;
+        for (int e = 0; e < pb.elements; ++e)
+            for (int k = pb.contact_begin[e]; k < pb.contact_begin[e + 1]; ++k) {
+                if (pb.contact_pair[k] != pb.tubes - 2 - pair) continue;
+                const double force = state_.multiplier(k, 0) * std::hypot(offset(e, k, 0), offset(e, k, 1));
+                forces += force;
+                sum += force * phi_[k];
+            }
+        phi[pair] = sum / forces;
+    }
+}
+
+double History::slip_of(int e, int k) const {
+    const KernelProblem& pb = solver_.mesh().problem();
+    const int p = pb.contact_pair[k];
+    const double xi = pb.contact_xi[k];
+    const double theta_in = (1 - xi) * state_.unknown(e, 5 * p, 0) + xi * state_.unknown(e + 1, 5 * p, 0);
+    const double theta_out = (1 - xi) * state_.unknown(e, 5 * p + 5, 0) + xi * state_.unknown(e + 1, 5 * p + 5, 0);
+    return inner_arm_[p] * theta_in - outer_arm_[p] * theta_out + across_[2 * k] * offset(e, k, 0) + across_[2 * k + 1] * offset(e, k, 1) -
+           reference_[k];
+}
+
+Status History::advance(const Configuration& target) {
+    energy_ = {};
+    steps_ = snaps_ = 0;
+    if (status_ == Status::failed) return status_;
+    const Configuration from = q_;
+    const double length = motion(from, target, options_);
+    if (length == 0) return status_;
+    if (built_breaks_.empty()) built_breaks_ = solver_.mesh().breaks();
+    double done = 0, step = std::min(1.0, 1 / length);
+    while (done < 1) {
+        double next = std::min(1.0, done + step);
+        if (1 - next < 0.1 * step) next = 1;
+        const Configuration q = between(from, target, next);
+        const State kept = save();
+        remember();
+        if (!try_step(q)) {
+            if ((next - done) * length > kShortestStep) {
+                restore(kept);
+                step = 0.25 * (next - done);
+                continue;
+            }
+            ++snaps_;
+            if (!slide()) {
+                restore(kept);
+                return status_ = Status::failed;
+            }
+        }
+        finish_step(q);
+        done = next;
+        step *= std::clamp(options_.state_change / std::max(change_, 1e-3), 0.5, 2.0);
+        step = std::min(step, 1 / length);
+    }
+    return status_ = solver_.turns_away(state_) ? Status::unstable : Status::converged;
+}
+
+double History::base_torque(int t) const {
+    const KernelProblem& pb = solver_.mesh().problem();
+    const int node = pb.shaft_node[t];
+    if (node < 0) return 0;
+    if (pb.shaft_stiffness[t] > 0) return pb.shaft_stiffness[t] * (pb.shaft_angle[t] - state_.unknown(node, 5 * t, 0));
+    return const_cast<LaneState&>(state_).rhs(node, 5 * t, 0);
+}
+
+double History::elastic_energy() const {
+    const KernelProblem& pb = solver_.mesh().problem();
+    const Robot& robot = solver_.robot();
+    double kappa[kMaxTubes][2], rotated[kMaxTubes][2], energy = 0;
+    for (int e = 0; e < pb.elements; ++e) {
+        const double h = pb.length[e];
+        for (int t = 0; t < pb.element_tubes[e]; ++t) {
+            const double twist = state_.unknown(e + 1, 5 * t, 0) - state_.unknown(e, 5 * t, 0);
+            energy += 0.5 * pb.torsional_stiffness[t] * twist * twist / h;
+        }
+        for (double xi : kGauss) {
+            element_curvature(solver_, state_, 0, e, xi, kappa, rotated);
+            for (int t = 0; t < pb.element_tubes[e]; ++t) {
+                const Tube& tube = robot.tubes[pb.tubes - 1 - t];
+                const double axis = tube.ovality_axis + (1 - xi) * state_.unknown(e, 5 * t, 0) + xi * state_.unknown(e + 1, 5 * t, 0);
+                const double x = kappa[t][0] - rotated[t][0], y = kappa[t][1] - rotated[t][1];
+                const double k0 = std::cos(axis) * x + std::sin(axis) * y, k1 = std::cos(axis) * y - std::sin(axis) * x;
+                const double rho = std::sqrt((1 + tube.ovality) * k0 * k0 + (1 - tube.ovality) * k1 * k1);
+                energy += 0.5 * h * tube.bending_stiffness * bending(rho, tube.softening_strain / tube.outer_radius, tube.softening_fraction);
+            }
+        }
+    }
+    for (int t = 0; t < pb.tubes; ++t)
+        if (pb.shaft_stiffness[t] > 0) energy += 0.5 * base_torque(t) * base_torque(t) / pb.shaft_stiffness[t];
+    return energy;
+}
+
+}  // namespace ctr
