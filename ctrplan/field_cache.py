@@ -37,7 +37,7 @@ def _digest(key: str, values: NDArray[np.float32]) -> str:
     return hashlib.sha256(key.encode() + np.ascontiguousarray(values).data).hexdigest()
 
 
-def load(key: str, shape: tuple[int, int, int]) -> NDArray[np.float32] | None:
+def load(key: str, shape: tuple[int, ...]) -> NDArray[np.float32] | None:
     """The values stored under `key`, float32 of `shape`, or None when there are none that can be trusted."""
     path = _path(key)
     if path is None:

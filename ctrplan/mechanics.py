@@ -7,6 +7,7 @@ front plate, z along insertion, s = 0 at the plate.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -225,38 +226,17 @@ class Mechanics:
 
         Stops after the first sample that breaks a limit, fails, or is UNSTABLE, which a snap on the way is too.
         """
-        grid = field or Field(np.zeros((1, 1, 1), np.float32), np.zeros(3), 1.0, np.eye(3), np.zeros(3))
-        steps, stop = density or PathDensity(), limits or PathLimits()
+        given = _walk_arguments(field, density or PathDensity(), limits or PathLimits())
         with input_errors():
-            table, points = self._model.check_path(
-                self._rows(theta_b),
-                self._rows(l_b),
-                None if field is None else grid.values_m,
-                grid.origin_m,
-                grid.spacing_m,
-                np.ascontiguousarray(grid.R_AB),
-                np.ascontiguousarray(grid.p_AB),
-                np.array(
-                    [steps.rotation_rad, steps.translation_m, steps.motion_m, steps.near_m, steps.point_spacing_m]
-                ),
-                np.array([stop.stability, stop.max_strain, stop.clearance_m]),
-                _is_certificate(accuracy),
-                bodies,
-            )
-        return PathSamples(
-            segment=table[:, 0].astype(int),
-            fraction=table[:, 1],
-            position_m=table[:, 2],
-            tangent_rad=table[:, 3],
-            stability=table[:, 4],
-            max_strain=table[:, 5],
-            clearance_m=table[:, 6],
-            motion_m=table[:, 7],
-            status=table[:, 8].astype(int),
-            tip_m=table[:, 9:12],
-            tip_tangent=table[:, 12:15],
-            bodies=tuple(points),
-        )
+            theta, length = joint_rows(theta_b, l_b, self.n)
+            table, points = self._model.check_path(theta, length, *given, _is_certificate(accuracy), bodies)
+        return _path_samples(np.asarray(table), points)
+
+    def field_entries(self, theta_b: ArrayLike, l_b: ArrayLike, *, threads: int = 0) -> Array:
+        """(K, FieldLookup.NUMBERS) what a grid of bounds stores of K configurations, (K, n), (K, n)."""
+        thetas, ls = self._configurations(theta_b, l_b)
+        with input_errors():
+            return np.asarray(self._model.field_entries(thetas, ls, threads))
 
     def body(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> tuple[Array, Array]:
         """Outermost centreline in front of the plate: points (1 + corners, N, 3) [m], outer radii (N,) [m]."""
@@ -282,6 +262,56 @@ class Mechanics:
 
     def _rows(self, values: ArrayLike) -> Array:
         return _joint_table(values, self.n)
+
+
+@dataclass(frozen=True, eq=False)
+class FieldEntries:
+    """Bounds and shapes of K configurations as a grid of bounds holds them, tube 1 turned to zero."""
+
+    position_m: Array  # (K,) bound of the tip
+    valid: Array  # (K,) 1 where solved and stable
+    points_m: Array  # (K, S, 3) outermost centreline, evenly from the plate (not counted) to the innermost tip
+    envelope_m: Array  # (K, S) largest deviation of a corner there
+
+
+class FieldLookup:
+    """A grid of bounds in the core. axes: (tube, is a rotation, lower, step, count), last one fastest.
+
+    values (points, NUMBERS) float32 as `Mechanics.field_entries` gives them; margin_m is added to bounds and envelopes.
+    """
+
+    STATIONS = 24
+    NUMBERS = 8 + 4 * STATIONS
+    VALID = 4
+
+    def __init__(
+        self,
+        mechanics: Mechanics,
+        axes: Sequence[tuple[int, bool, float, float, int]],
+        values: NDArray[np.float32],
+        margin_m: float,
+    ) -> None:
+        self.n = mechanics.n
+        with input_errors():
+            self._core = mechanics._model.field_lookup(list(axes), np.ascontiguousarray(values), margin_m)
+
+    def sample(self, theta_b: ArrayLike, l_b: ArrayLike) -> FieldEntries:
+        """Interpolated entries at configurations (K, n), (K, n); not valid next to unsolved or unstable ones."""
+        return self.entries(np.asarray(self._core.sample(*joint_rows(theta_b, l_b, self.n))))
+
+    @classmethod
+    def entries(cls, table: Array) -> FieldEntries:
+        """Names for the columns of a table of entries."""
+        points = table[:, 5 : 5 + 3 * cls.STATIONS].reshape(-1, cls.STATIONS, 3)
+        return FieldEntries(table[:, 0], table[:, cls.VALID], points, table[:, -cls.STATIONS :])
+
+    def check_path(
+        self, theta_b: ArrayLike, l_b: ArrayLike, field: Field | None, *, density: PathDensity, limits: PathLimits
+    ) -> PathSamples:
+        """As `Mechanics.check_path`, by lookup; FAILED next to configurations that the grid has no answer for."""
+        given = _walk_arguments(field, density, limits)
+        with input_errors():
+            return _path_samples(np.asarray(self._core.check_path(*joint_rows(theta_b, l_b, self.n), *given)), ())
 
 
 class input_errors:
@@ -350,6 +380,40 @@ def _is_certificate(accuracy: Accuracy) -> bool:
     if accuracy not in ("search", "certificate"):
         raise InputError('must be "search" or "certificate"', key="accuracy", value=accuracy)
     return accuracy == "certificate"
+
+
+def _walk_arguments(
+    field: Field | None, density: PathDensity, limits: PathLimits
+) -> tuple[Any, Any, Any, Any, Any, Any, Any]:
+    grid = field or Field(np.zeros((1, 1, 1), np.float32), np.zeros(3), 1.0, np.eye(3), np.zeros(3))
+    return (
+        None if field is None else grid.values_m,
+        grid.origin_m,
+        grid.spacing_m,
+        np.ascontiguousarray(grid.R_AB),
+        np.ascontiguousarray(grid.p_AB),
+        np.array(
+            [density.rotation_rad, density.translation_m, density.motion_m, density.near_m, density.point_spacing_m]
+        ),
+        np.array([limits.stability, limits.max_strain, limits.clearance_m]),
+    )
+
+
+def _path_samples(table: Array, bodies: Sequence[Array]) -> PathSamples:
+    return PathSamples(
+        segment=table[:, 0].astype(int),
+        fraction=table[:, 1],
+        position_m=table[:, 2],
+        tangent_rad=table[:, 3],
+        stability=table[:, 4],
+        max_strain=table[:, 5],
+        clearance_m=table[:, 6],
+        motion_m=table[:, 7],
+        status=table[:, 8].astype(int),
+        tip_m=table[:, 9:12],
+        tip_tangent=table[:, 12:15],
+        bodies=tuple(bodies),
+    )
 
 
 def _worst(values: Array) -> float:

@@ -15,6 +15,7 @@
 #include <thread>
 
 #include "ctr/bound.hpp"
+#include "ctr/bound_field.hpp"
 #include "ctr/edge.hpp"
 #include "ctr/history.hpp"
 #include "ctr/kernel.hpp"
@@ -81,6 +82,92 @@ ctr::Accuracy accuracy(bool certificate) {
 ctr::Configuration configuration(const double* theta, const double* l, int n) {
     return {std::vector<double>(theta, theta + n), std::vector<double>(l, l + n)};
 }
+
+// A view of a grid given by Python; `values` keeps it alive.
+ctr::SignedDistanceField distance_field(const nb::object& field, Field& values, const Vector& origin, double spacing, const Matrix& R_AB,
+                                        const Vector& p_AB) {
+    ctr::SignedDistanceField sdf;
+    if (field.is_none()) return sdf;
+    values = nb::cast<Field>(field);
+    sdf.values = values.data();
+    sdf.nx = static_cast<int>(values.shape(0));
+    sdf.ny = static_cast<int>(values.shape(1));
+    sdf.nz = static_cast<int>(values.shape(2));
+    sdf.spacing = spacing;
+    std::copy(R_AB.data(), R_AB.data() + 9, sdf.R_AB.begin());
+    std::copy(p_AB.data(), p_AB.data() + 3, sdf.p_AB.begin());
+    std::copy(origin.data(), origin.data() + 3, sdf.origin.begin());
+    return sdf;
+}
+
+// Columns: segment, fraction, position bound, tangent bound, stability, max strain, clearance, motion, status, tip (3), tangent (3).
+nb::object table(const std::vector<ctr::PathSample>& samples) {
+    constexpr std::size_t kColumns = 15;
+    std::vector<double> out;
+    out.reserve(samples.size() * kColumns);
+    for (const ctr::PathSample& s : samples) {
+        for (double value : {static_cast<double>(s.segment), s.fraction, s.position_bound, s.tangent_bound, s.stability, s.max_strain,
+                             s.clearance, s.motion, static_cast<double>(static_cast<int>(s.status))})
+            out.push_back(value);
+        out.insert(out.end(), s.tip.begin(), s.tip.end());
+        out.insert(out.end(), s.tangent.begin(), s.tangent.end());
+    }
+    return array(std::move(out), {samples.size(), kColumns});
+}
+
+// The bound looked up on a grid (ctr/bound_field.hpp). axes: (tube, is rotation, lower, step, count), last one fastest.
+class FieldLookup {
+  public:
+    using Values = nb::ndarray<const float, nb::numpy, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+
+    FieldLookup(const ctr::Robot& robot, const std::vector<std::tuple<int, bool, double, double, int>>& axes, Values values, double margin)
+        : robot_(robot), values_(values), field_(robot, read(robot, axes, values), values.data(), margin) {}
+
+    nb::object check_path(Matrix theta, Matrix l, nb::object field, Vector origin, double spacing, Matrix R_AB, Vector p_AB,
+                          Vector density, Vector limit) const {
+        const std::size_t n = robot_.tubes.size();
+        if (theta.shape(1) != n || l.shape(1) != n || l.shape(0) != theta.shape(0))
+            throw ctr::InvalidInput("theta_b and l_b need the same number of rows and one column per tube");
+        std::vector<ctr::Configuration> corners;
+        for (std::size_t k = 0; k < theta.shape(0); ++k)
+            corners.push_back(configuration(theta.data() + k * n, l.data() + k * n, static_cast<int>(n)));
+        Field values;
+        const ctr::SignedDistanceField sdf = distance_field(field, values, origin, spacing, R_AB, p_AB);
+        return table(field_.check_path(corners, sdf, {density(0), density(1), density(2), density(3), density(4)},
+                                       {limit(0), limit(1), limit(2)}));
+    }
+
+    // Rows as FieldEntry.
+    nb::object sample(Matrix theta, Matrix l) const {
+        const std::size_t n = robot_.tubes.size(), rows = theta.shape(0);
+        std::vector<double> out;
+        for (std::size_t k = 0; k < rows; ++k) {
+            const ctr::FieldEntry entry = field_.sample(configuration(theta.data() + k * n, l.data() + k * n, static_cast<int>(n)));
+            const float* numbers = reinterpret_cast<const float*>(&entry);
+            out.insert(out.end(), numbers, numbers + ctr::kFieldFloats);
+        }
+        return array(std::move(out), {rows, static_cast<std::size_t>(ctr::kFieldFloats)});
+    }
+
+  private:
+    static std::vector<ctr::FieldAxis> read(const ctr::Robot& robot, const std::vector<std::tuple<int, bool, double, double, int>>& given,
+                                            const Values& values) {
+        std::vector<ctr::FieldAxis> axes;
+        std::size_t points = 1;
+        for (const auto& [tube, rotation, lower, step, count] : given) {
+            if (tube < (rotation ? 1 : 0) || tube >= robot.count() || count < 2 || !(step > 0)) throw ctr::InvalidInput("an axis of the bound field is malformed");
+            axes.push_back({tube, rotation, lower, step, count});
+            points *= static_cast<std::size_t>(count);
+        }
+        if (axes.size() > ctr::kMostAxes || values.shape(0) != points || values.shape(1) != ctr::kFieldFloats)
+            throw ctr::InvalidInput("the values of the bound field do not fit its axes");
+        return axes;
+    }
+
+    ctr::Robot robot_;
+    Values values_;
+    ctr::BoundField field_;
+};
 
 // A simulation of what happens along a joint path (ctr/history.hpp).
 class PathHistory {
@@ -399,19 +486,8 @@ class Model {
     nb::tuple check_path(Matrix theta, Matrix l, nb::object field, Vector origin, double spacing, Matrix R_AB, Vector p_AB,
                          Vector density_values, Vector limit_values, bool certificate, bool bodies) {
         const std::vector<ctr::Configuration> corners = read_many(theta, l);
-        ctr::SignedDistanceField sdf;
         Field values;
-        if (!field.is_none()) {
-            values = nb::cast<Field>(field);
-            sdf.values = values.data();
-            sdf.nx = static_cast<int>(values.shape(0));
-            sdf.ny = static_cast<int>(values.shape(1));
-            sdf.nz = static_cast<int>(values.shape(2));
-            sdf.spacing = spacing;
-            std::copy(R_AB.data(), R_AB.data() + 9, sdf.R_AB.begin());
-            std::copy(p_AB.data(), p_AB.data() + 3, sdf.p_AB.begin());
-            std::copy(origin.data(), origin.data() + 3, sdf.origin.begin());
-        }
+        const ctr::SignedDistanceField sdf = distance_field(field, values, origin, spacing, R_AB, p_AB);
         const ctr::PathLimits limits{limit_values(0), limit_values(1), limit_values(2)};
         const ctr::PathDensity path{density_values(0), density_values(1), density_values(2), density_values(3), density_values(4)};
         std::vector<ctr::PathSample> samples;
@@ -420,23 +496,33 @@ class Model {
             Loan loan(*this);
             samples = ctr::check_path(*loan, corners, accuracy(certificate), sdf, path, limits, bodies);
         }
-        constexpr std::size_t kColumns = 15;
-        std::vector<double> out;
-        out.reserve(samples.size() * kColumns);
-        for (const ctr::PathSample& s : samples) {
-            for (double value : {static_cast<double>(s.segment), s.fraction, s.position_bound, s.tangent_bound, s.stability,
-                                 s.max_strain, s.clearance, s.motion, static_cast<double>(static_cast<int>(s.status))})
-                out.push_back(value);
-            out.insert(out.end(), s.tip.begin(), s.tip.end());
-            out.insert(out.end(), s.tangent.begin(), s.tangent.end());
-        }
         nb::list points;
         if (bodies)
             for (ctr::PathSample& s : samples) {
                 const std::size_t rows = s.body.size() / 4;
                 points.append(array(std::move(s.body), {rows, 4}));
             }
-        return nb::make_tuple(array(std::move(out), {samples.size(), kColumns}), points);
+        return nb::make_tuple(table(samples), points);
+    }
+
+    // Grid points of a bound field: rows as ctr::FieldEntry.
+    nb::object field_entries(Matrix theta, Matrix l, int threads) {
+        const std::vector<ctr::Configuration> all = read_many(theta, l);
+        std::vector<double> out(all.size() * ctr::kFieldFloats);
+        {
+            nb::gil_scoped_release release;
+            parallel(all.size(), threads, [&](ctr::BoundSolver& solver, std::size_t k) {
+                const ctr::FieldEntry entry = ctr::field_entry(solver, all[k], accuracy(false));
+                const float* numbers = reinterpret_cast<const float*>(&entry);
+                std::copy(numbers, numbers + ctr::kFieldFloats, out.begin() + static_cast<long>(k) * ctr::kFieldFloats);
+            });
+        }
+        return array(std::move(out), {all.size(), static_cast<std::size_t>(ctr::kFieldFloats)});
+    }
+
+    std::unique_ptr<FieldLookup> field_lookup(const std::vector<std::tuple<int, bool, double, double, int>>& axes, FieldLookup::Values values,
+                                              double margin) const {
+        return std::make_unique<FieldLookup>(robot_, axes, values, margin);
     }
 
     // Body points of the frictionless and all corner shapes in front of the plate: (shapes, N, 4) x, y, z, outer radius.
@@ -564,6 +650,10 @@ NB_MODULE(_model, m) {
         .def("friction", &PathHistory::friction)
         .def("save", &PathHistory::save)
         .def("restore", &PathHistory::restore, "state"_a);
+    nb::class_<FieldLookup>(m, "FieldLookup")
+        .def("sample", &FieldLookup::sample, "theta_b"_a.noconvert(), "l_b"_a.noconvert())
+        .def("check_path", &FieldLookup::check_path, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "field"_a.none(), "origin"_a.noconvert(),
+             "spacing"_a, "R_AB"_a.noconvert(), "p_AB"_a.noconvert(), "density"_a.noconvert(), "limits"_a.noconvert());
     nb::class_<Model>(m, "Model")
         .def(nb::init<const std::vector<std::vector<double>>&, const std::vector<std::vector<std::vector<double>>>&,
                       const std::vector<std::vector<double>>&, const std::vector<std::vector<double>>&>(),
@@ -574,6 +664,8 @@ NB_MODULE(_model, m) {
         .def("bound_many", &Model::bound_many, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "certificate"_a, "threads"_a)
         .def("tips", &Model::tips, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "threads"_a)
         .def("history", &Model::history, "certificate"_a, "breakaway"_a, "rotation"_a, "translation"_a)
+        .def("field_entries", &Model::field_entries, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "threads"_a)
+        .def("field_lookup", &Model::field_lookup, "axes"_a, "values"_a.noconvert(), "margin"_a)
         .def("number_names", &Model::number_names)
         .def("tips_with_friction", &Model::tips_with_friction, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(),
              "directions"_a, "certificate"_a, "threads"_a)

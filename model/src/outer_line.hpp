@@ -1,0 +1,47 @@
+// The line that touches the world: the centreline of the outermost tube present, in front of the plate.
+// Included inside anonymous namespaces by edge.cpp and bound_field.cpp.
+
+// Cubic Hermite between two nodes; tangents are unit, so that the element length scales them.
+inline Vec3 between(const Vec3& a, const Vec3& ta, const Vec3& b, const Vec3& tb, double h, double x) {
+    const double x2 = x * x, x3 = x2 * x, A = 1 - 3 * x2 + 2 * x3, B = h * (x - 2 * x2 + x3), C = 3 * x2 - 2 * x3, D = h * (x3 - x2);
+    Vec3 p;
+    for (int i = 0; i < 3; ++i) p[i] = A * a[i] + B * ta[i] + C * b[i] + D * tb[i];
+    return p;
+}
+
+// Calls visit(element, proximal point, distal point) for every element in front of the plate; the points are on the
+// outermost tube present, taken from this side of the distal node.
+template <class Visit>
+void for_outer_elements(const BoundSolver& bound, const Backbone& shape, const Visit& visit) {
+    const Mesh& mesh = bound.solver().mesh();
+    const KernelProblem& pb = mesh.problem();
+    for (int e = 0; e < pb.elements; ++e) {
+        if (mesh.s()[e + 1] <= 0) continue;
+        const bool goes_on = e + 1 < pb.elements && pb.element_tubes[e + 1] == pb.element_tubes[e];
+        visit(e, shape.outer_position[e], goes_on ? shape.outer_position[e + 1] : shape.frame[e + 1].p);
+    }
+}
+
+// Calls visit(point, radius) along the outermost tubes of one shape, at points no farther apart than `spacing`.
+template <class Visit>
+void for_outer_points(const BoundSolver& bound, const Backbone& shape, double spacing, const Visit& visit) {
+    const KernelProblem& pb = bound.solver().mesh().problem();
+    for_outer_elements(bound, shape, [&](int e, const Vec3& start, const Vec3& end) {
+        const double radius = bound.solver().robot().tubes[pb.tubes - pb.element_tubes[e]].outer_radius, h = pb.length[e];
+        const int count = std::max(1, static_cast<int>(std::ceil(h / spacing)));
+        for (int k = 0; k <= count; ++k)
+            visit(between(start, shape.frame[e].tangent(), end, shape.frame[e + 1].tangent(), h, static_cast<double>(k) / count), radius);
+    });
+}
+
+// The point at arc length s in front of the plate.
+inline Vec3 outer_point(const BoundSolver& bound, const Backbone& shape, double s) {
+    const std::vector<double>& nodes = bound.solver().mesh().s();
+    Vec3 point{0, 0, 0};
+    for_outer_elements(bound, shape, [&](int e, const Vec3& start, const Vec3& end) {
+        const double h = nodes[e + 1] - nodes[e];
+        if (s < nodes[e] - 1e-12 || s > nodes[e + 1] + 1e-12) return;
+        point = between(start, shape.frame[e].tangent(), end, shape.frame[e + 1].tangent(), h, std::clamp((s - nodes[e]) / h, 0.0, 1.0));
+    });
+    return point;
+}
