@@ -58,6 +58,8 @@ class BoundSolver {
     void prepare(const Configuration& q, const Accuracy& accuracy);
     void solve_frictionless();
     void solve_corners();
+    void slide_corner(std::size_t batch, int lane);
+    void slide_from_shared(LaneState& state, Convergence& result);
     void set_corner_phi(std::size_t batch);
     void measure();
     void advance(LaneState& state, const CarriedState& carried, const BarrierPath& path, Convergence* result);
