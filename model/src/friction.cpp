@@ -199,7 +199,7 @@ bool FrictionSolver::settle(LaneState& state, double level, double damping, int&
 void FrictionSolver::slide(LaneState& state, double level, Convergence& result) {
     const KernelProblem& pb = mesh_.problem();
     double damping = 0;
-    int steps = 0, saddles = 0;
+    int steps = 0, saddles = 0, wait = 0, patience = 1;  // steps in time before equilibrium is asked for again
     kept_.resize(pb, 1);
     while (steps < kSlidingSteps && damping < kMostDamping) {
         copy(state, kept_, 0);
@@ -207,15 +207,19 @@ void FrictionSolver::slide(LaneState& state, double level, Convergence& result) 
         const bool saddle = settled && damping == 0 && has_negative_twist_pivot(state, 0) && ++saddles < 5;
         if (!settled || saddle) {
             copy(kept_, state, 0);
+            if (damping == 0) wait = patience = std::min(2 * patience, 64);
             damping = std::max(kFirstDamping, 3 * damping);
-        } else if (damping == 0) {
+            continue;
+        }
+        --wait;
+        if (damping == 0) {
             if (level <= last_barrier_) {
                 solve(state, {level, last_barrier_}, &result);
-                if (result.converged) break;
-                damping = kFirstDamping;
+                break;
             }
             level = std::max(last_barrier_, 0.2 * level);
-        } else if (moved(state) < kAtRest && damping <= kFirstDamping) {
+            patience = 1;
+        } else if (moved(state) < kAtRest && damping <= kFirstDamping && wait <= 0) {
             damping = 0;
         } else if (moved(state) < 0.5 * kTrust) {
             damping = std::max(kLeastDamping, 0.4 * damping);
