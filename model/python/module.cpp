@@ -401,15 +401,15 @@ class Model {
         std::vector<double> out(all.size() * 7);
         {
             nb::gil_scoped_release release;
-            parallel(all.size(), threads, [&](ctr::BoundSolver&, std::size_t k) {
-                ctr::ZeroClearance solution;
+            parallel(all.size(), threads, [&](ctr::BoundSolver& solver, std::size_t k) {
+                ctr::ZeroClearance& solution = solver.zero_clearance();
                 const bool done = solution.solve(robot_, all[k]);
-                const ctr::Shape shape = ctr::make_shape(robot_, solution, all[k]);
-                const ctr::TubeShape& inner = shape.tubes.back();
+                const ctr::Frame tip = solution.tip();
+                const ctr::Vec3 tangent = tip.tangent();
                 double* row = &out[k * 7];
                 for (int i = 0; i < 3; ++i) {
-                    row[i] = inner.position.back()[i];
-                    row[3 + i] = inner.frame.back()[3 * i + 2];
+                    row[i] = tip.p[i];
+                    row[3 + i] = tangent[i];
                 }
                 row[6] = !done ? 3 : solution.negative_pivots() ? 2 : 0;
             });

@@ -42,9 +42,8 @@ void BoundSolver::solve_frictionless() {
         frictionless_convergence_.iterations += steps;
     }
     if (!frictionless_convergence_.converged) {
-        const BarrierPath sliding = BarrierPath::sliding(solver_.last_barrier());
-        solver_.start(frictionless_, q_, zero_, sliding.first);
-        solver_.solve(frictionless_, sliding, &frictionless_convergence_);
+        solver_.start(frictionless_, q_, zero_, BarrierPath::kFirst);
+        solver_.slide(frictionless_, BarrierPath::kFirst, frictionless_convergence_);
     }
     stability_ = solver_.stability(frictionless_, negative_);
 }
@@ -64,18 +63,37 @@ void BoundSolver::solve_corners() {
         state.resize(pb, kLanes);
         set_corner_phi(b);
         Convergence* result = &corner_convergence_[b * kLanes];
-        auto good = [&] { return std::all_of(result, result + kLanes, [](const Convergence& c) { return c.converged; }); };
         if (shared_is_good_) {
             solver_.spread(shared_, state);
             solver_.solve(state, BarrierPath::parted(solver_.last_barrier()), result);
-            if (good()) continue;
+        } else {
+            solver_.start(state, q_, zero_, BarrierPath::kFirst);
+            solver_.solve(state, BarrierPath::cold(solver_.last_barrier()), result);
         }
-        for (const BarrierPath& path : {BarrierPath::cold(solver_.last_barrier()), BarrierPath::sliding(solver_.last_barrier())}) {
-            solver_.start(state, q_, zero_, path.first);
-            solver_.solve(state, path, result);
-            if (good()) break;
-        }
+        for (int lane = 0; lane < kLanes; ++lane)
+            if (!result[lane].converged) slide_corner(b, lane);
     }
+}
+
+// Where friction leaves no equilibrium near the frictionless one.
+void BoundSolver::slide_corner(std::size_t batch, int lane) {
+    const int corner = static_cast<int>(batch) * kLanes + lane;
+    if (corner >= corners_) {  // spare lanes repeat the last corner
+        corner_convergence_[corner] = corner_convergence_[corners_ - 1];
+        return;
+    }
+    const KernelProblem& pb = solver_.mesh().problem();
+    trial_.resize(pb, 1);
+    for (int pair = 0; pair < pairs_; ++pair) phi_[pair] = sign(corner, pair);
+    trial_.set_phi(solver_.robot(), pb, 0, phi_.data());
+    slide_from_shared(trial_, corner_convergence_[corner]);
+    solver_.copy(trial_, *batches_[batch], lane);
+}
+
+void BoundSolver::slide_from_shared(LaneState& state, Convergence& result) {
+    if (shared_is_good_) solver_.spread(shared_, state);
+    else solver_.start(state, q_, zero_, BarrierPath::kFirst);
+    solver_.slide(state, shared_is_good_ ? BarrierPath::kParting : BarrierPath::kFirst, result);
 }
 
 void BoundSolver::solve(const Configuration& q, const Accuracy& accuracy) {
@@ -145,11 +163,10 @@ void BoundSolver::solve_single(const Configuration& q, const Accuracy& accuracy,
     if (std::all_of(phi.begin(), phi.end(), [](double value) { return value == 0; })) return;
     const KernelProblem& pb = solver_.mesh().problem();
     frictionless_.set_phi(solver_.robot(), pb, 0, phi.data());
-    for (const BarrierPath& path : {BarrierPath::cold(solver_.last_barrier()), BarrierPath::sliding(solver_.last_barrier())}) {
-        solver_.start(frictionless_, q_, zero_, path.first);
-        solver_.solve(frictionless_, path, &frictionless_convergence_);
-        if (frictionless_convergence_.converged) break;
-    }
+    const BarrierPath path = BarrierPath::cold(solver_.last_barrier());
+    solver_.start(frictionless_, q_, zero_, path.first);
+    solver_.solve(frictionless_, path, &frictionless_convergence_);
+    if (!frictionless_convergence_.converged) slide_from_shared(frictionless_, frictionless_convergence_);
 }
 
 void BoundSolver::search_others() {

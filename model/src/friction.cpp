@@ -9,9 +9,12 @@
 namespace ctr {
 namespace {
 
-constexpr double kFirstDamping = 30;     // 1/m^2, about the lowest torsional mode of a 0.2 m tube
-constexpr double kMostDamping = 100;     // 1/m^2
-constexpr double kSettled = 2e-3;        // rad
+constexpr double kFirstDamping = 30;      // 1/m^2, about the lowest torsional mode of a 0.2 m tube
+constexpr double kLeastDamping = 3, kMostDamping = 1e7;
+constexpr double kTrust = 0.3;            // rad that a step in time may turn a tube
+constexpr double kSettled = 1e-3;         // rad, last Newton step of a step in time
+constexpr double kAtRest = 0.01;          // rad, a step in time after which equilibrium is near
+constexpr int kSlidingSteps = 3000;       // Newton steps in all
 constexpr double kKeep = 0.95;            // fraction of the way to the boundary
 constexpr double kMaxTwistStep = 0.6;     // rad
 constexpr double kResidual = 1e-8;        // of EI * precurvature
@@ -48,9 +51,10 @@ void LaneState::set_phi(const Robot& robot, const KernelProblem& problem, int la
     }
 }
 
-KernelState LaneState::view() {
+KernelState LaneState::view(const LaneState* anchor) {
     return {unknowns_.data(),        multiplier_.data(), slack_.data(),    phi_mu_.data(), step_.data(),
-            multiplier_step_.data(), slack_step_.data(), diagonal_.data(), upper_.data(),  lower_.data(), rhs_.data(), load_moment_.data(), slip_, block_stride_};
+            multiplier_step_.data(), slack_step_.data(), diagonal_.data(), upper_.data(),  lower_.data(), rhs_.data(),
+            load_moment_.data(), slip_, anchor ? anchor->unknowns_.data() : nullptr, block_stride_};
 }
 
 FrictionSolver::FrictionSolver(const Robot& robot) : robot_(robot) {
@@ -124,14 +128,16 @@ void FrictionSolver::start(LaneState& state, const Configuration& q, const ZeroC
 }
 
 void FrictionSolver::spread(const LaneState& from, LaneState& to) const {
+    for (int lane = 0; lane < to.lanes(); ++lane) copy(from, to, lane);
+}
+
+void FrictionSolver::copy(const LaneState& from, LaneState& to, int lane) const {
     const KernelProblem& pb = mesh_.problem();
-    for (int lane = 0; lane < to.lanes(); ++lane) {
-        for (int k = 0; k < pb.nodes; ++k)
-            for (int i = 0; i < pb.stride; ++i) to.unknown(k, i, lane) = from.unknown(k, i, 0);
-        for (int k = 0; k < pb.contacts; ++k) {
-            to.multiplier(k, lane) = from.multiplier(k, 0);
-            to.slack(k, lane) = from.slack(k, 0);
-        }
+    for (int k = 0; k < pb.nodes; ++k)
+        for (int i = 0; i < pb.stride; ++i) to.unknown(k, i, lane) = from.unknown(k, i, 0);
+    for (int k = 0; k < pb.contacts; ++k) {
+        to.multiplier(k, lane) = from.multiplier(k, 0);
+        to.slack(k, lane) = from.slack(k, 0);
     }
 }
 
@@ -163,7 +169,7 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
     const KernelState view = state.view();
     const int lanes = state.lanes();
     const KernelTable& run = kernel(lanes);
-    alignas(kAlignment) double level[kLanes], damping[kLanes] = {}, primal[kLanes], dual[kLanes], moment[kLanes], gap[kLanes];
+    alignas(kAlignment) double level[kLanes], primal[kLanes], dual[kLanes], moment[kLanes], gap[kLanes];
     bool done[kLanes] = {};
     const double last = path.last * barrier_unit_;
     for (int lane = 0; lane < lanes; ++lane) {
@@ -173,7 +179,7 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
     }
     weigh(state);
     for (int k = 0; k < path.max_steps; ++k) {
-        run.newton(pb, view, level, damping);
+        run.newton(pb, view, level, nullptr);
         run.step_length(pb, view, kKeep, primal, dual);
         for (int lane = 0; lane < lanes; ++lane) {
             const double twist = largest_twist(state, lane);
@@ -182,19 +188,6 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
                 continue;
             }
             primal[lane] = std::min(primal[lane], kMaxTwistStep / std::max(twist, 1e-12));
-            if (path.trust == 0) continue;
-            // Redo a step that is too long stiffer: across a fold the Newton step would point the wrong way. Pivots of
-            // offsets say nothing here, friction makes their blocks unsymmetric.
-            if (twist > path.trust || (damping[lane] < kMostDamping && turns_away(state, lane))) {
-                damping[lane] = std::max(kFirstDamping, 2 * damping[lane]);
-                level[lane] = std::max(level[lane], std::min(3 * level[lane], BarrierPath::kSliding * barrier_unit_));  // contacts must move along
-                primal[lane] = dual[lane] = 0;
-            } else if (primal[lane] > 0.5) {
-                // where a fold is near the last of the damping stays until the twist settles
-                damping[lane] *= twist < 0.4 * path.trust ? 0.4 : 0.8;
-                if (damping[lane] > 0) damping[lane] = std::max(damping[lane], 0.4 * kFirstDamping);
-                if (twist < kSettled) damping[lane] = 0;
-            }
         }
         run.advance(pb, view, primal, dual);
         weigh(state);
@@ -207,7 +200,7 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
                 done[lane] = result[lane].converged = true;
                 continue;
             }
-            const double worst = damping[lane] > 0.4 * kFirstDamping ? 0 : std::min(primal[lane], dual[lane]);
+            const double worst = std::min(primal[lane], dual[lane]);
             if (worst > 0.3) level[lane] = std::max(last, level[lane] * (worst > 0.8 ? path.shrink : 0.5));
         }
         if (path.centre_only) {
@@ -227,6 +220,71 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
         }
         if (all) return;
     }
+}
+
+// Newton steps at one level, until they are full and small; false if they do not become so.
+bool FrictionSolver::settle(LaneState& state, double level, double damping, int& steps) {
+    constexpr int kMost = 16;
+    const KernelProblem& pb = mesh_.problem();
+    const KernelState view = state.view(&kept_);
+    const KernelTable& run = kernel(1);
+    const double barrier = level * barrier_unit_;
+    for (int k = 0; k < kMost; ++k) {
+        double primal, dual;
+        run.newton(pb, view, &barrier, &damping);
+        ++steps;
+        const double twist = largest_twist(state, 0);
+        if (!(twist < 1e6)) return false;
+        run.step_length(pb, view, kKeep, &primal, &dual);
+        primal = std::min(primal, kMaxTwistStep / std::max(twist, 1e-12));
+        run.advance(pb, view, &primal, &dual);
+        weigh(state);
+        if (moved(state) > 2 * kTrust) return false;
+        if (twist < kSettled && std::min(primal, dual) > 0.999) return true;
+    }
+    return false;
+}
+
+void FrictionSolver::slide(LaneState& state, double level, Convergence& result) {
+    const KernelProblem& pb = mesh_.problem();
+    double damping = 0;
+    int steps = 0, saddles = 0, wait = 0, patience = 1;  // steps in time before equilibrium is asked for again
+    kept_.resize(pb, 1);
+    while (steps < kSlidingSteps && damping < kMostDamping) {
+        copy(state, kept_, 0);
+        const bool settled = settle(state, level, damping, steps) && moved(state) < kTrust;
+        const bool saddle = settled && damping == 0 && turns_away(state, 0) && ++saddles < 5;
+        if (!settled || saddle) {
+            copy(kept_, state, 0);
+            weigh(state);
+            if (damping == 0) wait = patience = std::min(2 * patience, 64);
+            damping = std::max(kFirstDamping, 3 * damping);
+            continue;
+        }
+        --wait;
+        if (damping == 0) {
+            if (level <= last_barrier_) {
+                solve(state, {level, last_barrier_}, &result);
+                break;
+            }
+            level = std::max(last_barrier_, 0.2 * level);
+            patience = 1;
+        } else if (moved(state) < kAtRest && damping <= kFirstDamping && wait <= 0) {
+            damping = 0;
+        } else if (moved(state) < 0.5 * kTrust) {
+            damping = std::max(kLeastDamping, 0.4 * damping);
+        }
+    }
+    result.iterations += steps;
+}
+
+double FrictionSolver::moved(const LaneState& state) const {
+    const KernelProblem& pb = mesh_.problem();
+    double most = 0;
+    for (int node = 0; node < pb.nodes; ++node)
+        for (int t = 0; t < pb.tubes; ++t)
+            most = std::max(most, std::fabs(state.unknown(node, 5 * t, 0) - kept_.unknown(node, 5 * t, 0)));
+    return most;
 }
 
 double FrictionSolver::largest_twist(const LaneState& state, int lane) const {

@@ -238,10 +238,8 @@ bool History::slide() {
     const KernelProblem& pb = solver_.mesh().problem();
     state_.follow_slip(nullptr);
     for (int k = 0; k < pb.contacts; ++k) state_.set_phi_mu(k, 0, friction_[k] * std::clamp(last_phi_[k], -1.0, 1.0));
-    BarrierPath path = BarrierPath::sliding(solver_.last_barrier());
-    path.first = BarrierPath::kSliding;
-    solver_.recentre(state_, path.first);
-    solver_.solve(state_, path, &convergence_);
+    solver_.recentre(state_, BarrierPath::kParting);
+    solver_.slide(state_, BarrierPath::kParting, convergence_);
     if (!convergence_.converged) return false;
     state_.follow_slip(&law_);
     solver_.recentre(state_, 1);

@@ -27,12 +27,14 @@ inline void add_element(const KernelProblem& pb, const KernelState& st, int e, c
     if (st.slip) follow_slip<V>(pb, st, e, el);
     add_contacts<V, MATRIX>(pb, st, e, el, level);
     if (MATRIX && st.slip) add_slip_tangent<V>(pb, st, e, el);
-    if (!MATRIX) return;
+    if (!MATRIX || !st.anchor) return;
     for (int t = 0; t < m; ++t) {  // lumped, so that it never couples nodes
         const V mass = damping[0] * (0.5 * pb.length[e] * pb.torsional_stiffness[t]);
-        const int i = theta_index(t) * (el.ld + 1);
-        el.block[0][0][i] += mass;
-        el.block[1][1][i] += mass;
+        const int i = theta_index(t);
+        for (int a = 0; a < 2; ++a) {
+            el.r[a][i] += mass * (el.x[a][i] - lanes<V>(st.anchor)[(e + a) * pb.stride + i]);
+            el.block[a][a][i * (el.ld + 1)] += mass;
+        }
     }
 }
 
@@ -92,7 +94,7 @@ void newton(const KernelProblem& pb, const KernelState& st, const double* level_
     V level = zero_of(V{}), damping = zero_of(V{});
     for (int lane = 0; lane < Lane<V>::count; ++lane) {
         Lane<V>::at(level, lane) = level_values[lane];
-        Lane<V>::at(damping, lane) = damping_values[lane];
+        if (st.anchor) Lane<V>::at(damping, lane) = damping_values[lane];
     }
     V *r = lanes<V>(st.rhs), *A = lanes<V>(st.diagonal), *U = lanes<V>(st.upper), *L = lanes<V>(st.lower);
     clear(r, pb.nodes * stride);

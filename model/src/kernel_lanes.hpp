@@ -66,6 +66,11 @@ inline V* lanes(double* pointer) {
 }
 
 template <class V>
+inline const V* lanes(const double* pointer) {
+    return reinterpret_cast<const V*>(pointer);
+}
+
+template <class V>
 inline void clear(V* values, int count) {
     const V zero = zero_of(V{});
     for (int i = 0; i < count; ++i) values[i] = zero;

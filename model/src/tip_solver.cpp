@@ -30,10 +30,10 @@ Status TipSolver::solve(const Configuration& q, const Accuracy& accuracy, const 
         solver_.spread(shared_, state_);
         solver_.solve(state_, BarrierPath::parted(solver_.last_barrier()), &convergence_);
     }
-    for (const BarrierPath& path : {BarrierPath::cold(solver_.last_barrier()), BarrierPath::sliding(solver_.last_barrier())}) {
-        if (convergence_.converged) break;
-        solver_.start(state_, q_, zero_, path.first);
-        solver_.solve(state_, path, &convergence_);
+    if (!convergence_.converged) {
+        if (shared_is_good_) solver_.spread(shared_, state_);
+        else solver_.start(state_, q_, zero_, BarrierPath::kFirst);
+        solver_.slide(state_, shared_is_good_ ? BarrierPath::kParting : BarrierPath::kFirst, convergence_);
     }
     trace_backbone(solver_, state_, 0, q_.l.back(), backbone_);
     if (!convergence_.converged) return Status::failed;

@@ -8,32 +8,89 @@
 namespace ctr {
 namespace {
 
-constexpr double kElementLength = 12e-3;  // m; leaves less than 1e-6 m at the tip of the three-tube robot
+constexpr double kElementTurn = 0.45;      // element length times the rate at which angles decay: below 1e-6 m at the tip
+constexpr double kLongestElement = 0.05;  // m
 constexpr double kMergeDistance = 1e-7;   // m
-constexpr double kTolerance = 1e-11;      // torque imbalance over EI * precurvature
+constexpr double kTolerance = 1e-10;      // torque imbalance over EI * precurvature
+constexpr double kSettled = 3e-5;         // rad; Newton's method leaves the square of its last step
 constexpr double kAligned = 1.0;          // rad; pairs turned less than this against each other have one well
 constexpr double kDistinct = 0.1;         // rad between the angles of different equilibria
+constexpr double kConvexity = 1.02;       // margin for what the elements do not resolve
 constexpr int kMaxNewton = 12;
 constexpr double kFirstCorrection = 0.35; // rad: a larger first corrector step means the predictor left the branch
+constexpr double kFirstStep = 0.5, kLongestStep = 0.5, kShortestStep = 1e-5;  // of the continuation
+constexpr double kBifurcationStep = 1e-3;
+constexpr double kTipStep = 8e-3;         // m, of the integration of the centreline
 
-constexpr double kPoint[3] = {0.11270166537925831148, 0.5, 0.88729833462074168852};
-constexpr double kWeight[3] = {5.0 / 18, 8.0 / 18, 5.0 / 18};
+#include "zero_clearance_blocks.hpp"
+
+// Calls work with the number of tubes as a constant where it is a usual one.
+template <class Work>
+__attribute__((always_inline)) inline auto with_constant(int m, const Work& work) {
+    switch (m) {
+        case 2: return work(2);
+        case 3: return work(3);
+        case 4: return work(4);
+        default: return work(m);
+    }
+}
 
 }  // namespace
+
+bool ZeroClearance::is_clamped(int t) const { return -base_l_[t] <= kMergeDistance && shaft_[t] == 0; }
+
+double ZeroClearance::transmission_stiffness(int t) const { return 1 / (shaft_[t] - base_l_[t] / gj_[t]); }
+
+// Rate at which the angles decay or oscillate around a middle of an element, 1/m.
+double ZeroClearance::turn_rate(const Robot& robot, double middle) const {
+    double size[kMaxTubes], total = 0, most = 0;
+    for (int t = 0; t < n_; ++t) {
+        if (middle > end_s_[t]) {
+            size[t] = 0;
+            continue;
+        }
+        const Section& here = section_at(robot.tubes[n_ - 1 - t], middle - base_l_[t]);
+        size[t] = ei_[t] * std::hypot(here.curvature_x, here.curvature_y);
+        total += ei_[t];
+    }
+    for (int t = 0; t < n_; ++t) {
+        double sum = 0;
+        for (int l = 0; l < n_; ++l) sum += l != t ? size[l] : 0.0;
+        most = std::max(most, size[t] * sum / (total * gj_[t]));
+    }
+    return std::sqrt(most);
+}
+
+void ZeroClearance::place_nodes(const Robot& robot, const std::vector<double>& breaks) {
+    // beyond the second longest tube nothing twists
+    const double end = n_ > 1 ? end_s_[1] : 0.0;
+    s_.assign(1, 0.0);
+    for (double b : breaks) {
+        if (b > end + kMergeDistance) break;
+        const double from = s_.back(), span = b - from;
+        if (span <= kMergeDistance) continue;
+        const double longest = std::min(kLongestElement, kElementTurn / std::max(turn_rate(robot, from + 0.5 * span), 1e-3));
+        const int count = std::max(1, static_cast<int>(std::ceil(span / longest - 1e-9)));
+        for (int k = 1; k <= count; ++k) s_.push_back(from + span * k / count);
+    }
+    nodes_ = static_cast<int>(s_.size());
+}
 
 void ZeroClearance::build(const Robot& robot, const Configuration& q) {
     n_ = robot.count();
     ld_ = 2 * n_;
+    ei_.resize(n_);
     gj_.resize(n_);
     base_theta_.resize(n_);
     base_l_.resize(n_);
     shaft_.resize(n_);
     end_s_.resize(n_);
-    std::vector<double> breaks{0.0};
+    breaks_.assign(1, 0.0);
     scale_moment_ = 1e-12;
     for (int t = 0; t < n_; ++t) {
         const int i = n_ - 1 - t;
         const Tube& tube = robot.tubes[i];
+        ei_[t] = tube.bending_stiffness;
         gj_[t] = tube.torsional_stiffness;
         base_theta_[t] = q.theta[i];
         base_l_[t] = q.l[i];
@@ -41,34 +98,21 @@ void ZeroClearance::build(const Robot& robot, const Configuration& q) {
         double s = q.l[i];
         for (const Section& section : tube.sections) {
             s += section.length;
-            if (s > 0) breaks.push_back(s);
+            if (s > 0) breaks_.push_back(s);
             scale_moment_ = std::max(scale_moment_, tube.bending_stiffness * std::hypot(section.curvature_x, section.curvature_y));
         }
         end_s_[t] = s;
     }
-    // beyond the second longest tube nothing twists
-    const double end = n_ > 1 ? end_s_[1] : 0.0;
-    std::sort(breaks.begin(), breaks.end());
-    s_.assign(1, 0.0);
-    for (double b : breaks) {
-        if (b > end + kMergeDistance) break;
-        const double from = s_.back(), span = b - from;
-        if (span <= kMergeDistance) continue;
-        const int count = std::max(1, static_cast<int>(std::ceil(span / kElementLength - 1e-9)));
-        for (int k = 1; k <= count; ++k) s_.push_back(from + span * k / count);
-    }
-    nodes_ = static_cast<int>(s_.size());
+    std::sort(breaks_.begin(), breaks_.end());
+    place_nodes(robot, breaks_);
     tubes_.assign(nodes_, n_);
-    v_.assign(static_cast<std::size_t>(nodes_) * 3 * n_ * 2, 0.0);
+    v_.assign(static_cast<std::size_t>(nodes_) * kGaussPoints * n_ * 2, 0.0);
     P_.assign(static_cast<std::size_t>(n_ + 1) * n_ * n_, 0.0);
     for (int m = 1; m <= n_; ++m) {
         double total = 0;
-        for (int t = 0; t < m; ++t) total += robot.tubes[n_ - 1 - t].bending_stiffness;
+        for (int t = 0; t < m; ++t) total += ei_[t];
         for (int t = 0; t < m; ++t)
-            for (int l = 0; l < m; ++l) {
-                const double a = robot.tubes[n_ - 1 - t].bending_stiffness, b = robot.tubes[n_ - 1 - l].bending_stiffness;
-                P_[(m * n_ + t) * n_ + l] = (t == l ? a : 0.0) - a * b / total;
-            }
+            for (int l = 0; l < m; ++l) P_[(m * n_ + t) * n_ + l] = (t == l ? ei_[t] : 0.0) - ei_[t] * ei_[l] / total;
     }
     for (int e = 0; e + 1 < nodes_; ++e) {
         const double middle = 0.5 * (s_[e] + s_[e + 1]);
@@ -76,168 +120,119 @@ void ZeroClearance::build(const Robot& robot, const Configuration& q) {
         for (int t = 0; t < n_; ++t)
             if (middle < end_s_[t]) ++m;
         tubes_[e] = m;
-        for (int g = 0; g < 3; ++g)
-            for (int t = 0; t < m; ++t)
+        for (int t = 0; t < m; ++t)
+            for (int g = 0; g < kGaussPoints; ++g)
                 precurvature_at(robot.tubes[n_ - 1 - t], s_[e] + kPoint[g] * (s_[e + 1] - s_[e]) - base_l_[t], middle - base_l_[t],
-                                &v_[((e * 3 + g) * n_ + t) * 2]);
+                                &v_[((e * kGaussPoints + g) * n_ + t) * 2]);
     }
-    const std::size_t block = static_cast<std::size_t>(nodes_) * ld_ * ld_, vector = static_cast<std::size_t>(nodes_) * ld_;
+    tip_s_.clear();
+    tip_v_.clear();
+    double s = q.l[n_ - 1];
+    for (const Section& section : robot.tubes[n_ - 1].sections)
+        if ((s += section.length) > s_.back()) {
+            const double begin = std::max(s - section.length, s_.back()), inside = 0.5 * (begin + s) - base_l_[0];
+            tip_s_.push_back(s);
+            tip_v_.resize(tip_v_.size() + 4);
+            precurvature_at(robot.tubes[n_ - 1], begin - base_l_[0], inside, &tip_v_[tip_v_.size() - 4]);
+            precurvature_at(robot.tubes[n_ - 1], s - base_l_[0], inside, &tip_v_[tip_v_.size() - 2]);
+        }
+    const std::size_t vector = static_cast<std::size_t>(nodes_) * ld_, block = vector * ld_;
     x_.assign(vector, 0.0);
     r_.resize(vector);
     step_.resize(vector);
     tangent_.resize(vector);
     A_.resize(block);
     U_.resize(block);
-    L_.resize(block);
     for (int k = 0; k < nodes_; ++k)
         for (int t = 0; t < n_; ++t) x_[k * ld_ + 2 * t] = base_theta_[t];
 }
 
-bool ZeroClearance::is_clamped(int t) const { return -base_l_[t] <= kMergeDistance && shaft_[t] == 0; }
-
-double ZeroClearance::transmission_stiffness(int t) const { return 1 / (shaft_[t] - base_l_[t] / gj_[t]); }
-
-// Unknowns of a node: [theta_t, theta_t'] innermost first. Returns the largest torque imbalance at the present angles.
-double ZeroClearance::assemble(double scale, bool factor) {
-    std::fill(r_.begin(), r_.end(), 0.0);
-    if (factor) {
-        std::fill(A_.begin(), A_.end(), 0.0);
-        std::fill(U_.begin(), U_.end(), 0.0);
-    }
-    energy_ = 0;
-    const int block = ld_ * ld_;
-    // transmission behind the plate: a torsion spring from the collar, or a fixed angle where the collar is at the plate
-    for (int t = 0; t < n_; ++t) {
-        if (is_clamped(t)) continue;
-        const double k = transmission_stiffness(t), turn = x_[2 * t] - base_theta_[t];
-        energy_ += 0.5 * k * turn * turn;
-        r_[2 * t] += k * turn;
-        if (factor) A_[2 * t * ld_ + 2 * t] += k;
-    }
-    for (int e = 0; e + 1 < nodes_; ++e) {
-        const int m = tubes_[e];
-        const double h = s_[e + 1] - s_[e];
-        const double *xa = &x_[e * ld_], *xb = &x_[(e + 1) * ld_], *P = &P_[m * n_ * n_];
-        double *ra = &r_[e * ld_], *rb = &r_[(e + 1) * ld_];
-        double* blocks[2][2] = {{&A_[e * block], &U_[e * block]}, {nullptr, &A_[(e + 1) * block]}};
-        for (int gauss = 0; gauss < 3; ++gauss) {
-            const double x = kPoint[gauss], weight = kWeight[gauss] * h, *v = &v_[(e * 3 + gauss) * n_ * 2];
-            const double N[4] = {1 - 3 * x * x + 2 * x * x * x, h * (x - 2 * x * x + x * x * x), 3 * x * x - 2 * x * x * x,
-                                 h * (x * x * x - x * x)};
-            const double B[4] = {6 * (x * x - x) / h, 1 - 4 * x + 3 * x * x, 6 * (x - x * x) / h, 3 * x * x - 2 * x};
-            double w[kMaxTubes][2], g[kMaxTubes][2], rate[kMaxTubes];
-            for (int t = 0; t < m; ++t) {
-                const double theta = N[0] * xa[2 * t] + N[1] * xa[2 * t + 1] + N[2] * xb[2 * t] + N[3] * xb[2 * t + 1];
-                rate[t] = B[0] * xa[2 * t] + B[1] * xa[2 * t + 1] + B[2] * xb[2 * t] + B[3] * xb[2 * t + 1];
-                const double c = std::cos(theta), s = std::sin(theta), vx = v[2 * t], vy = v[2 * t + 1];
-                w[t][0] = c * vx - s * vy;
-                w[t][1] = s * vx + c * vy;
-            }
-            for (int t = 0; t < m; ++t) {
-                g[t][0] = g[t][1] = 0;
-                for (int l = 0; l < m; ++l) {
-                    g[t][0] += P[t * n_ + l] * w[l][0];
-                    g[t][1] += P[t * n_ + l] * w[l][1];
-                }
-                energy_ += weight * (0.5 * gj_[t] * rate[t] * rate[t] + 0.5 * scale * (g[t][0] * w[t][0] + g[t][1] * w[t][1]));
-                // dE/dtheta_t = g . J w
-                const double torque = weight * scale * (g[t][1] * w[t][0] - g[t][0] * w[t][1]);
-                const double twist = weight * gj_[t] * rate[t];
-                for (int a = 0; a < 2; ++a) {
-                    ra[2 * t + a] += N[a] * torque + B[a] * twist;
-                    rb[2 * t + a] += N[2 + a] * torque + B[2 + a] * twist;
-                }
-            }
-            if (!factor) continue;
-            for (int t = 0; t < m; ++t)
-                for (int l = 0; l < m; ++l) {
-                    double value = scale * weight * P[t * n_ + l] * (w[t][0] * w[l][0] + w[t][1] * w[l][1]);
-                    double twist = 0;
-                    if (t == l) {
-                        value -= scale * weight * (g[t][0] * w[t][0] + g[t][1] * w[t][1]);
-                        twist = weight * gj_[t];
-                    }
-                    for (int a = 0; a < 4; ++a)
-                        for (int b = (a & 2); b < 4; ++b)  // lower triangle of nodes is the transpose
-                            blocks[a >> 1][b >> 1][(2 * t + (a & 1)) * ld_ + 2 * l + (b & 1)] +=
-                                value * N[a] * N[b] + twist * B[a] * B[b];
-                }
-        }
-    }
-    // fixed and absent unknowns: identity rows
-    double worst = 0;
-    for (int k = 0; k < nodes_; ++k) {
-        const int m = k == 0 ? n_ : tubes_[k - 1];
-        for (int i = 0; i < ld_; ++i) {
-            const bool absent = i >= 2 * m || nodes_ == 1;
-            const bool fixed = k == 0 && i % 2 == 0 && is_clamped(i / 2);
-            if (absent || fixed) {
-                r_[k * ld_ + i] = 0;
-                if (factor) {
-                    for (int j = 0; j < ld_; ++j) {
-                        A_[k * block + i * ld_ + j] = A_[k * block + j * ld_ + i] = i == j ? 1.0 : 0.0;
-                        U_[k * block + i * ld_ + j] = 0;
-                        if (k > 0) U_[(k - 1) * block + j * ld_ + i] = 0;
-                    }
-                }
-            } else {
-                const double unit = i % 2 ? 1 / kElementLength : 1.0;
-                worst = std::max(worst, std::fabs(r_[k * ld_ + i]) * unit);
-            }
-        }
-    }
-    return worst / scale_moment_;
+void ZeroClearance::clear_blocks() {
+    std::fill(A_.begin(), A_.end(), 0.0);
+    std::fill(U_.begin(), U_.end(), 0.0);
 }
 
-// Symmetric block elimination without pivoting; counts negative pivots (the inertia of the second variation).
-void ZeroClearance::solve_system() {
-    const int block = ld_ * ld_;
-    negative_ = 0;
-    for (int k = 0; k < nodes_; ++k) {
-        double *A = &A_[k * block], *U = &U_[k * block], *r = &r_[k * ld_];
-        const bool last = k + 1 == nodes_;
-        const int width = last ? 0 : ld_;
-        if (!last) std::copy(U, U + block, &L_[k * block]);
-        for (int j = 0; j < ld_; ++j) {
-            if (A[j * ld_ + j] < 0) ++negative_;
-            const double pivot = 1 / A[j * ld_ + j];
-            for (int i = j + 1; i < ld_; ++i) {
-                const double f = A[i * ld_ + j] * pivot;
-                if (f == 0) continue;
-                for (int c = j; c < ld_; ++c) A[i * ld_ + c] -= f * A[j * ld_ + c];
-                for (int c = 0; c < width; ++c) U[i * ld_ + c] -= f * U[j * ld_ + c];
-                r[i] -= f * r[j];
-            }
-        }
-        for (int i = ld_ - 1; i >= 0; --i) {
-            const double pivot = 1 / A[i * ld_ + i];
-            for (int j = i + 1; j < ld_; ++j) {
-                const double f = A[i * ld_ + j];
-                if (f == 0) continue;
-                for (int c = 0; c < width; ++c) U[i * ld_ + c] -= f * U[j * ld_ + c];
-                r[i] -= f * r[j];
-            }
-            for (int c = 0; c < width; ++c) U[i * ld_ + c] *= pivot;
-            r[i] *= pivot;
-        }
-        if (last) break;
-        const double* T = &L_[k * block];  // the coupling block before elimination; its transpose is the lower one
-        double *next = &A_[(k + 1) * block], *next_r = &r_[(k + 1) * ld_];
-        for (int j = 0; j < ld_; ++j)
-            for (int i = 0; i < ld_; ++i) {
-                const double f = T[j * ld_ + i];
-                if (f == 0) continue;
-                for (int c = 0; c < ld_; ++c) next[i * ld_ + c] -= f * U[j * ld_ + c];
-                next_r[i] -= f * r[j];
-            }
+// The tubes behind the plate: torsion springs from the bases.
+void ZeroClearance::add_transmissions(bool matrix) {
+    for (int t = 0; t < n_; ++t) {
+        if (is_clamped(t)) continue;
+        const double k = transmission_stiffness(t);
+        r_[2 * t] += k * (x_[2 * t] - base_theta_[t]);
+        if (matrix) A_[2 * t * ld_ + 2 * t] += k;
     }
-    for (int k = nodes_ - 1; k >= 0; --k)
-        for (int i = 0; i < ld_; ++i) {
-            double sum = -r_[k * ld_ + i];
-            if (k + 1 < nodes_)
-                for (int j = 0; j < ld_; ++j) sum -= U_[k * block + i * ld_ + j] * step_[(k + 1) * ld_ + j];
-            step_[k * ld_ + i] = sum;
-        }
+}
+
+// Identity rows for angles that are fixed at the plate; returns the largest imbalance of the others.
+double ZeroClearance::hold_fixed(bool matrix) {
+    for (int t = 0; t < n_; ++t) {
+        if (!is_clamped(t)) continue;
+        const int i = 2 * t;
+        r_[i] = 0;
+        if (!matrix) continue;
+        for (int j = 0; j < ld_; ++j) A_[i * ld_ + j] = A_[j * ld_ + i] = U_[i * ld_ + j] = 0;
+        A_[i * ld_ + i] = 1;
+    }
+    double worst = 0;
+    for (int k = 0; k < nodes_; ++k) {
+        const double length = s_[std::min(k + 1, nodes_ - 1)] - s_[std::max(k - 1, 0)];
+        for (int i = 0; i < node_unknowns(k); ++i) worst = std::max(worst, std::fabs(r_[k * ld_ + i]) / (i % 2 ? length : 1.0));
+    }
+    return worst;
+}
+
+double ZeroClearance::assemble(double scale, bool matrix) {
+    std::fill(r_.begin(), r_.end(), 0.0);
+    if (matrix) clear_blocks();
+    add_transmissions(matrix);
+    const int block = ld_ * ld_;
+    for (int e = 0; e + 1 < nodes_; ++e) {
+        const ElementData data{s_[e + 1] - s_[e], &P_[tubes_[e] * n_ * n_], gj_.data(), &v_[e * kGaussPoints * n_ * 2],
+                               &x_[e * ld_], &x_[(e + 1) * ld_], &r_[e * ld_], &r_[(e + 1) * ld_],
+                               &A_[e * block], &U_[e * block], &A_[(e + 1) * block], n_, ld_};
+        if (matrix) with_constant(tubes_[e], [&](int m) __attribute__((always_inline)) { add_element(m, data, scale, true); });
+        else with_constant(tubes_[e], [&](int m) __attribute__((always_inline)) { add_element(m, data, scale, false); });
+    }
+    return hold_fixed(matrix) / scale_moment_;
+}
+
+bool ZeroClearance::is_convex() {
+    std::fill(r_.begin(), r_.end(), 0.0);
+    clear_blocks();
+    add_transmissions(true);
+    const int block = ld_ * ld_;
+    for (int e = 0; e + 1 < nodes_; ++e) {
+        const ElementData data{s_[e + 1] - s_[e], &P_[tubes_[e] * n_ * n_], gj_.data(), &v_[e * kGaussPoints * n_ * 2],
+                               &x_[e * ld_], &x_[(e + 1) * ld_], &r_[e * ld_], &r_[(e + 1) * ld_],
+                               &A_[e * block], &U_[e * block], &A_[(e + 1) * block], n_, ld_};
+        with_constant(tubes_[e], [&](int m) __attribute__((always_inline)) { add_least(m, data, kConvexity); });
+    }
+    hold_fixed(true);
+    return factorise() == 0;
+}
+
+int ZeroClearance::factorise() {
+    int negative = 0;
+    const int block = ld_ * ld_;
+    for (int k = 0; k < nodes_; ++k) {
+        const int p = node_unknowns(k), q = k + 1 < nodes_ ? node_unknowns(k + 1) : 0;
+        double *A = &A_[k * block], *U = &U_[k * block], *r = &r_[k * ld_], *next = A + block, *next_r = r + ld_;
+        if (p == 6 && q == 6) negative += eliminate(6, 6, A, U, r, next, next_r, ld_);
+        else if (p == 4 && q == 4) negative += eliminate(4, 4, A, U, r, next, next_r, ld_);
+        else if (p == 8 && q == 8) negative += eliminate(8, 8, A, U, r, next, next_r, ld_);
+        else negative += eliminate(p, q, A, U, r, next, next_r, ld_);
+    }
+    return negative;
+}
+
+void ZeroClearance::solve_system() {
+    negative_ = factorise();
+    const int block = ld_ * ld_;
+    for (int k = nodes_ - 1; k >= 0; --k) {
+        const int p = node_unknowns(k), q = k + 1 < nodes_ ? node_unknowns(k + 1) : 0;
+        double* step = &step_[k * ld_];
+        for (int i = p; i < ld_; ++i) step[i] = 0;
+        substitute(p, q, &A_[k * block], &U_[k * block], &r_[k * ld_], step + ld_, step, ld_);
+    }
 }
 
 bool ZeroClearance::correct(double scale, double first_step_limit) {
@@ -253,54 +248,73 @@ bool ZeroClearance::correct(double scale, double first_step_limit) {
             for (int t = 0; t < n_; ++t) largest = std::max(largest, std::fabs(step_[node * ld_ + 2 * t]));
         if (!std::isfinite(largest)) return false;
         if (k == 0 && largest > first_step_limit) return false;
-        if (imbalance < kTolerance) return true;
         if (k > 2 && largest > 0.9 * previous && imbalance > 1e3 * kTolerance) return false;  // not contracting: leave it
         previous = largest;
         for (std::size_t i = 0; i < x_.size(); ++i) x_[i] += step_[i];
+        if (largest < kSettled) return true;
     }
     return assemble(scale, false) < kTolerance;
 }
 
-bool ZeroClearance::solve(const Robot& robot, const Configuration& q) {
-    build(robot, q);
-    iterations_ = 0;
-    double scale = 0, step = 0.5;
+// Continuation of the precurvature, its square from 0 to 1 times the robot's own. A branch turns from minima to saddles at
+// bifurcations only, which takes symmetric joints: what looks like it is a step that has left the branch, unless short
+// steps say the same.
+bool ZeroClearance::follow_branch() {
+    double scale = 0, step = kFirstStep, tangent_step = 1;
     std::fill(tangent_.begin(), tangent_.end(), 0.0);
-    double tangent_step = 1;
+    int saddle = 0;
     while (scale < 1) {
         const double next = std::min(1.0, scale + step);
         best_ = x_;
         for (std::size_t i = 0; i < x_.size(); ++i) x_[i] += tangent_[i] * (next - scale) / tangent_step;
-        if (correct(next, kFirstCorrection)) {
+        const bool done = correct(next, kFirstCorrection);
+        if (done && (negative_ <= saddle || step < kBifurcationStep)) {
             for (std::size_t i = 0; i < x_.size(); ++i) tangent_[i] = x_[i] - best_[i];
             tangent_step = next - scale;
             scale = next;
-            step = std::min(1.5 * step, 0.5);
+            saddle = negative_;
+            step = std::min(1.5 * step, kLongestStep);
         } else {
             x_ = best_;
             step *= 0.5;
-            if (step < 1e-5) return false;
+            if (step < kShortestStep) return false;
         }
+    }
+    return true;
+}
+
+bool ZeroClearance::solve(const Robot& robot, const Configuration& q) {
+    build(robot, q);
+    iterations_ = negative_ = 0;
+    unique_ = nodes_ < 2 || is_convex();
+    if (nodes_ < 2) return true;
+    if (!(unique_ && correct(1.0, 1e9))) {
+        for (int k = 0; k < nodes_; ++k)
+            for (int t = 0; t < n_; ++t) {
+                x_[k * ld_ + 2 * t] = base_theta_[t];
+                x_[k * ld_ + 2 * t + 1] = 0;
+            }
+        if (!follow_branch()) return false;
     }
     residual_ = assemble(1.0, false);
     return residual_ < 10 * kTolerance;
 }
 
-bool ZeroClearance::restart(const Robot& robot, const Configuration& q, const std::vector<double>& twist) {
-    const std::vector<double> kept = x_;
-    build(robot, q);
-    if (kept.size() == x_.size()) x_ = kept;
+// Newton's method on the full precurvature from the present angles plus `twist` [rad per tube] that grows linearly from the
+// bases to the tips.
+bool ZeroClearance::turn_and_correct(const std::vector<double>& twist) {
     for (int k = 0; k < nodes_; ++k)
         for (int t = 0; t < n_; ++t) x_[k * ld_ + 2 * t] += twist[t] * (s_[k] - base_l_[t]) / std::max(s_.back() - base_l_[t], 1e-9);
     iterations_ = 0;
     const bool done = correct(1.0, 1e9);
     residual_ = assemble(1.0, false);
-    return done;
+    return done && residual_ < 10 * kTolerance;
 }
 
-int ZeroClearance::search_other(const Robot& robot, const Configuration& q, int from, ZeroClearance& other) const {
+int ZeroClearance::search_other(const Robot&, const Configuration&, int from, ZeroClearance& other) const {
     constexpr double kTurns[] = {1.25, 1.0, 1.5, 3.0};
     constexpr int kCount = 4;
+    if (unique_) return -1;
     std::vector<double> twist(n_);
     for (int attempt = from; attempt < kCount * (n_ - 1); ++attempt) {
         const int inner = attempt / kCount;  // pairs counted from the innermost
@@ -309,7 +323,7 @@ int ZeroClearance::search_other(const Robot& robot, const Configuration& q, int 
         if (std::fabs(between) < kAligned) continue;
         for (int t = 0; t < n_; ++t) twist[t] = t <= inner ? std::copysign(kTurns[attempt % kCount], between) : 0.0;
         other = *this;
-        if (!other.restart(robot, q, twist) || other.negative_pivots() > 0) continue;
+        if (!other.turn_and_correct(twist) || other.negative_pivots() > 0) continue;
         for (int t = 0; t < n_; ++t)
             if (std::fabs(other.theta(t, end_s_[t]) - theta(t, end_s_[t])) > kDistinct) return attempt;
     }
@@ -337,15 +351,67 @@ double ZeroClearance::theta(int t, double s) const {
 }
 
 double ZeroClearance::twist_rate(int t, double s) const {
-    if (s <= 0) {
-        return is_clamped(t) ? 0.0 : transmission_stiffness(t) * (x_[2 * t] - base_theta_[t]) / gj_[t];
-    }
+    if (s <= 0) return is_clamped(t) ? 0.0 : transmission_stiffness(t) * (x_[2 * t] - base_theta_[t]) / gj_[t];
     if (nodes_ < 2 || s >= std::min(end_s_[t], s_.back())) return 0.0;
     const int e = locate(s);
     const double h = s_[e + 1] - s_[e], x = (s - s_[e]) / h;
     const double *a = &x_[e * ld_ + 2 * t], *b = &x_[(e + 1) * ld_ + 2 * t];
     return 6 * (x * x - x) / h * a[0] + (1 - 4 * x + 3 * x * x) * a[1] + 6 * (x - x * x) / h * b[0] +
            (3 * x * x - 2 * x) * b[1];
+}
+
+Frame ZeroClearance::tip() const {
+    Frame frame;
+    double angle[2 * kMaxTubes + 1] = {}, sine[2 * kMaxTubes + 1], cosine[2 * kMaxTubes + 1], kappa[2][2];
+    constexpr double kHalf = 0.28867513459481288225;  // half the distance of two Gauss points
+    for (int e = 0; e + 1 < nodes_; ++e) {
+        const int m = tubes_[e], count = static_cast<int>(std::ceil((s_[e + 1] - s_[e]) / kTipStep));
+        const double h = s_[e + 1] - s_[e], *a = &x_[e * ld_], *b = a + ld_;
+        double total = 0;
+        for (int t = 0; t < m; ++t) total += ei_[t];
+        for (int k = 0; k < count; ++k) {
+            for (int g = 0; g < 2; ++g) {
+                const double x = (k + 0.5 + (g ? kHalf : -kHalf)) / count, x2 = x * x, x3 = x2 * x;
+                for (int t = 0; t < m; ++t)
+                    angle[g * m + t] = (1 - 3 * x2 + 2 * x3) * a[2 * t] + h * (x - 2 * x2 + x3) * a[2 * t + 1] +
+                                       (3 * x2 - 2 * x3) * b[2 * t] + h * (x3 - x2) * b[2 * t + 1];
+            }
+            sines_cosines(angle, sine, cosine, 2 * m);
+            for (int g = 0; g < 2; ++g) {
+                kappa[g][0] = kappa[g][1] = 0;
+                // linear along the element
+                const double *first = &v_[e * kGaussPoints * n_ * 2], *last = first + (kGaussPoints - 1) * n_ * 2;
+                const double part = ((k + 0.5 + (g ? kHalf : -kHalf)) / count - kPoint[0]) / (kPoint[kGaussPoints - 1] - kPoint[0]);
+                double v[2 * kMaxTubes];
+                for (int i = 0; i < 2 * m; ++i) v[i] = first[i] + part * (last[i] - first[i]);
+                for (int t = 0; t < m; ++t) {
+                    const double s = ei_[t] / total * sine[g * m + t], c = ei_[t] / total * cosine[g * m + t];
+                    kappa[g][0] += c * v[2 * t] - s * v[2 * t + 1];
+                    kappa[g][1] += s * v[2 * t] + c * v[2 * t + 1];
+                }
+            }
+            advance(frame, kappa[0], kappa[1], h / count);
+        }
+    }
+    // beyond, the innermost tube alone: arcs
+    double s = s_.back();
+    const double c = std::cos(x_[(nodes_ - 1) * ld_]), n = std::sin(x_[(nodes_ - 1) * ld_]);
+    for (std::size_t k = 0; k < tip_s_.size(); ++k) {
+        const double* v = &tip_v_[4 * k];
+        const bool arc = v[0] == v[2] && v[1] == v[3];
+        const int count = arc ? 1 : static_cast<int>(std::ceil((tip_s_[k] - s) / kTipStep));
+        for (int step = 0; step < count; ++step) {
+            double kappa[2][2];
+            for (int g = 0; g < 2; ++g) {
+                const double x = (step + 0.5 + (g ? kHalf : -kHalf)) / count, vx = v[0] + x * (v[2] - v[0]), vy = v[1] + x * (v[3] - v[1]);
+                kappa[g][0] = c * vx - n * vy;
+                kappa[g][1] = n * vx + c * vy;
+            }
+            advance(frame, kappa[0], kappa[1], (tip_s_[k] - s) / count);
+        }
+        s = tip_s_[k];
+    }
+    return frame;
 }
 
 }  // namespace ctr

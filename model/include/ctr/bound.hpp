@@ -43,7 +43,7 @@ class BoundSolver {
     int warm_starts() const { return warm_starts_; }
     const FrictionSolver& solver() const { return solver_; }
     const Configuration& configuration() const { return q_; }
-    const ZeroClearance& zero_clearance() const { return zero_; }
+    ZeroClearance& zero_clearance() { return zero_; }  // also a workspace for zero-clearance solutions alone
 
     // Largest deviation of the corners from the frictionless solution; NaN unless everything converged.
     double position = 0;           // tip, m
@@ -58,6 +58,8 @@ class BoundSolver {
     void prepare(const Configuration& q, const Accuracy& accuracy);
     void solve_frictionless();
     void solve_corners();
+    void slide_corner(std::size_t batch, int lane);
+    void slide_from_shared(LaneState& state, Convergence& result);
     void set_corner_phi(std::size_t batch);
     void measure();
     void advance(LaneState& state, const CarriedState& carried, const BarrierPath& path, Convergence* result);

@@ -53,7 +53,7 @@ class LaneState {
     double inverse_pivot(int node, int index, int lane) const {
         return diagonal_[((static_cast<std::size_t>(node) * stride_ + index) * block_stride_ + index) * lanes_ + lane];
     }
-    KernelState view();
+    KernelState view(const LaneState* anchor = nullptr);
 
   private:
     int lanes_ = 1, stride_ = 1, block_stride_ = 1;
@@ -68,17 +68,15 @@ class LaneState {
 struct BarrierPath {
     double first, last;
     double shrink = 0.05;
-    double trust = 0;       // rad; > 0: twist steps are held below it by damping, which slides off folds onto a stable branch
     int max_steps = 40;
     bool centre_only = false;  // stop near the central path at the last level; the residual is not promised
 
-    static constexpr double kFirst = 8e3, kParting = 8, kSliding = 8;
+    static constexpr double kFirst = 8e3, kParting = 8;
     static BarrierPath cold(double last) { return {kFirst, last}; }
     // The cold path in parts: what all friction states share, where they part, and how the frictionless one goes on.
-    static BarrierPath shared() { return {kFirst, kParting, 0.05, 0, 40, true}; }
+    static BarrierPath shared() { return {kFirst, kParting, 0.05, 40, true}; }
     static BarrierPath parted(double last) { return {kParting, last}; }
     static BarrierPath onward(double last) { return {std::max(0.05 * kParting, last), last}; }
-    static BarrierPath sliding(double last) { return {kFirst, last, 0.1, 0.2, 400}; }
     // After a motion of so many degrees or half millimetres: the farther contacts move, the softer the barrier starts.
     static BarrierPath warm(double motion, double last) {
         return {std::clamp(0.06 * motion * motion, std::min(4 * last, 0.3), kParting), last, 0.08};
@@ -95,14 +93,18 @@ class FrictionSolver {
     bool move(const FrictionSolver& from, const Robot& robot, const Configuration& q);
     // Angles from the zero-clearance solution, no offsets, multipliers on the central path at the given level (BarrierPath).
     void start(LaneState& state, const Configuration& q, const ZeroClearance& guess, double level);
-    // Copies a one-lane iterate on the same mesh into every lane.
+    // Copies a one-lane iterate on the same mesh into every lane, or into one.
     void spread(const LaneState& from, LaneState& to) const;
+    void copy(const LaneState& from, LaneState& to, int lane) const;
     // Puts every contact of an earlier solution back on the central path at the given level, for a warm start.
     void recentre(LaneState& state, double level);
     // Base angles of a new configuration on an unchanged mesh layout; the twist at the base is kept.
     void set_base(LaneState& state, const Configuration& q);
     // Newton steps down the barrier path; every lane ends at path.last. converged is filled per lane.
     void solve(LaneState& state, const BarrierPath& path, Convergence* result);
+    // One lane, from an iterate near the central path at the given level: follows the way the robot would slide, off folds
+    // and onto a stable branch, by implicit steps in time. Slow; for what solve() does not reach.
+    void slide(LaneState& state, double level, Convergence& result);
     // The frictionless torsional second variation's smallest eigenvalue over GJ / L^2 of the innermost tube; uses the
     // factors left in a one-lane state by solve(). Negative pivots are counted into `negative`.
     double stability(LaneState& state, int& negative);
@@ -124,6 +126,8 @@ class FrictionSolver {
 
   private:
     void scale(const Configuration& q, const Accuracy& accuracy);
+    bool settle(LaneState& state, double level, double damping, int& steps);
+    double moved(const LaneState& state) const;  // rad, since the anchor
     double largest_twist(const LaneState& state, int lane) const;  // rad, of the last step
 
     Robot robot_;
@@ -131,6 +135,7 @@ class FrictionSolver {
     double moment_scale_ = 1, barrier_unit_ = 1, last_barrier_ = 0.015;  // N m, N/m, in units
     double base_l_ = 0;
     std::shared_ptr<LoadMoments> loads_;  // null without loads
+    LaneState kept_;  // of slide(): the iterate to go back to, and the anchor
     std::vector<double> mass_vector_;  // [node][tube], the eigenvector of stability()
 };
 

@@ -82,13 +82,14 @@ struct KernelState {
     double* rhs;          // [node][stride]
     const double* load_moment;  // [element][Gauss point][2] of the loads beyond, N m as a curvature vector; null without loads
     const SlipLaw* slip;      // null: phi_mu is given; else it follows the slip (single lane)
+    const double* anchor; // [node][stride] angles that damping pulls back to; null without damping
     int block_stride;     // row length of blocks: stride, for a single lane rounded up to whole registers
 };
 
 // One function table per instruction set; the scalar ones treat a single lane.
 struct KernelTable {
     // Assembles the primal-dual Newton system at barrier level [N/m] (one per lane), factors it and solves for step.
-    // damping [1/m^2], one per lane, adds damping * GJ to the stiffness against every change of theta.
+    // damping [1/m^2], one per lane, adds damping * GJ times the distance of every theta from its anchor to the torques.
     void (*newton)(const KernelProblem&, const KernelState&, const double* level, const double* damping);
     // Largest fraction of the step, per lane, that keeps every slack and multiplier above (1 - keep) of its value, <= 1.
     void (*step_length)(const KernelProblem&, const KernelState&, double keep, double* primal, double* dual);

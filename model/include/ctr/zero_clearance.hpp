@@ -8,18 +8,15 @@
 
 #include <vector>
 
+#include "ctr/curve.hpp"
 #include "ctr/robot.hpp"
 
 namespace ctr {
 
-// A node of the solution in front of the plate: angles [rad] and twist rates [rad/m], innermost tube first.
 class ZeroClearance {
   public:
     // Follows the branch from vanishing precurvature to the robot's own. Returns false if the residual was not reached.
     bool solve(const Robot& robot, const Configuration& q);
-    // Newton's method on the full precurvature from the angles of the last solution plus `twist` [rad per tube] that
-    // grows linearly from the collars to the tips: looks for other equilibria.
-    bool restart(const Robot& robot, const Configuration& q, const std::vector<double>& twist);
 
     // Looks for other stable equilibria by restarts with the inner tubes of a pair turned across opposed precurvatures. Makes
     // the attempts from number `from` on; returns the number of the first that found one, left in `other`, or -1.
@@ -28,26 +25,39 @@ class ZeroClearance {
     // Angle of tube t (innermost first) at arc length s, anywhere between its base and its tip.
     double theta(int t, double s) const;
     double twist_rate(int t, double s) const;
+    Frame tip() const;  // of the innermost tube, twist-free frame
     double residual() const { return residual_; }        // largest torque imbalance over EI * precurvature
     int negative_pivots() const { return negative_; }    // > 0: not a minimum
-    double energy() const { return energy_; }            // N m
+    bool is_unique() const { return unique_; }           // true where the energy is convex, which leaves one equilibrium
     int iterations() const { return iterations_; }
 
   private:
     void build(const Robot& robot, const Configuration& q);
-    double assemble(double scale, bool factor);  // scale multiplies the bending energy; returns the largest imbalance
+    void place_nodes(const Robot& robot, const std::vector<double>& breaks);
+    double turn_rate(const Robot& robot, double middle) const;
+    void clear_blocks();
+    void add_transmissions(bool matrix);
+    double assemble(double scale, bool matrix);  // scale multiplies the bending energy; returns the largest imbalance
+    double hold_fixed(bool matrix);
+    bool is_convex();
+    int factorise();
     void solve_system();
     bool correct(double scale, double first_step_limit);
+    bool follow_branch();
+    bool turn_and_correct(const std::vector<double>& twist);
     int locate(double s) const;
-    bool is_clamped(int t) const;                  // at the plate: actuator and collar are one
-    double transmission_stiffness(int t) const;    // from the actuator to the plate, N m / rad
+    int node_unknowns(int node) const { return 2 * (node == 0 ? n_ : tubes_[node - 1]); }
+    bool is_clamped(int t) const;                // at the plate: its angle there is that of its actuator
+    double transmission_stiffness(int t) const;  // from the actuator to the plate, N m / rad
 
     int n_ = 0, nodes_ = 0, ld_ = 0;
-    std::vector<double> s_, v_, P_, gj_, base_theta_, base_l_, end_s_, shaft_;
+    std::vector<double> s_, v_, P_, ei_, gj_, base_theta_, base_l_, end_s_, shaft_, breaks_;
     std::vector<int> tubes_;
-    std::vector<double> x_, best_, r_, A_, U_, L_, step_, tangent_;
-    double residual_ = 0, energy_ = 0, scale_moment_ = 1;
+    std::vector<double> tip_v_, tip_s_;  // the innermost tube beyond the last node: precurvature and end of its sections
+    std::vector<double> x_, best_, r_, A_, U_, step_, tangent_;
+    double residual_ = 0, scale_moment_ = 1;
     int negative_ = 0, iterations_ = 0;
+    bool unique_ = false;
 };
 
 }  // namespace ctr
