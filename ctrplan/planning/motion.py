@@ -44,7 +44,7 @@ class MotionChecker:
         self.limits = path_limits(scenario)
         self.calls = 0  # into the core
         self._known: dict[bytes, Motion] = {}
-        self._states: dict[bytes, Motion] = {}
+        self._states: dict[bytes, tuple[Motion, PathSamples | None]] = {}
 
     def motion(self, a: Array, b: Array) -> Motion:
         """The motion from joint values a to b, (m,) each, in the checker's style."""
@@ -56,11 +56,22 @@ class MotionChecker:
 
     def state(self, q: Array) -> Motion:
         """A single state as a motion of no length."""
+        return self.probe(q)[0]
+
+    def probe(self, q: Array) -> tuple[Motion, PathSamples | None]:
+        """A single state, and what the core says of it; None where limits or nesting forbid it."""
         key = q.tobytes()
         found = self._states.get(key)
         if found is None:
-            found = self._states[key] = self.along(q[None, :])
+            found = self._states[key] = self._probe(q[None, :])
         return found
+
+    def _probe(self, q: Array) -> tuple[Motion, PathSamples | None]:
+        if not self.space.allowed(q):
+            return invalid(self.space.violation(q)), None
+        samples = self.walk(q, self.density, self.limits)
+        reason = breach(samples, self.limits)
+        return invalid(reason) if reason else Motion(True, "", 0.0, 0.0, float(samples.position_m[-1])), samples
 
     def forbid(self, a: Array, b: Array, reason: str) -> None:
         """Remembers that the motion from a to b failed a stricter check."""

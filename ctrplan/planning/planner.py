@@ -23,6 +23,7 @@ from ctrplan.planning.objective import BoundObjective
 from ctrplan.planning.ompl_space import StateReader, state_space
 from ctrplan.planning.plan import Certificate, MotionStyle, Plan
 from ctrplan.planning.reorder import Reordered, assemble, rotations_first
+from ctrplan.planning.room import start_trouble
 from ctrplan.planning.validity import MotionValidity, Validity
 
 if TYPE_CHECKING:
@@ -82,7 +83,8 @@ def plan(
     checker = MotionChecker(scenario)
     start = checker.state(scenario.start)
     if not start.valid:
-        raise NoAnswerError(f"{scenario.path or scenario.name}: start: the start state is not valid: {start.reason}.")
+        reason = start_trouble(checker) or start.reason
+        raise NoAnswerError(f"{scenario.path or scenario.name}: start: the start state is not valid: {reason}.")
     goals = goal_states(checker, np.random.default_rng(seed))
     with interrupt_event(interrupted) as interrupted:
         budget = scenario.planner.time_s if time_s is None else time_s

@@ -201,14 +201,13 @@ class Model {
         {
             nb::gil_scoped_release release;
             parallel(all.size(), threads, [&](ctr::BoundSolver&, std::size_t k) {
-                ctr::ZeroClearance solution;
+                thread_local ctr::ZeroClearance solution;
                 const bool done = solution.solve(robot_, all[k]);
-                const ctr::Shape shape = ctr::make_shape(robot_, solution, all[k]);
-                const ctr::TubeShape& inner = shape.tubes.back();
+                const ctr::Frame tip = ctr::tip_frame(robot_, solution, all[k]);
                 double* row = &out[k * 7];
                 for (int i = 0; i < 3; ++i) {
-                    row[i] = inner.position.back()[i];
-                    row[3 + i] = inner.frame.back()[3 * i + 2];
+                    row[i] = tip.p[i];
+                    row[3 + i] = tip.tangent()[i];
                 }
                 row[6] = !done ? 3 : solution.negative_pivots() ? 2 : 0;
             });

@@ -7,6 +7,7 @@ namespace ctr {
 namespace {
 
 constexpr double kGauss[2] = {0.21132486540518711775, 0.78867513459481288225};
+constexpr double kTipStep = 6e-3;     // m, tips alone: fourth order, 1e-8 m
 constexpr double kOutputStep = 2e-3;  // m, zero-clearance shapes
 
 // Material frame and curvature of a tube from its twist-free frame, its angle and its bending in the twist-free frame.
@@ -34,6 +35,37 @@ double outermost_radius(const Robot& robot, const Configuration& q, double s) {
         if (begin <= s && s <= begin + tube.length() + 1e-12) return tube.outer_radius;
     }
     return robot.tubes.back().outer_radius;
+}
+
+// Curvature of the zero-clearance centreline at s, 0 behind the plate, and of every tube there at rest; `middle` lies in the
+// same piece between ends of tubes and sections.
+void common_curvature(const Robot& robot, const ZeroClearance& solution, const Configuration& q, double s, double middle,
+                      double* kappa, double (*rotated)[2]) {
+    const int n = robot.count();
+    double total = 0;
+    kappa[0] = kappa[1] = 0;
+    for (int i = 0; i < n; ++i) {
+        if (middle < q.l[i] || middle > q.l[i] + robot.tubes[i].length()) continue;
+        const Section& section = section_at(robot.tubes[i], middle - q.l[i]);
+        const double theta = solution.theta(n - 1 - i, s), c = std::cos(theta), k = std::sin(theta), EI = robot.tubes[i].bending_stiffness;
+        rotated[i][0] = c * section.curvature_y + k * section.curvature_x;
+        rotated[i][1] = k * section.curvature_y - c * section.curvature_x;
+        total += EI;
+        for (int plane = 0; plane < 2; ++plane) kappa[plane] += EI * rotated[i][plane];
+    }
+    for (int plane = 0; plane < 2; ++plane) kappa[plane] = middle > 0 && total > 0 ? kappa[plane] / total : 0.0;
+}
+
+// Sorted ends of tubes and sections, the plate among them.
+std::vector<double> piece_ends(const Robot& robot, const Configuration& q) {
+    std::vector<double> stations{0.0};
+    for (int i = 0; i < robot.count(); ++i) {
+        double s = q.l[i];
+        stations.push_back(s);
+        for (const Section& section : robot.tubes[i].sections) stations.push_back(s += section.length);
+    }
+    std::sort(stations.begin(), stations.end());
+    return stations;
 }
 
 }  // namespace
@@ -149,34 +181,31 @@ Shape make_shape(const FrictionSolver& solver, const LaneState& state, int lane,
     return shape;
 }
 
+Frame tip_frame(const Robot& robot, const ZeroClearance& solution, const Configuration& q) {
+    const std::vector<double> stations = piece_ends(robot, q);
+    Frame frame;
+    frame.p = {0, 0, std::min(0.0, stations.back())};
+    double first[2], second[2], rotated[kMaxTubes][2];
+    for (std::size_t b = 0; b + 1 < stations.size(); ++b) {
+        const double from = stations[b], span = stations[b + 1] - from, middle = from + 0.5 * span;
+        if (middle < 0 || span < 1e-9) continue;
+        const int count = std::max(1, static_cast<int>(std::ceil(span / kTipStep)));
+        const double h = span / count;
+        for (int k = 0; k < count; ++k) {
+            common_curvature(robot, solution, q, from + (k + kGauss[0]) * h, middle, first, rotated);
+            common_curvature(robot, solution, q, from + (k + kGauss[1]) * h, middle, second, rotated);
+            ctr::advance(frame, first, second, h);
+        }
+    }
+    return frame;
+}
+
 Shape make_shape(const Robot& robot, const ZeroClearance& solution, const Configuration& q) {
     const int n = robot.count();
     Shape shape;
     shape.tubes.resize(n);
     shape.contacts.resize(n - 1);
-    std::vector<double> stations;
-    for (int i = 0; i < n; ++i) {
-        double s = q.l[i];
-        stations.push_back(s);
-        for (const Section& section : robot.tubes[i].sections) stations.push_back(s += section.length);
-    }
-    stations.push_back(0);
-    std::sort(stations.begin(), stations.end());
-    // curvature of the common centreline between stations, 0 behind the plate
-    auto common = [&](double s, double middle, double* kappa, double (*rotated)[2]) {
-        double total = 0;
-        kappa[0] = kappa[1] = 0;
-        for (int i = 0; i < n; ++i) {
-            if (middle < q.l[i] || middle > q.l[i] + robot.tubes[i].length()) continue;
-            const Section& section = section_at(robot.tubes[i], middle - q.l[i]);
-            const double theta = solution.theta(n - 1 - i, s), c = std::cos(theta), k = std::sin(theta), EI = robot.tubes[i].bending_stiffness;
-            rotated[i][0] = c * section.curvature_y + k * section.curvature_x;
-            rotated[i][1] = k * section.curvature_y - c * section.curvature_x;
-            total += EI;
-            for (int plane = 0; plane < 2; ++plane) kappa[plane] += EI * rotated[i][plane];
-        }
-        for (int plane = 0; plane < 2; ++plane) kappa[plane] = middle > 0 && total > 0 ? kappa[plane] / total : 0.0;
-    };
+    const std::vector<double> stations = piece_ends(robot, q);
     Frame frame;
     frame.p = {0, 0, q.l[n - 1]};
     double kappa[2], first[2], second[2], rotated[kMaxTubes][2];
@@ -187,12 +216,12 @@ Shape make_shape(const Robot& robot, const ZeroClearance& solution, const Config
         const double h = span / count;
         for (int k = 0; k < count; ++k) {
             const double s = from + k * h;
-            common(s + kGauss[0] * h, middle, first, rotated);
-            common(s + kGauss[1] * h, middle, second, rotated);
+            common_curvature(robot, solution, q, s + kGauss[0] * h, middle, first, rotated);
+            common_curvature(robot, solution, q, s + kGauss[1] * h, middle, second, rotated);
             Frame start = frame;
             ctr::advance(frame, first, second, h);
             for (int side = 0; side < 2; ++side) {
-                common(s + side * h, middle, kappa, rotated);
+                common_curvature(robot, solution, q, s + side * h, middle, kappa, rotated);
                 for (int i = 0; i < n; ++i) {
                     if (middle < q.l[i] || middle > q.l[i] + robot.tubes[i].length()) continue;
                     TubeShape& tube = shape.tubes[i];

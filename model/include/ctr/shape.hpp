@@ -50,5 +50,7 @@ void element_curvature(const FrictionSolver& solver, const LaneState& state, int
 void trace_backbone(const FrictionSolver& solver, const LaneState& state, int lane, double base_l, Backbone& out);
 Shape make_shape(const FrictionSolver& solver, const LaneState& state, int lane, const Configuration& q);
 Shape make_shape(const Robot& robot, const ZeroClearance& solution, const Configuration& q);
+// The end of that shape alone, at a small part of the price: position and tangent of the innermost tube's tip.
+Frame tip_frame(const Robot& robot, const ZeroClearance& solution, const Configuration& q);
 
 }  // namespace ctr
