@@ -18,12 +18,13 @@ from scipy.sparse.csgraph import connected_components
 from ctrplan.drive import Array
 from ctrplan.mechanics import Status
 from ctrplan.planning.inverse_kinematics import TipSolver, TipTarget, angle_to
-from ctrplan.planning.motion import MotionChecker
+from ctrplan.planning.motion import MotionChecker, anatomy_grid
 
 SAMPLES = 2000  # random configurations whose tips are looked at
-STARTS = 240  # of them, the nearest ones after a common rotation: solves
+STARTS = 400  # of them, the nearest ones after a common rotation: solves
 DISTINCT_MM = 5.0  # of joint length between configurations
 MOST_REFINED = 80
+ROOM_ENOUGH_M = 5e-3  # more than friction makes of most shapes
 CLEARANCE_STEPS = 4  # on the frictionless clearance model
 GAP_M = 6e-3  # more than clearance moves a tip: within it of the target, refining on the clearance model pays
 REFINED_SHARE = 0.2  # of the tolerance
@@ -77,8 +78,9 @@ def reach(
     solver = TipSolver(checker.space, checker.mechanics)
     q = solver.solve(target, _starts(solver, target, rng, starts))
     order = np.argsort(q.error_m)
-    near = order[(q.error_m[order] <= tolerance_m + GAP_M)] if len(order) else order
-    chosen = _distinct(checker, q.joints, near if len(near) else order[:1])[:MOST_REFINED]
+    near = order[q.error_m[order] <= tolerance_m + GAP_M]
+    near = near[np.argsort(-_room(checker, q.joints[near]), kind="stable")] if len(near) else order[:1]
+    chosen = _distinct(checker, q.joints, near)[:MOST_REFINED]
     joints = _refined(checker, solver, target, q.joints[chosen], tolerance_m)
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         found = list(pool.map(lambda joint: _configuration(checker, target, joint), joints))
@@ -100,6 +102,21 @@ def _starts(solver: TipSolver, target: TipTarget, rng: np.random.Generator, coun
         miss = np.hypot(np.hypot(goal[:, 0], goal[:, 1]) - np.hypot(tip[:, 0], tip[:, 1]), goal[:, 2] - tip[:, 2])
     miss[np.isnan(miss)] = np.inf
     return q[np.argsort(miss)[:count]]
+
+
+def _room(checker: MotionChecker, q: Array) -> Array:
+    """(K,) smallest clearance to the anatomy of zero-clearance shapes, none counted better than ROOM_ENOUGH_M."""
+    room, grid = np.full(len(q), ROOM_ENOUGH_M), anatomy_grid(checker.scenario)
+    if grid is None:
+        return room
+    scenario = checker.scenario
+    for k, (theta_b, l_b) in enumerate(zip(*checker.space.drive.collars(q), strict=True)):
+        shape = checker.mechanics.zero_clearance(theta_b, l_b)
+        ahead = shape.s_m >= 0
+        points = shape.centreline_m[ahead] @ scenario.base_R.T + scenario.base_position_m
+        if len(points):
+            room[k] = min(ROOM_ENOUGH_M, float((grid.sample(points) - shape.radius_m[ahead]).min()))
+    return room
 
 
 def _distinct(checker: MotionChecker, q: Array, order: NDArray[np.int_]) -> NDArray[np.int_]:

@@ -20,6 +20,7 @@ from ctrplan.planning.space import JointSpace
 STEP = 1e-5  # rad or m, of the differences
 REACHED_M = 1e-5
 ITERATIONS = 25
+PATIENCE, HEADWAY = 6, 0.8  # steps after which the distance must have fallen to this share
 PASSES = 3  # each holds the limits that the step before it broke
 LONGEST_STEP_M = 30e-3  # of weighted joint length
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-7, 1e4  # beside the squared singular values, m per m
@@ -143,12 +144,14 @@ class _Batch:
         self.jacobian = solver.jacobian(q, self.tip, self.tangent)
         self.damping = np.full(len(q), DAMPING)
         self.fresh = np.ones(len(q), dtype=bool)
+        self.steps, self.earlier = 0, self.error.copy()
 
     def improve(self) -> bool:
         """One step of every solve that is not done; False when all are."""
         rows = np.flatnonzero((self.error > REACHED_M) & (self.damping < MOST_DAMPING) & np.isfinite(self.error))
         if not len(rows):
             return False
+        self._give_up(rows)
         space, q = self.solver.space, self.q[rows]
         moved = self._moved(rows)
         tip, tangent = self.solver.tips(moved)
@@ -165,6 +168,14 @@ class _Batch:
         self.miss[kept], self.error[kept] = miss[better], error[better]
         self._renew(rows[disappointing & ~self.fresh[rows]], rows)
         return True
+
+    def _give_up(self, rows: Rows) -> None:
+        """Ends solves that make no headway, before the step after this one."""
+        self.steps += 1
+        if self.steps % PATIENCE == 0:
+            stuck = self.error[rows] > HEADWAY * self.earlier[rows]
+            self.damping[rows[stuck]] = MOST_DAMPING
+            self.earlier[rows] = self.error[rows]
 
     def solutions(self) -> TipSolutions:
         """Where the solves are."""
