@@ -1,4 +1,4 @@
-"""The command line: `ctrplan plan` and `ctrplan bound`. Every failure is one sentence on stderr and an exit code."""
+"""The command line: what `ctrplan --help` lists. Every failure is one sentence on stderr and an exit code."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 
 import ctrplan
 from ctrplan.commands.bound import run_bound
+from ctrplan.commands.ik import run_ik
 from ctrplan.commands.output_folder import DEFAULT as OUTPUT
 from ctrplan.commands.plan import INTERRUPTED, run_plan
 from ctrplan.errors import CtrplanError
@@ -27,6 +28,10 @@ BOUND_EXAMPLES = """examples:
   ctrplan bound scenarios/robots/three_tube.toml --theta-deg 0 90 0 --l-mm 0 -17 -62.8 --sweep theta_3=0:360:121 -o out
   ctrplan bound scenarios/robots/table_1_pair.toml --theta-deg 0 180 --l-mm 0 -17 -o out \
 --sweep contact.1.clearance_mm=0.05:3:30 --sweep contact.1.friction_coefficient=0:0.5:26
+"""
+IK_EXAMPLES = """examples:
+  ctrplan ik scenarios/robots/three_tube.toml --tip-mm 34 -47 200
+  ctrplan ik scenarios/vessel.toml --tip-mm 51 2 168 --direction 1 0 0.4 --direction-tolerance-deg 20 --json
 """
 
 
@@ -61,6 +66,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_plan(commands)
     _add_bound(commands)
+    _add_ik(commands)
     return parser
 
 
@@ -69,7 +75,7 @@ def _add_plan(commands: Any) -> None:
         "plan",
         help="plan a certified motion and write a trajectory for the drive",
         description="Plan a motion that keeps the worst-case friction error small; "
-        "write plan.json, trajectory.csv, report.html, plan.png.",
+        "write plan.json, trajectory.csv, trajectory.yaml (ROS 2), report.html, plan.png.",
         epilog=PLAN_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -115,6 +121,31 @@ def _add_bound(commands: Any) -> None:
     parser.add_argument("--json", action="store_true", help="machine-readable output")
     _add_set(parser, "the robot's key")
     parser.set_defaults(run=run_bound)
+
+
+def _add_ik(commands: Any) -> None:
+    parser = commands.add_parser(
+        "ik",
+        help="every way to bring the tip to a point, with the friction bound of each",
+        description="Inverse kinematics: distinct configurations whose frictionless tip reaches a point, sorted by the "
+        "worst-case friction error; with a scenario, also their clearance to its anatomy.",
+        epilog=IK_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("file", metavar="ROBOT.toml|SCENARIO.toml")
+    xyz = {"type": float, "nargs": 3, "metavar": ("X", "Y", "Z")}
+    parser.add_argument("--tip-mm", required=True, help="the point; a scenario's is in the anatomy's frame", **xyz)
+    parser.add_argument("--direction", help="of the tip, any length", **xyz)
+    for option, default, what in (
+        ("--tolerance-mm", 0.1, "distance from the point that counts as there (default: %(default)s)"),
+        ("--direction-tolerance-deg", 5.0, "likewise from the direction (default: %(default)s)"),
+    ):
+        parser.add_argument(option, type=float, default=default, metavar="T", help=what)
+    parser.add_argument("--starts", type=int, default=400, help="random starts (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="of the random starts (default: %(default)s)")
+    parser.add_argument("--json", action="store_true", help="machine-readable output")
+    _add_set(parser, "a key of the file")
+    parser.set_defaults(run=run_ik)
 
 
 def _add_set(parser: argparse.ArgumentParser, what: str) -> None:

@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
+import yaml
 
 from ctrplan.cli import main
 from ctrplan.export import read_trajectory_csv
@@ -21,11 +22,19 @@ ROBOT = str(SCENARIOS / "robots" / "three_tube.toml")
 
 def test_plan_writes_everything_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["plan", str(SCENARIOS / "pair_free.toml"), "-o", str(tmp_path), "--time", "1"]) == 0
-    assert {p.name for p in tmp_path.iterdir()} == {"plan.json", "trajectory.csv", "report.html", "plan.png"}
+    assert {p.name for p in tmp_path.iterdir()} == {
+        "plan.json",
+        "trajectory.csv",
+        "trajectory.yaml",
+        "report.html",
+        "plan.png",
+    }
     content = json.loads((tmp_path / "plan.json").read_text())
     assert content["certificate"]["valid"] is True
     columns = read_trajectory_csv(tmp_path / "trajectory.csv")
     assert columns["time_s"][0] == 0
+    message = yaml.safe_load((tmp_path / "trajectory.yaml").read_text())
+    assert len(message["points"]) == len(columns["time_s"])
     assert (tmp_path / "plan.png").read_bytes()[:4] == b"\x89PNG"
     assert "worst-case friction error" in capsys.readouterr().out
 
@@ -114,7 +123,7 @@ def test_ctrl_c_at_any_moment(tmp_path: Path, seconds: float) -> None:
         assert process.returncode == 130, err
         assert "Traceback" not in err
     written = sorted(p.name for p in (tmp_path / "out").iterdir()) if (tmp_path / "out").exists() else []
-    assert written in ([], ["plan.json", "plan.png", "report.html", "trajectory.csv"])
+    assert written in ([], ["plan.json", "plan.png", "report.html", "trajectory.csv", "trajectory.yaml"])
 
 
 def test_ctrl_c_keeps_the_best_plan_so_far(tmp_path: Path) -> None:

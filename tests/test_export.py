@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from ctrplan.errors import CtrplanError, InputError
 from ctrplan.export import read_trajectory_csv, trajectory_as_ros2_yaml, write_atomically, write_trajectory_csv
@@ -123,6 +124,27 @@ def test_ros2_yaml_says_what_the_trajectory_says() -> None:
         np.testing.assert_array_equal([json.loads(line) for line in lists], values)
     times = re.findall(r"time_from_start: {sec: (\d+), nanosec: (\d+)}", text)
     np.testing.assert_allclose([int(s) + int(ns) / 1e9 for s, ns in times], trajectory.time_s, rtol=0, atol=5.1e-10)
+
+
+def test_ros2_yaml_is_read_as_the_message_it_stands_for() -> None:
+    """Fields and types of trajectory_msgs/JointTrajectory, as PyYAML, which ROS uses, reads them."""
+    trajectory = replace(example(), position=example().position * 1e-7)
+    message = yaml.safe_load(trajectory_as_ros2_yaml(trajectory))
+    assert set(message) == {"header", "joint_names", "points"}
+    assert message["header"] == {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
+    assert message["joint_names"] == list(trajectory.names)
+    assert all(
+        set(p) == {"positions", "velocities", "accelerations", "effort", "time_from_start"} for p in message["points"]
+    )
+    columns = (("positions", "position"), ("velocities", "velocity"), ("accelerations", "acceleration"))
+    for field, attribute in columns:
+        values = [point[field] for point in message["points"]]
+        assert all(isinstance(value, float) for row in values for value in row)
+        np.testing.assert_array_equal(values, getattr(trajectory, attribute))
+    stamps = [point["time_from_start"] for point in message["points"]]
+    assert all(isinstance(s["sec"], int) and 0 <= s["nanosec"] < 10**9 for s in stamps)
+    times = [(s["sec"], s["nanosec"]) for s in stamps]
+    assert times == sorted(set(times))  # strictly later each, as controllers demand
 
 
 def test_ros2_yaml_numbers_are_floats_to_yaml_1_1() -> None:

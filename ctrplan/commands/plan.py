@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from ctrplan.planning.plan import Plan
 
 INTERRUPTED = 130  # exit code
-OUTPUTS = ("plan.json", "trajectory.csv", "plan.png", "report.html")
+OUTPUTS = ("plan.json", "trajectory.csv", "trajectory.yaml", "plan.png", "report.html")
 
 
 def run_plan(arguments: argparse.Namespace) -> int:
@@ -48,7 +48,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
 
 def _write(folder: Path, plan: Plan) -> None:
     """All files or none."""
-    from ctrplan.export import write_trajectory_csv
+    from ctrplan.export import trajectory_as_ros2_yaml, write_atomically, write_trajectory_csv
     from ctrplan.plan_json import write_plan_json
     from ctrplan.plots import write_plan_png
     from ctrplan.report import write_report
@@ -56,6 +56,7 @@ def _write(folder: Path, plan: Plan) -> None:
     with written_together(folder, OUTPUTS) as made:
         write_plan_json(made / "plan.json", plan)
         write_trajectory_csv(made / "trajectory.csv", plan.trajectory)
+        write_atomically(made / "trajectory.yaml", trajectory_as_ros2_yaml(plan.trajectory))
         write_plan_png(made / "plan.png", plan)
         write_report(made / "report.html", plan)
 
@@ -67,7 +68,7 @@ def _summary(folder: Path, plan: Plan) -> str:
     if plan.style == "simultaneous":
         lines.append("  note: no path of rotations before translations was found in time; joints move simultaneously")
     lines += [f"  {label:27} {text}" for label, text in _figures(plan).items()]
-    lines.append(f"  {'written to':27} {folder}/plan.json, trajectory.csv, report.html, plan.png")
+    lines.append(f"  {'written to':27} {folder}/plan.json, trajectory.csv, trajectory.yaml, report.html, plan.png")
     return "\n".join(lines)
 
 

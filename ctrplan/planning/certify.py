@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,6 +40,8 @@ class _Piece:
     start: Array
     end: Array
     samples: PathSamples
+    accuracy: Accuracy
+    clearance_m: Array  # (K,) exact, less half the motion between samples and the discretisation error
 
 
 def certify(
@@ -48,12 +50,13 @@ def certify(
     """Walks the polyline `corners` (K, m) of actuated joints so that no body point moves more than 0.5 mm a sample.
 
     Clearances are exact distances of points of the frictionless and every corner shape, less the outer radius, half the
-    motion between samples and the discretisation error; nothing of the search's field is used.
+    motion between samples and the discretisation error; nothing of the search's field is used. Pieces that only the
+    coarse mesh's allowance for that error would refuse are walked again on the fine mesh.
     """
     space = JointSpace.of(scenario)
     limits = path_limits(scenario)
     pieces = _walk(scenario, space, corners, accuracy, progress)
-    samples = _join(scenario, space, corners, pieces, accuracy)
+    samples = _join(space, corners, pieces)
     problems = _problems(scenario, space, corners, pieces, samples, limits)
     integral = np.trapezoid(samples.bound_m * MM_PER_M, samples.path_mm) / scenario.cost.mm_per_rad
     weights, goal_bound = scenario.cost, float(samples.bound_m[-1])
@@ -90,37 +93,42 @@ def _walk(
     if not ends:
         ends = [(0, corners[0], corners[0])]
     done = 0
-    density = PathDensity(motion_m=SPACING_M, near_m=SPACING_M, point_spacing_m=POINT_SPACING_M)
+    required = path_limits(scenario).clearance_m
 
     def walk(piece: tuple[int, Array, Array]) -> _Piece:
         nonlocal done
-        leg, start, end = piece
-        theta_b, l_b = space.drive.collars(np.array([start, end]))
-        samples = scenario.robot.mechanics.check_path(
-            theta_b, l_b, density=density, accuracy=accuracy, bodies=bool(scenario.anatomy)
-        )
+        found = _walked(scenario, space, *piece, accuracy)
+        spare = DISCRETISATION_M[found.accuracy] - DISCRETISATION_M["certificate"]
+        if found.clearance_m.min() < required <= found.clearance_m.min() + spare:
+            found = _walked(scenario, space, *piece, "certificate")
         done += 1
         if progress:
             progress(done / len(ends))
-        return _Piece(leg, start, end, samples)
+        return found
 
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         return list(pool.map(walk, ends))
 
 
-def _join(
-    scenario: Scenario, space: JointSpace, corners: Array, pieces: list[_Piece], accuracy: Accuracy
-) -> CertificateSamples:
+def _walked(scenario: Scenario, space: JointSpace, leg: int, start: Array, end: Array, accuracy: Accuracy) -> _Piece:
+    density = PathDensity(motion_m=SPACING_M, near_m=SPACING_M, point_spacing_m=POINT_SPACING_M)
+    theta_b, l_b = space.drive.collars(np.array([start, end]))
+    samples = scenario.robot.mechanics.check_path(
+        theta_b, l_b, density=density, accuracy=accuracy, bodies=bool(scenario.anatomy)
+    )
+    clearance = _exact(scenario, samples) - samples.motion_m / 2 - DISCRETISATION_M[accuracy]
+    return _Piece(leg, start, end, replace(samples, bodies=()), accuracy, clearance)
+
+
+def _join(space: JointSpace, corners: Array, pieces: list[_Piece]) -> CertificateSamples:
     """One table over all pieces; the first sample of every piece but the first repeats the last one before it."""
     starts = np.concatenate([[0.0], np.cumsum([space.length_mm(d) for d in np.diff(corners, axis=0)])])
-    slack = DISCRETISATION_M[accuracy]
     columns: dict[str, list[NDArray[Any]]] = {name: [] for name in CertificateSamples.__dataclass_fields__}
     for number, piece in enumerate(pieces):
         s = piece.samples
         keep = slice(0 if number == 0 else 1, None)
         joints = piece.start + s.fraction[:, None] * (piece.end - piece.start)
         travelled = [space.length_mm(q - corners[piece.leg]) for q in joints]
-        clearance = _exact(scenario, s) - s.motion_m / 2 - slack
         rows: dict[str, NDArray[Any]] = {
             "leg": np.full(len(s.fraction), piece.leg),
             "joints": joints,
@@ -129,7 +137,7 @@ def _join(
             "bound_rad": s.tangent_rad,
             "stability": s.stability,
             "max_strain": s.max_strain,
-            "clearance_m": clearance,
+            "clearance_m": piece.clearance_m,
             "motion_m": s.motion_m,
             "tip_m": s.tip_m,
         }
@@ -176,10 +184,7 @@ def _problems(
         where = f"leg {piece.leg + 1}"
         if piece.samples.fraction[-1] < 1 and len(pieces) > 1 or breach(piece.samples, PathLimits()):
             found.append(f"On {where}: {breach(piece.samples, PathLimits()) or 'the walk did not reach its end'}.")
-        elif (
-            before is not None
-            and np.linalg.norm(before.samples.tip_m[-1] - piece.samples.tip_m[0]) > BRANCH_TOLERANCE_M
-        ):
+        elif before is not None and _apart(before, piece) > BRANCH_TOLERANCE_M:
             found.append(f"On {where}: the shape depends on the way there, several equilibria exist.")
     checks = [
         (samples.stability < limits.stability, "stability falls to {:.3g}, below the margin", samples.stability.min()),
@@ -202,6 +207,12 @@ def _problems(
         error_mm, limit_mm = samples.bound_m[-1] * MM_PER_M, limit * MM_PER_M
         found.append(f"The worst-case error at the goal is {error_mm:.2f} mm, above {limit_mm:g} mm.")
     return found
+
+
+def _apart(before: _Piece, after: _Piece) -> float:
+    """Between the tips where two pieces meet, less what their meshes may differ by [m]."""
+    gap = float(np.linalg.norm(before.samples.tip_m[-1] - after.samples.tip_m[0]))
+    return gap if before.accuracy == after.accuracy else gap - DISCRETISATION_M["search"]
 
 
 def _goal_miss(scenario: Scenario, tip: Array) -> float:

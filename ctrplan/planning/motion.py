@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
@@ -15,9 +15,13 @@ from ctrplan.planning.plan import MotionStyle
 from ctrplan.planning.space import JointSpace
 
 if TYPE_CHECKING:
+    from ctrplan.robot import Robot
     from ctrplan.scenario import Scenario
 
 MM_PER_M = 1e3
+# What a certificate on the fine mesh takes off a clearance, half the motion between samples and the discretisation
+# error, and a little for what the search's coarse mesh usually differs.
+SEARCH_ROOM_M = 0.5e-3
 
 
 @dataclass(frozen=True)
@@ -41,10 +45,10 @@ class MotionChecker:
         self.mechanics = scenario.robot.mechanics
         self.field = robot_field(scenario)
         self.density = PathDensity(rotation_rad=0.26, translation_m=8e-3, motion_m=15e-3)
-        self.limits = path_limits(scenario)
+        self.limits = search_limits(scenario)
         self.calls = 0  # into the core
         self._known: dict[bytes, Motion] = {}
-        self._states: dict[bytes, Motion] = {}
+        self._states: dict[bytes, tuple[Motion, PathSamples | None]] = {}
 
     def motion(self, a: Array, b: Array) -> Motion:
         """The motion from joint values a to b, (m,) each, in the checker's style."""
@@ -56,11 +60,22 @@ class MotionChecker:
 
     def state(self, q: Array) -> Motion:
         """A single state as a motion of no length."""
+        return self.probe(q)[0]
+
+    def probe(self, q: Array) -> tuple[Motion, PathSamples | None]:
+        """A single state, and what the core says of it; None where limits or nesting forbid it."""
         key = q.tobytes()
         found = self._states.get(key)
         if found is None:
-            found = self._states[key] = self.along(q[None, :])
+            found = self._states[key] = self._probe(q[None, :])
         return found
+
+    def _probe(self, q: Array) -> tuple[Motion, PathSamples | None]:
+        if not self.space.allowed(q):
+            return invalid(self.space.violation(q)), None
+        samples = self.walk(q, self.density, self.limits)
+        reason = breach(samples, self.limits)
+        return invalid(reason) if reason else Motion(True, "", 0.0, 0.0, float(samples.position_m[-1])), samples
 
     def forbid(self, a: Array, b: Array, reason: str) -> None:
         """Remembers that the motion from a to b failed a stricter check."""
@@ -114,6 +129,12 @@ def path_limits(scenario: Scenario) -> PathLimits:
     return PathLimits(scenario.margins.stability, strain, scenario.robot.model_error_m)
 
 
+def search_limits(scenario: Scenario) -> PathLimits:
+    """Likewise for the search, which keeps a little more clearance so that its paths pass the certificate."""
+    limits = path_limits(scenario)
+    return replace(limits, clearance_m=limits.clearance_m + SEARCH_ROOM_M)
+
+
 def breach(samples: PathSamples, limits: PathLimits) -> str:
     """Which limit the last sample breaks, in words; empty if none."""
     if samples.status[-1] == Status.FAILED:
@@ -144,17 +165,22 @@ def robot_field(scenario: Scenario) -> Field | None:
     )
 
 
-_GRIDS: WeakKeyDictionary[Scenario, SignedDistanceField] = WeakKeyDictionary()
+_GRIDS: WeakKeyDictionary[Robot, dict[bytes, SignedDistanceField]] = WeakKeyDictionary()
 
 
 def anatomy_grid(scenario: Scenario) -> SignedDistanceField | None:
     """The scenario's anatomy as a signed-distance field around the robot's reach, built once; None in free space."""
     if not scenario.anatomy:
         return None
-    if scenario not in _GRIDS:
+    grids = _GRIDS.setdefault(scenario.robot, {})
+    place = np.append(scenario.base_R.ravel(), scenario.base_position_m)
+    key = (
+        place.tobytes() + np.array([id(part) for part in scenario.anatomy]).tobytes()
+    )  # the grid keeps its parts alive
+    if key not in grids:
         reach = max(tube.length_m for tube in scenario.robot.tubes) + scenario.robot.tubes[0].outer_diameter_m
         lower, upper = field_bounds(scenario.anatomy, reach, scenario.base_position_m, scenario.base_R)
         grid = build_field(scenario.anatomy, lower, upper, default_spacing_m(lower, upper))
         assert grid is not None
-        _GRIDS[scenario] = grid
-    return _GRIDS[scenario]
+        grids[key] = grid
+    return grids[key]

@@ -23,6 +23,8 @@ from ctrplan.planning.objective import BoundObjective
 from ctrplan.planning.ompl_space import StateReader, state_space
 from ctrplan.planning.plan import Certificate, MotionStyle, Plan
 from ctrplan.planning.reorder import Reordered, assemble, rotations_first
+from ctrplan.planning.retreat import RoadmapSearch, retreat_roadmap
+from ctrplan.planning.room import start_trouble
 from ctrplan.planning.validity import MotionValidity, Validity
 
 if TYPE_CHECKING:
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
 
 # Planners that grow forwards only, or check every motion in the direction it is driven.
 PLANNERS = {"BIT*": og.BITstar, "RRT*": og.RRTstar, "RRTConnect": og.RRTConnect}
+FIRST_SHARE, ROADMAP_SHARE = 0.7, 0.5  # of the time by which a first path, and the cheapest, of the roadmap is sought
+LEAST_SHARE = 0.25  # of the time for sampling, however long the roadmap took
 FALLBACK_SHARE = 0.3  # of the time, for simultaneous motions when no L-shaped path was found
 # Longest motion of a tree; two trees meet by steps, a single one reaches for the goal at once.
 RANGE_MM = {"RRTConnect": 30.0}
@@ -82,7 +86,8 @@ def plan(
     checker = MotionChecker(scenario)
     start = checker.state(scenario.start)
     if not start.valid:
-        raise NoAnswerError(f"{scenario.path or scenario.name}: start: the start state is not valid: {start.reason}.")
+        reason = start_trouble(checker) or start.reason
+        raise NoAnswerError(f"{scenario.path or scenario.name}: start: the start state is not valid: {reason}.")
     goals = goal_states(checker, np.random.default_rng(seed))
     with interrupt_event(interrupted) as interrupted:
         budget = scenario.planner.time_s if time_s is None else time_s
@@ -117,33 +122,16 @@ class _Work:
     report: Report
     interrupted: threading.Event
     failure: str = ""  # of the last certificate
+    first: _Candidate | None = None  # that was certified
+    best: _Candidate | None = None
 
     def run(self) -> tuple[_Candidate, _Candidate]:
         """The first and the best certified path."""
-        style: MotionStyle = self.checker.style
-        for attempt in range(ATTEMPTS):
-            began = time.monotonic()
-            if self.interrupted.is_set() or (attempt and began - self.began > LATEST * self.budget):
-                break
-            share = 1.0 if style == self.checker.style else FALLBACK_SHARE
-            checker = self.checker if style == self.checker.style else MotionChecker(self.checker.scenario, style)
-            problem = _Problem(checker, self.goals, self.seed + 1000 * attempt)
-            until = began + share * self.budget
-            if not self._search(problem, began, until, only_first=True):
-                if style == "simultaneous":
-                    break
-                style = "simultaneous"
-                continue
-            first = self._certified(problem)
-            if first is None:
-                continue
-            best = first
-            before = problem.corners()
-            if self._search(problem, began, until, only_first=False) and not np.array_equal(problem.corners(), before):
-                better = self._certified(problem)
-                if better is not None and better.certificate.cost_mm < best.certificate.cost_mm:
-                    best = better
-            return first, best
+        began = time.monotonic()
+        self._withdraw(began)
+        self._sample(began)
+        if self.first is not None and self.best is not None:
+            return self.first, self.best
         if self.interrupted.is_set():
             raise KeyboardInterrupt
         name = self.checker.scenario.path or self.checker.scenario.name
@@ -151,6 +139,66 @@ class _Work:
             raise NoAnswerError(f"{name}: no path in time passed its certificate: {self.failure}")
         outcome = f"no valid path to any of {len(self.goals)} goal states was found in time"
         raise NoAnswerError(f"{name}: planner.time_s = {self.budget:g} s: {outcome}.")
+
+    def _withdraw(self, began: float) -> None:
+        """Paths along the roadmap of `retreat.py`: soon a first one, then the cheapest."""
+        search = RoadmapSearch(self.checker, retreat_roadmap(self.checker, self.goals), self.goals)
+        for shy, share in ((True, FIRST_SHARE), (False, ROADMAP_SHARE)):
+            while self.best is None or not shy:
+                states = search.path(self._stopper(began, began + share * self.budget), shy=shy)
+                if states is None:
+                    break
+                failed = self._certified(self.checker, self._expanded(states))
+                if not failed:
+                    break
+                search.forbid(states, failed)
+
+    def _expanded(self, states: Array) -> Array:
+        """(K, m) corners of the motions through states, with the start's own winding."""
+        corners = [self.checker.scenario.start]
+        for target in states[1:]:
+            corners.extend(self.checker.space.corners(corners[-1], target, self.checker.style)[1:])
+        return np.array(corners)
+
+    def _sample(self, began: float) -> None:
+        """The scenario's planner; simultaneous motions where nothing else led to a path."""
+        style: MotionStyle = self.checker.style
+        for attempt in range(ATTEMPTS):
+            now = time.monotonic()
+            until = began + self.budget if attempt == 0 else now + self.budget / 2
+            if self.interrupted.is_set() or (self.best and now >= until) or now - self.began > LATEST * self.budget:
+                break
+            share = 1.0 if style == self.checker.style else FALLBACK_SHARE
+            checker = self.checker if style == self.checker.style else MotionChecker(self.checker.scenario, style)
+            problem = _Problem(checker, self.goals, self.seed + 1000 * attempt)
+            until = now + share * max(until - now, LEAST_SHARE * self.budget)
+            if not self._search(problem, now, until, only_first=self.best is None):
+                if self.best or style == "simultaneous":
+                    break
+                style = "simultaneous"
+                continue
+            if self.best is None:
+                failed = self._certified(checker, problem.corners())
+                if failed:
+                    problem.forbid(failed)
+                    continue
+                self._search(problem, now, until, only_first=False)
+            if self._improves(problem):
+                self._certified(checker, problem.corners())
+            break
+
+    def _improves(self, problem: _Problem) -> bool:
+        """Whether the problem's path may be better than the best certified one."""
+        return self.best is None or problem.cost_mm() < self.best.certificate.cost_mm
+
+    def _stopper(self, began: float, until: float) -> Callable[[], bool]:
+        def stop() -> bool:
+            now = time.monotonic()
+            best = self.best.certificate.cost_mm if self.best else None
+            self.report(Progress("search", min(1.0, (now - began) / self.budget), best))
+            return now >= until or self.interrupted.is_set()
+
+        return stop
 
     def _search(self, problem: _Problem, began: float, until: float, *, only_first: bool) -> bool:
         """Runs or continues the search; whether there is a path."""
@@ -165,18 +213,23 @@ class _Work:
             problem.planner.solve(ob.PlannerTerminationCondition(stop))
         return bool(problem.definition.hasExactSolution())
 
-    def _certified(self, problem: _Problem) -> _Candidate | None:
-        """The problem's best path, reordered and certified; None, and forbidden from now on, if it fails."""
-        corners, found_s = problem.corners(), time.monotonic() - self.began
-        result = rotations_first(problem.checker, corners)
+    def _certified(self, checker: MotionChecker, corners: Array) -> str:
+        """Reorders and certifies a path (K, m), keeps it if it is the best; why it failed, empty if it did not."""
+        found_s = time.monotonic() - self.began
+        result = rotations_first(checker, corners)
+        if self.best and np.array_equal(result.after, self.best.result.after):
+            return ""
         certificate = certify(
-            problem.checker.scenario, result.after, progress=lambda f: self.report(Progress("certificate", f, None))
+            checker.scenario, result.after, progress=lambda f: self.report(Progress("certificate", f, None))
         )
-        if certificate.valid:
-            return _Candidate(result, certificate, found_s, time.monotonic() - self.began)
-        self.failure = certificate.problems[0]
-        problem.forbid(self.failure)
-        return None
+        if not certificate.valid:
+            self.failure = certificate.problems[0]
+            return self.failure
+        candidate = _Candidate(result, certificate, found_s, time.monotonic() - self.began)
+        self.first = self.first or candidate
+        if self.best is None or certificate.cost_mm < self.best.certificate.cost_mm:
+            self.best = candidate
+        return ""
 
 
 class _Problem:
@@ -218,6 +271,10 @@ class _Problem:
     def best_cost(self) -> float:
         """Cost [mm] of the best path so far, inf without one."""
         return float(self.planner.bestCost().value()) if self.improves else np.inf
+
+    def cost_mm(self) -> float:
+        """Cost [mm] of the path there is."""
+        return float(self.definition.getSolutionPath().cost(self.objective).value())
 
     def states(self) -> list[Array]:
         """Joint values of the best path's states."""

@@ -14,9 +14,12 @@ from ctrplan.nesting import TOLERANCE_M, nesting_inequalities
 from ctrplan.planning.plan import MotionStyle
 
 if TYPE_CHECKING:
+    from ctrplan.robot import Robot
     from ctrplan.scenario import Scenario
 
 MM_PER_M = 1e3
+PROJECTIONS = 12  # rounds over limits and nesting, which are few and nearly orthogonal
+MM_PER_RAD = 20.0  # where no scenario says otherwise
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,9 +34,13 @@ class JointSpace:
     @classmethod
     def of(cls, scenario: Scenario) -> JointSpace:
         """The joint space of a scenario's robot, weighted as its cost says."""
-        drive = scenario.robot.drive
-        G, h = nesting_inequalities(scenario.robot.tubes)
-        return cls(drive, np.where(drive.is_rotation, scenario.cost.mm_per_rad, MM_PER_M), G, h)
+        return cls.of_robot(scenario.robot, scenario.cost.mm_per_rad)
+
+    @classmethod
+    def of_robot(cls, robot: Robot, mm_per_rad: float = MM_PER_RAD) -> JointSpace:
+        """The joint space of a robot, 1 rad counted as `mm_per_rad`."""
+        G, h = nesting_inequalities(robot.tubes)
+        return cls(robot.drive, np.where(robot.drive.is_rotation, mm_per_rad, MM_PER_M), G, h)
 
     def difference(self, a: Array, b: Array) -> Array:
         """(m,) motion from a to b; unlimited rotations take the shorter way."""
@@ -80,10 +87,33 @@ class JointSpace:
         value, low, high = (x / joint.si_per_unit for x in (q[row][outside][0], joint.lower, joint.upper))
         return f"row {row}: {joint.name} = {value:g} {joint.unit}: must be within {low:g} and {high:g} {joint.unit}"
 
+    def projected(self, q: Array, fallback: Array) -> Array:
+        """q (K, m) moved into limits and nesting, by turns; rows of `fallback` where that did not succeed."""
+        (slope, room), moves = self.nesting_rules(), q.copy()
+        norms = np.sum(slope**2, axis=1)
+        for _ in range(PROJECTIONS):
+            moves = np.clip(moves, self.drive.lower, self.drive.upper)
+            if np.all(moves @ slope.T <= room + TOLERANCE_M):
+                break
+            for row, limit, norm in zip(slope, room, norms, strict=True):
+                moves -= np.maximum(moves @ row - limit, 0.0)[:, None] * row / norm
+        return np.where(self.allowed_rows(moves)[:, None], moves, fallback)
+
+    def nesting_rules(self) -> tuple[Array, Array]:
+        """A (r, m) and b (r,): joint values nest the tubes where A @ q <= b; rules that no joint touches left out."""
+        slope = self.nesting_G @ self.drive.matrix_l
+        touched = np.any(slope != 0, axis=1)
+        return slope[touched], (self.nesting_h - self.nesting_G @ self.drive.home_l_m)[touched]
+
+    def wound_into_limits(self, q: Array) -> Array:
+        """q (K, m) with rotations taken by whole turns to where they are nearest to the middle of their range."""
+        low, high = self._ranges()
+        turns = np.where(self.drive.is_rotation, np.round((q - (low + high) / 2) / (2 * math.pi)), 0.0)
+        return np.asarray(q - 2 * math.pi * turns)
+
     def sample(self, rng: np.random.Generator, count: int) -> Array:
         """(count, m) joint vectors within limits, uniform, nested; unlimited rotations in (-pi, pi]."""
-        low = np.where(self.drive.wraps, -math.pi, self.drive.lower)
-        high = np.where(self.drive.wraps, math.pi, self.drive.upper)
+        low, high = self._ranges()
         found: list[Array] = []
         for _ in range(20):
             q = rng.uniform(low, high, (count, low.size))
@@ -92,6 +122,11 @@ class JointSpace:
             if len(found) >= count:
                 break
         return np.array(found[:count]).reshape(-1, low.size)
+
+    def _ranges(self) -> tuple[Array, Array]:
+        """Limits (m,), (m,), of unlimited rotations -pi and pi."""
+        wraps = self.drive.wraps
+        return np.where(wraps, -math.pi, self.drive.lower), np.where(wraps, math.pi, self.drive.upper)
 
 
 def l_shaped(path: ArrayLike, scenario: Scenario) -> Array:

@@ -1,0 +1,161 @@
+"""`ctrplan ik`: every way found to bring the tip to a point, as a table or JSON."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from typing import TYPE_CHECKING, Any
+
+from ctrplan.errors import InputError, NoAnswerError
+
+if TYPE_CHECKING:
+    from ctrplan.drive import Array
+    from ctrplan.planning.branches import Configuration, Reach
+    from ctrplan.planning.inverse_kinematics import TipTarget
+    from ctrplan.scenario import Scenario
+
+
+def run_ik(arguments: argparse.Namespace) -> int:
+    """Runs the command; returns its exit code. Raises CtrplanError, NoAnswerError where the point is out of reach."""
+    import numpy as np
+
+    from ctrplan.bare_scenario import load_robot_or_scenario
+    from ctrplan.planning.branches import reach
+    from ctrplan.planning.motion import MotionChecker
+
+    scenario = load_robot_or_scenario(arguments.file, arguments.overrides)
+    target = _target(arguments, scenario)
+    for warning in scenario.warnings:
+        print(f"ctrplan: warning: {warning}", file=sys.stderr)
+    found = reach(
+        MotionChecker(scenario),
+        target,
+        arguments.tolerance_mm * 1e-3,
+        np.random.default_rng(arguments.seed),
+        arguments.starts,
+    )
+    branches = found.branches().tolist()
+    print(
+        json.dumps(_json(scenario, found, branches), indent=1) if arguments.json else _text(scenario, found, branches)
+    )
+    if not found.configurations:
+        raise NoAnswerError(f"--tip-mm: {_unreached(scenario, found, arguments)}.")
+    return 0
+
+
+def _target(arguments: argparse.Namespace, scenario: Scenario) -> TipTarget:
+    """The point and direction asked for, in the robot's frame."""
+    import numpy as np
+
+    from ctrplan.planning.inverse_kinematics import TipTarget
+
+    for key, values in (("--tip-mm", arguments.tip_mm), ("--direction", arguments.direction or [])):
+        if not all(math.isfinite(value) and abs(value) <= 1e5 for value in values):
+            raise InputError("must be finite, at most 1e5", key=key, value=values)
+    if not 0 < arguments.tolerance_mm <= 1e3:
+        raise InputError("must be above 0 and at most 1000", key="--tolerance-mm", value=arguments.tolerance_mm)
+    if not 0 < arguments.direction_tolerance_deg <= 180:
+        value = arguments.direction_tolerance_deg
+        raise InputError("must be above 0 and at most 180", key="--direction-tolerance-deg", value=value)
+    if not 1 <= arguments.starts <= 100_000:
+        raise InputError("must be from 1 to 100000", key="--starts", value=arguments.starts)
+    tip = scenario.base_R.T @ (np.multiply(arguments.tip_mm, 1e-3) - scenario.base_position_m)
+    if arguments.direction is None:
+        return TipTarget(tip)
+    length = math.hypot(*arguments.direction)
+    if length == 0:
+        raise InputError("must not be zero", key="--direction", value=arguments.direction)
+    direction = scenario.base_R.T @ (np.array(arguments.direction) / length)
+    return TipTarget(tip, direction, math.radians(arguments.direction_tolerance_deg))
+
+
+def _text(scenario: Scenario, found: Reach, branches: list[int]) -> str:
+    count, names = len(found.configurations), scenario.robot.drive.names
+    many = f"{count} configurations" if count != 1 else "1 configuration"
+    in_branches = len(set(branches))
+    head = (
+        f"{scenario.name}: {many} in {in_branches} {'branch' if in_branches == 1 else 'branches'}, lowest bound first"
+    )
+    if not count:
+        return f"{scenario.name}: no configuration"
+    units = [joint.unit for joint in scenario.robot.drive.joints]
+    header = ["branch", *(f"{n} ({u})" for n, u in zip(names, units, strict=True))]
+    header += ["bound (mm)", "bound (deg)", "stability", "clearance (mm)", "tip error (mm)", ""]
+    rows = [_row(scenario, c, b) for c, b in zip(found.configurations, branches, strict=True)]
+    return "\n".join([head, *_aligned([header, *rows])])
+
+
+def _row(scenario: Scenario, c: Configuration, branch: int) -> list[str]:
+    clearance = "free space" if math.isinf(c.clearance_m) else f"{c.clearance_m * 1e3:.2f}"
+    joints = [f"{value:.2f}" for value in _shown(scenario, c.joints)]
+    figures = [f"{c.bound_m * 1e3:.3f}", f"{math.degrees(c.bound_rad):.2f}", f"{c.stability:.2f}", clearance]
+    return [
+        str(branch + 1),
+        *joints,
+        *figures,
+        f"{c.tip_error_m * 1e3:.3f}",
+        f"not valid: {c.reason}" if c.reason else "",
+    ]
+
+
+def _aligned(rows: list[list[str]]) -> list[str]:
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    lines = []
+    for row in rows:
+        cells = [cell.rjust(width) for cell, width in zip(row[:-1], widths, strict=False)]
+        lines.append("  ".join([*cells, row[-1]]).rstrip())
+    return lines
+
+
+def _shown(scenario: Scenario, joints: Array) -> list[float]:
+    """Joint values in deg and mm."""
+    return [float(q) / joint.si_per_unit for q, joint in zip(joints, scenario.robot.drive.joints, strict=True)]
+
+
+def _json(scenario: Scenario, found: Reach, branches: list[int]) -> dict[str, Any]:
+    rows = [{"branch": b + 1, **_entry(scenario, c)} for c, b in zip(found.configurations, branches, strict=True)]
+    return {
+        "name": scenario.name,
+        "reachable": bool(rows),
+        "branches": len(set(branches)),
+        "configurations": rows,
+        "nearest": _entry(scenario, found.nearest),
+    }
+
+
+def _entry(scenario: Scenario, c: Configuration) -> dict[str, Any]:
+    names = scenario.robot.drive.names
+    units = [joint.unit for joint in scenario.robot.drive.joints]
+    return {
+        "joints": {n: {u: x} for n, u, x in zip(names, units, _shown(scenario, c.joints), strict=True)},
+        "tip_mm": _tip_mm(scenario, c),
+        "tip_tangent": (scenario.base_R @ c.tangent).tolist(),
+        "tip_error_mm": _finite(c.tip_error_m * 1e3),
+        "direction_error_deg": math.degrees(c.turned_rad),
+        "bound_position_mm": _finite(c.bound_m * 1e3),
+        "bound_tangent_deg": _finite(math.degrees(c.bound_rad)),
+        "stability": _finite(c.stability),
+        "max_strain": _finite(c.max_strain),
+        "clearance_mm": _finite(c.clearance_m * 1e3),
+        "valid": c.valid,
+        "reason": c.reason,
+    }
+
+
+def _tip_mm(scenario: Scenario, c: Configuration) -> list[float]:
+    return [round(float(x), 4) for x in (scenario.base_R @ c.tip_m + scenario.base_position_m) * 1e3]
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _unreached(scenario: Scenario, found: Reach, arguments: argparse.Namespace) -> str:
+    nearest = found.nearest
+    if nearest.tip_error_m <= found.tolerance_m:
+        turned, allowed = math.degrees(nearest.turned_rad), arguments.direction_tolerance_deg
+        return f"reached, but at best {turned:.1f} deg from --direction, --direction-tolerance-deg = {allowed:g}"
+    away_mm, where = nearest.tip_error_m * 1e3, [round(x, 2) for x in _tip_mm(scenario, nearest)]
+    return f"out of reach, the nearest tip found is {away_mm:.3g} mm away at {where} mm"

@@ -1,0 +1,166 @@
+"""Paths that withdraw along the robot's own body: a roadmap for insertions through lumens, where sampling is lost.
+
+The body of a robot at its goal lies in free space. Bringing the tip back along that body, from goal to plate, by small
+steps of inverse kinematics gives configurations that stay near it; driven the other way they are an insertion that
+follows its own leader as well as the drive can. The roadmap joins these configurations of all goals, the start's
+among them, by L-shaped motions, and its cheapest path is found by checking only the motions that matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from ctrplan.drive import Array
+from ctrplan.planning.goals import GoalState
+from ctrplan.planning.inverse_kinematics import TipSolver, TipTarget
+from ctrplan.planning.motion import MM_PER_M, MotionChecker
+
+STATION_MM = 6.0  # along the body between neighbours of a chain
+LOST_M = 3e-3  # a tip that can't be brought back any nearer ends its chain
+SKIPS = (1, 2, 4, 8)  # stations along a chain that a motion may go
+NEIGHBOURS = 4  # in other chains, to either side
+MOST_GOALS = 12
+USUAL_MM = 25.0  # of joint length: shorter motions near a valid one are valid more often than not
+AT_ONCE = 2  # motions checked in parallel
+
+
+@dataclass(frozen=True, eq=False)
+class Roadmap:
+    """Configurations (N, m), the start first, and motions that may join them."""
+
+    joints: Array
+    edges: NDArray[np.int_]  # (E, 2) from, to
+    goals: NDArray[np.int_]  # nodes that are goal states
+
+
+def retreat_roadmap(checker: MotionChecker, goals: list[GoalState]) -> Roadmap:
+    """Chains from the goals with the lowest bounds back to the plate, joined to each other and to the start."""
+    ends = np.array([goal.joints for goal in goals[:MOST_GOALS]])
+    start = checker.scenario.start
+    chains = _chains(checker, np.vstack([ends, start]))
+    joints, owner, station = [start], [-1], [0]
+    for k, chain in enumerate(chains):
+        for place, q in enumerate(chain):
+            if k == len(ends) and place == 0:
+                continue  # the start itself
+            joints.append(q)
+            owner.append(k)
+            station.append(place)
+    q = np.array(joints)
+    goal_nodes = [
+        i for i, (k, place) in enumerate(zip(owner, station, strict=True)) if place == 0 and 0 <= k < len(ends)
+    ]
+    return Roadmap(
+        q, _edges(checker, q, np.array(owner), np.array(station), len(ends)), np.array(goal_nodes, dtype=int)
+    )
+
+
+class RoadmapSearch:
+    """Finds the cheapest path of a roadmap by checking only motions that may lie on it."""
+
+    def __init__(self, checker: MotionChecker, roadmap: Roadmap, goals: list[GoalState]) -> None:
+        self.checker, self.roadmap = checker, roadmap
+        weights, space, q = checker.scenario.cost, checker.space, roadmap.joints
+        a, b = roadmap.edges.T
+        self.length = np.array([space.length_mm(d) for d in space.difference(q[a], q[b])])
+        at_goal = dict(zip(roadmap.goals.tolist(), (goal.bound_m for goal in goals), strict=False))
+        self.ends = np.isin(b, roadmap.goals)
+        left = np.array([at_goal.get(int(node), 0.0) for node in b])
+        self.cost = weights.path * self.length + weights.error_goal * left * MM_PER_M + 1e-6
+        self.known = np.zeros(len(a), dtype=bool)
+        self.row = {(int(i), int(j)): k for k, (i, j) in enumerate(roadmap.edges)}
+
+    def path(self, stop: Callable[[], bool], *, shy: bool) -> Array | None:
+        """(K, m) states from the start to a goal; None without a way, or if `stop` came first.
+
+        A motion not checked yet counts its length alone, which is never too dear; where `shy`, long ones count more, as
+        they fail more often: a path is found sooner, and it is not the cheapest.
+        """
+        while not stop():
+            doubt = np.where(self.known, 1.0, np.maximum(1.0, self.length / USUAL_MM) ** (1.0 if shy else 0.0))
+            nodes = _shortest(self.cost * doubt, self.roadmap)
+            if nodes is None:
+                return None
+            todo = [self.row[pair] for pair in zip(nodes[:-1], nodes[1:], strict=True)]
+            todo = [k for k in todo if not self.known[k]]
+            if not todo:
+                return self.roadmap.joints[nodes]
+            with ThreadPoolExecutor(AT_ONCE) as pool:
+                list(pool.map(self._check, todo[:AT_ONCE]))
+        return None
+
+    def forbid(self, path: Array, reason: str) -> None:
+        """Forbids the motions of a path (K, m) of states that failed its certificate."""
+        nodes = [int(np.argmin(np.abs(self.roadmap.joints - q).max(axis=1))) for q in path]
+        for a, b in zip(nodes[:-1], nodes[1:], strict=True):
+            self.checker.forbid(self.roadmap.joints[a], self.roadmap.joints[b], reason)
+            self.cost[self.row[a, b]] = np.inf
+
+    def _check(self, k: int) -> None:
+        a, b = self.roadmap.edges[k]
+        motion = self.checker.motion(self.roadmap.joints[a], self.roadmap.joints[b])
+        self.cost[k] = self.checker.cost_mm(motion, ends_at_goal=bool(self.ends[k])) if motion.valid else np.inf
+        self.known[k] = True
+
+
+def _chains(checker: MotionChecker, ends: Array) -> list[list[Array]]:
+    """For each configuration (G, m): itself, then those with its tip ever further back along its body."""
+    solver = TipSolver(checker.space, checker.mechanics)
+    bodies = [_body(checker, q) for q in ends]
+    chains = [[q] for q in ends]
+    active = list(range(len(ends)))
+    for place in range(1, 1 + max(len(body) for body in bodies)):
+        active = [k for k in active if place < len(bodies[k])]
+        if not active:
+            break
+        aim = np.array([bodies[k][place] for k in active])
+        found = solver.solve(TipTarget(aim), np.array([chains[k][-1] for k in active]), turned=False)
+        lost = found.error_m > LOST_M
+        for k, q in zip(np.array(active)[~lost].tolist(), found.joints[~lost], strict=True):
+            chains[k].append(q)
+        active = np.array(active)[~lost].tolist()
+    return chains
+
+
+def _body(checker: MotionChecker, q: Array) -> Array:
+    """(S, 3) points of the zero-clearance centreline from the tip back to the plate, evenly spaced."""
+    shape = checker.mechanics.zero_clearance(*checker.space.drive.collars(q))
+    s = np.arange(shape.s_m[-1], 0.0, -STATION_MM / MM_PER_M)
+    return np.stack([np.interp(s, shape.s_m, axis) for axis in shape.centreline_m.T], axis=1)
+
+
+def _edges(
+    checker: MotionChecker, q: Array, owner: NDArray[np.int_], station: NDArray[np.int_], starts_chain: int
+) -> NDArray[np.int_]:
+    """Forward along each goal's chain, backward along the start's, to near neighbours in others, and from the start."""
+    found = {(0, i) for i in range(1, len(q))}
+    for i in range(1, len(q)):
+        same = np.flatnonzero((owner == owner[i]) & np.isin(np.abs(station - station[i]), SKIPS))
+        back = owner[i] == starts_chain
+        found |= {(i, int(j)) for j in same if (station[j] > station[i] if back else station[j] < station[i])}
+        others = np.flatnonzero((owner != owner[i]) & (owner != starts_chain) & (owner >= 0))
+        apart = np.linalg.norm(checker.space.difference(q[i], q[others]) * checker.space.weights_mm, axis=1)
+        found |= {(i, int(j)) for j in others[np.argsort(apart)[:NEIGHBOURS]]}
+    return np.array(sorted(found), dtype=int).reshape(-1, 2)
+
+
+def _shortest(cost: Array, roadmap: Roadmap) -> list[int] | None:
+    """Nodes of the cheapest path from node 0 to a goal."""
+    is_open, count = np.isfinite(cost), len(roadmap.joints)
+    a, b = roadmap.edges[is_open].T
+    graph = csr_array((cost[is_open], (a, b)), shape=(count, count))
+    distance, before = dijkstra(graph, indices=0, return_predecessors=True)
+    goal = int(roadmap.goals[np.argmin(distance[roadmap.goals])])
+    if not np.isfinite(distance[goal]):
+        return None
+    nodes = [goal]
+    while nodes[-1] != 0:
+        nodes.append(int(before[nodes[-1]]))
+    return nodes[::-1]
