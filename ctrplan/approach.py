@@ -12,6 +12,7 @@ import numpy as np
 from ctrplan.drive import Array
 from ctrplan.measurements import SAME_ROTATION_RAD, SAME_TRANSLATION_M, Measurements
 
+RELEASING_SWINGS = 6  # that many, each smaller than the one before, are a decreasing oscillation
 BREAKAWAY_RAD = np.radians(30.0)  # relative rotation from released to slipping everywhere (docs/diagnosis.md)
 
 
@@ -39,13 +40,33 @@ def _advanced(state: Array, turn: Array, slide: Array) -> Array:
 
 
 def last_directions(data: Measurements) -> Array:
-    """(K, 2 n) sign of the last motion of each rotation, then of each translation; 0 where a run never moved it."""
-    n = data.n
+    """(K, 2 n) sign of the last motion of each rotation, then of each translation.
+
+    0 where the run has not moved the actuator yet, and after an oscillation of decreasing amplitude, which leaves play
+    and elastic wind-up of a drive in the middle.
+    """
     joints = np.hstack([data.theta_b, data.l_b])
-    still = np.repeat([SAME_ROTATION_RAD, SAME_TRANSLATION_M], n) / 10
-    directions = np.zeros_like(joints)
-    for row in range(1, len(joints)):
-        if data.sequence[row] == data.sequence[row - 1]:
-            step = joints[row] - joints[row - 1]
-            directions[row] = np.where(np.abs(step) > still, np.sign(step), directions[row - 1])
-    return directions[data.rows]
+    still = np.repeat([SAME_ROTATION_RAD, SAME_TRANSLATION_M], data.n) / 10
+    directions = np.zeros((data.count, joints.shape[1]))
+    for run in np.unique(data.sequence[data.rows]).tolist():
+        waypoints, poses = np.flatnonzero(data.sequence == run), data.sequence[data.rows] == run
+        steps = np.diff(joints[waypoints], axis=0)
+        for j in range(joints.shape[1]):
+            after = _directions_along(steps[:, j], still[j])
+            directions[poses, j] = after[data.rows[poses] - waypoints[0]]
+    return directions
+
+
+def _directions_along(steps: Array, still: float) -> Array:
+    """(R,) direction of an actuator at each waypoint of a run with R - 1 steps."""
+    directions, swings = np.zeros(len(steps) + 1), [0.0]
+    for k, step in enumerate(steps.tolist(), start=1):
+        if abs(step) > still:
+            if step * swings[-1] > 0:
+                swings[-1] += step
+            else:
+                swings.append(step)
+        last = np.abs(swings[-RELEASING_SWINGS:])
+        released = len(swings) > RELEASING_SWINGS and bool(np.all(np.diff(last) < 0))
+        directions[k] = 0.0 if released else np.sign(swings[-1])
+    return directions

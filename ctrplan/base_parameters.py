@@ -1,6 +1,6 @@
 """What ordinary calibration adjusts: precurvature magnitudes, stiffness ratios, Poisson's ratios.
 
-Gauges: without loads the shape depends on ratios of stiffness only, so tube 1 keeps its own.
+Gauges: without loads the shape depends on ratios of stiffness only, so that the stiffness of tube 1 keeps its prior.
 """
 
 from __future__ import annotations
@@ -11,6 +11,8 @@ from ctrplan.diagnosis.effect import Effect, Parameter, Values
 from ctrplan.robot import Robot
 
 CURVATURE_PRIOR, STIFFNESS_PRIOR, POISSON_PRIOR, FRICTION_PRIOR = 0.1, 0.2, 0.15, 0.1
+
+ABSOLUTE_STIFFNESS = "stiffness_factor_1"
 
 
 class BaseParameters(Effect):
@@ -58,9 +60,3 @@ class BaseParameters(Effect):
             else:
                 changed[f"contact.{i}.friction_coefficient"] = value
         return changed
-
-
-def base_names(robot: Robot, *, loaded: bool = False) -> list[str]:
-    """Parameters of the base; the stiffness of tube 1 only where something else than stiffness carries forces."""
-    names = [parameter.name for parameter in BaseParameters().parameters(robot)]
-    return [name for name in names if loaded or name != "stiffness_factor_1"]

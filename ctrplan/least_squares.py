@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ctrplan.chain import Chain
 from ctrplan.drive import Array
+from ctrplan.errors import InputError
 from ctrplan.residuals import Noise, Residuals, residuals
 
 MOST_STEPS = 12
@@ -81,7 +82,11 @@ def fit(chain: Chain, noise: Noise, group: Sequence[int] | NDArray[np.int_], sta
         if not len(p):
             break
         target = _step(here, damping)
-        there = _at(chain, noise, groups, target)
+        try:
+            there = _at(chain, noise, groups, target)
+        except InputError:  # no robot has these values
+            damping = max(damping * 30, 1e-3)
+            continue
         gain = here.loss - there.loss
         if gain > 0:
             here, damping = there, max(damping / 10, SMALLEST_DAMPING)

@@ -115,3 +115,13 @@ def _unsound(r: Array, J: Array, sound: NDArray[np.bool_]) -> tuple[Array, Array
     r, J = np.nan_to_num(r), np.nan_to_num(J)
     r[~sound], J[~sound] = UNSOUND / np.sqrt(PER_POSE), 0.0
     return r, J
+
+
+def information_inverse(J: Array, weight: Array, precision: Array) -> Array:
+    """(P, P) matrix A with A A^T the covariance of parameters with derivatives J (K, 5, P) and priors."""
+    flat = J.reshape(-1, J.shape[2])
+    H = flat.T @ (np.repeat(weight, J.shape[1])[:, None] * flat) + np.diag(precision)
+    scale = 1 / np.sqrt(np.diag(H))
+    values, vectors = np.linalg.eigh(H * np.outer(scale, scale))
+    root: Array = scale[:, None] * vectors / np.sqrt(np.maximum(values, 1e-14 * values.max()))
+    return root

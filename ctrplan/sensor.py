@@ -20,7 +20,7 @@ class Poses:
 
 def rotation(vector: Array) -> Array:
     """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad]."""
-    matrix: Array = Rotation.from_rotvec(vector).as_matrix()
+    matrix: Array = Rotation.from_rotvec(np.array(vector)).as_matrix()
     return matrix
 
 

@@ -21,7 +21,7 @@ class NonlinearElasticity(Effect):
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return (
             Parameter("strain_percent", 1.0, neutral=1.0, lower=0.05, upper=8.0, start=0.8, si=0.01),
-            Parameter("stiffness_fraction", 0.5, neutral=1.0, lower=0.02, upper=1.5, start=0.8),
+            Parameter("stiffness_fraction", 0.5, neutral=1.0, lower=0.02, upper=1.0, start=0.8),
         )
 
     def starts(self, names: Sequence[str]) -> Sequence[Values]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from ctrplan.diagnosis.effect import Effect, Parameter, Values, register
 from ctrplan.robot import Robot
 
-NEARLY_RIGID = 1e-6  # rad/(N m): a rigid shaft has no derivative by its compliance
+NEARLY_RIGID = 1e-3  # rad/(N m), which moves a tip by about a micrometre: a rigid shaft has no derivative
 
 
 @register
@@ -24,4 +24,4 @@ class ShaftTorsion(Effect):
         return tuple(Parameter(f"compliance_{i + 1}_rad_per_Nm", 3.0, lower=0.0, upper=1e3) for i in range(robot.n))
 
     def mechanics(self, values: Values, robot: Robot) -> Mapping[str, float]:
-        return {f"tube.{n.split('_')[1]}.shaft_compliance_rad_per_Nm": max(value, NEARLY_RIGID) for n, value in values.items()}
+        return {f"tube.{n.split('_')[1]}.shaft_compliance_rad_per_Nm": value + NEARLY_RIGID for n, value in values.items()}

@@ -17,6 +17,7 @@ class TranslationRelease(Effect):
     signature = "with friction in the model, poses reached by a last translation lie nearer the frictionless ones"
     look_alikes = ("friction",)
     experiment = "approach by rotation then translation of a few millimetres, and by the same in the other order"
+    needs = "friction"
     depends_on_history = True
     is_linear = False
 
