@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from ctrplan.errors import InputError
 from ctrplan.residuals import Noise, Residuals, residuals
 
 MOST_STEPS = 12
-ENOUGH = 0.02  # decrease of the loss (twice a log-likelihood) below which a fit has converged
+ENOUGH = 0.05  # decrease of the loss (twice a log-likelihood) below which a fit has converged
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-6, 1e6
 LONGEST_STEP = 3.0  # of a parameter in a step, in standard deviations of its prior
 
@@ -76,14 +76,16 @@ def fit(chain: Chain, noise: Noise, group: Sequence[int] | NDArray[np.int_], sta
     """The most probable parameters near `start` (P,)."""
     groups = np.asarray(group)
     p = np.clip(chain.start if start is None else start, chain.lower, chain.upper)
-    here = _at(chain, noise, groups, p)
+    here = fit_at(chain, noise, groups, p)
     damping = SMALLEST_DAMPING
     for _ in range(MOST_STEPS):
         if not len(p):
             break
-        target = _step(here, damping)
+        target, promised = _step(here, damping)
+        if promised < ENOUGH:
+            return replace(here, converged=True)
         try:
-            there = _at(chain, noise, groups, target)
+            there = fit_at(chain, noise, groups, target)
         except InputError:  # no robot has these values
             damping = max(damping * 30, 1e-3)
             continue
@@ -92,19 +94,21 @@ def fit(chain: Chain, noise: Noise, group: Sequence[int] | NDArray[np.int_], sta
             here, damping = there, max(damping / 10, SMALLEST_DAMPING)
         else:
             damping = max(damping * 30, 1e-3)
-        if 0 <= gain < ENOUGH or damping > LARGEST_DAMPING or np.abs(target - here.p).max() == 0 == gain:
-            return Fit(chain, noise, groups, here.p, here.residuals, True)
-        if gain < 0 and -gain < ENOUGH:  # the solver's own noise
-            return Fit(chain, noise, groups, here.p, here.residuals, True)
+        if abs(gain) < ENOUGH or damping > LARGEST_DAMPING:  # a loss this near is the solver's own noise
+            return replace(here, converged=True)
     return here
 
 
-def _at(chain: Chain, noise: Noise, group: NDArray[np.int_], p: Array) -> Fit:
+def fit_at(chain: Chain, noise: Noise, group: NDArray[np.int_], p: Array) -> Fit:
+    """What a fit would be if `p` (P,) were its result."""
     return Fit(chain, noise, group, p, residuals(chain.data, chain.predict(p), noise, group), False)
 
 
-def _step(here: Fit, damping: float) -> Array:
-    """The next parameters, inside their bounds; those held by a bound stay out of the system."""
+def _step(here: Fit, damping: float) -> tuple[Array, float]:
+    """The next parameters, inside their bounds, and the decrease of the loss that the linear model promises.
+
+    Parameters held by a bound stay out of the system.
+    """
     chain, parts = here.chain, here.residuals
     gradient = np.einsum("kcp,kc->p", parts.J * parts.weight[:, None, None], parts.r)
     gradient -= here.precision * (here.p - chain.neutral)
@@ -117,4 +121,4 @@ def _step(here: Fit, damping: float) -> Array:
     step[free] = scale * np.linalg.lstsq(matrix * np.outer(scale, scale), scale * gradient[free], rcond=1e-13)[0]
     limit = LONGEST_STEP * chain.prior
     stepped: Array = np.clip(here.p + np.clip(step, -limit, limit), chain.lower, chain.upper)
-    return stepped
+    return stepped, float(gradient @ (stepped - here.p))

@@ -45,10 +45,11 @@ class Selector:
 
     def __init__(self, bench: Workbench, candidates: Candidates, tell: Report = lambda _: None) -> None:
         self.bench, self.candidates, self.tell = bench, candidates, tell
+        self.found = Selection(bench.scored([]))  # so far
 
     def run(self) -> Selection:
         """Adds what passes the threshold, drops what no longer does, swaps what another effect does better."""
-        found = Selection(self.bench.scored([]))
+        found = self.found
         while len(found.chosen.terms) < MOST_EFFECTS and self._grow(found):
             self._prune(found)
             self._swap(found)
@@ -66,7 +67,7 @@ class Selector:
             gain, error = self.bench.difference(candidate, here)
             best = candidate is tried[0] and gain > max(found.threshold, CERTAIN * error)
             found.path.append(_step("add", candidate.terms[-1], gain, error, found.threshold, best))
-        if not tried or found.path[-len(tried)].taken is False:
+        if not tried or not found.path[-len(tried)].taken:
             return False
         found.chosen = tried[0]
         return True
@@ -77,7 +78,8 @@ class Selector:
 
     def fitted(self, here: Scored, screened: Sequence[Screened]) -> list[Scored]:
         """The most promising variants fitted beside `here`, best first."""
-        tried = [self.bench.scored([*here.terms, s.term], here.fit) for s in promising(screened)]
+        worth = [s for s in promising(screened) if s.score > here.score or not s.term.effect.is_linear]
+        tried = [self.bench.scored([*here.terms, s.term], here.fit) for s in worth]
         return sorted(tried, key=lambda scored: -scored.score)
 
     def _prune(self, found: Selection) -> None:

@@ -13,9 +13,9 @@ from ctrplan.base_parameters import ABSOLUTE_STIFFNESS, BaseParameters
 from ctrplan.chain import Chain, Term, term
 from ctrplan.diagnosis.crossvalidation import Linear, held_out_loss
 from ctrplan.drive import Array
-from ctrplan.least_squares import Fit, fit
+from ctrplan.least_squares import Fit, fit, fit_at
 from ctrplan.measurements import Measurements
-from ctrplan.residuals import Noise, residuals
+from ctrplan.residuals import Noise, residuals, robust_square
 from ctrplan.robot import Robot
 
 
@@ -76,9 +76,17 @@ class Workbench:
 
     def _fitted(self, terms: tuple[Term, ...], near: Fit | None) -> Scored:
         chain = Chain(self.robot, self.data, [self.base(terms), *terms])
-        fits = [fit(chain, self.noise, self.whitening_group, start) for start in self._starts(chain, near)]
-        best = min(fits, key=lambda found: found.loss)
+        best = fit(chain, self.noise, self.whitening_group, self._start(chain, near))
         return Scored(terms, best, held_out_loss(linear(best), self.fold))
+
+    def _start(self, chain: Chain, near: Fit | None) -> Array:
+        """Of several starts the one whose first step promises most."""
+        starts = self._starts(chain, near)
+        if len(starts) == 1:
+            return starts[0]
+        fits = [fit_at(chain, self.noise, self.whitening_group, start) for start in starts]
+        promised = [float(robust_square(np.linalg.norm(linear(f).refitted().r, axis=1)).sum()) for f in fits]
+        return starts[int(np.argmin(promised))]
 
     def _starts(self, chain: Chain, near: Fit | None) -> list[Array]:
         """Known values of the parameters, and the effects' own suggestions for those not known yet."""
