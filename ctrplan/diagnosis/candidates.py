@@ -1,0 +1,40 @@
+"""Which effects of the catalogue these data can test, in which variants, and why not the others."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import ctrplan.diagnosis.effects  # noqa: F401 (fills the catalogue)
+from ctrplan.chain import Term, term
+from ctrplan.diagnosis.effect import CATALOGUE, Effect
+from ctrplan.measurements import Measurements
+from ctrplan.robot import Robot
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Variants of every testable effect, and the reasons why the rest is not testable."""
+
+    terms: tuple[Term, ...]
+    not_testable: Mapping[str, str]
+
+    def beside(self, chosen: Sequence[Term]) -> list[Term]:
+        """Variants that make sense beside the chosen terms."""
+        names = {t.name for t in chosen}
+        keys = {t.key for t in chosen}
+        return [t for t in self.terms if t.key not in keys and (not t.effect.needs or t.effect.needs in names)]
+
+
+def candidates(robot: Robot, data: Measurements, catalogue: Mapping[str, Effect] = CATALOGUE) -> Candidates:
+    """Everything in the catalogue, sorted into testable and not."""
+    terms: list[Term] = []
+    reasons: dict[str, str] = {}
+    for name, effect in catalogue.items():
+        if reason := effect.untestable(robot, data):
+            reasons[name] = reason
+        elif name in robot.effects:
+            reasons[name] = "is in the robot file already"
+        else:
+            terms += [term(effect, names, robot) for names in effect.variants(robot, data) if names]
+    return Candidates(tuple(terms), reasons)

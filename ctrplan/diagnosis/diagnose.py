@@ -1,0 +1,189 @@
+"""The workflow, from measurements to a verdict: docs/diagnosis.md has the steps and their reasons."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.diagnosis.candidates import Candidates, candidates
+from ctrplan.diagnosis.effect import CATALOGUE, Effect
+from ctrplan.diagnosis.experiment import next_experiment
+from ctrplan.diagnosis.gap import Gap, distances, open_vault
+from ctrplan.diagnosis.guards import outliers
+from ctrplan.diagnosis.localise import Place, localise
+from ctrplan.diagnosis.misstated import rescaled_noise
+from ctrplan.diagnosis.result import Diagnosis
+from ctrplan.diagnosis.selection import Selector
+from ctrplan.diagnosis.split import Split, groups, split
+from ctrplan.diagnosis.symptoms import symptoms
+from ctrplan.diagnosis.verdict import Finding, Judgement, judge, remains, specific
+from ctrplan.diagnosis.workbench import Workbench
+from ctrplan.errors import InputError
+from ctrplan.measurements import LONGEST_LAG_S, Measurements
+from ctrplan.residuals import Noise
+from ctrplan.robot import Robot
+from ctrplan.shapes import Status
+
+LEAST_STABILITY = 0.03  # of the believed robot: nearer to snapping no model is asked
+LEAST_GROUPS = 12  # configurations, or blocks of a continuous motion
+VAULT_REJECTED = 1e-4  # probability of the vault's residuals that takes a name back
+
+Progress = Callable[[str, float], object]  # name of the step, finished share
+
+
+class Interrupted(Exception):
+    """Ctrl-C between two fits."""
+
+
+@dataclass(eq=False)
+class _Teller:
+    """Names the steps to whoever watches, and stops between them when asked to."""
+
+    progress: Progress | None
+    interrupted: threading.Event | None
+    share: float = 0.05
+
+    def __call__(self, step: str) -> None:
+        if self.interrupted is not None and self.interrupted.is_set():
+            raise Interrupted
+        self.share += 0.25 * (1 - self.share)  # how many steps there will be is not known
+        if self.progress:
+            self.progress(step, self.share)
+
+
+def diagnose(
+    robot: Robot,
+    data: Measurements,
+    progress: Progress | None = None,
+    *,
+    catalogue: Mapping[str, Effect] = CATALOGUE,
+    interrupted: threading.Event | None = None,
+) -> Diagnosis:
+    """Compares the whole chain with measurements and says which stage lacks what, if anything.
+
+    `progress` is told the step and the share done. When `interrupted` is set, what was found so far is returned.
+    Raises InputError where the data are too few or the robot file does not state the noise.
+    """
+    began = time.monotonic()
+    teller = _Teller(progress, interrupted)
+    noise = stated_noise(robot)
+    usable = usable_poses(robot, data)
+    parts = _checked_split(data, usable)
+    known = candidates(robot, data, catalogue)
+    bench = _bench(robot, data, parts, noise)
+    selector, judgement, notes, stopped = _searched(bench, known, teller)
+    chosen, base = selector.found.chosen, selector.bench.scored([])
+    noise = selector.bench.noise
+    if progress:
+        progress("opening the vault", 0.95)
+    group = groups(data)
+    gap = open_vault(base.fit, chosen.fit, data.subset(parts.vault), group[parts.vault], noise)
+    judgement, note = _after_vault(judgement, selector, gap)
+    place = _place(selector.bench, gap)
+    far = outliers(chosen.fit.residuals.norm)
+    sentence, proposed = next_experiment(chosen, judgement, bench.data, noise, list(known.not_testable))
+    return Diagnosis(
+        verdict=judgement.verdict,
+        judgement=judgement,
+        base=base,
+        chosen=chosen,
+        gap=gap,
+        place=place,
+        next_experiment=sentence,
+        proposals=proposed,
+        path=tuple(selector.found.path),
+        not_testable=known.not_testable,
+        notes=(*data.warnings, *notes, *note, *symptoms(chosen.fit), *_coverage(usable)),
+        robot=robot,
+        data=data,
+        noise=noise,
+        coverage=float(usable.mean()),
+        outlier_rows=tuple((data.rows[parts.selection[far]] + 1).tolist()),
+        interrupted=stopped,
+        time_s=time.monotonic() - began,
+    )
+
+
+def stated_noise(robot: Robot) -> Noise:
+    """The noise of the robot file. Raises InputError where it has none: it is never assumed."""
+    if robot.measurement is None:
+        rule = "is missing: state position_sigma_mm and tangent_sigma_deg, from repeats or the tracker's data sheet"
+        raise InputError(rule, file=robot.path, key="measurement")
+    return Noise(robot.measurement.position_sigma_m, robot.measurement.tangent_sigma_rad)
+
+
+def usable_poses(robot: Robot, data: Measurements) -> NDArray[np.bool_]:
+    """(K,) poses that every candidate is asked about: the believed robot is stable there, clocks can be compared."""
+    first = np.unique(data.configuration, return_index=True)[1]
+    bounds = robot.bound_many(data.theta_b[data.rows[first]], data.l_b[data.rows[first]])
+    sound = (bounds.status <= Status.MULTIPLE) & (bounds.stability > LEAST_STABILITY)
+    usable: NDArray[np.bool_] = sound[data.configuration]
+    if data.is_stream and data.time_s is not None:
+        starts = {run: data.time_s[data.sequence == run][0] for run in np.unique(data.sequence).tolist()}
+        begun = np.array([starts[run] for run in data.sequence[data.rows].tolist()])
+        usable = usable & (data.time_s[data.rows] - begun >= LONGEST_LAG_S)
+    return usable
+
+
+def _checked_split(data: Measurements, usable: NDArray[np.bool_]) -> Split:
+    count = len(np.unique(groups(data)[usable]))
+    if count < LEAST_GROUPS:
+        what = "blocks of a continuous motion" if data.is_stream else "configurations"
+        rule = f"has {count} usable {what}, too few to fit a model and keep a quarter aside: at least {LEAST_GROUPS}"
+        raise InputError(rule, file=data.file)
+    return split(data, usable)
+
+
+def _bench(robot: Robot, data: Measurements, parts: Split, noise: Noise) -> Workbench:
+    return Workbench(robot, data.subset(parts.selection), noise, groups(data)[parts.selection], parts.fold)
+
+
+def _searched(
+    bench: Workbench, known: Candidates, teller: _Teller
+) -> tuple[Selector, Judgement, list[str], bool]:
+    """Selection and judgement, once more with the noise that the data show if it is not the stated one."""
+    selector, notes = Selector(bench, known, teller), list[str]()
+    try:
+        teller("calibrating")
+        selector.run()
+        judgement = judge(selector, selector.found)
+        scaled, note = rescaled_noise(judgement.adequacy, bench.noise)
+        if scaled is not None:
+            notes.append(note)
+            again = Workbench(bench.robot, bench.data, scaled, bench.group, bench.fold)
+            selector = Selector(again, known, teller)
+            selector.run()
+            judgement = judge(selector, selector.found)
+    except Interrupted:
+        notes.append("Interrupted: this is what was found until then, not a verdict.")
+        chosen = selector.found.chosen
+        findings = tuple(Finding(t) for t in chosen.terms)
+        return selector, Judgement("unexplained", findings, remains(bench, chosen), ()), notes, True
+    return selector, judgement, notes, False
+
+
+def _after_vault(judgement: Judgement, selector: Selector, gap: Gap) -> tuple[Judgement, list[str]]:
+    """A verdict that the vault contradicts is taken back."""
+    if judgement.verdict == "unexplained" or gap.chi_square.p > VAULT_REJECTED:
+        return judgement, []
+    kept = specific(selector.bench, selector.found, judgement.findings, judgement.adequacy)
+    note = f"The vault contradicts it: chi-square per degree of freedom {gap.chi_square.ratio:.2f}."
+    return replace(judgement, verdict="unexplained", findings=kept), [note]
+
+
+def _place(bench: Workbench, gap: Gap) -> Place:
+    fit = bench.scored([]).fit
+    error = distances(fit.chain, fit.p)
+    return localise(bench.data, fit.residuals.r, bench.group, error, gap.floor_m)
+
+
+def _coverage(usable: NDArray[np.bool_]) -> list[str]:
+    masked = int((~usable).sum())
+    if not masked:
+        return []
+    return [f"{masked} of {len(usable)} poses were left out for all candidates alike: near snapping, or a run's start."]

@@ -1,0 +1,27 @@
+"""Torsional compliance between actuator and collar."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from ctrplan.diagnosis.effect import Effect, Parameter, Values, register
+from ctrplan.robot import Robot
+
+NEARLY_RIGID = 1e-3  # rad/(N m), which moves a tip by about a micrometre: a rigid shaft has no derivative
+
+
+@register
+class ShaftTorsion(Effect):
+    name = "shaft_torsion"
+    stage = "mechanics"
+    equation = "theta_collar = theta_commanded + C times the torque of the tube on its collar"
+    signature = "tubes lag behind where curvatures oppose, all approaches alike without friction"
+    look_alikes = ("clearance", "joint_scale", "nonlinear_elasticity")
+    experiment = "relative angles near 90 deg, where the torque is largest, against 0 and 180 deg"
+    scales_with_stiffness = True
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        return tuple(Parameter(f"compliance_{i + 1}_rad_per_Nm", 3.0, lower=0.0, upper=1e3) for i in range(robot.n))
+
+    def mechanics(self, values: Values, robot: Robot) -> Mapping[str, float]:
+        return {f"tube.{n.split('_')[1]}.shaft_compliance_rad_per_Nm": value + NEARLY_RIGID for n, value in values.items()}

@@ -1,0 +1,34 @@
+"""Friction that a relative translation turns axial, so that it no longer twists."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ctrplan.diagnosis.effect import MILLIMETRE, Effect, Parameter, Values, register, sliding
+from ctrplan.measurements import Measurements
+from ctrplan.robot import Robot
+
+
+@register
+class TranslationRelease(Effect):
+    name = "translation_release"
+    stage = "mechanics"
+    equation = "d phi = d(relative rotation) / breakaway - phi |d(relative translation)| a"
+    signature = "with friction in the model, poses reached by a last translation lie nearer the frictionless ones"
+    look_alikes = ("friction",)
+    experiment = "approach by rotation then translation of a few millimetres, and by the same in the other order"
+    needs = "friction"
+    depends_on_history = True
+    is_linear = False
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        return (Parameter("release_per_mm", 1.0, lower=0.0, upper=10.0, start=0.2, si=1 / MILLIMETRE),)
+
+    def untestable(self, robot: Robot, data: Measurements) -> str:
+        slides = np.abs(np.diff(np.diff(data.l_b, axis=1), axis=0))[np.diff(data.sequence) == 0]
+        if not sliding(data) or not slides.size or slides.max(initial=0.0) < 1e-5:
+            return "no pose was approached by a relative translation"
+        return ""
+
+    def friction_release_m(self, values: Values) -> float:
+        return 1 / max(values["release_per_mm"], 1e-9)

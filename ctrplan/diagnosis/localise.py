@@ -1,0 +1,123 @@
+"""Where model and measurement disagree: a sentence, and what the residuals go along with.
+
+Residuals of the calibrated model are compared with everything a pose comes with; a permutation of whole
+configurations says how much of that is chance, corrected for the number of quantities looked at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.approach import friction_state
+from ctrplan.drive import Array
+from ctrplan.measurements import Measurements
+
+PERMUTATIONS, SEED = 200, 3
+CHANCE = 0.05
+BINS = 4
+
+
+@dataclass(frozen=True)
+class Trend:
+    """How far a quantity predicts the size of the residuals or their direction."""
+
+    quantity: str
+    share: float  # of the residuals' sum of squares explained by means over quarters of the quantity
+    p: float  # probability of that much by chance, for the largest of all quantities
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Where the disagreement is."""
+
+    trends: tuple[Trend, ...]
+    sentence: str
+    between_share: float  # of the sum of squares that approaches of one configuration share
+
+
+def quantities(data: Measurements) -> Mapping[str, Array]:
+    """What each pose comes with, (K,) each."""
+    rows, n = data.rows, data.n
+    found: dict[str, Array] = {}
+    for i in range(1, n):
+        turn = data.theta_b[rows, i] - data.theta_b[rows, i - 1]
+        found[f"angle of tube {i + 1} against tube {i}"] = np.mod(turn, 2 * np.pi)
+        found[f"direction of approach of tubes {i} and {i + 1}"] = friction_state(data)[:, i - 1]
+    for i in range(n):
+        found[f"translation of tube {i + 1}"] = data.l_b[rows, i]
+        found[f"commanded rotation of tube {i + 1}"] = data.theta_b[rows, i]
+    for k, axis in enumerate("xyz"):
+        found[f"{axis} of the tip"] = data.position_m[:, k]
+    if data.time_s is not None:
+        found["time"] = data.time_s[rows]
+    found |= {name: values[rows] for name, values in data.more.items()}
+    return {name: values for name, values in found.items() if np.ptp(np.nan_to_num(values)) > 1e-6}
+
+
+def localise(data: Measurements, r: Array, group: NDArray[np.int_], error_m: Array, floor_m: float) -> Place:
+    """From whitened residuals (K, 5) and distances (K,) of the calibrated model."""
+    known = quantities(data)
+    parts = {name: _quarters(values) for name, values in known.items()}
+    observed = np.array([_share(r, part) for part in parts.values()])
+    rng = np.random.default_rng(SEED)
+    chance = np.array([[_share(moved, part) for part in parts.values()] for moved in _shuffles(r, group, rng)])
+    z = (observed - chance.mean(axis=0)) / np.maximum(chance.std(axis=0), 1e-12)
+    highest = ((chance - chance.mean(axis=0)) / np.maximum(chance.std(axis=0), 1e-12)).max(axis=1)
+    trends = [
+        Trend(name, float(share), float((1 + np.sum(highest >= value)) / (1 + PERMUTATIONS)))
+        for name, share, value in zip(known, observed, z, strict=True)
+    ]
+    order = np.argsort(chance.mean(axis=0) - observed)
+    ranked = tuple(trends[k] for k in order)
+    between = _share(r, np.unique(group, return_inverse=True)[1])
+    return Place(ranked, _sentence(ranked, known, error_m, floor_m, between), between)
+
+
+def _sentence(
+    ranked: tuple[Trend, ...], known: Mapping[str, Array], error_m: Array, floor_m: float, between: float
+) -> str:
+    rms = float(np.sqrt(np.mean(error_m**2)))
+    start = f"After calibration tips are {rms * 1e3:.2f} mm off (rms, noise {floor_m * 1e3:.2f} mm)"
+    clear = [trend for trend in ranked if trend.p < CHANCE][:2]
+    if not clear:
+        return f"{start}; the rest goes along with none of {len(ranked)} quantities looked at."
+    parts = []
+    for trend in clear:
+        part = _quarters(known[trend.quantity])
+        sizes = [float(np.sqrt(np.mean(error_m[part == k] ** 2))) * 1e3 for k in np.unique(part)]
+        parts.append(f"the {trend.quantity} ({min(sizes):.2f} to {max(sizes):.2f} mm rms over its range)")
+    kind = "is shared by all approaches of a configuration" if between > 0.5 else "differs between approaches"
+    return f"{start}; the error goes along with {' and '.join(parts)} and mostly {kind}."
+
+
+def _quarters(values: Array) -> NDArray[np.int_]:
+    """(K,) quarter of its range, by rank, that each value falls into; few distinct values are their own classes."""
+    distinct = np.unique(np.round(values, 3))
+    if len(distinct) <= BINS:
+        return np.searchsorted(distinct, np.round(values, 3))
+    edges = np.quantile(values, np.arange(1, BINS) / BINS)
+    return np.searchsorted(edges, values, side="right")
+
+
+def _share(r: Array, part: NDArray[np.int_]) -> float:
+    """Of the sum of squares explained by means over classes."""
+    count = np.bincount(part)
+    means = np.stack([np.bincount(part, weights=column) for column in r.T], axis=1)
+    return float((means**2 / np.maximum(count, 1)[:, None]).sum() / max((r**2).sum(), 1e-12))
+
+
+def _shuffles(r: Array, group: NDArray[np.int_], rng: np.random.Generator) -> list[Array]:
+    """Residuals with whole configurations exchanged and approaches exchanged inside them."""
+    numbers = [np.flatnonzero(group == number) for number in np.unique(group)]
+    shuffled = []
+    for _ in range(PERMUTATIONS):
+        order = np.concatenate([rng.permutation(numbers[k]) for k in rng.permutation(len(numbers))])
+        places = np.concatenate(numbers)
+        moved = np.empty_like(r)
+        moved[places] = r[order]
+        shuffled.append(moved)
+    return shuffled

@@ -1,0 +1,46 @@
+"""Noise of another size than stated: the same everywhere, while a missing effect is not."""
+
+from __future__ import annotations
+
+import math
+
+from scipy.stats import chi2, f
+
+from ctrplan.diagnosis.guards import REJECTED, Adequacy, ChiSquare
+from ctrplan.residuals import Noise
+
+UNEVEN = 0.01  # probability of a ratio of between to within below which the excess has structure
+LARGEST_FACTOR = 3.0
+WORTH_IT = 1.05  # factors nearer to 1 change nothing
+
+
+def rescaled_noise(left: Adequacy, noise: Noise) -> tuple[Noise | None, str]:
+    """Noise as the residuals show it, if they differ from the stated one and are even; and a sentence about it.
+
+    Even: as large between configurations as between approaches of one. An effect that the model lacks acts on one of
+    the two, because it belongs to the configuration or to the way there.
+    """
+    off = min(left.total.p, _too_small(left.total)) < REJECTED
+    if not off or not _is_even(left):
+        return None, ""
+    factors = [math.sqrt(part.ratio) for part in (left.position, left.tangent)]
+    if max(factors) > LARGEST_FACTOR or min(factors) < 1 / LARGEST_FACTOR or all(abs(x - 1) < WORTH_IT - 1 for x in factors):
+        return None, ""
+    found = Noise(noise.position_m * factors[0], noise.tangent_rad * factors[1])
+    sentence = (
+        f"The noise is not as stated: {found.position_m * 1e3:.3g} mm and {math.degrees(found.tangent_rad):.3g} deg fit "
+        f"the data, the file says {noise.position_m * 1e3:.3g} mm and {math.degrees(noise.tangent_rad):.3g} deg."
+    )
+    return found, sentence
+
+
+def _is_even(left: Adequacy) -> bool:
+    if min(left.between.dof, left.within.dof) < 10:
+        return False
+    ratio = left.between.ratio / left.within.ratio
+    above = float(f.sf(ratio, left.between.dof, left.within.dof))
+    return min(above, 1 - above) > UNEVEN / 2
+
+
+def _too_small(found: ChiSquare) -> float:
+    return float(chi2.cdf(found.value, found.dof))

@@ -1,0 +1,171 @@
+"""The diagnosis as one object and as diagnosis.json."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+import ctrplan
+from ctrplan.chain import Term
+from ctrplan.diagnosis.experiment import Proposal
+from ctrplan.diagnosis.gap import Errors, Gap
+from ctrplan.diagnosis.guards import ChiSquare
+from ctrplan.diagnosis.localise import Place
+from ctrplan.diagnosis.selection import Step
+from ctrplan.diagnosis.verdict import Judgement, Verdict
+from ctrplan.diagnosis.workbench import Scored
+from ctrplan.least_squares import Fit
+from ctrplan.measurements import Measurements
+from ctrplan.residuals import Noise
+from ctrplan.robot import Robot
+
+CI95 = 1.959964  # standard deviations
+SCHEMA_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter in the unit that its name ends with."""
+
+    value: float
+    ci95: tuple[float, float]
+    at_bound: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What `ctrplan diagnose` found; lengths in metres, angles in radians, parameters in their names' units."""
+
+    verdict: Verdict
+    judgement: Judgement
+    base: Scored  # calibrated, without effects
+    chosen: Scored  # with them
+    gap: Gap
+    place: Place
+    next_experiment: str
+    proposals: tuple[Proposal, ...]
+    path: tuple[Step, ...]
+    not_testable: Mapping[str, str]
+    notes: tuple[str, ...]
+    robot: Robot
+    data: Measurements
+    noise: Noise
+    coverage: float  # share of the poses that were used
+    outlier_rows: tuple[int, ...]  # rows of the file, from 1
+    interrupted: bool
+    time_s: float
+
+    @property
+    def listed(self) -> tuple[Term, ...]:
+        """The effects of the verdict."""
+        return tuple(finding.term for finding in self.judgement.findings)
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of diagnosis.json."""
+        return {
+            "verdict": self.verdict,
+            "effects": [self._effect(k) for k in range(len(self.judgement.findings))],
+            "gap": _gap(self.gap),
+            "where": self.place.sentence,
+            "next_experiment": self.next_experiment,
+            "not_testable": dict(self.not_testable),
+            "calibration": {
+                name: asdict(estimate) for name, estimate in estimates(self.chosen.fit, self.chosen.fit.chain.terms[0]).items()
+            },
+            "remaining": {
+                name: _chi_square(getattr(self.judgement.adequacy, name)) for name in ("total", "between", "within")
+            }
+            | {"vault": _chi_square(self.gap.chi_square)},
+            "path": [asdict(step) for step in self.path],
+            "proposals": [_proposal(p) for p in self.proposals],
+            "notes": list(self.notes),
+            "coverage": self.coverage,
+            "outlier_rows": list(self.outlier_rows),
+            "interrupted": self.interrupted,
+            "time_s": round(self.time_s, 1),
+            "robot_sha256": self.robot.sha256,
+            "measurements_sha256": self.data.sha256,
+            "ctrplan_version": ctrplan.__version__,
+            "schema_version": SCHEMA_VERSION,
+        }
+
+    def _effect(self, k: int) -> dict[str, Any]:
+        finding = self.judgement.findings[k]
+        found = estimates(self.chosen.fit, finding.term)
+        return {
+            "name": finding.term.name,
+            "alternatives": [a.term.name for a in finding.alternatives],
+            "stage": finding.term.effect.stage,
+            "parameters": {name: {"value": e.value, "ci95": list(e.ci95)} for name, e in found.items()},
+            "evidence": [
+                {"instead": a.term.name, "log_likelihood_behind": round(a.behind, 2), "standard_error": round(a.error, 2)}
+                for a in self.judgement.compared
+                if finding.term.key not in {t.key for t in a.scored.terms}
+            ],
+        }
+
+
+def estimates(fit: Fit, term: Term) -> dict[str, Estimate]:
+    """The parameters of one term of a fit, with 95 % intervals inside their bounds."""
+    spread = CI95 * np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    found: dict[str, Estimate] = {}
+    for t, place in zip(fit.chain.terms, fit.chain.slices(), strict=True):
+        if t.key != term.key:
+            continue
+        for j, parameter in zip(range(place.start, place.stop), t.parameters, strict=True):
+            value, wide = fit.p[j] / parameter.si, spread[j] / parameter.si
+            low, high = max(value - wide, parameter.lower), min(value + wide, parameter.upper)
+            found[parameter.name] = Estimate(_rounded(value), (_rounded(low), _rounded(high)), bool(fit.at_bound[j]))
+    return found
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.6g}")
+
+
+def _millimetres(value: float) -> float:
+    return round(value * 1e3, 4)
+
+
+def _gap(gap: Gap) -> dict[str, Any]:
+    return {
+        "before_rms_mm": _millimetres(gap.before.rms_m),
+        "after_rms_mm": _millimetres(gap.after.rms_m),
+        "noise_floor_mm": _millimetres(gap.floor_m),
+        "heldout_poses": gap.after.poses,
+        "before_max_mm": _millimetres(gap.before.max_m),
+        "after_max_mm": _millimetres(gap.after.max_m),
+        "uncalibrated_rms_mm": _millimetres(gap.nominal.rms_m),
+        "before": _errors(gap.before),
+        "after": _errors(gap.after),
+        "regions": {
+            name: {"before": _errors(before), "after": _errors(after)} for name, (before, after) in gap.regions.items()
+        },
+    }
+
+
+def _errors(errors: Errors) -> dict[str, Any]:
+    return {
+        "mean_mm": _millimetres(errors.mean_m),
+        "rms_mm": _millimetres(errors.rms_m),
+        "rms_ci95_mm": [_millimetres(x) for x in errors.rms_ci95_m],
+        "p95_mm": _millimetres(errors.p95_m),
+        "max_mm": _millimetres(errors.max_m),
+        "poses": errors.poses,
+    }
+
+
+def _chi_square(found: ChiSquare) -> dict[str, float]:
+    return {"chi_square_per_dof": round(found.ratio, 4), "p": float(f"{found.p:.3g}")}
+
+
+def _proposal(p: Proposal) -> dict[str, Any]:
+    return {
+        "theta_deg": [round(x, 2) for x in np.degrees(p.theta_b).tolist()],
+        "l_mm": [round(x, 3) for x in (p.l_b * 1e3).tolist()],
+        "expected_log_odds": round(p.log_odds, 2),
+        "between": list(p.between),
+    }

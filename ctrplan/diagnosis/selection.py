@@ -1,0 +1,129 @@
+"""Forward, backward and swap over the catalogue: which effects the held-out poses ask for, and the path taken."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from ctrplan.chain import Term
+from ctrplan.diagnosis.candidates import Candidates
+from ctrplan.diagnosis.nulls import null_threshold
+from ctrplan.diagnosis.workbench import Scored, Screened, Workbench, linear
+
+MOST_EFFECTS = 4
+CERTAIN = 2.0  # standard errors that a gain must exceed zero by
+REFITTED = 5  # variants of different effects that are fitted for good after the screening
+PER_EFFECT = 2  # variants of one effect among them
+
+Report = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Step:
+    """One comparison of the path: gain in held-out log-likelihood, its standard error, what chance can give."""
+
+    action: str  # "add", "drop", "swap", "stop"
+    effect: str
+    parameters: tuple[str, ...]
+    gain: float
+    error: float
+    threshold: float
+    taken: bool
+
+
+@dataclass(eq=False)
+class Selection:
+    """The chosen set and how it was found."""
+
+    chosen: Scored
+    path: list[Step] = field(default_factory=list)
+    threshold: float = 0.0
+
+
+class Selector:
+    """Searches sets of effects on a workbench."""
+
+    def __init__(self, bench: Workbench, candidates: Candidates, tell: Report = lambda _: None) -> None:
+        self.bench, self.candidates, self.tell = bench, candidates, tell
+        self.found = Selection(bench.scored([]))  # so far
+
+    def run(self) -> Selection:
+        """Adds what passes the threshold, drops what no longer does, swaps what another effect does better."""
+        found = self.found
+        while len(found.chosen.terms) < MOST_EFFECTS and self._grow(found):
+            self._prune(found)
+            self._swap(found)
+        return found
+
+    def _grow(self, found: Selection) -> bool:
+        here = found.chosen
+        self.tell("trying effects" if not here.terms else f"trying effects beside {', '.join(here.names)}")
+        screened = self.bench.screened(here, self._others(here))
+        if not screened:
+            return False
+        found.threshold = null_threshold(linear(here.fit), [s.linear for s in screened], self.bench.fold)
+        tried = self.fitted(here, screened)
+        for candidate in tried:
+            gain, error = self.bench.difference(candidate, here)
+            best = candidate is tried[0] and gain > max(found.threshold, CERTAIN * error)
+            found.path.append(_step("add", candidate.terms[-1], gain, error, found.threshold, best))
+        if not tried or not found.path[-len(tried)].taken:
+            return False
+        found.chosen = tried[0]
+        return True
+
+    def _others(self, here: Scored) -> list[Term]:
+        names = set(here.names)
+        return [t for t in self.candidates.beside(here.terms) if t.name not in names]
+
+    def fitted(self, here: Scored, screened: Sequence[Screened]) -> list[Scored]:
+        """The most promising variants fitted beside `here`, best first."""
+        worth = [s for s in promising(screened) if s.score > here.score or not s.term.effect.is_linear]
+        tried = [self.bench.scored([*here.terms, s.term], here.fit) for s in worth]
+        return sorted(tried, key=lambda scored: -scored.score)
+
+    def _prune(self, found: Selection) -> None:
+        """Drops effects whose absence costs no more than chance gives."""
+        dropped = True
+        while dropped and len(found.chosen.terms) > 1:
+            dropped = False
+            for t in found.chosen.terms:
+                rest = self.bench.scored([other for other in found.chosen.terms if other is not t], found.chosen.fit)
+                gain, error = self.bench.difference(rest, found.chosen)
+                if gain > -found.threshold:
+                    found.path.append(_step("drop", t, gain, error, -found.threshold, True))
+                    found.chosen, dropped = rest, True
+                    break
+
+    def _swap(self, found: Selection) -> None:
+        """Replaces an effect where another one in its place predicts better."""
+        for t in found.chosen.terms:
+            rest = self.bench.scored([other for other in found.chosen.terms if other is not t], found.chosen.fit)
+            for candidate in self.replacements(rest, without=found.chosen.terms):
+                gain, error = self.bench.difference(candidate, found.chosen)
+                if gain > 0:
+                    found.path.append(_step("swap", candidate.terms[-1], gain, error, 0.0, True))
+                    found.chosen = candidate
+                    return
+
+    def replacements(self, rest: Scored, without: Sequence[Term]) -> list[Scored]:
+        """What stands beside `rest` best, variants of the chosen effects included, the chosen ones themselves not."""
+        keys, names = {t.key for t in without}, set(rest.names)
+        others = [t for t in self.candidates.beside(rest.terms) if t.name not in names and t.key not in keys]
+        return self.fitted(rest, self.bench.screened(rest, others)) if others else []
+
+
+def promising(screened: Sequence[Screened]) -> list[Screened]:
+    """The best of the screening, at most two variants of an effect, and what a linear screening can't judge."""
+    taken: list[Screened] = []
+    for s in screened:
+        alike = sum(other.term.name == s.term.name for other in taken)
+        effects = {other.term.name for other in taken}
+        if alike < PER_EFFECT and (alike or len(effects) < REFITTED or not s.term.effect.is_linear):
+            taken.append(s)
+    return taken
+
+
+def _step(action: str, t: Term, gain: float, error: float, threshold: float, taken: bool) -> Step:
+    names = tuple(parameter.name for parameter in t.parameters)
+    return Step(action, t.name, names, round(gain, 2), round(error, 2), round(threshold, 2), taken)

@@ -1,0 +1,107 @@
+"""From a selected set of effects to a verdict: named, ambiguous, unexplained, or nothing missing.
+
+A name is given only when what remains looks like noise, on the poses of the selection and in the vault. Where it does
+not, the best of the wrong names would be given with confidence; then only effects stay listed whose evidence lies in a
+part of the data that they explain completely.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from ctrplan.chain import Term
+from ctrplan.diagnosis.guards import Adequacy, adequacy, outliers
+from ctrplan.diagnosis.selection import Selection, Selector
+from ctrplan.diagnosis.workbench import Scored, Workbench, linear
+
+Verdict = Literal["named", "no_missing_effect", "ambiguous", "unexplained"]
+
+CLOSE = 3.0  # log-likelihood: an alternative that predicts nearly as well
+CLOSE_ERRORS = 1.0  # or worse by less than this many standard errors of the comparison
+OVERWHELMING = 30.0  # log-likelihood of an effect that stays listed although something remains unexplained
+
+
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """A set in which another effect stands in the place of a chosen one."""
+
+    term: Term
+    scored: Scored
+    behind: float  # log-likelihood, of the chosen set over this one
+    error: float  # standard error of that
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """An effect of the verdict with what can't be told from it."""
+
+    term: Term
+    alternatives: tuple[Alternative, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """The verdict on the selection's poses, and why."""
+
+    verdict: Verdict
+    findings: tuple[Finding, ...]
+    adequacy: Adequacy
+    compared: tuple[Alternative, ...]  # everything that was tried in the place of something chosen
+
+
+def remains(bench: Workbench, scored: Scored) -> Adequacy:
+    """What is left of the selection's poses after a fit."""
+    return adequacy(linear(scored.fit), bench.group, outliers(scored.fit.residuals.norm))
+
+
+def judge(selector: Selector, found: Selection) -> Judgement:
+    """The verdict before the vault is opened."""
+    bench, chosen = selector.bench, found.chosen
+    left = remains(bench, chosen)
+    if not chosen.terms:
+        return Judgement("no_missing_effect" if left.is_adequate else "unexplained", (), left, ())
+    compared = [a for t in chosen.terms for a in _compared(selector, found, t)]
+    findings = tuple(_finding(bench, chosen, t, compared, left) for t in chosen.terms)
+    if not left.is_adequate:
+        return Judgement("unexplained", specific(bench, found, findings, left), left, tuple(compared))
+    verdict: Verdict = "ambiguous" if any(f.alternatives for f in findings) else "named"
+    return Judgement(verdict, findings, left, tuple(compared))
+
+
+def _compared(selector: Selector, found: Selection, t: Term) -> list[Alternative]:
+    """Other effects in the place of `t`, refitted together with the rest."""
+    bench, chosen = selector.bench, found.chosen
+    selector.tell(f"looking for what imitates {t.name}")
+    rest = bench.scored([other for other in chosen.terms if other is not t], chosen.fit)
+    others = [s for s in selector.replacements(rest, without=chosen.terms) if s.terms[-1].name != t.name]
+    return [Alternative(s.terms[-1], s, *bench.difference(chosen, s)) for s in others]
+
+
+def _finding(
+    bench: Workbench, chosen: Scored, t: Term, compared: Sequence[Alternative], left: Adequacy
+) -> Finding:
+    rest = {other.key for other in chosen.terms if other is not t}
+    rivals: dict[str, Alternative] = {}
+    for a in sorted(compared, key=lambda a: a.behind):
+        same_place = {other.key for other in a.scored.terms[:-1]} == rest
+        if same_place and a.term.name not in rivals and a.behind < max(CLOSE, CLOSE_ERRORS * a.error):
+            after = remains(bench, a.scored)
+            if after.is_adequate or not left.is_adequate:
+                rivals[a.term.name] = a
+    return Finding(t, tuple(rivals.values()))
+
+
+def specific(bench: Workbench, found: Selection, findings: Sequence[Finding], left: Adequacy) -> tuple[Finding, ...]:
+    """Findings that explain all of the differences between approaches, or all between configurations, alone."""
+    kept = []
+    for finding in findings:
+        history = finding.term.effect.depends_on_history
+        explained = left.within.is_noise if history else left.between.is_noise
+        others = [t for t in found.chosen.terms if t is not finding.term]
+        gain, error = bench.difference(found.chosen, bench.scored(others, found.chosen.fit))
+        if explained and gain > max(OVERWHELMING, 3 * error):
+            kept.append(finding)
+    return tuple(kept)
+

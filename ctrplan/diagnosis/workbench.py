@@ -1,0 +1,163 @@
+"""Fits of the base with sets of effects to the poses of the selection, each with its held-out score, kept for reuse."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base_parameters import ABSOLUTE_STIFFNESS, BaseParameters
+from ctrplan.chain import Chain, Term, term
+from ctrplan.diagnosis.crossvalidation import Linear, held_out_loss
+from ctrplan.drive import Array
+from ctrplan.least_squares import Fit, fit, fit_at
+from ctrplan.measurements import Measurements
+from ctrplan.residuals import Noise, residuals, robust_square
+from ctrplan.robot import Robot
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """A fit and what it says of poses it has not seen."""
+
+    terms: tuple[Term, ...]  # without the base
+    fit: Fit
+    held_out: Array  # (K,) robust squares
+
+    @property
+    def score(self) -> float:
+        """Held-out log-likelihood, up to a constant."""
+        return float(-self.held_out.sum() / 2)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the effects."""
+        return tuple(t.name for t in self.terms)
+
+
+@dataclass(frozen=True, eq=False)
+class Screened:
+    """A variant beside a fit, linearised there."""
+
+    term: Term
+    linear: Linear  # of the columns of base, fit and variant
+    score: float
+
+
+class Workbench:
+    """Everything that stays the same while sets of effects are compared."""
+
+    def __init__(
+        self, robot: Robot, data: Measurements, noise: Noise, group: NDArray[np.int_], fold: NDArray[np.int_]
+    ) -> None:
+        self.robot, self.data, self.noise, self.group, self.fold = robot, data, noise, group, fold
+        self._done: dict[frozenset[str], Scored] = {}
+
+    @cached_property
+    def whitening_group(self) -> NDArray[np.int_]:
+        """(K,) poses that share the model's own numerical error."""
+        return np.arange(self.data.count) if self.data.is_stream else self.data.configuration
+
+    def base(self, terms: Sequence[Term]) -> Term:
+        """Ordinary calibration; the stiffness of tube 1 only where something else than stiffness carries forces."""
+        effect, loaded = BaseParameters(), any(t.effect.scales_with_stiffness for t in terms)
+        names = [parameter.name for parameter in effect.parameters(self.robot)]
+        return term(effect, [name for name in names if loaded or name != ABSOLUTE_STIFFNESS], self.robot)
+
+    def scored(self, terms: Sequence[Term], near: Fit | None = None) -> Scored:
+        """The base and `terms` fitted together, from the values of `near` where it has them."""
+        key = frozenset(t.key for t in terms)
+        if key not in self._done:
+            self._done[key] = self._fitted(tuple(terms), near)
+        return self._done[key]
+
+    def _fitted(self, terms: tuple[Term, ...], near: Fit | None) -> Scored:
+        chain = Chain(self.robot, self.data, [self.base(terms), *terms])
+        best = fit(chain, self.noise, self.whitening_group, self._start(chain, near))
+        return Scored(terms, best, held_out_loss(linear(best), self.fold))
+
+    def _start(self, chain: Chain, near: Fit | None) -> Array:
+        """Of several starts the one whose first step promises most."""
+        starts = self._starts(chain, near)
+        if len(starts) == 1:
+            return starts[0]
+        fits = [fit_at(chain, self.noise, self.whitening_group, start) for start in starts]
+        promised = [float(robust_square(np.linalg.norm(linear(f).refitted().r, axis=1)).sum()) for f in fits]
+        return starts[int(np.argmin(promised))]
+
+    def _starts(self, chain: Chain, near: Fit | None) -> list[Array]:
+        """Known values of the parameters, and the effects' own suggestions for those not known yet."""
+        known = values_by_name(near) if near else {}
+        keys = [(t.name, p.name) for t in chain.terms for p in t.parameters]
+        plain = np.array([known.get(key, start) for key, start in zip(keys, chain.start, strict=True)])
+        starts = [plain]
+        for t in chain.terms:
+            new = [key for key in keys if key[0] == t.name and key not in known]
+            suggestions = t.effect.starts([p.name for p in t.parameters]) if new else [{}]
+            if suggestions != [{}]:
+                starts = [self._with(start, t, values, keys, chain.si) for start in starts for values in suggestions]
+        return starts
+
+    @staticmethod
+    def _with(
+        start: Array, t: Term, values: object, keys: Sequence[tuple[str, str]], si: Array
+    ) -> Array:
+        changed = start.copy()
+        for name, value in dict(values).items():  # type: ignore[call-overload]
+            place = keys.index((t.name, name))
+            changed[place] = value * si[place]
+        return changed
+
+    def screened(self, here: Scored, others: Sequence[Term]) -> list[Screened]:
+        """Variants beside a fit by one Gauss-Newton step each, best first: cheap, for choosing what to fit."""
+        merged = _merged([*here.terms, *others], self.robot)
+        chain = Chain(self.robot, self.data, [self.base(merged), *merged])
+        known = values_by_name(here.fit)
+        keys = [(t.name, p.name) for t in chain.terms for p in t.parameters]
+        neutral = [_vanishing(p.start, p.neutral) * p.si for p in chain.parameters]
+        p = np.array([known.get(key, value) for key, value in zip(keys, neutral, strict=True)])
+        found = residuals(self.data, chain.predict(p), self.noise, self.whitening_group)
+        weight = here.fit.residuals.weight
+        whole = Linear(found.r, found.J, weight, 1 / chain.prior**2, p - chain.neutral)
+        screened = []
+        for other in others:
+            same = [t for t in here.terms if t.name != other.name]
+            wanted = {(t.name, q.name) for t in (self.base([*same, other]), *same, other) for q in t.parameters}
+            columns = whole.columns([k for k, key in enumerate(keys) if key in wanted]).refitted()
+            screened.append(Screened(other, columns, float(-held_out_loss(columns, self.fold).sum() / 2)))
+        return sorted(screened, key=lambda s: -s.score)
+
+    def difference(self, a: Scored, b: Scored) -> tuple[float, float]:
+        """How much better `a` predicts than `b` (log-likelihood), and the standard error of that over groups."""
+        gain = (b.held_out - a.held_out) / 2
+        by_group = np.bincount(np.unique(self.group, return_inverse=True)[1], weights=gain)
+        return float(gain.sum()), float(np.sqrt(len(by_group)) * by_group.std(ddof=1))
+
+
+def linear(found: Fit) -> Linear:
+    """A fit's own linearisation."""
+    parts = found.residuals
+    return Linear(parts.r, parts.J, parts.weight, found.precision, found.p - found.chain.neutral)
+
+
+def values_by_name(found: Fit) -> dict[tuple[str, str], float]:
+    """(effect, parameter) -> value, SI."""
+    keys = [(t.name, p.name) for t in found.chain.terms for p in t.parameters]
+    return dict(zip(keys, found.p.tolist(), strict=True))
+
+
+def _merged(terms: Sequence[Term], robot: Robot) -> list[Term]:
+    """One term per effect with the parameters of all its variants."""
+    wanted: dict[str, dict[str, None]] = {}
+    effects = {t.name: t.effect for t in terms}
+    for t in terms:
+        wanted.setdefault(t.name, {}).update(dict.fromkeys(p.name for p in t.parameters))
+    return [term(effects[name], list(names), robot) for name, names in wanted.items()]
+
+
+def _vanishing(start: float | None, neutral: float) -> float:
+    """Where a variant is linearised: where it vanishes, or as near as its derivative exists."""
+    return start if start is not None and 0 < abs(start - neutral) <= 1e-2 else neutral

@@ -1,0 +1,61 @@
+"""Tips of many configurations with clearance and friction, and their derivatives by named parameters and joints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.drive import Array
+from ctrplan.mechanics import Accuracy
+from ctrplan.robot import Robot
+from ctrplan.shapes import Status
+
+NESTED_M = 1e-8  # collars and tips out of order by less do not matter
+SAME = 1e-12  # configurations that differ by less are solved once
+
+
+@dataclass(frozen=True, eq=False)
+class TipTable:
+    """K tips; derivatives for P names."""
+
+    position_m: Array  # (K, 3)
+    tangent: Array  # (K, 3)
+    sound: NDArray[np.bool_]  # (K,) whether the solve converged on an equilibrium
+    position_by: Array  # (K, 3, P)
+    tangent_by: Array  # (K, 3, P)
+
+
+def tip_table(
+    robot: Robot, theta_b: Array, l_b: Array, phi: Array, names: Sequence[str] = (), accuracy: Accuracy = "search"
+) -> TipTable:
+    """Tips at (K, n) [rad], (K, n) [m] in friction states (K, n - 1); names as in `parameters`, or theta_b.1, l_b.1."""
+    nested = _nested(robot, l_b)
+    sound = np.abs(nested - l_b).max(axis=1, initial=0.0) < NESTED_M
+    rows = np.hstack([theta_b, nested, phi])
+    _, first, back = np.unique(np.round(rows / SAME) * SAME, axis=0, return_index=True, return_inverse=True)
+    table = _solved(robot, theta_b[first], nested[first], phi[first], names, accuracy)
+    back = back.ravel()
+    found = TipTable(*(getattr(table, key)[back] for key in TipTable.__dataclass_fields__))
+    return replace(found, sound=found.sound & sound)
+
+
+def _nested(robot: Robot, l_b: Array) -> Array:
+    """Base translations (K, n) with those that do not nest moved to where they do."""
+    l = l_b.copy()  # noqa: E741 (as in the equations)
+    l[:, 0] = np.minimum(l[:, 0], 0.0)
+    for i, (outer, inner) in enumerate(zip(robot.tubes[:-1], robot.tubes[1:], strict=True)):
+        l[:, i + 1] = np.maximum(l[:, i + 1], l[:, i] + outer.length_m - inner.length_m)
+        l[:, i + 1] = np.minimum(l[:, i + 1], l[:, i] - inner.collar_length_m)
+    return l
+
+
+def _solved(
+    robot: Robot, theta_b: Array, l_b: Array, phi: Array, names: Sequence[str], accuracy: Accuracy
+) -> TipTable:
+    tips = robot.mechanics.tips_with_friction(theta_b, l_b, phi, parameters=tuple(names), accuracy=accuracy)
+    sound = (tips.status != Status.FAILED) & (tips.status != Status.UNSTABLE)
+    by = np.nan_to_num(tips.position_by), np.nan_to_num(tips.tangent_by)  # NaN where a joint can't be moved by itself
+    return TipTable(tips.position_m, tips.tangent, sound, *by)
