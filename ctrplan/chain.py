@@ -148,7 +148,9 @@ class Chain:
         return last_directions(self.data)
 
     def _phi(self, p: Array) -> Array:
-        release = min((t.effect.friction_release_m(v) for t, v in zip(self.terms, self.values(p), strict=True)), default=np.inf)
+        release = min(
+            (t.effect.friction_release_m(v) for t, v in zip(self.terms, self.values(p), strict=True)), default=np.inf
+        )
         if np.isinf(release):
             return self._plain_phi
         return friction_state(self.data, release)

@@ -11,6 +11,7 @@ from typing import Any
 
 import ctrplan
 from ctrplan.commands.bound import run_bound
+from ctrplan.commands.field import run_field
 from ctrplan.commands.ik import run_ik
 from ctrplan.commands.output_folder import DEFAULT as OUTPUT
 from ctrplan.commands.plan import INTERRUPTED, run_plan
@@ -67,6 +68,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_plan(commands)
     _add_bound(commands)
     _add_ik(commands)
+    _add_field(commands)
     return parser
 
 
@@ -88,6 +90,7 @@ def _add_plan(commands: Any) -> None:
         "--time", type=float, metavar="S", help="seconds of search (default: the scenario's planner.time_s)"
     )
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    parser.add_argument("--no-field", action="store_true", help="solve every bound, although `ctrplan field` was run")
     _add_set(parser, "the scenario's key, or the robot's after robot.")
     parser.set_defaults(run=run_plan)
 
@@ -121,6 +124,21 @@ def _add_bound(commands: Any) -> None:
     parser.add_argument("--json", action="store_true", help="machine-readable output")
     _add_set(parser, "the robot's key")
     parser.set_defaults(run=run_bound)
+
+
+def _add_field(commands: Any) -> None:
+    parser = commands.add_parser(
+        "field",
+        help="tabulate a robot's friction bound, so that plans are found sooner",
+        description="Solve the bound on a grid over the joints that matter, once per robot; it is kept in the cache "
+        "($CTRPLAN_CACHE_DIR or ~/.cache/ctrplan) and used by every `ctrplan plan` with the same robot.",
+        epilog="example:\n  ctrplan field scenarios/robots/three_tube.toml\n",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("robot", metavar="ROBOT.toml")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    _add_set(parser, "the robot's key")
+    parser.set_defaults(run=run_field)
 
 
 def _add_ik(commands: Any) -> None:

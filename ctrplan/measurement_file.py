@@ -78,7 +78,13 @@ class _Table:
         self._check_order(sequence, time_s)
         self._check_joints(theta_b, l_b, robot)
         self._check_poses(pose, rows, robot)
-        known = {"sequence", "time_s", *POSE, *(f"theta_{i + 1}_rad" for i in range(n)), *(f"l_{i + 1}_m" for i in range(n))}
+        known = {
+            "sequence",
+            "time_s",
+            *POSE,
+            *(f"theta_{i + 1}_rad" for i in range(n)),
+            *(f"l_{i + 1}_m" for i in range(n)),
+        }
         tangent = pose[:, 3:] / np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
         return Measurements(
             sequence=sequence.astype(int),
@@ -89,7 +95,11 @@ class _Table:
             tangent=tangent,
             time_s=time_s,
             is_stream=is_streamed(sequence.astype(int), rows),
-            more={name: self._column(name, empty=True) for name in self.header if name not in known and self._is_numeric(name)},
+            more={
+                name: self._column(name, empty=True)
+                for name in self.header
+                if name not in known and self._is_numeric(name)
+            },
             file=self.file,
             sha256=self.sha256,
             warnings=tuple(_still_joints(theta_b[rows], l_b[rows], self.file)),
@@ -152,7 +162,9 @@ class _Table:
         pose = np.column_stack([self._column(name, empty=True) for name in POSE])
         given = np.isfinite(pose)
         for row in np.flatnonzero(given.any(axis=1) & ~given.all(axis=1)).tolist():
-            raise self.fault("is empty, a pose needs all of x_m, y_m, z_m, tx, ty, tz", row, POSE[int(given[row].argmin())])
+            raise self.fault(
+                "is empty, a pose needs all of x_m, y_m, z_m, tx, ty, tz", row, POSE[int(given[row].argmin())]
+            )
         rows = np.flatnonzero(given.all(axis=1))
         if not len(rows):
             raise self.fault("holds no pose: x_m, y_m, z_m, tx, ty, tz are empty in every row")
@@ -167,11 +179,15 @@ class _Table:
                 raise self.fault("this run was over, its rows must stand together", row, "sequence", int(sequence[row]))
         if time_s is not None:
             for row in np.flatnonzero(np.diff(time_s) < 0).tolist():
-                raise self.fault(f"time runs backwards, the row before has {time_s[row]:g} s", row + 1, "time_s", time_s[row + 1])
+                raise self.fault(
+                    f"time runs backwards, the row before has {time_s[row]:g} s", row + 1, "time_s", time_s[row + 1]
+                )
 
     def _check_joints(self, theta_b: Array, l_b: Array, robot: Robot) -> None:
         for row, i in np.argwhere(np.abs(theta_b) > MOST_TURNS * 2 * np.pi).tolist():
-            raise self.fault(f"is more than {MOST_TURNS} turns, are these degrees?", row, f"theta_{i + 1}_rad", theta_b[row, i])
+            raise self.fault(
+                f"is more than {MOST_TURNS} turns, are these degrees?", row, f"theta_{i + 1}_rad", theta_b[row, i]
+            )
         longest = max(tube.length_m for tube in robot.tubes)
         for row, i in np.argwhere(np.abs(l_b) > 10 * longest).tolist():
             raise self.fault("is far longer than the tube, are these millimetres?", row, f"l_{i + 1}_m", l_b[row, i])
@@ -191,7 +207,9 @@ class _Table:
             raise self.fault(f"tips are {np.median(far):.2g} m from the base, are these metres?", column="x_m")
         length = np.linalg.norm(pose[:, 3:], axis=1)
         for k in np.flatnonzero(np.abs(length - 1) > TANGENT_TOLERANCE).tolist():
-            raise self.fault(f"tangent has length {length[k]:.4g}, must be a unit vector", int(rows[k]), "tx", pose[k, 3])
+            raise self.fault(
+                f"tangent has length {length[k]:.4g}, must be a unit vector", int(rows[k]), "tx", pose[k, 3]
+            )
 
 
 def _still_joints(theta_b: Array, l_b: Array, file: str) -> list[str]:

@@ -1,5 +1,4 @@
-"""Named numbers of a robot, such as tube.2.poisson_ratio: read them and change them. Names: `parameters.py`.
-"""
+"""Named numbers of a robot, such as tube.2.poisson_ratio: read them and change them. Names: `parameters.py`."""
 
 from __future__ import annotations
 

@@ -66,7 +66,9 @@ def robust_square(norm: Array) -> Array:
     return square
 
 
-def residuals(data: Measurements, prediction: Prediction, noise: Noise, group: Sequence[int] | NDArray[np.int_]) -> Residuals:
+def residuals(
+    data: Measurements, prediction: Prediction, noise: Noise, group: Sequence[int] | NDArray[np.int_]
+) -> Residuals:
     """Residuals of all poses; `group` (K,) numbers the configurations."""
     plane = _normal_plane(prediction.tangent, data.tangent)
     position = (data.position_m - prediction.position_m) / noise.position_m

@@ -52,9 +52,7 @@ def _nested(robot: Robot, l_b: Array) -> Array:
     return l
 
 
-def _solved(
-    robot: Robot, theta_b: Array, l_b: Array, phi: Array, names: Sequence[str], accuracy: Accuracy
-) -> TipTable:
+def _solved(robot: Robot, theta_b: Array, l_b: Array, phi: Array, names: Sequence[str], accuracy: Accuracy) -> TipTable:
     tips = robot.mechanics.tips_with_friction(theta_b, l_b, phi, parameters=tuple(names), accuracy=accuracy)
     sound = (tips.status != Status.FAILED) & (tips.status != Status.UNSTABLE)
     by = np.nan_to_num(tips.position_by), np.nan_to_num(tips.tangent_by)  # NaN where a joint can't be moved by itself

@@ -28,6 +28,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
         raise InputError("must be from 0 to 2147383647", key="--seed", value=arguments.seed)
     with interrupt_event() as interrupted:
         from ctrplan.planning import plan
+        from ctrplan.planning.bound_field import known_field
         from ctrplan.scenario import load_scenario
 
         scenario = load_scenario(arguments.scenario, arguments.overrides)
@@ -39,7 +40,12 @@ def run_plan(arguments: argparse.Namespace) -> int:
         terminal = sys.stderr is not None and sys.stderr.isatty()
         with ProgressBar(quiet=arguments.quiet or not terminal) as bar:
             result = plan(
-                scenario, seed=arguments.seed, time_s=arguments.time, progress=bar.update, interrupted=interrupted
+                scenario,
+                seed=arguments.seed,
+                time_s=arguments.time,
+                progress=bar.update,
+                interrupted=interrupted,
+                bound_field=None if arguments.no_field else known_field(scenario.robot),
             )
         _write(folder, result)
         print(_summary(folder, result))

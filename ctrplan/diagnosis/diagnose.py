@@ -143,9 +143,7 @@ def _bench(robot: Robot, data: Measurements, parts: Split, noise: Noise) -> Work
     return Workbench(robot, data.subset(parts.selection), noise, groups(data)[parts.selection], parts.fold)
 
 
-def _searched(
-    bench: Workbench, known: Candidates, teller: _Teller
-) -> tuple[Selector, Judgement, list[str], bool]:
+def _searched(bench: Workbench, known: Candidates, teller: _Teller) -> tuple[Selector, Judgement, list[str], bool]:
     """Selection and judgement, once more with the noise that the data show if it is not the stated one."""
     selector, notes = Selector(bench, known, teller), list[str]()
     try:

@@ -115,7 +115,7 @@ def _pool(data: Measurements) -> Measurements:
         for side, signs in enumerate([*itertools.product((1, -1), repeat=data.n - 1), (0,) * (data.n - 1)]):
             turns = np.concatenate([[0.0], np.cumsum(signs)]) * OFFSET_RAD
             waypoints += [np.concatenate([goal - turns, place]), np.concatenate([goal, place])]
-            sequence += [number * 2 ** data.n + side] * 2
+            sequence += [number * 2**data.n + side] * 2
     table, rows = np.array(waypoints), np.arange(1, len(waypoints), 2)
     nothing = np.zeros((len(rows), 3))
     time_s = None if data.time_s is None else np.arange(len(table), dtype=float)

@@ -48,9 +48,7 @@ def distances(chain: Chain, p: Array) -> Array:
     return np.linalg.norm(chain.predict(p, derivatives=False).position_m - chain.data.position_m, axis=1)
 
 
-def open_vault(
-    before: Fit, after: Fit, vault: Measurements, group: NDArray[np.int_], noise: Noise
-) -> Gap:
+def open_vault(before: Fit, after: Fit, vault: Measurements, group: NDArray[np.int_], noise: Noise) -> Gap:
     """Predicts the vault's poses with fits that have not seen them."""
     chains = [Chain(f.chain.robot, vault, f.chain.terms) for f in (before, before, after)]
     values = (before.chain.neutral, before.p, after.p)
@@ -72,7 +70,9 @@ def summary(error: Array, group: NDArray[np.int_]) -> Errors:
     resampled = np.sqrt(squares[picks].sum(axis=1) / counts[picks].sum(axis=1))
     low, high = np.percentile(resampled, SPAN_PERCENT).tolist()
     rms = float(np.sqrt(np.mean(error**2)))
-    return Errors(float(error.mean()), rms, float(np.percentile(error, 95)), float(error.max()), (low, high), len(error))
+    return Errors(
+        float(error.mean()), rms, float(np.percentile(error, 95)), float(error.max()), (low, high), len(error)
+    )
 
 
 def _regions(vault: Measurements) -> dict[str, NDArray[np.bool_]]:

@@ -24,7 +24,11 @@ def rescaled_noise(left: Adequacy, noise: Noise) -> tuple[Noise | None, str]:
     if not off or not _is_even(left):
         return None, ""
     factors = [math.sqrt(part.ratio) for part in (left.position, left.tangent)]
-    if max(factors) > LARGEST_FACTOR or min(factors) < 1 / LARGEST_FACTOR or all(abs(x - 1) < WORTH_IT - 1 for x in factors):
+    if (
+        max(factors) > LARGEST_FACTOR
+        or min(factors) < 1 / LARGEST_FACTOR
+        or all(abs(x - 1) < WORTH_IT - 1 for x in factors)
+    ):
         return None, ""
     found = Noise(noise.position_m * factors[0], noise.tangent_rad * factors[1])
     sentence = (

@@ -73,7 +73,8 @@ class Diagnosis:
             "next_experiment": self.next_experiment,
             "not_testable": dict(self.not_testable),
             "calibration": {
-                name: asdict(estimate) for name, estimate in estimates(self.chosen.fit, self.chosen.fit.chain.terms[0]).items()
+                name: asdict(estimate)
+                for name, estimate in estimates(self.chosen.fit, self.chosen.fit.chain.terms[0]).items()
             },
             "remaining": {
                 name: _chi_square(getattr(self.judgement.adequacy, name)) for name in ("total", "between", "within")
@@ -101,7 +102,11 @@ class Diagnosis:
             "stage": finding.term.effect.stage,
             "parameters": {name: {"value": e.value, "ci95": list(e.ci95)} for name, e in found.items()},
             "evidence": [
-                {"instead": a.term.name, "log_likelihood_behind": round(a.behind, 2), "standard_error": round(a.error, 2)}
+                {
+                    "instead": a.term.name,
+                    "log_likelihood_behind": round(a.behind, 2),
+                    "standard_error": round(a.error, 2),
+                }
                 for a in self.judgement.compared
                 if finding.term.key not in {t.key for t in a.scored.terms}
             ],

@@ -79,9 +79,7 @@ def _compared(selector: Selector, found: Selection, t: Term) -> list[Alternative
     return [Alternative(s.terms[-1], s, *bench.difference(chosen, s)) for s in others]
 
 
-def _finding(
-    bench: Workbench, chosen: Scored, t: Term, compared: Sequence[Alternative], left: Adequacy
-) -> Finding:
+def _finding(bench: Workbench, chosen: Scored, t: Term, compared: Sequence[Alternative], left: Adequacy) -> Finding:
     rest = {other.key for other in chosen.terms if other is not t}
     rivals: dict[str, Alternative] = {}
     for a in sorted(compared, key=lambda a: a.behind):
@@ -104,4 +102,3 @@ def specific(bench: Workbench, found: Selection, findings: Sequence[Finding], le
         if explained and gain > max(OVERWHELMING, 3 * error):
             kept.append(finding)
     return tuple(kept)
-

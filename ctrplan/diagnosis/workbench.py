@@ -102,9 +102,7 @@ class Workbench:
         return starts
 
     @staticmethod
-    def _with(
-        start: Array, t: Term, values: object, keys: Sequence[tuple[str, str]], si: Array
-    ) -> Array:
+    def _with(start: Array, t: Term, values: object, keys: Sequence[tuple[str, str]], si: Array) -> Array:
         changed = start.copy()
         for name, value in dict(values).items():  # type: ignore[call-overload]
             place = keys.index((t.name, name))

@@ -63,6 +63,7 @@ class BoundField:
     axes: tuple[Axis, ...]
     values: NDArray[np.float32]  # (points, numbers per point), last axis fastest
     error: FieldError
+    key: str  # hash of the robot and the axes
 
     @cached_property
     def lookup(self) -> FieldLookup:
@@ -95,7 +96,15 @@ def bound_field(robot: Robot, *, progress: Progress | None = None, build: bool =
         table = _solve(robot, axes, progress)
         field_cache.store(key, table)
     margin, largest, uncovered = (float(x) for x in table[-1, :3])
-    return BoundField(robot, axes, table[:-1], FieldError(margin, largest, uncovered))
+    return BoundField(robot, axes, table[:-1], FieldError(margin, largest, uncovered), key)
+
+
+def known_field(robot: Robot) -> BoundField | None:
+    """The robot's field if it has been built before."""
+    try:
+        return bound_field(robot, build=False)
+    except InputError:  # too large for any grid
+        return None
 
 
 def choose_axes(robot: Robot) -> tuple[Axis, ...]:

@@ -60,7 +60,7 @@ def _choice(checker: MotionChecker, states: list[GoalState]) -> list[GoalState]:
 
 
 def _joint_goal(checker: MotionChecker, joints: Array) -> GoalState:
-    state = checker.state(joints)
+    state, _ = checker.probe(joints)
     if not state.valid:
         raise _no_answer(checker, f"the goal state is not valid: {state.reason}")
     return GoalState(joints, state.end_bound_m, 0.0)

@@ -15,6 +15,7 @@ from ctrplan.planning.plan import MotionStyle
 from ctrplan.planning.space import JointSpace
 
 if TYPE_CHECKING:
+    from ctrplan.planning.bound_field import BoundField
     from ctrplan.robot import Robot
     from ctrplan.scenario import Scenario
 
@@ -38,8 +39,15 @@ class Motion:
 class MotionChecker:
     """Checks and prices motions of a scenario; remembers every one it was asked about."""
 
-    def __init__(self, scenario: Scenario, style: MotionStyle = "rotations before translations") -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        style: MotionStyle = "rotations before translations",
+        bound_field: BoundField | None = None,
+    ) -> None:
+        """With a `bound_field` of the robot motions are looked up; where it has no answer they are solved."""
         self.scenario = scenario
+        self.bound_field = bound_field
         self.style = style
         self.space = JointSpace.of(scenario)
         self.mechanics = scenario.robot.mechanics
@@ -60,7 +68,7 @@ class MotionChecker:
 
     def state(self, q: Array) -> Motion:
         """A single state as a motion of no length."""
-        return self.probe(q)[0]
+        return self.probe(q)[0] if self.bound_field is None else self.motion(q, q)
 
     def probe(self, q: Array) -> tuple[Motion, PathSamples | None]:
         """A single state, and what the core says of it; None where limits or nesting forbid it."""
@@ -85,7 +93,7 @@ class MotionChecker:
         """The polyline (K, m) of joint values."""
         if not self.space.allowed(corners):
             return invalid(self.space.violation(corners))
-        samples = self.walk(corners, self.density, self.limits)
+        samples = self.look_up(corners)
         reason = breach(samples, self.limits)
         if reason:
             return invalid(reason)
@@ -97,6 +105,15 @@ class MotionChecker:
         theta_b, l_b = self.space.drive.collars(corners)
         self.calls += 1
         return self.mechanics.check_path(theta_b, l_b, self.field, density=density, limits=limits)
+
+    def look_up(self, corners: Array) -> PathSamples:
+        """As `walk`, by lookup where there is a bound field that has an answer."""
+        if self.bound_field is not None:
+            theta_b, l_b = self.space.drive.collars(corners)
+            samples = self.bound_field.check_path(theta_b, l_b, self.field, density=self.density, limits=self.limits)
+            if samples.status[-1] != Status.FAILED:
+                return samples
+        return self.walk(corners, self.density, self.limits)
 
     def price(self, corners: Array, samples: PathSamples) -> tuple[float, float]:
         """Weighted joint length [mm] and the error integral [mm] of a walked polyline."""

@@ -28,6 +28,7 @@ from ctrplan.planning.room import start_trouble
 from ctrplan.planning.validity import MotionValidity, Validity
 
 if TYPE_CHECKING:
+    from ctrplan.planning.bound_field import BoundField
     from ctrplan.scenario import Scenario
 
 # Planners that grow forwards only, or check every motion in the direction it is driven.
@@ -71,8 +72,11 @@ def plan(
     time_s: float | None = None,
     progress: Report | None = None,
     interrupted: threading.Event | None = None,
+    bound_field: BoundField | None = None,
 ) -> Plan:
     """A certified plan from the scenario's start to its goal.
+
+    With the robot's `bound_field` the search looks bounds up instead of solving; certificates never do.
 
     The first path found is certified at once, better ones are sought until `time_s` (default: the scenario's) is up.
     Ctrl-C, or setting `interrupted`, ends the search early and keeps the best. Raises NoAnswerError when start or goal
@@ -83,8 +87,8 @@ def plan(
             "is not supported yet, only 'none'", file=scenario.path, key="planner.settle", value=scenario.planner.settle
         )
     began = time.monotonic()
-    checker = MotionChecker(scenario)
-    start = checker.state(scenario.start)
+    checker = MotionChecker(scenario, bound_field=bound_field)
+    start, _ = checker.probe(scenario.start)
     if not start.valid:
         reason = start_trouble(checker) or start.reason
         raise NoAnswerError(f"{scenario.path or scenario.name}: start: the start state is not valid: {reason}.")
@@ -94,6 +98,8 @@ def plan(
         work = _Work(checker, goals, seed, began, budget, progress or (lambda _: None), interrupted)
         first, best = work.run()
     notes = scenario.warnings
+    if bound_field is not None:
+        notes += (f"Searched with the robot's bound field {bound_field.key}.",)
     if best.result.style == "simultaneous":
         notes += ("No path of rotations before translations was found in time; joints move simultaneously.",)
     finished = assemble(
@@ -169,7 +175,11 @@ class _Work:
             if self.interrupted.is_set() or (self.best and now >= until) or now - self.began > LATEST * self.budget:
                 break
             share = 1.0 if style == self.checker.style else FALLBACK_SHARE
-            checker = self.checker if style == self.checker.style else MotionChecker(self.checker.scenario, style)
+            checker = (
+                self.checker
+                if style == self.checker.style
+                else MotionChecker(self.checker.scenario, style, self.checker.bound_field)
+            )
             problem = _Problem(checker, self.goals, self.seed + 1000 * attempt)
             until = now + share * max(until - now, LEAST_SHARE * self.budget)
             if not self._search(problem, now, until, only_first=self.best is None):

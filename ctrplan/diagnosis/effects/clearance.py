@@ -25,4 +25,6 @@ class Clearance(Effect):
 
     def mechanics(self, values: Values, robot: Robot) -> Mapping[str, float]:
         pairs = {name: int(name.split("_")[1]) for name in values}
-        return {f"contact.{pair}.clearance_m": robot.clearance_m[pair - 1] + values[name] for name, pair in pairs.items()}
+        return {
+            f"contact.{pair}.clearance_m": robot.clearance_m[pair - 1] + values[name] for name, pair in pairs.items()
+        }

@@ -25,6 +25,8 @@ class Gravity(Effect):
 
     def mechanics(self, values: Values, robot: Robot) -> Mapping[str, float]:
         weights = {
-            f"tube.{i + 1}.density_kg_m3": NITINOL_KG_M3 for i, tube in enumerate(robot.tubes) if tube.density_kg_m3 == 0
+            f"tube.{i + 1}.density_kg_m3": NITINOL_KG_M3
+            for i, tube in enumerate(robot.tubes)
+            if tube.density_kg_m3 == 0
         }
         return weights | {f"loads.gravity_m_s2.{'xyz'.index(name[2]) + 1}": value for name, value in values.items()}

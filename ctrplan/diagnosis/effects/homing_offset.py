@@ -4,7 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ctrplan.diagnosis.effect import DEGREE, MILLIMETRE, Collars, Effect, Parameter, Values, numbered, register, sliding, with_column
+from ctrplan.diagnosis.effect import (
+    DEGREE,
+    MILLIMETRE,
+    Collars,
+    Effect,
+    Parameter,
+    Values,
+    numbered,
+    register,
+    sliding,
+    with_column,
+)
 from ctrplan.drive import Array
 from ctrplan.measurements import Measurements
 from ctrplan.robot import Robot

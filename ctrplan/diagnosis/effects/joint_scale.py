@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ctrplan.diagnosis.effect import Collars, Effect, Parameter, Values, numbered, register, sliding, turning, with_column
+from ctrplan.diagnosis.effect import (
+    Collars,
+    Effect,
+    Parameter,
+    Values,
+    numbered,
+    register,
+    sliding,
+    turning,
+    with_column,
+)
 from ctrplan.drive import Array
 from ctrplan.measurements import Measurements
 from ctrplan.robot import Robot

@@ -24,4 +24,6 @@ class ShaftTorsion(Effect):
         return tuple(Parameter(f"compliance_{i + 1}_rad_per_Nm", 3.0, lower=0.0, upper=1e3) for i in range(robot.n))
 
     def mechanics(self, values: Values, robot: Robot) -> Mapping[str, float]:
-        return {f"tube.{n.split('_')[1]}.shaft_compliance_rad_per_Nm": value + NEARLY_RIGID for n, value in values.items()}
+        return {
+            f"tube.{n.split('_')[1]}.shaft_compliance_rad_per_Nm": value + NEARLY_RIGID for n, value in values.items()
+        }
