@@ -283,6 +283,7 @@ class FieldLookup:
     STATIONS = 24
     NUMBERS = 8 + 4 * STATIONS
     VALID = 4
+    MIRROR = np.array([*[1.0] * 5, *[1.0, -1.0, 1.0] * STATIONS, 1.0, -1.0, 1.0, *[1.0] * STATIONS], np.float32)
 
     def __init__(
         self,

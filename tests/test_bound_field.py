@@ -90,6 +90,26 @@ def test_clearance_to_a_wall_is_that_of_the_model(pair: Robot, grid: BoundField)
         assert -0.1e-3 < difference < 2 * grid.error.margin_m + 0.6 * exact.position_m[0] + 0.2e-3
 
 
+def test_the_mirrored_half_is_what_the_model_says(pair: Robot, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Only half of a planar robot's grid is solved."""
+    monkeypatch.setenv("CTRPLAN_CACHE_DIR", str(tmp_path))
+    assert not fields._is_planar(pair)
+    pair = load_robot(ROBOTS / "table_1_pair.toml")
+    assert fields._is_planar(pair)
+    grid = bound_field(pair)
+    assert grid is not None
+    axes = grid.axes
+    rng = np.random.default_rng(6)
+    rows = rng.choice(len(grid.values), 20, replace=False)
+    grids = np.meshgrid(*[axis.lower + axis.step * np.arange(axis.count) for axis in axes], indexing="ij")
+    coordinates = np.stack([values.ravel() for values in grids], axis=1)[rows]
+    theta, l_b = fields._collars(pair, axes, coordinates)
+    nested = fields._nested(pair, l_b) & (grid.values[rows, FieldLookup.VALID] > 0)
+    solved = pair.mechanics.field_entries(theta[nested], l_b[nested])
+    opposed = np.abs(np.abs(coordinates[nested, 0]) - np.pi) < 1e-9  # there two mirrored solutions may exist
+    np.testing.assert_allclose(grid.values[rows[nested]][~opposed], solved[~opposed], atol=2e-5)
+
+
 def test_a_walk_is_as_dense_as_asked_for(pair: Robot, grid: BoundField) -> None:
     theta, l_b = pair.drive.collars(joints(pair, 4, 2))
     samples = grid.check_path(theta, l_b, None, density=DENSITY, limits=PathLimits())

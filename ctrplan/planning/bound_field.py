@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ctrplan import __version__, field_cache
 from ctrplan.drive import Array
 from ctrplan.errors import InputError
+from ctrplan.loads import Loads
 from ctrplan.mechanics import FieldLookup
 from ctrplan.nesting import TOLERANCE_M, nesting_inequalities
 from ctrplan.path_walk import Field, PathDensity, PathLimits, PathSamples
@@ -172,17 +173,33 @@ def _solve(robot: Robot, axes: tuple[Axis, ...], progress: Progress | None) -> N
     coordinates = np.stack([grid.ravel() for grid in grids], axis=1)
     table = np.zeros((len(coordinates) + 1, FieldLookup.NUMBERS), np.float32)
     theta_b, l_b = _collars(robot, axes, coordinates)
-    solved = np.flatnonzero(_nested(robot, l_b))
+    mirrors = _mirrors(axes) if _is_planar(robot) else np.arange(len(coordinates))
+    solved = np.flatnonzero(_nested(robot, l_b) & (np.arange(len(coordinates)) <= mirrors))
     for first in range(0, len(solved), CHUNK):
         rows = solved[first : first + CHUNK]
         table[rows] = robot.mechanics.field_entries(theta_b[rows], l_b[rows])
         if progress is not None:
             progress(min(1.0, (first + len(rows)) / (len(solved) + TRIALS)))
+    table[mirrors[solved]] = np.where(mirrors[solved, None] == solved[:, None], 1, FieldLookup.MIRROR) * table[solved]
     table[np.isnan(table).any(axis=1)] = 0  # unsolved points have no shape
     table[-1, :3] = _measure(robot, axes, table[:-1])
     if progress is not None:
         progress(1.0)
     return table
+
+
+def _is_planar(robot: Robot) -> bool:
+    """Whether turning all tubes the other way gives the mirrored shape: all curved in one plane, round, unloaded."""
+    sections = [section for tube in robot.tubes for section in tube.sections]
+    round_tubes = all(tube.ovality == 0 for tube in robot.tubes)
+    return round_tubes and robot.loads == Loads() and all(section.curvature_x_per_m == 0 for section in sections)
+
+
+def _mirrors(axes: tuple[Axis, ...]) -> NDArray[np.int_]:
+    """For each grid point that with all rotations reversed."""
+    indices = np.meshgrid(*[np.arange(axis.count) for axis in axes], indexing="ij")
+    reversed_ = [(-index) % axis.count if axis.rotation else index for axis, index in zip(axes, indices, strict=True)]
+    return np.ravel_multi_index(reversed_, [axis.count for axis in axes]).ravel()
 
 
 def _measure(robot: Robot, axes: tuple[Axis, ...], values: NDArray[np.float32]) -> tuple[float, float, float]:
