@@ -6,7 +6,7 @@ arithmetic each, differentiated by finite differences and joined by the chain ru
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,6 +20,7 @@ from ctrplan.measurements import Measurements
 from ctrplan.mechanics import Accuracy
 from ctrplan.named_numbers import value_of, with_values
 from ctrplan.robot import Robot
+from ctrplan.robot_effects import effects_of
 from ctrplan.sensor import Poses, frames_along
 from ctrplan.tips import TipTable, tip_table
 
@@ -73,6 +74,7 @@ class Chain:
         self.lower = np.array([p.lower for p in self.parameters]) * self.si
         self.upper = np.array([p.upper for p in self.parameters]) * self.si
         self.correction: tuple[Array, Array] | None = None  # (K, 3) each: what a finer mesh adds to position, tangent
+        self._given = effects_of(robot)  # the mechanics of these are in the robot already
         self._across: Array | None = None
 
     @property
@@ -104,21 +106,25 @@ class Chain:
         """Where the collars of the K poses stand."""
         rows = self.data.rows
         collars = Collars(self.data.theta_b[rows], self.data.l_b[rows])
-        staged = list(zip(self.terms, self.values(p), strict=True))
-        for t, values in staged:
-            if t.effect.stage == "clock":
-                collars = t.effect.clock(values, self.data, collars)
-        for t, values in staged:
-            if t.effect.stage == "drive":
-                collars = t.effect.drive(values, collars, self._directions)
+        for effect, values in self._at_work(p):
+            if effect.stage == "clock":
+                collars = effect.clock(values, self.data, collars)
+        for effect, values in self._at_work(p):
+            if effect.stage == "drive":
+                collars = effect.drive(values, collars, self._directions)
         return collars
 
     def measured(self, p: Array, poses: Poses) -> Poses:
         """What the sensor says of poses of the tip."""
-        for t, values in zip(self.terms, self.values(p), strict=True):
-            if t.effect.stage == "sensor":
-                poses = t.effect.sensor(values, poses, self.data)
+        for effect, values in self._at_work(p):
+            if effect.stage == "sensor":
+                poses = effect.sensor(values, poses, self.data)
         return poses
+
+    def friction_state(self, p: Array) -> Array:
+        """(K, n - 1) circumferential share of the Coulomb limit of each pair."""
+        release = min((effect.friction_release_m(values) for effect, values in self._at_work(p)), default=np.inf)
+        return self._plain_phi if np.isinf(release) else friction_state(self.data, release)
 
     def predict(self, p: Array, *, derivatives: bool = True, accuracy: Accuracy = "search") -> Prediction:
         """Poses at parameters (P,), in the order of the terms."""
@@ -126,7 +132,7 @@ class Chain:
         staged = self._stages()
         names = self._named(p) if derivatives else []
         joints = self._joint_names() if derivatives and (staged["drive"] or staged["clock"]) else []
-        phi = self._phi(p)
+        phi = self.friction_state(p)
         table = tip_table(robot, collars.theta, collars.l, phi, [*names, *joints], accuracy)
         position, tangent = table.position_m, table.tangent
         if self.correction is not None:
@@ -147,13 +153,9 @@ class Chain:
     def _directions(self) -> Array:
         return last_directions(self.data)
 
-    def _phi(self, p: Array) -> Array:
-        release = min(
-            (t.effect.friction_release_m(v) for t, v in zip(self.terms, self.values(p), strict=True)), default=np.inf
-        )
-        if np.isinf(release):
-            return self._plain_phi
-        return friction_state(self.data, release)
+    def _at_work(self, p: Array) -> list[tuple[Effect, Mapping[str, float]]]:
+        """Effects of the robot file, then those of the terms, with their values."""
+        return [*self._given, *((t.effect, v) for t, v in zip(self.terms, self.values(p), strict=True))]
 
     @cached_property
     def _plain_phi(self) -> Array:
@@ -201,7 +203,7 @@ class Chain:
                 for j in range(s.start, s.stop):
                     moved, h = p.copy(), COARSE_STEP * self.prior[j]
                     moved[j] += h
-                    other = tip_table(robot, collars.theta, collars.l, self._phi(moved))
+                    other = tip_table(robot, collars.theta, collars.l, self.friction_state(moved))
                     by[:, :3, j] = (other.position_m - table.position_m) / h
                     by[:, 3:, j] = (other.tangent - table.tangent) / h
 

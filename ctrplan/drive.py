@@ -15,6 +15,7 @@ from ctrplan.errors import InputError
 
 Array = NDArray[np.float64]
 Kind = Literal["rotation", "translation"]
+DriveTerm = Callable[[Array, Array], tuple[Array, Array]]
 
 # Unit in files and on screens, and its value in SI.
 UNITS: dict[Kind, tuple[str, float]] = {"rotation": ("deg", math.pi / 180), "translation": ("mm", 1e-3)}
@@ -59,6 +60,7 @@ class Drive:
     joints: tuple[Joint, ...]
     home_theta_rad: Array  # (n,)
     home_l_m: Array  # (n,)
+    terms: tuple[DriveTerm, ...] = ()  # what the drive does to collars (K, n), (K, n) besides, from [effects.*]
 
     def collars(self, q: ArrayLike) -> tuple[Array, Array]:
         """theta_b [rad] and l_b [m], each (n,) or (K, n), for joint values `q` (m,) or (K, m).
@@ -69,7 +71,13 @@ class Drive:
         if values.ndim not in (1, 2) or values.shape[-1] != len(self.joints):
             rule = f"must have shape (m,) or (K, m), m = {len(self.joints)} joints, not {values.shape}"
             raise InputError(rule, key="joint values")
-        return self.home_theta_rad + values @ self.matrix_theta.T, self.home_l_m + values @ self.matrix_l.T
+        theta, l = self.home_theta_rad + values @ self.matrix_theta.T, self.home_l_m + values @ self.matrix_l.T  # noqa: E741
+        if not self.terms:
+            return theta, l
+        rows = np.atleast_2d(theta), np.atleast_2d(l)
+        for term in self.terms:
+            rows = term(*rows)
+        return rows[0].reshape(theta.shape), rows[1].reshape(l.shape)
 
     @cached_property
     def matrix_theta(self) -> Array:

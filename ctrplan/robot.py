@@ -65,6 +65,8 @@ class Robot:
     measurement: Measurement | None = None
     loads: Loads = Loads()  # beyond the paper, set by [effects.*]
     effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # [effects.*] as in the file
+    provenance: Mapping[str, Any] = field(default_factory=dict)  # as in the file
+    content: Mapping[str, Any] = field(default_factory=dict)  # of the file after overrides
     path: str | None = None
     sha256: str = ""  # of the file's content after overrides
     warnings: tuple[str, ...] = ()
@@ -165,12 +167,20 @@ def _build(document: Document) -> Robot:
         model_error_m=entry.model_error_mm * 1e-3,
         measurement=_measurement(entry.measurement),
         effects=entry.effects,
+        provenance=entry.provenance,
+        content=document.content,
         path=document.file,
         sha256=document.sha256,
     )
     if violation := never_nests(robot):
         raise document.fault(f"no joint values within limits nest the tubes, at home {violation}", "home", "l_mm")
-    return replace(robot, warnings=tuple(_clearance_warnings(robot, document)))
+    robot = replace(robot, warnings=tuple(_clearance_warnings(robot, document)))
+    if not robot.effects:
+        return robot
+    from ctrplan.robot_effects import check_effects, with_effects
+
+    check_effects(robot, document)
+    return with_effects(robot)
 
 
 def _measurement(entry: MeasurementEntry | None) -> Measurement | None:

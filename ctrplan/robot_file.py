@@ -66,6 +66,7 @@ class RobotEntry(Struct, forbid_unknown_fields=True):
     model_error_mm: NotNegative = 0.0
     measurement: MeasurementEntry | None = None
     effects: dict[str, Any] = {}
+    provenance: dict[str, Any] = {}  # where calibrated values come from
 
 
 def build_tubes(entry: RobotEntry, document: Document) -> tuple[Tube, ...]:

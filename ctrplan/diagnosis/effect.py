@@ -55,6 +55,7 @@ class Effect:
     experiment: ClassVar[str]  # what separates it from them
     is_linear: ClassVar[bool] = True  # whether tips change nearly in proportion to its parameters
     scales_with_stiffness: ClassVar[bool] = False  # its parameters are known only as well as the stiffness of tube 1
+    acts_at_rest: ClassVar[bool] = True  # of the drive: whether it moves collars however they came there
     needs: ClassVar[str] = ""  # an effect without which it does nothing
     depends_on_history: ClassVar[bool] = False  # acts on differences between approaches of one configuration
 

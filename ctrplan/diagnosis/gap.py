@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ctrplan.chain import Chain
 from ctrplan.diagnosis.guards import ChiSquare, outliers
 from ctrplan.drive import Array
+from ctrplan.friction_path import friction_correction
 from ctrplan.least_squares import Fit
 from ctrplan.measurements import Measurements
 from ctrplan.residuals import Noise, residuals
@@ -52,6 +53,8 @@ def open_vault(before: Fit, after: Fit, vault: Measurements, group: NDArray[np.i
     """Predicts the vault's poses with fits that have not seen them."""
     chains = [Chain(f.chain.robot, vault, f.chain.terms) for f in (before, before, after)]
     values = (before.chain.neutral, before.p, after.p)
+    for chain, p in zip(chains[1:], values[1:], strict=True):
+        chain.correction = friction_correction(chain, p)
     errors = [distances(chain, p) for chain, p in zip(chains, values, strict=True)]
     regions = {
         name: (summary(errors[1][inside], group[inside]), summary(errors[2][inside], group[inside]))

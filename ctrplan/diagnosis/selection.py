@@ -13,6 +13,7 @@ from ctrplan.diagnosis.workbench import Scored, Screened, Workbench, linear
 MOST_EFFECTS = 4
 CERTAIN = 2.0  # standard errors that a gain must exceed zero by
 REFITTED = 5  # variants of different effects that are fitted for good after the screening
+WORTH_IT = 0.5  # share of the best gain of the screening that makes a variant worth fitting
 PER_EFFECT = 2  # variants of one effect among them
 
 Report = Callable[[str], None]
@@ -63,13 +64,16 @@ class Selector:
             return False
         found.threshold = null_threshold(linear(here.fit), [s.linear for s in screened], self.bench.fold)
         tried = self.fitted(here, screened)
+        if not tried:
+            best = screened[0]
+            found.path.append(_step("add", best.term, best.score - here.score, 0.0, found.threshold, False))
         for candidate in tried:
             gain, error = self.bench.difference(candidate, here)
             best = candidate is tried[0] and gain > max(found.threshold, CERTAIN * error)
             found.path.append(_step("add", candidate.terms[-1], gain, error, found.threshold, best))
         if not tried or not found.path[-len(tried)].taken:
             return False
-        found.chosen = tried[0]
+        found.chosen = self.bench.corrected(tried[0])
         return True
 
     def _others(self, here: Scored) -> list[Term]:
@@ -78,8 +82,8 @@ class Selector:
 
     def fitted(self, here: Scored, screened: Sequence[Screened]) -> list[Scored]:
         """The most promising variants fitted beside `here`, best first."""
-        worth = [s for s in promising(screened) if s.score > here.score or not s.term.effect.is_linear]
-        tried = [self.bench.scored([*here.terms, s.term], here.fit) for s in worth]
+        worth = here.score + WORTH_IT * max(screened[0].score - here.score, 0.0)
+        tried = [self.bench.scored([*here.terms, s.term], here.fit) for s in promising(screened) if s.score > worth]
         return sorted(tried, key=lambda scored: -scored.score)
 
     def _prune(self, found: Selection) -> None:
@@ -114,12 +118,12 @@ class Selector:
 
 
 def promising(screened: Sequence[Screened]) -> list[Screened]:
-    """The best of the screening, at most two variants of an effect, and what a linear screening can't judge."""
+    """The best of the screening, at most two variants of an effect."""
     taken: list[Screened] = []
     for s in screened:
         alike = sum(other.term.name == s.term.name for other in taken)
         effects = {other.term.name for other in taken}
-        if alike < PER_EFFECT and (alike or len(effects) < REFITTED or not s.term.effect.is_linear):
+        if alike < PER_EFFECT and (alike or len(effects) < REFITTED):
             taken.append(s)
     return taken
 

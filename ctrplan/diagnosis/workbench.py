@@ -13,10 +13,13 @@ from ctrplan.base_parameters import ABSOLUTE_STIFFNESS, BaseParameters
 from ctrplan.chain import Chain, Term, term
 from ctrplan.diagnosis.crossvalidation import Linear, held_out_loss
 from ctrplan.drive import Array
+from ctrplan.friction_path import friction_correction
 from ctrplan.least_squares import Fit, fit, fit_at
 from ctrplan.measurements import Measurements
 from ctrplan.residuals import Noise, residuals, robust_square
 from ctrplan.robot import Robot
+
+CORRECTIONS = {False: 1, True: 2}  # rounds, of poses at rest and of a continuous motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +57,7 @@ class Workbench:
         self, robot: Robot, data: Measurements, noise: Noise, group: NDArray[np.int_], fold: NDArray[np.int_]
     ) -> None:
         self.robot, self.data, self.noise, self.group, self.fold = robot, data, noise, group, fold
+        self._correction: tuple[Array, Array] | None = None
         self._done: dict[frozenset[str], Scored] = {}
 
     @cached_property
@@ -75,9 +79,28 @@ class Workbench:
         return self._done[key]
 
     def _fitted(self, terms: tuple[Term, ...], near: Fit | None) -> Scored:
-        chain = Chain(self.robot, self.data, [self.base(terms), *terms])
+        chain = self._chain([self.base(terms), *terms])
         best = fit(chain, self.noise, self.whitening_group, self._start(chain, near))
         return Scored(terms, best, held_out_loss(linear(best), self.fold))
+
+    def _chain(self, terms: Sequence[Term]) -> Chain:
+        chain = Chain(self.robot, self.data, terms)
+        if self._has_friction(terms):
+            chain.correction = self._correction
+        return chain
+
+    def _has_friction(self, terms: Sequence[Term]) -> bool:
+        return bool(self.robot.friction.any()) or any(t.name == "friction" for t in terms)
+
+    def corrected(self, scored: Scored) -> Scored:
+        """The same set with what friction states leave out; with friction, all later fits have it too."""
+        if not self._has_friction(scored.terms):
+            return scored
+        for _ in range(CORRECTIONS[self.data.is_stream]):
+            self._correction = friction_correction(scored.fit.chain, scored.fit.p)
+            self._done = {key: old for key, old in self._done.items() if not self._has_friction(old.terms)}
+            scored = self.scored(scored.terms, scored.fit)
+        return scored
 
     def _start(self, chain: Chain, near: Fit | None) -> Array:
         """Of several starts the one whose first step promises most."""
@@ -112,7 +135,7 @@ class Workbench:
     def screened(self, here: Scored, others: Sequence[Term]) -> list[Screened]:
         """Variants beside a fit by one Gauss-Newton step each, best first: cheap, for choosing what to fit."""
         merged = _merged([*here.terms, *others], self.robot)
-        chain = Chain(self.robot, self.data, [self.base(merged), *merged])
+        chain = self._chain([self.base(merged), *merged])
         known = values_by_name(here.fit)
         keys = [(t.name, p.name) for t in chain.terms for p in t.parameters]
         neutral = [_vanishing(p.start, p.neutral) * p.si for p in chain.parameters]
@@ -122,11 +145,22 @@ class Workbench:
         whole = Linear(found.r, found.J, weight, 1 / chain.prior**2, p - chain.neutral)
         screened = []
         for other in others:
+            if not other.effect.is_linear:
+                screened.append(self._tried_out(here, other))
+                continue
             same = [t for t in here.terms if t.name != other.name]
             wanted = {(t.name, q.name) for t in (self.base([*same, other]), *same, other) for q in t.parameters}
             columns = whole.columns([k for k, key in enumerate(keys) if key in wanted]).refitted()
             screened.append(Screened(other, columns, float(-held_out_loss(columns, self.fold).sum() / 2)))
         return sorted(screened, key=lambda s: -s.score)
+
+    def _tried_out(self, here: Scored, other: Term) -> Screened:
+        """A variant that does not act in proportion, linearised where its first step promises most."""
+        terms = [*(t for t in here.terms if t.name != other.name), other]
+        chain = self._chain([self.base(terms), *terms])
+        start = self._start(chain, here.fit)
+        there = linear(fit_at(chain, self.noise, self.whitening_group, start)).refitted()
+        return Screened(other, there, float(-held_out_loss(there, self.fold).sum() / 2))
 
     def difference(self, a: Scored, b: Scored) -> tuple[float, float]:
         """How much better `a` predicts than `b` (log-likelihood), and the standard error of that over groups."""

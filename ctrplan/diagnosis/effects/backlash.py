@@ -17,6 +17,7 @@ class Backlash(Effect):
     look_alikes = ("friction", "lag")
     experiment = "approach from both sides where curvatures are aligned: friction has no effect there, backlash has"
     depends_on_history = True
+    acts_at_rest = False
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         tubes = range(1, robot.n + 1)
