@@ -41,6 +41,19 @@ def distance_from_leg(points: FloatArray, start: FloatArray, end: FloatArray) ->
     return distance
 
 
+def distance_from_polyline(points: FloatArray, corners: FloatArray) -> FloatArray:
+    """Distances (K,) of points (K, d) from the polyline through corners (L, d), L >= 2, some of them equal."""
+    nearest = np.full(len(points), np.inf)
+    for start, end in zip(corners[:-1], corners[1:], strict=True):
+        leg = (
+            np.linalg.norm(points - start, axis=1)
+            if np.array_equal(start, end)
+            else distance_from_leg(points, start, end)
+        )
+        nearest = np.minimum(nearest, leg)
+    return nearest
+
+
 def rounding(points: FloatArray) -> float:
     """What rounding may do to a distance between points of this magnitude."""
     return float(8 * np.finfo(np.float64).eps * np.abs(points).max())

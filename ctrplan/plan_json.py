@@ -16,7 +16,7 @@ from ctrplan.export import write_atomically
 
 if TYPE_CHECKING:
     from ctrplan.planning.plan import Certificate, Leg, Plan
-    from ctrplan.scenario import Scenario
+    from ctrplan.scenario import Goal, Scenario
 
 SCHEMA_VERSION = 1  # rises when a key changes its meaning or goes
 SI_UNITS = {"deg": "rad", "mm": "m"}
@@ -41,7 +41,8 @@ def plan_to_json(plan: Plan) -> dict[str, Any]:
         "first_certified_s": plan.first_certified_s,
         "interrupted": plan.interrupted,
         "base": {"position_m": scenario.base_position_m, "R": scenario.base_R},
-        "goal": _goal(scenario),
+        "goal": _goal(scenario, scenario.goal),
+        "via": [_goal(scenario, goal) for goal in scenario.via],
         "margins": asdict(scenario.margins),
         "cost": asdict(scenario.cost),
         "joints": [{"name": joint.name, "kind": joint.kind, "unit": joint.unit} for joint in drive.joints],
@@ -63,15 +64,16 @@ def write_plan_json(path: str | os.PathLike[str], plan: Plan) -> None:
     write_atomically(path, "{\n" + ",\n".join(rows) + "\n}\n")
 
 
-def _goal(scenario: Scenario) -> dict[str, Any]:
-    goal = scenario.goal
+def _goal(scenario: Scenario, goal: Goal) -> dict[str, Any]:
     joints = None if goal.joints is None else _joint_values(goal.joints, scenario.robot.drive)
     return {
+        "name": goal.name,
         "joints": joints,
         "tip_m": goal.tip_m,
         "tolerance_m": goal.tolerance_m,
         "direction": goal.direction,
         "direction_tolerance_rad": goal.direction_tolerance_rad,
+        "line_m": goal.line_m,
     }
 
 
@@ -91,7 +93,8 @@ def _certificate(certificate: Certificate) -> dict[str, Any]:
     """The summary, and the samples as columns of equal length."""
     names = [entry.name for entry in fields(certificate) if entry.name != "samples"]
     columns = {entry.name: getattr(certificate.samples, entry.name) for entry in fields(certificate.samples)}
-    return {**{name: getattr(certificate, name) for name in names}, "samples": columns}
+    summary = {name: getattr(certificate, name) for name in names}
+    return {**summary, "targets": [asdict(target) for target in certificate.targets], "samples": columns}
 
 
 def _trajectory(plan: Plan) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -25,7 +25,7 @@ from ctrplan.scenario_file import (
     joint_values,
     metres,
 )
-from ctrplan.toml_input import Document, read_document
+from ctrplan.toml_input import Document, Step, read_document
 
 if TYPE_CHECKING:
     from ctrplan.anatomy import AnatomyPart
@@ -38,13 +38,18 @@ QUATERNION_TOLERANCE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """Either joint values, or a tip position in the anatomy's frame, possibly with a tip direction."""
+    """Either joint values, or a tip position in the anatomy's frame, possibly with a tip direction.
+
+    With a line, the tip comes from the line's first point, within the tolerance of it all the way.
+    """
 
     joints: Array | None  # (m,) rad or m
     tip_m: Array | None  # (3,)
     tolerance_m: float  # on the tip position
     direction: Array | None = None  # (3,) unit vector, anatomy's frame
     direction_tolerance_rad: float | None = None
+    line_m: Array | None = None  # (L, 3) corners, the last one tip_m
+    name: str = ""
 
 
 @dataclass(frozen=True)
@@ -92,6 +97,12 @@ class Scenario:
     path: str | None = None
     sha256: str = ""  # of the scenario file's content after overrides; the robot has its own
     warnings: tuple[str, ...] = ()  # the robot's included
+    via: tuple[Goal, ...] = ()  # goals to reach before `goal`, in this order
+
+    @property
+    def targets(self) -> tuple[Goal, ...]:
+        """All goals in the order in which they are reached."""
+        return (*self.via, self.goal)
 
 
 def load_scenario(
@@ -130,13 +141,15 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool) ->
     if entry.name is not None and not entry.name.isprintable():
         raise document.fault("must be one line of printable text", "name")
     robot = load_robot(file_inside(entry.robot, document, allow_outside, "robot"), for_robot)
+    goals = _goals(entry, robot, document)
     return Scenario(
         name=entry.name or (Path(document.file).stem if document.file else "scenario"),
         robot=robot,
         base_position_m=read_only(np.multiply(entry.base.position_mm, 1e-3)),
         base_R=_rotation(entry.base, document),
         start=joint_values(entry.start, robot, document, "start"),
-        goal=_goal(entry.goal, robot, document),
+        goal=goals[-1],
+        via=tuple(goals[:-1]),
         anatomy=tuple(anatomy_part(part, k, document, allow_outside) for k, part in enumerate(entry.anatomy)),
         margins=Margins(entry.margins.stability, entry.margins.max_strain),
         cost=_cost(entry.cost),
@@ -156,28 +169,47 @@ def _rotation(base: BaseEntry, document: Document) -> Array:
     return read_only(Rotation.from_quat([x, y, z, w]).as_matrix())
 
 
-def _goal(entry: GoalEntry, robot: Robot, document: Document) -> Goal:
-    if (entry.joints is None) == (entry.tip_mm is None):
-        raise document.fault("must have either joints or tip_mm", "goal")
+def _goals(entry: ScenarioEntry, robot: Robot, document: Document) -> list[Goal]:
+    if (entry.goal is None) == (not entry.target):
+        what = "is missing, or [[target]] in its place" if entry.goal is None else "and [[target]] exclude each other"
+        raise document.fault(what, "goal")
+    if entry.goal is not None:
+        return _goal(entry.goal, robot, document, "goal")
+    return [goal for k, target in enumerate(entry.target) for goal in _goal(target, robot, document, "target", k)]
+
+
+def _goal(entry: GoalEntry, robot: Robot, document: Document, *path: Step) -> list[Goal]:
+    """The goal, and before it the beginning of its line if it has one."""
+    if sum(given is not None for given in (entry.joints, entry.tip_mm, entry.line_mm)) != 1:
+        raise document.fault("must have one of joints, tip_mm and line_mm", *path)
     if entry.joints is not None and entry.direction is not None:
-        raise document.fault("goes with tip_mm, not with joints", "goal", "direction")
+        raise document.fault("goes with tip_mm, not with joints", *path, "direction")
     if (entry.direction is None) != (entry.direction_tolerance_deg is None):
         missing = "direction" if entry.direction is None else "direction_tolerance_deg"
-        raise document.fault("is missing, direction and direction_tolerance_deg go together", "goal", missing)
+        raise document.fault("is missing, direction and direction_tolerance_deg go together", *path, missing)
     tolerance = entry.direction_tolerance_deg
-    return Goal(
-        joints=None if entry.joints is None else joint_values(entry.joints, robot, document, "goal", "joints"),
-        tip_m=metres(entry.tip_mm),
+    line = None if entry.line_mm is None else read_only(np.multiply(entry.line_mm, 1e-3))
+    if line is not None and not np.any(np.diff(line, axis=0)):
+        raise document.fault("must have a length", *path, "line_mm")
+    name = entry.name or ""
+    goal = Goal(
+        joints=None if entry.joints is None else joint_values(entry.joints, robot, document, *path, "joints"),
+        tip_m=metres(entry.tip_mm) if line is None else read_only(line[-1]),
         tolerance_m=entry.tolerance_mm * 1e-3,
-        direction=None if entry.direction is None else _unit_vector(entry.direction, document),
+        direction=None if entry.direction is None else _unit_vector(entry.direction, document, *path),
         direction_tolerance_rad=None if tolerance is None else math.radians(tolerance),
+        line_m=line,
+        name=name,
     )
+    if line is None:
+        return [goal]
+    return [replace(goal, tip_m=read_only(line[0]), line_m=None, name=f"{name or 'line'}, beginning"), goal]
 
 
-def _unit_vector(vector: Vector, document: Document) -> Array:
+def _unit_vector(vector: Vector, document: Document, *path: Step) -> Array:
     largest = max(map(abs, vector))
     if largest == 0:
-        raise document.fault("must not be zero", "goal", "direction")
+        raise document.fault("must not be zero", *path, "direction")
     scaled = np.array(vector) / largest  # so that squares neither overflow nor vanish
     return read_only(scaled / np.linalg.norm(scaled))
 

@@ -36,10 +36,12 @@ class BaseEntry(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class GoalEntry(Struct, forbid_unknown_fields=True):
-    """[goal]: joints, or a tip position in the anatomy's frame."""
+    """[goal] or one [[target]]: joints, or a tip position or a line for the tip in the anatomy's frame."""
 
+    name: Name | None = None
     joints: dict[str, Any] | None = None
     tip_mm: Point | None = None
+    line_mm: Annotated[list[Point], Meta(min_length=2, max_length=1000)] | None = None
     tolerance_mm: Positive = 1.0
     direction: Vector | None = None
     direction_tolerance_deg: Annotated[float, Meta(gt=0, le=180)] | None = None
@@ -89,7 +91,8 @@ class ScenarioEntry(Struct, forbid_unknown_fields=True):
 
     robot: str
     start: dict[str, Any]
-    goal: GoalEntry
+    goal: GoalEntry | None = None
+    target: list[GoalEntry] = []
     name: Name | None = None
     base: BaseEntry = BaseEntry()
     anatomy: list[AnatomyEntry] = []

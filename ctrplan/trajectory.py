@@ -59,15 +59,18 @@ class Trajectory:
     is_rotation: NDArray[np.bool_]  # (m,)
 
 
-def time_parameterise(waypoints: ArrayLike, drive: Drive, period_s: float = 0.01) -> Trajectory:
+def time_parameterise(
+    waypoints: ArrayLike, drive: Drive, period_s: float = 0.01, *, rests: Sequence[int] = ()
+) -> Trajectory:
     """Fastest motion along the straight legs between waypoints (K, m) [rad, m] within the drive's limits.
 
-    Collinear consecutive legs are merged and passed at speed; the drive stops where the direction changes. A single
-    waypoint, or several equal ones, give one sample at rest. Raises InputError for malformed waypoints, waypoints out
-    of a joint's range, useless limits or period; SolverError where no profile was found or one failed its check.
+    Collinear consecutive legs are merged and passed at speed; the drive stops where the direction changes, and at the
+    waypoints whose numbers are in `rests`. A single waypoint, or several equal ones, give one sample at rest. Raises
+    InputError for malformed waypoints, waypoints out of a joint's range, useless limits or period; SolverError where no
+    profile was found or one failed its check.
     """
     _check_drive(drive)
-    corners = merge_legs(_checked_waypoints(waypoints, drive))
+    corners = _corners(_checked_waypoints(waypoints, drive), rests)
     knots = [_leg_knots(end - start, drive) for start, end in pairwise(corners)]
     leg_end_s = np.cumsum([leg[-1, 0] for leg in knots], dtype=np.float64)
     duration_s = float(leg_end_s[-1]) if knots else 0.0
@@ -102,6 +105,15 @@ def distance_from_legs(trajectory: Trajectory, corners: FloatArray) -> float:
         return float(np.linalg.norm(trajectory.position - corners[0], axis=1).max())
     leg = np.searchsorted(trajectory.leg_end_s[:-1], trajectory.time_s, side="right")
     return float(distance_from_leg(trajectory.position, corners[leg], corners[leg + 1]).max())
+
+
+def _corners(points: FloatArray, rests: Sequence[int]) -> FloatArray:
+    """Waypoints (K, m) where the drive stops: changes of direction, and those numbered in `rests`."""
+    ends = sorted({0, len(points) - 1, *rests})
+    if not 0 <= ends[0] <= ends[-1] < len(points):
+        raise InputError(f"must be numbers of waypoints, 0 to {len(points) - 1}", key="rests", value=list(rests))
+    parts = [merge_legs(points[a : b + 1]) for a, b in pairwise(ends)]
+    return np.concatenate([points[:1], *(part[1:] for part in parts)])
 
 
 def _leg_knots(delta: FloatArray, drive: Drive) -> FloatArray:

@@ -111,7 +111,7 @@ quaternion_wxyz = [0.7071067811865476, 0, 0, 0.7071067811865476] -> quaternion_w
 [goal] -> [goals]
     scenario.toml: goals: unknown key, did you mean goal?
 tip_mm = [12, 40, 190] ->
-    scenario.toml: goal: must have either joints or tip_mm.
+    scenario.toml: goal: must have one of joints, tip_mm and line_mm.
 tip_mm = [12, 40, 190] -> joints = { "rotate outer" = 0 }
     scenario.toml: goal.direction = [0, 3, 4]: goes with tip_mm, not with joints.
 tip_mm = [12, 40, 190] -> tip_cm = [1.2, 4, 19]

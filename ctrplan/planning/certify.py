@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from ctrplan.anatomy import exact_clearance
 from ctrplan.drive import Array
-from ctrplan.legs import merge_legs
+from ctrplan.legs import distance_from_polyline, merge_legs
 from ctrplan.mechanics import Accuracy, PathDensity, PathLimits, PathSamples
 from ctrplan.planning.goals import target_in_robot_frame
 from ctrplan.planning.motion import MM_PER_M, anatomy_grid, breach, path_limits
-from ctrplan.planning.plan import Certificate, CertificateSamples
+from ctrplan.planning.plan import Certificate, CertificateSamples, TargetReached
 from ctrplan.planning.space import JointSpace
 
 if TYPE_CHECKING:
@@ -78,6 +78,19 @@ def certify(
         stops=max(len(merge_legs(corners)) - 2, 0),
         cost_mm=float(cost),
         spacing_m=float(samples.motion_m.max()),
+        targets=(_target(scenario, samples),),
+    )
+
+
+def _target(scenario: Scenario, samples: CertificateSamples) -> TargetReached:
+    return TargetReached(
+        name=scenario.goal.name,
+        leg=int(samples.leg[-1]),
+        path_mm=float(samples.path_mm[-1]),
+        bound_m=float(samples.bound_m[-1]),
+        bound_rad=float(samples.bound_rad[-1]),
+        tip_error_m=_goal_miss(scenario, samples.tip_m[-1]),
+        line_error_m=_line_error(scenario, samples.tip_m),
     )
 
 
@@ -202,11 +215,27 @@ def _problems(
     if goal.tip_m is not None and miss > goal.tolerance_m:
         miss_mm, tolerance_mm = miss * MM_PER_M, goal.tolerance_m * MM_PER_M
         found.append(f"The frictionless tip ends {miss_mm:.2f} mm from the target, tolerance {tolerance_mm:g} mm.")
-    limit = scenario.cost.max_error_goal_m
-    if limit is not None and not samples.bound_m[-1] <= limit:
-        error_mm, limit_mm = samples.bound_m[-1] * MM_PER_M, limit * MM_PER_M
-        found.append(f"The worst-case error at the goal is {error_mm:.2f} mm, above {limit_mm:g} mm.")
+    limit, on_line = scenario.cost.max_error_goal_m, _line_error(scenario, samples.tip_m)
+    error = samples.bound_m[-1] if on_line is None else samples.bound_m.max()
+    if limit is not None and not error <= limit:
+        where, error_mm, limit_mm = (
+            "at the goal" if on_line is None else "on the line",
+            error * MM_PER_M,
+            limit * MM_PER_M,
+        )
+        found.append(f"The worst-case error {where} is {error_mm:.2f} mm, above {limit_mm:g} mm.")
+    if on_line is not None and not on_line <= goal.tolerance_m:
+        off_mm, tolerance_mm = on_line * MM_PER_M, goal.tolerance_m * MM_PER_M
+        found.append(f"The frictionless tip leaves the line by {off_mm:.2f} mm, tolerance {tolerance_mm:g} mm.")
     return found
+
+
+def _line_error(scenario: Scenario, tip_m: Array) -> float | None:
+    """Largest distance of tips (K, 3), robot's frame, from the goal's line; None without a line."""
+    if scenario.goal.line_m is None:
+        return None
+    located = tip_m @ scenario.base_R.T + scenario.base_position_m
+    return float(distance_from_polyline(located, scenario.goal.line_m).max())
 
 
 def _apart(before: _Piece, after: _Piece) -> float:

@@ -48,6 +48,21 @@ class CertificateSamples:
     tip_m: Array  # (K, 3) frictionless tip, robot frame
 
 
+@dataclass(frozen=True)
+class TargetReached:
+    """A target of a plan, and how well it is reached there."""
+
+    name: str
+    leg: int  # index of the leg that ends at it
+    path_mm: float  # weighted joint length travelled until then
+    bound_m: float
+    bound_rad: float
+    tip_error_m: float  # frictionless tip to the target; 0 for joint goals
+    line_error_m: float | None = (
+        None  # largest distance of the frictionless tip from the line on the way, if it has one
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Certificate:
     """Dense recheck of the legs, independent of anything the search approximated."""
@@ -67,6 +82,7 @@ class Certificate:
     stops: int  # interior changes of direction
     cost_mm: float
     spacing_m: float  # largest motion of a body point between samples
+    targets: tuple[TargetReached, ...] = ()  # in the order reached, the goal last
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,6 +18,7 @@ from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.interrupts import interrupt_event
 from ctrplan.planning.certify import certify
 from ctrplan.planning.goals import GoalState, goal_states
+from ctrplan.planning.line import follow_line, line_beginnings
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.objective import BoundObjective
 from ctrplan.planning.ompl_space import StateReader, state_space
@@ -25,6 +26,7 @@ from ctrplan.planning.plan import Certificate, MotionStyle, Plan
 from ctrplan.planning.reorder import Reordered, assemble, rotations_first
 from ctrplan.planning.retreat import RoadmapSearch, retreat_roadmap
 from ctrplan.planning.room import start_trouble
+from ctrplan.planning.tour import joined_certificates
 from ctrplan.planning.validity import MotionValidity, Validity
 
 if TYPE_CHECKING:
@@ -87,33 +89,75 @@ def plan(
             "is not supported yet, only 'none'", file=scenario.path, key="planner.settle", value=scenario.planner.settle
         )
     began = time.monotonic()
-    checker = MotionChecker(scenario, bound_field=bound_field)
-    start, _ = checker.probe(scenario.start)
+    budget = scenario.planner.time_s if time_s is None else time_s
+    start, _ = MotionChecker(scenario).probe(scenario.start)
     if not start.valid:
-        reason = start_trouble(checker) or start.reason
+        reason = start_trouble(MotionChecker(scenario)) or start.reason
         raise NoAnswerError(f"{scenario.path or scenario.name}: start: the start state is not valid: {reason}.")
-    goals = goal_states(checker, np.random.default_rng(seed))
     with interrupt_event(interrupted) as interrupted:
-        budget = scenario.planner.time_s if time_s is None else time_s
-        work = _Work(checker, goals, seed, began, budget, progress or (lambda _: None), interrupted)
-        first, best = work.run()
+        stages = _stages(scenario, seed, began, budget, progress or (lambda _: None), interrupted, bound_field)
     notes = scenario.warnings
     if bound_field is not None:
         notes += (f"Searched with the robot's bound field {bound_field.key}.",)
-    if best.result.style == "simultaneous":
+    paths = [best.result for _, best in stages]
+    if any(path.on_line for path in paths):
+        notes += ("Along the line, joints move simultaneously.",)
+    if any(path.style == "simultaneous" and not path.on_line for path in paths):
         notes += ("No path of rotations before translations was found in time; joints move simultaneously.",)
     finished = assemble(
         scenario,
-        best.result,
-        best.certificate,
+        paths,
+        joined_certificates([best.certificate for _, best in stages]),
         planner=scenario.planner.name,
         seed=seed,
         time_s=time.monotonic() - began,
-        first_found_s=first.found_s,
-        first_certified_s=first.certified_s,
+        first_found_s=stages[-1][0].found_s,
+        first_certified_s=stages[-1][0].certified_s,
         notes=notes,
     )
     return replace(finished, interrupted=interrupted.is_set())
+
+
+def _stages(
+    scenario: Scenario,
+    seed: int,
+    began: float,
+    budget: float,
+    report: Report,
+    interrupted: threading.Event,
+    bound_field: BoundField | None,
+) -> list[tuple[_Candidate, _Candidate]]:
+    """The first and the best certified path to each target, from where the one before ended."""
+    found: list[tuple[_Candidate, _Candidate]] = []
+    start, targets = scenario.start, scenario.targets
+    for k, goal in enumerate(targets):
+        stage = replace(scenario, start=start, goal=goal, via=())
+        checker = MotionChecker(stage, bound_field=bound_field)
+        if goal.line_m is not None:
+            found.append(_along_line(checker, began))
+        else:
+            goals = goal_states(checker, np.random.default_rng(seed + k))
+            if k + 1 < len(targets) and targets[k + 1].line_m is not None:
+                goals = line_beginnings(checker, goals, targets[k + 1])
+            share = max(budget / len(targets), 0.0)
+            found.append(_Work(checker, goals, seed, began, share, report, interrupted).run())
+        start = found[-1][1].result.after[-1]
+    return found
+
+
+def _along_line(checker: MotionChecker, began: float) -> tuple[_Candidate, _Candidate]:
+    """The line's own path, certified. Raises NoAnswerError where it fails."""
+    scenario = checker.scenario
+    corners, failed = follow_line(checker, scenario.start, scenario.goal)
+    found_s = time.monotonic() - began
+    certificate = None if failed else certify(scenario, corners)
+    if certificate is None or not certificate.valid:
+        why = failed or (certificate.problems[0] if certificate else "")
+        raise NoAnswerError(f"{scenario.path or scenario.name}: line_mm: {why.rstrip('.')}.")
+    motion = checker.along(corners)
+    result = Reordered(corners, corners, motion, motion, "simultaneous", on_line=True)
+    candidate = _Candidate(result, certificate, found_s, time.monotonic() - began)
+    return candidate, candidate
 
 
 @dataclass(eq=False)
@@ -172,7 +216,7 @@ class _Work:
         for attempt in range(ATTEMPTS):
             now = time.monotonic()
             until = began + self.budget if attempt == 0 else now + self.budget / 2
-            if self.interrupted.is_set() or (self.best and now >= until) or now - self.began > LATEST * self.budget:
+            if self.interrupted.is_set() or (self.best and now >= until) or now - began > LATEST * self.budget:
                 break
             share = 1.0 if style == self.checker.style else FALLBACK_SHARE
             checker = (

@@ -32,6 +32,7 @@ class Reordered:
     motion_before: Motion
     motion_after: Motion
     style: MotionStyle
+    on_line: bool = False  # follows a line with the tip, which takes all joints together
 
 
 def reorder(path: ArrayLike, scenario: Scenario, *, period_s: float = 0.01) -> Plan:
@@ -48,13 +49,16 @@ def reorder(path: ArrayLike, scenario: Scenario, *, period_s: float = 0.01) -> P
         raise InputError(f"must be numbers of shape (K, {m})", key="path") from None
     if corners.ndim != 2 or corners.shape[1] != m or len(corners) < 2 or not np.all(np.isfinite(corners)):
         raise InputError(f"must be finite, of shape (K, {m}) with K >= 2, not {corners.shape}", key="path")
+    if scenario.via:
+        rule = "has several targets; give the path of one, with the goal alone, at a time"
+        raise InputError(rule, file=scenario.path, key="target")
     checker = MotionChecker(scenario)
     result = rotations_first(checker, merge_legs(corners))
     if not result.motion_before.valid:
         raise NoAnswerError(f"{scenario.path or scenario.name}: path: not valid: {result.motion_before.reason}.")
     certificate = certify(scenario, result.after)
     elapsed = time.monotonic() - began
-    return assemble(scenario, result, certificate, planner="given path", seed=0, time_s=elapsed, period_s=period_s)
+    return assemble(scenario, [result], certificate, planner="given path", seed=0, time_s=elapsed, period_s=period_s)
 
 
 def rotations_first(checker: MotionChecker, corners: Array) -> Reordered:
@@ -91,6 +95,29 @@ def rotations_first(checker: MotionChecker, corners: Array) -> Reordered:
     return Reordered(corners, after, before, motion, _style(checker, after))
 
 
+def joined_paths(stages: list[Reordered]) -> Reordered:
+    """The corners of all stages one after the other."""
+    simultaneous = any(stage.style == "simultaneous" for stage in stages if not stage.on_line)
+    return Reordered(
+        np.concatenate([stages[0].before[:1], *(stage.before[1:] for stage in stages)]),
+        np.concatenate([stages[0].after[:1], *(stage.after[1:] for stage in stages)]),
+        _summed([stage.motion_before for stage in stages]),
+        _summed([stage.motion_after for stage in stages]),
+        "simultaneous" if simultaneous else "rotations before translations",
+    )
+
+
+def _summed(motions: list[Motion]) -> Motion:
+    """The motions as one, which pays for the bound at the end of each."""
+    return Motion(
+        all(motion.valid for motion in motions),
+        next((motion.reason for motion in motions if motion.reason), ""),
+        sum(motion.length_mm for motion in motions),
+        sum(motion.error_integral_mm for motion in motions),
+        sum(motion.end_bound_m for motion in motions),
+    )
+
+
 def _style(checker: MotionChecker, corners: Array) -> MotionStyle:
     kinds = {leg_kind(checker.space.drive, a, b) for a, b in zip(corners[:-1], corners[1:], strict=True)}
     return "simultaneous" if "simultaneous" in kinds else "rotations before translations"
@@ -116,7 +143,7 @@ def _way_cost(checker: MotionChecker, motion: Motion) -> float:
 
 def assemble(
     scenario: Scenario,
-    result: Reordered,
+    stages: list[Reordered],
     certificate: Certificate,
     *,
     planner: str,
@@ -127,8 +154,9 @@ def assemble(
     period_s: float = 0.01,
     notes: tuple[str, ...] = (),
 ) -> Plan:
-    """The plan of reordered corners: legs, trajectory, and what reordering gained."""
-    drive = scenario.robot.drive
+    """The plan of reordered corners, stage by stage; the trajectory rests after each stage."""
+    drive, result = scenario.robot.drive, joined_paths(stages)
+    rests = np.cumsum([len(stage.after) - 1 for stage in stages])
     legs = tuple(Leg(a, b, leg_kind(drive, a, b)) for a, b in zip(result.after[:-1], result.after[1:], strict=True))
     weights = scenario.cost
 
@@ -140,8 +168,8 @@ def assemble(
     report = ReorderReport(
         cost_before_mm=cost(a),
         cost_after_mm=cost(b),
-        goal_bound_before_m=a.end_bound_m,
-        goal_bound_after_m=b.end_bound_m,
+        goal_bound_before_m=stages[-1].motion_before.end_bound_m,
+        goal_bound_after_m=stages[-1].motion_after.end_bound_m,
         error_integral_before_mm=a.error_integral_mm,
         error_integral_after_mm=b.error_integral_mm,
         stops_before=max(len(merge_legs(result.before)) - 2, 0),
@@ -154,7 +182,7 @@ def assemble(
         style=result.style,
         legs=legs,
         certificate=replace(certificate, stops=report.stops_after),
-        trajectory=time_parameterise(result.after, drive, period_s),
+        trajectory=time_parameterise(result.after, drive, period_s, rests=rests.tolist()),
         reorder=report,
         search_time_s=time_s,
         first_found_s=first_found_s,

@@ -1,0 +1,49 @@
+"""Several targets in order: the certificates of a plan's stages put together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.planning.plan import Certificate, CertificateSamples, TargetReached
+
+
+def joined_certificates(stages: list[Certificate]) -> Certificate:
+    """One certificate over all stages: figures at the goal are the last one's, the others the worst or the sum."""
+    if len(stages) == 1:
+        return stages[0]
+    samples, targets = _joined_samples(stages)
+    last = stages[-1]
+    return replace(
+        last,
+        samples=samples,
+        valid=all(stage.valid for stage in stages),
+        problems=tuple(problem for stage in stages for problem in stage.problems),
+        worst_bound_m=max(stage.worst_bound_m for stage in stages),
+        error_integral_mm=sum(stage.error_integral_mm for stage in stages),
+        min_clearance_m=min(stage.min_clearance_m for stage in stages),
+        min_stability=min(stage.min_stability for stage in stages),
+        max_strain=max(stage.max_strain for stage in stages),
+        length_mm=sum(stage.length_mm for stage in stages),
+        stops=sum(stage.stops for stage in stages) + len(stages) - 1,
+        cost_mm=sum(stage.cost_mm for stage in stages),
+        spacing_m=max(stage.spacing_m for stage in stages),
+        targets=targets,
+    )
+
+
+def _joined_samples(stages: list[Certificate]) -> tuple[CertificateSamples, tuple[TargetReached, ...]]:
+    columns: dict[str, list[NDArray[Any]]] = {name: [] for name in CertificateSamples.__dataclass_fields__}
+    targets, legs, travelled = [], 0, 0.0
+    for number, stage in enumerate(stages):
+        keep = slice(0 if number == 0 else 1, None)  # a stage begins with the last sample of the one before
+        for name, parts in columns.items():
+            offset = {"leg": legs, "path_mm": travelled}.get(name, 0)
+            parts.append((getattr(stage.samples, name) + offset)[keep])
+        targets += [replace(t, leg=t.leg + legs, path_mm=t.path_mm + travelled) for t in stage.targets]
+        legs += int(stage.samples.leg[-1]) + 1
+        travelled += stage.length_mm
+    return CertificateSamples(**{name: np.concatenate(parts) for name, parts in columns.items()}), tuple(targets)
