@@ -1,4 +1,4 @@
-"""The command line: `ctrplan plan` and `ctrplan bound`. Every failure is one sentence on stderr and an exit code."""
+"""The command line: `ctrplan plan`, `ctrplan bound` and `ctrplan simulate`. Every failure is one sentence on stderr and an exit code."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import ctrplan
 from ctrplan.commands.bound import run_bound
 from ctrplan.commands.output_folder import DEFAULT as OUTPUT
 from ctrplan.commands.plan import INTERRUPTED, run_plan
+from ctrplan.commands.simulate import run_simulate
 from ctrplan.errors import CtrplanError
 
 PLAN_EXAMPLES = """examples:
@@ -27,6 +28,14 @@ BOUND_EXAMPLES = """examples:
   ctrplan bound scenarios/robots/three_tube.toml --theta-deg 0 90 0 --l-mm 0 -17 -62.8 --sweep theta_3=0:360:121 -o out
   ctrplan bound scenarios/robots/table_1_pair.toml --theta-deg 0 180 --l-mm 0 -17 -o out \
 --sweep contact.1.clearance_mm=0.05:3:30 --sweep contact.1.friction_coefficient=0:0.5:26
+"""
+SIMULATE_EXAMPLES = """PATH.csv has a header and a row per waypoint: theta_1_rad ... and l_1_m ..., base rotations and
+translations of the tubes, outermost first; optionally sequence (runs that are approached afresh) and time_s.
+
+examples:
+  ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out
+  ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out --start oscillated
+  ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out --start=+1,-1
 """
 
 
@@ -61,6 +70,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_plan(commands)
     _add_bound(commands)
+    _add_simulate(commands)
     return parser
 
 
@@ -115,6 +125,34 @@ def _add_bound(commands: Any) -> None:
     parser.add_argument("--json", action="store_true", help="machine-readable output")
     _add_set(parser, "the robot's key")
     parser.set_defaults(run=run_bound)
+
+
+def _add_simulate(commands: Any) -> None:
+    parser = commands.add_parser(
+        "simulate",
+        help="predict what friction does to the tip along a joint path",
+        description="Follow the friction of every contact along a joint path; write poses.csv (joints, tip, frictionless "
+        "tip, deviation, bound, friction states, snaps) and simulate.png.",
+        epilog=SIMULATE_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("robot", metavar="ROBOT.toml")
+    parser.add_argument("path", metavar="PATH.csv")
+    parser.add_argument(
+        "-o", "--output", metavar="DIR", default=OUTPUT, help="folder for the results (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--start",
+        default="released",
+        metavar="STATE",
+        help="friction at the first waypoint: released, oscillated (a decreasing oscillation has let go of it), "
+        "or a state in [-1, 1] per pair, as --start=+1,-1 (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--accuracy", choices=["search", "certificate"], default="search", help="mesh (default: %(default)s)"
+    )
+    _add_set(parser, "the robot's key")
+    parser.set_defaults(run=run_simulate)
 
 
 def _add_set(parser: argparse.ArgumentParser, what: str) -> None:

@@ -330,6 +330,39 @@ bool History::slide_with(const std::vector<double>& phi) {
     return convergence_.converged;
 }
 
+bool History::solve_beside(const std::vector<double>& phi, Backbone& backbone) {
+    constexpr double kSmallestPart = 0.01;
+    const State kept = save();
+    const Convergence convergence = convergence_;
+    const KernelProblem& pb = solver_.mesh().problem();
+    const int pairs = pb.tubes - 1;
+    std::vector<double> now(pb.contacts);
+    double done = 0, part = 0.25;
+    bool found = true;
+    while (done < 1 && found) {
+        const double next = std::min(1.0, done + part);
+        const Iterate at = iterate();
+        remember();
+        for (int k = 0; k < pb.contacts; ++k) now[k] = (1 - next) * kept.phi[k] + next * phi[pairs - 1 - pb.contact_pair[k]];
+        hold(now);
+        const BarrierPath path = BarrierPath::warm(5, solver_.last_barrier());
+        solver_.recentre(state_, path.first);
+        solver_.solve(state_, path, &convergence_);
+        if (convergence_.converged && largest_turn() < 2 * kLargestTurn) {
+            done = next;
+            continue;
+        }
+        put(at);
+        part *= 0.5;
+        found = part > kSmallestPart;
+    }
+    if (found) trace_backbone(solver_, state_, 0, q_.l.back(), backbone);
+    found = found && !solver_.turns_away(state_);
+    restore(kept);
+    convergence_ = convergence;
+    return found;
+}
+
 // Friction that belongs to the slip so far.
 std::vector<double> History::followed_phi() const {
     const KernelProblem& pb = solver_.mesh().problem();

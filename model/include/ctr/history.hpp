@@ -54,6 +54,10 @@ class History {
     State save() const;
     void restore(const State& state);
 
+    // The solution with every contact of a pair at phi on the branch that this history is on: friction goes there by parts, the
+    // history stays where it is. False where the branch ends before.
+    bool solve_beside(const std::vector<double>& phi, Backbone& backbone);
+
     const FrictionSolver& solver() const { return solver_; }
     const LaneState& state() const { return state_; }
     const Configuration& configuration() const { return q_; }
