@@ -15,6 +15,7 @@ from ctrplan.commands.field import run_field
 from ctrplan.commands.ik import run_ik
 from ctrplan.commands.output_folder import DEFAULT as OUTPUT
 from ctrplan.commands.plan import INTERRUPTED, run_plan
+from ctrplan.commands.simulate import run_simulate
 from ctrplan.errors import CtrplanError
 
 PLAN_EXAMPLES = """examples:
@@ -33,6 +34,14 @@ BOUND_EXAMPLES = """examples:
 IK_EXAMPLES = """examples:
   ctrplan ik scenarios/robots/three_tube.toml --tip-mm 34 -47 200
   ctrplan ik scenarios/vessel.toml --tip-mm 51 2 168 --direction 1 0 0.4 --direction-tolerance-deg 20 --json
+"""
+SIMULATE_EXAMPLES = """PATH.csv has a header and a row per waypoint: theta_1_rad ... and l_1_m ..., base rotations and
+translations of the tubes, outermost first; optionally sequence (runs that are approached afresh) and time_s.
+
+examples:
+  ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out
+  ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out --start oscillated
+  ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out --start=+1,-1
 """
 
 
@@ -69,6 +78,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_bound(commands)
     _add_ik(commands)
     _add_field(commands)
+    _add_simulate(commands)
     return parser
 
 
@@ -164,6 +174,34 @@ def _add_ik(commands: Any) -> None:
     parser.add_argument("--json", action="store_true", help="machine-readable output")
     _add_set(parser, "a key of the file")
     parser.set_defaults(run=run_ik)
+
+
+def _add_simulate(commands: Any) -> None:
+    parser = commands.add_parser(
+        "simulate",
+        help="predict what friction does to the tip along a joint path",
+        description="Follow the friction of every contact along a joint path; write poses.csv (joints, tip, frictionless "
+        "tip, deviation, bound, friction states, snaps) and simulate.png.",
+        epilog=SIMULATE_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("robot", metavar="ROBOT.toml")
+    parser.add_argument("path", metavar="PATH.csv")
+    parser.add_argument(
+        "-o", "--output", metavar="DIR", default=OUTPUT, help="folder for the results (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--start",
+        default="released",
+        metavar="STATE",
+        help="friction at the first waypoint: released, oscillated (a decreasing oscillation has let go of it), "
+        "or a state in [-1, 1] per pair, as --start=+1,-1 (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--accuracy", choices=["search", "certificate"], default="search", help="mesh (default: %(default)s)"
+    )
+    _add_set(parser, "the robot's key")
+    parser.set_defaults(run=run_simulate)
 
 
 def _add_set(parser: argparse.ArgumentParser, what: str) -> None:

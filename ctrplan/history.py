@@ -156,6 +156,17 @@ class History:
             status=np.where(np.isnan(table[:, 0]), float(Status.FAILED), table[:, 0]).astype(int),
         )
 
+    def tip_beside(self, phi: ArrayLike) -> Array:
+        """Tip (3,) [m] with the contacts of each pair at phi (n - 1,), on the branch of solutions that the history is on.
+
+        The history stays where it is. NaN where the branch ends before friction is there; InputError before the first
+        advance. Other solvers choose their branch afresh at every configuration.
+        """
+        if self._at is None:
+            raise InputError("a history has no state before its first advance", key="history")
+        pairs = _start_phi(np.asarray(phi, dtype=np.float64).tolist(), self._mechanics.n - 1)
+        return np.asarray(self._core.beside(pairs))[:3]
+
     def save(self) -> HistoryState:
         """A memory of the present state; InputError before the first advance."""
         if self._at is None:

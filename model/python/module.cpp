@@ -258,6 +258,25 @@ class PathHistory {
         return pairs;
     }
 
+    // Tip (3) and tangent (3) at friction states phi on the branch that the history is on; NaN where it ends before.
+    nb::object beside(Vector phi) {
+        if (phi.shape(0) != robot_.pairs.size()) throw ctr::InvalidInput("phi needs one value per neighbouring pair");
+        const std::vector<double> friction(phi.data(), phi.data() + phi.shape(0));
+        std::vector<double> out(6, std::numeric_limits<double>::quiet_NaN());
+        {
+            nb::gil_scoped_release release;
+            ctr::Backbone backbone;
+            if (history_.solve_beside(friction, backbone)) {
+                const ctr::Vec3 tangent = backbone.frame.back().tangent();
+                for (int i = 0; i < 3; ++i) {
+                    out[i] = backbone.frame.back().p[i];
+                    out[3 + i] = tangent[i];
+                }
+            }
+        }
+        return array(std::move(out), {6});
+    }
+
     ctr::History::State save() const { return history_.save(); }
     void restore(const ctr::History::State& state) { history_.restore(state); }
 
@@ -648,6 +667,7 @@ NB_MODULE(_model, m) {
         .def("follow", &PathHistory::follow, "theta_b"_a.noconvert(), "l_b"_a.noconvert())
         .def("shape", &PathHistory::shape)
         .def("friction", &PathHistory::friction)
+        .def("beside", &PathHistory::beside, "phi"_a.noconvert())
         .def("save", &PathHistory::save)
         .def("restore", &PathHistory::restore, "state"_a);
     nb::class_<FieldLookup>(m, "FieldLookup")

@@ -7,7 +7,9 @@ namespace ctr {
 namespace {
 
 constexpr double kGauss[2] = {0.21132486540518711775, 0.78867513459481288225};
-constexpr double kMostStretch = 1.4;    // of the elements between two breaks, before the mesh is made anew
+constexpr double kMostStretch = 1.2;    // of the elements between two breaks, before the mesh is made anew
+constexpr double kMostRenewal = 0.1;    // rad, that a new mesh may turn a tube
+constexpr double kLargestTurn = 0.15;   // rad, of any place in a step: more is another equilibrium, or a step too long
 constexpr double kShortestStep = 1e-3;  // of the longest
 constexpr double kDegree = 0.017453292519943295;
 
@@ -68,27 +70,37 @@ Status History::start(const Configuration& q, const std::vector<double>& phi) {
     for (int k = 0; k < pb.contacts; ++k) phi_[k] = phi[pb.tubes - 2 - pb.contact_pair[k]];
     energy_ = {};
     steps_ = snaps_ = 0;
-    elastic_ = elastic_energy();
+    built_breaks_ = solver_.mesh().breaks();
     publish_law();
-    double level[kLanes], moment[kLanes], gap[kLanes];
-    std::fill(level, level + kLanes, solver_.last_level());
-    solver_.weigh_out(state_);
-    kernel(1).residual(pb, state_.view(), level, moment, gap);
-    torque_.resize(pb.tubes);
-    for (int t = 0; t < pb.tubes; ++t) torque_[t] = base_torque(t);
+    take_stock();
     return status_;
 }
 
-History::State History::save() const {
-    State saved{q_, solver_.mesh(), {}, {}, {}, phi_, psi_, status_};
+History::Iterate History::iterate() const {
+    const KernelProblem& pb = solver_.mesh().problem();
+    Iterate at;
+    at.unknowns.reserve(static_cast<std::size_t>(pb.nodes) * pb.stride);
+    for (int k = 0; k < pb.nodes; ++k)
+        for (int i = 0; i < pb.stride; ++i) at.unknowns.push_back(state_.unknown(k, i, 0));
+    for (int k = 0; k < pb.contacts; ++k) {
+        at.multiplier.push_back(state_.multiplier(k, 0));
+        at.slack.push_back(state_.slack(k, 0));
+    }
+    return at;
+}
+
+void History::put(const Iterate& at) {
     const KernelProblem& pb = solver_.mesh().problem();
     for (int k = 0; k < pb.nodes; ++k)
-        for (int i = 0; i < pb.stride; ++i) saved.unknowns.push_back(state_.unknown(k, i, 0));
+        for (int i = 0; i < pb.stride; ++i) state_.unknown(k, i, 0) = at.unknowns[static_cast<std::size_t>(k) * pb.stride + i];
     for (int k = 0; k < pb.contacts; ++k) {
-        saved.multiplier.push_back(state_.multiplier(k, 0));
-        saved.slack.push_back(state_.slack(k, 0));
+        state_.multiplier(k, 0) = at.multiplier[k];
+        state_.slack(k, 0) = at.slack[k];
     }
-    return saved;
+}
+
+History::State History::save() const {
+    return {q_, solver_.mesh(), iterate(), phi_, psi_, built_breaks_, status_};
 }
 
 void History::restore(const State& saved) {
@@ -96,25 +108,25 @@ void History::restore(const State& saved) {
     status_ = saved.status;
     phi_ = saved.phi;
     psi_ = saved.psi;
+    built_breaks_ = saved.built_breaks;
     solver_.adopt(saved.mesh, q_, accuracy_);
+    state_.resize(solver_.mesh().problem(), 1);
+    put(saved.iterate);
+    hold(phi_);
+    publish_law();
+    take_stock();
+}
+
+// Elastic energy and the torques of the actuators as they are.
+void History::take_stock() {
     const KernelProblem& pb = solver_.mesh().problem();
-    state_.resize(pb, 1);
-    for (int k = 0; k < pb.nodes; ++k)
-        for (int i = 0; i < pb.stride; ++i) state_.unknown(k, i, 0) = saved.unknowns[static_cast<std::size_t>(k) * pb.stride + i];
-    for (int k = 0; k < pb.contacts; ++k) {
-        state_.multiplier(k, 0) = saved.multiplier[k];
-        state_.slack(k, 0) = saved.slack[k];
-        state_.set_phi_mu(k, 0, phi_[k] * solver_.robot().pairs[pb.tubes - 2 - pb.contact_pair[k]].friction);
-    }
-    state_.follow_slip(nullptr);
-    solver_.weigh_out(state_);
-    elastic_ = elastic_energy();
     double level[kLanes], moment[kLanes], gap[kLanes];
     std::fill(level, level + kLanes, solver_.last_level());
+    solver_.weigh_out(state_);
     kernel(1).residual(pb, state_.view(), level, moment, gap);
+    elastic_ = elastic_energy();
     torque_.resize(pb.tubes);
     for (int t = 0; t < pb.tubes; ++t) torque_[t] = base_torque(t);
-    publish_law();
 }
 
 void History::remember() {
@@ -149,19 +161,15 @@ double History::offset(int e, int k, int plane) const {
 // Nodes move with collars, joints and tips; where these meet in another order, or elements would be stretched far, a new mesh
 // takes over.
 void History::move_mesh(const Configuration& q) {
-    const std::vector<double> breaks = solver_.mesh().breaks();
-    bool same = solver_.move(solver_, solver_.robot(), q);
-    if (same && !built_breaks_.empty()) {
-        const std::vector<double>& now = solver_.mesh().breaks();
-        for (std::size_t i = 0; i + 1 < now.size(); ++i) {
-            const double ratio = (now[i + 1] - now[i]) / (built_breaks_[i + 1] - built_breaks_[i]);
-            same = same && ratio < kMostStretch && ratio > 1 / kMostStretch;
-        }
-    }
-    if (same) return;
+    if (solver_.move(solver_, solver_.robot(), q)) return;
     solver_.build(q, accuracy_);
     built_breaks_ = solver_.mesh().breaks();
     state_.resize(solver_.mesh().problem(), 1);
+    give_back(q);
+}
+
+// The unknowns before the step, on the mesh as it is.
+void History::give_back(const Configuration& q) {
     if (carried_.fits(solver_.mesh())) {
         carried_.give(solver_.mesh(), state_);
         return;
@@ -171,11 +179,69 @@ void History::move_mesh(const Configuration& q) {
     solver_.start(state_, q, zero, BarrierPath::kParting);
 }
 
+bool History::is_stretched() const {
+    const std::vector<double>& now = solver_.mesh().breaks();
+    for (std::size_t i = 0; i + 1 < now.size(); ++i) {
+        const double ratio = (now[i + 1] - now[i]) / (built_breaks_[i + 1] - built_breaks_[i]);
+        if (ratio > kMostStretch || ratio < 1 / kMostStretch) return true;
+    }
+    return false;
+}
+
+// Puts the state on the mesh that any solver would use here. What the change of elements moves is no slip.
+void History::renew_mesh() {
+    if (solver_.mesh().breaks() == built_breaks_) return;
+    const State kept = save();
+    remember();
+    carried_.take(solver_.mesh(), state_);
+    solver_.build(q_, accuracy_);
+    const KernelProblem& pb = solver_.mesh().problem();
+    state_.resize(pb, 1);
+    give_back(q_);
+    std::vector<double> phi(pb.contacts), psi(pb.contacts);
+    for (int k = 0; k < pb.contacts; ++k) {
+        const OldContact old = old_contact(pb.contact_pair[k], solver_.mesh().contact_s()[k]);
+        phi[k] = old.phi;
+        psi[k] = old.psi;
+    }
+    hold(phi);
+    solver_.set_base(state_, q_);
+    const BarrierPath path = BarrierPath::warm(2, solver_.last_barrier());
+    solver_.recentre(state_, path.first);
+    Convergence renewed;
+    solver_.solve(state_, path, &renewed);
+    if (!renewed.converged || largest_turn() > kMostRenewal) {
+        restore(kept);
+        return;
+    }
+    convergence_ = renewed;
+    phi_.swap(phi);
+    psi_.swap(psi);
+    built_breaks_ = solver_.mesh().breaks();
+    take_stock();
+}
+
 double History::old_angle(int tube, double s) const {
     double part;
     const int stride = solver_.mesh().problem().stride, e = locate(before_.s, s, part);
     const double *a = &before_.unknowns[static_cast<std::size_t>(e) * stride], *b = a + stride;
     return (1 - part) * a[5 * tube] + part * b[5 * tube];
+}
+
+History::OldContact History::old_contact(int pair, double s) const {
+    OldContact contact;
+    const OldContacts& old = before_.pairs[pair];
+    if (old.s.size() < 2) return contact;
+    double part;
+    const int i = locate(old.s, s, part);
+    contact.phi = (1 - part) * old.phi[i] + part * old.phi[i + 1];
+    contact.psi = (1 - part) * old.psi[i] + part * old.psi[i + 1];
+    const double dx = (1 - part) * old.d[2 * i] + part * old.d[2 * i + 2], dy = (1 - part) * old.d[2 * i + 1] + part * old.d[2 * i + 3];
+    const double size = std::hypot(dx, dy);
+    if (size == 0) return contact;
+    contact.direction[0] = dx / size;
+    contact.direction[1] = dy / size;
+    return contact;
 }
 
 // What slip is counted from: the angles that the material points now in contact had, where the contact was.
@@ -194,21 +260,17 @@ void History::refer(const Configuration& q) {
                         outer_arm_[p] * old_angle(p + 1, s - q.l[outer] + before_.q.l[outer]);
         const double axial = q.l[inner] - before_.q.l[inner] - q.l[outer] + before_.q.l[outer];
         next_psi_[k] = axial / options_.breakaway;
-        const OldContacts& old = before_.pairs[p];
-        if (old.s.size() < 2) continue;
-        double part, image = s;
+        double image = s;
         if (corresponds) {
+            double part;
             const int b = locate(mesh.breaks(), s, part);
             image = before_.breaks[b] + part * (before_.breaks[b + 1] - before_.breaks[b]);
         }
-        const int i = locate(old.s, image, part);
-        last_phi_[k] = (1 - part) * old.phi[i] + part * old.phi[i + 1];
-        next_psi_[k] += (1 - part) * old.psi[i] + part * old.psi[i + 1];
-        const double dx = (1 - part) * old.d[2 * i] + part * old.d[2 * i + 2], dy = (1 - part) * old.d[2 * i + 1] + part * old.d[2 * i + 3];
-        const double size = std::hypot(dx, dy);
-        if (size == 0) continue;
-        across_[2 * k] = -dy / size;
-        across_[2 * k + 1] = dx / size;
+        const OldContact old = old_contact(p, image);
+        last_phi_[k] = old.phi;
+        next_psi_[k] += old.psi;
+        across_[2 * k] = -old.direction[1];
+        across_[2 * k + 1] = old.direction[0];
     }
     publish_law();
 }
@@ -233,18 +295,118 @@ bool History::try_step(const Configuration& q) {
     return convergence_.converged;
 }
 
-// No equilibrium near by: friction as it was, the robot slides to where there is one, and friction follows that slip.
-bool History::slide() {
+// Largest change of an angle against the same place of the mesh before, beyond that of the bases.
+double History::largest_turn() const {
+    const Mesh& mesh = solver_.mesh();
+    const KernelProblem& pb = mesh.problem();
+    const bool corresponds = mesh.breaks().size() == before_.breaks.size();
+    double most = 0;
+    for (int node = 0; node < pb.nodes; ++node) {
+        double s = mesh.s()[node];
+        if (corresponds) {
+            double part;
+            const int b = locate(mesh.breaks(), s, part);
+            s = before_.breaks[b] + part * (before_.breaks[b + 1] - before_.breaks[b]);
+        }
+        for (int t = 0; t < pb.tubes; ++t) most = std::max(most, std::fabs(state_.unknown(node, 5 * t, 0) - old_angle(t, s)));
+    }
+    return most;
+}
+
+void History::hold(const std::vector<double>& phi) {
     const KernelProblem& pb = solver_.mesh().problem();
     state_.follow_slip(nullptr);
-    for (int k = 0; k < pb.contacts; ++k) state_.set_phi_mu(k, 0, friction_[k] * std::clamp(last_phi_[k], -1.0, 1.0));
+    for (int k = 0; k < pb.contacts; ++k)
+        state_.set_phi_mu(k, 0, std::clamp(phi[k], -1.0, 1.0) * solver_.robot().pairs[pb.tubes - 2 - pb.contact_pair[k]].friction);
+}
+
+// Where the robot goes while friction is held.
+bool History::slide_with(const std::vector<double>& phi) {
+    hold(phi);
     solver_.recentre(state_, BarrierPath::kParting);
     solver_.slide(state_, BarrierPath::kParting, convergence_);
-    if (!convergence_.converged) return false;
-    state_.follow_slip(&law_);
-    solver_.recentre(state_, 1);
-    solver_.solve(state_, BarrierPath::warm(10, solver_.last_barrier()), &convergence_);
     return convergence_.converged;
+}
+
+bool History::solve_beside(const std::vector<double>& phi, Backbone& backbone) {
+    constexpr double kSmallestPart = 0.01;
+    const State kept = save();
+    const Convergence convergence = convergence_;
+    const KernelProblem& pb = solver_.mesh().problem();
+    const int pairs = pb.tubes - 1;
+    std::vector<double> now(pb.contacts);
+    double done = 0, part = 0.25;
+    bool found = true;
+    while (done < 1 && found) {
+        const double next = std::min(1.0, done + part);
+        const Iterate at = iterate();
+        remember();
+        for (int k = 0; k < pb.contacts; ++k) now[k] = (1 - next) * kept.phi[k] + next * phi[pairs - 1 - pb.contact_pair[k]];
+        hold(now);
+        const BarrierPath path = BarrierPath::warm(5, solver_.last_barrier());
+        solver_.recentre(state_, path.first);
+        solver_.solve(state_, path, &convergence_);
+        if (convergence_.converged && largest_turn() < 2 * kLargestTurn) {
+            done = next;
+            continue;
+        }
+        put(at);
+        part *= 0.5;
+        found = part > kSmallestPart;
+    }
+    if (found) trace_backbone(solver_, state_, 0, q_.l.back(), backbone);
+    found = found && !solver_.turns_away(state_);
+    restore(kept);
+    convergence_ = convergence;
+    return found;
+}
+
+// Friction that belongs to the slip so far.
+std::vector<double> History::followed_phi() const {
+    const KernelProblem& pb = solver_.mesh().problem();
+    std::vector<double> phi(pb.contacts);
+    for (int e = 0; e < pb.elements; ++e)
+        for (int k = pb.contact_begin[e]; k < pb.contact_begin[e + 1]; ++k) {
+            const double trial = last_phi_[k] + slip_of(e, k) / options_.breakaway;
+            phi[k] = trial / std::max(1.0, std::hypot(trial, next_psi_[k]));
+        }
+    return phi;
+}
+
+// No equilibrium near by: friction as it was, the robot slides to where there is one, and friction follows that slip,
+// by parts if it must. Where friction and shape do not settle on each other, the shape has the friction of the last part.
+bool History::slide(const Configuration& q) {
+    constexpr int kRounds = 8;
+    give_back(q);
+    solver_.set_base(state_, q);
+    if (!slide_with(last_phi_)) {  // from the shape that the robot has when it is put there afresh
+        ZeroClearance zero;
+        zero.solve(solver_.robot(), q);
+        solver_.start(state_, q, zero, BarrierPath::kFirst);
+        hold(last_phi_);
+        solver_.slide(state_, BarrierPath::kFirst, convergence_);
+        if (!convergence_.converged) return false;
+    }
+    std::vector<double> phi = last_phi_;
+    for (int round = 0; round < kRounds; ++round) {
+        const Iterate slid = iterate();
+        const Convergence held = convergence_;
+        state_.follow_slip(&law_);
+        solver_.recentre(state_, 1);
+        solver_.solve(state_, BarrierPath::warm(10, solver_.last_barrier()), &convergence_);
+        if (convergence_.converged) return true;
+        put(slid);
+        convergence_ = held;
+        const std::vector<double> goal = followed_phi(), last = phi;
+        for (std::size_t k = 0; k < phi.size(); ++k) phi[k] += (round < 2 ? 1.0 : 0.4) * (goal[k] - phi[k]);
+        if (!slide_with(phi)) {
+            put(slid);
+            hold(last);
+            convergence_ = held;
+            break;
+        }
+    }
+    return held_ = true;
 }
 
 void History::finish_step(const Configuration& q) {
@@ -261,13 +423,17 @@ void History::finish_step(const Configuration& q) {
             const double norm = std::max(1.0, std::hypot(trial, next_psi_[k]));
             phi_[k] = trial / norm;
             psi_[k] = next_psi_[k] / norm;
+            if (held_ && mu > 0) {
+                phi_[k] = state_.phi_mu(k, 0) / mu;
+                psi_[k] = std::copysign(std::min(std::fabs(psi_[k]), std::sqrt(std::max(0.0, 1 - phi_[k] * phi_[k]))), psi_[k]);
+            }
             const double d = std::hypot(offset(e, k, 0), offset(e, k, 1)), force = state_.multiplier(k, 0) * d * d / c;
             forces += force;
             changes += force * std::fabs(phi_[k] - last_phi_[k]);
             const double slid = slip - options_.breakaway * (phi_[k] - last_phi_[k]);
             const double loss = mu * force * phi_[k] * slid;
             energy_.loss += loss;
-            energy_.smallest_loss = std::min(energy_.smallest_loss, loss);
+            if (!held_) energy_.smallest_loss = std::min(energy_.smallest_loss, loss);
             energy_.breakaway += 0.5 * mu * force * options_.breakaway * (phi_[k] * phi_[k] - last_phi_[k] * last_phi_[k]);
         }
     change_ = changes / forces;
@@ -314,7 +480,6 @@ Status History::advance(const Configuration& target) {
     const Configuration from = q_;
     const double length = motion(from, target, options_);
     if (length == 0) return status_;
-    if (built_breaks_.empty()) built_breaks_ = solver_.mesh().breaks();
     double done = 0, step = std::min(1.0, 1 / length);
     while (done < 1) {
         double next = std::min(1.0, done + step);
@@ -322,19 +487,22 @@ Status History::advance(const Configuration& target) {
         const Configuration q = between(from, target, next);
         const State kept = save();
         remember();
-        if (!try_step(q)) {
+        held_ = false;
+        const bool found = try_step(q), jumped = found && largest_turn() > kLargestTurn;
+        if (!found || jumped) {
             if ((next - done) * length > kShortestStep) {
                 restore(kept);
                 step = 0.25 * (next - done);
                 continue;
             }
             ++snaps_;
-            if (!slide()) {
+            if (!found && !slide(q)) {
                 restore(kept);
                 return status_ = Status::failed;
             }
         }
         finish_step(q);
+        if (next == 1 || is_stretched()) renew_mesh();
         done = next;
         step *= std::clamp(options_.state_change / std::max(change_, 1e-3), 0.5, 2.0);
         step = std::min(step, 1 / length);

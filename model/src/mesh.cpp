@@ -17,6 +17,14 @@ constexpr double kRigidShaft = 1e-7;  // rad / (N m)
 constexpr double kSingleTubeLength = 10e-3;
 constexpr double kStraightLength = 40e-3;
 
+// A number for the k-th collar, joint or tip; sums of them tell sets apart (the finaliser of SplitMix64).
+std::uint64_t member(std::uint64_t k) {
+    k = (k + 1) * 0x9e3779b97f4a7c15u;
+    k = (k ^ (k >> 30)) * 0xbf58476d1ce4e5b9u;
+    k = (k ^ (k >> 27)) * 0x94d049bb133111ebu;
+    return k ^ (k >> 31);
+}
+
 }  // namespace
 
 void Mesh::build(const Robot& robot, const Configuration& q, const Accuracy& accuracy) {
@@ -32,9 +40,12 @@ void Mesh::build(const Robot& robot, const Configuration& q, const Accuracy& acc
 
 bool Mesh::move(const Robot& robot, const Configuration& q) {
     const std::vector<double> breaks = break_s_, lengths = length_;
+    const std::vector<Break> before = breaks_;
     const std::vector<int> unknowns = node_unknowns_;
     find_breaks(robot, q);
-    if (breaks.size() != break_s_.size()) return false;
+    if (!std::equal(before.begin(), before.end(), breaks_.begin(), breaks_.end(),
+                    [](const Break& a, const Break& b) { return a.members == b.members; }))
+        return false;
     std::size_t b = 0;
     for (double& s : s_) {
         while (b + 2 < breaks.size() && s > breaks[b + 1] + 0.5 * kMergeDistance) ++b;
@@ -60,19 +71,25 @@ void Mesh::find_breaks(const Robot& robot, const Configuration& q) {
     const int n = robot.count();
     for (int i = 0; i < n; ++i) {
         double s = q.l[i];
-        breaks_.push_back({s, n > 1});
-        for (const Section& section : robot.tubes[i].sections) breaks_.push_back({s += section.length, n > 1});
+        breaks_.push_back({s, n > 1, member(breaks_.size())});
+        for (const Section& section : robot.tubes[i].sections) breaks_.push_back({s += section.length, n > 1, member(breaks_.size())});
     }
-    breaks_.push_back({0.0, n > 1});
+    breaks_.push_back({0.0, n > 1, member(breaks_.size())});
     const double first = q.l[n - 1], last = q.l[n - 1] + robot.tubes[n - 1].length();
     std::sort(breaks_.begin(), breaks_.end(), [](const Break& a, const Break& b) { return a.s < b.s; });
     std::vector<Break> merged;
-    for (const Break& b : breaks_)
+    for (const Break& b : breaks_) {
         if (merged.empty() || b.s - merged.back().s > kMergeDistance) merged.push_back(b);
+        else merged.back().members += b.members;
+    }
     // the two ends are exact whatever was merged into them
-    while (merged.size() > 1 && merged.back().s > last - kMergeDistance) merged.pop_back();
+    std::uint64_t members = 0;
+    while (merged.size() > 1 && merged.back().s > last - kMergeDistance) {
+        members += merged.back().members;
+        merged.pop_back();
+    }
     merged.front().s = first;
-    merged.push_back({last, true});
+    merged.push_back({last, true, members});
     for (Break& b : merged)
         if (std::fabs(b.s) <= kMergeDistance) b.s = 0;
     breaks_.swap(merged);

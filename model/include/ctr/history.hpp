@@ -40,15 +40,23 @@ class History {
     // Moves all joints together to a configuration. A step that no equilibrium continues ends where the robot slides to.
     Status advance(const Configuration& q);
 
+    struct Iterate {
+        std::vector<double> unknowns, multiplier, slack;
+    };
     // A memory of where a history stands.
     struct State {
         Configuration q;
         Mesh mesh;
-        std::vector<double> unknowns, multiplier, slack, phi, psi;
+        Iterate iterate;
+        std::vector<double> phi, psi, built_breaks;
         Status status = Status::failed;
     };
     State save() const;
     void restore(const State& state);
+
+    // The solution with every contact of a pair at phi on the branch that this history is on: friction goes there by parts, the
+    // history stays where it is. False where the branch ends before.
+    bool solve_beside(const std::vector<double>& phi, Backbone& backbone);
 
     const FrictionSolver& solver() const { return solver_; }
     const LaneState& state() const { return state_; }
@@ -72,16 +80,31 @@ class History {
         std::vector<double> breaks, s, unknowns;
         std::vector<OldContacts> pairs;
     };
+    // Friction and direction of contact that a contact point had before the step.
+    struct OldContact {
+        double phi = 0, psi = 0, direction[2] = {0, 0};
+    };
+    Iterate iterate() const;
+    void put(const Iterate& iterate);
     void remember();
     void move_mesh(const Configuration& q);
+    void give_back(const Configuration& q);
+    bool is_stretched() const;
+    void renew_mesh();
     void refer(const Configuration& q);
     void publish_law();
+    OldContact old_contact(int pair, double s) const;
     double old_angle(int tube, double s) const;
     double offset(int element, int contact, int plane) const;
     double slip_of(int element, int contact) const;
     bool try_step(const Configuration& q);
-    bool slide();
+    double largest_turn() const;
+    bool slide(const Configuration& q);
+    bool slide_with(const std::vector<double>& phi);
+    void hold(const std::vector<double>& phi);
+    std::vector<double> followed_phi() const;
     void finish_step(const Configuration& q);
+    void take_stock();
     double elastic_energy() const;
     double base_torque(int tube) const;
 
@@ -96,7 +119,8 @@ class History {
     std::vector<double> phi_, psi_;
     Before before_;
     CarriedState carried_;
-    std::vector<double> built_breaks_;
+    std::vector<double> built_breaks_;  // of the mesh when it was built
+    bool held_ = false;            // friction did not follow all of the last slide
     std::vector<double> friction_, reference_, across_, last_phi_, next_psi_, inner_arm_, outer_arm_;
     SlipLaw law_{};
     EnergyBalance energy_;

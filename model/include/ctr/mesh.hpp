@@ -1,6 +1,7 @@
 // Elements and possible contacts along the arc length, laid out for the kernels.
 #pragma once
 
+#include <cstdint>
 #include <vector>
 
 #include "ctr/kernel.hpp"
@@ -23,7 +24,7 @@ struct Accuracy {
 
 // What a mesh owns; KernelProblem points into it.
 struct MeshArrays {
-    struct Break { double s; bool sharp; };
+    struct Break { double s; bool sharp; std::uint64_t members; };  // members: a number for each set of what stands there
     std::vector<Break> breaks_;
     std::vector<double> break_s_;
     std::vector<double> s_, length_, precurvature_, stiffness_, pair_stiffness_, mixed_stiffness_, torsional_;

@@ -1,0 +1,94 @@
+"""`ctrplan simulate`: what the robot does along a joint path, as a table and a picture."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ctrplan.commands.output_folder import output_folder, written_together
+from ctrplan.commands.progress_bar import ProgressBar
+from ctrplan.errors import InputError, NoAnswerError
+from ctrplan.interrupts import interrupt_event
+
+if TYPE_CHECKING:
+    from ctrplan.history import Start
+    from ctrplan.simulation import Simulation
+
+OUTPUTS = ("poses.csv", "simulate.png")
+INTERRUPTED = 130  # exit code
+PATIENCE_S = 1.0  # before a progress bar shows up
+
+
+def run_simulate(arguments: argparse.Namespace) -> int:
+    """Runs the command; returns its exit code. Raises CtrplanError, also where the path has no equilibrium to go on to."""
+    with interrupt_event() as interrupted:
+        from ctrplan.path_file import load_joint_path
+        from ctrplan.robot import load_robot
+        from ctrplan.simulation import simulate
+
+        robot = load_robot(arguments.robot, arguments.overrides)
+        start = start_state(arguments.start, robot.n - 1)
+        path = load_joint_path(arguments.path, robot)
+        folder = output_folder(arguments.output, OUTPUTS)
+        for warning in robot.warnings:
+            print(f"ctrplan: warning: {warning}", file=sys.stderr)
+        if interrupted.is_set():
+            raise KeyboardInterrupt
+        terminal = sys.stderr is not None and sys.stderr.isatty()
+        with ProgressBar(quiet=not terminal, patience_s=PATIENCE_S) as bar:
+            result = simulate(
+                robot, path, start, accuracy=arguments.accuracy, progress=bar.show, interrupted=interrupted
+            )
+        _write(folder, result)
+        print(_summary(folder, result))
+        if (row := result.failed_waypoint) is not None:
+            rule = "no equilibrium was found on the way there; the files hold what lies before"
+            raise NoAnswerError(f"{arguments.path}: row {row + 1}: {rule}.")
+        return 0 if result.is_complete else INTERRUPTED
+
+
+def start_state(text: str, pairs: int) -> Start:
+    """The start state of --start: a word, or a friction state in [-1, 1] for each pair. Raises InputError."""
+    if text in ("released", "oscillated"):
+        return text  # type: ignore[return-value]
+    rule = f'must be "released", "oscillated" or {pairs} values in [-1, 1], one per pair, such as {",".join(["+1"] * pairs)}'
+    try:
+        phi = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(rule, key="--start", value=text) from None
+    if len(phi) != pairs or not all(abs(value) <= 1 for value in phi):
+        raise InputError(rule, key="--start", value=text)
+    return phi
+
+
+def _write(folder: Path, result: Simulation) -> None:
+    from ctrplan.export import write_atomically
+    from ctrplan.plots_simulation import simulation_png
+    from ctrplan.simulation import poses_csv
+
+    picture = simulation_png(result)
+    with written_together(folder, OUTPUTS) as made:
+        write_atomically(made / "poses.csv", poses_csv(result))
+        write_atomically(made / "simulate.png", picture)
+
+
+def _summary(folder: Path, result: Simulation) -> str:
+    import numpy as np
+
+    deviation_mm, bound_mm = result.deviation_m * 1e3, result.bounds.position_m * 1e3
+    found = np.flatnonzero(np.isfinite(deviation_mm))
+    count = int(np.isfinite(deviation_mm[result.waypoints]).sum())
+    lines = [f"{result.robot.name}: {count} of {len(result.path.theta_b)} rows simulated"]
+    if len(found):
+        worst, last = found[np.argmax(deviation_mm[found])], found[-1]
+        for label, k in (("largest friction error", worst), ("at the end", last)):
+            where = f", at row {result.place[k] + 1:.4g}" if k == worst else ""
+            lines.append(f"  {label:27} {deviation_mm[k]:.3f} mm (worst case there {bound_mm[k]:.3f} mm){where}")
+    snapped = np.flatnonzero(result.snaps)
+    if len(snapped):
+        rows = ", ".join(f"{result.place[k] + 1:.4g}" for k in snapped[:5].tolist())
+        lines.append(f"  {'snaps':27} {int(result.snaps.sum())}, at row {rows}{' ...' if len(snapped) > 5 else ''}")
+    lines.append(f"  {'written to':27} {folder}/poses.csv, simulate.png")
+    return "\n".join(lines)

@@ -1,0 +1,144 @@
+"""What a robot does along a joint path, beside what it would do without friction and the bound on the difference."""
+
+from __future__ import annotations
+
+import csv
+import io
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.drive import Array
+from ctrplan.history import History, Start
+from ctrplan.mechanics import Accuracy, Bounds, Status
+from ctrplan.path_file import JointPath, joint_columns
+from ctrplan.robot import Robot
+
+SAMPLE_RAD, SAMPLE_M = np.radians(10.0), 3e-3  # between two looks at the tip on a leg
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """S samples along a joint path, waypoints among them. It ends early where it was interrupted or no equilibrium is found."""
+
+    robot: Robot
+    path: JointPath
+    place: Array  # (S,) in waypoints: 2.5 is halfway from waypoint 2 to 3, counted from 0
+    theta_b: Array  # (S, n) rad
+    l_b: Array  # (S, n) m
+    position_m: Array  # (S, 3)
+    tangent: Array  # (S, 3)
+    phi: Array  # (S, n - 1) circumferential friction state of each pair, averaged by normal force
+    snaps: NDArray[np.int_]  # (S,) times the robot slid to another equilibrium on the way from the sample before
+    status: NDArray[np.int_]  # (S,) Status; the last may be FAILED
+    bounds: Bounds  # (S,) with the frictionless tips
+
+    @property
+    def deviation_m(self) -> Array:
+        """(S,) distance of the tip from that of the frictionless solution."""
+        distance: Array = np.linalg.norm(self.position_m - self.bounds.tip_m, axis=1)
+        return distance
+
+    @property
+    def waypoints(self) -> NDArray[np.intp]:
+        """Samples that are waypoints of the path, in order."""
+        return np.flatnonzero(self.place == np.round(self.place))
+
+    @property
+    def failed_waypoint(self) -> int | None:
+        """The waypoint (from 0) on whose way no equilibrium was found."""
+        failed = len(self.status) > 0 and self.status[-1] == Status.FAILED
+        return int(np.ceil(self.place[-1])) if failed else None
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the whole path was walked."""
+        return len(self.place) > 0 and self.place[-1] == len(self.path.theta_b) - 1 and self.failed_waypoint is None
+
+
+def simulate(
+    robot: Robot,
+    path: JointPath,
+    start: Start = "released",
+    *,
+    accuracy: Accuracy = "search",
+    progress: Callable[[str, float], None] | None = None,
+    interrupted: threading.Event | None = None,
+) -> Simulation:
+    """The history of `robot` along `path`; every run of the path starts anew in the state `start`.
+
+    `progress` is told what is being done and its finished share. Raises SolverError where a run has no start.
+    """
+    told, stop = progress or (lambda *_: None), interrupted or threading.Event()
+    rows: list[Array] = []
+    count = len(path.theta_b)
+    for run in path.runs:
+        history = History(robot.mechanics, start, accuracy=accuracy)
+        for place, theta_b, l_b in _legs(path, run):
+            found = history.follow(theta_b, l_b)
+            columns = (place, theta_b, l_b, found.position_m, found.tangent, found.phi, found.snaps, found.status)
+            rows.append(np.column_stack(columns))
+            told("simulating", (place[-1] + 1) / count)
+            if stop.is_set() or found.status[-1] == Status.FAILED:
+                return _simulation(robot, path, np.vstack(rows), accuracy, told)
+    return _simulation(robot, path, np.vstack(rows), accuracy, told)
+
+
+def poses_csv(result: Simulation) -> str:
+    """The waypoints as the content of a CSV file, joints and poses in the columns of a measurement."""
+    rotations, translations = joint_columns(result.robot.n)
+    chosen = [k for k in result.waypoints.tolist() if result.status[k] != Status.FAILED]
+    before = np.concatenate([[-1], chosen[:-1]]).astype(int) if chosen else []
+    snaps = [int(result.snaps[a + 1 : b + 1].sum()) for a, b in zip(before, chosen, strict=True)]
+    place = result.place[chosen].astype(int)
+    columns: dict[str, Array | list[int] | list[str]] = {"sequence": result.path.sequence[place].tolist()}
+    if result.path.time_s is not None:
+        columns["time_s"] = result.path.time_s[place]
+    for names, values in (
+        (rotations, result.theta_b),
+        (translations, result.l_b),
+        (("x_m", "y_m", "z_m"), result.position_m),
+        (("tx", "ty", "tz"), result.tangent),
+        (("frictionless_x_m", "frictionless_y_m", "frictionless_z_m"), result.bounds.tip_m),
+    ):
+        columns |= {name: values[chosen, i] for i, name in enumerate(names)}
+    columns["deviation_mm"] = result.deviation_m[chosen] * 1e3
+    columns["bound_mm"] = result.bounds.position_m[chosen] * 1e3
+    columns |= {f"phi_{i + 1}": result.phi[chosen, i] for i in range(result.robot.n - 1)}
+    columns["snaps"] = snaps
+    columns["status"] = [Status(status).name for status in result.status[chosen].tolist()]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(zip(*(c.tolist() if isinstance(c, np.ndarray) else c for c in columns.values()), strict=True))
+    return text.getvalue()
+
+
+def _legs(path: JointPath, run: slice) -> Iterator[tuple[Array, Array, Array]]:
+    """Places, rotations and translations: the start of a run, then each of its legs in samples without its first."""
+    yield np.array([float(run.start)]), path.theta_b[run][:1], path.l_b[run][:1]
+    for k in range(run.start, run.stop - 1):
+        theta, l = path.theta_b[k : k + 2], path.l_b[k : k + 2]  # noqa: E741
+        longest = max(np.abs(np.diff(theta, axis=0)).max() / SAMPLE_RAD, np.abs(np.diff(l, axis=0)).max() / SAMPLE_M)
+        part = np.linspace(0, 1, max(1, int(np.ceil(longest - 1e-9))) + 1)[1:, None]
+        yield k + part[:, 0], theta[:1] + part * np.diff(theta, axis=0), l[:1] + part * np.diff(l, axis=0)
+
+
+def _simulation(
+    robot: Robot, path: JointPath, table: Array, accuracy: Accuracy, told: Callable[[str, float], None]
+) -> Simulation:
+    n = robot.n
+    failed = np.flatnonzero(table[:, -1] == Status.FAILED)
+    table = table[: failed[0] + 1] if len(failed) else table
+    place, theta_b, l_b, position_m, tangent, phi, snaps, status = np.split(
+        table, np.cumsum([1, n, n, 3, 3, n - 1, 1]), axis=1
+    )
+    theta_b, l_b = np.ascontiguousarray(theta_b), np.ascontiguousarray(l_b)
+    bounds = robot.bound_many(theta_b, l_b, accuracy=accuracy, progress=lambda share: told("bounds", share))
+    return Simulation(
+        robot, path, place[:, 0], theta_b, l_b, position_m, tangent, phi,
+        np.nan_to_num(snaps[:, 0]).astype(int), status[:, 0].astype(int), bounds,
+    )  # fmt: skip
