@@ -7,42 +7,13 @@ import io
 import os
 import sys
 from collections.abc import Sequence
-from typing import Any
 
 import ctrplan
-from ctrplan.commands.bound import run_bound
-from ctrplan.commands.field import run_field
-from ctrplan.commands.ik import run_ik
-from ctrplan.commands.output_folder import DEFAULT as OUTPUT
-from ctrplan.commands.plan import INTERRUPTED, run_plan
-from ctrplan.commands.simulate import run_simulate
+from ctrplan.commands import bound, field, ik, plan, simulate
+from ctrplan.commands.plan import INTERRUPTED
 from ctrplan.errors import CtrplanError
 
-PLAN_EXAMPLES = """examples:
-  ctrplan plan scenarios/vessel.toml -o out
-  ctrplan plan scenarios/ribs.toml -o out --time 10 --seed 3
-  ctrplan plan scenarios/ribs.toml -o out --set cost.error_goal=0 --set robot.contact.1.friction_coefficient=0.3
-"""
-BOUND_EXAMPLES = """examples:
-  ctrplan bound scenarios/robots/three_tube.toml --theta-deg 0 90 180 --l-mm 0 -17 -62.8
-  ctrplan bound scenarios/robots/table_1_pair.toml --theta-deg 0 180 --l-mm 0 -17 \
---set contact.1.friction_coefficient=0.4
-  ctrplan bound scenarios/robots/three_tube.toml --theta-deg 0 90 0 --l-mm 0 -17 -62.8 --sweep theta_3=0:360:121 -o out
-  ctrplan bound scenarios/robots/table_1_pair.toml --theta-deg 0 180 --l-mm 0 -17 -o out \
---sweep contact.1.clearance_mm=0.05:3:30 --sweep contact.1.friction_coefficient=0:0.5:26
-"""
-IK_EXAMPLES = """examples:
-  ctrplan ik scenarios/robots/three_tube.toml --tip-mm 34 -47 200
-  ctrplan ik scenarios/vessel.toml --tip-mm 51 2 168 --direction 1 0 0.4 --direction-tolerance-deg 20 --json
-"""
-SIMULATE_EXAMPLES = """PATH.csv has a header and a row per waypoint: theta_1_rad ... and l_1_m ..., base rotations and
-translations of the tubes, outermost first; optionally sequence (runs that are approached afresh) and time_s.
-
-examples:
-  ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out
-  ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out --start oscillated
-  ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out --start=+1,-1
-"""
+COMMANDS = (plan, bound, ik, simulate, field)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -74,145 +45,9 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="ctrplan", description=(ctrplan.__doc__ or "").splitlines()[0])
     parser.add_argument("--version", action="version", version=f"ctrplan {ctrplan.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    _add_plan(commands)
-    _add_bound(commands)
-    _add_ik(commands)
-    _add_field(commands)
-    _add_simulate(commands)
+    for command in COMMANDS:
+        command.add_parser(commands)
     return parser
-
-
-def _add_plan(commands: Any) -> None:
-    parser = commands.add_parser(
-        "plan",
-        help="plan a certified motion and write a trajectory for the drive",
-        description="Plan a motion that keeps the worst-case friction error small; "
-        "write plan.json, trajectory.csv, trajectory.yaml (ROS 2), report.html, plan.png.",
-        epilog=PLAN_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("scenario", metavar="SCENARIO.toml")
-    parser.add_argument(
-        "-o", "--output", metavar="DIR", default=OUTPUT, help="folder for the results (default: %(default)s)"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="seed of the search (default: %(default)s)")
-    parser.add_argument(
-        "--time", type=float, metavar="S", help="seconds of search (default: the scenario's planner.time_s)"
-    )
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
-    parser.add_argument("--no-field", action="store_true", help="solve every bound, although `ctrplan field` was run")
-    _add_set(parser, "the scenario's key, or the robot's after robot.")
-    parser.set_defaults(run=run_plan)
-
-
-def _add_bound(commands: Any) -> None:
-    parser = commands.add_parser(
-        "bound",
-        help="bound the friction error at one configuration, or over a sweep",
-        description="Largest tip deviation that friction can cause at one configuration, "
-        "over all directions of approach; with --sweep, sweep.csv and sweep.png over one or two axes.",
-        epilog=BOUND_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("robot", metavar="ROBOT.toml")
-    for option, metavar, what in (
-        ("--theta-deg", "DEG", "base rotations, outermost tube first"),
-        ("--l-mm", "MM", "base translations, outermost tube first, <= 0"),
-    ):
-        parser.add_argument(option, type=float, nargs="+", required=True, metavar=metavar, help=what)
-    parser.add_argument(
-        "--sweep",
-        action="append",
-        default=[],
-        metavar="KEY=FROM:TO:COUNT",
-        help="axis of a sweep, at most two: theta_I (deg) or l_I (mm) of tube I, or a key as in --set",
-    )
-    parser.add_argument("-o", "--output", metavar="DIR", help=f"folder for a sweep's files (default: {OUTPUT})")
-    parser.add_argument(
-        "--accuracy", choices=["search", "certificate"], help="mesh (default: certificate; search with --sweep)"
-    )
-    parser.add_argument("--json", action="store_true", help="machine-readable output")
-    _add_set(parser, "the robot's key")
-    parser.set_defaults(run=run_bound)
-
-
-def _add_field(commands: Any) -> None:
-    parser = commands.add_parser(
-        "field",
-        help="tabulate a robot's friction bound, so that plans are found sooner",
-        description="Solve the bound on a grid over the joints that matter, once per robot; it is kept in the cache "
-        "($CTRPLAN_CACHE_DIR or ~/.cache/ctrplan) and used by every `ctrplan plan` with the same robot.",
-        epilog="example:\n  ctrplan field scenarios/robots/three_tube.toml\n",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("robot", metavar="ROBOT.toml")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
-    _add_set(parser, "the robot's key")
-    parser.set_defaults(run=run_field)
-
-
-def _add_ik(commands: Any) -> None:
-    parser = commands.add_parser(
-        "ik",
-        help="every way to bring the tip to a point, with the friction bound of each",
-        description="Inverse kinematics: distinct configurations whose frictionless tip reaches a point, sorted by the "
-        "worst-case friction error; with a scenario, also their clearance to its anatomy.",
-        epilog=IK_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("file", metavar="ROBOT.toml|SCENARIO.toml")
-    xyz = {"type": float, "nargs": 3, "metavar": ("X", "Y", "Z")}
-    parser.add_argument("--tip-mm", required=True, help="the point; a scenario's is in the anatomy's frame", **xyz)
-    parser.add_argument("--direction", help="of the tip, any length", **xyz)
-    for option, default, what in (
-        ("--tolerance-mm", 0.1, "distance from the point that counts as there (default: %(default)s)"),
-        ("--direction-tolerance-deg", 5.0, "likewise from the direction (default: %(default)s)"),
-    ):
-        parser.add_argument(option, type=float, default=default, metavar="T", help=what)
-    parser.add_argument("--starts", type=int, default=400, help="random starts (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of the random starts (default: %(default)s)")
-    parser.add_argument("--json", action="store_true", help="machine-readable output")
-    _add_set(parser, "a key of the file")
-    parser.set_defaults(run=run_ik)
-
-
-def _add_simulate(commands: Any) -> None:
-    parser = commands.add_parser(
-        "simulate",
-        help="predict what friction does to the tip along a joint path",
-        description="Follow the friction of every contact along a joint path; write poses.csv (joints, tip, frictionless "
-        "tip, deviation, bound, friction states, snaps) and simulate.png.",
-        epilog=SIMULATE_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("robot", metavar="ROBOT.toml")
-    parser.add_argument("path", metavar="PATH.csv")
-    parser.add_argument(
-        "-o", "--output", metavar="DIR", default=OUTPUT, help="folder for the results (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--start",
-        default="released",
-        metavar="STATE",
-        help="friction at the first waypoint: released, oscillated (a decreasing oscillation has let go of it), "
-        "or a state in [-1, 1] per pair, as --start=+1,-1 (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--accuracy", choices=["search", "certificate"], default="search", help="mesh (default: %(default)s)"
-    )
-    _add_set(parser, "the robot's key")
-    parser.set_defaults(run=run_simulate)
-
-
-def _add_set(parser: argparse.ArgumentParser, what: str) -> None:
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        dest="overrides",
-        help=f"change {what}, e.g. tube.2.poisson_ratio=0.28",
-    )
 
 
 if __name__ == "__main__":

@@ -22,7 +22,9 @@ def simulation_figure(result: Simulation) -> Figure:
     """Tip deviation and bound above, friction states of the pairs below, over the waypoints. Made without pyplot."""
     figure = Figure(figsize=SIZE_IN, dpi=DPI, facecolor="white", layout="constrained")
     pairs = result.robot.n - 1
-    axes = figure.subplots(2 if pairs else 1, 1, sharex=True, squeeze=False, height_ratios=[2, 1] if pairs else [1])[:, 0]
+    axes = figure.subplots(2 if pairs else 1, 1, sharex=True, squeeze=False, height_ratios=[2, 1] if pairs else [1])[
+        :, 0
+    ]
     axes[0].set_title(result.robot.name, loc="left", fontsize=14, fontweight="bold", color=palette.INK, **PLAIN)
     _draw_deviation(axes[0], result)
     if pairs:
@@ -49,7 +51,9 @@ def _draw_deviation(ax: Axes, result: Simulation) -> None:
     for run in result.path.runs:
         rows = (result.place >= run.start) & (result.place <= run.stop - 1)
         label = {"label": "worst-case bound"} if run.start == 0 else {}
-        ax.fill_between(row[rows], np.where(unstable, np.nan, bound_mm)[rows], color=palette.BOUND, alpha=0.15, lw=0, **label)
+        ax.fill_between(
+            row[rows], np.where(unstable, np.nan, bound_mm)[rows], color=palette.BOUND, alpha=0.15, lw=0, **label
+        )
         label = {"label": "predicted tip deviation"} if run.start == 0 else {}
         ax.plot(row[rows], deviation_mm[rows], color=palette.BOUND, linewidth=2, **label)
     at = result.waypoints
@@ -68,7 +72,9 @@ def _draw_friction(ax: Axes, result: Simulation) -> None:
         colour, label = palette.tube_colour(pair), f"tubes {pair + 1} and {pair + 2}"
         for run in result.path.runs:
             rows = (result.place >= run.start) & (result.place <= run.stop - 1)
-            ax.plot(result.place[rows] + 1, result.phi[rows, pair], color=colour, label=label if run.start == 0 else None)
+            ax.plot(
+                result.place[rows] + 1, result.phi[rows, pair], color=colour, label=label if run.start == 0 else None
+            )
     ax.set_ylim(-1.05, 1.05)
     ax.set_ylabel("friction state")
     ax.legend(frameon=False, ncols=3)

@@ -68,14 +68,13 @@ def test_axes_may_be_collars_and_keys_in_any_order() -> None:
 
 
 def test_heat_map_names_axes_and_units_and_marks_what_is_unstable(tmp_path: Path) -> None:
-    curved = ("tube.2.section.2.curvature_y_per_m=40",)
-    content = read_document(PAIR, curved).content
-    axes = [parse_axis("theta_2=150:210:13", 2), parse_axis("l_2=-103:-95:3", 2)]
-    result = sweep(content, axes, [0, 0], [0, -0.06])
+    content = read_document(THREE).content
+    axes = [parse_axis("theta_3=170:190:5", 3), parse_axis("l_3=-120:-90:3", 3)]
+    result = sweep(content, axes, [0, 0, 0], [0, -0.017, -0.06])
     assert (result.bounds.status == Status.UNSTABLE).any() and result.usable.any()
     figure = sweep_figure(result)
     ax, bar = figure.axes
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("theta_2 (deg)", "l_2 (mm)")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("theta_3 (deg)", "l_3 (mm)")
     assert "(mm)" in bar.get_ylabel()
     assert "unstable" in figure.legends[0].get_texts()[0].get_text()
     assert "UNSTABLE" in sweep_csv(result)

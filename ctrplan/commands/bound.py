@@ -10,11 +10,55 @@ import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from ctrplan.commands.options import add_set_option
+from ctrplan.commands.output_folder import DEFAULT as DEFAULT_FOLDER
 from ctrplan.errors import InputError, NoAnswerError, SolverError
 
 if TYPE_CHECKING:
     from ctrplan.drive import Array
     from ctrplan.mechanics import Bound, Shape
+
+
+EXAMPLES = """examples:
+  ctrplan bound scenarios/robots/three_tube.toml --theta-deg 0 90 180 --l-mm 0 -17 -62.8
+  ctrplan bound scenarios/robots/table_1_pair.toml --theta-deg 0 180 --l-mm 0 -17 \
+--set contact.1.friction_coefficient=0.4
+  ctrplan bound scenarios/robots/three_tube.toml --theta-deg 0 90 0 --l-mm 0 -17 -62.8 --sweep theta_3=0:360:121 -o out
+  ctrplan bound scenarios/robots/table_1_pair.toml --theta-deg 0 180 --l-mm 0 -17 -o out \
+--sweep contact.1.clearance_mm=0.05:3:30 --sweep contact.1.friction_coefficient=0:0.5:26
+"""
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command to the command line."""
+    parser = commands.add_parser(
+        "bound",
+        help="bound the friction error at one configuration, or over a sweep",
+        description="Largest tip deviation that friction can cause at one configuration, "
+        "over all directions of approach; with --sweep, sweep.csv and sweep.png over one or two axes.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("robot", metavar="ROBOT.toml")
+    for option, metavar, what in (
+        ("--theta-deg", "DEG", "base rotations, outermost tube first"),
+        ("--l-mm", "MM", "base translations, outermost tube first, <= 0"),
+    ):
+        parser.add_argument(option, type=float, nargs="+", required=True, metavar=metavar, help=what)
+    parser.add_argument(
+        "--sweep",
+        action="append",
+        default=[],
+        metavar="KEY=FROM:TO:COUNT",
+        help="axis of a sweep, at most two: theta_I (deg) or l_I (mm) of tube I, or a key as in --set",
+    )
+    parser.add_argument("-o", "--output", metavar="DIR", help=f"folder for a sweep's files (default: {DEFAULT_FOLDER})")
+    parser.add_argument(
+        "--accuracy", choices=["search", "certificate"], help="mesh (default: certificate; search with --sweep)"
+    )
+    parser.add_argument("--json", action="store_true", help="machine-readable output")
+    add_set_option(parser, "the robot's key")
+    parser.set_defaults(run=run_bound)
 
 
 def run_bound(arguments: argparse.Namespace) -> int:

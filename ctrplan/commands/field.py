@@ -5,8 +5,26 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from typing import Any
 
+from ctrplan.commands.options import add_set_option
 from ctrplan.commands.progress_bar import ProgressBar
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command to the command line."""
+    parser = commands.add_parser(
+        "field",
+        help="tabulate a robot's friction bound, so that plans are found sooner",
+        description="Solve the bound on a grid over the joints that matter, once per robot; it is kept in the cache "
+        "($CTRPLAN_CACHE_DIR or ~/.cache/ctrplan) and used by every `ctrplan plan` with the same robot.",
+        epilog="example:\n  ctrplan field scenarios/robots/three_tube.toml\n",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("robot", metavar="ROBOT.toml")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    add_set_option(parser, "the robot's key")
+    parser.set_defaults(run=run_field)
 
 
 def run_field(arguments: argparse.Namespace) -> int:

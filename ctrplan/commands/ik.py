@@ -8,6 +8,7 @@ import math
 import sys
 from typing import TYPE_CHECKING, Any
 
+from ctrplan.commands.options import add_set_option
 from ctrplan.errors import InputError, NoAnswerError
 
 if TYPE_CHECKING:
@@ -15,6 +16,38 @@ if TYPE_CHECKING:
     from ctrplan.planning.branches import Configuration, Reach
     from ctrplan.planning.inverse_kinematics import TipTarget
     from ctrplan.scenario import Scenario
+
+
+EXAMPLES = """examples:
+  ctrplan ik scenarios/robots/three_tube.toml --tip-mm 34 -47 200
+  ctrplan ik scenarios/vessel.toml --tip-mm 51 2 168 --direction 1 0 0.4 --direction-tolerance-deg 20 --json
+"""
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command to the command line."""
+    parser = commands.add_parser(
+        "ik",
+        help="every way to bring the tip to a point, with the friction bound of each",
+        description="Inverse kinematics: distinct configurations whose frictionless tip reaches a point, sorted by the "
+        "worst-case friction error; with a scenario, also their clearance to its anatomy.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("file", metavar="ROBOT.toml|SCENARIO.toml")
+    xyz = {"type": float, "nargs": 3, "metavar": ("X", "Y", "Z")}
+    parser.add_argument("--tip-mm", required=True, help="the point; a scenario's is in the anatomy's frame", **xyz)
+    parser.add_argument("--direction", help="of the tip, any length", **xyz)
+    for option, default, what in (
+        ("--tolerance-mm", 0.1, "distance from the point that counts as there (default: %(default)s)"),
+        ("--direction-tolerance-deg", 5.0, "likewise from the direction (default: %(default)s)"),
+    ):
+        parser.add_argument(option, type=float, default=default, metavar="T", help=what)
+    parser.add_argument("--starts", type=int, default=400, help="random starts (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="of the random starts (default: %(default)s)")
+    parser.add_argument("--json", action="store_true", help="machine-readable output")
+    add_set_option(parser, "a key of the file")
+    parser.set_defaults(run=run_ik)
 
 
 def run_ik(arguments: argparse.Namespace) -> int:

@@ -6,8 +6,10 @@ import argparse
 import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from ctrplan.commands.options import add_set_option
+from ctrplan.commands.output_folder import DEFAULT as DEFAULT_FOLDER
 from ctrplan.commands.output_folder import output_folder, written_together
 from ctrplan.commands.progress_bar import ProgressBar
 from ctrplan.errors import InputError
@@ -18,6 +20,37 @@ if TYPE_CHECKING:
 
 INTERRUPTED = 130  # exit code
 OUTPUTS = ("plan.json", "trajectory.csv", "trajectory.yaml", "plan.png", "report.html")
+
+
+EXAMPLES = """examples:
+  ctrplan plan scenarios/vessel.toml -o out
+  ctrplan plan scenarios/ribs.toml -o out --time 10 --seed 3
+  ctrplan plan scenarios/ribs.toml -o out --set cost.error_goal=0 --set robot.contact.1.friction_coefficient=0.3
+"""
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command to the command line."""
+    parser = commands.add_parser(
+        "plan",
+        help="plan a certified motion and write a trajectory for the drive",
+        description="Plan a motion that keeps the worst-case friction error small; "
+        "write plan.json, trajectory.csv, trajectory.yaml (ROS 2), report.html, plan.png.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("scenario", metavar="SCENARIO.toml")
+    parser.add_argument(
+        "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder for the results (default: %(default)s)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of the search (default: %(default)s)")
+    parser.add_argument(
+        "--time", type=float, metavar="S", help="seconds of search (default: the scenario's planner.time_s)"
+    )
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    parser.add_argument("--no-field", action="store_true", help="solve every bound, although `ctrplan field` was run")
+    add_set_option(parser, "the scenario's key, or the robot's after robot.")
+    parser.set_defaults(run=run_plan)
 
 
 def run_plan(arguments: argparse.Namespace) -> int:

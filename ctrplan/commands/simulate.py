@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from ctrplan.commands.options import add_set_option
+from ctrplan.commands.output_folder import DEFAULT as DEFAULT_FOLDER
 from ctrplan.commands.output_folder import output_folder, written_together
 from ctrplan.commands.progress_bar import ProgressBar
 from ctrplan.errors import InputError, NoAnswerError
@@ -19,6 +21,45 @@ if TYPE_CHECKING:
 OUTPUTS = ("poses.csv", "simulate.png")
 INTERRUPTED = 130  # exit code
 PATIENCE_S = 1.0  # before a progress bar shows up
+
+
+EXAMPLES = """PATH.csv has a header and a row per waypoint: theta_1_rad ... and l_1_m ..., base rotations and
+translations of the tubes, outermost first; optionally sequence (runs that are approached afresh) and time_s.
+
+examples:
+  ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out
+  ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out --start oscillated
+  ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out --start=+1,-1
+"""
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command to the command line."""
+    parser = commands.add_parser(
+        "simulate",
+        help="predict what friction does to the tip along a joint path",
+        description="Follow the friction of every contact along a joint path; write poses.csv (joints, tip, frictionless "
+        "tip, deviation, bound, friction states, snaps) and simulate.png.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("robot", metavar="ROBOT.toml")
+    parser.add_argument("path", metavar="PATH.csv")
+    parser.add_argument(
+        "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder for the results (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--start",
+        default="released",
+        metavar="STATE",
+        help="friction at the first waypoint: released, oscillated (a decreasing oscillation has let go of it), "
+        "or a state in [-1, 1] per pair, as --start=+1,-1 (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--accuracy", choices=["search", "certificate"], default="search", help="mesh (default: %(default)s)"
+    )
+    add_set_option(parser, "the robot's key")
+    parser.set_defaults(run=run_simulate)
 
 
 def run_simulate(arguments: argparse.Namespace) -> int:
