@@ -79,7 +79,7 @@ def test_heat_map_names_axes_and_units_and_marks_what_is_unstable(tmp_path: Path
     assert "unstable" in figure.legends[0].get_texts()[0].get_text()
     assert "UNSTABLE" in sweep_csv(result)
     figure.savefig(tmp_path / "map.png")
-    line = sweep_figure(sweep(content, axes[:1], [0, 0], [0, -0.1]))
+    line = sweep_figure(sweep(content, axes[:1], [0, 0, 0], [0, -0.017, -0.12]))
     assert "(mm)" in line.axes[0].get_ylabel() and line.axes[0].patches
 
 
