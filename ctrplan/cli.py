@@ -13,6 +13,7 @@ import ctrplan
 from ctrplan.commands.bound import run_bound
 from ctrplan.commands.ik import run_ik
 from ctrplan.commands.output_folder import DEFAULT as OUTPUT
+from ctrplan.commands.diagnose import run_diagnose
 from ctrplan.commands.plan import INTERRUPTED, run_plan
 from ctrplan.errors import CtrplanError
 
@@ -32,6 +33,10 @@ BOUND_EXAMPLES = """examples:
 IK_EXAMPLES = """examples:
   ctrplan ik scenarios/robots/three_tube.toml --tip-mm 34 -47 200
   ctrplan ik scenarios/vessel.toml --tip-mm 51 2 168 --direction 1 0 0.4 --direction-tolerance-deg 20 --json
+"""
+DIAGNOSE_EXAMPLES = """examples:
+  ctrplan diagnose robot.toml measurements.csv -o out
+  ctrplan bound out/robot.toml --theta-deg 0 90 180 --l-mm 0 -17 -62.8
 """
 
 
@@ -66,6 +71,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_plan(commands)
     _add_bound(commands)
+    _add_diagnose(commands)
     _add_ik(commands)
     return parser
 
@@ -146,6 +152,25 @@ def _add_ik(commands: Any) -> None:
     parser.add_argument("--json", action="store_true", help="machine-readable output")
     _add_set(parser, "a key of the file")
     parser.set_defaults(run=run_ik)
+
+
+def _add_diagnose(commands: Any) -> None:
+    parser = commands.add_parser(
+        "diagnose",
+        help="find which effect the model lacks, from measured poses",
+        description="Compare the model with measurements, name the effect that is missing if the data can tell, "
+        "and show the gap on poses kept aside; write diagnosis.json, robot.toml (with the effect) and report.html.",
+        epilog=DIAGNOSE_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("robot", metavar="ROBOT.toml")
+    parser.add_argument("measurements", metavar="MEASUREMENTS.csv")
+    parser.add_argument(
+        "-o", "--output", metavar="DIR", default=OUTPUT, help="folder for the results (default: %(default)s)"
+    )
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    _add_set(parser, "the robot's key")
+    parser.set_defaults(run=run_diagnose)
 
 
 def _add_set(parser: argparse.ArgumentParser, what: str) -> None:
