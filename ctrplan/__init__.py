@@ -12,8 +12,12 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from ctrplan import planning
+    from ctrplan.diagnosis.diagnose import diagnose as diagnose
+    from ctrplan.diagnosis.result import Diagnosis
     from ctrplan.errors import CtrplanError, InputError, NoAnswerError
     from ctrplan.history import History, HistoryStep
+    from ctrplan.measurement_file import load_measurements
+    from ctrplan.measurements import Measurements
     from ctrplan.mechanics import Bound, Bounds, Shape, Status
     from ctrplan.planning.plan import Plan
     from ctrplan.planning.planner import plan as plan
@@ -22,6 +26,10 @@ if TYPE_CHECKING:
     from ctrplan.scenario import Scenario, load_scenario
 
 _HOMES = {
+    "Diagnosis": "diagnosis.result",
+    "Measurements": "measurements",
+    "diagnose": "diagnosis.diagnose",
+    "load_measurements": "measurement_file",
     "Bound": "mechanics",
     "Bounds": "mechanics",
     "Shape": "mechanics",
@@ -45,13 +53,17 @@ __all__ = [
     "CtrplanError",
     "History",
     "HistoryStep",
+    "Diagnosis",
     "InputError",
+    "Measurements",
     "NoAnswerError",
     "Plan",
     "Robot",
     "Scenario",
     "Shape",
     "Status",
+    "diagnose",
+    "load_measurements",
     "load_robot",
     "load_scenario",
     "plan",

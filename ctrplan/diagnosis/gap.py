@@ -32,7 +32,7 @@ class Errors:
     poses: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Gap:
     """Before: calibrated, without the effects; after: with them. Regions are named in words."""
 
@@ -41,6 +41,8 @@ class Gap:
     after: Errors
     floor_m: float
     regions: Mapping[str, tuple[Errors, Errors]]
+    before_m: Array  # (V,) distances of the vault's poses
+    after_m: Array
     chi_square: ChiSquare  # of the vault's poses under the predictive distribution of the fit with the effects
 
 
@@ -61,7 +63,7 @@ def open_vault(before: Fit, after: Fit, vault: Measurements, group: NDArray[np.i
         for name, inside in _regions(vault).items()
     }
     whole = [summary(e, group) for e in errors]
-    return Gap(*whole, noise.floor_m, regions, _predictive(chains[2], after, group, noise))
+    return Gap(*whole, noise.floor_m, regions, errors[1], errors[2], _predictive(chains[2], after, group, noise))
 
 
 def summary(error: Array, group: NDArray[np.int_]) -> Errors:

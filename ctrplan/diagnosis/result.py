@@ -17,22 +17,13 @@ from ctrplan.diagnosis.localise import Place
 from ctrplan.diagnosis.selection import Step
 from ctrplan.diagnosis.verdict import Judgement, Verdict
 from ctrplan.diagnosis.workbench import Scored
-from ctrplan.least_squares import Fit
+from ctrplan.estimates import estimates
 from ctrplan.measurements import Measurements
 from ctrplan.residuals import Noise
 from ctrplan.robot import Robot
+from ctrplan.robot_output import calibrated_content, model_error_m
 
-CI95 = 1.959964  # standard deviations
 SCHEMA_VERSION = 1
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A parameter in the unit that its name ends with."""
-
-    value: float
-    ci95: tuple[float, float]
-    at_bound: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +53,15 @@ class Diagnosis:
     def listed(self) -> tuple[Term, ...]:
         """The effects of the verdict."""
         return tuple(finding.term for finding in self.judgement.findings)
+
+    def robot_content(self) -> dict[str, Any]:
+        """The content of the new robot file: calibrated, with the effects of the verdict in it."""
+        return calibrated_content(self.chosen.fit, self.listed, self.data, self.model_error_m)
+
+    @property
+    def model_error_m(self) -> float:
+        """What the vault leaves beyond noise, for margins."""
+        return model_error_m(self.gap.after_m, self.noise.position_m)
 
     def to_json(self) -> dict[str, Any]:
         """The content of diagnosis.json."""
@@ -111,24 +111,6 @@ class Diagnosis:
                 if finding.term.key not in {t.key for t in a.scored.terms}
             ],
         }
-
-
-def estimates(fit: Fit, term: Term) -> dict[str, Estimate]:
-    """The parameters of one term of a fit, with 95 % intervals inside their bounds."""
-    spread = CI95 * np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-    found: dict[str, Estimate] = {}
-    for t, place in zip(fit.chain.terms, fit.chain.slices(), strict=True):
-        if t.key != term.key:
-            continue
-        for j, parameter in zip(range(place.start, place.stop), t.parameters, strict=True):
-            value, wide = fit.p[j] / parameter.si, spread[j] / parameter.si
-            low, high = max(value - wide, parameter.lower), min(value + wide, parameter.upper)
-            found[parameter.name] = Estimate(_rounded(value), (_rounded(low), _rounded(high)), bool(fit.at_bound[j]))
-    return found
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.6g}")
 
 
 def _millimetres(value: float) -> float:

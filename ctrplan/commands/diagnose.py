@@ -1,0 +1,95 @@
+"""`ctrplan diagnose`: measurements against a robot file -> verdict, new robot file, report."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ctrplan.commands.options import add_set_option
+from ctrplan.commands.output_folder import DEFAULT as DEFAULT_FOLDER
+from ctrplan.commands.output_folder import output_folder, written_together
+from ctrplan.commands.plan import INTERRUPTED
+from ctrplan.commands.progress_bar import ProgressBar
+from ctrplan.interrupts import interrupt_event
+
+if TYPE_CHECKING:
+    from ctrplan.diagnosis import Diagnosis
+
+OUTPUTS = ("diagnosis.json", "robot.toml", "report.html")
+
+
+EXAMPLES = """examples:
+  ctrplan diagnose robot.toml measurements.csv -o out
+  ctrplan bound out/robot.toml --theta-deg 0 90 180 --l-mm 0 -17 -62.8
+"""
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command to the command line."""
+    parser = commands.add_parser(
+        "diagnose",
+        help="find which effect the model lacks, from measured poses",
+        description="Compare the model with measurements, name the effect that is missing if the data can tell, "
+        "and show the gap on poses kept aside; write diagnosis.json, robot.toml (with the effect) and report.html.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("robot", metavar="ROBOT.toml")
+    parser.add_argument("measurements", metavar="MEASUREMENTS.csv")
+    parser.add_argument(
+        "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder for the results (default: %(default)s)"
+    )
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    add_set_option(parser, "the robot's key")
+    parser.set_defaults(run=run_diagnose)
+
+
+def run_diagnose(arguments: argparse.Namespace) -> int:
+    """Runs the command; returns its exit code. Raises CtrplanError when there is nothing to write."""
+    with interrupt_event() as interrupted:
+        from ctrplan.diagnosis import diagnose
+        from ctrplan.measurement_file import load_measurements
+        from ctrplan.robot import load_robot
+
+        robot = load_robot(arguments.robot, arguments.overrides)
+        data = load_measurements(arguments.measurements, robot)
+        folder = output_folder(arguments.output, OUTPUTS)
+        for warning in (*robot.warnings, *data.warnings):
+            print(f"ctrplan: warning: {warning}", file=sys.stderr)
+        terminal = sys.stderr is not None and sys.stderr.isatty()
+        with ProgressBar(quiet=arguments.quiet or not terminal) as bar:
+            found = diagnose(robot, data, bar.show, interrupted=interrupted)
+        _write(folder, found)
+        print(summary(folder, found))
+        return INTERRUPTED if found.interrupted else 0
+
+
+def _write(folder: Path, found: Diagnosis) -> None:
+    """All files or none."""
+    from ctrplan.diagnosis.report import write_report
+    from ctrplan.export import write_atomically
+    from ctrplan.robot_output import write_robot
+
+    with written_together(folder, OUTPUTS) as made:
+        write_atomically(made / "diagnosis.json", json.dumps(found.to_json(), indent=1, allow_nan=False) + "\n")
+        write_robot(made / "robot.toml", found.robot_content())
+        write_report(made / "report.html", found)
+
+
+def summary(folder: Path, found: Diagnosis) -> str:
+    """What a person wants to know first."""
+    from ctrplan.diagnosis.words import effect_lines, verdict_sentence
+
+    gap = found.gap
+    lines = [verdict_sentence(found), *(f"  {line}" for line in effect_lines(found))]
+    lines.append(
+        f"  on {gap.after.poses} poses kept aside: {gap.before.rms_m * 1e3:.2f} mm rms calibrated, "
+        f"{gap.after.rms_m * 1e3:.2f} mm with the effects, noise {gap.floor_m * 1e3:.2f} mm"
+    )
+    lines += [f"  {found.place.sentence}", f"  next: {found.next_experiment}"]
+    lines += [f"  note: {note}" for note in found.notes]
+    lines.append(f"  written to {folder}/{', '.join(OUTPUTS)}")
+    return "\n".join(lines)

@@ -1,0 +1,94 @@
+"""A fit -> a new robot file: calibrated values, effects with their intervals, and where all of it comes from."""
+
+from __future__ import annotations
+
+import copy
+import math
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+import ctrplan
+from ctrplan.base_parameters import BaseParameters
+from ctrplan.chain import Chain, Term
+from ctrplan.estimates import estimates
+from ctrplan.export import write_atomically
+from ctrplan.least_squares import Fit
+from ctrplan.measurements import Measurements
+from ctrplan.named_numbers import value_of
+from ctrplan.robot import Robot, robot_from_dict
+
+DIGITS = 7  # of numbers in the file
+CHI95 = 2.795  # 95 % of distances of three Gaussian coordinates lie within that many standard deviations
+
+
+def calibrated_content(fit: Fit, effects: Sequence[Term], data: Measurements, model_error_m: float) -> dict[str, Any]:
+    """The content of the new file: the parent's with the fitted numbers in it. The parent is not touched."""
+    chain = fit.chain
+    content: dict[str, Any] = copy.deepcopy(dict(chain.robot.content))
+    for t, values in zip(chain.terms, chain.values(fit.p), strict=True):
+        if isinstance(t.effect, BaseParameters):
+            _put(content, chain.robot, t.effect.mechanics(values, chain.robot))
+    table = content.setdefault("effects", {})
+    for t in effects:
+        found = estimates(fit, t)
+        table[t.name] = {name: e.value for name, e in found.items()}
+        table[t.name]["ci95"] = {name: list(e.ci95) for name, e in found.items()}
+    if not table:
+        del content["effects"]
+    content["model_error_mm"] = _rounded(model_error_m * 1e3)
+    content["provenance"] = _provenance(chain, data)
+    return content
+
+
+def write_robot(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:
+    """Writes a robot file, whole or not at all, after checking that it can be read again."""
+    robot_from_dict(content, file=os.fspath(path))
+    write_atomically(path, tomli_w.dumps(content))
+
+
+def model_error_m(error_m: np.ndarray[Any, np.dtype[np.float64]], position_sigma_m: float) -> float:
+    """What held-out distances (K,) [m] leave beyond noise: their 95th percentile, the noise's taken out in squares."""
+    excess = float(np.percentile(error_m, 95)) ** 2 - (CHI95 * position_sigma_m) ** 2
+    return math.sqrt(max(excess, 0.0))
+
+
+def _put(content: dict[str, Any], robot: Robot, named: Mapping[str, float]) -> None:
+    """Named numbers in SI into the file's own keys; sections are scaled, so that effects in the robot stay out."""
+    for name, value in named.items():
+        kind, place, *rest = name.split(".")
+        if kind == "contact":
+            content["contact"][int(place) - 1]["friction_coefficient"] = _rounded(value)
+        elif rest[0] == "section":
+            section = content["tube"][int(place) - 1]["section"][int(rest[1]) - 1]
+            before = value_of(robot, name)
+            section[rest[2]] = _rounded(section[rest[2]] * (value / before if before else 1.0))
+        else:
+            content["tube"][int(place) - 1][rest[0]] = _rounded(value)
+
+
+def _provenance(chain: Chain, data: Measurements) -> dict[str, Any]:
+    rows, degrees = data.rows, np.degrees(data.theta_b)
+    relative = np.diff(degrees, axis=1)
+    return {
+        "made_by": f"ctrplan {ctrplan.__version__}",
+        "parent": Path(chain.robot.path).name if chain.robot.path else chain.robot.name,
+        "parent_sha256": chain.robot.sha256,
+        "data": Path(data.file).name if data.file else "",
+        "data_sha256": data.sha256,
+        "poses": data.count,
+        "relative_rotation_range_deg": _ranges(relative[rows]),
+        "translation_range_mm": _ranges(data.l_b[rows] * 1e3),
+    }
+
+
+def _ranges(columns: np.ndarray[Any, np.dtype[np.float64]]) -> list[list[float]]:
+    return [[_rounded(low), _rounded(high)] for low, high in zip(columns.min(axis=0), columns.max(axis=0), strict=True)]
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{DIGITS}g}")
