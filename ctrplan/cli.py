@@ -14,6 +14,7 @@ from ctrplan.commands.bound import run_bound
 from ctrplan.commands.ik import run_ik
 from ctrplan.commands.output_folder import DEFAULT as OUTPUT
 from ctrplan.commands.plan import INTERRUPTED, run_plan
+from ctrplan.commands.view import run_view
 from ctrplan.errors import CtrplanError
 
 PLAN_EXAMPLES = """examples:
@@ -32,6 +33,10 @@ BOUND_EXAMPLES = """examples:
 IK_EXAMPLES = """examples:
   ctrplan ik scenarios/robots/three_tube.toml --tip-mm 34 -47 200
   ctrplan ik scenarios/vessel.toml --tip-mm 51 2 168 --direction 1 0 0.4 --direction-tolerance-deg 20 --json
+"""
+VIEW_EXAMPLES = """examples:
+  ctrplan view scenarios/robots/three_tube.toml
+  ctrplan view scenarios/airway.toml --no-browser --port 8080
 """
 
 
@@ -67,6 +72,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_plan(commands)
     _add_bound(commands)
     _add_ik(commands)
+    _add_view(commands)
     return parser
 
 
@@ -146,6 +152,22 @@ def _add_ik(commands: Any) -> None:
     parser.add_argument("--json", action="store_true", help="machine-readable output")
     _add_set(parser, "a key of the file")
     parser.set_defaults(run=run_ik)
+
+
+def _add_view(commands: Any) -> None:
+    parser = commands.add_parser(
+        "view",
+        help="the robot in a browser, with a slider for every joint",
+        description="A live 3-D page on this machine: the robot, its friction envelope and its error bound as the "
+        "joints move. Nothing is loaded from the network.",
+        epilog=VIEW_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("file", metavar="ROBOT.toml|SCENARIO.toml")
+    parser.add_argument("--port", type=int, default=0, help="of 127.0.0.1 (default: a free one)")
+    parser.add_argument("--no-browser", action="store_true", help="only print the page's address")
+    _add_set(parser, "a key of the file")
+    parser.set_defaults(run=run_view)
 
 
 def _add_set(parser: argparse.ArgumentParser, what: str) -> None:
