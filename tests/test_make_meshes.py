@@ -80,7 +80,7 @@ def test_tube_keeps_its_radius_around_the_centreline() -> None:
 
 
 def test_implicit_surfaces_lie_where_their_distance_is_zero() -> None:
-    """Second order in the cell on a smooth body; a hole through it shows in the topology."""
+    """The finer, the nearer (first order: nodes are kept off the surface); a hole shows in the topology."""
     body = implicit.united(
         [implicit.round_cone((0, 0, 0), (0, 0, 20), 5.0), implicit.round_cone((0, 0, 6), (9, 0, 9), 3.0)], 3.0
     )
@@ -90,7 +90,7 @@ def test_implicit_surfaces_lie_where_their_distance_is_zero() -> None:
         mesh = trimesh.Trimesh(vertices, faces, process=False)
         assert mesh.is_watertight and mesh.euler_number == 2 and mesh.area_faces.min() > 0
         off.append(np.sqrt(np.mean(body(vertices) ** 2)))
-    assert off[1] < 0.6 * off[0] and off[1] < 0.03
+    assert off[1] < 0.75 * off[0] and off[1] < 0.02
     pierced = implicit.without(body, implicit.round_cone((0, -20, 14), (0, 20, 14), 1.5))
     vertices, faces = implicit.surface(pierced, (-8, -8, -8), (15, 8, 28), 0.9)
     mesh = trimesh.Trimesh(vertices, faces, process=False)

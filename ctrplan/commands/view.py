@@ -1,0 +1,55 @@
+"""`ctrplan view`: the robot in a browser, with a slider for every joint."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import webbrowser
+from typing import Any
+
+from ctrplan.commands.options import add_set_option
+from ctrplan.errors import InputError
+
+EXAMPLES = """examples:
+  ctrplan view scenarios/robots/three_tube.toml
+  ctrplan view scenarios/airway.toml --no-browser --port 8080
+"""
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command to the command line."""
+    parser = commands.add_parser(
+        "view",
+        help="the robot in a browser, with a slider for every joint",
+        description="A live 3-D page on this machine: the robot, its friction envelope and its error bound as the "
+        "joints move. Nothing is loaded from the network.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("file", metavar="ROBOT.toml|SCENARIO.toml")
+    parser.add_argument("--port", type=int, default=0, help="of 127.0.0.1 (default: a free one)")
+    parser.add_argument("--no-browser", action="store_true", help="only print the page's address")
+    add_set_option(parser, "a key of the file")
+    parser.set_defaults(run=run_view)
+
+
+def run_view(arguments: argparse.Namespace) -> int:
+    """Serves the page until Ctrl-C; returns 0. Raises CtrplanError."""
+    from ctrplan.bare_scenario import load_robot_or_scenario
+    from ctrplan.live_server import LiveServer
+    from ctrplan.live_state import LiveState
+
+    if not 0 <= arguments.port <= 65535:
+        raise InputError("must be from 0 to 65535", key="--port", value=arguments.port)
+    scenario = load_robot_or_scenario(arguments.file, arguments.overrides)
+    for warning in scenario.warnings:
+        print(f"ctrplan: warning: {warning}", file=sys.stderr)
+    with LiveServer(LiveState(scenario), arguments.port) as server:
+        print(f"{scenario.name}: {server.url}   (Ctrl-C ends)", flush=True)
+        if not arguments.no_browser:
+            webbrowser.open(server.url)
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:
+            print()
+    return 0
