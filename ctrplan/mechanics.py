@@ -206,7 +206,7 @@ class Mechanics:
 
     def core_history(self, options: HistoryOptions, accuracy: Accuracy) -> _model.History:
         """The compiled simulation that `ctrplan.history.History` drives."""
-        given = (options.breakaway_m, options.rotation_rad, options.translation_m)
+        given = (options.breakaway_m, options.rotation_rad, options.translation_m, options.state_change)
         if not all(0 < value < np.inf for value in given):
             raise InputError("steps and breakaway length of a history must be positive")
         return self._model.history(_is_certificate(accuracy), *given)

@@ -436,11 +436,12 @@ class Model {
         return array(std::move(out), {all.size(), 7});
     }
 
-    std::unique_ptr<PathHistory> history(bool certificate, double breakaway, double rotation, double translation) const {
+    std::unique_ptr<PathHistory> history(bool certificate, double breakaway, double rotation, double translation, double state_change) const {
         ctr::HistoryOptions options;
         options.breakaway = breakaway;
         options.rotation = rotation;
         options.translation = translation;
+        options.state_change = state_change;
         return std::make_unique<PathHistory>(robot_, accuracy(certificate), options);
     }
 
@@ -686,6 +687,7 @@ NB_MODULE(_model, m) {
         .def("history", &Model::history, "certificate"_a, "breakaway"_a, "rotation"_a, "translation"_a)
         .def("field_entries", &Model::field_entries, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "threads"_a)
         .def("field_lookup", &Model::field_lookup, "axes"_a, "values"_a.noconvert(), "margin"_a)
+        .def("history", &Model::history, "certificate"_a, "breakaway"_a, "rotation"_a, "translation"_a, "state_change"_a)
         .def("number_names", &Model::number_names)
         .def("tips_with_friction", &Model::tips_with_friction, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(),
              "directions"_a, "certificate"_a, "threads"_a)

@@ -40,8 +40,11 @@ void CarriedState::take(const Mesh& mesh, const LaneState& state) {
     }
 }
 
-// Arc length on this mesh that corresponds to s on one with the given breaks; stretch is its derivative.
+// Arc length on this mesh that corresponds to s on one with the given breaks, s itself if they don't fit; stretch is its
+// derivative.
 double CarriedState::image(const std::vector<double>& breaks, double s, double& stretch) const {
+    stretch = 1;
+    if (breaks.size() != breaks_.size()) return s;
     const int i = interval(breaks, s);
     const double span = breaks[i + 1] - breaks[i];
     stretch = (breaks_[i + 1] - breaks_[i]) / span;

@@ -11,6 +11,9 @@ constexpr double kMostStretch = 1.2;    // of the elements between two breaks, b
 constexpr double kMostRenewal = 0.1;    // rad, that a new mesh may turn a tube
 constexpr double kLargestTurn = 0.15;   // rad, of any place in a step: more is another equilibrium, or a step too long
 constexpr double kShortestStep = 1e-3;  // of the longest
+constexpr double kApart = 5e-5;         // m, that collars, joints and tips keep from each other until they change their order
+constexpr double kHasty = 1.5;          // of the change of friction aimed at: a step is repeated shorter
+constexpr double kUnhurried = 0.02;     // of the longest step: not for such a reason
 constexpr double kDegree = 0.017453292519943295;
 
 // Interval of ascending values that holds x, and where in it.
@@ -27,6 +30,12 @@ double motion(const Configuration& a, const Configuration& b, const HistoryOptio
     for (std::size_t i = 0; i < a.theta.size(); ++i)
         most = std::max({most, std::fabs(b.theta[i] - a.theta[i]) / options.rotation, std::fabs(b.l[i] - a.l[i]) / options.translation});
     return most;
+}
+
+// Of the inner tube of a pair, counted from the innermost.
+double axial_slip(int pair, const Configuration& a, const Configuration& b) {
+    const std::size_t inner = a.l.size() - 1 - pair, outer = inner - 1;
+    return b.l[inner] - a.l[inner] - b.l[outer] + a.l[outer];
 }
 
 Configuration between(const Configuration& a, const Configuration& b, double part) {
@@ -70,6 +79,7 @@ Status History::start(const Configuration& q, const std::vector<double>& phi) {
     for (int k = 0; k < pb.contacts; ++k) phi_[k] = phi[pb.tubes - 2 - pb.contact_pair[k]];
     energy_ = {};
     steps_ = snaps_ = 0;
+    pending_slip_.assign(phi.size(), 0.0);
     built_breaks_ = solver_.mesh().breaks();
     publish_law();
     take_stock();
@@ -100,7 +110,7 @@ void History::put(const Iterate& at) {
 }
 
 History::State History::save() const {
-    return {q_, solver_.mesh(), iterate(), phi_, psi_, built_breaks_, status_};
+    return {q_, solver_.mesh(), iterate(), phi_, psi_, built_breaks_, pending_slip_, status_};
 }
 
 void History::restore(const State& saved) {
@@ -109,6 +119,7 @@ void History::restore(const State& saved) {
     phi_ = saved.phi;
     psi_ = saved.psi;
     built_breaks_ = saved.built_breaks;
+    pending_slip_ = saved.pending_slip;
     solver_.adopt(saved.mesh, q_, accuracy_);
     state_.resize(solver_.mesh().problem(), 1);
     put(saved.iterate);
@@ -165,39 +176,35 @@ void History::move_mesh(const Configuration& q) {
     solver_.build(q, accuracy_);
     built_breaks_ = solver_.mesh().breaks();
     state_.resize(solver_.mesh().problem(), 1);
-    give_back(q);
+    carried_.give(solver_.mesh(), state_);
 }
 
-// The unknowns before the step, on the mesh as it is.
-void History::give_back(const Configuration& q) {
-    if (carried_.fits(solver_.mesh())) {
-        carried_.give(solver_.mesh(), state_);
-        return;
-    }
-    ZeroClearance zero;
-    zero.solve(solver_.robot(), q);
-    solver_.start(state_, q, zero, BarrierPath::kParting);
-}
-
-bool History::is_stretched() const {
+bool History::is_stretched(double most) const {
     const std::vector<double>& now = solver_.mesh().breaks();
     for (std::size_t i = 0; i + 1 < now.size(); ++i) {
         const double ratio = (now[i + 1] - now[i]) / (built_breaks_[i + 1] - built_breaks_[i]);
-        if (ratio > kMostStretch || ratio < 1 / kMostStretch) return true;
+        if (ratio > most || ratio < 1 / most) return true;
     }
     return false;
 }
 
-// Puts the state on the mesh that any solver would use here. What the change of elements moves is no slip.
-void History::renew_mesh() {
-    if (solver_.mesh().breaks() == built_breaks_) return;
+// Whether collars, joints and tips meet in another order there than on the mesh.
+bool History::leaves_mesh(const Configuration& q) const {
+    if (q.l == q_.l) return false;
+    Mesh probe = solver_.mesh();
+    return !probe.move(solver_.robot(), q);
+}
+
+// Puts the state on the mesh that any solver would use at q, here or a very little way off. What that moves is no slip, or
+// pairs that do not translate would collect it as friction; the axial slip is left to the next step.
+bool History::renew_mesh(const Configuration& q) {
     const State kept = save();
     remember();
     carried_.take(solver_.mesh(), state_);
-    solver_.build(q_, accuracy_);
+    solver_.build(q, accuracy_);
     const KernelProblem& pb = solver_.mesh().problem();
     state_.resize(pb, 1);
-    give_back(q_);
+    carried_.give(solver_.mesh(), state_);
     std::vector<double> phi(pb.contacts), psi(pb.contacts);
     for (int k = 0; k < pb.contacts; ++k) {
         const OldContact old = old_contact(pb.contact_pair[k], solver_.mesh().contact_s()[k]);
@@ -205,20 +212,23 @@ void History::renew_mesh() {
         psi[k] = old.psi;
     }
     hold(phi);
-    solver_.set_base(state_, q_);
+    solver_.set_base(state_, q);
     const BarrierPath path = BarrierPath::warm(2, solver_.last_barrier());
     solver_.recentre(state_, path.first);
     Convergence renewed;
     solver_.solve(state_, path, &renewed);
-    if (!renewed.converged || largest_turn() > kMostRenewal) {
+    if (!renewed.converged || largest_turn(q) > kMostRenewal) {
         restore(kept);
-        return;
+        return false;
     }
     convergence_ = renewed;
     phi_.swap(phi);
     psi_.swap(psi);
     built_breaks_ = solver_.mesh().breaks();
+    for (int p = 0; p + 1 < pb.tubes; ++p) pending_slip_[p] += axial_slip(p, q_, q);
+    q_ = q;
     take_stock();
+    return true;
 }
 
 double History::old_angle(int tube, double s) const {
@@ -258,8 +268,7 @@ void History::refer(const Configuration& q) {
         friction_[k] = solver_.robot().pairs[outer].friction;
         reference_[k] = inner_arm_[p] * old_angle(p, s - q.l[inner] + before_.q.l[inner]) -
                         outer_arm_[p] * old_angle(p + 1, s - q.l[outer] + before_.q.l[outer]);
-        const double axial = q.l[inner] - before_.q.l[inner] - q.l[outer] + before_.q.l[outer];
-        next_psi_[k] = axial / options_.breakaway;
+        next_psi_[k] = (pending_slip_[p] + axial_slip(p, before_.q, q)) / options_.breakaway;
         double image = s;
         if (corresponds) {
             double part;
@@ -295,21 +304,16 @@ bool History::try_step(const Configuration& q) {
     return convergence_.converged;
 }
 
-// Largest change of an angle against the same place of the mesh before, beyond that of the bases.
-double History::largest_turn() const {
-    const Mesh& mesh = solver_.mesh();
-    const KernelProblem& pb = mesh.problem();
-    const bool corresponds = mesh.breaks().size() == before_.breaks.size();
+// Largest change of a tube's angle at any of its material points.
+double History::largest_turn(const Configuration& q) const {
+    const KernelProblem& pb = solver_.mesh().problem();
     double most = 0;
-    for (int node = 0; node < pb.nodes; ++node) {
-        double s = mesh.s()[node];
-        if (corresponds) {
-            double part;
-            const int b = locate(mesh.breaks(), s, part);
-            s = before_.breaks[b] + part * (before_.breaks[b + 1] - before_.breaks[b]);
+    for (int e = 0; e < pb.elements; ++e)
+        for (int t = 0; t < pb.element_tubes[e]; ++t) {
+            const int i = pb.tubes - 1 - t;
+            const double s = solver_.mesh().s()[e + 1] - q.l[i] + before_.q.l[i];
+            most = std::max(most, std::fabs(state_.unknown(e + 1, 5 * t, 0) - old_angle(t, s)));
         }
-        for (int t = 0; t < pb.tubes; ++t) most = std::max(most, std::fabs(state_.unknown(node, 5 * t, 0) - old_angle(t, s)));
-    }
     return most;
 }
 
@@ -346,7 +350,7 @@ bool History::solve_beside(const std::vector<double>& phi, Backbone& backbone) {
         const BarrierPath path = BarrierPath::warm(5, solver_.last_barrier());
         solver_.recentre(state_, path.first);
         solver_.solve(state_, path, &convergence_);
-        if (convergence_.converged && largest_turn() < 2 * kLargestTurn) {
+        if (convergence_.converged && largest_turn(q_) < 2 * kLargestTurn) {
             done = next;
             continue;
         }
@@ -377,7 +381,7 @@ std::vector<double> History::followed_phi() const {
 // by parts if it must. Where friction and shape do not settle on each other, the shape has the friction of the last part.
 bool History::slide(const Configuration& q) {
     constexpr int kRounds = 8;
-    give_back(q);
+    carried_.give(solver_.mesh(), state_);
     solver_.set_base(state_, q);
     if (!slide_with(last_phi_)) {  // from the shape that the robot has when it is put there afresh
         ZeroClearance zero;
@@ -409,10 +413,23 @@ bool History::slide(const Configuration& q) {
     return held_ = true;
 }
 
+// Mean change of the circumferential friction state in this step, weighted by force.
+double History::change_of_friction() const {
+    const KernelProblem& pb = solver_.mesh().problem();
+    double forces = 1e-12, changes = 0;
+    for (int e = 0; e < pb.elements; ++e)
+        for (int k = pb.contact_begin[e]; k < pb.contact_begin[e + 1]; ++k) {
+            if (friction_[k] == 0) continue;
+            const double force = state_.multiplier(k, 0) * std::hypot(offset(e, k, 0), offset(e, k, 1));
+            forces += force;
+            changes += force * std::fabs(state_.phi_mu(k, 0) / friction_[k] - last_phi_[k]);
+        }
+    return changes / forces;
+}
+
 void History::finish_step(const Configuration& q) {
     const KernelProblem& pb = solver_.mesh().problem();
     const double elastic = elastic_energy();
-    double forces = 1e-12, changes = 0;
     phi_.resize(pb.contacts);
     psi_.resize(pb.contacts);
     for (int e = 0; e < pb.elements; ++e)
@@ -428,15 +445,12 @@ void History::finish_step(const Configuration& q) {
                 psi_[k] = std::copysign(std::min(std::fabs(psi_[k]), std::sqrt(std::max(0.0, 1 - phi_[k] * phi_[k]))), psi_[k]);
             }
             const double d = std::hypot(offset(e, k, 0), offset(e, k, 1)), force = state_.multiplier(k, 0) * d * d / c;
-            forces += force;
-            changes += force * std::fabs(phi_[k] - last_phi_[k]);
             const double slid = slip - options_.breakaway * (phi_[k] - last_phi_[k]);
             const double loss = mu * force * phi_[k] * slid;
             energy_.loss += loss;
             if (!held_) energy_.smallest_loss = std::min(energy_.smallest_loss, loss);
             energy_.breakaway += 0.5 * mu * force * options_.breakaway * (phi_[k] * phi_[k] - last_phi_[k] * last_phi_[k]);
         }
-    change_ = changes / forces;
     for (int t = 0; t < pb.tubes; ++t) {
         const double torque = base_torque(t);
         energy_.work += 0.5 * (torque + torque_[t]) * (q.theta[pb.tubes - 1 - t] - q_.theta[pb.tubes - 1 - t]);
@@ -444,6 +458,7 @@ void History::finish_step(const Configuration& q) {
     }
     energy_.elastic += elastic - elastic_;
     elastic_ = elastic;
+    std::fill(pending_slip_.begin(), pending_slip_.end(), 0.0);
     q_ = q;
     ++steps_;
 }
@@ -473,6 +488,21 @@ double History::slip_of(int e, int k) const {
            reference_[k];
 }
 
+// Where between two parts of the way the breaks change their order, kept apart from it so that no element is tiny.
+History::Crossing History::find_crossing(const Configuration& from, const Configuration& target, double done, double next) const {
+    double longest = 0;
+    for (std::size_t i = 0; i < from.l.size(); ++i) longest = std::max(longest, std::fabs(target.l[i] - from.l[i]));
+    Crossing crossing{done, next};
+    while ((crossing.after - crossing.before) * longest > 0.1 * kApart) {
+        const double middle = 0.5 * (crossing.before + crossing.after);
+        (leaves_mesh(between(from, target, middle)) ? crossing.after : crossing.before) = middle;
+    }
+    crossing.before -= kApart / longest;
+    if (crossing.before < done + 0.1 * kApart / longest) crossing.before = done;
+    crossing.after = std::min(1.0, crossing.after + kApart / longest);
+    return crossing;
+}
+
 Status History::advance(const Configuration& target) {
     energy_ = {};
     steps_ = snaps_ = 0;
@@ -484,17 +514,27 @@ Status History::advance(const Configuration& target) {
     while (done < 1) {
         double next = std::min(1.0, done + step);
         if (1 - next < 0.1 * step) next = 1;
+        if (leaves_mesh(between(from, target, next))) {
+            const Crossing crossing = find_crossing(from, target, done, next);
+            if (crossing.before > done) next = crossing.before;
+            else if (renew_mesh(between(from, target, crossing.after))) {
+                done = crossing.after;
+                continue;
+            }
+        }
         const Configuration q = between(from, target, next);
         const State kept = save();
         remember();
         held_ = false;
-        const bool found = try_step(q), jumped = found && largest_turn() > kLargestTurn;
+        const bool found = try_step(q), jumped = found && largest_turn(q) > kLargestTurn;
+        const double change = found ? change_of_friction() : 0;
+        const bool hasty = change > kHasty * options_.state_change && (next - done) * length > kUnhurried;
+        if (hasty || ((!found || jumped) && (next - done) * length > kShortestStep)) {
+            restore(kept);
+            step = (found && !jumped ? std::max(0.25, options_.state_change / change) : 0.25) * (next - done);
+            continue;
+        }
         if (!found || jumped) {
-            if ((next - done) * length > kShortestStep) {
-                restore(kept);
-                step = 0.25 * (next - done);
-                continue;
-            }
             ++snaps_;
             if (!found && !slide(q)) {
                 restore(kept);
@@ -502,9 +542,9 @@ Status History::advance(const Configuration& target) {
             }
         }
         finish_step(q);
-        if (next == 1 || is_stretched()) renew_mesh();
+        if (is_stretched(next == 1 ? 1 : kMostStretch)) renew_mesh(q_);
         done = next;
-        step *= std::clamp(options_.state_change / std::max(change_, 1e-3), 0.5, 2.0);
+        step *= std::clamp(options_.state_change / std::max(change, 1e-3), 0.5, 2.0);
         step = std::min(step, 1 / length);
     }
     return status_ = solver_.turns_away(state_) ? Status::unstable : Status::converged;

@@ -13,7 +13,7 @@ class CarriedState {
     void take(const Mesh& mesh, const LaneState& state);
     // Whether the meshes have the same sequence of collars, tips and joints, so that arc lengths correspond.
     bool fits(const Mesh& mesh) const { return !breaks_.empty() && mesh.breaks().size() == breaks_.size(); }
-    // Fills a state on another mesh that fits; base angles must be set afterwards.
+    // Fills a state on another mesh, by arc length where it does not fit; base angles must be set afterwards.
     void give(const Mesh& mesh, LaneState& state) const;
 
   private:

@@ -19,7 +19,7 @@ struct HistoryOptions {
     double breakaway = 0.02e-3;        // m
     double rotation = 0.05;            // rad, longest step of a tube base
     double translation = 1e-3;         // m
-    double state_change = 0.5;         // of (phi, psi), mean over the contacts weighted by force, aimed at in a step
+    double state_change = 0.5;         // of phi, mean over the contacts weighted by force, aimed at in a step
 };
 
 // Work and energy of a step of pure rotations, N m. Translations are left out on all sides, their friction is.
@@ -48,7 +48,7 @@ class History {
         Configuration q;
         Mesh mesh;
         Iterate iterate;
-        std::vector<double> phi, psi, built_breaks;
+        std::vector<double> phi, psi, built_breaks, pending_slip;
         Status status = Status::failed;
     };
     State save() const;
@@ -88,9 +88,13 @@ class History {
     void put(const Iterate& iterate);
     void remember();
     void move_mesh(const Configuration& q);
-    void give_back(const Configuration& q);
-    bool is_stretched() const;
-    void renew_mesh();
+    bool is_stretched(double most) const;
+    struct Crossing {
+        double before, after;  // parts of the way
+    };
+    bool leaves_mesh(const Configuration& q) const;
+    Crossing find_crossing(const Configuration& from, const Configuration& target, double done, double next) const;
+    bool renew_mesh(const Configuration& q);
     void refer(const Configuration& q);
     void publish_law();
     OldContact old_contact(int pair, double s) const;
@@ -98,12 +102,13 @@ class History {
     double offset(int element, int contact, int plane) const;
     double slip_of(int element, int contact) const;
     bool try_step(const Configuration& q);
-    double largest_turn() const;
+    double largest_turn(const Configuration& q) const;
     bool slide(const Configuration& q);
     bool slide_with(const std::vector<double>& phi);
     void hold(const std::vector<double>& phi);
     std::vector<double> followed_phi() const;
     void finish_step(const Configuration& q);
+    double change_of_friction() const;
     void take_stock();
     double elastic_energy() const;
     double base_torque(int tube) const;
@@ -120,6 +125,7 @@ class History {
     Before before_;
     CarriedState carried_;
     std::vector<double> built_breaks_;  // of the mesh when it was built
+    std::vector<double> pending_slip_;  // [pair] from the innermost, m: axial, not yet in the friction
     bool held_ = false;            // friction did not follow all of the last slide
     std::vector<double> friction_, reference_, across_, last_phi_, next_psi_, inner_arm_, outer_arm_;
     SlipLaw law_{};
@@ -127,7 +133,6 @@ class History {
     double elastic_ = 0;
     std::vector<double> torque_;
     int steps_ = 0, snaps_ = 0;
-    double change_ = 0;  // of the friction state in the last step
 };
 
 }  // namespace ctr
