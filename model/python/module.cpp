@@ -684,7 +684,6 @@ NB_MODULE(_model, m) {
         .def("bound", &Model::bound, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "certificate"_a)
         .def("bound_many", &Model::bound_many, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "certificate"_a, "threads"_a)
         .def("tips", &Model::tips, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "threads"_a)
-        .def("history", &Model::history, "certificate"_a, "breakaway"_a, "rotation"_a, "translation"_a)
         .def("field_entries", &Model::field_entries, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "threads"_a)
         .def("field_lookup", &Model::field_lookup, "axes"_a, "values"_a.noconvert(), "margin"_a)
         .def("history", &Model::history, "certificate"_a, "breakaway"_a, "rotation"_a, "translation"_a, "state_change"_a)
