@@ -11,8 +11,10 @@ import pytest
 from ctrplan.errors import InputError
 from ctrplan.mechanics import Field, FieldLookup, PathDensity, PathLimits, Status
 from ctrplan.planning import bound_field as fields
+from ctrplan.planning import plan
 from ctrplan.planning.bound_field import BoundField, bound_field, choose_axes
 from ctrplan.robot import Robot, load_robot
+from ctrplan.scenario import load_scenario
 
 ROBOTS = Path(__file__).parents[1] / "scenarios" / "robots"
 DENSITY = PathDensity(rotation_rad=0.26, translation_m=8e-3, motion_m=15e-3)
@@ -123,6 +125,16 @@ def test_a_walk_ends_at_the_first_broken_limit(pair: Robot, grid: BoundField) ->
     theta, l_b = pair.drive.collars(joints(pair, 5, 2))
     samples = grid.check_path(theta, l_b, None, density=DENSITY, limits=PathLimits(stability=1e9))
     assert len(samples.status) == 1
+
+
+def test_a_plan_searched_with_the_field_is_certified_by_the_model(pair: Robot, grid: BoundField) -> None:
+    free = load_scenario(ROBOTS.parent / "pair_free.toml")
+    assert free.robot.path == pair.path
+    found = plan(free, time_s=1.0, bound_field=grid)
+    assert found.certificate.valid
+    assert any(grid.key in note for note in found.notes)
+    theta_b, l_b = free.robot.drive.collars(found.legs[-1].end)
+    assert found.certificate.goal_bound_m == pytest.approx(pair.bound(theta_b, l_b).position_m, abs=0.3e-3)
 
 
 def test_another_robot_has_another_field(pair: Robot, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
