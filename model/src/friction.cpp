@@ -25,7 +25,7 @@ constexpr double kComplementarity = 1e-3; // of the last barrier level, itself f
 void LaneState::resize(const KernelProblem& problem, int lanes) {
     lanes_ = lanes;
     stride_ = problem.stride;
-    block_stride_ = lanes == 1 ? (stride_ + 3) / 4 * 4 : stride_;
+    block_stride_ = lanes == 1 ? stride_ / 4 * 4 + 4 : stride_ + 1;
     const std::size_t vector = static_cast<std::size_t>(problem.nodes) * stride_ * lanes, block = vector * block_stride_;
     const std::size_t contacts = static_cast<std::size_t>(std::max(problem.contacts, 1)) * lanes;
     unknowns_.resize(vector);

@@ -71,6 +71,25 @@ void recover_multipliers(const KernelProblem& pb, const KernelState& st, const V
         }
 }
 
+// Of a row of a block, zero beyond its entries, and a vector.
+template <class V>
+inline V product(const V* row, const V* vector, int count);
+template <>
+inline V4 product<V4>(const V4* row, const V4* vector, int count) {
+    V4 sum = zero_of(V4{});
+    for (int j = 0; j < count; ++j) sum += row[j] * vector[j];
+    return sum;
+}
+template <>
+inline double product<double>(const double* row, const double* vector, int count) {
+    V4 sum = zero_of(V4{});
+    int j = 0;
+    for (; j + 4 <= count; j += 4) sum += Chunk<double>::load(row + j) * Chunk<double>::load(vector + j);
+    double rest = 0;
+    for (; j < count; ++j) rest += row[j] * vector[j];
+    return rest + (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
 template <class V>
 void back_substitute(const KernelProblem& pb, const KernelState& st) {
     const int stride = pb.stride, ld = st.block_stride, square = stride * ld;
@@ -81,8 +100,7 @@ void back_substitute(const KernelProblem& pb, const KernelState& st) {
         const int Q = k + 1 < pb.nodes ? pb.element_unknowns[k] : 0;
         for (int i = 0; i < stride; ++i) {
             V sum = i < P ? -r[k * stride + i] : zero_of(V{});
-            if (i < P)
-                for (int j = 0; j < Q; ++j) sum -= U[k * square + i * ld + j] * step[(k + 1) * stride + j];
+            if (i < P) sum -= product<V>(U + k * square + i * ld, step + (k + 1) * stride, Q);
             step[k * stride + i] = sum;
         }
     }
@@ -100,9 +118,10 @@ void newton(const KernelProblem& pb, const KernelState& st, const double* level_
     clear(r, pb.nodes * stride);
     clear(A, square);
     for (int e = 0; e < pb.elements; ++e) {
-        clear(A + (e + 1) * square, square);
-        clear(U + e * square, square);
-        clear(L + e * square, square);
+        const int rows = pb.element_unknowns[e] * ld;
+        clear(A + (e + 1) * square, rows);
+        clear(U + e * square, pb.node_unknowns[e] * ld);
+        clear(L + e * square, rows);
         add_element<V, true>(pb, st, e, view<V>(pb, st, e), &level, &damping);
         eliminate<V>(A + e * square, U + e * square, r + e * stride, L + e * square, A + (e + 1) * square,
                      r + (e + 1) * stride, ld, pb.node_unknowns[e], pb.element_unknowns[e]);

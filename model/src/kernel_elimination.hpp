@@ -21,29 +21,64 @@ struct Chunk<double> {
     static void store(double* p, V4 v) { __builtin_memcpy(p, &v, sizeof v); }
 };
 
-// row -= sum over k in [from, to) of factors[k] * rows[k], all of Q entries; the row stays in registers meanwhile.
-template <class V, int Q>
-__attribute__((always_inline)) inline void subtract(V* row, const V* factors, const V* rows, int ld, int from, int to) {
-    constexpr int count = (Q + Chunk<V>::width - 1) / Chunk<V>::width, width = Chunk<V>::width;
-    V4 kept[count];
-    for (int c = 0; c < count; ++c) kept[c] = Chunk<V>::load(row + c * width);
-    for (int k = from; k < to; ++k) {
-        const V factor = factors[k];
-        for (int c = 0; c < count; ++c) kept[c] -= factor * Chunk<V>::load(rows + k * ld + c * width);
+// Work with 0, 1, .. N - 1, each a constant to the compiler.
+template <int K>
+struct Constant {
+    static constexpr int value = K;
+};
+template <int N>
+struct Each {
+    template <class Work>
+    __attribute__((always_inline)) static void run(const Work& work) {
+        if constexpr (N > 0) {
+            Each<N - 1>::run(work);
+            work(Constant<N - 1>{});
+        }
     }
-    for (int c = 0; c < count; ++c) Chunk<V>::store(row + c * width, kept[c]);
+};
+
+// LU of the leading P x P part of A in place, row by row, each in registers meanwhile; pivots inverted. No pivoting: the
+// blocks are elastic stiffnesses plus contact terms; a bad pivot shows in the residual, which is checked afterwards.
+template <int P>
+__attribute__((noinline)) void factorise_rows(V4* A, int ld) {
+    Each<P>::run([&](auto row_index) __attribute__((always_inline)) {
+        constexpr int i = row_index.value;
+        V4 row[P];
+        Each<P>::run([&](auto j) __attribute__((always_inline)) { row[j.value] = A[i * ld + j.value]; });
+        Each<i>::run([&](auto k) __attribute__((always_inline)) {
+            const V4* above = A + k.value * ld;
+            row[k.value] *= above[k.value];
+            for (int j = k.value + 1; j < P; ++j) row[j] -= row[k.value] * above[j];
+        });
+        row[i] = 1.0 / row[i];
+        Each<P>::run([&](auto j) __attribute__((always_inline)) { A[i * ld + j.value] = row[j.value]; });
+    });
 }
 
-template <class V, int Q>
-__attribute__((always_inline)) inline void scale(V* row, V factor) {
-    constexpr int count = (Q + Chunk<V>::width - 1) / Chunk<V>::width, width = Chunk<V>::width;
-    for (int c = 0; c < count; ++c) Chunk<V>::store(row + c * width, factor * Chunk<V>::load(row + c * width));
+template <int P>
+__attribute__((noinline)) void factorise_rows(double* A, int ld) {
+    constexpr int count = (P + 3) / 4;
+    V4 upper[P][count];  // rows with zeros before their pivots, so that factors already in a row stay
+    double inverse[P];
+    Each<P>::run([&](auto row_index) __attribute__((always_inline)) {
+        constexpr int i = row_index.value;
+        V4 row[count];
+        for (int c = 0; c < count; ++c) row[c] = Chunk<double>::load(A + i * ld + 4 * c);
+        Each<i>::run([&](auto k) __attribute__((always_inline)) {
+            const double factor = row[k.value / 4][k.value % 4] * inverse[k.value];
+            for (int c = k.value / 4; c < count; ++c) row[c] -= factor * upper[k.value][c];
+            row[k.value / 4][k.value % 4] = factor;
+        });
+        inverse[i] = 1.0 / row[i / 4][i % 4];
+        for (int c = 0; c < count; ++c) upper[i][c] = row[c];
+        Each<i>::run([&](auto k) __attribute__((always_inline)) { upper[i][k.value / 4][k.value % 4] = 0; });
+        row[i / 4][i % 4] = inverse[i];
+        for (int c = 0; c < count; ++c) Chunk<double>::store(A + i * ld + 4 * c, row[c]);
+    });
 }
 
-// LU of the leading P x P part of A in place, pivots inverted. No pivoting: the blocks are elastic stiffnesses plus contact
-// terms; a bad pivot shows in the residual, which is checked afterwards.
 template <class V>
-__attribute__((always_inline)) inline void factorise(V* A, int ld, int P) {
+void factorise_any(V* A, int ld, int P) {
     for (int k = 0; k < P; ++k) {
         const V pivot = 1.0 / A[k * ld + k];
         A[k * ld + k] = pivot;
@@ -56,35 +91,92 @@ __attribute__((always_inline)) inline void factorise(V* A, int ld, int P) {
 }
 
 template <class V>
-inline void apply_factors(const V* A, V* r, int ld, int P) {
-    for (int i = 1; i < P; ++i)
-        for (int k = 0; k < i; ++k) r[i] -= A[i * ld + k] * r[k];
-    for (int i = P - 1; i >= 0; --i) {
-        for (int k = i + 1; k < P; ++k) r[i] -= A[i * ld + k] * r[k];
-        r[i] *= A[i * ld + i];
+inline void factorise(V* A, int ld, int P) {
+    switch (P) {
+        case 0: return;
+        case 1: return factorise_rows<1>(A, ld);
+        case 5: return factorise_rows<5>(A, ld);
+        case 6: return factorise_rows<6>(A, ld);
+        case 10: return factorise_rows<10>(A, ld);
+        case 11: return factorise_rows<11>(A, ld);
+        case 16: return factorise_rows<16>(A, ld);
+        default: return factorise_any<V>(A, ld, P);
     }
 }
 
-// Eliminates a node of P unknowns: A factored, U := A^-1 U (P x Q), r := A^-1 r; next -= L U and next_r -= L r (L is Q x P).
-template <class V, int P, int Q>
-inline void eliminate_node(V* A, V* U, V* r, const V* L, V* next, V* next_r, int ld) {
-    factorise<V>(A, ld, P);
-    apply_factors<V>(A, r, ld, P);
-    for (int i = 1; i < P; ++i) subtract<V, Q>(U + i * ld, A + i * ld, U, ld, 0, i);
+template <class V>
+inline void apply_factors(const V* A, V* r, int ld, int P) {
+    for (int i = 1; i < P; ++i) {
+        V sum = r[i];
+        for (int k = 0; k < i; ++k) sum -= A[i * ld + k] * r[k];
+        r[i] = sum;
+    }
     for (int i = P - 1; i >= 0; --i) {
-        subtract<V, Q>(U + i * ld, A + i * ld, U, ld, i + 1, P);
-        scale<V, Q>(U + i * ld, A[i * ld + i]);
+        V sum = r[i];
+        for (int k = i + 1; k < P; ++k) sum -= A[i * ld + k] * r[k];
+        r[i] = sum * A[i * ld + i];
+    }
+}
+
+// Entries of a row that are handled together: Q of them and the right-hand side after the last.
+template <class V, int Q>
+constexpr int kChunks = Q / Chunk<V>::width + 1;
+
+// row -= sum over k in [from, to) of factors[k] * rows[k]; the row stays in registers meanwhile.
+template <class V, int Q>
+__attribute__((always_inline)) inline void subtract(V4 (&kept)[kChunks<V, Q>], const V* factors, const V* rows, int ld, int from, int to) {
+    for (int k = from; k < to; ++k) {
+        const V factor = factors[k];
+        for (int c = 0; c < kChunks<V, Q>; ++c) kept[c] -= factor * Chunk<V>::load(rows + k * ld + c * Chunk<V>::width);
+    }
+}
+
+template <class V, int Q>
+__attribute__((always_inline)) inline void read(V4 (&kept)[kChunks<V, Q>], const V* row) {
+    for (int c = 0; c < kChunks<V, Q>; ++c) kept[c] = Chunk<V>::load(row + c * Chunk<V>::width);
+}
+
+template <class V, int Q>
+__attribute__((always_inline)) inline void write(V* row, const V4 (&kept)[kChunks<V, Q>]) {
+    for (int c = 0; c < kChunks<V, Q>; ++c) Chunk<V>::store(row + c * Chunk<V>::width, kept[c]);
+}
+
+// Eliminates a node of P unknowns, factored: U := A^-1 U (P x Q), r := A^-1 r; next -= L U and next_r -= L r (L is Q x P). r
+// rides along in the entries after the rows of U, which a row has room for (kernel.hpp) and which are zero otherwise.
+template <class V, int Q>
+__attribute__((noinline)) void eliminate_columns(const V* A, V* U, V* r, const V* L, V* next, V* next_r, int ld, int P) {
+    V4 kept[kChunks<V, Q>];
+    for (int i = 0; i < P; ++i) U[i * ld + Q] = r[i];
+    for (int i = 1; i < P; ++i) {
+        read<V, Q>(kept, U + i * ld);
+        subtract<V, Q>(kept, A + i * ld, U, ld, 0, i);
+        write<V, Q>(U + i * ld, kept);
+    }
+    for (int i = P - 1; i >= 0; --i) {
+        read<V, Q>(kept, U + i * ld);
+        subtract<V, Q>(kept, A + i * ld, U, ld, i + 1, P);
+        for (int c = 0; c < kChunks<V, Q>; ++c) kept[c] *= A[i * ld + i];
+        write<V, Q>(U + i * ld, kept);
     }
     for (int i = 0; i < Q; ++i) {
-        subtract<V, Q>(next + i * ld, L + i * ld, U, ld, 0, P);
-        for (int k = 0; k < P; ++k) next_r[i] -= L[i * ld + k] * r[k];
+        next[i * ld + Q] = next_r[i];
+        read<V, Q>(kept, next + i * ld);
+        subtract<V, Q>(kept, L + i * ld, U, ld, 0, P);
+        write<V, Q>(next + i * ld, kept);
+    }
+    for (int i = 0; i < P; ++i) {
+        r[i] = U[i * ld + Q];
+        U[i * ld + Q] = zero_of(V{});
+    }
+    for (int i = 0; i < Q; ++i) {
+        next_r[i] = next[i * ld + Q];
+        next[i * ld + Q] = zero_of(V{});
     }
 }
 
 // The same for sizes known only at run time.
 template <class V>
-void eliminate_node_any(V* A, V* U, V* r, const V* L, V* next, V* next_r, int ld, int P, int Q) {
-    factorise<V>(A, ld, P);
+void eliminate_columns_any(const V* A, V* U, V* r, const V* L, V* next, V* next_r, int ld, int P, int Q) {
     apply_factors<V>(A, r, ld, P);
     for (int j = 0; j < Q; ++j) {
         for (int i = 1; i < P; ++i)
@@ -103,11 +195,14 @@ void eliminate_node_any(V* A, V* U, V* r, const V* L, V* next, V* next_r, int ld
 
 template <class V>
 inline void eliminate(V* A, V* U, V* r, const V* L, V* next, V* next_r, int ld, int P, int Q) {
-    if (P == 11 && Q == 11) return eliminate_node<V, 11, 11>(A, U, r, L, next, next_r, ld);
-    if (P == 6 && Q == 6) return eliminate_node<V, 6, 6>(A, U, r, L, next, next_r, ld);
-    if (P == 10 && Q == 10) return eliminate_node<V, 10, 10>(A, U, r, L, next, next_r, ld);
-    if (P == 5 && Q == 5) return eliminate_node<V, 5, 5>(A, U, r, L, next, next_r, ld);
-    if (P == 16 && Q == 16) return eliminate_node<V, 16, 16>(A, U, r, L, next, next_r, ld);
-    if (P == 1 && Q == 1) return eliminate_node<V, 1, 1>(A, U, r, L, next, next_r, ld);
-    eliminate_node_any<V>(A, U, r, L, next, next_r, ld, P, Q);
+    factorise<V>(A, ld, P);
+    switch (Q) {
+        case 1: return eliminate_columns<V, 1>(A, U, r, L, next, next_r, ld, P);
+        case 5: return eliminate_columns<V, 5>(A, U, r, L, next, next_r, ld, P);
+        case 6: return eliminate_columns<V, 6>(A, U, r, L, next, next_r, ld, P);
+        case 10: return eliminate_columns<V, 10>(A, U, r, L, next, next_r, ld, P);
+        case 11: return eliminate_columns<V, 11>(A, U, r, L, next, next_r, ld, P);
+        case 16: return eliminate_columns<V, 16>(A, U, r, L, next, next_r, ld, P);
+        default: return eliminate_columns_any<V>(A, U, r, L, next, next_r, ld, P, Q);
+    }
 }

@@ -83,7 +83,7 @@ struct KernelState {
     const double* load_moment;  // [element][Gauss point][2] of the loads beyond, N m as a curvature vector; null without loads
     const SlipLaw* slip;      // null: phi_mu is given; else it follows the slip (single lane)
     const double* anchor; // [node][stride] angles that damping pulls back to; null without damping
-    int block_stride;     // row length of blocks: stride, for a single lane rounded up to whole registers
+    int block_stride;     // row length of blocks: room for stride + 1 entries, for a single lane in whole registers
 };
 
 // One function table per instruction set; the scalar ones treat a single lane.
