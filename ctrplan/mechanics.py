@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -45,7 +45,9 @@ __all__ = [
     "kernel_name",
 ]
 
-Accuracy = Literal["search", "certificate"]  # error of a tip on the Table III grid: <= 0.3, <= 0.05 mm
+Accuracy = Literal["search", "certificate", "exact"]
+"""Tip errors of a mesh on the Table III grid: 0.3, 0.05 mm; "exact": the latter mesh, and geometry not of first order in c."""
+_LEVELS: tuple[Accuracy, ...] = get_args(Accuracy)
 
 
 class Mechanics:
@@ -102,14 +104,14 @@ class Mechanics:
         with input_errors():
             return shape_from_core(
                 self._model.solve(
-                    self._row(theta_b), self._row(l_b), np.ascontiguousarray(state), _is_certificate(accuracy)
+                    self._row(theta_b), self._row(l_b), np.ascontiguousarray(state), _level(accuracy)
                 )
             )
 
     def bound(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> Bound:
         """Frictionless solution, every corner phi in {-1, 1}^(n-1), and the largest deviations between them."""
         with input_errors():
-            raw = self._model.bound(self._row(theta_b), self._row(l_b), _is_certificate(accuracy))
+            raw = self._model.bound(self._row(theta_b), self._row(l_b), _level(accuracy))
         return Bound(
             position_m=raw["position"],
             tangent_rad=raw["tangent"],
@@ -134,7 +136,7 @@ class Mechanics:
         `progress` is told the finished share between chunks of a few hundred. With an `executor`, any that has the
         interface of concurrent.futures, chunks are its tasks, by default on one thread each; the result is the same.
         """
-        (thetas, ls), certificate = self._configurations(theta_b, l_b), _is_certificate(accuracy)
+        (thetas, ls), level = self._configurations(theta_b, l_b), _level(accuracy)
         if executor is not None or len(thetas) > CHUNK:  # nothing is solved before all is known to be well-formed
             self._refuse(thetas, ls)
         if executor is not None:
@@ -142,7 +144,7 @@ class Mechanics:
 
         def solve(theta_b: Array, l_b: Array) -> Bounds:
             with input_errors():
-                return _bounds(np.asarray(self._model.bound_many(theta_b, l_b, certificate, threads)))
+                return _bounds(np.asarray(self._model.bound_many(theta_b, l_b, level, threads)))
 
         return bounds_in_chunks(solve, thetas, ls, progress)
 
@@ -191,7 +193,7 @@ class Mechanics:
         given = directions(parameters, self._given[0], self._model.number_names())
         with input_errors():
             table: Array = np.asarray(
-                self._model.tips_with_friction(thetas, ls, states, given, _is_certificate(accuracy), threads)
+                self._model.tips_with_friction(thetas, ls, states, given, _first_order(accuracy), threads)
             )
         slopes = table[:, 9:].reshape(len(thetas), len(given), 2, 3)
         return Tips(
@@ -209,7 +211,7 @@ class Mechanics:
         given = (options.breakaway_m, options.rotation_rad, options.translation_m, options.state_change)
         if not all(0 < value < np.inf for value in given):
             raise InputError("steps and breakaway length of a history must be positive")
-        return self._model.history(_is_certificate(accuracy), *given)
+        return self._model.history(_first_order(accuracy), *given)
 
     def check_path(
         self,
@@ -229,7 +231,7 @@ class Mechanics:
         given = _walk_arguments(field, density or PathDensity(), limits or PathLimits())
         with input_errors():
             theta, length = joint_rows(theta_b, l_b, self.n)
-            table, points = self._model.check_path(theta, length, *given, _is_certificate(accuracy), bodies)
+            table, points = self._model.check_path(theta, length, *given, _level(accuracy), bodies)
         return _path_samples(np.asarray(table), points)
 
     def field_entries(self, theta_b: ArrayLike, l_b: ArrayLike, *, threads: int = 0) -> Array:
@@ -241,7 +243,7 @@ class Mechanics:
     def body(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> tuple[Array, Array]:
         """Outermost centreline in front of the plate: points (1 + corners, N, 3) [m], outer radii (N,) [m]."""
         with input_errors():
-            table: Array = np.asarray(self._model.body(self._row(theta_b), self._row(l_b), _is_certificate(accuracy)))
+            table: Array = np.asarray(self._model.body(self._row(theta_b), self._row(l_b), _level(accuracy)))
         return table[:, :, :3], table[0, :, 3]
 
     def _configurations(self, theta_b: ArrayLike, l_b: ArrayLike) -> tuple[Array, Array]:
@@ -377,10 +379,16 @@ def _numbers(values: ArrayLike, key: str) -> Array:
         raise InputError("must be numbers", key=key) from None
 
 
-def _is_certificate(accuracy: Accuracy) -> bool:
-    if accuracy not in ("search", "certificate"):
-        raise InputError('must be "search" or "certificate"', key="accuracy", value=accuracy)
-    return accuracy == "certificate"
+def _level(accuracy: Accuracy) -> int:
+    if accuracy not in _LEVELS:
+        raise InputError('must be "search", "certificate" or "exact"', key="accuracy", value=accuracy)
+    return _LEVELS.index(accuracy)
+
+
+def _first_order(accuracy: Accuracy) -> int:
+    if accuracy == "exact":
+        raise InputError('must be "search" or "certificate" here', key="accuracy", value=accuracy)
+    return _level(accuracy)
 
 
 def _walk_arguments(

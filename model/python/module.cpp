@@ -75,8 +75,9 @@ nb::dict to_python(const ctr::Shape& shape) {
     return result;
 }
 
-ctr::Accuracy accuracy(bool certificate) {
-    return certificate ? ctr::Accuracy::certificate() : ctr::Accuracy::search();
+// Levels as in ctrplan.mechanics.
+ctr::Accuracy accuracy(int level) {
+    return level == 2 ? ctr::Accuracy::exact_geometry() : level == 1 ? ctr::Accuracy::certificate() : ctr::Accuracy::search();
 }
 
 ctr::Configuration configuration(const double* theta, const double* l, int n) {
@@ -330,7 +331,7 @@ class Model {
         return to_python(shape);
     }
 
-    nb::dict solve(Vector theta, Vector l, Vector phi, bool certificate) {
+    nb::dict solve(Vector theta, Vector l, Vector phi, int level) {
         const ctr::Configuration q = read(theta, l);
         if (phi.shape(0) != robot_.pairs.size()) throw ctr::InvalidInput("phi needs one value per neighbouring pair");
         const std::vector<double> friction(phi.data(), phi.data() + phi.shape(0));
@@ -338,7 +339,7 @@ class Model {
         {
             nb::gil_scoped_release release;
             Loan loan(*this);
-            loan->solve_single(q, accuracy(certificate), friction);
+            loan->solve_single(q, accuracy(level), friction);
             shape = ctr::make_shape(loan->solver(), loan->frictionless_state(), 0, q);
             shape.status = loan->status();
             shape.stability = loan->stability();
@@ -347,7 +348,7 @@ class Model {
         return to_python(shape);
     }
 
-    nb::dict bound(Vector theta, Vector l, bool certificate) {
+    nb::dict bound(Vector theta, Vector l, int level) {
         const ctr::Configuration q = read(theta, l);
         std::vector<ctr::Shape> shapes;
         double position = 0, tangent = 0;
@@ -356,7 +357,7 @@ class Model {
         {
             nb::gil_scoped_release release;
             Loan loan(*this);
-            loan->solve(q, accuracy(certificate));
+            loan->solve(q, accuracy(level));
             loan->search_others();
             position = loan->position;
             tangent = loan->tangent;
@@ -386,14 +387,14 @@ class Model {
     }
 
     // Columns of the result: position bound, tangent bound, stability, max strain, residual, status, tip (3), tangent (3).
-    nb::object bound_many(Matrix theta, Matrix l, bool certificate, int threads) {
+    nb::object bound_many(Matrix theta, Matrix l, int level, int threads) {
         const std::vector<ctr::Configuration> all = read_many(theta, l);
         constexpr std::size_t kColumns = 12;
         std::vector<double> out(all.size() * kColumns);
         {
             nb::gil_scoped_release release;
             parallel(all.size(), threads, [&](ctr::BoundSolver& solver, std::size_t k) {
-                solver.solve(all[k], accuracy(certificate));
+                solver.solve(all[k], accuracy(level));
                 solver.search_others();
                 double* row = &out[k * kColumns];
                 row[0] = solver.position;
@@ -436,13 +437,13 @@ class Model {
         return array(std::move(out), {all.size(), 7});
     }
 
-    std::unique_ptr<PathHistory> history(bool certificate, double breakaway, double rotation, double translation, double state_change) const {
+    std::unique_ptr<PathHistory> history(int level, double breakaway, double rotation, double translation, double state_change) const {
         ctr::HistoryOptions options;
         options.breakaway = breakaway;
         options.rotation = rotation;
         options.translation = translation;
         options.state_change = state_change;
-        return std::make_unique<PathHistory>(robot_, accuracy(certificate), options);
+        return std::make_unique<PathHistory>(robot_, accuracy(level), options);
     }
 
     std::vector<std::string> number_names() const { return ctr::number_names(robot_); }
@@ -451,7 +452,7 @@ class Model {
     // then per direction the derivatives of tip (3) and tangent (3). A direction is (indices into number_names, weights, step).
     nb::object tips_with_friction(Matrix theta, Matrix l, Matrix phi,
                                   const std::vector<std::tuple<std::vector<int>, std::vector<double>, double>>& given,
-                                  bool certificate, int threads) {
+                                  int level, int threads) {
         const std::vector<ctr::Configuration> all = read_many(theta, l);
         const std::size_t pairs = robot_.pairs.size();
         if (phi.shape(0) != all.size() || phi.shape(1) != pairs) throw ctr::InvalidInput("phi needs one row per configuration, one value per pair");
@@ -477,7 +478,7 @@ class Model {
                 std::vector<ctr::TipDerivative> derivatives;
                 for (std::size_t k = first[group]; k < first[group + 1]; ++k) {
                     const double* state = phi.data() + k * pairs;
-                    ctr::Status status = solver.solve(all[k], accuracy(certificate), std::vector<double>(state, state + pairs));
+                    ctr::Status status = solver.solve(all[k], accuracy(level), std::vector<double>(state, state + pairs));
                     double* row = &out[k * columns];
                     const ctr::Vec3 tangent = solver.tip().tangent();
                     for (int i = 0; i < 3; ++i) {
@@ -504,7 +505,7 @@ class Model {
     // motion, status, tip (3), tangent (3). density: the five numbers of ctr::PathDensity; limits: the three of PathLimits.
     // With bodies, a second item lists per sample the points (N, 4) of all shapes with their outer radius.
     nb::tuple check_path(Matrix theta, Matrix l, nb::object field, Vector origin, double spacing, Matrix R_AB, Vector p_AB,
-                         Vector density_values, Vector limit_values, bool certificate, bool bodies) {
+                         Vector density_values, Vector limit_values, int level, bool bodies) {
         const std::vector<ctr::Configuration> corners = read_many(theta, l);
         Field values;
         const ctr::SignedDistanceField sdf = distance_field(field, values, origin, spacing, R_AB, p_AB);
@@ -514,7 +515,7 @@ class Model {
         {
             nb::gil_scoped_release release;
             Loan loan(*this);
-            samples = ctr::check_path(*loan, corners, accuracy(certificate), sdf, path, limits, bodies);
+            samples = ctr::check_path(*loan, corners, accuracy(level), sdf, path, limits, bodies);
         }
         nb::list points;
         if (bodies)
@@ -532,7 +533,7 @@ class Model {
         {
             nb::gil_scoped_release release;
             parallel(all.size(), threads, [&](ctr::BoundSolver& solver, std::size_t k) {
-                const ctr::FieldEntry entry = ctr::field_entry(solver, all[k], accuracy(false));
+                const ctr::FieldEntry entry = ctr::field_entry(solver, all[k], accuracy(0));
                 const float* numbers = reinterpret_cast<const float*>(&entry);
                 std::copy(numbers, numbers + ctr::kFieldFloats, out.begin() + static_cast<long>(k) * ctr::kFieldFloats);
             });
@@ -546,14 +547,14 @@ class Model {
     }
 
     // Body points of the frictionless and all corner shapes in front of the plate: (shapes, N, 4) x, y, z, outer radius.
-    nb::object body(Vector theta, Vector l, bool certificate) {
+    nb::object body(Vector theta, Vector l, int level) {
         const ctr::Configuration q = read(theta, l);
         std::vector<double> out;
         std::size_t shapes = 0, points = 0;
         {
             nb::gil_scoped_release release;
             Loan loan(*this);
-            loan->solve(q, accuracy(certificate));
+            loan->solve(q, accuracy(level));
             const ctr::Mesh& mesh = loan->solver().mesh();
             const ctr::KernelProblem& pb = mesh.problem();
             auto add = [&](const ctr::Backbone& shape) {
@@ -680,18 +681,18 @@ NB_MODULE(_model, m) {
                       const std::vector<std::vector<double>>&, const std::vector<std::vector<double>>&>(),
              "tubes"_a, "sections"_a, "pairs"_a, "loads"_a)
         .def("zero_clearance", &Model::zero_clearance, "theta_b"_a.noconvert(), "l_b"_a.noconvert())
-        .def("solve", &Model::solve, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(), "certificate"_a)
-        .def("bound", &Model::bound, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "certificate"_a)
-        .def("bound_many", &Model::bound_many, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "certificate"_a, "threads"_a)
+        .def("solve", &Model::solve, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(), "level"_a)
+        .def("bound", &Model::bound, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "level"_a)
+        .def("bound_many", &Model::bound_many, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "level"_a, "threads"_a)
         .def("tips", &Model::tips, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "threads"_a)
         .def("field_entries", &Model::field_entries, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "threads"_a)
         .def("field_lookup", &Model::field_lookup, "axes"_a, "values"_a.noconvert(), "margin"_a)
-        .def("history", &Model::history, "certificate"_a, "breakaway"_a, "rotation"_a, "translation"_a, "state_change"_a)
+        .def("history", &Model::history, "level"_a, "breakaway"_a, "rotation"_a, "translation"_a, "state_change"_a)
         .def("number_names", &Model::number_names)
         .def("tips_with_friction", &Model::tips_with_friction, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(),
-             "directions"_a, "certificate"_a, "threads"_a)
+             "directions"_a, "level"_a, "threads"_a)
         .def("check_path", &Model::check_path, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "field"_a.none(),
              "origin"_a.noconvert(), "spacing"_a, "R_AB"_a.noconvert(), "p_AB"_a.noconvert(), "density"_a.noconvert(),
-             "limits"_a.noconvert(), "certificate"_a, "bodies"_a)
-        .def("body", &Model::body, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "certificate"_a);
+             "limits"_a.noconvert(), "level"_a, "bodies"_a)
+        .def("body", &Model::body, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "level"_a);
 }

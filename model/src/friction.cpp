@@ -18,6 +18,7 @@ constexpr int kSlidingSteps = 3000;       // Newton steps in all
 constexpr double kKeep = 0.95;            // fraction of the way to the boundary
 constexpr double kMaxTwistStep = 0.6;     // rad
 constexpr double kResidual = 1e-8;        // of EI * precurvature
+constexpr double kExactLevel = 0.1;        // barrier level, see BarrierPath, below which exact geometry matters
 constexpr double kComplementarity = 1e-3; // of the last barrier level, itself far below any contact force
 
 }  // namespace
@@ -41,6 +42,24 @@ void LaneState::resize(const KernelProblem& problem, int lanes) {
     phi_mu_.resize(contacts);
     load_moment_.resize(static_cast<std::size_t>(problem.elements) * 4 * lanes);
     std::fill(load_moment_.data(), load_moment_.data() + static_cast<std::size_t>(problem.elements) * 4 * lanes, 0.0);
+    is_exact_ = false;
+}
+
+void LaneState::begin_exact(const KernelProblem& problem) {
+    shift_.resize(static_cast<std::size_t>(std::max(problem.contacts, 1)) * 2 * lanes_);
+    load_.resize(static_cast<std::size_t>(problem.nodes) * stride_ * lanes_);
+    tubes_ = problem.tubes;
+    bend_.resize(static_cast<std::size_t>(problem.elements) * 4 * tubes_ * lanes_);
+    need_.resize(static_cast<std::size_t>(problem.nodes) * tubes_ * 2 * lanes_);
+    for (AlignedArray* values : {&shift_, &load_, &bend_, &need_}) values->fill(0.0);
+    is_exact_ = true;
+}
+
+double LaneState::bend(int element, double xi, int tube, int plane, int lane) const {
+    if (!is_exact_) return 0;
+    constexpr double first = 0.21132486540518711775;
+    const double a = bend_[bend_index(element, 0, tube, plane, lane)], b = bend_[bend_index(element, 1, tube, plane, lane)];
+    return a + (xi - first) / (1 - 2 * first) * (b - a);
 }
 
 void LaneState::set_phi(const Robot& robot, const KernelProblem& problem, int lane, const double* phi) {
@@ -54,7 +73,8 @@ void LaneState::set_phi(const Robot& robot, const KernelProblem& problem, int la
 KernelState LaneState::view(const LaneState* anchor) {
     return {unknowns_.data(),        multiplier_.data(), slack_.data(),    phi_mu_.data(), step_.data(),
             multiplier_step_.data(), slack_step_.data(), diagonal_.data(), upper_.data(),  lower_.data(), rhs_.data(),
-            load_moment_.data(), slip_, anchor ? anchor->unknowns_.data() : nullptr, block_stride_};
+            load_moment_.data(), slip_, anchor ? anchor->unknowns_.data() : nullptr, block_stride_,
+            is_exact_ ? shift_.data() : nullptr, is_exact_ ? load_.data() : nullptr};
 }
 
 FrictionSolver::FrictionSolver(const Robot& robot) : robot_(robot) {
@@ -78,6 +98,8 @@ void FrictionSolver::adopt(const Mesh& mesh, const Configuration& q, const Accur
 void FrictionSolver::scale(const Configuration& q, const Accuracy& accuracy) {
     base_l_ = q.l.back();
     last_barrier_ = accuracy.barrier;
+    is_exact_ = accuracy.exact;
+    if (is_exact_) exact_.build(*this, q);
     moment_scale_ = 1e-9;
     for (const Tube& tube : robot_.tubes)
         for (const Section& section : tube.sections)
@@ -113,6 +135,7 @@ void FrictionSolver::factorise(LaneState& state) {
 void FrictionSolver::start(LaneState& state, const Configuration& q, const ZeroClearance& guess, double level) {
     const KernelProblem& pb = mesh_.problem();
     const int n = robot_.count();
+    state.forget_exact();
     for (int lane = 0; lane < state.lanes(); ++lane) {
         for (int k = 0; k < pb.nodes; ++k) {
             for (int i = 0; i < pb.stride; ++i) state.unknown(k, i, lane) = 0;
@@ -166,10 +189,12 @@ void FrictionSolver::set_base(LaneState& state, const Configuration& q) {
 
 void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergence* result) {
     const KernelProblem& pb = mesh_.problem();
+    if (is_exact_ && !state.is_exact()) state.begin_exact(pb);
     const KernelState view = state.view();
     const int lanes = state.lanes();
     const KernelTable& run = kernel(lanes);
     alignas(kAlignment) double level[kLanes], primal[kLanes], dual[kLanes], moment[kLanes], gap[kLanes];
+    double bend_error[kLanes] = {};
     bool done[kLanes] = {};
     const double last = path.last * barrier_unit_;
     for (int lane = 0; lane < lanes; ++lane) {
@@ -178,6 +203,11 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
         result[lane].residual = result[lane].complementarity = std::numeric_limits<double>::infinity();
     }
     weigh(state);
+    auto update = [&] {
+        for (int lane = 0; is_exact_ && lane < lanes; ++lane)
+            if (!done[lane] && level[lane] < kExactLevel * barrier_unit_) bend_error[lane] = exact_.update(*this, state, lane);
+    };
+    update();
     for (int k = 0; k < path.max_steps; ++k) {
         run.newton(pb, view, level, nullptr);
         run.step_length(pb, view, kKeep, primal, dual);
@@ -205,14 +235,16 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
         }
         if (path.centre_only) {
             if (std::all_of(done, done + lanes, [](bool d) { return d; })) return;
+            update();
             continue;
         }
+        update();
         if (!check) continue;
         run.residual(pb, view, level, moment, gap);
         bool all = true;
         for (int lane = 0; lane < lanes; ++lane) {
             if (done[lane]) continue;
-            result[lane].residual = moment[lane] / moment_scale_;
+            result[lane].residual = std::max(moment[lane], bend_error[lane]) / moment_scale_;
             result[lane].complementarity = gap[lane];
             if (level[lane] <= last && result[lane].residual < kResidual && gap[lane] < kComplementarity)
                 done[lane] = result[lane].converged = true;
@@ -263,7 +295,7 @@ void FrictionSolver::slide(LaneState& state, double level, Convergence& result) 
         }
         --wait;
         if (damping == 0) {
-            if (level <= last_barrier_) {
+            if (level <= (is_exact_ ? std::max(kExactLevel, last_barrier_) : last_barrier_)) {
                 solve(state, {level, last_barrier_}, &result);
                 break;
             }

@@ -54,6 +54,15 @@ inline ElementView<V> view(const KernelProblem& pb, const KernelState& st, int e
     return el;
 }
 
+template <class V>
+inline void start_residual(const KernelProblem& pb, const KernelState& st) {
+    V* r = lanes<V>(st.rhs);
+    const int count = pb.nodes * pb.stride;
+    if (!st.load) return clear(r, count);
+    const V* load = reinterpret_cast<const V*>(st.load);
+    for (int i = 0; i < count; ++i) r[i] = load[i];
+}
+
 // Slack and multiplier steps that belong to `step`: w + dw = gap - d . delta, lambda dw + w dlambda = eps - lambda w.
 template <class V>
 void recover_multipliers(const KernelProblem& pb, const KernelState& st, const V* level) {
@@ -63,7 +72,7 @@ void recover_multipliers(const KernelProblem& pb, const KernelState& st, const V
     for (int e = 0; e < pb.elements; ++e)
         for (int k = pb.contact_begin[e]; k < pb.contact_begin[e + 1]; ++k) {
             const int p = pb.contact_pair[k];
-            const ContactPoint<V> at = contact_point<V>(pb, k, x + e * ld, x + (e + 1) * ld);
+            const ContactPoint<V> at = contact_point<V>(pb, st, k, x + e * ld, x + (e + 1) * ld);
             const ContactPoint<V> move = contact_point<V>(pb, k, step + e * ld, step + (e + 1) * ld);
             const V eps = level[0] * (pb.barrier_scale[p] * pb.contact_weight[k]);
             slack_change[k] = at.gap - slack[k] - (at.d[0] * move.d[0] + at.d[1] * move.d[1]);
@@ -115,7 +124,7 @@ void newton(const KernelProblem& pb, const KernelState& st, const double* level_
         if (st.anchor) Lane<V>::at(damping, lane) = damping_values[lane];
     }
     V *r = lanes<V>(st.rhs), *A = lanes<V>(st.diagonal), *U = lanes<V>(st.upper), *L = lanes<V>(st.lower);
-    clear(r, pb.nodes * stride);
+    start_residual<V>(pb, st);
     clear(A, square);
     for (int e = 0; e < pb.elements; ++e) {
         const int rows = pb.element_unknowns[e] * ld;
@@ -156,7 +165,7 @@ void residual(const KernelProblem& pb, const KernelState& st, const double* leve
     for (int lane = 0; lane < Lane<V>::count; ++lane) Lane<V>::at(level, lane) = level_values[lane];
     V* r = lanes<V>(st.rhs);
     const V* lambda = lanes<V>(st.multiplier);
-    clear(r, pb.nodes * ld);
+    start_residual<V>(pb, st);
     V worst = zero_of(V{}), gap_error = zero_of(V{});
     for (int e = 0; e < pb.elements; ++e) {
         const ElementView<V> el = view<V>(pb, st, e);
@@ -166,7 +175,7 @@ void residual(const KernelProblem& pb, const KernelState& st, const double* leve
         for (int i = 0; i < P; ++i) worst = larger(worst, (i % 5 == 1 || i % 5 == 2) ? h * magnitude(el.r[0][i]) : magnitude(el.r[0][i]));
         for (int k = pb.contact_begin[e]; k < pb.contact_begin[e + 1]; ++k) {
             const V eps = level * (pb.barrier_scale[pb.contact_pair[k]] * pb.contact_weight[k]);
-            const V gap = contact_point<V>(pb, k, el.x[0], el.x[1]).gap;
+            const V gap = contact_point<V>(pb, st, k, el.x[0], el.x[1]).gap;
             gap_error = larger(gap_error, magnitude(lambda[k] * gap - eps) / eps);
         }
     }

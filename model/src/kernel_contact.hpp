@@ -18,6 +18,17 @@ inline ContactPoint<V> contact_point(const KernelProblem& pb, int k, const V* pr
     return point;
 }
 
+// The same for the iterate, with what exact geometry adds to the offset.
+template <class V>
+inline ContactPoint<V> contact_point(const KernelProblem& pb, const KernelState& st, int k, const V* proximal, const V* distal) {
+    ContactPoint<V> point = contact_point<V>(pb, k, proximal, distal);
+    if (!st.shift) return point;
+    const V* shift = reinterpret_cast<const V*>(st.shift) + 2 * k;
+    for (int plane = 0; plane < 2; ++plane) point.d[plane] += shift[plane];
+    point.gap = pb.half_square_clearance[pb.contact_pair[k]] - 0.5 * (point.d[0] * point.d[0] + point.d[1] * point.d[1]);
+    return point;
+}
+
 // What the contact points of one pair add up to in an element, before it is spread over the blocks.
 template <class V>
 struct PairSums {
@@ -36,7 +47,7 @@ inline void sum_contact(const KernelProblem& pb, const KernelState& st, int k, c
     const double* shape = pb.contact_shape + 4 * k;
     const double linear[2] = {1 - pb.contact_xi[k], pb.contact_xi[k]};
     const V lambda = lanes<V>(st.multiplier)[k], friction = lanes<V>(st.phi_mu)[k];
-    const ContactPoint<V> at = contact_point<V>(pb, k, el.x[0], el.x[1]);
+    const ContactPoint<V> at = contact_point<V>(pb, st, k, el.x[0], el.x[1]);
     V value = lambda, ratio = zero_of(V{});
     if (MATRIX) {
         const V slack = lanes<V>(st.slack)[k];

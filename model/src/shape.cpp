@@ -69,9 +69,9 @@ void element_curvature(const FrictionSolver& solver, const LaneState& state, int
             mean[plane] += EI * (rotated[t][plane] - running[plane]);
         }
     }
-    if (!solver.mesh().mean_is_free(e)) return;
-    for (double& value : mean) value /= total;
-    if (pb.law) {
+    const bool free = solver.mesh().mean_is_free(e);
+    for (double& value : mean) value = free ? value / total : 0.0;
+    if (pb.law && free) {
         BentSection<double> section[kMaxTubes];
         double load[2], inverse[3];
         for (int t = 0; t < m; ++t) turn_section<double>(pb.law[t], v[t], angle[t], section[t]);
@@ -82,7 +82,25 @@ void element_curvature(const FrictionSolver& solver, const LaneState& state, int
         free_mean<double>(m, pb.law, curvature, load, section, mean, inverse);
     }
     for (int t = 0; t < m; ++t)
-        for (int plane = 0; plane < 2; ++plane) curvature[t][plane] += mean[plane];
+        for (int plane = 0; plane < 2; ++plane) curvature[t][plane] += mean[plane] + state.bend(e, xi, t, plane, lane);
+}
+
+void section_moment(const FrictionSolver& solver, const LaneState& state, int lane, int e, int gauss, int t, const double* kappa,
+                    const double* rotated, double* moment, double* tangent) {
+    const KernelProblem& pb = solver.mesh().problem();
+    if (pb.law) {
+        const double xi = kGauss[gauss], angle = (1 - xi) * state.unknown(e, 5 * t, lane) + xi * state.unknown(e + 1, 5 * t, lane);
+        BentSection<double> section;
+        turn_section<double>(pb.law[t], pb.precurvature + ((e * 2 + gauss) * pb.tubes + t) * 2, angle, section);
+        bend<double>(pb.law[t], kappa, section);
+        for (int i = 0; i < 2; ++i) moment[i] = section.moment[i];
+        for (int i = 0; i < 3; ++i) tangent[i] = section.tangent[i];
+        return;
+    }
+    const double EI = solver.robot().tubes[pb.tubes - 1 - t].bending_stiffness;
+    for (int i = 0; i < 2; ++i) moment[i] = EI * (kappa[i] - rotated[i]);
+    tangent[0] = tangent[2] = EI;
+    tangent[1] = 0;
 }
 
 void trace_backbone(const FrictionSolver& solver, const LaneState& state, int lane, double base_l, Backbone& out) {
@@ -159,7 +177,8 @@ Shape make_shape(const FrictionSolver& solver, const LaneState& state, int lane,
                 d[plane] = pb.contact_shape[4 * k] * state.unknown(e, 1 + 5 * p + plane, lane) +
                            pb.contact_shape[4 * k + 1] * state.unknown(e, 3 + 5 * p + plane, lane) +
                            pb.contact_shape[4 * k + 2] * state.unknown(e + 1, 1 + 5 * p + plane, lane) +
-                           pb.contact_shape[4 * k + 3] * state.unknown(e + 1, 3 + 5 * p + plane, lane);
+                           pb.contact_shape[4 * k + 3] * state.unknown(e + 1, 3 + 5 * p + plane, lane) +
+                           state.shift(k, plane, lane);
             ContactForces& contact = shape.contacts[n - 2 - p];
             contact.s.push_back(solver.mesh().contact_s()[k]);
             contact.force.push_back(state.multiplier(k, lane) * std::hypot(d[0], d[1]));

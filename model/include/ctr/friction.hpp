@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "ctr/aligned.hpp"
+#include "ctr/exact.hpp"
 #include "ctr/kernel.hpp"
 #include "ctr/mesh.hpp"
 #include "ctr/robot.hpp"
@@ -55,8 +56,30 @@ class LaneState {
     }
     KernelState view(const LaneState* anchor = nullptr);
 
+    // Exact geometry (exact.hpp): what it adds to the first-order model at this iterate. Solves without it forget it.
+    void begin_exact(const KernelProblem& problem);
+    void forget_exact() { is_exact_ = false; }
+    bool is_exact() const { return is_exact_; }
+    double& shift(int contact, int plane, int lane) { return shift_[(static_cast<std::size_t>(contact) * 2 + plane) * lanes_ + lane]; }
+    double shift(int contact, int plane, int lane) const { return is_exact_ ? shift_[(static_cast<std::size_t>(contact) * 2 + plane) * lanes_ + lane] : 0.0; }
+    double& load(int node, int index, int lane) { return load_[(static_cast<std::size_t>(node) * stride_ + index) * lanes_ + lane]; }
+    double& bend_at_gauss(int element, int gauss, int tube, int plane, int lane) { return bend_[bend_index(element, gauss, tube, plane, lane)]; }
+    double bend(int element, double xi, int tube, int plane, int lane) const;  // linear through the Gauss points
+    double& need(int node, int pair, int plane, int lane) { return need_[need_index(node, pair, plane, lane)]; }  // see alignment.hpp
+    double need(int node, int pair, int plane, int lane) const { return need_[need_index(node, pair, plane, lane)]; }
+
   private:
-    int lanes_ = 1, stride_ = 1, block_stride_ = 1;
+    std::size_t bend_index(int element, int gauss, int tube, int plane, int lane) const {
+        return ((static_cast<std::size_t>(element * 2 + gauss) * tubes_ + tube) * 2 + plane) * lanes_ + lane;
+    }
+
+    std::size_t need_index(int node, int pair, int plane, int lane) const {
+        return (static_cast<std::size_t>(node * tubes_ + pair) * 2 + plane) * lanes_ + lane;
+    }
+
+    int lanes_ = 1, stride_ = 1, block_stride_ = 1, tubes_ = 1;
+    bool is_exact_ = false;
+    AlignedArray shift_, load_, bend_, need_;  // [contact][2] m, [node][stride], [element][gauss][tube][2] 1/m, [node][pair][2] m
     const SlipLaw* slip_ = nullptr;
     AlignedArray unknowns_, multiplier_, slack_, phi_mu_, step_, multiplier_step_, slack_step_, diagonal_, upper_, lower_, rhs_, load_moment_;
 };
@@ -136,6 +159,8 @@ class FrictionSolver {
     double base_l_ = 0;
     std::shared_ptr<LoadMoments> loads_;  // null without loads
     LaneState kept_;  // of slide(): the iterate to go back to, and the anchor
+    ExactGeometry exact_;
+    bool is_exact_ = false;  // accuracy built for
     std::vector<double> mass_vector_;  // [node][tube], the eigenvector of stability()
 };
 

@@ -84,6 +84,8 @@ struct KernelState {
     const SlipLaw* slip;      // null: phi_mu is given; else it follows the slip (single lane)
     const double* anchor; // [node][stride] angles that damping pulls back to; null without damping
     int block_stride;     // row length of blocks: room for stride + 1 entries, for a single lane in whole registers
+    const double* shift;  // [contact][2] m, added to the offset of a contact; null without exact geometry (exact.hpp)
+    const double* load;   // [node][stride], where the residual starts instead of at zero; null likewise
 };
 
 // One function table per instruction set; the scalar ones treat a single lane.

@@ -18,8 +18,15 @@ struct Accuracy {
     double contact_finest = 4e-4;   // spacing of contact points at the same places
     double contact_coarsest = 2e-3;
     double barrier = 0.3;           // last barrier level, in units of BarrierPath
+    bool exact = false;             // finish on the exact geometry, exact.hpp
     static Accuracy search() { return {}; }
     static Accuracy certificate() { return {5e-4, 2.5e-3, 0.2, 1.25e-4, 5e-4, 0.015}; }
+    static Accuracy exact_geometry() {
+        Accuracy made = certificate();
+        made.exact = true;
+        made.barrier = 1.5e-4;
+        return made;
+    }
 };
 
 // What a mesh owns; KernelProblem points into it.

@@ -47,6 +47,10 @@ struct Backbone {
 void element_curvature(const FrictionSolver& solver, const LaneState& state, int lane, int element, double xi,
                        double (*curvature)[2], double (*rotated)[2]);
 
+// Bending moment of tube t against curvature kappa at a Gauss point, N m, and its derivative, xx, xy, yy.
+void section_moment(const FrictionSolver& solver, const LaneState& state, int lane, int element, int gauss, int t, const double* kappa,
+                    const double* rotated, double* moment, double* tangent);
+
 void trace_backbone(const FrictionSolver& solver, const LaneState& state, int lane, double base_l, Backbone& out);
 Shape make_shape(const FrictionSolver& solver, const LaneState& state, int lane, const Configuration& q);
 Shape make_shape(const Robot& robot, const ZeroClearance& solution, const Configuration& q);
