@@ -80,7 +80,8 @@ class Chain:
     @property
     def start(self) -> Array:
         """(P,) where a fit starts."""
-        return np.array([p.neutral if p.start is None else p.start for p in self.parameters]) * self.si
+        start: Array = np.array([p.neutral if p.start is None else p.start for p in self.parameters]) * self.si
+        return start
 
     def slices(self) -> list[slice]:
         """Where each term's parameters stand."""
@@ -173,10 +174,10 @@ class Chain:
 
     def _named(self, p: Array) -> list[str]:
         """Named numbers of the robot that the mechanics terms set."""
-        robot, names = self.robot, {}
+        robot, names = self.robot, set[str]()
         for t, values in zip(self.terms, self.values(p), strict=True):
             if t.effect.stage == "mechanics":
-                names |= t.effect.mechanics(values, robot)
+                names |= set(t.effect.mechanics(values, robot))
         return sorted(names)
 
     def _mechanics_columns(self, p: Array, names: list[str], upstream: Array, by: Array) -> None:
@@ -238,7 +239,8 @@ class Chain:
         Without a sensor that is fixed to the tube any direction across the tangent will do.
         """
         if not any(t.name == "sensor_offset" for t in self.terms):
-            return np.eye(3)[np.argmin(np.abs(tangent), axis=1)]
+            across: Array = np.eye(3)[np.argmin(np.abs(tangent), axis=1)]
+            return across
         if self._across is None:
             rows = zip(collars.theta, collars.l, phi, strict=True)
             self._across = np.array([robot.solve(*row).tubes[-1].frames[-1, :, 0] for row in rows])
