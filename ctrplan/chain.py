@@ -138,7 +138,7 @@ class Chain:
         position, tangent = table.position_m, table.tangent
         if self.correction is not None:
             position, tangent = position + self.correction[0], _unit(tangent + self.correction[1])
-        poses = Poses(position, frames_along(tangent, self._tip_x(robot, collars, phi, tangent)))
+        poses = Poses(position, frames_along(tangent, self._tip_x(p, robot, collars, phi, tangent)))
         seen = self.measured(p, poses)
         count = len(self.parameters) if derivatives else 0
         by = np.zeros((len(position), 6, count))
@@ -233,12 +233,12 @@ class Chain:
         difference: Array = (of(up) - of(down)) / (up[j] - down[j])
         return difference
 
-    def _tip_x(self, robot: Robot, collars: Collars, phi: Array, tangent: Array) -> Array:
+    def _tip_x(self, p: Array, robot: Robot, collars: Collars, phi: Array, tangent: Array) -> Array:
         """(K, 3) x axis of the innermost tube's frame at the tip; solved once, for it hardly moves during a fit.
 
         Without a sensor that is fixed to the tube any direction across the tangent will do.
         """
-        if not any(t.name == "sensor_offset" for t in self.terms):
+        if not any(effect.name == "sensor_offset" for effect, _ in self._at_work(p)):
             across: Array = np.eye(3)[np.argmin(np.abs(tangent), axis=1)]
             return across
         if self._across is None:
