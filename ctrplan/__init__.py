@@ -12,6 +12,7 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from ctrplan import planning
+    from ctrplan.calibration import Calibration, calibrate
     from ctrplan.diagnosis.diagnose import diagnose as diagnose
     from ctrplan.diagnosis.result import Diagnosis
     from ctrplan.errors import CtrplanError, InputError, NoAnswerError
@@ -26,7 +27,9 @@ if TYPE_CHECKING:
     from ctrplan.scenario import Scenario, load_scenario
 
 _HOMES = {
+    "Calibration": "calibration",
     "Diagnosis": "diagnosis.result",
+    "calibrate": "calibration",
     "Measurements": "measurements",
     "diagnose": "diagnosis.diagnose",
     "load_measurements": "measurement_file",
@@ -50,10 +53,11 @@ _HOMES = {
 __all__ = [
     "Bound",
     "Bounds",
+    "Calibration",
     "CtrplanError",
+    "Diagnosis",
     "History",
     "HistoryStep",
-    "Diagnosis",
     "InputError",
     "Measurements",
     "NoAnswerError",
@@ -62,6 +66,7 @@ __all__ = [
     "Scenario",
     "Shape",
     "Status",
+    "calibrate",
     "diagnose",
     "load_measurements",
     "load_robot",

@@ -80,7 +80,8 @@ class Chain:
     @property
     def start(self) -> Array:
         """(P,) where a fit starts."""
-        return np.array([p.neutral if p.start is None else p.start for p in self.parameters]) * self.si
+        start: Array = np.array([p.neutral if p.start is None else p.start for p in self.parameters]) * self.si
+        return start
 
     def slices(self) -> list[slice]:
         """Where each term's parameters stand."""
@@ -137,7 +138,7 @@ class Chain:
         position, tangent = table.position_m, table.tangent
         if self.correction is not None:
             position, tangent = position + self.correction[0], _unit(tangent + self.correction[1])
-        poses = Poses(position, frames_along(tangent, self._tip_x(robot, collars, phi, tangent)))
+        poses = Poses(position, frames_along(tangent, self._tip_x(p, robot, collars, phi, tangent)))
         seen = self.measured(p, poses)
         count = len(self.parameters) if derivatives else 0
         by = np.zeros((len(position), 6, count))
@@ -173,10 +174,10 @@ class Chain:
 
     def _named(self, p: Array) -> list[str]:
         """Named numbers of the robot that the mechanics terms set."""
-        robot, names = self.robot, {}
+        robot, names = self.robot, set[str]()
         for t, values in zip(self.terms, self.values(p), strict=True):
             if t.effect.stage == "mechanics":
-                names |= t.effect.mechanics(values, robot)
+                names |= set(t.effect.mechanics(values, robot))
         return sorted(names)
 
     def _mechanics_columns(self, p: Array, names: list[str], upstream: Array, by: Array) -> None:
@@ -232,13 +233,14 @@ class Chain:
         difference: Array = (of(up) - of(down)) / (up[j] - down[j])
         return difference
 
-    def _tip_x(self, robot: Robot, collars: Collars, phi: Array, tangent: Array) -> Array:
+    def _tip_x(self, p: Array, robot: Robot, collars: Collars, phi: Array, tangent: Array) -> Array:
         """(K, 3) x axis of the innermost tube's frame at the tip; solved once, for it hardly moves during a fit.
 
         Without a sensor that is fixed to the tube any direction across the tangent will do.
         """
-        if not any(t.name == "sensor_offset" for t in self.terms):
-            return np.eye(3)[np.argmin(np.abs(tangent), axis=1)]
+        if not any(effect.name == "sensor_offset" for effect, _ in self._at_work(p)):
+            across: Array = np.eye(3)[np.argmin(np.abs(tangent), axis=1)]
+            return across
         if self._across is None:
             rows = zip(collars.theta, collars.l, phi, strict=True)
             self._across = np.array([robot.solve(*row).tubes[-1].frames[-1, :, 0] for row in rows])

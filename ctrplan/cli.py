@@ -9,11 +9,11 @@ import sys
 from collections.abc import Sequence
 
 import ctrplan
-from ctrplan.commands import bound, diagnose, field, ik, plan, simulate, view
+from ctrplan.commands import bound, calibrate, diagnose, field, ik, plan, simulate, view
 from ctrplan.commands.plan import INTERRUPTED
 from ctrplan.errors import CtrplanError
 
-COMMANDS = (plan, bound, ik, simulate, field, diagnose, view)
+COMMANDS = (plan, bound, ik, simulate, field, calibrate, diagnose, view)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

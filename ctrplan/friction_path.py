@@ -1,7 +1,7 @@
 """What the friction states of `approach.py` leave out, as a correction of the tips.
 
-At rest after a 90 degree approach the states are right, and a finer mesh gives the rest. On a continuous motion friction
-is spread unevenly along the tubes, and the whole path is simulated.
+At rest after a 90 degree approach the states are right, and a finer mesh gives the rest. On a continuous motion
+friction is spread unevenly along the tubes, and the whole path is simulated.
 """
 
 from __future__ import annotations

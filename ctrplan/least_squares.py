@@ -55,7 +55,8 @@ class Fit:
     def at_bound(self) -> NDArray[np.bool_]:
         """(P,) parameters that would leave their range."""
         margin = 1e-6 * self.chain.prior
-        return (self.p <= self.chain.lower + margin) | (self.p >= self.chain.upper - margin)
+        held: NDArray[np.bool_] = (self.p <= self.chain.lower + margin) | (self.p >= self.chain.upper - margin)
+        return held
 
 
 def information(parts: Residuals) -> Array:

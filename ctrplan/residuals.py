@@ -51,7 +51,8 @@ class Residuals:
     @property
     def norm(self) -> Array:
         """(K,) of each pose."""
-        return np.linalg.norm(self.r, axis=1)
+        norm: Array = np.linalg.norm(self.r, axis=1)
+        return norm
 
     @property
     def loss(self) -> float:

@@ -24,7 +24,7 @@ NOTES = ("ci95", "provenance")  # keys of an effect's table that say where its v
 
 def effects_of(robot: Robot) -> list[tuple[Effect, dict[str, float]]]:
     """The robot's effects with their parameters, SI, in the order of the file."""
-    from ctrplan.diagnosis.candidates import CATALOGUE
+    from ctrplan.diagnosis import CATALOGUE
 
     found = []
     for name, table in robot.effects.items():
@@ -36,7 +36,7 @@ def effects_of(robot: Robot) -> list[tuple[Effect, dict[str, float]]]:
 
 def check_effects(robot: Robot, document: Document) -> None:
     """Raises InputError for an effect that is not in the catalogue and for parameters it does not have."""
-    from ctrplan.diagnosis.candidates import CATALOGUE
+    from ctrplan.diagnosis import CATALOGUE
 
     for name, table in robot.effects.items():
         if name not in CATALOGUE:

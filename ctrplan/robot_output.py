@@ -13,8 +13,8 @@ import numpy as np
 import tomli_w
 
 import ctrplan
-from ctrplan.base_parameters import BaseParameters
 from ctrplan.chain import Chain, Term
+from ctrplan.diagnosis.effect import CATALOGUE
 from ctrplan.estimates import estimates
 from ctrplan.export import write_atomically
 from ctrplan.least_squares import Fit
@@ -31,7 +31,7 @@ def calibrated_content(fit: Fit, effects: Sequence[Term], data: Measurements, mo
     chain = fit.chain
     content: dict[str, Any] = copy.deepcopy(dict(chain.robot.content))
     for t, values in zip(chain.terms, chain.values(fit.p), strict=True):
-        if isinstance(t.effect, BaseParameters):
+        if t.effect.stage == "mechanics" and t.name not in CATALOGUE:
             _put(content, chain.robot, t.effect.mechanics(values, chain.robot))
     table = content.setdefault("effects", {})
     for t in effects:
@@ -61,12 +61,14 @@ def _put(content: dict[str, Any], robot: Robot, named: Mapping[str, float]) -> N
     """Named numbers in SI into the file's own keys; sections are scaled, so that effects in the robot stay out."""
     for name, value in named.items():
         kind, place, *rest = name.split(".")
-        if kind == "contact":
-            content["contact"][int(place) - 1]["friction_coefficient"] = _rounded(value)
+        if kind == "contact" and rest[0] == "friction_coefficient":
+            content["contact"][int(place) - 1][rest[0]] = _rounded(value)
+        elif kind == "contact":
+            content["contact"][int(place) - 1]["clearance_mm"] = _rounded(value * 1e3)
         elif rest[0] == "section":
             section = content["tube"][int(place) - 1]["section"][int(rest[1]) - 1]
-            before = value_of(robot, name)
-            section[rest[2]] = _rounded(section[rest[2]] * (value / before if before else 1.0))
+            before, key = value_of(robot, name), "length_mm" if rest[2] == "length_m" else rest[2]
+            section[key] = _rounded(section[key] * value / before if before else value)
         else:
             content["tube"][int(place) - 1][rest[0]] = _rounded(value)
 

@@ -31,7 +31,7 @@ def moved_rigidly(poses: Poses, turn: Array, shift: Array) -> Poses:
 
 
 def frames_along(tangent: Array, across: Array) -> Array:
-    """Frames (K, 3, 3) with the third axis along `tangent` (K, 3), the first as near to `across` (K, 3) as it can be."""
+    """Frames (K, 3, 3) whose third axis is `tangent` (K, 3), the first as near to `across` (K, 3) as it can be."""
     first = across - np.sum(across * tangent, axis=1, keepdims=True) * tangent
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     return np.stack([first, np.cross(tangent, first), tangent], axis=2)

@@ -293,8 +293,8 @@ def test_a_friction_interval_and_a_given_clearance_are_kept() -> None:
     assert robot.warnings == ()  # within the rounding of diameters
 
 
-def test_effects_are_kept_as_they_stand() -> None:
-    terms = {"tip_load": {"force_N": [0.1, 0, 0], "provenance": {"data": "a.csv", "day": "monday"}}}
+def test_effects_are_kept_as_they_stand_and_put_to_work() -> None:
+    terms = {"tip_load": {"force_x_N": 0.1, "provenance": {"data": "a.csv", "day": "monday"}}}
     assert robot_from_dict({**pair(), "effects": terms}).effects == terms
 
 

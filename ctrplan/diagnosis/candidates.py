@@ -11,6 +11,8 @@ from ctrplan.diagnosis.effect import CATALOGUE, Effect
 from ctrplan.measurements import Measurements
 from ctrplan.robot import Robot
 
+__all__ = ["CATALOGUE", "Candidates", "candidates"]
+
 
 @dataclass(frozen=True, eq=False)
 class Candidates:

@@ -48,7 +48,8 @@ class Gap:
 
 def distances(chain: Chain, p: Array) -> Array:
     """(K,) distance [m] of measured from predicted tips."""
-    return np.linalg.norm(chain.predict(p, derivatives=False).position_m - chain.data.position_m, axis=1)
+    distance: Array = np.linalg.norm(chain.predict(p, derivatives=False).position_m - chain.data.position_m, axis=1)
+    return distance
 
 
 def open_vault(before: Fit, after: Fit, vault: Measurements, group: NDArray[np.int_], noise: Noise) -> Gap:
@@ -62,8 +63,9 @@ def open_vault(before: Fit, after: Fit, vault: Measurements, group: NDArray[np.i
         name: (summary(errors[1][inside], group[inside]), summary(errors[2][inside], group[inside]))
         for name, inside in _regions(vault).items()
     }
-    whole = [summary(e, group) for e in errors]
-    return Gap(*whole, noise.floor_m, regions, errors[1], errors[2], _predictive(chains[2], after, group, noise))
+    nominal, calibrated, effective = (summary(e, group) for e in errors)
+    chi_square = _predictive(chains[2], after, group, noise)
+    return Gap(nominal, calibrated, effective, noise.floor_m, regions, errors[1], errors[2], chi_square)
 
 
 def summary(error: Array, group: NDArray[np.int_]) -> Errors:

@@ -1,4 +1,4 @@
-"""Whether what remains after a fit is noise: chi-square of all, of configurations' means, of contrasts between approaches."""
+"""Whether what remains after a fit is noise: chi-square of all, of configurations, of contrasts between approaches."""
 
 from __future__ import annotations
 

@@ -32,8 +32,8 @@ def rescaled_noise(left: Adequacy, noise: Noise) -> tuple[Noise | None, str]:
         return None, ""
     found = Noise(noise.position_m * factors[0], noise.tangent_rad * factors[1])
     sentence = (
-        f"The noise is not as stated: {found.position_m * 1e3:.3g} mm and {math.degrees(found.tangent_rad):.3g} deg fit "
-        f"the data, the file says {noise.position_m * 1e3:.3g} mm and {math.degrees(noise.tangent_rad):.3g} deg."
+        f"The noise is not as stated: {found.position_m * 1e3:.3g} mm and {math.degrees(found.tangent_rad):.3g} deg "
+        f"fit the data, the file says {noise.position_m * 1e3:.3g} mm and {math.degrees(noise.tangent_rad):.3g} deg."
     )
     return found, sentence
 

@@ -1,4 +1,4 @@
-"""How large the best gain of any candidate becomes when nothing is missing: simulated, so that many looks are paid for."""
+"""How large the best gain of all candidates becomes when nothing is missing: simulated, so that looks are paid for."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""report.html of a diagnosis: where it disagrees, what was tried, the verdict, the gap on the vault, what to do next."""
+"""report.html of a diagnosis: where it disagrees, what was tried, the verdict, the gap on the vault, what is next."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from ctrplan.export import write_atomically
 from ctrplan.html_page import Markup, escaped, facts, page, plot, section, table, tag
 
 MEANING = (
-    "A quarter of the configurations was set aside before anything was fitted; the errors before and after are on these "
-    "poses. Effects were chosen by how well they predict poses left out of the fit, against what the best of all "
+    "A quarter of the configurations was set aside before anything was fitted; the errors before and after are on "
+    "these poses. Effects were chosen by how well they predict poses left out of the fit, against what the best of all "
     "candidates reaches by chance on pure noise. Every candidate was fitted together with ordinary calibration "
     "(precurvature magnitudes, stiffness ratios, Poisson's ratios).",
     "A name is given only if what remains looks like noise. Where it does not, the data show something that the "
@@ -135,10 +135,16 @@ def _proposals(found: Diagnosis) -> Markup:
 
 def _path(found: Diagnosis) -> Markup:
     rows = (
-        (step.action, step.effect, ", ".join(step.parameters), f"{step.gain:.1f} ± {step.error:.1f}", f"{step.threshold:.1f}",
-         "taken" if step.taken else "")
+        (
+            step.action,
+            step.effect,
+            ", ".join(step.parameters),
+            f"{step.gain:.1f} ± {step.error:.1f}",
+            f"{step.threshold:.1f}",
+            "taken" if step.taken else "",
+        )
         for step in found.path
-    )  # fmt: skip
+    )
     return table(("Step", "Effect", "Parameters", "Gain in log-likelihood", "Needed", ""), rows)
 
 

@@ -65,8 +65,8 @@ class Selector:
         found.threshold = null_threshold(linear(here.fit), [s.linear for s in screened], self.bench.fold)
         tried = self.fitted(here, screened)
         if not tried:
-            best = screened[0]
-            found.path.append(_step("add", best.term, best.score - here.score, 0.0, found.threshold, False))
+            first = screened[0]
+            found.path.append(_step("add", first.term, first.score - here.score, 0.0, found.threshold, False))
         for candidate in tried:
             gain, error = self.bench.difference(candidate, here)
             best = candidate is tried[0] and gain > max(found.threshold, CERTAIN * error)

@@ -1,4 +1,4 @@
-"""Which poses choose the model, and which nothing reads until the end: whole configurations, never single approaches."""
+"""Which poses choose the model, and which nothing reads until the end: by configuration, never single approaches."""
 
 from __future__ import annotations
 

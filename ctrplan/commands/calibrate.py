@@ -1,0 +1,113 @@
+"""`ctrplan calibrate`: measured poses -> robot.toml with calibrated values, and calibration.json."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ctrplan.commands.options import add_set_option
+from ctrplan.commands.output_folder import DEFAULT as DEFAULT_FOLDER
+from ctrplan.commands.output_folder import output_folder, written_together
+
+if TYPE_CHECKING:
+    from ctrplan.calibration import Calibration
+    from ctrplan.diagnosis.gap import Errors
+
+OUTPUTS = ("robot.toml", "calibration.json")
+EXAMPLES = """examples:
+  ctrplan calibrate robot.toml measurements.csv -o out
+  ctrplan calibrate robot.toml measurements.csv -o out --parameters tube.2.poisson_ratio \
+tube.3.section.2.curvature_y_per_m --second-pass contact.1.friction_coefficient contact.2.friction_coefficient
+"""
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command to the command line."""
+    parser = commands.add_parser(
+        "calibrate",
+        help="fit named parameters of a robot file to measured poses",
+        description="Least squares over named parameters, with intervals, what the data can't tell, and the error on "
+        "configurations kept aside; write robot.toml and calibration.json. The robot file itself is not touched.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("robot", metavar="ROBOT.toml")
+    parser.add_argument("measurements", metavar="MEASUREMENTS.csv")
+    parser.add_argument("--parameters", nargs="+", metavar="NAME", help="default: precurvatures, stiffness ratios, nu")
+    parser.add_argument("--second-pass", nargs="+", metavar="NAME", default=[], help="fitted with the others held")
+    parser.add_argument("--weighting", choices=["stated", "paper"], help="stated noise, or 1 deg = 1 mm as at (49)")
+    parser.add_argument(
+        "--held-out", type=float, default=0.25, metavar="SHARE", help="of configurations (default: %(default)s)"
+    )
+    parser.add_argument("--starts", type=int, default=1, metavar="N", help="starts of the fit (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="of the starts and of what is kept aside")
+    parser.add_argument(
+        "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder for the results (default: %(default)s)"
+    )
+    add_set_option(parser, "the robot's key")
+    parser.set_defaults(run=run_calibrate)
+
+
+def run_calibrate(arguments: argparse.Namespace) -> int:
+    """Runs the command; returns its exit code. Raises CtrplanError when there is nothing to write."""
+    from ctrplan.calibration import calibrate
+    from ctrplan.errors import InputError
+    from ctrplan.export import write_atomically
+    from ctrplan.measurement_file import load_measurements
+    from ctrplan.robot import load_robot
+    from ctrplan.robot_output import write_robot
+
+    if not 1 <= arguments.starts <= 100:
+        raise InputError("must be from 1 to 100", key="--starts", value=arguments.starts)
+    robot = load_robot(arguments.robot, arguments.overrides)
+    data = load_measurements(arguments.measurements, robot)
+    folder = output_folder(arguments.output, OUTPUTS)
+    found = calibrate(
+        robot,
+        data,
+        arguments.parameters,
+        second_pass=arguments.second_pass,
+        weighting=arguments.weighting,
+        held_out=arguments.held_out,
+        starts=arguments.starts,
+        seed=arguments.seed,
+    )
+    with written_together(folder, OUTPUTS) as made:
+        write_robot(made / "robot.toml", found.robot_content())
+        write_atomically(made / "calibration.json", json.dumps(calibration_json(found), indent=1) + "\n")
+    for warning in (*robot.warnings, *found.notes):
+        print(f"ctrplan: warning: {warning}", file=sys.stderr)
+    print(_summary(folder, found))
+    return 0
+
+
+def calibration_json(found: Calibration) -> dict[str, Any]:
+    """The content of calibration.json; parameters are in the units that their names end with."""
+    return {
+        "parameters": {name: asdict(estimate) for name, estimate in found.estimates.items()},
+        "training": asdict(found.training),
+        "held_out": None if found.held_out is None else asdict(found.held_out),
+        "before": asdict(found.nominal),
+        "combinations": [asdict(combination) for combination in found.combinations],
+        "model_error_mm": found.model_error_m * 1e3,
+        "converged": found.fit.converged,
+        "notes": list(found.notes),
+    }
+
+
+def _summary(folder: Path, found: Calibration) -> str:
+    lines = [f"tips were {_errors(found.nominal)} off before, {_errors(found.training)} after calibration"]
+    if found.held_out is not None:
+        lines.append(f"  {_errors(found.held_out)} on {found.held_out.poses} poses kept aside")
+    for name, e in found.estimates.items():
+        lines.append(f"  {name:40} {e.value:.6g}  ({e.ci95[0]:.6g} to {e.ci95[1]:.6g})")
+    lines.append(f"  written to {folder}/{', '.join(OUTPUTS)}")
+    return "\n".join(lines)
+
+
+def _errors(errors: Errors) -> str:
+    return f"{errors.rms_m * 1e3:.2f} mm rms, {errors.max_m * 1e3:.2f} mm at most"
