@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,11 +16,12 @@ from hidden_effects.tube import Array, Tube
 
 HIGHEST_BARRIER = 3e4  # [N/m] at which every contact is centred
 CORNER_BARRIER = 30.0  # at which friction is switched on
-LOWEST_BARRIER = 0.05
-BARRIER_FACTOR = 15.0
-KEPT = 0.05  # of every gap and multiplier in a step
+LOWEST_BARRIER = 0.3
+BARRIER_FACTOR = 30.0
+KEPT = 0.02  # of every gap and multiplier in a step
 LARGEST_TURN_RAD = 0.6
-CONVERGED_M = 2e-7
+CONVERGED_M = 5e-6  # the next step would move the tip by about a hundredth of the noise
+NEAR_M = 1e-3  # steps that allow the barrier to fall
 MOST_STEPS = 150
 
 # friction state of every station of a pair and its derivative with respect to all unknowns, of the present unknowns
@@ -92,6 +94,16 @@ class System:
         a, n = self.start[i], self.rods[i].n_bend
         return x[a : a + n], x[a + n : self.start[i + 1]]
 
+    def with_tubes(self, tubes: Sequence[Tube]) -> System:
+        """The same system with tubes of other material and precurvature, but the same lengths and joints."""
+        other = copy(self)
+        other.tubes, other.rods = tubes, [rod.of(tube) for rod, tube in zip(self.rods, tubes, strict=True)]
+        return other
+
+    def elastic_gradient(self, x: Array) -> Array:
+        """What the elastic energy contributes to the imbalance."""
+        return np.concatenate([rod.elastic(*self.parts(x, i))[0] for i, rod in enumerate(self.rods)])
+
     def cold(self) -> State:
         """The start on a common centreline."""
         kappa, angles = common_centreline(self.rods, self.theta_b, len(self.s) - 1)
@@ -100,14 +112,16 @@ class System:
         lam = [HIGHEST_BARRIER * c.pair.clearance_m * c.share / gap for c, gap in zip(self.contacts, w, strict=True)]
         return State(x, lam, w, HIGHEST_BARRIER)
 
-    def solve(self, state: State, friction: FrictionState, lowest: float = LOWEST_BARRIER) -> State:
+    def solve(
+        self, state: State, friction: FrictionState, lowest: float = LOWEST_BARRIER, converged: float = CONVERGED_M
+    ) -> State:
         """Newton's method from a copy of `state`, the barrier falling to `lowest`. Raises NoEquilibrium."""
         state = state.copy()
         for _ in range(MOST_STEPS):
             moved, share = self._step(state, friction)
-            if share == 1.0 and moved < 1e-3 and state.barrier > lowest:
+            if share == 1.0 and moved < NEAR_M and state.barrier > lowest:
                 state.barrier = max(lowest, state.barrier / BARRIER_FACTOR)
-            elif share == 1.0 and moved < CONVERGED_M and state.barrier == lowest:
+            elif share == 1.0 and moved < converged and state.barrier == lowest:
                 return state
         raise NoEquilibrium(f"moved by {moved:.1e} m in step {MOST_STEPS}")
 

@@ -7,6 +7,7 @@ alone, by rotation exponentials; theta enters the elastic energy and the torques
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,6 +93,12 @@ class Rod:
         self.twist, self.twist_at = hats(angle_nodes, self.middle), hats(angle_nodes, self.s)
         self.element = np.diff(angle_nodes)
         self.guided = np.zeros(len(self.h), dtype=bool)
+
+    def of(self, tube: Tube) -> Rod:
+        """The same mesh for another tube of the same sections' lengths."""
+        other = copy(self)
+        other.tube, other.v = tube, tube.precurvature(self.middle - self.l_b)
+        return other
 
     def guide(self) -> None:
         """The outermost tube lies on the axis behind the front plate, s = 0."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.linalg import eigh
 
 from hidden_effects.rod import Rod
 from hidden_effects.tube import Array
@@ -14,10 +15,17 @@ STEPS = 12
 LARGEST_TURN_RAD = 0.6
 
 
-def common_centreline(rods: Sequence[Rod], theta_b: Array, n_links: int) -> tuple[list[Array], list[Array]]:
-    """Nodal curvatures and angles of every rod without clearance; free of twist and straight behind the plate."""
+def common_centreline(
+    rods: Sequence[Rod], theta_b: Array, n_links: int, turn: Array | None = None
+) -> tuple[list[Array], list[Array]]:
+    """Nodal curvatures and angles of every rod without clearance; straight and free to twist behind the plate.
+
+    `turn` (n,) turns the tubes in front of the plate at the start, in search of other equilibria.
+    """
     angles = [np.full(rod.n_twist, angle) for rod, angle in zip(rods, theta_b.tolist(), strict=True)]
-    for stage in range(1, STAGES + 1):
+    for rod, angle, off in zip(rods, angles, (np.zeros(len(rods)) if turn is None else turn).tolist(), strict=True):
+        angle[1:] += off * np.clip(np.cumsum(rod.element) / np.sum(rod.element), 0, 1)
+    for stage in range(1 if turn is None else STAGES, STAGES + 1):
         for _ in range(STEPS):
             gradient, hessian = _energy_derivatives(rods, angles, stage / STAGES, n_links)
             step = -np.linalg.solve(hessian, gradient)
@@ -30,6 +38,20 @@ def common_centreline(rods: Sequence[Rod], theta_b: Array, n_links: int) -> tupl
                 break
     mean = _mean_curvature(rods, angles, 1.0, n_links)
     return [_nodal(rod, mean[rod.first : rod.last]) for rod in rods], angles
+
+
+def stability(rods: Sequence[Rod], angles: Sequence[Array], n_links: int) -> float:
+    """Smallest eigenvalue of the second variation against int dtheta^2 ds, times L^2 / GJ of the innermost tube."""
+    _, hessian = _energy_derivatives(rods, angles, 1.0, n_links)
+    mass = np.zeros_like(hessian)
+    start = 0
+    for rod in rods:
+        shape = rod.twist[:, 1:]
+        own = slice(start, start + shape.shape[1])
+        mass[own, own] = (shape * rod.h[:, None]).T @ shape + 1e-9 * np.eye(shape.shape[1])
+        start = own.stop
+    tube = rods[-1].tube
+    return float(eigh(hessian, mass, eigvals_only=True, subset_by_index=[0, 0])[0]) * tube.length_m**2 / tube.torsional_stiffness_Nm2
 
 
 def _turned(rod: Rod, angle: Array, scale: float) -> Array:
