@@ -96,7 +96,9 @@ def make(folder: Path, todo: list[Case]) -> None:
         began = time.perf_counter()
         for attempt in range(RETRIES):
             try:
-                write(Case(case.name, case.row, case.seed + attempt, *(getattr(case, f) for f in CASE_FIELDS[2:])), folder)
+                write(
+                    Case(case.name, case.row, case.seed + attempt, *(getattr(case, f) for f in CASE_FIELDS[2:])), folder
+                )
                 break
             except (NoEquilibrium, np.linalg.LinAlgError) as refusal:
                 print(f"{case.name}: drawn again, {refusal}", flush=True)

@@ -1,4 +1,4 @@
-"""A case: seed, hidden effects with their sizes, noise, experiment; from it the folder that a laboratory would hand over."""
+"""A case: seed, hidden effects with their sizes, noise, experiment; and the folder that a laboratory hands over."""
 
 from __future__ import annotations
 

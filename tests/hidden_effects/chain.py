@@ -1,4 +1,4 @@
-"""Commanded joints -> drive -> mechanics with friction -> sensor: the poses of a world in an experiment, without noise."""
+"""Commanded joints -> drive -> mechanics with friction -> sensor: the poses of a world, without noise."""
 
 from __future__ import annotations
 
@@ -30,9 +30,7 @@ class Poses:
         return self.F[:, :, 2]
 
 
-def poses(
-    world: World, experiment: Experiment, fineness: Fineness | None = None, knot_s: float = KNOT_S
-) -> Poses:
+def poses(world: World, experiment: Experiment, fineness: Fineness | None = None, knot_s: float = KNOT_S) -> Poses:
     """What an exact tracker would report."""
     mesh = fineness or Fineness()
     p, F = _continuous(world, experiment, mesh, knot_s) if experiment.continuous else _dwelling(world, experiment, mesh)

@@ -1,8 +1,8 @@
-"""Contact and friction of one neighbouring pair: distances in the outer tube's normal plane, an interior point at each station.
+"""Contact and friction of one neighbouring pair: distances in the outer tube's normal plane.
 
-A station carries a multiplier lam > 0 and a gap w > 0 with w = (c^2 - |d|^2) / 2 and lam w = eps. On the outer tube acts the
-force lam (d + phi mu t x d) and the torque phi mu r_in lam |d|^2 / c about its tangent; on the inner one the opposite force
-and phi mu r_out: equations (36) to (41) of Ha et al. 2019, |d| = c in contact.
+Interior point: a station carries a multiplier lam > 0 and a gap w > 0 with w = (c^2 - |d|^2) / 2 and lam w = eps. On the
+outer tube acts the force lam (d + phi mu t x d) and the torque phi mu r_in lam |d|^2 / c about its tangent; on the inner
+one the opposite force, and -phi mu r_out: equations (36) to (41) of Ha et al. 2019, |d| = c in contact.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hidden_effects.tube import Array
 
 @dataclass(frozen=True)
 class Pair:
-    """Radial clearance [m], Coulomb coefficient, and the radii [m] at which friction turns the outer and the inner tube."""
+    """Radial clearance [m], Coulomb coefficient, radii [m] at which friction turns the outer and the inner tube."""
 
     clearance_m: float
     friction: float

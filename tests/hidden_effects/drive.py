@@ -9,6 +9,8 @@ import numpy as np
 from hidden_effects.tube import Array
 from hidden_effects.world import Motion
 
+CALMING_SWINGS = 5  # that many, each smaller than the one before, are an oscillation of decreasing amplitude
+
 
 @dataclass(frozen=True)
 class Offset:
@@ -51,9 +53,7 @@ class Eccentricity:
     harmonic: int = 1
 
     def __call__(self, motion: Motion) -> Motion:
-        return replace(
-            motion, theta=motion.theta + self.amplitude * np.sin(self.harmonic * motion.theta + self.phase)
-        )
+        return replace(motion, theta=motion.theta + self.amplitude * np.sin(self.harmonic * motion.theta + self.phase))
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Slip:
 
 @dataclass(frozen=True)
 class PlateFriction:
-    """Rotation lost between collar and plate, against the last direction and in proportion to the length behind: rad/m (n,)."""
+    """Rotation lost behind the plate, against the last direction and in proportion to the length there: rad/m (n,)."""
 
     loss: Array
 
@@ -96,10 +96,11 @@ def last_direction(motion: Motion) -> Array:
     theta = motion.theta
     fresh = np.r_[True, np.diff(motion.sequence) != 0]
     move = np.where(fresh[:, None], 0.0, np.round(np.diff(theta, axis=0, prepend=theta[:1]), 9))
-    sign = np.sign(move)
+    sign, swings = np.sign(move), np.zeros(theta.shape, dtype=int)
     for k in range(1, len(sign)):
         if fresh[k]:
             continue
         calming = (move[k] * move[k - 1] < 0) & (np.abs(move[k]) < np.abs(move[k - 1]))
-        sign[k] = np.where(calming, 0.0, np.where(sign[k] == 0, sign[k - 1], sign[k]))
+        swings[k] = np.where(calming, swings[k - 1] + 1, 0)
+        sign[k] = np.where(swings[k] >= CALMING_SWINGS, 0.0, np.where(sign[k] == 0, sign[k - 1], sign[k]))
     return np.asarray(sign)

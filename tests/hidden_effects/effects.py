@@ -1,7 +1,7 @@
-"""Effects by name: each changes a world; size 1 leaves about the noise after recalibration (`nominal` of bank.py measures it).
+"""Effects by name: each changes a world; size 1 leaves about the noise after recalibration (truth.json says what).
 
-An effect is `name(world, size, rng) -> (world, true parameters)`. Which tube, which direction is drawn; how much follows
-from the size. `duration_s` of the experiment, which clocks need, comes in the Draw.
+An effect is `name(world, draw) -> (world, true parameters)`. Which tube, which direction is drawn; how much follows from
+the size.
 """
 
 from __future__ import annotations
@@ -97,41 +97,46 @@ def add_sensor(world: World, term: SensorTerm) -> World:
 
 @_register(CATALOGUE)
 def friction(world: World, draw: Draw) -> tuple[World, Parameters]:
-    mu = draw.size * 0.05 * draw.rng.uniform(0.7, 1.3, world.n - 1)
+    mu = draw.size * 0.015 * draw.rng.uniform(0.7, 1.3, world.n - 1)
     pairs = tuple(replace(pair, friction=float(m)) for pair, m in zip(world.pairs, mu, strict=True))
     return replace(world, pairs=pairs), {f"mu_{i + 1}": float(m) for i, m in enumerate(mu)}
 
 
 @_register(CATALOGUE)
 def clearance(world: World, draw: Draw) -> tuple[World, Parameters]:
-    gaps = np.array([pair.clearance_m for pair in world.pairs]) + draw.size * 0.1e-3 * draw.rng.uniform(0.5, 1.5, world.n - 1)
+    gaps = np.array([pair.clearance_m for pair in world.pairs]) + draw.size * 0.1e-3 * draw.rng.uniform(
+        0.5, 1.5, world.n - 1
+    )
     pairs = tuple(replace(pair, clearance_m=float(c)) for pair, c in zip(world.pairs, gaps, strict=True))
     return replace(world, pairs=pairs), {
-        f"delta_{i + 1}_mm": 1e3 * (float(c) - pair.clearance_m) for i, (c, pair) in enumerate(zip(gaps, world.pairs, strict=True))
+        f"delta_{i + 1}_mm": 1e3 * (float(c) - pair.clearance_m)
+        for i, (c, pair) in enumerate(zip(gaps, world.pairs, strict=True))
     }
 
 
 @_register(CATALOGUE)
 def translation_release(world: World, draw: Draw) -> tuple[World, Parameters]:
     """With the friction it releases; the larger, the shorter the translation it takes."""
-    world, parameters = friction(world, replace(draw, size=3.0))
+    world, parameters = friction(world, replace(draw, size=6.0))
     return replace(world, release_m=2e-3 / draw.size), {**parameters, "release_per_mm": draw.size / 2}
 
 
 @_register(CATALOGUE)
 def nonlinear_elasticity(world: World, draw: Draw) -> tuple[World, Parameters]:
     """The same alloy in all tubes; the larger, the earlier and the further it softens."""
-    soft = Softening(0.007 * 0.75**draw.size, max(0.75**draw.size, 0.15))
+    soft = Softening(max(0.006 * 0.8**draw.size, 0.002), max(0.6**draw.size, 0.1))
     world = replace(world, tubes=tuple(replace(tube, softening=soft) for tube in world.tubes))
     return world, {"strain_percent": 100 * soft.strain, "stiffness_fraction": soft.fraction}
 
 
 @_register(CATALOGUE)
 def off_plane_precurvature(world: World, draw: Draw) -> tuple[World, Parameters]:
-    tube, angle = draw.inner_tube(world.n), draw.sign() * draw.size * np.deg2rad(2.0)
+    tube, angle = draw.inner_tube(world.n), draw.sign() * draw.size * np.deg2rad(1.4)
 
     def tilt(section: Section) -> Section:
-        return replace(section, curvature_per_m=(np.tan(angle) * section.curvature_per_m[1], section.curvature_per_m[1]))
+        return replace(
+            section, curvature_per_m=(np.tan(angle) * section.curvature_per_m[1], section.curvature_per_m[1])
+        )
 
     world = change_tube(world, tube, lambda t: change_curved(t, tilt))
     section = len(world.tubes[tube].sections)
@@ -140,14 +145,14 @@ def off_plane_precurvature(world: World, draw: Draw) -> tuple[World, Parameters]
 
 @_register(CATALOGUE)
 def varying_precurvature(world: World, draw: Draw) -> tuple[World, Parameters]:
-    tube, gradient = int(draw.rng.integers(0, world.n)), draw.sign() * draw.size * 0.1
+    tube, gradient = int(draw.rng.integers(0, world.n)), draw.sign() * min(draw.size * 0.25, 0.9)
     world = change_tube(world, tube, lambda t: change_curved(t, lambda s: replace(s, gradient=gradient)))
     return world, {f"gradient_{tube + 1}_{len(world.tubes[tube].sections)}": gradient}
 
 
 @_register(CATALOGUE)
 def ovality(world: World, draw: Draw) -> tuple[World, Parameters]:
-    tube, e = int(draw.rng.integers(0, world.n)), draw.sign() * min(draw.size * 0.1, 0.6)
+    tube, e = int(draw.rng.integers(0, world.n)), draw.sign() * min(draw.size * 0.25, 0.7)
     return change_tube(world, tube, lambda t: replace(t, ovality=e)), {"tube": tube + 1, "ovality": e}
 
 
@@ -161,7 +166,7 @@ def tip_load(world: World, draw: Draw) -> tuple[World, Parameters]:
 @_register(CATALOGUE)
 def gravity(world: World, draw: Draw) -> tuple[World, Parameters]:
     """Weights of nitinol tubes, filled or heavier: in proportion to their cross sections."""
-    down, g = draw.direction(), draw.size * 16.0
+    down, g = draw.direction(), draw.size * 45.0
     area = np.pi * np.array([tube.outer_radius_m**2 - tube.inner_radius_m**2 for tube in world.tubes])
     weight = NITINOL_KG_M3 * g * area
     tubes = tuple(replace(tube, weight_N_per_m=float(w)) for tube, w in zip(world.tubes, weight, strict=True))
@@ -171,7 +176,7 @@ def gravity(world: World, draw: Draw) -> tuple[World, Parameters]:
 
 @_register(CATALOGUE)
 def shaft_torsion(world: World, draw: Draw) -> tuple[World, Parameters]:
-    compliance = draw.size * 1.0 * draw.rng.uniform(0.7, 1.3, world.n) * (np.arange(world.n) > 0)
+    compliance = draw.size * 6.0 * draw.rng.uniform(0.7, 1.3, world.n) * (np.arange(world.n) > 0)
     tubes = tuple(
         replace(tube, shaft_compliance_rad_per_Nm=float(c)) for tube, c in zip(world.tubes, compliance, strict=True)
     )
@@ -180,13 +185,13 @@ def shaft_torsion(world: World, draw: Draw) -> tuple[World, Parameters]:
 
 @_register(CATALOGUE)
 def backlash(world: World, draw: Draw) -> tuple[World, Parameters]:
-    play = draw.size * np.deg2rad(3.0) * draw.rng.uniform(0.6, 1.4, world.n) * (np.arange(world.n) > 0)
+    play = draw.size * np.deg2rad(2.0) * draw.rng.uniform(0.6, 1.4, world.n) * (np.arange(world.n) > 0)
     return add_drive(world, drive.Backlash(play)), by_tube("theta_{}_deg", np.rad2deg(play))
 
 
 @_register(CATALOGUE)
 def homing_rotation(world: World, draw: Draw) -> tuple[World, Parameters]:
-    offset = draw.one_of(world.n, draw.inner_tube(world.n), draw.sign() * draw.size * np.deg2rad(2.0))
+    offset = draw.one_of(world.n, draw.inner_tube(world.n), draw.sign() * draw.size * np.deg2rad(1.4))
     return add_drive(world, drive.Offset(offset, 0 * offset)), by_tube("theta_{}_deg", np.rad2deg(offset))
 
 
@@ -198,13 +203,13 @@ def homing_translation(world: World, draw: Draw) -> tuple[World, Parameters]:
 
 @_register(CATALOGUE)
 def joint_scale(world: World, draw: Draw) -> tuple[World, Parameters]:
-    turns = draw.one_of(world.n, draw.inner_tube(world.n), draw.sign() * draw.size * 0.015)
+    turns = draw.one_of(world.n, draw.inner_tube(world.n), draw.sign() * draw.size * 0.022)
     return add_drive(world, drive.Scale(turns, 0 * turns)), by_tube("theta_{}", turns)
 
 
 @_register(CATALOGUE)
 def eccentricity(world: World, draw: Draw) -> tuple[World, Parameters]:
-    amplitude = draw.one_of(world.n, draw.inner_tube(world.n), draw.size * np.deg2rad(3.0))
+    amplitude = draw.one_of(world.n, draw.inner_tube(world.n), draw.size * np.deg2rad(2.0))
     phase = draw.rng.uniform(-np.pi, np.pi, world.n)
     world = add_drive(world, drive.Eccentricity(amplitude, phase))
     sin_cos = np.rad2deg(amplitude * [np.sin(phase), np.cos(phase)])
@@ -239,13 +244,13 @@ def sensor_distortion(world: World, draw: Draw) -> tuple[World, Parameters]:
 
 @_register(CATALOGUE)
 def lag(world: World, draw: Draw) -> tuple[World, Parameters]:
-    late = draw.size * 0.05
+    late = draw.size * 0.036
     return replace(world, lag_s=late), {"tau_s": late}
 
 
 @_register(CATALOGUE)
 def drift(world: World, draw: Draw) -> tuple[World, Parameters]:
-    rate = draw.size * 2.4e-3 / draw.duration_s * draw.direction()
+    rate = draw.size * 1.6e-3 / draw.duration_s * draw.direction()
     return add_sensor(world, sensor.Drift(rate)), by_axis("shift_{}_mm_per_h", 3.6e6 * rate)
 
 
@@ -254,7 +259,7 @@ def kink(world: World, draw: Draw) -> tuple[World, Parameters]:
     """A tube permanently bent at one place, out of its plane."""
     tube = draw.inner_tube(world.n)
     length, width = world.tubes[tube].length_m, 4e-3
-    turn = draw.sign() * draw.size * np.deg2rad(3.0) / width
+    turn = draw.sign() * draw.size * np.deg2rad(1.0) / width
     place = float(length - draw.rng.uniform(0.3, 0.7) * world.tubes[tube].sections[-1].length_m)
     bend = Kink(place, width, (turn * 0.97, turn * 0.25))
     return change_tube(world, tube, lambda t: replace(t, kinks=(bend,))), {"tube": tube + 1, "x_m": place}
@@ -269,13 +274,13 @@ def plate_friction(world: World, draw: Draw) -> tuple[World, Parameters]:
 @_register(UNKNOWN)
 def warming(world: World, draw: Draw) -> tuple[World, Parameters]:
     """The curvature of a tube follows the temperature of the room."""
-    change = Warming(draw.inner_tube(world.n), draw.size * 0.02, draw.duration_s / float(draw.rng.uniform(2.2, 4.5)))
+    change = Warming(draw.inner_tube(world.n), draw.size * 0.04, draw.duration_s / float(draw.rng.uniform(2.2, 4.5)))
     return replace(world, warming=change), {"tube": change.tube + 1, "amplitude": change.amplitude}
 
 
 @_register(UNKNOWN)
 def third_harmonic(world: World, draw: Draw) -> tuple[World, Parameters]:
-    amplitude = draw.one_of(world.n, draw.inner_tube(world.n), draw.size * np.deg2rad(3.0))
+    amplitude = draw.one_of(world.n, draw.inner_tube(world.n), draw.size * np.deg2rad(2.3))
     phase = draw.rng.uniform(-np.pi, np.pi, world.n)
     return add_drive(world, drive.Eccentricity(amplitude, phase, 3)), {"amplitude_rad": amplitude.tolist()}
 

@@ -1,4 +1,4 @@
-"""Equilibrium of all rods with contact, friction and loads: Newton's method on moments, angles, multipliers and gaps."""
+"""Equilibrium of all rods with contact, friction and loads: Newton's method on all unknowns."""
 
 from __future__ import annotations
 
@@ -71,7 +71,9 @@ class System:
         mesh = fineness or Fineness()
         self.tubes, self.theta_b, self.loads = tubes, np.asarray(theta_b, float), loads or Loads()
         self.s = stations(tubes, np.asarray(l_b), mesh)
-        self.rods = [Rod(tube, l, self.s, mesh.links_per_node) for tube, l in zip(tubes, l_b.tolist(), strict=True)]
+        self.rods = [
+            Rod(tube, base, self.s, mesh.links_per_node) for tube, base in zip(tubes, l_b.tolist(), strict=True)
+        ]
         self.rods[0].guide()
         self.contacts = [
             Contact(pair, outer, inner, self.s)
@@ -128,9 +130,7 @@ class System:
     def look(self, state: State) -> None:
         """Centrelines and distances at the unknowns of the state."""
         state.curves = [rod.curve(self.parts(state.x, i)[0]) for i, rod in enumerate(self.rods)]
-        state.distances = [
-            c.distances(state.curves[i], state.curves[i + 1]) for i, c in enumerate(self.contacts)
-        ]
+        state.distances = [c.distances(state.curves[i], state.curves[i + 1]) for i, c in enumerate(self.contacts)]
 
     def residual(self, state: State, friction: FrictionState) -> tuple[Array, Array]:
         """Imbalance of all unknowns x with the multipliers eliminated, and its derivative."""

@@ -51,7 +51,7 @@ def draw_configurations(world: World, count: int, rng: np.random.Generator) -> t
 def is_calm(world: World, theta: Array, l_b: Array) -> bool:
     """Far from snapping, and the same shape from wherever it is approached."""
     s = stations(world.tubes, l_b, Fineness(3e-3, 8e-3, 1.5, 1))
-    rods = [Rod(tube, l, s, 1) for tube, l in zip(world.tubes, l_b.tolist(), strict=True)]
+    rods = [Rod(tube, base, s, 1) for tube, base in zip(world.tubes, l_b.tolist(), strict=True)]
     _, angles = common_centreline(rods, theta, len(s) - 1)
     if stability(rods, angles, len(s) - 1) < LEAST_STABILITY:
         return False
@@ -113,4 +113,6 @@ def continuous_motion(world: World, count: int, rng: np.random.Generator) -> Exp
 
 def _wave(time_s: Array, amplitude: float, rng: np.random.Generator) -> Array:
     periods, phases = rng.uniform(6.0, 16.0, 2), rng.uniform(-np.pi, np.pi, 2)
-    return np.asarray(sum(amplitude / 2 * np.sin(2 * np.pi * time_s / T + a) for T, a in zip(periods, phases, strict=True)))
+    return np.asarray(
+        sum(amplitude / 2 * np.sin(2 * np.pi * time_s / T + a) for T, a in zip(periods, phases, strict=True))
+    )

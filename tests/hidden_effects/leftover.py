@@ -17,7 +17,7 @@ CONTINUOUS_STRIDE = 8  # rows of a continuous motion that are looked at: every 0
 
 
 def leftover_over_noise(plain: World, experiment: Experiment, found: Poses) -> float:
-    """Root mean square over poses of the 3-D tip error that a linear recalibration of `plain` leaves, over sigma sqrt(3).
+    """Rms over poses of the 3-D tip error that a linear recalibration of `plain` leaves, over sigma sqrt(3).
 
     `plain` is the true robot without its effects; `found` are the poses with them.
     """

@@ -14,11 +14,11 @@ SAME_PLACE_M = 1e-6
 
 @dataclass(frozen=True)
 class Fineness:
-    """Length of links where forces concentrate and elsewhere, its growth from link to link, links per shape function."""
+    """Length of links where forces concentrate and elsewhere, growth from link to link, links per shape function."""
 
     finest_m: float = 0.35e-3
-    coarsest_m: float = 3.0e-3
-    growth: float = 1.15
+    coarsest_m: float = 2.0e-3
+    growth: float = 1.12
     links_per_node: int = 4
 
     def halved(self) -> Fineness:
@@ -27,7 +27,7 @@ class Fineness:
 
 def stations(tubes: Sequence[Tube], l_b: Array, fineness: Fineness) -> Array:
     """Arc lengths (K,) [m] from the innermost collar to the innermost tip, graded towards collars, joints and tips."""
-    places = sorted([0.0] + [l + x for tube, l in zip(tubes, l_b.tolist(), strict=True) for x in tube.joints_m])
+    places = sorted([0.0] + [base + x for tube, base in zip(tubes, l_b.tolist(), strict=True) for x in tube.joints_m])
     places = [place for place in places if place >= l_b[-1] - SAME_PLACE_M]
     corners = [places[0]] + [b for a, b in zip(places[:-1], places[1:], strict=True) if b - a > SAME_PLACE_M]
     pieces = [a + graded(b - a, fineness) for a, b in zip(corners[:-1], corners[1:], strict=True)]

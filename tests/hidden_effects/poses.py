@@ -54,9 +54,12 @@ class Solver:
             return None
         old, state = self._last
         turned = system.theta_b - old.theta_b
-        if np.array_equal(system.start, old.start) and [len(c.s) for c in system.contacts] == [
-            len(c.s) for c in old.contacts
-        ] and np.abs(turned).max() < NEARBY_RAD and np.abs(system.s - old.s).max() < 2e-3:
+        if (
+            np.array_equal(system.start, old.start)
+            and [len(c.s) for c in system.contacts] == [len(c.s) for c in old.contacts]
+            and np.abs(turned).max() < NEARBY_RAD
+            and np.abs(system.s - old.s).max() < 2e-3
+        ):
             near = state.copy()
             for i, rod in enumerate(system.rods):
                 near.x[system.start[i] + rod.n_bend : system.start[i + 1]] += turned[i]

@@ -1,4 +1,4 @@
-"""Where a cold solve starts: the tubes on one common centreline, twisted to equilibrium as the precurvature grows from 0."""
+"""Where a cold solve starts: the tubes on one common centreline, twisted as the precurvature grows from 0."""
 
 from __future__ import annotations
 
@@ -51,7 +51,11 @@ def stability(rods: Sequence[Rod], angles: Sequence[Array], n_links: int) -> flo
         mass[own, own] = (shape * rod.h[:, None]).T @ shape + 1e-9 * np.eye(shape.shape[1])
         start = own.stop
     tube = rods[-1].tube
-    return float(eigh(hessian, mass, eigvals_only=True, subset_by_index=[0, 0])[0]) * tube.length_m**2 / tube.torsional_stiffness_Nm2
+    return (
+        float(eigh(hessian, mass, eigvals_only=True, subset_by_index=[0, 0])[0])
+        * tube.length_m**2
+        / tube.torsional_stiffness_Nm2
+    )
 
 
 def _turned(rod: Rod, angle: Array, scale: float) -> Array:

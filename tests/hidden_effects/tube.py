@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Section:
-    """Rotation rate u = (u_x, u_y) [1/m] in the tube's frame, plus `gradient` times it per half length from the middle."""
+    """Rotation rate u = (u_x, u_y) [1/m] in the tube's frame, plus `gradient` times it per half length."""
 
     length_m: float
     curvature_per_m: tuple[float, float]

@@ -56,9 +56,7 @@ class World:
         if self.warming is None:
             return self.tubes
         factor = 1 + self.warming.amplitude * np.sin(2 * np.pi * time_s / self.warming.period_s)
-        return tuple(
-            bent(tube, factor) if i == self.warming.tube else tube for i, tube in enumerate(self.tubes)
-        )
+        return tuple(bent(tube, factor) if i == self.warming.tube else tube for i, tube in enumerate(self.tubes))
 
 
 def bent(tube: Tube, factor: float) -> Tube:
