@@ -230,7 +230,7 @@ def test_batches_that_are_refused() -> None:
             ask([GOOD[0]], [GOOD[1], GOOD[1]])
         with pytest.raises(InputError, match=r"shape \(K, 3\)"):
             ask(*GOOD)
-    with pytest.raises(InputError, match='"search" or "certificate"'):
+    with pytest.raises(InputError, match='"search", "certificate" or "exact"'):
         THREE_TUBES.bound(*GOOD, accuracy="best")  # type: ignore[arg-type]
 
 

@@ -1,0 +1,125 @@
+"""The bank: which cases there are, drawn from a seed. Folders: `python -m hidden_effects.bank make DIR` (resumable)."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: its threads only fight over small matrices here
+
+import numpy as np
+
+from hidden_effects.case import Case, write
+from hidden_effects.effects import CATALOGUE, CONTINUOUS_ONLY, UNKNOWN
+from hidden_effects.equilibrium import NoEquilibrium
+
+LOOK_ALIKES = ("off_plane_precurvature", "homing_rotation")
+SEPARABLE = tuple(name for name in CATALOGUE if name not in LOOK_ALIKES)
+ALSO_CONTINUOUS = ("drift", "sensor_distortion", "base_misalignment", "sensor_offset", "tip_load", "homing_translation")
+SIZES = (0.5, 1.0, 2.0, 4.0)  # multiples of the noise left after recalibration, about; truth.json has what it came to
+RETRIES = 8
+
+
+def cases(seed: int, repeats: int = 1) -> list[Case]:
+    """All cases of a bank, mixed; `repeats` = 1 gives more than 200, the first dozens of which are a small bank."""
+    rng = np.random.default_rng([seed, 77])
+    found = [case for _ in range(repeats) for case in _one_of_each(rng)]
+    order = rng.permutation(len(found))
+    return [_renamed(found[i], k, seed) for k, i in enumerate(order.tolist())]
+
+
+def _one_of_each(rng: np.random.Generator) -> list[Case]:
+    found = [_case("null", (), rng) for _ in range(24)]
+    found += [_case("null", (), rng, continuous=True) for _ in range(8)]
+    found += [_case("null, heavy tails", (), rng, noise="heavy") for _ in range(8)]
+    found += [_case("null, misstated noise", (), rng, noise=k) for k in ("understated", "overstated") for _ in range(4)]
+    for name in SEPARABLE:
+        found += [_case("single", ((name, size),), rng, continuous=name in CONTINUOUS_ONLY) for size in SIZES]
+    found += [_case("single", ((name, 3.0),), rng, continuous=True) for name in ALSO_CONTINUOUS]
+    found += [_case("single, heavy tails", ((name, 3.0),), rng, noise="heavy") for name in SEPARABLE if name != "lag"]
+    found += [_case("look-alike", ((name, size),), rng) for name in LOOK_ALIKES for size in (1.0, 2.0, 4.0, 4.0)]
+    found += [_case("pair", _pair(rng), rng) for _ in range(20)]
+    found += [_case("not in the catalogue", ((name, size),), rng) for name in UNKNOWN for size in (1.0, 2.0, 4.0)]
+    found += [
+        _case("taken out of the catalogue", ((name, 3.0),), rng, left_out=name)
+        for name in SEPARABLE
+        if name not in CONTINUOUS_ONLY | {"homing_translation"}
+    ]
+    found += [_case("known and unknown", (_known(rng), (_any(tuple(UNKNOWN), rng), 3.0)), rng) for _ in range(8)]
+    return found
+
+
+def _case(
+    row: str,
+    hidden: tuple[tuple[str, float], ...],
+    rng: np.random.Generator,
+    *,
+    noise: str = "gaussian",
+    continuous: bool = False,
+    left_out: str = "",
+) -> Case:
+    count = 160 if continuous else int(rng.integers(12, 19))
+    seed = int(rng.integers(2**31))
+    return Case("", row, seed, hidden, noise, count, continuous, left_out)
+
+
+def _renamed(case: Case, k: int, seed: int) -> Case:
+    return Case(f"b{seed}_{k:03d}", *(getattr(case, f) for f in CASE_FIELDS))
+
+
+CASE_FIELDS = ("row", "seed", "hidden", "noise", "count", "continuous", "left_out")
+
+
+def _any(names: tuple[str, ...], rng: np.random.Generator) -> str:
+    return names[int(rng.integers(len(names)))]
+
+
+def _known(rng: np.random.Generator) -> tuple[str, float]:
+    return _any(tuple(n for n in SEPARABLE if n not in CONTINUOUS_ONLY), rng), 3.0
+
+
+def _pair(rng: np.random.Generator) -> tuple[tuple[str, float], ...]:
+    """Two different effects that do not replace one another."""
+    while True:
+        first, second = _known(rng), _known(rng)
+        if first[0] != second[0] and {first[0], second[0]} != {"friction", "translation_release"}:
+            return first, second
+
+
+def make(folder: Path, todo: list[Case]) -> None:
+    """Writes what is not there yet. A robot that has no equilibrium in some pose is drawn again."""
+    for case in todo:
+        if (folder / case.name / "truth.json").exists():
+            continue
+        began = time.perf_counter()
+        for attempt in range(RETRIES):
+            try:
+                write(
+                    Case(case.name, case.row, case.seed + attempt, *(getattr(case, f) for f in CASE_FIELDS[2:])), folder
+                )
+                break
+            except (NoEquilibrium, np.linalg.LinAlgError) as refusal:
+                print(f"{case.name}: drawn again, {refusal}", flush=True)
+        print(f"{case.name}  {time.perf_counter() - began:5.1f} s  {case.row}: {case.hidden}", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("action", choices=["make", "list"])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--repeats", type=int, default=1)
+    parser.add_argument("--first", type=int, help="only so many")
+    given = parser.parse_args()
+    todo = cases(given.seed, given.repeats)[: given.first]
+    if given.action == "list":
+        for case in todo:
+            print(case)
+    else:
+        make(given.folder, todo)
+
+
+if __name__ == "__main__":
+    main()

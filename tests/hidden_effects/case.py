@@ -1,0 +1,91 @@
+"""A case: seed, hidden effects with their sizes, noise, experiment; and the folder that a laboratory hands over."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hidden_effects import effects, experiment
+from hidden_effects.chain import Poses, poses
+from hidden_effects.dataset import measurements_csv, robot_toml, write_folder
+from hidden_effects.leftover import leftover_over_noise
+from hidden_effects.noise import add_noise
+from hidden_effects.world import Ordinary, World, believed, draw_ordinary
+
+
+@dataclass(frozen=True)
+class Case:
+    """`hidden`: (name, size) pairs; `row`: the line of the table of goals that the case counts for."""
+
+    name: str
+    row: str
+    seed: int
+    hidden: tuple[tuple[str, float], ...] = ()
+    noise: str = "gaussian"
+    count: int = 15  # configurations, or rows of a continuous motion
+    continuous: bool = False
+    left_out: str = ""  # an effect that the diagnosis' catalogue has to do without
+
+
+@dataclass(frozen=True)
+class Made:
+    """A case with everything that was drawn for it."""
+
+    case: Case
+    ordinary: Ordinary
+    experiment: experiment.Experiment
+    world: World
+    parameters: dict[str, Any]
+    poses: Poses
+
+    def leftover(self) -> float:
+        """What the effects leave after recalibration, over the noise."""
+        plain = self.ordinary.of(believed())
+        return leftover_over_noise(plain, self.experiment, self.poses) if self.case.hidden else 0.0
+
+
+def make(case: Case) -> Made:
+    """Draws the robot and the experiment, applies the effects, solves every pose."""
+    rng = np.random.default_rng([case.seed, 0])
+    ordinary = draw_ordinary(believed().n, rng)
+    names = [name for name, _ in case.hidden]
+    if case.continuous:
+        plan = experiment.continuous_motion(believed(), case.count, rng)
+    else:
+        translate = "translation_release" in names
+        plan = experiment.approaches(believed(), case.count, rng, translate_last=translate)
+    world, parameters = ordinary.of(believed()), {}
+    for i, (name, size) in enumerate(case.hidden):
+        draw = effects.Draw(size, np.random.default_rng([case.seed, 1, i]), plan.duration_s)
+        world, parameters[name] = effects.apply(name, world, draw)
+    return Made(case, ordinary, plan, world, parameters, poses(world, plan))
+
+
+def write(case: Case, parent: Path) -> None:
+    """Makes the case and writes parent/name."""
+    made = make(case)
+    rng = np.random.default_rng([case.seed, 2])
+    p, tangent = add_noise(made.poses.p, made.poses.tangent, case.noise, rng)
+    truth = {
+        "effects": true_names(case),
+        "leftover_over_noise": round(made.leftover(), 3),
+        "parameters": made.parameters,
+        "ordinary": asdict(made.ordinary),
+        "case": asdict(case),
+    }
+    files = {
+        "robot.toml": robot_toml(believed(), "three-tube robot, nominal values"),
+        "measurements.csv": measurements_csv(made.experiment, p, tangent),
+    }
+    write_folder(parent / case.name, files, truth)
+
+
+def true_names(case: Case) -> list[str]:
+    """As in truth.json: a|b where the data can't tell, unknown where no catalogue has it."""
+    names = {"unknown" if name == case.left_out else effects.truth_name(name) for name, _ in case.hidden}
+    if any(name == "translation_release" for name, _ in case.hidden):
+        names.add("friction")
+    return sorted(names)

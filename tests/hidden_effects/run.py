@@ -1,0 +1,54 @@
+"""Runs `ctrplan diagnose` on every folder of a bank: `python -m hidden_effects.run DIR OUT`. Resumable."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+COMMAND = [sys.executable, "-c", "import sys; from ctrplan.cli import main; sys.exit(main())", "diagnose"]
+LONGEST_S = 900
+
+
+def diagnose(folder: Path, out: Path, left_out: str, command: list[str]) -> dict[str, Any]:
+    """Seconds, exit code and message of one diagnosis; also written to out/run.json."""
+    out.mkdir(parents=True, exist_ok=True)
+    call = [*command, str(folder / "robot.toml"), str(folder / "measurements.csv"), "-o", str(out)]
+    call += ["--without", left_out] if left_out else []
+    began = time.perf_counter()
+    try:
+        done = subprocess.run(call, capture_output=True, text=True, timeout=LONGEST_S, check=False)
+        code, message = done.returncode, done.stderr[-2000:]
+    except subprocess.TimeoutExpired:
+        code, message = -1, f"no answer within {LONGEST_S} s"
+    report = {"seconds": round(time.perf_counter() - began, 1), "exit_code": code, "message": message}
+    (out / "run.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+    return report
+
+
+def diagnose_all(bank: Path, out: Path, command: list[str], *, again: bool = False) -> None:
+    """Every complete folder of the bank that has no run.json yet, or with `again` no diagnosis."""
+    for truth in sorted(bank.glob("*/truth.json")):
+        folder, target = truth.parent, out / truth.parent.name
+        if (target / ("diagnosis.json" if again else "run.json")).exists():
+            continue
+        left_out = json.loads(truth.read_text(encoding="utf-8")).get("case", {}).get("left_out", "")
+        report = diagnose(folder, target, left_out, command)
+        print(f"{folder.name}  {report['seconds']:6.1f} s  exit {report['exit_code']}", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("bank", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--again", action="store_true", help="run again what gave no diagnosis")
+    given = parser.parse_args()
+    diagnose_all(given.bank, given.out, COMMAND, again=given.again)
+
+
+if __name__ == "__main__":
+    main()

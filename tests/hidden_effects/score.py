@@ -1,0 +1,233 @@
+"""The table of goals from a bank's diagnoses: `python -m hidden_effects.score DIR OUT [--figure power.png]`.
+
+A diagnosis is right, wrong or a miss: right: every true effect named (itself or among the alternatives of a named one),
+nothing else named, a fitting verdict; wrong: a name that is not true, with the verdict "named"; miss: anything else.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+SEPARABLE_FROM = 1.0  # times the noise, left after recalibration
+Names = list[set[str]]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One set: its truth.json, its diagnosis.json (None if there is none), and the seconds it took."""
+
+    name: str
+    truth: dict[str, Any]
+    found: dict[str, Any] | None
+    seconds: float = math.nan
+
+    @property
+    def row(self) -> str:
+        return str(self.truth["case"]["row"])
+
+    @property
+    def verdict(self) -> str:
+        return str(self.found["verdict"]) if self.found else "none"
+
+    @property
+    def named(self) -> Names:
+        return [{e["name"], *e.get("alternatives", [])} for e in self.found["effects"]] if self.found else []
+
+    @property
+    def known(self) -> Names:
+        return [set(e.split("|")) for e in self.truth["effects"] if e != "unknown"]
+
+    @property
+    def extra(self) -> Names:
+        """Named and not true."""
+        return [n for n in self.named if not any(n & k for k in self.known)]
+
+    @property
+    def is_right(self) -> bool:
+        if self.found is None:
+            return False
+        if "unknown" in self.truth["effects"]:
+            verdicts = {"unexplained"}
+        else:
+            verdicts = {"named", "ambiguous"} if self.known else {"no_missing_effect"}
+        all_named = all(any(k & n for n in self.named) for k in self.known)
+        return all_named and not self.extra and self.verdict in verdicts
+
+    @property
+    def is_wrong(self) -> bool:
+        return bool(self.extra) and self.verdict == "named"
+
+    @property
+    def outcome(self) -> str:
+        return "right" if self.is_right else "WRONG" if self.is_wrong else "miss"
+
+    @property
+    def leftover(self) -> float:
+        return float(self.truth["leftover_over_noise"])
+
+
+def read(bank: Path, out: Path) -> list[Trial]:
+    """Every folder of the bank that was run."""
+    trials = []
+    for path in sorted(bank.glob("*/truth.json")):
+        target = out / path.parent.name
+        answer, run = target / "diagnosis.json", target / "run.json"
+        if answer.exists() or run.exists():
+            found = json.loads(answer.read_text(encoding="utf-8")) if answer.exists() else None
+            seconds = json.loads(run.read_text(encoding="utf-8"))["seconds"] if run.exists() else math.nan
+            trials.append(Trial(path.parent.name, json.loads(path.read_text(encoding="utf-8")), found, seconds))
+    return trials
+
+
+def wilson(hits: int, trials: int) -> tuple[float, float]:
+    """95 % interval of a proportion; (0, 1) without trials."""
+    if trials == 0:
+        return 0.0, 1.0
+    z, p = 1.959964, hits / trials
+    middle, half = p + z * z / (2 * trials), z * math.sqrt(p * (1 - p) / trials + z * z / (4 * trials * trials))
+    scale = 1 + z * z / trials
+    return max(0.0, (middle - half) / scale), min(1.0, (middle + half) / scale)
+
+
+@dataclass(frozen=True)
+class Goal:
+    """One line of the table: hits among trials, and what is asked of their share."""
+
+    text: str
+    asked: str
+    hits: int
+    trials: int
+
+    def line(self) -> str:
+        if not self.trials:
+            return f"| {self.text} | {self.asked} | - | 0 | |"
+        low, high = wilson(self.hits, self.trials)
+        share = f"{100 * self.hits / self.trials:.1f} %"
+        return f"| {self.text} | {self.asked} | {share} | {self.trials} | {100 * low:.1f} to {100 * high:.1f} % |"
+
+
+def goals(trials: list[Trial]) -> list[Goal]:
+    """The rows of the table of goals in diagnosis.md that a bank can fill."""
+    nulls = [t for t in trials if t.row == "null"]
+    rough = [t for t in trials if t.row.startswith("null,")]
+    singles = [t for t in trials if t.row.startswith("single") and t.leftover >= SEPARABLE_FROM]
+    pairs = [t for t in trials if t.row == "pair"]
+    foreign = [t for t in trials if t.row in ("not in the catalogue", "taken out of the catalogue")]
+    look_alikes = [t for t in trials if t.row == "look-alike" and t.leftover >= SEPARABLE_FROM]
+    right = [t for t in trials if t.is_right and t.known]
+    covered = [inside for t in right for inside in intervals(t)]
+    return [
+        _goal("false alarm on nulls", "<= 5 %", nulls, lambda t: t.verdict != "no_missing_effect"),
+        _goal("the same, heavy tails or misstated noise", "", rough, lambda t: t.verdict != "no_missing_effect"),
+        _goal("right name, single effect that leaves >= 1x noise", ">= 95 %", singles, lambda t: t.is_right),
+        _goal("both right, pairs", "", pairs, lambda t: t.is_right),
+        _goal("confident wrong name, all sets", "<= 2 %", trials, lambda t: t.is_wrong),
+        _goal("effect not in the catalogue, given a name", "<= 5 %", foreign, lambda t: bool(t.extra) and _claims(t)),
+        _goal("look-alikes reported as A or B, truth inside", ">= 90 %", look_alikes, _says_either),
+        Goal("95 % intervals that contain the true value", "90-98 %", sum(covered), len(covered)),
+        _goal("gap after adding <= 1.1x noise floor, right ones", "all", [t for t in right if _gap(t)], _closes_gap),
+        _goal("answered within 5 minutes", "all", trials, lambda t: t.found is not None and not t.seconds > 300),
+    ]
+
+
+def _goal(text: str, asked: str, trials: list[Trial], is_hit: Callable[[Trial], bool]) -> Goal:
+    return Goal(text, asked, sum(is_hit(t) for t in trials), len(trials))
+
+
+def _claims(trial: Trial) -> bool:
+    return trial.verdict in ("named", "ambiguous")
+
+
+def _says_either(trial: Trial) -> bool:
+    """Named together with its look-alike, nothing else named."""
+    return not trial.extra and any(k <= n for k in trial.known for n in trial.named)
+
+
+def _gap(trial: Trial) -> dict[str, Any]:
+    return (trial.found or {}).get("gap") or {}
+
+
+def _closes_gap(trial: Trial) -> bool:
+    gap = _gap(trial)
+    return float(gap["after_rms_mm"]) <= 1.1 * float(gap["noise_floor_mm"])
+
+
+def intervals(trial: Trial) -> Iterable[bool]:
+    """For every parameter that truth and diagnosis have by the same name: whether its interval contains the truth."""
+    for effect in (trial.found or {}).get("effects", []):
+        true = trial.truth["parameters"].get(_key(trial, effect["name"]), {})
+        for name, parameter in effect.get("parameters", {}).items():
+            if name in true and parameter.get("ci95"):
+                low, high = parameter["ci95"]
+                yield low <= true[name] <= high
+
+
+def _key(trial: Trial, name: str) -> str:
+    """Offsets have two names in truth.json's parameters."""
+    if name == "homing_offset":
+        return next((k for k in trial.truth["parameters"] if k.startswith("homing")), name)
+    return "translation_release" if name == "friction" and "friction" not in trial.truth["parameters"] else name
+
+
+def power(trials: list[Trial]) -> dict[str, list[tuple[float, bool]]]:
+    """Per effect, (leftover over noise, right name) of every single."""
+    curve: dict[str, list[tuple[float, bool]]] = {}
+    for t in trials:
+        if t.row in ("single", "look-alike"):
+            curve.setdefault(t.truth["case"]["hidden"][0][0], []).append((t.leftover, t.is_right))
+    return {name: sorted(points) for name, points in sorted(curve.items())}
+
+
+def draw_power(curve: dict[str, list[tuple[float, bool]]], path: Path) -> None:
+    """Right name against effect size over noise, one line of dots per effect."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(7, 0.6 + 0.3 * max(len(curve), 1)), layout="constrained")
+    for k, points in enumerate(curve.values()):
+        size, right = np.array([p[0] for p in points]), np.array([p[1] for p in points], dtype=bool)
+        axes.plot(size[right], np.full(right.sum(), k), "o", color="tab:blue")
+        axes.plot(size[~right], np.full((~right).sum(), k), "x", color="tab:red")
+    axes.set_yticks(range(len(curve)), list(curve))
+    axes.set_xscale("log")
+    axes.set_xlabel("left after recalibration, over the noise (dot: right name, cross: not)")
+    axes.axvline(SEPARABLE_FROM, color="grey", linewidth=0.8)
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("bank", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--figure", type=Path)
+    parser.add_argument("--power", type=Path, help="write the points of the power curve as JSON")
+    given = parser.parse_args()
+    trials = read(given.bank, given.out)
+    for t in trials:
+        named = [sorted(n) for n in t.named]
+        print(
+            f"{t.name}  {t.outcome:5}  {t.row}: {t.verdict} {named}, true {t.truth['effects']} at {t.leftover}x noise"
+        )
+    print("\n| | goal | share | trials | 95 % interval |\n|---|---|---|---|---|")
+    for goal in goals(trials):
+        print(goal.line())
+    curve = power(trials)
+    if given.power:
+        given.power.write_text(json.dumps(curve, indent=1) + "\n", encoding="utf-8")
+    if given.figure:
+        draw_power(curve, given.figure)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,123 @@
+"""Everything that is true of a robot and its measurement, and the three-tube robot that its user believes in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hidden_effects.contact import Pair
+from hidden_effects.equilibrium import Loads
+from hidden_effects.tube import Array, Section, Tube
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Joint rows in the order of time: theta, l (K, n), time_s (K,), sequence (K,)."""
+
+    theta: Array
+    l: Array  # noqa: E741
+    time_s: Array
+    sequence: Array
+
+
+DriveTerm = Callable[[Motion], Motion]  # commanded -> at the collars
+SensorTerm = Callable[[Array, Array, Array], tuple[Array, Array]]  # tips (K, 3), frames (K, 3, 3), time_s -> the same
+
+
+@dataclass(frozen=True)
+class Warming:
+    """The precurvature of a tube follows 1 + amplitude sin(2 pi t / period)."""
+
+    tube: int
+    amplitude: float
+    period_s: float
+
+
+@dataclass(frozen=True)
+class World:
+    """The true robot: tubes, pairs, loads, and the terms of drive and sensor in the order in which they act."""
+
+    tubes: tuple[Tube, ...]
+    pairs: tuple[Pair, ...]
+    loads: Loads = field(default_factory=Loads)
+    drive: tuple[DriveTerm, ...] = ()
+    sensor: tuple[SensorTerm, ...] = ()
+    lag_s: float = 0.0  # the pose belongs to the joints of this much earlier
+    release_m: float = np.inf  # friction torsion falls to 1/e over this translation
+    warming: Warming | None = None
+
+    @property
+    def n(self) -> int:
+        return len(self.tubes)
+
+    def tubes_at(self, time_s: float) -> tuple[Tube, ...]:
+        if self.warming is None:
+            return self.tubes
+        factor = 1 + self.warming.amplitude * np.sin(2 * np.pi * time_s / self.warming.period_s)
+        return tuple(bent(tube, factor) if i == self.warming.tube else tube for i, tube in enumerate(self.tubes))
+
+
+def bent(tube: Tube, factor: float) -> Tube:
+    """The tube with all its precurvature times `factor`."""
+    sections = tuple(
+        replace(section, curvature_per_m=(factor * section.curvature_per_m[0], factor * section.curvature_per_m[1]))
+        for section in tube.sections
+    )
+    return replace(tube, sections=sections)
+
+
+def believed() -> World:
+    """The three-tube robot of Ha et al. 2019, Table II: what the user's robot file says."""
+    curved = 3.77358
+    return paired(
+        (
+            Tube(1.32e-3, 1.195e-3, 0.0507, 0.3, (Section(0.150, (0, curved)),)),
+            Tube(1.1525e-3, 0.975e-3, 0.0507, 0.3, (Section(0.017, (0, 0)), Section(0.150, (0, curved)))),
+            Tube(0.9125e-3, 0.8e-3, 0.0145, 0.3, (Section(0.184, (0, 0)), Section(0.0864, (0, 18.1818)))),
+        )
+    )
+
+
+def paired(tubes: tuple[Tube, ...]) -> World:
+    """A frictionless world whose clearances are what the radii leave."""
+    pairs = tuple(
+        Pair(outer.inner_radius_m - inner.outer_radius_m, 0.0, outer.inner_radius_m, inner.outer_radius_m)
+        for outer, inner in zip(tubes[:-1], tubes[1:], strict=True)
+    )
+    return World(tubes, pairs)
+
+
+@dataclass(frozen=True)
+class Ordinary:
+    """What calibration is for: factors of curvature and of stiffness (the first one 1), Poisson's ratios."""
+
+    curvature: tuple[float, ...]
+    stiffness: tuple[float, ...]
+    poisson_ratio: tuple[float, ...]
+
+    def of(self, world: World) -> World:
+        tubes = tuple(
+            replace(bent(tube, u), bending_stiffness_Nm2=tube.bending_stiffness_Nm2 * k, poisson_ratio=nu)
+            for tube, u, k, nu in zip(world.tubes, self.curvature, self.stiffness, self.poisson_ratio, strict=True)
+        )
+        return replace(world, tubes=tubes)
+
+    def vector(self) -> Array:
+        return np.array([*self.curvature, *self.stiffness[1:], *self.poisson_ratio])
+
+    @staticmethod
+    def from_vector(values: Array) -> Ordinary:
+        n = (len(values) + 1) // 3
+        v = tuple(values.tolist())
+        return Ordinary(v[:n], (1.0, *v[n : 2 * n - 1]), v[2 * n - 1 :])
+
+
+def draw_ordinary(n: int, rng: np.random.Generator) -> Ordinary:
+    """Curvature within 8 %, stiffness ratios within 10 %, Poisson's ratios 0.22 to 0.38."""
+    return Ordinary(
+        tuple((1 + rng.uniform(-0.08, 0.08, n)).tolist()),
+        (1.0, *(1 + rng.uniform(-0.10, 0.10, n - 1)).tolist()),
+        tuple(rng.uniform(0.22, 0.38, n).tolist()),
+    )
