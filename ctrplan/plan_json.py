@@ -13,6 +13,7 @@ import numpy as np
 import ctrplan
 from ctrplan.drive import Array, Drive
 from ctrplan.export import write_atomically
+from ctrplan.insertion import follow_the_leader_m
 
 if TYPE_CHECKING:
     from ctrplan.planning.plan import Certificate, Leg, Plan
@@ -48,6 +49,7 @@ def plan_to_json(plan: Plan) -> dict[str, Any]:
         "joints": [{"name": joint.name, "kind": joint.kind, "unit": joint.unit} for joint in drive.joints],
         "legs": [_leg(leg, drive) for leg in plan.legs],
         "certificate": _certificate(plan.certificate),
+        "follow_the_leader_m": follow_the_leader_m(plan),
         "reorder": asdict(plan.reorder),
         "trajectory": _trajectory(plan),
         "notes": plan.notes,

@@ -15,6 +15,7 @@ from ctrplan.plan_timing import leg_end_s
 from ctrplan.report_curves import CURSOR, joints_figure, margins_figure
 from ctrplan.report_scene import scene_figure
 from ctrplan.verdict import digits, findings, is_acceptable, millimetres, verdict
+from ctrplan.verdict_words import certificate_in_words
 
 if TYPE_CHECKING:
     from ctrplan.drive import Array
@@ -61,7 +62,8 @@ def report_html(plan: Plan) -> str:
         _remarks("What is wrong", plan.certificate.problems),
         _tiles(plan),
         _scene(plan),
-        section("Certificate", _certificate(plan)),
+        section("Certificate", *(tag("p", text) for text in certificate_in_words(plan)), _certificate(plan)),
+        _targets(plan),
         _remarks("Remarks", tuple(dict.fromkeys((*plan.notes, *scenario.warnings)))),
         _margins(plan),
         _joints(plan),
@@ -115,6 +117,24 @@ def _certificate(plan: Plan) -> Markup:
     status = {True: tag("span", "✓ met", kind="good"), False: tag("span", "✗ not met", kind="bad"), None: escaped("")}
     rows = ((f.quantity, f.value, f.requirement, status[f.met]) for f in findings(plan))
     return table(("Quantity", "Value", "Required", "Status"), rows)
+
+
+def _targets(plan: Plan) -> Markup:
+    """Each of several targets; nothing where there is one."""
+    if not plan.scenario.via:
+        return Markup()
+    ends = leg_end_s(plan)
+    rows = (
+        (
+            f"{number}{f', {target.name}' if target.name else ''}",
+            f"{ends[target.leg]:.2f} s",
+            millimetres(target.tip_error_m),
+            millimetres(target.bound_m),
+        )
+        for number, target in enumerate(plan.certificate.targets, start=1)
+    )
+    header = ("Target", "Reached at", "Distance without friction", "Worst-case friction error")
+    return section("Targets", table(header, rows))
 
 
 def _legs(plan: Plan) -> Markup:

@@ -13,12 +13,14 @@ from ctrplan import palette
 from ctrplan.scene import goal_tip, plate, pose, poses, tip_path, view_box
 from ctrplan.scene_traces import SIDES, anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces, xyz
 from ctrplan.surface import Surface, anatomy_surface, capsule
+from ctrplan.swept_space import swept_surface
 from ctrplan.verdict import millimetres
 
 if TYPE_CHECKING:
     from ctrplan.planning.plan import Plan
 
 FRAMES = 50
+SWEPT_OPACITY = 0.10
 SHORTEST_FRAME_MS, LONGEST_FRAME_MS = 60, 200  # a motion plays in real time where that is neither jerky nor dull
 BOUND_SCALE = [[0.0, "#2F6FB0"], [0.5, "#B07AA1"], [1.0, palette.BOUND]]
 
@@ -29,7 +31,8 @@ def scene_figure(plan: Plan) -> go.Figure:
     names = [f"{step.time_s:.3f}" for step in path]
     moving = robot_traces(path[-1])
     anatomy = [anatomy_surface(part) for part in plan.scenario.anatomy]
-    figure = go.Figure([*moving, *_still(plan, anatomy)])
+    swept = mesh_trace(swept_surface(path), palette.ENVELOPE, SWEPT_OPACITY, "space the envelope sweeps")
+    figure = go.Figure([*moving, *_still(plan, anatomy), swept])
     figure.frames = [
         go.Frame(data=moved_traces(step), traces=list(range(len(moving))), name=name)
         for step, name in zip(path, names, strict=True)
@@ -70,9 +73,21 @@ def _tip_path(plan: Plan) -> Any:
 
 def _goal(plan: Plan) -> list[Any]:
     goal, tip_m = plan.scenario.goal, goal_tip(plan)
+    way = [goal.tip_m for goal in plan.scenario.via if goal.tip_m is not None]
     marker = {"symbol": "diamond", "size": 6, "color": palette.GOAL}
     hover = {"hovertemplate": "goal<extra></extra>"}
     traces = [go.Scatter3d(**xyz(tip_m[None]), mode="markers", marker=marker, name="goal", **hover)]
+    if way:
+        hollow = marker | {"symbol": "diamond-open"}
+        hover_way = {"hovertemplate": "target on the way<extra></extra>"}
+        traces.append(
+            go.Scatter3d(**xyz(np.array(way)), mode="markers", marker=hollow, name="targets on the way", **hover_way)
+        )
+    if goal.line_m is not None:
+        line = {"color": palette.GOAL, "width": 5, "dash": "dot"}
+        traces.append(
+            go.Scatter3d(**xyz(goal.line_m), mode="lines", line=line, name="line to follow", hoverinfo="skip")
+        )
     if goal.tip_m is not None:
         name = f"goal tolerance {html.escape(millimetres(goal.tolerance_m))}"
         traces.append(mesh_trace(capsule(tip_m, tip_m, goal.tolerance_m, 20), palette.GOAL, 0.25, name))

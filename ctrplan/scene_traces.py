@@ -90,7 +90,7 @@ def lay_out(figure: go.Figure, lower_m: Array, upper_m: Array, robot_m: Array) -
     axes = {f"{n}axis": axis | {"title": {"text": f"{n} (mm)"}, "range": r} for n, r in zip("xyz", ranges, strict=True)}
     azimuth, extent = side_azimuth_rad(robot_m), upper_m - lower_m
     toward = np.array([np.cos(TILT) * np.cos(azimuth), np.cos(TILT) * np.sin(azimuth), np.sin(TILT)])
-    eye = (0.65 + 1.65 * extent.max() / np.cbrt(extent.prod())) * toward  # plotly's scenes have unit volume
+    eye = (0.6 + 1.45 * extent.max() / np.cbrt(extent.prod())) * toward  # plotly's scenes have unit volume
     light = dict(zip("xyz", (1e5 * toward).tolist(), strict=True))
     camera = {"eye": dict(zip("xyz", eye.tolist(), strict=True)), "center": {"x": 0, "y": 0, "z": 0.0}}
     figure.update_traces(lightposition=light, selector={"type": "mesh3d"})

@@ -106,13 +106,28 @@ def _summary(folder: Path, plan: Plan) -> str:
     lines = [f"{name}: {legs}, {plan.style}, the motion takes {duration_s:.1f} s with {halts}"]
     if plan.style == "simultaneous":
         lines.append("  note: no path of rotations before translations was found in time; joints move simultaneously")
-    lines += [f"  {label:27} {text}" for label, text in _figures(plan).items()]
+    lines += [f"  {label:27} {text}" for label, text in (_targets(plan) | _figures(plan)).items()]
     lines.append(f"  {'written to':27} {folder}/plan.json, trajectory.csv, trajectory.yaml, report.html, plan.png")
     return "\n".join(lines)
 
 
 def _counted(count: int, thing: str) -> str:
     return f"{count} {thing}" if count == 1 else f"{count} {thing}s"
+
+
+def _targets(plan: Plan) -> dict[str, str]:
+    """A line for each of several targets."""
+    if not plan.scenario.via:
+        return {}
+    texts = {}
+    for number, target in enumerate(plan.certificate.targets, start=1):
+        label = f"target {number}{f', {target.name}' if target.name else ''}"
+        texts[label] = (
+            f"{target.tip_error_m * 1e3:.2f} mm off without friction, {target.bound_m * 1e3:.2f} mm with it at worst"
+        )
+        if target.line_error_m is not None:
+            texts[label] += f", {target.line_error_m * 1e3:.2f} mm off the line"
+    return texts
 
 
 def _figures(plan: Plan) -> dict[str, str]:

@@ -20,8 +20,8 @@ from ctrplan.mechanics import Status
 from ctrplan.planning.inverse_kinematics import TipSolver, TipTarget, angle_to
 from ctrplan.planning.motion import MotionChecker, anatomy_grid
 
-SAMPLES = 2000  # random configurations whose tips are looked at
-STARTS = 400  # of them, the nearest ones after a common rotation: solves
+SAMPLES = 1500  # random configurations whose tips are looked at
+STARTS = 300  # of them, the nearest ones after a common rotation: solves
 DISTINCT_MM = 5.0  # of joint length between configurations
 MOST_REFINED = 80
 ROOM_ENOUGH_M = 5e-3  # more than friction makes of most shapes

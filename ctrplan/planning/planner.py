@@ -24,8 +24,8 @@ from ctrplan.planning.objective import BoundObjective
 from ctrplan.planning.ompl_space import StateReader, state_space
 from ctrplan.planning.plan import Certificate, MotionStyle, Plan
 from ctrplan.planning.reorder import Reordered, assemble, rotations_first
-from ctrplan.planning.retreat import RoadmapSearch, retreat_roadmap
-from ctrplan.planning.room import start_trouble
+from ctrplan.planning.retreat import RoadmapSearch, promising, retreat_roadmap
+from ctrplan.planning.room import refuse_impossible_margins, start_trouble
 from ctrplan.planning.tour import joined_certificates
 from ctrplan.planning.validity import MotionValidity, Validity
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 # Planners that grow forwards only, or check every motion in the direction it is driven.
 PLANNERS = {"BIT*": og.BITstar, "RRT*": og.RRTstar, "RRTConnect": og.RRTConnect}
-FIRST_SHARE, ROADMAP_SHARE = 0.7, 0.5  # of the time by which a first path, and the cheapest, of the roadmap is sought
+FIRST_SHARE, ROADMAP_SHARE = 0.5, 0.4  # of the time by which a first path, and the cheapest, of the roadmap is sought
 LEAST_SHARE = 0.25  # of the time for sampling, however long the roadmap took
 FALLBACK_SHARE = 0.3  # of the time, for simultaneous motions when no L-shaped path was found
 # Longest motion of a tree; two trees meet by steps, a single one reaches for the goal at once.
@@ -90,6 +90,7 @@ def plan(
         )
     began = time.monotonic()
     budget = scenario.planner.time_s if time_s is None else time_s
+    refuse_impossible_margins(scenario)
     start, _ = MotionChecker(scenario).probe(scenario.start)
     if not start.valid:
         reason = start_trouble(MotionChecker(scenario)) or start.reason
@@ -192,7 +193,8 @@ class _Work:
 
     def _withdraw(self, began: float) -> None:
         """Paths along the roadmap of `retreat.py`: soon a first one, then the cheapest."""
-        search = RoadmapSearch(self.checker, retreat_roadmap(self.checker, self.goals), self.goals)
+        goals = promising(self.checker, self.goals)
+        search = RoadmapSearch(self.checker, retreat_roadmap(self.checker, goals), goals)
         for shy, share in ((True, FIRST_SHARE), (False, ROADMAP_SHARE)):
             while self.best is None or not shy:
                 states = search.path(self._stopper(began, began + share * self.budget), shy=shy)

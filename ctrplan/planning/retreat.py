@@ -27,6 +27,7 @@ LOST_M = 3e-3  # a tip that can't be brought back any nearer ends its chain
 SKIPS = (1, 2, 4, 8)  # stations along a chain that a motion may go
 NEIGHBOURS = 4  # in other chains, to either side
 MOST_GOALS = 12
+FAR_SHARE = 0.6  # of the stations that some chain must reach
 USUAL_MM = 25.0  # of joint length: shorter motions near a valid one are valid more often than not
 AT_ONCE = 2  # motions checked in parallel
 
@@ -41,10 +42,15 @@ class Roadmap:
 
 
 def retreat_roadmap(checker: MotionChecker, goals: list[GoalState]) -> Roadmap:
-    """Chains from the goals with the lowest bounds back to the plate, joined to each other and to the start."""
-    ends = np.array([goal.joints for goal in goals[:MOST_GOALS]])
+    """Chains from the goals back to the plate, joined to each other and to the start.
+
+    Without any edge where the drive can't withdraw the robot far along its body.
+    """
+    ends = np.array([goal.joints for goal in goals])
     start = checker.scenario.start
-    chains = _chains(checker, np.vstack([ends, start]))
+    chains, stations = _chains(checker, np.vstack([ends, start]))
+    if all(len(chain) < FAR_SHARE * count for chain, count in zip(chains[:-1], stations[:-1], strict=True)):
+        return Roadmap(start[None], np.empty((0, 2), dtype=int), np.empty(0, dtype=int))
     joints, owner, station = [start], [-1], [0]
     for k, chain in enumerate(chains):
         for place, q in enumerate(chain):
@@ -60,6 +66,17 @@ def retreat_roadmap(checker: MotionChecker, goals: list[GoalState]) -> Roadmap:
     return Roadmap(
         q, _edges(checker, q, np.array(owner), np.array(station), len(ends)), np.array(goal_nodes, dtype=int)
     )
+
+
+def promising(checker: MotionChecker, goals: list[GoalState]) -> list[GoalState]:
+    """The goals that would cost least if the way there were free, at most MOST_GOALS."""
+    weights, space, start = checker.scenario.cost, checker.space, checker.scenario.start
+
+    def least(goal: GoalState) -> float:
+        way = space.length_mm(space.difference(start, goal.joints))
+        return weights.path * way + weights.error_goal * goal.bound_m * MM_PER_M
+
+    return sorted(goals, key=least)[:MOST_GOALS]
 
 
 class RoadmapSearch:
@@ -83,7 +100,7 @@ class RoadmapSearch:
         A motion not checked yet counts its length alone, which is never too dear; where `shy`, long ones count more, as
         they fail more often: a path is found sooner, and it is not the cheapest.
         """
-        while not stop():
+        while len(self.cost) and not stop():
             doubt = np.where(self.known, 1.0, np.maximum(1.0, self.length / USUAL_MM) ** (1.0 if shy else 0.0))
             nodes = _shortest(self.cost * doubt, self.roadmap)
             if nodes is None:
@@ -110,8 +127,8 @@ class RoadmapSearch:
         self.known[k] = True
 
 
-def _chains(checker: MotionChecker, ends: Array) -> list[list[Array]]:
-    """For each configuration (G, m): itself, then those with its tip ever further back along its body."""
+def _chains(checker: MotionChecker, ends: Array) -> tuple[list[list[Array]], list[int]]:
+    """For each configuration (G, m): itself, then those with its tip ever further back; and its number of stations."""
     solver = TipSolver(checker.space, checker.mechanics)
     bodies = [_body(checker, q) for q in ends]
     chains = [[q] for q in ends]
@@ -126,7 +143,7 @@ def _chains(checker: MotionChecker, ends: Array) -> list[list[Array]]:
         for k, q in zip(np.array(active)[~lost].tolist(), found.joints[~lost], strict=True):
             chains[k].append(q)
         active = np.array(active)[~lost].tolist()
-    return chains
+    return chains, [len(body) for body in bodies]
 
 
 def _body(checker: MotionChecker, q: Array) -> Array:

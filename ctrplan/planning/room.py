@@ -9,8 +9,8 @@ import numpy as np
 from ctrplan.anatomy import AnatomyPart
 from ctrplan.anatomy_parts import surface_distance
 from ctrplan.drive import Array
-from ctrplan.errors import NoAnswerError
-from ctrplan.planning.motion import MM_PER_M, MotionChecker
+from ctrplan.errors import InputError, NoAnswerError
+from ctrplan.planning.motion import MM_PER_M, MotionChecker, anatomy_grid
 
 if TYPE_CHECKING:
     from ctrplan.scenario import Scenario
@@ -65,7 +65,39 @@ def start_trouble(checker: MotionChecker) -> str:
         if part.role == "avoid" and outside[worst] < 0:
             deep_mm, where = -outside[worst] * MM_PER_M, _at(located[worst])
             return f"the robot cuts {deep_mm:.2f} mm into {called(scenario, k)} at {where}"
-    return ""
+    return _margin_trouble(scenario, located, radius)
+
+
+def _margin_trouble(scenario: Scenario, located: Array, radius: Array) -> str:
+    """The margin that the body, points (N, 3) in the anatomy's frame and radii (N,), breaks most."""
+    short = []
+    for k, part in enumerate(scenario.anatomy):
+        side = 1.0 if part.role == "avoid" else -1.0
+        room = side * surface_distance(part, located) - radius
+        worst = int(np.argmin(room))
+        short.append((room[worst] - part.margin_m, k, room[worst], worst))
+    beyond, k, room, worst = min(short)
+    if beyond >= scenario.robot.model_error_m:
+        return ""
+    margin_mm, where = scenario.anatomy[k].margin_m * MM_PER_M, _at(located[worst])
+    near = f"the robot is {room * MM_PER_M:.2f} mm from {called(scenario, k)} at {where}"
+    return f"{near}, less than margin_mm = {margin_mm:g}"
+
+
+def refuse_impossible_margins(scenario: Scenario) -> None:
+    """Raises InputError where margins leave no room for even the innermost tube anywhere."""
+    grid = anatomy_grid(scenario)
+    if grid is None:
+        return
+    needed = scenario.robot.tubes[-1].outer_diameter_m / 2 + scenario.robot.model_error_m
+    most = float(grid.values_m.max()) + grid.spacing_m  # a grid may miss the very best place by less than a step
+    if most < needed:
+        rule = (
+            f"leave no room for the innermost tube anywhere: it needs {needed * MM_PER_M:.2f} mm, beyond the margins "
+            f"there are {max(most, 0.0) * MM_PER_M:.2f} mm at best"
+        )
+        margins = ", ".join(f"{part.margin_m * MM_PER_M:g}" for part in scenario.anatomy)
+        raise InputError(rule, file=scenario.path, key=f"anatomy margin_mm = [{margins}]")
 
 
 def called(scenario: Scenario, k: int) -> str:
