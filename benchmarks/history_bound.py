@@ -19,6 +19,8 @@ LEGS = (3, 10)
 MOST_TURN_RAD = 4 * np.pi
 SAMPLE_RAD, SAMPLE_M = np.radians(20.0), 6e-3
 INNER_L_M = {2: (-0.1034, -0.0170), 3: (-0.1204, -0.0340)}  # range of the innermost tube's base
+ROBOTS = (("pair (Table V)", PAIR), ("three tubes (Table II)", THREE))
+Row = tuple[object, ...]
 SLACK_SHARE, SLACK_M = 0.01, 0.05e-3
 
 
@@ -119,24 +121,30 @@ def judge(
     return "beyond the corners", deviation_mm, bound_mm
 
 
+def examine(label: str, robot: Robot, count: int) -> tuple[Row, list[Row]]:
+    """A row on one robot's histories, and a row for every violation."""
+    tally, found, listed, began = Tally(), Counter[str](), list[Row](), time.perf_counter()
+    for number, start, theta_b, l_b in histories(robot, count):
+        beyond = walk(robot, start, theta_b, l_b, tally)
+        for row, cause, *values in causes(robot, start, theta_b, l_b, beyond, tally):
+            found[cause] += 1
+            listed.append((label, number, row, cause, *(f"{value:.2f}" for value in values)))
+        if number % 50 == 49:
+            print(f"{label}: {tally}, {dict(found)}, {time.perf_counter() - began:.0f} s", flush=True)
+    kinds = ", ".join(f"{number} {cause}" for cause, number in found.most_common()) or "none"
+    faults = found["beyond the corners"] + found["discretisation"]
+    shares = (f"{100 * (1 - missed / tally.configurations):.3f} %" for missed in (tally.beyond, faults))
+    given = (label, tally.histories, tally.configurations, tally.failed, tally.snaps)
+    return (*given, *shares, kinds, tally.without_bound), listed
+
+
 def bound(write: bool, count: int = HISTORIES) -> None:
     """Random histories on both robots; every violation with its cause."""
-    rows, listed = [], []
-    for label, robot in (("pair (Table V)", PAIR), ("three tubes (Table II)", THREE)):
-        tally, found, began = Tally(), Counter[str](), time.perf_counter()
-        for number, start, theta_b, l_b in histories(robot, count):
-            beyond = walk(robot, start, theta_b, l_b, tally)
-            for row, cause, *values in causes(robot, start, theta_b, l_b, beyond, tally):
-                found[cause] += 1
-                listed.append((label, number, row, cause, *(f"{value:.2f}" for value in values)))
-                print(*listed[-1], flush=True)
-            if number % 50 == 49:
-                print(f"{label}: {tally}, {dict(found)}, {time.perf_counter() - began:.0f} s", flush=True)
-        share = 100 * (1 - tally.beyond / tally.configurations)
-        same = 100 * (1 - (found["beyond the corners"] + found["discretisation"]) / tally.configurations)
-        kinds = ", ".join(f"{number} {cause}" for cause, number in found.most_common()) or "none"
-        rows.append((label, tally.histories, tally.configurations, tally.failed, tally.snaps, f"{share:.3f} %",
-                     f"{same:.3f} %", kinds, tally.without_bound))  # fmt: skip
+    found = [examine(label, robot, count) for label, robot in ROBOTS]
+    tell([row for row, _ in found], [row for _, listed in found for row in listed], write)
+
+
+def tell(rows: list[Row], listed: list[Row], write: bool) -> None:
     head = ("robot", "histories", "configurations", "failed", "snaps", "within the bound", "within, own branch",
             "causes of the rest", "without a bound")  # fmt: skip
     present("bound", table(head, rows), write)

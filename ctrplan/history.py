@@ -32,8 +32,8 @@ class HistoryOptions:
 
     breakaway_m: float = 0.02e-3  # slip over which friction builds up
     rotation_rad: float = 0.05  # longest step of a tube base
-    translation_m: float = 1e-3
-    state_change: float = 0.5  # of phi, mean over the contacts weighted by force, aimed at in a step
+    translation_m: float = 0.5e-3
+    state_change: float = 0.05  # of phi, mean over the contacts weighted by force, aimed at in a step
 
 
 @dataclass(frozen=True, eq=False)

@@ -413,18 +413,21 @@ bool History::slide(const Configuration& q) {
     return held_ = true;
 }
 
-// Mean change of the circumferential friction state in this step, weighted by force.
+// Mean change of the circumferential friction state in this step, weighted by force, over what is aimed at: less where little
+// is left to change, so that friction that translations release decays as it should.
 double History::change_of_friction() const {
+    constexpr double kLeast = 0.2;
     const KernelProblem& pb = solver_.mesh().problem();
-    double forces = 1e-12, changes = 0;
+    double forces = 1e-12, changes = 0, present = 0;
     for (int e = 0; e < pb.elements; ++e)
         for (int k = pb.contact_begin[e]; k < pb.contact_begin[e + 1]; ++k) {
             if (friction_[k] == 0) continue;
             const double force = state_.multiplier(k, 0) * std::hypot(offset(e, k, 0), offset(e, k, 1));
             forces += force;
             changes += force * std::fabs(state_.phi_mu(k, 0) / friction_[k] - last_phi_[k]);
+            present += force * std::fabs(last_phi_[k]);
         }
-    return changes / forces;
+    return changes / (forces * options_.state_change * std::clamp(2 * present / forces, kLeast, 1.0));
 }
 
 void History::finish_step(const Configuration& q) {
@@ -528,10 +531,10 @@ Status History::advance(const Configuration& target) {
         held_ = false;
         const bool found = try_step(q), jumped = found && largest_turn(q) > kLargestTurn;
         const double change = found ? change_of_friction() : 0;
-        const bool hasty = change > kHasty * options_.state_change && (next - done) * length > kUnhurried;
+        const bool hasty = change > kHasty && (next - done) * length > kUnhurried;
         if (hasty || ((!found || jumped) && (next - done) * length > kShortestStep)) {
             restore(kept);
-            step = (found && !jumped ? std::max(0.25, options_.state_change / change) : 0.25) * (next - done);
+            step = (found && !jumped ? std::max(0.25, 1 / change) : 0.25) * (next - done);
             continue;
         }
         if (!found || jumped) {
@@ -544,7 +547,7 @@ Status History::advance(const Configuration& target) {
         finish_step(q);
         if (is_stretched(next == 1 ? 1 : kMostStretch)) renew_mesh(q_);
         done = next;
-        step *= std::clamp(options_.state_change / std::max(change, 1e-3), 0.5, 2.0);
+        step *= std::clamp(1 / std::max(change, 1e-3), 0.5, 2.0);
         step = std::min(step, 1 / length);
     }
     return status_ = solver_.turns_away(state_) ? Status::unstable : Status::converged;

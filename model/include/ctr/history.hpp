@@ -18,8 +18,8 @@ namespace ctr {
 struct HistoryOptions {
     double breakaway = 0.02e-3;        // m
     double rotation = 0.05;            // rad, longest step of a tube base
-    double translation = 1e-3;         // m
-    double state_change = 0.5;         // of phi, mean over the contacts weighted by force, aimed at in a step
+    double translation = 0.5e-3;       // m
+    double state_change = 0.05;        // of phi, mean over the contacts weighted by force, aimed at in a step
 };
 
 // Work and energy of a step of pure rotations, N m. Translations are left out on all sides, their friction is.
