@@ -3,8 +3,8 @@
 python benchmarks/reordering.py [--seed N] [--time S] [--write] [SCENARIO ...]
 
 --write puts the table into docs/planning.md. The plan as found is the search's path before reordering. "with settling"
-is the reordered plan with the oscillation at its end, also where `ctrplan plan` would leave it out; "translations first,
-with settling" shows it where friction is loaded. Of several targets the last one counts.
+is the reordered plan with the oscillation at its end, also where `ctrplan plan` would leave it out; "translations
+first, with settling" shows it where friction is loaded. Of several targets the last one counts.
 """
 
 from __future__ import annotations

@@ -75,7 +75,8 @@ class FrictionLaw:
 def released_share(load: Array, travel: Array) -> Array:
     """What translation by `travel` (in units of release_m) leaves of a load in [0, 1]."""
     start = np.interp(-np.asarray(load), -_SHARES, _TRAVEL)
-    return np.interp(start + travel, _TRAVEL, _SHARES)
+    left: Array = np.interp(start + travel, _TRAVEL, _SHARES)
+    return left
 
 
 def tip_deviations(corner_tip_m: Array, tip_m: Array, phi: Array) -> Array:

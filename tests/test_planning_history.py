@@ -147,5 +147,5 @@ def test_correction_keeps_the_kinds_of_legs() -> None:
 
 
 def test_compensation_needs_a_tip_to_bring_somewhere() -> None:
-    with pytest.raises(InputError, match="names no tip position"):
+    with pytest.raises(InputError, match="no single tip position"):
         ctrplan.plan(pair(), compensated=True)

@@ -1,4 +1,4 @@
-"""Compensation: the joints at the end of a plan are moved so that the predicted tip, not the frictionless one, arrives."""
+"""Compensation: the last joint values are changed so that the predicted tip, not the frictionless one, arrives."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.drive import Array
-from ctrplan.planning.certify import CertificateSamples, Progress, certify
+from ctrplan.planning.certify import Progress, certify
 from ctrplan.planning.goals import target_in_robot_frame
 from ctrplan.planning.motion import MM_PER_M, MotionChecker
-from ctrplan.planning.plan import Certificate, Compensation
+from ctrplan.planning.plan import Certificate, CertificateSamples, Compensation
 from ctrplan.planning.prediction import Prediction, predict_end, predict_from
 from ctrplan.planning.settle import settled_again
 from ctrplan.robot import Robot
@@ -144,4 +144,5 @@ def tip_jacobian(robot: Robot, joints: Array) -> Array:
         theta_b, l_b, np.zeros((1, robot.n - 1)), parameters=[f"{key}.{i + 1}" for key, i, _ in tubes]
     )
     slopes = np.nan_to_num(tips.position_by[0])  # NaN where a collar or tip would pass another one
-    return slopes @ np.array([row for _, _, row in tubes])
+    jacobian: Array = slopes @ np.array([row for _, _, row in tubes])
+    return jacobian

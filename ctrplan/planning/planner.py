@@ -82,8 +82,8 @@ def plan(
     """A certified plan from the scenario's start to its goal.
 
     With the robot's `bound_field` the search looks bounds up instead of solving; certificates never do. With the
-    scenario's planner.settle = "oscillate" the plan ends with an oscillation that releases friction; `compensated` moves
-    the joints at its end so that the predicted tip arrives, not the frictionless one.
+    scenario's planner.settle = "oscillate" the plan ends with an oscillation that releases friction; `compensated`
+    moves the joints at its end so that the predicted tip arrives, not the frictionless one.
 
     The first path found is certified at once, better ones are sought until `time_s` (default: the scenario's) is up.
     Ctrl-C, or setting `interrupted`, ends the search early and keeps the best. Raises NoAnswerError when start or goal

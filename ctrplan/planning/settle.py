@@ -1,5 +1,6 @@
-"""Settling: a plan may end with the oscillation of decreasing amplitude of Section V-A, which releases friction where no
-translation can.
+"""Settling: a plan may end with the oscillation of decreasing amplitude of Section V-A.
+
+It releases friction where no translation can.
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ def settle(
 ) -> Settled:
     """The path (K, m) with the largest valid oscillation at its end, if that lowers the predicted error there.
 
-    Neighbouring tubes turn against each other by the amplitude to one side and the other; of the ways to share the turns
-    among the joints, the one that leaves the smallest error is taken.
+    Neighbouring tubes turn against each other by the amplitude to one side and the other; of the ways to share the
+    turns among the joints, the one that leaves the smallest error is taken.
     """
     before = certificate.goal_predicted_m
     for amplitude in np.radians(AMPLITUDES_DEG):
