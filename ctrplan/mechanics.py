@@ -421,6 +421,7 @@ def _path_samples(table: Array, bodies: Sequence[Array]) -> PathSamples:
         status=table[:, 8].astype(int),
         tip_m=table[:, 9:12],
         tip_tangent=table[:, 12:15],
+        corner_tip_m=table[:, 15:].reshape(len(table), (table.shape[1] - 15) // 3, 3),
         bodies=tuple(bodies),
     )
 

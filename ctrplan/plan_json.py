@@ -14,12 +14,13 @@ import ctrplan
 from ctrplan.drive import Array, Drive
 from ctrplan.export import write_atomically
 from ctrplan.insertion import follow_the_leader_m
+from ctrplan.plan_timing import settling_duration_s
 
 if TYPE_CHECKING:
     from ctrplan.planning.plan import Certificate, Leg, Plan
     from ctrplan.scenario import Goal, Scenario
 
-SCHEMA_VERSION = 1  # rises when a key changes its meaning or goes
+SCHEMA_VERSION = 2  # rises when a key changes its meaning or goes
 SI_UNITS = {"deg": "rad", "mm": "m"}
 
 
@@ -50,6 +51,8 @@ def plan_to_json(plan: Plan) -> dict[str, Any]:
         "legs": [_leg(leg, drive) for leg in plan.legs],
         "certificate": _certificate(plan.certificate),
         "follow_the_leader_m": follow_the_leader_m(plan),
+        "settling": _settling(plan),
+        "compensation": _compensation(plan),
         "reorder": asdict(plan.reorder),
         "trajectory": _trajectory(plan),
         "notes": plan.notes,
@@ -93,10 +96,29 @@ def _joint_values(q: Array, drive: Drive) -> dict[str, dict[str, float]]:
 
 def _certificate(certificate: Certificate) -> dict[str, Any]:
     """The summary, and the samples as columns of equal length."""
-    names = [entry.name for entry in fields(certificate) if entry.name != "samples"]
+    names = [entry.name for entry in fields(certificate) if entry.name not in ("samples", "settling")]
     columns = {entry.name: getattr(certificate.samples, entry.name) for entry in fields(certificate.samples)}
     summary = {name: getattr(certificate, name) for name in names}
     return {**summary, "targets": [asdict(target) for target in certificate.targets], "samples": columns}
+
+
+def _settling(plan: Plan) -> dict[str, Any] | None:
+    """The oscillation that ends the plan, if there is one."""
+    settling = plan.certificate.settling
+    if settling is None:
+        return None
+    turn = settling.amplitude_rad * settling.turns
+    content = {entry.name: getattr(settling, entry.name) for entry in fields(settling) if entry.name != "turns"}
+    first_turn = _joint_values(turn, plan.scenario.robot.drive)
+    return {**content, "first_turn": first_turn, "duration_s": settling_duration_s(plan)}
+
+
+def _compensation(plan: Plan) -> dict[str, Any] | None:
+    """What the joints were moved by for the predicted tip to arrive, if that was asked for."""
+    if plan.compensation is None:
+        return None
+    content = {entry.name: getattr(plan.compensation, entry.name) for entry in fields(plan.compensation)}
+    return {**content, "correction": _joint_values(plan.compensation.correction, plan.scenario.robot.drive)}
 
 
 def _trajectory(plan: Plan) -> dict[str, Any]:

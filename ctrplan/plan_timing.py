@@ -24,6 +24,15 @@ def leg_end_s(plan: Plan) -> Array:
     return _time_at(plan, _travelled(plan, plan.waypoints)[1:])
 
 
+def settling_duration_s(plan: Plan) -> float:
+    """How long [s] the oscillation takes that ends the plan; 0 without one."""
+    settling = plan.certificate.settling
+    if settling is None:
+        return 0.0
+    before = leg_end_s(plan)[settling.first_leg - 1] if settling.first_leg else 0.0
+    return float(plan.trajectory.duration_s - before)
+
+
 def joints_at(plan: Plan, time_s: Array) -> Array:
     """(T, m) joint values [rad, m] of the trajectory at time_s (T,) [s], linear between its samples."""
     trajectory = plan.trajectory

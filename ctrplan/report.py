@@ -38,6 +38,9 @@ MEANING = (
     "friction error is the largest distance of the tip in a corner shape from the tip without friction. The "
     "envelope is that distance all along the robot, with the tubes' radius and the model error added; the "
     "clearance is the smallest of all these shapes.",
+    "The predicted friction error follows the contacts' slip along this very path, from every friction state that the "
+    "robot may start in (released, and every corner); the largest counts. Rotations load friction, translations "
+    "release it, so that it is usually far below the worst case where a plan ends with a translation.",
     "What the figures do not cover: the model is quasi-static (slow motion, no vibration), friction follows "
     "Coulomb's law with the coefficients of the robot file, and nothing touches the robot from outside, neither "
     "anatomy nor tools. They hold for the model as calibrated; what calibration could not explain is in the robot "
@@ -68,7 +71,7 @@ def report_html(plan: Plan) -> str:
         _margins(plan),
         _joints(plan),
         section("Legs", _legs(plan)),
-        section("What reordering changed", _reorder(plan)),
+        section("What reordering changed", *_reorder(plan)),
         section("What the error bound means", *(tag("p", text) for text in MEANING)),
         section("Where this comes from", _provenance(plan)),
     )
@@ -85,7 +88,8 @@ def _tiles(plan: Plan) -> Markup:
         clearance = ("free space", "no anatomy to stay clear of")
     shown = [
         (millimetres(certificate.goal_bound_m), "worst-case friction error at the goal"),
-        (millimetres(certificate.worst_bound_m), "at most along the path"),
+        (millimetres(certificate.goal_predicted_m), "predicted friction error at the goal"),
+        (millimetres(certificate.worst_bound_m), "worst case at most along the path"),
         clearance,
         (digits(certificate.min_stability), "smallest stability"),
         (f"{digits(plan.trajectory.duration_s)} s", f"duration, {_counted(plan.trajectory.stops, 'stop')} on the way"),
@@ -154,7 +158,7 @@ def _moves(plan: Plan, start: Array, end: Array) -> Iterator[str]:
             yield f"{joint.name}: {a / joint.si_per_unit:.2f}{unit} → {b / joint.si_per_unit:.2f}{unit}"
 
 
-def _reorder(plan: Plan) -> Markup:
+def _reorder(plan: Plan) -> tuple[Markup, Markup, Markup]:
     report = plan.reorder
     rows = [
         ("Cost", f"{digits(report.cost_before_mm)} mm", f"{digits(report.cost_after_mm)} mm"),
@@ -170,7 +174,13 @@ def _reorder(plan: Plan) -> Markup:
         ),
         ("Stops on the way", str(report.stops_before), str(report.stops_after)),
     ]
-    return table(("Quantity", "Before", "After"), rows)
+    others = (
+        (other.name, millimetres(other.goal_predicted_m), f"{digits(other.length_mm)} mm", other.problem or "valid")
+        for other in report.alternatives
+    )
+    head = ("Way to the goal", "Predicted friction error there", "Joint length", "Validity")
+    changes = tag("ul", *(tag("li", change) for change in report.changes))
+    return changes, table(("Quantity", "Before", "After"), rows), table(head, others)
 
 
 def _provenance(plan: Plan) -> Markup:

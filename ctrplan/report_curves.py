@@ -51,7 +51,16 @@ def margins_figure(plan: Plan) -> go.Figure:
     allowed = () if limit_m is None else ((limit_m * 1e3, palette.LIMIT),)
     error = "Worst-case friction error of the tip" + (", dashed: allowed at the goal" if allowed else "")
     panels = [
-        _single(error, "mm", samples.bound_m * 1e3, palette.BOUND, allowed),
+        Panel(
+            error,
+            "mm",
+            (
+                Curve("worst case", samples.bound_m * 1e3, palette.BOUND),
+                Curve("predicted by history", samples.predicted_m * 1e3, palette.BOUND, "dot"),
+            ),
+            allowed,
+            from_zero=True,
+        ),
         _single(
             "Worst-case friction error of the tip's direction", "deg", np.degrees(samples.bound_rad), palette.BOUND
         ),

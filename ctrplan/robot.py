@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from ctrplan.batch import Progress
+    from ctrplan.friction_law import FrictionLaw
     from ctrplan.history import History, HistoryOptions, Start
     from ctrplan.mechanics import Accuracy, Bound, Bounds, Mechanics, Shape
 
@@ -92,6 +93,13 @@ class Robot:
         from ctrplan.mechanics import Mechanics
 
         return Mechanics(self.tubes, self.clearance_m, self.friction[:, 1], self.loads)
+
+    @cached_property
+    def friction_law(self) -> FrictionLaw:
+        """How rotations load and translations release each pair, calibrated on simulated histories of this robot."""
+        from ctrplan.friction_calibration import friction_law
+
+        return friction_law(self)
 
     def zero_clearance(self, theta_b: ArrayLike, l_b: ArrayLike) -> Shape:
         """Zero-clearance, frictionless shape at base rotations (n,) [rad] and translations (n,) [m], (2)-(3)."""

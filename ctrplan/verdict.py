@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from ctrplan.plan_timing import settling_duration_s
 from ctrplan.planning.motion import path_limits
 
 if TYPE_CHECKING:
@@ -30,12 +31,14 @@ def verdict(plan: Plan) -> str:
         first = first[:1].lower() + first[1:]
         others = len(certificate.problems) - 1
         return f"Not certified: {first}{f' (and {others} more)' if others > 0 else ''}."
+    predicted = millimetres(certificate.goal_predicted_m)
     parts = [f"worst-case friction error at the goal {millimetres(certificate.goal_bound_m)}"]
     limit_m = plan.scenario.cost.max_error_goal_m
     if limit_m is not None:
         relation = "within" if certificate.goal_bound_m <= limit_m else "above"
         parts[0] += f" ({relation} the required {millimetres(limit_m)})"
-    parts.append(f"at most {millimetres(certificate.worst_bound_m)} along the path")
+    parts.append(f"{predicted} predicted by its history")
+    parts.append(f"worst case at most {millimetres(certificate.worst_bound_m)} along the path")
     if math.isfinite(certificate.min_clearance_m):
         parts.append(f"smallest clearance {millimetres(certificate.min_clearance_m)} beyond the margins")
     opening = "Certified" if is_acceptable(plan) else "Certified, but short of a requirement"
@@ -82,10 +85,31 @@ def _errors(plan: Plan) -> list[Finding]:
         Finding("Worst-case friction error at the goal, direction", degrees(certificate.goal_bound_rad), "", None),
         Finding("Worst-case friction error along the path", millimetres(certificate.worst_bound_m), "", None),
     ]
-    if scenario.goal.tip_m is not None:
-        tolerance = scenario.goal.tolerance_m
+    rows += [
+        Finding("Predicted friction error at the goal", millimetres(certificate.goal_predicted_m), "", None),
+        Finding("Predicted friction error along the path", millimetres(certificate.worst_predicted_m), "", None),
+    ]
+    compensation, tolerance = plan.compensation, scenario.goal.tolerance_m
+    if scenario.goal.tip_m is not None and (compensation is None or compensation.note):
         rows.append(_at_most("Distance from the goal without friction", certificate.goal_tip_error_m, tolerance))
-    return rows
+    if compensation:
+        without = f"Predicted distance from the goal (without compensation {millimetres(compensation.error_without_m)})"
+        rows.append(_at_most(without, compensation.error_with_m, tolerance))
+    return rows + _settling(plan)
+
+
+def _settling(plan: Plan) -> list[Finding]:
+    settling = plan.certificate.settling
+    if settling is None:
+        return []
+    first_turn = f"{degrees(settling.amplitude_rad)}, {digits(settling_duration_s(plan))} s"
+    before, after = millimetres(settling.goal_predicted_before_m), millimetres(settling.goal_predicted_after_m)
+    clearance = "free space" if math.isinf(settling.min_clearance_m) else millimetres(settling.min_clearance_m)
+    return [
+        Finding("Settling oscillation, first turn and duration", first_turn, "", None),
+        Finding("Predicted friction error before and after settling", f"{before}, {after}", "", None),
+        Finding("Smallest clearance while settling, beyond the margins", clearance, "", None),
+    ]
 
 
 def _margins(plan: Plan) -> list[Finding]:

@@ -92,6 +92,8 @@ def _samples(scenario: Scenario, legs: tuple[Leg, ...]) -> CertificateSamples:
         clearance_m=np.array([_clearance(scenario, *pair) for pair in zip(*collars, strict=True)]),
         motion_m=np.concatenate([[0.0], moved]),
         tip_m=bounds.tip_m,
+        released_m=bounds.position_m * 0.8,
+        predicted_m=bounds.position_m / 2,
     )
 
 
@@ -115,6 +117,12 @@ def _certificate(scenario: Scenario, samples: CertificateSamples, stops: int) ->
         goal_bound_rad=float(samples.bound_rad[-1]),
         goal_tip_error_m=0.0 if goal_m is None else float(np.linalg.norm(tip_m - goal_m)),
         error_integral_mm=float(error_mm[:-1] @ np.diff(samples.path_mm)) / scenario.cost.mm_per_rad,
+        worst_predicted_m=float(samples.predicted_m.max()),
+        goal_predicted_m=float(samples.predicted_m[-1]),
+        predicted_integral_mm=float(error_mm[:-1] @ np.diff(samples.path_mm)) / scenario.cost.mm_per_rad / 2,
+        goal_predicted_tip_m=samples.tip_m[-1],
+        goal_predicted_spread_m=0.1e-3,
+        snaps=0,
         min_clearance_m=float(samples.clearance_m.min()),
         min_stability=float(samples.stability.min()),
         max_strain=float(samples.max_strain.max()),

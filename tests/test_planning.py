@@ -72,15 +72,20 @@ def test_plan_past_obstacles_reaches_its_target(ribs: ctrplan.Plan) -> None:
     assert reached.position_m == pytest.approx(ribs.certificate.goal_bound_m, abs=1e-6)
 
 
-def test_bound_aware_plan_ends_with_less_error_than_blind_one(ribs: ctrplan.Plan) -> None:
-    blind = ctrplan.plan(scenario("ribs", *BLIND), seed=0, time_s=3)
-    assert ribs.certificate.goal_bound_m < 0.5 * blind.certificate.goal_bound_m
+def released(plan: ctrplan.Plan) -> float:
+    """The error at the goal that the search pays for."""
+    return float(plan.certificate.samples.released_m[-1])
 
 
-def test_bound_aware_plan_in_the_vessel_ends_with_less_error_than_blind_one() -> None:
+def test_plan_that_cares_more_for_the_error_at_the_goal_ends_with_less() -> None:
+    caring, blind = (ctrplan.plan(scenario("ribs", *w), seed=0, time_s=3) for w in (["cost.error_goal=200"], BLIND))
+    assert released(caring) < 0.8 * released(blind)
+
+
+def test_plan_in_the_vessel_ends_with_no_more_error_than_a_blind_one() -> None:
     aware, blind = (ctrplan.plan(scenario("vessel", *weights), seed=0, time_s=2) for weights in ([], BLIND))
     check(aware)
-    assert aware.certificate.goal_bound_m < blind.certificate.goal_bound_m
+    assert released(aware) <= released(blind) + 1e-9
 
 
 def test_plan_goes_round_where_the_straight_line_snaps(snap: ctrplan.Plan) -> None:
@@ -136,7 +141,7 @@ def test_reorder_swaps_a_translation_before_a_rotation() -> None:
     result = rotations_first(MotionChecker(case), path)
     np.testing.assert_allclose(result.after[-1], path[-1])
     assert result.motion_after.length_mm == pytest.approx(result.motion_before.length_mm)
-    assert result.motion_after.error_integral_mm <= result.motion_before.error_integral_mm + 1e-9
+    assert result.motion_after.end_error_m < 0.01 * result.motion_before.end_error_m
 
 
 @pytest.mark.parametrize("path", ["abc", [[0, 1], [2]], [[0, 0, 0]], [[0, 0], [1, 1]], [[0, 0, 0], [math.nan, 0, 0]]])
@@ -222,11 +227,6 @@ def test_tip_goal_of_a_robot_whose_tubes_all_translate(tmp_path: Path) -> None:
         f'robot = "robot.toml"\n[start]\n{start}\n[goal]\n{goal}\n[planner]\ntime_s = 1\n'
     )
     check(ctrplan.plan(load_scenario(tmp_path / "case.toml")))
-
-
-def test_settling_is_refused_rather_than_ignored() -> None:
-    with pytest.raises(InputError, match="planner.settle"):
-        ctrplan.plan(scenario("pair_free", 'planner.settle="oscillate"'))
 
 
 def test_unstable_start_is_refused() -> None:

@@ -19,10 +19,12 @@ def changed(plan: Plan, max_error_goal_m: float | None = None, **certificate: An
 
 
 def test_certified_plan_is_said_in_one_sentence(plan: Plan) -> None:
-    good = changed(plan, goal_bound_m=0.42e-3, worst_bound_m=1.3e-3, min_clearance_m=1.8e-3)
+    figures = {"goal_bound_m": 0.42e-3, "goal_predicted_m": 0.11e-3, "worst_bound_m": 1.3e-3}
+    good = changed(plan, min_clearance_m=1.8e-3, **figures)
     assert is_acceptable(good)
     assert verdict(good) == (
-        "Certified: worst-case friction error at the goal 0.42 mm, at most 1.30 mm along the path, "
+        "Certified: worst-case friction error at the goal 0.42 mm, 0.11 mm predicted by its history, "
+        "worst case at most 1.30 mm along the path, "
         "smallest clearance 1.80 mm beyond the margins."
     )
 

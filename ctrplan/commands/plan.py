@@ -14,6 +14,7 @@ from ctrplan.commands.output_folder import output_folder, written_together
 from ctrplan.commands.progress_bar import ProgressBar
 from ctrplan.errors import InputError
 from ctrplan.interrupts import interrupt_event
+from ctrplan.plan_timing import settling_duration_s
 
 if TYPE_CHECKING:
     from ctrplan.planning.plan import Plan
@@ -25,6 +26,7 @@ OUTPUTS = ("plan.json", "trajectory.csv", "trajectory.yaml", "plan.png", "report
 EXAMPLES = """examples:
   ctrplan plan scenarios/vessel.toml -o out
   ctrplan plan scenarios/ribs.toml -o out --time 10 --seed 3
+  ctrplan plan scenarios/ribs.toml -o out --compensate --set 'planner.settle="oscillate"'
   ctrplan plan scenarios/ribs.toml -o out --set cost.error_goal=0 --set robot.contact.1.friction_coefficient=0.3
 """
 
@@ -46,6 +48,11 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--seed", type=int, default=0, help="seed of the search (default: %(default)s)")
     parser.add_argument(
         "--time", type=float, metavar="S", help="seconds of search (default: the scenario's planner.time_s)"
+    )
+    parser.add_argument(
+        "--compensate",
+        action="store_true",
+        help="command joints so that the tip predicted with friction arrives, not the frictionless one",
     )
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     parser.add_argument("--no-field", action="store_true", help="solve every bound, although `ctrplan field` was run")
@@ -79,6 +86,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
                 progress=bar.update,
                 interrupted=interrupted,
                 bound_field=None if arguments.no_field else known_field(scenario.robot),
+                compensated=arguments.compensate,
             )
         _write(folder, result)
         print(_summary(folder, result))
@@ -137,10 +145,26 @@ def _figures(plan: Plan) -> dict[str, str]:
     before_mm, after_mm = reordered.cost_before_mm, reordered.cost_after_mm
     count, strain_percent = len(certificate.samples.leg), 100 * certificate.max_strain
     clearance = "free space" if math.isinf(clearance_mm) else f"{clearance_mm:.2f} mm beyond the margins"
+    predicted_mm, way_mm = certificate.goal_predicted_m * 1e3, certificate.worst_predicted_m * 1e3
     return {
         "worst-case friction error": f"{goal_mm:.2f} mm at the goal, {worst_mm:.2f} mm on the way",
+        "predicted friction error": f"{predicted_mm:.2f} mm at the goal, {way_mm:.2f} mm on the way",
+        **_extras(plan),
         "clearance of every shape": clearance,
         "least stability": f"{certificate.min_stability:.2f}, largest strain {strain_percent:.2f} %",
         "cost": f"{certificate.cost_mm:.1f} mm; reordering took {before_mm:.1f} to {after_mm:.1f} mm",
         "certified on": f"{count} samples, no point moves more than {spacing_mm:.2f} mm between two",
     }
+
+
+def _extras(plan: Plan) -> dict[str, str]:
+    """Lines about what was asked for beyond the path."""
+    lines, settling, compensation = {}, plan.certificate.settling, plan.compensation
+    if settling:
+        before_mm, after_mm = settling.goal_predicted_before_m * 1e3, settling.goal_predicted_after_m * 1e3
+        turn = f"{math.degrees(settling.amplitude_rad):.0f} deg in {settling_duration_s(plan):.0f} s"
+        lines["settling oscillation"] = f"{turn}, predicted error {before_mm:.2f} to {after_mm:.2f} mm"
+    if compensation:
+        without_mm, with_mm = compensation.error_without_m * 1e3, compensation.error_with_m * 1e3
+        lines["predicted tip to target"] = f"{with_mm:.2f} mm, {without_mm:.2f} mm without compensation"
+    return lines

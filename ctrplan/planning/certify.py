@@ -16,11 +16,13 @@ from ctrplan.drive import Array
 from ctrplan.legs import distance_from_polyline, merge_legs
 from ctrplan.mechanics import Accuracy, PathDensity, PathLimits, PathSamples
 from ctrplan.planning.goals import target_in_robot_frame
-from ctrplan.planning.motion import MM_PER_M, anatomy_grid, breach, path_limits
+from ctrplan.planning.motion import MM_PER_M, anatomy_grid, breach, path_limits, released_error
 from ctrplan.planning.plan import Certificate, CertificateSamples, TargetReached
+from ctrplan.planning.prediction import Prediction, predict, rows_to_simulate
 from ctrplan.planning.space import JointSpace
 
 if TYPE_CHECKING:
+    from ctrplan.robot import Robot
     from ctrplan.scenario import Scenario
 
 SPACING_M = 0.5e-3  # largest motion of a body point between samples
@@ -32,6 +34,7 @@ BRANCH_TOLERANCE_M = 0.2e-3  # between the ends of neighbouring pieces, the same
 GRID_SHARE = 0.03  # of a clearance by which the grid may be off far from surfaces (ctrplan.grid_distance)
 PIECE_MM = 40.0  # joint length of the pieces that run in parallel
 Progress = Callable[[float], None]
+Arrival = Callable[["Scenario", CertificateSamples, Prediction], list[str]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,33 +47,60 @@ class _Piece:
     clearance_m: Array  # (K,) exact, less half the motion between samples and the discretisation error
 
 
+def frictionless_arrives(scenario: Scenario, samples: CertificateSamples, prediction: Prediction) -> list[str]:
+    """Sentences if the frictionless tip misses the goal."""
+    goal, miss = scenario.goal, _goal_miss(scenario, samples.tip_m[-1])
+    if goal.tip_m is None or miss <= goal.tolerance_m:
+        return []
+    miss_mm, tolerance_mm = miss * MM_PER_M, goal.tolerance_m * MM_PER_M
+    return [f"The frictionless tip ends {miss_mm:.2f} mm from the target, tolerance {tolerance_mm:g} mm."]
+
+
 def certify(
-    scenario: Scenario, corners: Array, *, accuracy: Accuracy = "search", progress: Progress | None = None
+    scenario: Scenario,
+    corners: Array,
+    *,
+    accuracy: Accuracy = "search",
+    arrival: Arrival = frictionless_arrives,
+    progress: Progress | None = None,
 ) -> Certificate:
     """Walks the polyline `corners` (K, m) of actuated joints so that no body point moves more than 0.5 mm a sample.
 
     Clearances are exact distances of points of the frictionless and every corner shape, less the outer radius, half the
     motion between samples and the discretisation error; nothing of the search's field is used. Pieces that only the
     coarse mesh's allowance for that error would refuse are walked again on the fine mesh.
+
+    Friction errors are the bound, whatever the history; the same less what the friction law says translations released,
+    which the cost counts as the search does; and the prediction by simulated histories. `arrival` says what misses the
+    goal.
     """
     space = JointSpace.of(scenario)
     limits = path_limits(scenario)
     pieces = _walk(scenario, space, corners, accuracy, progress)
-    samples = _join(space, corners, pieces)
-    problems = _problems(scenario, space, corners, pieces, samples, limits)
-    integral = np.trapezoid(samples.bound_m * MM_PER_M, samples.path_mm) / scenario.cost.mm_per_rad
-    weights, goal_bound = scenario.cost, float(samples.bound_m[-1])
+    prediction, samples = _predicted(scenario, pieces, _join(scenario.robot, space, corners, pieces), accuracy)
+    problems = _problems(scenario, space, corners, pieces, samples, limits) + arrival(scenario, samples, prediction)
+    integral, released, predicted = (
+        np.trapezoid(error * MM_PER_M, samples.path_mm) / scenario.cost.mm_per_rad
+        for error in (samples.bound_m, samples.released_m, samples.predicted_m)
+    )
+    weights, goal_error_mm = scenario.cost, float(samples.released_m[-1]) * MM_PER_M
     length = float(samples.path_mm[-1])
-    cost = weights.path * length + weights.error_along * integral + weights.error_goal * goal_bound * MM_PER_M
+    cost = weights.path * length + weights.error_along * released + weights.error_goal * goal_error_mm
     return Certificate(
         samples=samples,
         valid=not problems,
         problems=tuple(problems),
         worst_bound_m=float(samples.bound_m.max()),
-        goal_bound_m=goal_bound,
+        goal_bound_m=float(samples.bound_m[-1]),
         goal_bound_rad=float(samples.bound_rad[-1]),
         goal_tip_error_m=_goal_miss(scenario, samples.tip_m[-1]),
         error_integral_mm=float(integral),
+        worst_predicted_m=float(samples.predicted_m.max()),
+        goal_predicted_m=float(samples.predicted_m[-1]),
+        predicted_integral_mm=float(predicted),
+        goal_predicted_tip_m=prediction.end_middle_m,
+        goal_predicted_spread_m=prediction.end_spread_m,
+        snaps=prediction.snaps,
         min_clearance_m=float(samples.clearance_m.min()),
         min_stability=float(samples.stability.min()),
         max_strain=float(samples.max_strain.max()),
@@ -133,15 +163,19 @@ def _walked(scenario: Scenario, space: JointSpace, leg: int, start: Array, end: 
     return _Piece(leg, start, end, replace(samples, bodies=()), accuracy, clearance)
 
 
-def _join(space: JointSpace, corners: Array, pieces: list[_Piece]) -> CertificateSamples:
+def _join(robot: Robot, space: JointSpace, corners: Array, pieces: list[_Piece]) -> CertificateSamples:
     """One table over all pieces; the first sample of every piece but the first repeats the last one before it."""
     starts = np.concatenate([[0.0], np.cumsum([space.length_mm(d) for d in np.diff(corners, axis=0)])])
     columns: dict[str, list[NDArray[Any]]] = {name: [] for name in CertificateSamples.__dataclass_fields__}
+    load = np.ones(robot.n - 1)
     for number, piece in enumerate(pieces):
         s = piece.samples
         keep = slice(0 if number == 0 else 1, None)
         joints = piece.start + s.fraction[:, None] * (piece.end - piece.start)
         travelled = [space.length_mm(q - corners[piece.leg]) for q in joints]
+        ends = space.drive.collars(np.array([piece.start, piece.end]))
+        loads = robot.friction_law.load_left(load, *ends, s.fraction)
+        load = loads[-1]
         rows: dict[str, NDArray[Any]] = {
             "leg": np.full(len(s.fraction), piece.leg),
             "joints": joints,
@@ -153,10 +187,33 @@ def _join(space: JointSpace, corners: Array, pieces: list[_Piece]) -> Certificat
             "clearance_m": piece.clearance_m,
             "motion_m": s.motion_m,
             "tip_m": s.tip_m,
+            "released_m": released_error(s, loads),
+            "predicted_m": s.position_m,  # until it is simulated
         }
         for name, values in rows.items():
             columns[name].append(values[keep])
     return CertificateSamples(**{name: np.concatenate(parts) for name, parts in columns.items()})
+
+
+def _predicted(
+    scenario: Scenario, pieces: list[_Piece], samples: CertificateSamples, accuracy: Accuracy
+) -> tuple[Prediction, CertificateSamples]:
+    """Simulated histories along the samples, and the samples with their errors; the bound where a simulation failed."""
+    robot = scenario.robot
+    rows = rows_to_simulate(robot, samples.joints, samples.leg)
+    prediction = predict(robot, samples.joints[rows], accuracy)
+    frictionless = samples.tip_m[rows]
+    finer = np.concatenate(
+        [np.full(len(p.samples.fraction) - (k > 0), p.accuracy != accuracy) for k, p in enumerate(pieces)]
+    )[rows]
+    if finer.any():  # compared on the mesh of the simulation, the other one would pass for friction
+        collars = robot.drive.collars(samples.joints[rows][finer])
+        without = np.zeros((int(finer.sum()), robot.n - 1))
+        frictionless[finer] = robot.mechanics.tips_with_friction(*collars, without, accuracy=accuracy).position_m
+    errors = prediction.errors(frictionless)
+    errors = np.where(np.isnan(errors), samples.bound_m[rows], errors)
+    along = np.interp(np.arange(len(samples.leg)), rows, errors)
+    return prediction, replace(samples, predicted_m=along)
 
 
 def _exact(scenario: Scenario, samples: PathSamples) -> Array:
@@ -211,10 +268,6 @@ def _problems(
     for broken, text, value in checks:
         if broken.any():
             found.append(f"On leg {samples.leg[np.argmax(broken)] + 1}: {text.format(value)}.")
-    goal, miss = scenario.goal, _goal_miss(scenario, samples.tip_m[-1])
-    if goal.tip_m is not None and miss > goal.tolerance_m:
-        miss_mm, tolerance_mm = miss * MM_PER_M, goal.tolerance_m * MM_PER_M
-        found.append(f"The frictionless tip ends {miss_mm:.2f} mm from the target, tolerance {tolerance_mm:g} mm.")
     limit, on_line = scenario.cost.max_error_goal_m, _line_error(scenario, samples.tip_m)
     error = samples.bound_m[-1] if on_line is None else samples.bound_m.max()
     if limit is not None and not error <= limit:
@@ -224,8 +277,8 @@ def _problems(
             limit * MM_PER_M,
         )
         found.append(f"The worst-case error {where} is {error_mm:.2f} mm, above {limit_mm:g} mm.")
-    if on_line is not None and not on_line <= goal.tolerance_m:
-        off_mm, tolerance_mm = on_line * MM_PER_M, goal.tolerance_m * MM_PER_M
+    if on_line is not None and not on_line <= scenario.goal.tolerance_m:
+        off_mm, tolerance_mm = on_line * MM_PER_M, scenario.goal.tolerance_m * MM_PER_M
         found.append(f"The frictionless tip leaves the line by {off_mm:.2f} mm, tolerance {tolerance_mm:g} mm.")
     return found
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from ctrplan.anatomy import SignedDistanceField, build_field, default_spacing_m, field_bounds
 from ctrplan.drive import Array
+from ctrplan.friction_law import largest_deviation
 from ctrplan.mechanics import Field, PathDensity, PathLimits, PathSamples, Status
 from ctrplan.planning.plan import MotionStyle
 from ctrplan.planning.space import JointSpace
@@ -32,8 +33,9 @@ class Motion:
     valid: bool
     reason: str
     length_mm: float
-    error_integral_mm: float  # integral of the bound over the joint length, per mm_per_rad of length
-    end_bound_m: float
+    error_integral_mm: float  # integral of the error over the joint length, per mm_per_rad of length
+    end_bound_m: float  # whatever the history
+    end_error_m: float  # less what the friction law says the motion released; fully loaded at its start
 
 
 class MotionChecker:
@@ -83,7 +85,8 @@ class MotionChecker:
             return invalid(self.space.violation(q)), None
         samples = self.walk(q, self.density, self.limits)
         reason = breach(samples, self.limits)
-        return invalid(reason) if reason else Motion(True, "", 0.0, 0.0, float(samples.position_m[-1])), samples
+        bound = float(samples.position_m[-1])
+        return invalid(reason) if reason else Motion(True, "", 0.0, 0.0, bound, bound), samples
 
     def forbid(self, a: Array, b: Array, reason: str) -> None:
         """Remembers that the motion from a to b failed a stricter check."""
@@ -97,8 +100,9 @@ class MotionChecker:
         reason = breach(samples, self.limits)
         if reason:
             return invalid(reason)
-        length, integral = self.price(corners, samples)
-        return Motion(True, "", length, integral, float(samples.position_m[-1]))
+        error = self.errors(corners, samples)
+        length, integral = self.price(corners, samples, error)
+        return Motion(True, "", length, integral, float(samples.position_m[-1]), float(error[-1]))
 
     def walk(self, corners: Array, density: PathDensity, limits: PathLimits) -> PathSamples:
         """The core's samples along a polyline."""
@@ -115,15 +119,29 @@ class MotionChecker:
                 return samples
         return self.walk(corners, self.density, self.limits)
 
-    def price(self, corners: Array, samples: PathSamples) -> tuple[float, float]:
-        """Weighted joint length [mm] and the error integral [mm] of a walked polyline."""
+    def errors(self, corners: Array, samples: PathSamples) -> Array:
+        """(K,) [m] friction errors on a walked polyline that starts fully loaded, by the robot's friction law.
+
+        Never more than the bound; equal to it as long as nothing was released.
+        """
+        theta_b, l_b = self.space.drive.collars(corners)
+        load, loads = np.ones(self.scenario.robot.n - 1), []
+        for leg in range(samples.segment[-1] + 1):
+            share = samples.fraction[samples.segment == leg]
+            ends = slice(leg, leg + 2) if len(corners) > 1 else [0, 0]
+            loads.append(self.scenario.robot.friction_law.load_left(load, theta_b[ends], l_b[ends], share))
+            load = loads[-1][-1] if len(share) else load
+        return released_error(samples, np.concatenate(loads))
+
+    def price(self, corners: Array, samples: PathSamples, error: Array) -> tuple[float, float]:
+        """Weighted joint length [mm] and the integral [mm] of errors (K,) [m] of a walked polyline."""
         if len(corners) == 1:
             return 0.0, 0.0
         lengths = np.array([self.space.length_mm(d) for d in np.diff(corners, axis=0)])
         travelled = (
             np.concatenate([[0.0], np.cumsum(lengths)])[samples.segment] + samples.fraction * lengths[samples.segment]
         )
-        integral = np.trapezoid(samples.position_m * MM_PER_M, travelled) / self.scenario.cost.mm_per_rad
+        integral = np.trapezoid(error * MM_PER_M, travelled) / self.scenario.cost.mm_per_rad
         return float(lengths.sum()), float(integral)
 
     def cost_mm(self, motion: Motion, *, ends_at_goal: bool) -> float:
@@ -131,13 +149,21 @@ class MotionChecker:
         weights = self.scenario.cost
         cost = weights.path * motion.length_mm + weights.error_along * motion.error_integral_mm
         if ends_at_goal:
-            cost += weights.error_goal * motion.end_bound_m * MM_PER_M
+            cost += weights.error_goal * motion.end_error_m * MM_PER_M
         return cost
 
 
 def invalid(reason: str) -> Motion:
     """A motion that must not be made."""
-    return Motion(False, reason, np.inf, np.inf, np.inf)
+    return Motion(False, reason, np.inf, np.inf, np.inf, np.inf)
+
+
+def released_error(samples: PathSamples, load: Array) -> Array:
+    """(K,) [m] friction error at samples with every pair loaded up to load (K, n - 1); never above the bound."""
+    if not samples.corner_tip_m.size:  # looked up, without a share of each pair
+        highest: Array = samples.position_m * load.max(axis=1, initial=0.0)
+        return highest
+    return np.fmin(largest_deviation(samples.corner_tip_m, samples.tip_m, load), samples.position_m)
 
 
 def path_limits(scenario: Scenario) -> PathLimits:

@@ -46,6 +46,20 @@ class CertificateSamples:
     clearance_m: Array  # (K,) of every corner shape to the anatomy, beyond its margins; inf in free space
     motion_m: Array  # (K,) largest displacement of a body point since the sample before
     tip_m: Array  # (K, 3) frictionless tip, robot frame
+    released_m: Array  # (K,) as bound_m, less what translations released by the friction law; fully loaded at the start
+    predicted_m: Array  # (K,) friction error by simulated history, the largest over the states it may start in
+
+
+@dataclass(frozen=True, eq=False)
+class Settling:
+    """The oscillation of decreasing amplitude that ends a plan (Section V-A of the paper)."""
+
+    amplitude_rad: float  # of the first turn, between neighbouring tubes
+    turns: Array  # (m,) joint motion per rad of amplitude
+    first_leg: int  # index of its first leg; the rest of the plan is settling
+    min_clearance_m: float  # while settling; inf in free space
+    goal_predicted_before_m: float  # predicted error that it starts from
+    goal_predicted_after_m: float  # and that it leaves
 
 
 @dataclass(frozen=True)
@@ -75,6 +89,12 @@ class Certificate:
     goal_bound_rad: float
     goal_tip_error_m: float  # frictionless tip to the goal's tip; 0 for joint goals
     error_integral_mm: float  # integral of the bound over the joint length, mm * mm / mm_per_rad
+    worst_predicted_m: float  # as the bounds, but by simulated history
+    goal_predicted_m: float
+    predicted_integral_mm: float
+    goal_predicted_tip_m: Array  # (3,) robot frame, mean over the start states
+    goal_predicted_spread_m: float  # how far from it a start state can leave the tip
+    snaps: int  # times a simulated robot slid to another equilibrium
     min_clearance_m: float  # after taking off half the largest motion between samples; inf in free space
     min_stability: float
     max_strain: float
@@ -83,11 +103,32 @@ class Certificate:
     cost_mm: float
     spacing_m: float  # largest motion of a body point between samples
     targets: tuple[TargetReached, ...] = ()  # in the order reached, the goal last
+    settling: Settling | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Compensation:
+    """Joints commanded so that the predicted tip arrives, not the frictionless one."""
+
+    correction: Array  # (m,) rad or m, added to the last legs; zero where nothing could be gained
+    error_without_m: float  # largest distance of a predicted tip from the goal's, over the start states
+    error_with_m: float
+    note: str  # why there is no correction; empty if there is
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """A way from the same start to the same goal, for comparison."""
+
+    name: str  # "as given", "as driven", "straight line", "translations first"
+    goal_predicted_m: float  # predicted friction error at the goal; inf where no history leads there
+    length_mm: float
+    problem: str  # why it must not be driven; empty if it may
 
 
 @dataclass(frozen=True, eq=False)
 class ReorderReport:
-    """What reordering changed: the same figures before and after."""
+    """What reordering changed: the same figures before and after; errors are those of the friction law."""
 
     cost_before_mm: float
     cost_after_mm: float
@@ -97,6 +138,8 @@ class ReorderReport:
     error_integral_after_mm: float
     stops_before: int
     stops_after: int
+    changes: tuple[str, ...] = ()  # sentences: what was reordered on the way to the goal
+    alternatives: tuple[Alternative, ...] = ()  # other ways to it from the target before, or the start
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +158,7 @@ class Plan:
     first_found_s: float  # time to the first path found
     first_certified_s: float  # time to the first path that passed its certificate
     notes: tuple[str, ...] = field(default=())
+    compensation: Compensation | None = None  # only if asked for
     interrupted: bool = False  # by Ctrl-C: the best path found until then
 
     @property

@@ -17,15 +17,17 @@ from ctrplan.drive import Array
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.interrupts import interrupt_event
 from ctrplan.planning.certify import certify
+from ctrplan.planning.compensate import compensate
 from ctrplan.planning.goals import GoalState, goal_states
 from ctrplan.planning.line import follow_line, line_beginnings
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.objective import BoundObjective
 from ctrplan.planning.ompl_space import StateReader, state_space
-from ctrplan.planning.plan import Certificate, MotionStyle, Plan
-from ctrplan.planning.reorder import Reordered, assemble, rotations_first
+from ctrplan.planning.plan import Certificate, Compensation, MotionStyle, Plan
+from ctrplan.planning.reorder import Reordered, assemble, least_error
 from ctrplan.planning.retreat import RoadmapSearch, promising, retreat_roadmap
 from ctrplan.planning.room import refuse_impossible_margins, start_trouble
+from ctrplan.planning.settle import settle
 from ctrplan.planning.tour import joined_certificates
 from ctrplan.planning.validity import MotionValidity, Validity
 
@@ -75,19 +77,21 @@ def plan(
     progress: Report | None = None,
     interrupted: threading.Event | None = None,
     bound_field: BoundField | None = None,
+    compensated: bool = False,
 ) -> Plan:
     """A certified plan from the scenario's start to its goal.
 
-    With the robot's `bound_field` the search looks bounds up instead of solving; certificates never do.
+    With the robot's `bound_field` the search looks bounds up instead of solving; certificates never do. With the
+    scenario's planner.settle = "oscillate" the plan ends with an oscillation that releases friction; `compensated`
+    moves the joints at its end so that the predicted tip arrives, not the frictionless one.
 
     The first path found is certified at once, better ones are sought until `time_s` (default: the scenario's) is up.
     Ctrl-C, or setting `interrupted`, ends the search early and keeps the best. Raises NoAnswerError when start or goal
     are invalid or no path was found in time, KeyboardInterrupt when it was interrupted before there was a path.
     """
-    if scenario.planner.settle != "none":
-        raise InputError(
-            "is not supported yet, only 'none'", file=scenario.path, key="planner.settle", value=scenario.planner.settle
-        )
+    if compensated and (scenario.goal.tip_m is None or scenario.goal.line_m is not None):
+        rule = "is no single tip position (tip_mm), which compensation needs"
+        raise InputError(rule, file=scenario.path, key="goal")
     began = time.monotonic()
     budget = scenario.planner.time_s if time_s is None else time_s
     refuse_impossible_margins(scenario)
@@ -97,6 +101,7 @@ def plan(
         raise NoAnswerError(f"{scenario.path or scenario.name}: start: the start state is not valid: {reason}.")
     with interrupt_event(interrupted) as interrupted:
         stages = _stages(scenario, seed, began, budget, progress or (lambda _: None), interrupted, bound_field)
+        finish = _finish(scenario, stages[-1][1], compensated, progress or (lambda _: None))
     notes = scenario.warnings
     if bound_field is not None:
         notes += (f"Searched with the robot's bound field {bound_field.key}.",)
@@ -108,13 +113,15 @@ def plan(
     finished = assemble(
         scenario,
         paths,
-        joined_certificates([best.certificate for _, best in stages]),
+        joined_certificates([*(best.certificate for _, best in stages[:-1]), finish.certificate]),
         planner=scenario.planner.name,
         seed=seed,
         time_s=time.monotonic() - began,
         first_found_s=stages[-1][0].found_s,
         first_certified_s=stages[-1][0].certified_s,
-        notes=notes,
+        notes=(*notes, *finish.notes),
+        end=finish.corners,
+        compensation=finish.compensation,
     )
     return replace(finished, interrupted=interrupted.is_set())
 
@@ -159,6 +166,34 @@ def _along_line(checker: MotionChecker, began: float) -> tuple[_Candidate, _Cand
     result = Reordered(corners, corners, motion, motion, "simultaneous", on_line=True)
     candidate = _Candidate(result, certificate, found_s, time.monotonic() - began)
     return candidate, candidate
+
+
+@dataclass(frozen=True, eq=False)
+class _Finish:
+    """What becomes of the way to the last target after the search."""
+
+    corners: Array  # (K, m)
+    certificate: Certificate
+    compensation: Compensation | None
+    notes: tuple[str, ...]
+
+
+def _finish(scenario: Scenario, best: _Candidate, compensated: bool, report: Report) -> _Finish:
+    """Settles and compensates the way to the last target where that is asked for."""
+    corners, certificate = best.result.after, best.certificate
+    checker = MotionChecker(replace(scenario, start=corners[0], via=()))
+    notes: tuple[str, ...] = ()
+
+    def progress(fraction: float) -> None:
+        report(Progress("certificate", fraction, certificate.cost_mm))
+
+    if scenario.planner.settle == "oscillate":
+        settled = settle(checker, corners, certificate, progress=progress)
+        corners, certificate, notes = settled.corners, settled.certificate, (settled.note,) if settled.note else ()
+    if not compensated:
+        return _Finish(corners, certificate, None, notes)
+    corners, certificate, compensation = compensate(checker, corners, certificate, progress=progress)
+    return _Finish(corners, certificate, compensation, notes)
 
 
 @dataclass(eq=False)
@@ -272,7 +307,7 @@ class _Work:
     def _certified(self, checker: MotionChecker, corners: Array) -> str:
         """Reorders and certifies a path (K, m), keeps it if it is the best; why it failed, empty if it did not."""
         found_s = time.monotonic() - self.began
-        result = rotations_first(checker, corners)
+        result = least_error(checker, corners)
         if self.best and np.array_equal(result.after, self.best.result.after):
             return ""
         certificate = certify(

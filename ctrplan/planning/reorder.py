@@ -1,10 +1,10 @@
-"""Reordering: merges and reorders the legs of any path, rotations before translations, never at a higher cost."""
+"""Reordering: merges and reorders the legs of any path so that least friction error is left, never at a higher cost."""
 
 from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,15 +12,19 @@ from numpy.typing import ArrayLike
 from ctrplan.drive import Array
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.legs import merge_legs
+from ctrplan.planning.alternatives import alternative, changes, held_back, straight_line, translations_first
 from ctrplan.planning.certify import certify
 from ctrplan.planning.motion import MM_PER_M, Motion, MotionChecker
-from ctrplan.planning.plan import Certificate, Leg, MotionStyle, Plan, ReorderReport, leg_kind
+from ctrplan.planning.plan import Certificate, Compensation, Leg, MotionStyle, Plan, ReorderReport, leg_kind
+from ctrplan.planning.prediction import TIP_TOLERANCE_M, goal_error
 from ctrplan.trajectory import time_parameterise
 
 if TYPE_CHECKING:
     from ctrplan.scenario import Scenario
 
 LONGEST_SKIP = 12  # waypoints that one L-shaped motion may replace
+MOST_SIMULATED = 3  # of the ways that hold translation back
+EXCESS = 0.01  # of the bound by which a prediction may be above it
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,12 +57,43 @@ def reorder(path: ArrayLike, scenario: Scenario, *, period_s: float = 0.01) -> P
         rule = "has several targets; give the path of one, with the goal alone, at a time"
         raise InputError(rule, file=scenario.path, key="target")
     checker = MotionChecker(scenario)
-    result = rotations_first(checker, merge_legs(corners))
+    result = least_error(checker, merge_legs(corners))
     if not result.motion_before.valid:
         raise NoAnswerError(f"{scenario.path or scenario.name}: path: not valid: {result.motion_before.reason}.")
     certificate = certify(scenario, result.after)
     elapsed = time.monotonic() - began
     return assemble(scenario, [result], certificate, planner="given path", seed=0, time_s=elapsed, period_s=period_s)
+
+
+def least_error(checker: MotionChecker, corners: Array) -> Reordered:
+    """The order of a path (K, m) that leaves the smallest predicted friction error at the goal, by simulated history.
+
+    Candidates are the path itself, rotations before translations (`rotations_first`), and both with some translation
+    held back until after the last rotation; none may cost more than the path does. Among those within the accuracy of
+    the simulation the cheapest is taken. Where the scenario gives the error at the goal no weight, it is not asked for.
+    """
+    given = rotations_first(checker, corners)
+    before = given.motion_before
+    if not before.valid or checker.scenario.cost.error_goal == 0:
+        return given
+    robot, ways = checker.scenario.robot, [corners]
+    if not np.array_equal(given.after, corners):
+        ways.append(given.after)
+    others = [way for base in tuple(ways) for way in held_back(checker, base)]
+    motions = [checker.along(way) for way in others]
+    ranked = [k for k in np.argsort([_way_cost(checker, motion) for motion in motions]) if motions[k].valid]
+    ways += [others[k] for k in ranked[:MOST_SIMULATED]]
+    if len(ways) == 1:
+        return given
+    errors = np.array([goal_error(robot, way) for way in ways])
+    motions = [before, *(checker.along(way) for way in ways[1:])]
+    costs = np.array([_way_cost(checker, motion) for motion in motions])
+    open_to = (costs <= costs[0] + 1e-9) & np.isfinite(errors)
+    if not open_to.any():
+        return given
+    close = open_to & (errors <= errors[open_to].min() + TIP_TOLERANCE_M)
+    best = int(np.argmin(np.where(close, costs, np.inf)))
+    return Reordered(corners, ways[best], before, motions[best], _style(checker, ways[best]))
 
 
 def rotations_first(checker: MotionChecker, corners: Array) -> Reordered:
@@ -108,13 +143,14 @@ def joined_paths(stages: list[Reordered]) -> Reordered:
 
 
 def _summed(motions: list[Motion]) -> Motion:
-    """The motions as one, which pays for the bound at the end of each."""
+    """The motions as one, which pays for the error at the end of each."""
     return Motion(
         all(motion.valid for motion in motions),
         next((motion.reason for motion in motions if motion.reason), ""),
         sum(motion.length_mm for motion in motions),
         sum(motion.error_integral_mm for motion in motions),
         sum(motion.end_bound_m for motion in motions),
+        sum(motion.end_error_m for motion in motions),
     )
 
 
@@ -153,15 +189,22 @@ def assemble(
     first_certified_s: float = 0.0,
     period_s: float = 0.01,
     notes: tuple[str, ...] = (),
+    end: Array | None = None,
+    compensation: Compensation | None = None,
 ) -> Plan:
-    """The plan of reordered corners, stage by stage; the trajectory rests after each stage."""
+    """The plan of reordered corners, stage by stage; the trajectory rests after each stage.
+
+    `end` (K, m) is what settling and compensation made of the last stage.
+    """
     drive, result = scenario.robot.drive, joined_paths(stages)
-    rests = np.cumsum([len(stage.after) - 1 for stage in stages])
-    legs = tuple(Leg(a, b, leg_kind(drive, a, b)) for a, b in zip(result.after[:-1], result.after[1:], strict=True))
+    ways = [*(stage.after for stage in stages[:-1]), stages[-1].after if end is None else end]
+    driven = np.concatenate([ways[0][:1], *(way[1:] for way in ways)])
+    rests = np.cumsum([len(way) - 1 for way in ways])
+    legs = tuple(Leg(a, b, leg_kind(drive, a, b)) for a, b in zip(driven[:-1], driven[1:], strict=True))
     weights = scenario.cost
 
     def cost(motion: Motion) -> float:
-        errors = weights.error_along * motion.error_integral_mm + weights.error_goal * motion.end_bound_m * MM_PER_M
+        errors = weights.error_along * motion.error_integral_mm + weights.error_goal * motion.end_error_m * MM_PER_M
         return weights.path * motion.length_mm + errors
 
     a, b = result.motion_before, result.motion_after
@@ -174,6 +217,7 @@ def assemble(
         error_integral_after_mm=b.error_integral_mm,
         stops_before=max(len(merge_legs(result.before)) - 2, 0),
         stops_after=max(len(result.after) - 2, 0),
+        **_compared(scenario, stages[-1]),
     )
     return Plan(
         scenario=scenario,
@@ -181,11 +225,42 @@ def assemble(
         planner=planner,
         style=result.style,
         legs=legs,
-        certificate=replace(certificate, stops=report.stops_after),
-        trajectory=time_parameterise(result.after, drive, period_s, rests=rests.tolist()),
+        certificate=replace(certificate, stops=max(len(driven) - 2, 0)),
+        trajectory=time_parameterise(driven, drive, period_s, rests=rests.tolist()),
         reorder=report,
         search_time_s=time_s,
         first_found_s=first_found_s,
         first_certified_s=first_certified_s,
-        notes=notes,
+        notes=(*notes, *_remarks(certificate)),
+        compensation=compensation,
     )
+
+
+def _compared(scenario: Scenario, stage: Reordered) -> dict[str, Any]:
+    """What was reordered on the way to the goal, and what other ways would leave there; nothing for a line."""
+    if stage.on_line:
+        return {}
+    checker = MotionChecker(replace(scenario, start=stage.after[0], via=()))
+    ways = {
+        "as given": stage.before,
+        "as driven": stage.after,
+        "straight line": straight_line(stage.after),
+        "translations first": translations_first(checker, stage.after),
+    }
+    return {
+        "changes": changes(checker, stage.before, stage.after),
+        "alternatives": tuple(alternative(checker, name, way) for name, way in ways.items()),
+    }
+
+
+def _remarks(certificate: Certificate) -> tuple[str, ...]:
+    """What the simulated histories found beside their errors."""
+    samples, found = certificate.samples, []
+    excess = samples.predicted_m - samples.bound_m * (1 + EXCESS) - TIP_TOLERANCE_M
+    if excess.max() > 0:
+        k = int(np.argmax(excess))
+        beyond, where = (samples.predicted_m - samples.bound_m)[k] * MM_PER_M, samples.leg[k] + 1
+        found.append(f"On leg {where} a simulated history leads {beyond:.2f} mm beyond the worst-case error.")
+    if certificate.snaps:
+        found.append("A simulated history slides to another equilibrium on the way, for a moment out of balance.")
+    return tuple(found)

@@ -16,7 +16,7 @@ def joined_certificates(stages: list[Certificate]) -> Certificate:
     if len(stages) == 1:
         return stages[0]
     samples, targets = _joined_samples(stages)
-    last = stages[-1]
+    last, before = stages[-1], sum(int(stage.samples.leg[-1]) + 1 for stage in stages[:-1])
     return replace(
         last,
         samples=samples,
@@ -24,6 +24,9 @@ def joined_certificates(stages: list[Certificate]) -> Certificate:
         problems=tuple(problem for stage in stages for problem in stage.problems),
         worst_bound_m=max(stage.worst_bound_m for stage in stages),
         error_integral_mm=sum(stage.error_integral_mm for stage in stages),
+        worst_predicted_m=max(stage.worst_predicted_m for stage in stages),
+        predicted_integral_mm=sum(stage.predicted_integral_mm for stage in stages),
+        snaps=sum(stage.snaps for stage in stages),
         min_clearance_m=min(stage.min_clearance_m for stage in stages),
         min_stability=min(stage.min_stability for stage in stages),
         max_strain=max(stage.max_strain for stage in stages),
@@ -32,6 +35,7 @@ def joined_certificates(stages: list[Certificate]) -> Certificate:
         cost_mm=sum(stage.cost_mm for stage in stages),
         spacing_m=max(stage.spacing_m for stage in stages),
         targets=targets,
+        settling=last.settling and replace(last.settling, first_leg=last.settling.first_leg + before),
     )
 
 

@@ -101,19 +101,21 @@ ctr::SignedDistanceField distance_field(const nb::object& field, Field& values, 
     return sdf;
 }
 
-// Columns: segment, fraction, position bound, tangent bound, stability, max strain, clearance, motion, status, tip (3), tangent (3).
+// Columns: segment, fraction, position bound, tangent bound, stability, max strain, clearance, motion, status, tip (3), tangent (3),
+// tip of each corner (3), which lookups don't know.
 nb::object table(const std::vector<ctr::PathSample>& samples) {
-    constexpr std::size_t kColumns = 15;
+    const std::size_t columns = 15 + 3 * (samples.empty() ? 0 : samples.front().corner_tips.size());
     std::vector<double> out;
-    out.reserve(samples.size() * kColumns);
+    out.reserve(samples.size() * columns);
     for (const ctr::PathSample& s : samples) {
         for (double value : {static_cast<double>(s.segment), s.fraction, s.position_bound, s.tangent_bound, s.stability, s.max_strain,
                              s.clearance, s.motion, static_cast<double>(static_cast<int>(s.status))})
             out.push_back(value);
         out.insert(out.end(), s.tip.begin(), s.tip.end());
         out.insert(out.end(), s.tangent.begin(), s.tangent.end());
+        for (const ctr::Vec3& tip : s.corner_tips) out.insert(out.end(), tip.begin(), tip.end());
     }
-    return array(std::move(out), {samples.size(), kColumns});
+    return array(std::move(out), {samples.size(), columns});
 }
 
 // The bound looked up on a grid (ctr/bound_field.hpp). axes: (tube, is rotation, lower, step, count), last one fastest.

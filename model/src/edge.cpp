@@ -108,6 +108,7 @@ std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Config
         sample.motion = motion;
         sample.tip = solver.backbone.frame.back().p;
         sample.tangent = solver.backbone.frame.back().tangent();
+        for (const Backbone& corner : solver.corner_backbones) sample.corner_tips.push_back(corner.frame.back().p);
         if (keep_bodies) collect_body(solver, density.point_spacing, sample.body);
         samples.push_back(std::move(sample));
         return sample.status != Status::failed && sample.status != Status::unstable && sample.stability >= limits.stability &&

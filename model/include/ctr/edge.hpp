@@ -19,6 +19,7 @@ struct PathSample {
     double motion = 0;          // largest displacement of any body point since the previous sample, m
     Vec3 tip{0, 0, 0};          // frictionless
     Vec3 tangent{0, 0, 1};
+    std::vector<Vec3> corner_tips;
     Status status = Status::failed;
     std::vector<double> body;   // x, y, z, outer radius of every point looked up, all shapes; only if asked for
 };

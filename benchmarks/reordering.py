@@ -1,0 +1,93 @@
+"""What does the order of motions leave at the goal? Every scenario, predicted by history, beside the worst case.
+
+python benchmarks/reordering.py [--seed N] [--time S] [--write] [SCENARIO ...]
+
+--write puts the table into docs/planning.md. The plan as found is the search's path before reordering. "with settling"
+is the reordered plan with the oscillation at its end, also where `ctrplan plan` would leave it out; "translations
+first, with settling" shows it where friction is loaded. Of several targets the last one counts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import ctrplan
+from ctrplan.errors import CtrplanError
+from ctrplan.planning import MotionChecker, Plan
+from ctrplan.planning.alternatives import translations_first
+from ctrplan.planning.prediction import goal_error
+from ctrplan.planning.settle import AMPLITUDES_DEG, oscillation, turnings
+
+ROOT = Path(__file__).resolve().parents[1]
+BEGIN, END = "<!-- reordering table -->\n", "<!-- end of reordering table -->"
+NAMES = ("as given", "as driven", "straight line", "translations first")
+HEADER = (
+    "| scenario | worst case | as found | reordered | straight line | translations first | reordered, with settling "
+    "| translations first, with settling |\n|---|---|---|---|---|---|---|---|\n"
+)
+
+
+def settled(checker: MotionChecker, corners: np.ndarray) -> str:
+    """The smallest error that the widest valid oscillation leaves at the end of a path, and how wide it is."""
+    for degrees in AMPLITUDES_DEG:
+        swings = [oscillation(corners[-1], np.radians(degrees) * turn) for turn in turnings(checker.space.drive)]
+        valid = [
+            swing for swing in swings if checker.along(np.concatenate([corners[-1:], swing[:2], corners[-1:]])).valid
+        ]
+        if valid:
+            errors = [goal_error(checker.scenario.robot, np.concatenate([corners, swing])) for swing in valid]
+            return f"{min(errors) * 1e3:.2f} mm ({degrees} deg)"
+    return "no room"
+
+
+def row(plan: Plan) -> str:
+    checker = MotionChecker(plan.scenario)
+    found = {other.name: other for other in plan.reorder.alternatives}
+    cells = []
+    for name in NAMES:
+        error = found[name].goal_predicted_m
+        shown = f"{error * 1e3:.2f} mm" if np.isfinite(error) else "no equilibrium"
+        cells.append(shown + (f" (not valid: {_short(found[name].problem)})" if found[name].problem else ""))
+    cells += [settled(checker, plan.waypoints), settled(checker, translations_first(checker, plan.waypoints))]
+    bound = f"{plan.certificate.goal_bound_m * 1e3:.2f} mm"
+    return f"| {plan.scenario.name} | {' | '.join([bound, *cells])} |\n"
+
+
+def _short(problem: str) -> str:
+    if "unstable" in problem:
+        return "snaps"
+    return "collides" if "anatomy" in problem else problem
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scenarios", nargs="*", help="names of scenarios; default: all")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--time", type=float, help="seconds of search (default: the scenario's)")
+    parser.add_argument("--write", action="store_true", help="put the table into docs/planning.md")
+    arguments = parser.parse_args()
+    text = HEADER
+    for path in sorted((ROOT / "scenarios").glob("*.toml")):
+        if arguments.scenarios and path.stem not in arguments.scenarios:
+            continue
+        try:
+            scenario = ctrplan.load_scenario(path)
+            scenario = replace(scenario, planner=replace(scenario.planner, settle="none"))
+            text += row(ctrplan.plan(scenario, seed=arguments.seed, time_s=arguments.time))
+        except CtrplanError as error:
+            text += f"| {path.stem} | {error} | | | | | | |\n"
+        print(text.splitlines()[-1], file=sys.stderr, flush=True)
+    print(text)
+    if arguments.write:
+        page = ROOT / "docs" / "planning.md"
+        before, rest = page.read_text(encoding="utf-8").split(BEGIN)
+        page.write_text(before + BEGIN + text + END + rest.split(END)[1], encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,115 @@
+"""Where the tip is along a path, by full simulation of its history from every friction state it may start in."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.drive import Array
+from ctrplan.errors import SolverError
+
+if TYPE_CHECKING:
+    from ctrplan.history import History, HistoryState, Start
+    from ctrplan.mechanics import Accuracy
+    from ctrplan.robot import Robot
+
+STEP_RAD, STEP_M = 0.05, 1e-3  # between configurations at which the simulated tips are looked at
+TIP_TOLERANCE_M = 0.05e-3  # of simulated tips (benchmarks/history.py)
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Simulated tips at K configurations from each of S start states, released and every corner."""
+
+    tip_m: Array  # (S, K, 3); NaN after no equilibrium was found
+    snaps: int  # times any of the simulated robots slid to another equilibrium
+
+    def errors(self, frictionless_m: Array) -> Array:
+        """(K,) [m] largest distance of a simulated tip from the frictionless one (K, 3); NaN where any failed."""
+        largest: Array = np.linalg.norm(self.tip_m - frictionless_m, axis=2).max(axis=0)
+        return largest
+
+    @property
+    def end_middle_m(self) -> Array:
+        """(3,) mean of the tips at the last configuration."""
+        middle: Array = self.tip_m[:, -1].mean(axis=0)
+        return middle
+
+    @property
+    def end_spread_m(self) -> float:
+        """How far [m] the start state may take the last tip from that mean: what no correction can know."""
+        return float(np.linalg.norm(self.tip_m[:, -1] - self.end_middle_m, axis=1).max())
+
+
+def start_states(robot: Robot) -> list[Start]:
+    """What the robot's friction may be like before a path: released, or fully loaded in any corner."""
+    corners: list[Start] = list(itertools.product((1.0, -1.0), repeat=robot.n - 1)) if robot.n > 1 else []
+    return ["released", *corners]
+
+
+def predict(robot: Robot, joints: Array, accuracy: Accuracy = "search") -> Prediction:
+    """The histories along configurations (K, m) of actuated joints."""
+    histories = [robot.history(start, accuracy=accuracy) for start in start_states(robot)]
+    return _follow(robot, histories, joints)
+
+
+def predict_end(robot: Robot, joints: Array, starts: int | None = None) -> tuple[Prediction, list[HistoryState]]:
+    """As `predict`, from the first few of the start states, and the states at the end, to go on from."""
+    histories = [robot.history(start) for start in start_states(robot)[:starts]]
+    prediction = _follow(robot, histories, joints)
+    return prediction, [history.save() for history in histories]
+
+
+def predict_from(robot: Robot, states: Sequence[HistoryState], joints: Array) -> Prediction:
+    """As `predict`, from states at the first row of joints (K, m), one for each start."""
+    histories = []
+    for state in states:
+        history = robot.history()
+        history.restore(state)
+        histories.append(history)
+    return _follow(robot, histories, joints)
+
+
+def goal_error(robot: Robot, joints: Array) -> float:
+    """Largest distance [m] of a simulated tip from the frictionless one after the path (K, m); inf if any failed."""
+    prediction = predict(robot, joints)
+    theta_b, l_b = robot.drive.collars(joints[-1:])
+    pairs = robot.n - 1
+    frictionless = robot.mechanics.tips_with_friction(theta_b, l_b, np.zeros((1, pairs))).position_m
+    error = float(np.linalg.norm(prediction.tip_m[:, -1] - frictionless, axis=1).max())
+    return error if np.isfinite(error) else np.inf
+
+
+def rows_to_simulate(robot: Robot, joints: Array, leg: NDArray[np.int_]) -> NDArray[np.int_]:
+    """Indices of configurations (K, m) no farther apart than the steps, the ends of legs (K,) among them."""
+    theta_b, l_b = robot.drive.collars(joints)
+    moved = np.maximum(
+        np.abs(np.diff(theta_b, axis=0)).max(axis=1) / STEP_RAD, np.abs(np.diff(l_b, axis=0)).max(axis=1) / STEP_M
+    )
+    step = np.floor(np.concatenate([[0.0], np.cumsum(moved)]))
+    wanted = np.concatenate([[True], np.diff(step) > 0])
+    wanted[:-1] |= np.diff(leg) > 0
+    wanted[-1] = True
+    return np.flatnonzero(wanted)
+
+
+def _follow(robot: Robot, histories: Sequence[History], joints: Array) -> Prediction:
+    theta_b, l_b = robot.drive.collars(joints)
+
+    def follow(history: History) -> tuple[Array, int]:
+        try:
+            path = history.follow(theta_b, l_b)
+        except SolverError:
+            return np.full((len(joints), 3), np.nan), 0
+        return path.position_m, int(np.nansum(path.snaps))
+
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        results = list(pool.map(follow, histories))
+    return Prediction(np.array([tips for tips, _ in results]), sum(snaps for _, snaps in results))
