@@ -333,7 +333,7 @@ class Model {
         return to_python(shape);
     }
 
-    nb::dict solve(Vector theta, Vector l, Vector phi, int level) {
+    nb::dict solve(Vector theta, Vector l, Vector phi, int level, double refinement) {
         const ctr::Configuration q = read(theta, l);
         if (phi.shape(0) != robot_.pairs.size()) throw ctr::InvalidInput("phi needs one value per neighbouring pair");
         const std::vector<double> friction(phi.data(), phi.data() + phi.shape(0));
@@ -341,7 +341,7 @@ class Model {
         {
             nb::gil_scoped_release release;
             Loan loan(*this);
-            loan->solve_single(q, accuracy(level), friction);
+            loan->solve_single(q, accuracy(level).refined(refinement), friction);
             shape = ctr::make_shape(loan->solver(), loan->frictionless_state(), 0, q);
             shape.status = loan->status();
             shape.stability = loan->stability();
@@ -683,7 +683,8 @@ NB_MODULE(_model, m) {
                       const std::vector<std::vector<double>>&, const std::vector<std::vector<double>>&>(),
              "tubes"_a, "sections"_a, "pairs"_a, "loads"_a)
         .def("zero_clearance", &Model::zero_clearance, "theta_b"_a.noconvert(), "l_b"_a.noconvert())
-        .def("solve", &Model::solve, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(), "level"_a)
+        .def("solve", &Model::solve, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(), "level"_a,
+             "refinement"_a)
         .def("bound", &Model::bound, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "level"_a)
         .def("bound_many", &Model::bound_many, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "level"_a, "threads"_a)
         .def("tips", &Model::tips, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "threads"_a)
