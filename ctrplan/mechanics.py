@@ -89,12 +89,21 @@ class Mechanics:
             return shape_from_core(self._model.zero_clearance(self._row(theta_b), self._row(l_b)))
 
     def solve(
-        self, theta_b: ArrayLike, l_b: ArrayLike, phi: ArrayLike = 0.0, *, accuracy: Accuracy = "search"
+        self,
+        theta_b: ArrayLike,
+        l_b: ArrayLike,
+        phi: ArrayLike = 0.0,
+        *,
+        accuracy: Accuracy = "search",
+        refinement: float = 1.0,
     ) -> Shape:
         """Equilibrium (37) with clearance (14) and friction (38), (41), phi taking the place of eta.
 
         phi: scalar or (n - 1,), in [-1, 1], share of the Coulomb limit; +1: inner tube last rotated counterclockwise.
+        refinement: elements and contact spacings are so many times shorter than `accuracy` makes them, 0.25 to 16.
         """
+        if not 0.25 <= refinement <= 16:
+            raise InputError("must lie in [0.25, 16]", key="refinement", value=refinement)
         state = _numbers(phi, "phi")
         if state.ndim == 0:
             state = np.full(self.n - 1, state)
@@ -104,7 +113,7 @@ class Mechanics:
         with input_errors():
             return shape_from_core(
                 self._model.solve(
-                    self._row(theta_b), self._row(l_b), np.ascontiguousarray(state), _level(accuracy)
+                    self._row(theta_b), self._row(l_b), np.ascontiguousarray(state), _level(accuracy), refinement
                 )
             )
 

@@ -52,7 +52,7 @@ class Model {
         return to_python(shape);
     }
 
-    nb::dict solve(Vector theta, Vector l, Vector phi, int level) {
+    nb::dict solve(Vector theta, Vector l, Vector phi, int level, double refinement) {
         const ctr::Configuration q = read(theta, l);
         if (phi.shape(0) != robot_.pairs.size()) throw ctr::InvalidInput("phi needs one value per neighbouring pair");
         const std::vector<double> friction(phi.data(), phi.data() + phi.shape(0));
@@ -60,7 +60,7 @@ class Model {
         {
             nb::gil_scoped_release release;
             Loan loan(*this);
-            loan->solve_single(q, accuracy(level), friction);
+            loan->solve_single(q, accuracy(level).refined(refinement), friction);
             shape = ctr::make_shape(loan->solver(), loan->frictionless_state(), 0, q);
             shape.status = loan->status();
             shape.stability = loan->stability();

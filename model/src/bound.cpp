@@ -134,8 +134,8 @@ void BoundSolver::follow(const Configuration& q, const Accuracy& accuracy, bool 
         carried_[0].take(solver_.mesh(), frictionless_);
         for (std::size_t b = 0; b < batches_.size(); ++b) carried_[b + 1].take(solver_.mesh(), *batches_[b]);
     }
-    const BarrierPath path = BarrierPath::warm(joint_motion(carried_q_, q), accuracy.barrier);
     prepare(q, accuracy);
+    const BarrierPath path = BarrierPath::warm(joint_motion(carried_q_, q), solver_.last_barrier());
     if (!carried_[0].fits(solver_.mesh())) return solve(q, accuracy);
     frictionless_.resize(solver_.mesh().problem(), 1);
     std::fill(phi_.begin(), phi_.end(), 0.0);

@@ -18,7 +18,11 @@ constexpr int kSlidingSteps = 3000;       // Newton steps in all
 constexpr double kKeep = 0.95;            // fraction of the way to the boundary
 constexpr double kMaxTwistStep = 0.6;     // rad
 constexpr double kResidual = 1e-8;        // of EI * precurvature
-constexpr double kExactLevel = 0.1;        // barrier level, see BarrierPath, below which exact geometry matters
+constexpr double kExactLevel = 0.1;       // barrier level, see BarrierPath, below which exact geometry matters
+constexpr double kExactComplementarity = 0.03;  // of a barrier ten to a hundred times lower
+constexpr int kExactSteps = 40;           // more, since convergence is linear
+constexpr double kHardClearance = 3e-3;   // of the innermost tube's length. The tip error of the barrier goes with the
+                                          // clearance, rounding in the gaps with its inverse: smaller ones get a softer barrier
 constexpr double kComplementarity = 1e-3; // of the last barrier level, itself far below any contact force
 
 }  // namespace
@@ -99,7 +103,13 @@ void FrictionSolver::scale(const Configuration& q, const Accuracy& accuracy) {
     base_l_ = q.l.back();
     last_barrier_ = accuracy.barrier;
     is_exact_ = accuracy.exact;
-    if (is_exact_) exact_.build(*this, q);
+    if (is_exact_) {
+        double clearance = 0;
+        for (const Pair& pair : robot_.pairs) clearance = std::max(clearance, pair.clearance);
+        const double hard = kHardClearance * robot_.tubes.back().length();
+        if (clearance > 0) last_barrier_ *= std::clamp(hard / clearance, 1.0, 10.0);
+        exact_.build(*this, q);
+    }
     moment_scale_ = 1e-9;
     for (const Tube& tube : robot_.tubes)
         for (const Section& section : tube.sections)
@@ -208,7 +218,9 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
             if (!done[lane] && level[lane] < kExactLevel * barrier_unit_) bend_error[lane] = exact_.update(*this, state, lane);
     };
     update();
-    for (int k = 0; k < path.max_steps; ++k) {
+    const int most = path.max_steps + (is_exact_ ? kExactSteps : 0);
+    const double centred = is_exact_ ? kExactComplementarity : kComplementarity;
+    for (int k = 0; k < most; ++k) {
         run.newton(pb, view, level, nullptr);
         run.step_length(pb, view, kKeep, primal, dual);
         for (int lane = 0; lane < lanes; ++lane) {
@@ -246,7 +258,7 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
             if (done[lane]) continue;
             result[lane].residual = std::max(moment[lane], bend_error[lane]) / moment_scale_;
             result[lane].complementarity = gap[lane];
-            if (level[lane] <= last && result[lane].residual < kResidual && gap[lane] < kComplementarity)
+            if (level[lane] <= last && result[lane].residual < kResidual && gap[lane] < centred)
                 done[lane] = result[lane].converged = true;
             all = all && done[lane];
         }

@@ -123,7 +123,7 @@ void Mesh::place_nodes(const Robot& robot, const Configuration& q, const Accurac
         const double half = cumulative(0.5 * span);
         const Section& inner = section_at(robot.tubes[n - 1], middle - q.l[n - 1]);
         const bool straight = inner.curvature_x == 0 && inner.curvature_y == 0 && !robot.loaded();
-        const double longest = straight ? kStraightLength : kSingleTubeLength;
+        const double longest = (straight ? kStraightLength : kSingleTubeLength) / accuracy.refinement;
         int count = present == 1 ? static_cast<int>(std::ceil(span / longest - 1e-9))
                                  : static_cast<int>(std::ceil(2 * half - 1e-9));
         count = std::max(count, 1);

@@ -18,6 +18,7 @@ struct Accuracy {
     double contact_finest = 4e-4;   // spacing of contact points at the same places
     double contact_coarsest = 2e-3;
     double barrier = 0.3;           // last barrier level, in units of BarrierPath
+    double refinement = 1;          // of the elements of tubes by themselves
     bool exact = false;             // finish on the exact geometry, exact.hpp
     static Accuracy search() { return {}; }
     static Accuracy certificate() { return {5e-4, 2.5e-3, 0.2, 1.25e-4, 5e-4, 0.015}; }
@@ -25,6 +26,13 @@ struct Accuracy {
         Accuracy made = certificate();
         made.exact = true;
         made.barrier = 1.5e-4;
+        return made;
+    }
+    // Elements and spacings of contact points shorter by a factor, those of single tubes too: for convergence studies.
+    Accuracy refined(double factor) const {
+        Accuracy made = *this;
+        for (double* length : {&made.finest, &made.coarsest, &made.contact_finest, &made.contact_coarsest}) *length /= factor;
+        made.refinement = factor;
         return made;
     }
 };
