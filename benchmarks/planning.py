@@ -10,6 +10,8 @@ import resource
 import sys
 from pathlib import Path
 
+import numpy as np
+
 import ctrplan
 from ctrplan.errors import CtrplanError
 from ctrplan.planning import Plan
@@ -20,19 +22,17 @@ BEGIN, END = "<!-- planning table -->\n", "<!-- end of planning table -->"
 BLIND = ["cost.error_along=0", "cost.error_goal=0"]
 HEADER = (
     "| scenario | bound in the cost | first certified path | cost | joint length | worst bound | bound at the goal "
-    "| stops |\n"
-    "|---|---|---|---|---|---|---|---|\n"
+    "| less what is released | predicted | stops |\n"
+    "|---|---|---|---|---|---|---|---|---|---|\n"
 )
 
 
 def cost_mm(plan: Plan, weights: Cost) -> float:
     """What the plan costs with the scenario's own weights, whatever the planner was told."""
-    c = plan.certificate
-    return (
-        weights.path * c.length_mm
-        + weights.error_along * c.error_integral_mm
-        + weights.error_goal * c.goal_bound_m * 1e3
-    )
+    c, samples = plan.certificate, plan.certificate.samples
+    along = np.trapezoid(samples.released_m * 1e3, samples.path_mm) / weights.mm_per_rad
+    left_mm = float(samples.released_m[-1]) * 1e3
+    return float(weights.path * c.length_mm + weights.error_along * along + weights.error_goal * left_mm)
 
 
 def row(name: str, label: str, plan: Plan, weights: Cost) -> str:
@@ -40,7 +40,8 @@ def row(name: str, label: str, plan: Plan, weights: Cost) -> str:
     return (
         f"| {name} | {label} | {plan.first_certified_s:.1f} s | {cost_mm(plan, weights):.0f} mm "
         f"| {c.length_mm:.0f} mm | {c.worst_bound_m * 1e3:.2f} mm "
-        f"| {c.goal_bound_m * 1e3:.2f} mm | {c.stops} |\n"
+        f"| {c.goal_bound_m * 1e3:.2f} mm | {c.samples.released_m[-1] * 1e3:.2f} mm "
+        f"| {c.goal_predicted_m * 1e3:.2f} mm | {c.stops} |\n"
     )
 
 
@@ -52,7 +53,7 @@ def table(seed: int) -> str:
                 plan = ctrplan.plan(ctrplan.load_scenario(path, overrides), seed=seed)
                 line = row(plan.scenario.name, label, plan, ctrplan.load_scenario(path).cost)
             except CtrplanError as error:
-                line = f"| {path.stem} | {label} | {error} | | | | | |\n"
+                line = f"| {path.stem} | {label} | {error} | | | | | | | |\n"
             print(line, end="", file=sys.stderr, flush=True)
             text += line
     return text
