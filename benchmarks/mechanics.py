@@ -9,6 +9,7 @@ medians, because the machine may be doing other things.
 import itertools
 import json
 import os
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -234,13 +235,46 @@ def path_ms(theta_step: float, l_step: float) -> Array:
     return np.array(taken)
 
 
+def tips_ms(q: tuple[Array, Array], parameters: Sequence[str] = ()) -> Array:
+    """Per configuration, tips of the frictionless state and the four corners on one thread."""
+    states = np.array([(0, 0), *itertools.product((1, -1), repeat=2)])
+
+    def tips(theta_b: Array, l_b: Array) -> object:
+        rows = np.tile(theta_b, (len(states), 1)), np.tile(l_b, (len(states), 1))
+        return THREE_TUBES.mechanics.tips_with_friction(*rows, states, parameters=parameters, threads=1)
+
+    return times_ms(tips, *q)
+
+
+def zero_clearance_ms(q: tuple[Array, Array]) -> Array:
+    """Per configuration, tips of batches on one thread."""
+    taken = []
+    for theta_b, l_b in zip(np.split(q[0], 20), np.split(q[1], 20), strict=True):
+        start = time.perf_counter()
+        THREE_TUBES.mechanics.tips(theta_b, l_b, threads=1)
+        taken.append(1e3 * (time.perf_counter() - start) / len(theta_b))
+    return np.array(taken)
+
+
+def import_ms(count: int = 5) -> Array:
+    """Of ctrplan in a fresh interpreter, numpy being there already."""
+    code = "import time, numpy; a = time.perf_counter(); import ctrplan; print(time.perf_counter() - a)"
+    run = [
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True) for _ in range(count)
+    ]
+    return 1e3 * np.array([float(done.stdout) for done in run])
+
+
 def speed() -> None:
     """Three-tube robot, four corners and the frictionless solution per bound."""
     print(f"\n{os.cpu_count()} CPUs, load {os.getloadavg()[0]:.1f}, kernel {kernel_name()}")
     q = random_joints(1000)
     few = q[0][:200], q[1][:200]
     batches = batches_ms(*q)
+    joints = [f"{name}.{tube}" for name in ("theta_b", "l_b") for tube in (1, 2, 3)]
+    plain, derived = tips_ms(few), tips_ms(few, joints)
     measured = {
+        "zero clearance, cold, tips of a batch": zero_clearance_ms(q),
         "zero clearance, Robot.zero_clearance": times_ms(THREE_TUBES.zero_clearance, *q),
         "bound, cold, Robot.bound": times_ms(THREE_TUBES.bound, *q),
         "bound, cold, certificate mesh": times_ms(lambda *p: THREE_TUBES.bound(*p, accuracy="certificate"), *few),
@@ -248,9 +282,31 @@ def speed() -> None:
         f"bound_many, 2 threads (at best {batches[1].min() / batches[2].min():.2f} x)": batches[2],
         "along a path, 1 deg a step": path_ms(np.deg2rad(1), 0),
         "along a path, 0.5 mm a step": path_ms(0, 0.5e-3),
+        "tips of the five states": plain,
+        f"the same by all joints ({np.median(derived) / np.median(plain):.2f} x)": derived,
+        "import ctrplan": import_ms(),
     }
     rows = [(name, len(t), float(t.min()), *map(float, np.quantile(t, (0.5, 0.99)))) for name, t in measured.items()]
     table("milliseconds", ("", "samples", "least", "median", "99 %"), rows)
+    nodes()
+
+
+def nodes() -> None:
+    """Cost against the number of nodes: both meshes, time per node."""
+    q, rows = random_joints(100), list[Row]()
+    for accuracy in ACCURACIES:
+        count = np.mean(
+            [len(THREE_TUBES.bound(*p, accuracy=accuracy).frictionless.tubes[-1].s_m) for p in zip(*q, strict=True)]
+        )
+        taken = [time_of(lambda a=accuracy: THREE_TUBES.bound_many(*q, accuracy=a, threads=1)) for _ in range(3)]
+        rows.append((accuracy, float(count), 1e3 * min(taken) / len(q[0]), 1e6 * min(taken) / len(q[0]) / float(count)))
+    table("cost against nodes, bound_many on one thread", ("mesh", "nodes", "ms", "us a node"), rows)
+
+
+def time_of(work: Callable[[], object]) -> float:
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
 
 
 if __name__ == "__main__":

@@ -93,7 +93,7 @@ void BoundSolver::slide_corner(std::size_t batch, int lane) {
 void BoundSolver::slide_from_shared(LaneState& state, Convergence& result) {
     if (shared_is_good_) solver_.spread(shared_, state);
     else solver_.start(state, q_, zero_, BarrierPath::kFirst);
-    solver_.slide(state, shared_is_good_ ? BarrierPath::kParting : BarrierPath::kFirst, result);
+    solver_.slide(state, shared_is_good_ ? BarrierPath::kSoft : BarrierPath::kFirst, result);
 }
 
 void BoundSolver::solve(const Configuration& q, const Accuracy& accuracy) {

@@ -327,8 +327,8 @@ void History::hold(const std::vector<double>& phi) {
 // Where the robot goes while friction is held.
 bool History::slide_with(const std::vector<double>& phi) {
     hold(phi);
-    solver_.recentre(state_, BarrierPath::kParting);
-    solver_.slide(state_, BarrierPath::kParting, convergence_);
+    solver_.recentre(state_, BarrierPath::kSoft);
+    solver_.slide(state_, BarrierPath::kSoft, convergence_);
     return convergence_.converged;
 }
 

@@ -128,7 +128,7 @@ void newton(const KernelProblem& pb, const KernelState& st, const double* level_
     clear(A, square);
     for (int e = 0; e < pb.elements; ++e) {
         const int rows = pb.element_unknowns[e] * ld;
-        clear(A + (e + 1) * square, rows);
+        clear(A + (e + 1) * square, pb.node_unknowns[e + 1] * ld);
         clear(U + e * square, pb.node_unknowns[e] * ld);
         clear(L + e * square, rows);
         add_element<V, true>(pb, st, e, view<V>(pb, st, e), &level, &damping);

@@ -38,6 +38,33 @@ struct PairSums {
     V slope[2][4][2];       // per node and Hermite function: derivative of the torque by the offset
 };
 
+// Adds N_a N_b T of one contact point; for a single lane all of T at once.
+inline void add_tangent(const double* shape, const V4 (&T)[2][2], PairSums<V4>& sums) {
+    int ab = 0;
+    for (int a = 0; a < 4; ++a)
+        for (int b = a; b < 4; ++b, ++ab) {
+            const double product = shape[a] * shape[b];
+            for (int row = 0; row < 2; ++row)
+                for (int plane = 0; plane < 2; ++plane) sums.tangent[ab][row][plane] += product * T[row][plane];
+        }
+}
+
+inline void add_tangent(const double* shape, const double (&T)[2][2], PairSums<double>& sums) {
+    V4 all;
+    __builtin_memcpy(&all, T, sizeof all);
+    int ab = 0;
+    for (int a = 0; a < 4; ++a)
+        for (int b = a; b < 4; ++b, ++ab) {
+            V4 sum;
+            __builtin_memcpy(&sum, sums.tangent[ab], sizeof sum);
+            sum += (shape[a] * shape[b]) * all;
+            __builtin_memcpy(sums.tangent[ab], &sum, sizeof sum);
+        }
+}
+
+inline bool rubs(double friction) { return friction != 0; }
+inline bool rubs(V4) { return true; }
+
 // Contact forces of one element. The gap w = (c^2 - |d|^2) / 2 has a slack variable of its own, so that contact points may
 // slide around the bore in one step; `value` is the iterate's multiplier for the true residual, and in a Newton step what
 // eliminating multiplier and slack leaves of it. The primal-dual derivative follows if MATRIX.
@@ -67,13 +94,8 @@ inline void sum_contact(const KernelProblem& pb, const KernelState& st, int k, c
     if (!MATRIX) return;
     const V T[2][2] = {{lambda + ratio * g[0] * at.d[0], ratio * g[0] * at.d[1] - lambda * friction},
                        {ratio * g[1] * at.d[0] + lambda * friction, lambda + ratio * g[1] * at.d[1]}};
-    int ab = 0;
-    for (int a = 0; a < 4; ++a)
-        for (int b = a; b < 4; ++b, ++ab) {
-            const double product = shape[a] * shape[b];
-            for (int row = 0; row < 2; ++row)
-                for (int plane = 0; plane < 2; ++plane) sums.tangent[ab][row][plane] += product * T[row][plane];
-        }
+    add_tangent(shape, T, sums);
+    if (!rubs(friction)) return;
     const V torque_slope = friction * (ratio * square + 2.0 * lambda);
     for (int plane = 0; plane < 2; ++plane) {
         const V slope = torque_slope * at.d[plane];

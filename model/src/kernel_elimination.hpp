@@ -37,8 +37,8 @@ struct Each {
     }
 };
 
-// LU of the leading P x P part of A in place, row by row, each in registers meanwhile; pivots inverted. No pivoting: the
-// blocks are elastic stiffnesses plus contact terms; a bad pivot shows in the residual, which is checked afterwards.
+// LU of the leading P x P part of A in place, pivots inverted. No pivoting: the blocks are elastic stiffnesses plus contact
+// terms; a bad pivot shows in the residual, which is checked afterwards. Four lanes: row by row, each in registers meanwhile.
 template <int P>
 __attribute__((noinline)) void factorise_rows(V4* A, int ld) {
     Each<P>::run([&](auto row_index) __attribute__((always_inline)) {
@@ -55,25 +55,25 @@ __attribute__((noinline)) void factorise_rows(V4* A, int ld) {
     });
 }
 
+// One lane: pivot by pivot, so that the rows below do not wait for each other.
 template <int P>
 __attribute__((noinline)) void factorise_rows(double* A, int ld) {
     constexpr int count = (P + 3) / 4;
-    V4 upper[P][count];  // rows with zeros before their pivots, so that factors already in a row stay
-    double inverse[P];
-    Each<P>::run([&](auto row_index) __attribute__((always_inline)) {
-        constexpr int i = row_index.value;
-        V4 row[count];
-        for (int c = 0; c < count; ++c) row[c] = Chunk<double>::load(A + i * ld + 4 * c);
-        Each<i>::run([&](auto k) __attribute__((always_inline)) {
-            const double factor = row[k.value / 4][k.value % 4] * inverse[k.value];
-            for (int c = k.value / 4; c < count; ++c) row[c] -= factor * upper[k.value][c];
-            row[k.value / 4][k.value % 4] = factor;
-        });
-        inverse[i] = 1.0 / row[i / 4][i % 4];
-        for (int c = 0; c < count; ++c) upper[i][c] = row[c];
-        Each<i>::run([&](auto k) __attribute__((always_inline)) { upper[i][k.value / 4][k.value % 4] = 0; });
-        row[i / 4][i % 4] = inverse[i];
-        for (int c = 0; c < count; ++c) Chunk<double>::store(A + i * ld + 4 * c, row[c]);
+    Each<P>::run([&](auto pivot) __attribute__((always_inline)) {
+        constexpr int k = pivot.value, first = k / 4;
+        V4 upper[count];
+        for (int c = first; c < count; ++c) upper[c] = Chunk<double>::load(A + k * ld + 4 * c);
+        const double inverse = 1.0 / A[k * ld + k];
+        A[k * ld + k] = inverse;
+        for (int i = k + 1; i < P; ++i) {
+            const double factor = A[i * ld + k] * inverse;
+            V4 row = Chunk<double>::load(A + i * ld + 4 * first), changed = row - factor * upper[first];
+            for (int lane = 0; lane < k % 4; ++lane) changed[lane] = row[lane];  // factors of earlier pivots
+            changed[k % 4] = factor;
+            Chunk<double>::store(A + i * ld + 4 * first, changed);
+            for (int c = first + 1; c < count; ++c)
+                Chunk<double>::store(A + i * ld + 4 * c, Chunk<double>::load(A + i * ld + 4 * c) - factor * upper[c]);
+        }
     });
 }
 

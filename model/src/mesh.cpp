@@ -120,6 +120,11 @@ void Mesh::place_nodes(const Robot& robot, const Configuration& q, const Accurac
             const double near = std::log1p(accuracy.growth * std::min(x, reach) / accuracy.finest) / accuracy.growth;
             return near + std::max(0.0, x - reach) / accuracy.coarsest;
         };
+        auto inverse = [&](double wanted) {
+            const double reach = (accuracy.coarsest - accuracy.finest) / accuracy.growth, near = cumulative(reach);
+            const double x = std::expm1(accuracy.growth * std::min(wanted, near)) * accuracy.finest / accuracy.growth;
+            return x + std::max(0.0, wanted - near) * accuracy.coarsest;
+        };
         const double half = cumulative(0.5 * span);
         const Section& inner = section_at(robot.tubes[n - 1], middle - q.l[n - 1]);
         const bool straight = inner.curvature_x == 0 && inner.curvature_y == 0 && !robot.loaded();
@@ -129,14 +134,9 @@ void Mesh::place_nodes(const Robot& robot, const Configuration& q, const Accurac
         count = std::max(count, 1);
         for (int k = 1; k <= count; ++k) {
             double x = span * k / count;
-            if (present > 1 && k < count) {  // invert the cumulative count by bisection on the nearer half
-                const double target = 2 * half * std::min(k, count - k) / count;
-                double low = 0, high = 0.5 * span;
-                for (int step = 0; step < 40; ++step) {
-                    const double mid = 0.5 * (low + high);
-                    (cumulative(mid) < target ? low : high) = mid;
-                }
-                x = 2 * k <= count ? high : span - high;
+            if (present > 1 && k < count) {  // invert the cumulative count on the nearer half
+                const double distance = inverse(2 * half * std::min(k, count - k) / count);
+                x = 2 * k <= count ? distance : span - distance;
             }
             s_.push_back(k == count ? to : from + x);
             element_tubes_.push_back(present);

@@ -94,15 +94,15 @@ struct BarrierPath {
     int max_steps = 40;
     bool centre_only = false;  // stop near the central path at the last level; the residual is not promised
 
-    static constexpr double kFirst = 8e3, kParting = 8;
+    static constexpr double kFirst = 8e3, kSoft = 8, kParting = 1;
     static BarrierPath cold(double last) { return {kFirst, last}; }
     // The cold path in parts: what all friction states share, where they part, and how the frictionless one goes on.
     static BarrierPath shared() { return {kFirst, kParting, 0.05, 40, true}; }
-    static BarrierPath parted(double last) { return {kParting, last}; }
-    static BarrierPath onward(double last) { return {std::max(0.05 * kParting, last), last}; }
+    static BarrierPath parted(double last) { return {kParting, last, 0.3, 24}; }
+    static BarrierPath onward(double last) { return {std::max(0.3 * kParting, last), last, 0.3}; }
     // After a motion of so many degrees or half millimetres: the farther contacts move, the softer the barrier starts.
     static BarrierPath warm(double motion, double last) {
-        return {std::clamp(0.06 * motion * motion, std::min(4 * last, 0.3), kParting), last, 0.08};
+        return {std::clamp(0.06 * motion * motion, std::min(4 * last, 0.3), kSoft), last, 0.08};
     }
 };
 
