@@ -1,8 +1,8 @@
 """Contact and friction of one neighbouring pair: distances in the outer tube's normal plane.
 
-Interior point: a station carries a multiplier lam > 0 and a gap w > 0 with w = (c^2 - |d|^2) / 2 and lam w = eps. On the
-outer tube acts the force lam (d + phi mu t x d) and the torque phi mu r_in lam |d|^2 / c about its tangent; on the inner
-one the opposite force, and -phi mu r_out: equations (36) to (41) of Ha et al. 2019, |d| = c in contact.
+Interior point: a station carries a multiplier lam > 0 and a gap w > 0 with w = (c^2 - |d|^2) / 2 and lam w = eps. On
+the outer tube acts the force lam (d + phi mu t x d) and torque phi mu r_in lam |d|^2 / c about its tangent; on the
+inner one the opposite force, and -phi mu r_out: equations (36) to (41) of Ha et al. 2019, |d| = c in contact.
 """
 
 from __future__ import annotations

@@ -18,15 +18,18 @@ from hidden_effects.noise import POSITION_SIGMA_M
 from hidden_effects.tube import Array
 from hidden_effects.world import World, believed
 
-FRICTION = (0.22, 0.12)  # Table VII
+FRICTIONS = {"largest of the bank": (0.08, 0.08), "of Table VII": (0.22, 0.12)}
 
 
 def halving_errors(world: World, theta: Array, l_b: Array, phis: list[tuple[float, ...]]) -> list[float]:
     """Distances [m] of the tips in friction states phi from those with links of half the length."""
     tips = []
+    released = corner([0.0] * (world.n - 1))
+    rough = System(world.tubes, world.pairs, theta, l_b, world.loads, Fineness.searching())
+    places = rough.contact_places(rough.solve(rough.cold(), released))
     for fineness in (Fineness(), Fineness().halved()):
-        system = System(world.tubes, world.pairs, theta, l_b, world.loads, fineness)
-        middle = system.solve(system.cold(), corner([0.0] * (world.n - 1)), CORNER_BARRIER)
+        system = System(world.tubes, world.pairs, theta, l_b, world.loads, fineness, places)
+        middle = system.solve(system.cold(), released, CORNER_BARRIER)
         tips.append([tip_pose(system, system.solve(middle, corner(phi)))[0] for phi in phis])
     return [float(np.linalg.norm(a - b)) for a, b in zip(*tips, strict=True)]
 
@@ -35,23 +38,22 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=10)
     count = parser.parse_args().count
-    world = believed()
-    pairs = tuple(replace(pair, friction=mu) for pair, mu in zip(world.pairs, FRICTION, strict=True))
-    world = replace(world, pairs=pairs)
-    loaded = list(product((1.0, -1.0), repeat=world.n - 1))
-    found: dict[str, list[float]] = {"released": [], "loaded": []}
-    for theta, l_b in zip(*draw_configurations(world, count, np.random.default_rng(3)), strict=True):
-        errors = halving_errors(world, theta, l_b, [(0.0,) * (world.n - 1), *loaded])
-        found["released"] += errors[:1]
-        found["loaded"] += errors[1:]
-    for name, errors in found.items():
-        values = 1e3 * np.array(errors)
-        rms, most = np.sqrt(np.mean(values**2)), values.max()
-        print(f"{name:9} {len(values):4} tips: rms {rms:.3f} mm, largest {most:.3f} mm", end="")
-        print(
-            f"; a quarter of the noise: {250 * POSITION_SIGMA_M:.3f} mm a coordinate, "
-            f"{433 * POSITION_SIGMA_M:.3f} mm in 3-D"
-        )
+    thetas, ls = draw_configurations(believed(), count, np.random.default_rng(3))
+    loaded = list(product((1.0, -1.0), repeat=believed().n - 1))
+    print(
+        f"a quarter of the noise: {250 * POSITION_SIGMA_M:.3f} mm a coordinate, {433 * POSITION_SIGMA_M:.3f} mm in 3-D"
+    )
+    for name, friction in FRICTIONS.items():
+        pairs = tuple(replace(p, friction=mu) for p, mu in zip(believed().pairs, friction, strict=True))
+        world = replace(believed(), pairs=pairs)
+        found = [halving_errors(world, *q, [(0.0,) * (world.n - 1), *loaded]) for q in zip(thetas, ls, strict=True)]
+        _print("released", np.array(found)[:, :1])
+        _print(f"friction {name}", np.array(found)[:, 1:])
+
+
+def _print(name: str, errors_m: Array) -> None:
+    rms, largest = np.sqrt(np.mean(errors_m**2)), errors_m.max()
+    print(f"{name:30} {errors_m.size:4} tips: rms {1e3 * rms:.3f} mm, largest {1e3 * largest:.3f} mm")
 
 
 if __name__ == "__main__":

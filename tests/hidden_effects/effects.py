@@ -1,7 +1,7 @@
 """Effects by name: each changes a world; size 1 leaves about the noise after recalibration (truth.json says what).
 
-An effect is `name(world, draw) -> (world, true parameters)`. Which tube, which direction is drawn; how much follows from
-the size.
+An effect is `name(world, draw) -> (world, true parameters)`. Which tube, which direction is drawn; how much follows
+from the size.
 """
 
 from __future__ import annotations

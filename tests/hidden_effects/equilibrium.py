@@ -23,6 +23,8 @@ LARGEST_TURN_RAD = 0.6
 CONVERGED_M = 5e-6  # the next step would move the tip by about a hundredth of the noise
 NEAR_M = 1e-3  # steps that allow the barrier to fall
 MOST_STEPS = 150
+CONTACT_SHARE = 0.03  # of a pair's largest force, above which a place counts as contact
+CONTACT_APART_M = 4e-3
 
 # friction state of every station of a pair and its derivative with respect to all unknowns, of the present unknowns
 FrictionState = Callable[["System", "State", int], tuple[Array, Array | None]]
@@ -67,10 +69,11 @@ class System:
         l_b: Array,
         loads: Loads | None = None,
         fineness: Fineness | None = None,
+        contacts_m: Sequence[float] = (),
     ) -> None:
         mesh = fineness or Fineness()
         self.tubes, self.theta_b, self.loads = tubes, np.asarray(theta_b, float), loads or Loads()
-        self.s = stations(tubes, np.asarray(l_b), mesh)
+        self.s = stations(tubes, np.asarray(l_b), mesh, contacts_m)
         self.rods = [
             Rod(tube, base, self.s, mesh.links_per_node) for tube, base in zip(tubes, l_b.tolist(), strict=True)
         ]
@@ -101,6 +104,17 @@ class System:
         other = copy(self)
         other.tubes, other.rods = tubes, [rod.of(tube) for rod, tube in zip(self.rods, tubes, strict=True)]
         return other
+
+    def contact_places(self, state: State) -> list[float]:
+        """Arc lengths around which contact forces concentrate."""
+        places: list[float] = []
+        for contact, lam in zip(self.contacts, state.lam, strict=True):
+            pressed = lam > CONTACT_SHARE * lam.max()
+            groups = np.split(
+                np.flatnonzero(pressed), np.flatnonzero(np.diff(contact.s[pressed]) > CONTACT_APART_M) + 1
+            )
+            places += [float(np.average(contact.s[group], weights=lam[group])) for group in groups]
+        return [s for k, s in enumerate(places) if all(abs(s - other) > CONTACT_APART_M / 2 for other in places[:k])]
 
     def elastic_gradient(self, x: Array) -> Array:
         """What the elastic energy contributes to the imbalance."""

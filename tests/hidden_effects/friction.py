@@ -1,8 +1,8 @@
 """Friction states: of an approach by its rule, or of a motion by following the slip at every station.
 
 The rule: a quarter turn of a pair loads it fully (phi = +-1), a decreasing oscillation releases it (phi = 0); a
-translation of the pair after that leaves exp(-|dl| / release). Following the slip: phi grows with the circumferential slip
-r_out dtheta_in - r_in dtheta_out over a breakaway length until the Coulomb limit (Dahl's model without hardening).
+translation of the pair after that leaves exp(-|dl| / release). Following the slip: phi grows with the circumferential
+slip r_out dtheta_in - r_in dtheta_out over a breakaway length until the Coulomb limit (Dahl's model without hardening).
 """
 
 from __future__ import annotations

@@ -7,6 +7,7 @@ import numpy as np
 from hidden_effects.chain import Poses
 from hidden_effects.equilibrium import State, System
 from hidden_effects.experiment import Experiment
+from hidden_effects.mesh import Fineness
 from hidden_effects.noise import POSITION_SIGMA_M, TANGENT_SIGMA_RAD
 from hidden_effects.poses import Solver
 from hidden_effects.tube import Array
@@ -16,15 +17,16 @@ STEP = 1e-4
 CONTINUOUS_STRIDE = 8  # rows of a continuous motion that are looked at: every 0.8 s
 
 
-def leftover_over_noise(plain: World, experiment: Experiment, found: Poses) -> float:
+def leftover_over_noise(plain: World, experiment: Experiment, found: Poses, fineness: Fineness | None = None) -> float:
     """Rms over poses of the 3-D tip error that a linear recalibration of `plain` leaves, over sigma sqrt(3).
 
-    `plain` is the true robot without its effects; `found` are the poses with them.
+    `plain` is the true robot without its effects; `found` are the poses with them, of the
+    same fineness.
     """
     rows = np.flatnonzero(experiment.measured)
     picked = np.arange(0, len(rows), CONTINUOUS_STRIDE if experiment.continuous else 1)
     residuals, sensitivities = [], []
-    solver = Solver(plain)
+    solver = Solver(plain, fineness or Fineness())
     known: tuple[bytes, tuple[Array, Array]] | None = None
     for k in picked.tolist():
         theta, l_b = experiment.motion.theta[rows[k]], experiment.motion.l[rows[k]]

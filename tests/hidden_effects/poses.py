@@ -11,7 +11,7 @@ from hidden_effects.mesh import Fineness
 from hidden_effects.tube import Array
 from hidden_effects.world import World
 
-NEARBY_RAD = 0.3
+NEARBY_RAD, NEARBY_M = 0.3, 2e-3
 ROUGHLY_M = 1e-4  # for states that others start from
 
 
@@ -22,6 +22,7 @@ class Solver:
     world: World
     fineness: Fineness = field(default_factory=Fineness)
     _last: tuple[System, State] | None = None
+    _places: tuple[Array, Array, list[float]] | None = None
     solved: tuple[System, State] = field(init=False)  # the last answer
     _known: tuple[tuple[bytes, float], tuple[Array, Array]] | None = None
 
@@ -36,8 +37,12 @@ class Solver:
 
     def _solve(self, theta: Array, l_b: Array, phi: Array, time_s: float) -> tuple[Array, Array]:
         world = self.world
-        system = System(world.tubes_at(time_s), world.pairs, theta, l_b, world.loads, self.fineness)
-        released = corner(np.zeros(world.n - 1).tolist())
+        tubes, released = world.tubes_at(time_s), corner(np.zeros(world.n - 1).tolist())
+        if self._places is None or _apart(self._places, theta, l_b):
+            rough = System(tubes, world.pairs, theta, l_b, world.loads, Fineness.searching())
+            found = rough.contact_places(rough.solve(rough.cold(), released, converged=ROUGHLY_M))
+            self._places = theta, l_b, found
+        system = System(tubes, world.pairs, theta, l_b, world.loads, self.fineness, self._places[2])
         start = self._neighbour(system)
         try:
             middle = system.solve(start or system.cold(), released, CORNER_BARRIER, ROUGHLY_M)
@@ -58,7 +63,7 @@ class Solver:
             np.array_equal(system.start, old.start)
             and [len(c.s) for c in system.contacts] == [len(c.s) for c in old.contacts]
             and np.abs(turned).max() < NEARBY_RAD
-            and np.abs(system.s - old.s).max() < 2e-3
+            and np.abs(system.s - old.s).max() < NEARBY_M
         ):
             near = state.copy()
             for i, rod in enumerate(system.rods):
@@ -66,3 +71,7 @@ class Solver:
             near.barrier = CORNER_BARRIER
             return near
         return None
+
+
+def _apart(places: tuple[Array, Array, list[float]], theta: Array, l_b: Array) -> bool:
+    return bool(np.abs(theta - places[0]).max() > NEARBY_RAD or np.abs(l_b - places[1]).max() > NEARBY_M)

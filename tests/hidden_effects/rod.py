@@ -1,7 +1,7 @@
 """One tube as a chain of rigid links with exact rotations between them, in curvature coordinates.
 
-Unknowns: the curvature vector kappa (t' = kappa, components in the twist-free frame) at nodes, linear in between, free to
-jump where sections meet, and the material angle theta at nodes, linear in between. The centreline follows from kappa
+Unknowns: the curvature vector kappa (t' = kappa, components in the twist-free frame) at nodes, linear in between, free
+to jump where sections meet, and the material angle theta at nodes, linear in between. The centreline follows from kappa
 alone, by rotation exponentials; theta enters the elastic energy and the torques.
 """
 

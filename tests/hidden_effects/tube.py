@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+ROUNDING = 0.1
 
 
 @dataclass(frozen=True)
@@ -30,10 +31,21 @@ class Kink:
 
 @dataclass(frozen=True)
 class Softening:
-    """Beyond the strain r_out |u - u_hat| the slope of the bending moment falls to `fraction` of the stiffness."""
+    """Beyond the strain r_out |u - u_hat| the slope of the bending moment falls to `fraction` of the stiffness.
+
+    The corner is rounded over ROUNDING of the strain, for Newton's method.
+    """
 
     strain: float
     fraction: float
+
+    def excess(self, size: Array, radius_m: float) -> tuple[Array, Array, Array]:
+        """How far curvatures (S,) [1/m] are beyond the limit, the derivative and the integral of that; 0 at size 0."""
+        limit = self.strain / radius_m
+        w, x = ROUNDING * limit, size - limit
+        corner = np.clip(x + w, 0, 2 * w)
+        beyond = np.maximum(x - w, 0)
+        return corner**2 / (4 * w) + beyond, corner / (2 * w), corner**3 / (12 * w) + beyond * (w + beyond / 2)
 
 
 @dataclass(frozen=True)
@@ -88,16 +100,15 @@ class Tube:
         """Bending energy per length (S,) [N] at e (S, 2), whose gradient is `moment`."""
         if self.softening is None:
             return np.asarray(np.sum(e * self.moment(e)[0], axis=1) / 2)
-        EI, limit = self.bending_stiffness_Nm2, self.softening.strain / self.outer_radius_m
-        beyond = np.maximum(np.linalg.norm(e, axis=1) - limit, 0)
-        return np.asarray(EI / 2 * (np.sum(e * e, axis=1) - (1 - self.softening.fraction) * beyond**2))
+        soft, size = self.softening, np.linalg.norm(e, axis=1)
+        excess = soft.excess(size, self.outer_radius_m)[2]
+        return np.asarray(self.bending_stiffness_Nm2 * (size**2 / 2 - (1 - soft.fraction) * excess))
 
     def _soft_moment(self, e: Array, soft: Softening) -> tuple[Array, Array]:
-        EI, limit = self.bending_stiffness_Nm2, soft.strain / self.outer_radius_m
-        size = np.maximum(np.linalg.norm(e, axis=1), 1e-12)
-        beyond = size > limit
-        secant = np.where(beyond, EI * (limit + soft.fraction * (size - limit)) / size, EI)
-        slope = np.where(beyond, EI * soft.fraction, EI)
+        EI, size = self.bending_stiffness_Nm2, np.maximum(np.linalg.norm(e, axis=1), 1e-9)
+        excess, rate, _ = soft.excess(size, self.outer_radius_m)
+        secant = EI * (1 - (1 - soft.fraction) * excess / size)
+        slope = EI * (1 - (1 - soft.fraction) * rate)
         along = e / size[:, None]
         stiffness = secant[:, None, None] * np.eye(2)
         stiffness = stiffness + (slope - secant)[:, None, None] * along[:, :, None] * along[:, None, :]
