@@ -83,7 +83,11 @@ def chain_of(robot: Robot, data: Measurements, effects: Mapping[str, list[str] |
 
 
 def measured(
-    robot: Robot, data: Measurements, values: Mapping[str, Mapping[str, float]] | None = None, seed: int = 1, noise: float = 1.0
+    robot: Robot,
+    data: Measurements,
+    values: Mapping[str, Mapping[str, float]] | None = None,
+    seed: int = 1,
+    noise: float = 1.0,
 ) -> Measurements:
     """Poses of the chain with some values, in their names' units, and Gaussian noise."""
     given = values or {}

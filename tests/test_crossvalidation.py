@@ -1,4 +1,4 @@
-"""Held-out likelihood in closed form, thresholds from simulated nulls, adequacy: on linear problems with known answers."""
+"""Held-out likelihood in closed form, thresholds, adequacy: on linear problems with known answers."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_leaving_a_fold_out_is_the_refit_without_it() -> None:
     fit = problem(4, 0).refitted()
     loss = held_out_loss(fit, FOLD)
     for fold in range(6):
-        inside = FOLD == fold
+        inside = fold == FOLD
         J, r = fit.J.reshape(-1, 4), fit.r.ravel()
         rows = np.repeat(inside, PER_POSE)
         step = np.linalg.lstsq(J[~rows] / np.logspace(-3, 3, 4), r[~rows], rcond=None)[0] / np.logspace(-3, 3, 4)
@@ -54,8 +54,8 @@ def test_null_scores_are_the_scores_of_pure_noise() -> None:
 
 def test_noise_passes_the_threshold_as_rarely_as_it_says() -> None:
     base = problem(3, 3)
-    others = [Linear(base.r, np.concatenate([base.J, problem(2, k).J], axis=2), base.weight, np.full(5, 1e-12), np.zeros(5))
-              for k in range(10, 22)]  # fmt: skip
+    wider = [np.concatenate([base.J, problem(2, k).J], axis=2) for k in range(10, 22)]
+    others = [Linear(base.r, J, base.weight, np.full(5, 1e-12), np.zeros(5)) for J in wider]
     threshold = null_threshold(base, others, FOLD)
     noise = np.random.default_rng(99).standard_normal((POSES * PER_POSE, 600))
     best = np.max([null_scores(o, FOLD, noise) for o in others], axis=0) - null_scores(base, FOLD, noise)

@@ -22,10 +22,15 @@ class Candidates:
     not_testable: Mapping[str, str]
 
     def beside(self, chosen: Sequence[Term]) -> list[Term]:
-        """Variants that make sense beside the chosen terms."""
-        names = {t.name for t in chosen}
-        keys = {t.key for t in chosen}
-        return [t for t in self.terms if t.key not in keys and (not t.effect.needs or t.effect.needs in names)]
+        """Variants that are not chosen yet and can act: what they need is chosen or can be chosen with them."""
+        keys, known = {t.key for t in chosen}, {t.name for t in self.terms} | {t.name for t in chosen}
+        return [t for t in self.terms if t.key not in keys and (not t.effect.needs or t.effect.needs in known)]
+
+    def completed(self, chosen: Sequence[Term], added: Term) -> list[Term]:
+        """The chosen terms, what the added one needs, and it."""
+        missing = added.effect.needs not in ("", *(t.name for t in chosen))
+        needed = [t for t in self.terms if missing and t.name == added.effect.needs]
+        return [*chosen, *needed, added]
 
 
 def candidates(robot: Robot, data: Measurements, catalogue: Mapping[str, Effect] = CATALOGUE) -> Candidates:

@@ -14,14 +14,14 @@ from ctrplan.diagnosis.candidates import Candidates, candidates
 from ctrplan.diagnosis.effect import CATALOGUE, Effect
 from ctrplan.diagnosis.experiment import next_experiment
 from ctrplan.diagnosis.gap import Gap, distances, open_vault
-from ctrplan.diagnosis.guards import outliers
+from ctrplan.diagnosis.guards import outliers, remains
 from ctrplan.diagnosis.localise import Place, localise
 from ctrplan.diagnosis.misstated import rescaled_noise
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.selection import Selector
 from ctrplan.diagnosis.split import Split, groups, split
 from ctrplan.diagnosis.symptoms import symptoms
-from ctrplan.diagnosis.verdict import Finding, Judgement, judge, remains, specific
+from ctrplan.diagnosis.verdict import Finding, Judgement, judge, specific
 from ctrplan.diagnosis.workbench import Workbench
 from ctrplan.errors import InputError
 from ctrplan.measurements import LONGEST_LAG_S, Measurements

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from ctrplan.diagnosis.crossvalidation import Linear
+from ctrplan.diagnosis.workbench import Scored, Workbench, linear
 from ctrplan.drive import Array
 from ctrplan.residuals import PER_POSE, information_inverse
 
@@ -74,6 +75,11 @@ def adequacy(fit: Linear, group: NDArray[np.int_], ignored: NDArray[np.bool_]) -
         ChiSquare(float((r[:, part] ** 2).sum()), r[:, part].size - float((hat[:, part] ** 2).sum())) for part in parts
     )
     return Adequacy(total, between, within, position, tangent)
+
+
+def remains(bench: Workbench, scored: Scored) -> Adequacy:
+    """What is left of the selection's poses after a fit."""
+    return adequacy(linear(scored.fit), bench.group, outliers(scored.fit.residuals.norm))
 
 
 def _group_means(values: Array, group: NDArray[np.int_]) -> Array:

@@ -7,10 +7,12 @@ from dataclasses import dataclass, field
 
 from ctrplan.chain import Term
 from ctrplan.diagnosis.candidates import Candidates
+from ctrplan.diagnosis.guards import remains
 from ctrplan.diagnosis.nulls import null_threshold
 from ctrplan.diagnosis.workbench import Scored, Screened, Workbench, linear
 
 MOST_EFFECTS = 4
+CAUTION = 2.0  # times the threshold, for an effect that the residuals do not ask for: they look like noise already
 CERTAIN = 2.0  # standard errors that a gain must exceed zero by
 REFITTED = 5  # variants of different effects that are fitted for good after the screening
 WORTH_IT = 0.5  # share of the best gain of the screening that makes a variant worth fitting
@@ -59,18 +61,19 @@ class Selector:
     def _grow(self, found: Selection) -> bool:
         here = found.chosen
         self.tell("trying effects" if not here.terms else f"trying effects beside {', '.join(here.names)}")
-        screened = self.bench.screened(here, self._others(here))
+        screened = self.bench.screened(here, self._others(here), self.candidates.completed)
         if not screened:
             return False
         found.threshold = null_threshold(linear(here.fit), [s.linear for s in screened], self.bench.fold)
+        needed = found.threshold * (CAUTION if remains(self.bench, here).is_adequate else 1.0)
         tried = self.fitted(here, screened)
         if not tried:
             first = screened[0]
-            found.path.append(_step("add", first.term, first.score - here.score, 0.0, found.threshold, False))
+            found.path.append(_step("add", first.term, first.score - here.score, 0.0, needed, False))
         for candidate in tried:
             gain, error = self.bench.difference(candidate, here)
-            best = candidate is tried[0] and gain > max(found.threshold, CERTAIN * error)
-            found.path.append(_step("add", candidate.terms[-1], gain, error, found.threshold, best))
+            best = candidate is tried[0] and gain > max(needed, CERTAIN * error)
+            found.path.append(_step("add", candidate.terms[-1], gain, error, needed, best))
         if not tried or not found.path[-len(tried)].taken:
             return False
         found.chosen = self.bench.corrected(tried[0])
@@ -83,7 +86,11 @@ class Selector:
     def fitted(self, here: Scored, screened: Sequence[Screened]) -> list[Scored]:
         """The most promising variants fitted beside `here`, best first."""
         worth = here.score + WORTH_IT * max(screened[0].score - here.score, 0.0)
-        tried = [self.bench.scored([*here.terms, s.term], here.fit) for s in promising(screened) if s.score > worth]
+        tried = [
+            self.bench.scored(self.candidates.completed(here.terms, s.term), here.fit)
+            for s in promising(screened)
+            if s.score > worth
+        ]
         return sorted(tried, key=lambda scored: -scored.score)
 
     def _prune(self, found: Selection) -> None:
@@ -114,7 +121,7 @@ class Selector:
         """What stands beside `rest` best, variants of the chosen effects included, the chosen ones themselves not."""
         keys, names = {t.key for t in without}, set(rest.names)
         others = [t for t in self.candidates.beside(rest.terms) if t.name not in names and t.key not in keys]
-        return self.fitted(rest, self.bench.screened(rest, others)) if others else []
+        return self.fitted(rest, self.bench.screened(rest, others, self.candidates.completed)) if others else []
 
 
 def promising(screened: Sequence[Screened]) -> list[Screened]:

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from ctrplan.chain import Term
-from ctrplan.diagnosis.guards import Adequacy, adequacy, outliers
+from ctrplan.diagnosis.guards import Adequacy, remains
 from ctrplan.diagnosis.selection import Selection, Selector
-from ctrplan.diagnosis.workbench import Scored, Workbench, linear
+from ctrplan.diagnosis.workbench import Scored, Workbench
 
 Verdict = Literal["named", "no_missing_effect", "ambiguous", "unexplained"]
 
@@ -49,11 +49,6 @@ class Judgement:
     findings: tuple[Finding, ...]
     adequacy: Adequacy
     compared: tuple[Alternative, ...]  # everything that was tried in the place of something chosen
-
-
-def remains(bench: Workbench, scored: Scored) -> Adequacy:
-    """What is left of the selection's poses after a fit."""
-    return adequacy(linear(scored.fit), bench.group, outliers(scored.fit.residuals.norm))
 
 
 def judge(selector: Selector, found: Selection) -> Judgement:

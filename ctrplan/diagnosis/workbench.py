@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -132,8 +132,13 @@ class Workbench:
             changed[place] = value * si[place]
         return changed
 
-    def screened(self, here: Scored, others: Sequence[Term]) -> list[Screened]:
-        """Variants beside a fit by one Gauss-Newton step each, best first: cheap, for choosing what to fit."""
+    def screened(
+        self, here: Scored, others: Sequence[Term], completed: Callable[[Sequence[Term], Term], Sequence[Term]]
+    ) -> list[Screened]:
+        """Variants beside a fit by one Gauss-Newton step each, best first: cheap, for choosing what to fit.
+
+        `completed` adds what a variant needs to the terms that it stands beside.
+        """
         merged = _merged([*here.terms, *others], self.robot)
         chain = self._chain([self.base(merged), *merged])
         known = values_by_name(here.fit)
@@ -146,7 +151,7 @@ class Workbench:
         screened = []
         for other in others:
             if not other.effect.is_linear:
-                screened.append(self._tried_out(here, other))
+                screened.append(self._tried_out(here, other, completed))
                 continue
             same = [t for t in here.terms if t.name != other.name]
             wanted = {(t.name, q.name) for t in (self.base([*same, other]), *same, other) for q in t.parameters}
@@ -154,9 +159,11 @@ class Workbench:
             screened.append(Screened(other, columns, float(-held_out_loss(columns, self.fold).sum() / 2)))
         return sorted(screened, key=lambda s: -s.score)
 
-    def _tried_out(self, here: Scored, other: Term) -> Screened:
+    def _tried_out(
+        self, here: Scored, other: Term, completed: Callable[[Sequence[Term], Term], Sequence[Term]]
+    ) -> Screened:
         """A variant that does not act in proportion, linearised where its first step promises most."""
-        terms = [*(t for t in here.terms if t.name != other.name), other]
+        terms = completed([t for t in here.terms if t.name != other.name], other)
         chain = self._chain([self.base(terms), *terms])
         start = self._start(chain, here.fit)
         there = linear(fit_at(chain, self.noise, self.whitening_group, start)).refitted()
