@@ -1,77 +1,177 @@
-"""Does the bound pay? Every scenario, the same seed and time, with the bound in the cost and with its weights at zero.
+"""Does the bound pay? Queries known to be feasible, planned with the bound in the cost and blind to it, several seeds.
 
-python benchmarks/planning.py [--seed N] [--write]     --write puts the table into README.md
+python benchmarks/planning.py [--seeds 5] [--time S] [--only SCENARIO ...] [--results FILE.jsonl]
+
+Results are kept in the file as they come, and a run that was broken off goes on where it was. For each certified plan
+one random history, friction at a random corner at its start, is simulated against the bound and the anatomy.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import resource
-import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from planning_queries import Query, queries
 
 import ctrplan
+from ctrplan.anatomy import exact_clearance
 from ctrplan.errors import CtrplanError
 from ctrplan.planning import Plan
-from ctrplan.scenario import Cost
+from ctrplan.planning.goals import goal_states
+from ctrplan.planning.motion import MotionChecker
+from ctrplan.trajectory import time_parameterise, verify_limits
 
-ROOT = Path(__file__).resolve().parents[1]
-BEGIN, END = "<!-- planning table -->\n", "<!-- end of planning table -->"
 BLIND = ["cost.error_along=0", "cost.error_goal=0"]
-HEADER = (
-    "| scenario | bound in the cost | first certified path | cost | joint length | worst bound | bound at the goal "
-    "| less what is released | predicted | stops |\n"
-    "|---|---|---|---|---|---|---|---|---|---|\n"
-)
+MODES: dict[str, list[str]] = {"aware": [], "blind": BLIND}
+CHOICE = 1.5  # ratio between bounds of goal configurations from which a query has a choice
+HISTORY_STEPS = 8  # a leg
 
 
-def cost_mm(plan: Plan, weights: Cost) -> float:
-    """What the plan costs with the scenario's own weights, whatever the planner was told."""
-    c, samples = plan.certificate, plan.certificate.samples
-    along = np.trapezoid(samples.released_m * 1e3, samples.path_mm) / weights.mm_per_rad
-    left_mm = float(samples.released_m[-1]) * 1e3
-    return float(weights.path * c.length_mm + weights.error_along * along + weights.error_goal * left_mm)
-
-
-def row(name: str, label: str, plan: Plan, weights: Cost) -> str:
+def run(query: Query, mode: str, seed: int, time_s: float | None) -> dict[str, Any]:
+    """A plan's figures, or why there is none."""
+    row: dict[str, Any] = {"query": query.name, "scenario": query.scenario, "mode": mode, "seed": seed}
+    try:
+        plan = ctrplan.plan(query.load(MODES[mode]), seed=seed, time_s=time_s)
+    except CtrplanError as error:
+        return row | {"solved": False, "why": str(error)}
     c = plan.certificate
-    return (
-        f"| {name} | {label} | {plan.first_certified_s:.1f} s | {cost_mm(plan, weights):.0f} mm "
-        f"| {c.length_mm:.0f} mm | {c.worst_bound_m * 1e3:.2f} mm "
-        f"| {c.goal_bound_m * 1e3:.2f} mm | {c.samples.released_m[-1] * 1e3:.2f} mm "
-        f"| {c.goal_predicted_m * 1e3:.2f} mm | {c.stops} |\n"
-    )
+    return row | {
+        "solved": c.valid,
+        "first_s": plan.first_certified_s,
+        "goal_mm": c.goal_bound_m * 1e3,
+        "integral_mm": c.error_integral_mm,
+        "length_mm": c.length_mm,
+        "stops": c.stops,
+        "duration_ratio": duration_ratio(plan),
+        "worst_limit": max(max(joint.values()) for joint in verify_limits(plan.trajectory, drive(plan)).values()),
+        **history_excess(plan, np.random.default_rng(seed)),
+    }
 
 
-def table(seed: int) -> str:
-    text = HEADER
-    for path in sorted((ROOT / "scenarios").glob("*.toml")):
-        for label, overrides in (("yes", []), ("no", BLIND)):
-            try:
-                plan = ctrplan.plan(ctrplan.load_scenario(path, overrides), seed=seed)
-                line = row(plan.scenario.name, label, plan, ctrplan.load_scenario(path).cost)
-            except CtrplanError as error:
-                line = f"| {path.stem} | {label} | {error} | | | | | | | |\n"
-            print(line, end="", file=sys.stderr, flush=True)
-            text += line
-    return text
+def drive(plan: Plan) -> Any:
+    return plan.scenario.robot.drive
+
+
+def duration_ratio(plan: Plan) -> float:
+    """Duration over the sum of the legs' own jerk-limited optima."""
+    alone = [time_parameterise(np.array([leg.start, leg.end]), drive(plan)).duration_s for leg in plan.legs]
+    return plan.trajectory.duration_s / sum(alone) if sum(alone) else 1.0
+
+
+def history_excess(plan: Plan, rng: np.random.Generator) -> dict[str, float]:
+    """By how much a simulated history exceeds the bound, and its clearance beyond the anatomy's margins [mm]."""
+    scenario = plan.scenario
+    robot = scenario.robot
+    history = robot.history(rng.choice([-1.0, 1.0], robot.n - 1).tolist())
+    history.advance(*robot.drive.collars(plan.legs[0].start))
+    excess, clearance = -np.inf, np.inf
+    for leg in plan.legs:
+        for q in leg.sample(HISTORY_STEPS)[1:]:
+            step = history.advance(*robot.drive.collars(q))
+            excess = max(excess, step.deviation_m - robot.bound(*robot.drive.collars(q)).position_m)
+            ahead = step.shape.s_m >= 0
+            points = step.shape.centreline_m[ahead] @ scenario.base_R.T + scenario.base_position_m
+            if scenario.anatomy and len(points):
+                room = exact_clearance(scenario.anatomy, points) - step.shape.radius_m[ahead]
+                clearance = min(clearance, float(room.min()))
+    return {"history_excess_mm": excess * 1e3, "history_clearance_mm": clearance * 1e3}
+
+
+def has_choice(query: Query) -> bool:
+    """Whether goal configurations differ enough in their bounds."""
+    try:
+        goals = goal_states(MotionChecker(query.load([])), np.random.default_rng(0))
+    except CtrplanError:
+        return False
+    bounds = [goal.bound_m for goal in goals]
+    return len(bounds) > 1 and max(bounds) >= CHOICE * min(bounds)
+
+
+def results(chosen: list[Query], seeds: int, time_s: float | None, file: Path | None) -> list[dict[str, Any]]:
+    """Every query in both modes with every seed; those in the file are not run again."""
+    rows = [json.loads(line) for line in file.read_text().splitlines()] if file and file.exists() else []
+    done = {(row["query"], row["mode"], row["seed"]) for row in rows}
+    for query in chosen:
+        choice = None
+        for seed in range(seeds):
+            for mode in MODES:
+                if (query.name, mode, seed) in done:
+                    continue
+                choice = has_choice(query) if choice is None else choice
+                rows.append(run(query, mode, seed, time_s) | {"choice": choice})
+                print(json.dumps(rows[-1]), flush=True)
+                if file:
+                    with file.open("a") as stream:
+                        stream.write(json.dumps(rows[-1]) + "\n")
+    names = {query.name for query in chosen}
+    return [row for row in rows if row["query"] in names and row["seed"] < seeds]
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """What the rows say, beside what is wanted."""
+    solved = [row for row in rows if row["solved"]]
+    first = [row["first_s"] for row in solved]
+    pairs = paired([row for row in solved if row["choice"]])
+    stops = {mode: np.mean([row["stops"] for row in solved if row["mode"] == mode]) for mode in MODES}
+    lines = [
+        ("queries", str(len({row["query"] for row in rows})), ">= 40"),
+        ("of them with a choice", str(len({row["query"] for row in rows if row["choice"]})), ""),
+        ("plans solved and certified", f"{len(solved)} of {len(rows)}", "all"),
+        ("time to first certified path, median", f"{np.median(first):.2f} s", "<= 1 s"),
+        ("time to first certified path, 95th percentile", f"{np.percentile(first, 95):.2f} s", "<= 5 s"),
+        ("worst-case error at the goal, aware / blind, median with a choice", ratio(pairs, "goal_mm"), "<= 0.4 x"),
+        ("integral of the bound along the path, likewise", ratio(pairs, "integral_mm"), "<= 0.6 x"),
+        ("joint path length, likewise", ratio(pairs, "length_mm"), "<= 1.5 x"),
+        ("stops per plan, aware / blind, mean", " / ".join(f"{x:.1f}" for x in stops.values()), ""),
+        (
+            "duration over the legs' own optima, largest",
+            f"{max(row['duration_ratio'] for row in solved):.3f} x",
+            "<= 1.05 x",
+        ),
+        ("largest share of a trajectory limit", f"{max(row['worst_limit'] for row in solved):.6f}", "<= 1"),
+        (
+            "histories beyond the bound by more than 0.05 mm",
+            str(sum(row["history_excess_mm"] > 0.05 for row in solved)),
+            "0",
+        ),
+        (
+            "histories that touch the anatomy's margins",
+            str(sum(row["history_clearance_mm"] < 0 for row in solved)),
+            "0",
+        ),
+        ("peak memory", f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB", "<= 1000 MB"),
+    ]
+    return "\n".join(["| | found | wanted |", "|---|---|---|", *(f"| {' | '.join(line)} |" for line in lines)])
+
+
+def paired(rows: list[dict[str, Any]]) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+    """Aware and blind plans of the same query and seed."""
+    by_key = {(row["query"], row["seed"], row["mode"]): row for row in rows}
+    return [
+        (row, by_key[q, s, "blind"])
+        for (q, s, mode), row in by_key.items()
+        if mode == "aware" and (q, s, "blind") in by_key
+    ]
+
+
+def ratio(pairs: list[tuple[dict[str, Any], dict[str, Any]]], key: str) -> str:
+    """Median of aware over blind."""
+    return f"{np.median([a[key] / max(b[key], 1e-9) for a, b in pairs]):.2f} x" if pairs else "none"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--write", action="store_true", help="put the table into README.md")
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--time", type=float, metavar="S", help="of each plan (default: the scenario's)")
+    parser.add_argument("--only", nargs="+", metavar="SCENARIO", help="these scenarios' queries")
+    parser.add_argument("--results", type=Path, metavar="FILE", help="kept and continued")
     arguments = parser.parse_args()
-    text = table(arguments.seed)
-    print(text)
-    print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
-    if arguments.write:
-        readme = ROOT / "README.md"
-        content = readme.read_text(encoding="utf-8")
-        before, rest = content.split(BEGIN)
-        readme.write_text(before + BEGIN + text + END + rest.split(END)[1], encoding="utf-8")
+    chosen = [query for query in queries() if not arguments.only or query.scenario in arguments.only]
+    print(table(results(chosen, arguments.seeds, arguments.time, arguments.results)))
 
 
 if __name__ == "__main__":
