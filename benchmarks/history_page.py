@@ -46,7 +46,7 @@ def draw(name: str, figure: Figure, write: bool) -> None:
     IMAGES.mkdir(parents=True, exist_ok=True)
     content = io.BytesIO()
     figure.savefig(content, format="png", dpi=110)
-    Image.open(content).convert("RGB").quantize(64).save(IMAGES / f"{name}.png", optimize=True)
+    Image.open(content).convert("RGB").quantize(256).save(IMAGES / f"{name}.png", optimize=True)
 
 
 def panels(rows: int, columns: int, size_in: tuple[float, float], **options: Any) -> tuple[Figure, Any]:

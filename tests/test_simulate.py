@@ -1,0 +1,145 @@
+"""`ctrplan simulate`: tables that say what the history says, and refusals in one sentence."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ctrplan.cli import main
+from ctrplan.commands.simulate import start_state
+from ctrplan.path_file import load_joint_path
+from ctrplan.plots_simulation import simulation_figure
+from ctrplan.robot import load_robot
+from ctrplan.simulation import poses_csv, simulate
+
+ROBOTS = Path(__file__).resolve().parents[1] / "scenarios" / "robots"
+PAIR = str(ROBOTS / "table_5_pair.toml")
+HEADER = "theta_1_rad,theta_2_rad,l_1_m,l_2_m"
+ROWS = ["0,0.5,0,-0.0604", "0,2.1,0,-0.0604", "0,2.1,0,-0.0504"]
+
+
+def write_path(folder: Path, *lines: str) -> str:
+    (folder / "path.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return str(folder / "path.csv")
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with open(path, encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_poses_are_those_of_the_history(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_path(tmp_path, HEADER, *ROWS)
+    assert main(["simulate", PAIR, path, "-o", str(tmp_path / "out"), "--start=-1"]) == 0
+    found = capsys.readouterr()
+    assert "3 of 3 rows simulated" in found.out and "largest friction error" in found.out and found.err == ""
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"poses.csv", "simulate.png"}
+    assert (tmp_path / "out" / "simulate.png").read_bytes()[:4] == b"\x89PNG"
+    robot = load_robot(PAIR)
+    history = robot.history((-1,))
+    table = rows(tmp_path / "out" / "poses.csv")
+    for row, values in zip(table, ROWS, strict=True):
+        joints = np.array([float(value) for value in values.split(",")])
+        step, bound = history.advance(joints[:2], joints[2:]), robot.bound(joints[:2], joints[2:])
+        assert [float(row[name]) for name in HEADER.split(",")] == joints.tolist()
+        tip_m = [float(row[name]) for name in ("x_m", "y_m", "z_m")]
+        np.testing.assert_allclose(tip_m, step.shape.tip_m, atol=2e-6)  # the same path in other steps
+        assert float(row["deviation_mm"]) == pytest.approx(step.deviation_m * 1e3, abs=2e-3)
+        assert float(row["bound_mm"]) == pytest.approx(bound.position_m * 1e3, rel=1e-9)
+        assert row["snaps"] == "0" and row["status"] == "CONVERGED"
+    assert float(table[0]["phi_1"]) == -1
+    assert float(table[1]["phi_1"]) > 0.9 and abs(float(table[2]["phi_1"])) < 0.1
+
+
+def test_poses_can_be_read_as_a_path_and_every_run_starts_afresh(tmp_path: Path) -> None:
+    lines = [f"{run},{k},{row}" for run in (3, 5) for k, row in enumerate(ROWS, start=10 * run)]
+    path = load_joint_path(write_path(tmp_path, f"sequence,time_s,{HEADER}", *lines), load_robot(PAIR))
+    result = simulate(load_robot(PAIR), path, "released")
+    assert result.is_complete
+    text = poses_csv(result)
+    again = load_joint_path(write_path(tmp_path, *text.splitlines()), load_robot(PAIR))
+    np.testing.assert_array_equal(again.theta_b, path.theta_b)
+    np.testing.assert_array_equal(again.sequence, [3, 3, 3, 5, 5, 5])
+    np.testing.assert_array_equal(again.time_s, path.time_s)
+    first, second = (result.position_m[(result.place >= a) & (result.place <= a + 2)] for a in (0, 3))
+    np.testing.assert_array_equal(first, second)
+    assert result.deviation_m[result.waypoints[[0, 3]]].max() < 1e-9
+
+
+def test_figure_shows_deviation_under_the_bound(tmp_path: Path) -> None:
+    robot = load_robot(PAIR)
+    result = simulate(robot, load_joint_path(write_path(tmp_path, HEADER, *ROWS), robot), (1,))
+    deviation, friction = simulation_figure(result).axes
+    assert "(mm)" in deviation.get_ylabel() and "row" in friction.get_xlabel()
+    (line,) = (line for line in deviation.lines if line.get_label() == "predicted tip deviation")
+    np.testing.assert_allclose(line.get_ydata(), result.deviation_m * 1e3)
+    assert np.all(result.deviation_m <= 1.01 * result.bounds.position_m + 5e-5)
+
+
+def test_an_oscillation_starts_near_the_frictionless_solution(tmp_path: Path) -> None:
+    robot = load_robot(PAIR)
+    result = simulate(robot, load_joint_path(write_path(tmp_path, HEADER, ROWS[0]), robot), "oscillated")
+    assert 0 < result.deviation_m[0] < 0.2 * result.bounds.position_m[0]
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ([], ["header"]),
+        ([HEADER], ["at least one row"]),
+        (["theta_1_rad,theta_2_rad,l_1_m", "0,0,0"], ["l_2_m", "missing"]),
+        (["theta_1_deg,theta_2_deg,l_1_m,l_2_m", ROWS[0]], ["theta_1_rad", "found theta_1_deg", "rad"]),
+        (["theta_1_rad,theta_2_rad,l_1_mm,l_2_mm", ROWS[0]], ["l_1_m", "found l_1_mm", "in m"]),
+        ([HEADER + ",theta_3_rad,l_3_m", ROWS[0] + ",0,0"], ["theta_3_rad", "only 2 tubes"]),
+        ([HEADER + ",l_2_m", ROWS[0] + ",0"], ["l_2_m", "2 times"]),
+        ([HEADER, "0,0,0"], ["row 1", "has 3 values"]),
+        ([HEADER, *ROWS[:1], "0,x,0,-0.06"], ["row 2", "theta_2_rad", "'x'", "number"]),
+        ([HEADER, "0,nan,0,-0.06"], ["row 1", "finite"]),
+        ([HEADER, "0,0,0,-60.4"], ["row 1", "l_2_m", "metres", "millimetres?"]),
+        ([HEADER, "0,720,0,-0.06"], ["row 1", "theta_2_rad", "degrees?"]),
+        ([HEADER, *ROWS, "0,0,0,-0.01"], ["row 4", "17 mm apart"]),
+        ([HEADER, "0,0,0.001,-0.06"], ["row 1", "behind the plate"]),
+        (["sequence," + HEADER, "1," + ROWS[0], "2," + ROWS[0], "1," + ROWS[0]], ["row 3", "sequence", "together"]),
+        (["sequence," + HEADER, "1.5," + ROWS[0]], ["row 1", "sequence", "whole"]),
+        (["time_s," + HEADER, "1," + ROWS[0], "0," + ROWS[0]], ["row 2", "time_s", "backwards"]),
+        ([HEADER, '"0,0,0,-0.06'], ["CSV"]),
+    ],
+)
+def test_bad_paths_are_refused_in_one_sentence(
+    lines: list[str], words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_path(tmp_path, *lines)
+    assert main(["simulate", PAIR, path, "-o", str(tmp_path / "out")]) == 2
+    message = capsys.readouterr().err
+    assert message.startswith(f"ctrplan: {path}") and message.count("\n") == 1
+    assert all(word in message for word in words), message
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("file", "words"), [("nowhere.csv", "does not exist"), (".", "is a folder"), ("bytes.csv", "UTF-8")]
+)
+def test_files_that_are_none(file: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "bytes.csv").write_bytes(b"\xff\xfe\x00")
+    assert main(["simulate", PAIR, str(tmp_path / file), "-o", str(tmp_path / "out")]) == 2
+    message = capsys.readouterr().err
+    assert words in message and message.count("\n") == 1
+
+
+@pytest.mark.parametrize("text", ["resting", "+1,-1", "2", "", "+1,", "nan"])
+def test_start_states_are_checked(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_path(tmp_path, HEADER, *ROWS)
+    assert main(["simulate", PAIR, path, "-o", str(tmp_path / "out"), f"--start={text}"]) == 2
+    message = capsys.readouterr().err
+    assert "--start" in message and "oscillated" in message and message.count("\n") == 1
+    assert start_state("+1,-0.5", 2) == (1.0, -0.5)
+
+
+def test_help_has_examples(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["simulate", "--help"])
+    text = capsys.readouterr().out
+    assert "examples:" in text and "--start=+1,-1" in text and "theta_1_rad" in text
