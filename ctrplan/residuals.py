@@ -47,6 +47,7 @@ class Residuals:
     r: Array
     J: Array
     weight: Array  # (K,) 1, less for outliers
+    alone: Array  # (K,) norm of each pose's five numbers before those of its configuration took their part
 
     @property
     def norm(self) -> Array:
@@ -79,10 +80,17 @@ def residuals(
     r = np.hstack([position, tangent])
     J = np.concatenate([position_by, tangent_by], axis=1)
     shares = np.repeat([MODEL_POSITION_M / noise.position_m, MODEL_TANGENT_RAD / noise.tangent_rad], [3, 2])
-    r, J = _whitened(r, np.asarray(group), shares), _whitened(J, np.asarray(group), shares[:, None])
     r, J = _unsound(r, J, prediction.sound)
-    weight = np.minimum(1.0, ROBUST_LIMIT / np.maximum(np.linalg.norm(r, axis=1), 1e-12))
-    return Residuals(r, J, weight)
+    alone = np.linalg.norm(r, axis=1)
+    trust = _weight(alone)
+    r, J = _whitened(r, np.asarray(group), shares, trust), _whitened(J, np.asarray(group), shares[:, None], trust)
+    return Residuals(r, J, _weight(np.linalg.norm(r, axis=1)), alone)
+
+
+def _weight(norm: Array) -> Array:
+    """Huber's weights of norms, (K,)."""
+    weight: Array = np.minimum(1.0, ROBUST_LIMIT / np.maximum(norm, 1e-12))
+    return weight
 
 
 def _normal_plane(tangent: Array, measured: Array) -> Array:
@@ -102,12 +110,16 @@ def _tangent_error(tangent: Array, measured: Array, plane: Array) -> Array:
     return error
 
 
-def _whitened(values: Array, group: NDArray[np.int_], share: Array) -> Array:
-    """Unit covariance after 1 + share^2 within groups: the mean of a group of m shrinks by 1 / sqrt(1 + m share^2)."""
-    _, number, count = np.unique(group, return_inverse=True, return_counts=True)
-    sums = np.zeros((len(count), *values.shape[1:]))
-    np.add.at(sums, number, values)
-    m = count.reshape(-1, *[1] * (values.ndim - 1))
+def _whitened(values: Array, group: NDArray[np.int_], share: Array, trust: Array) -> Array:
+    """Unit covariance after 1 + share^2 within groups: the mean of a group of m shrinks by 1 / sqrt(1 + m share^2).
+
+    `trust` (K,) keeps an outlier out of the mean that its neighbours share.
+    """
+    numbers, number = np.unique(group, return_inverse=True)
+    column = trust.reshape(-1, *[1] * (values.ndim - 1))
+    sums = np.zeros((len(numbers), *values.shape[1:]))
+    np.add.at(sums, number, column * values)
+    m = np.bincount(number, weights=trust).reshape(-1, *[1] * (values.ndim - 1))
     pull = (1 - 1 / np.sqrt(1 + m * share**2)) * sums / m
     whitened: Array = values - pull[number]
     return whitened

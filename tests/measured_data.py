@@ -17,7 +17,7 @@ from ctrplan.robot import Robot, robot_from_dict
 
 QUARTER = np.radians(90.0)
 OSCILLATION = np.radians([40.0, -36.0, 32.0, -28.0, 24.0, -20.0, 16.0, -12.0, 8.0, -4.0])
-SIGMA_M, SIGMA_RAD = 0.3e-3, np.radians(0.4)
+SIGMA_M, SIGMA_RAD = 0.1e-3, np.radians(0.15)
 
 
 def pair_robot(**keys: object) -> Robot:

@@ -48,9 +48,13 @@ class _Teller:
     interrupted: threading.Event | None
     share: float = 0.05
 
-    def __call__(self, step: str) -> None:
+    def pause(self) -> None:
+        """Where a run may stop."""
         if self.interrupted is not None and self.interrupted.is_set():
             raise Interrupted
+
+    def __call__(self, step: str) -> None:
+        self.pause()
         self.share += 0.25 * (1 - self.share)  # how many steps there will be is not known
         if self.progress:
             self.progress(step, self.share)
@@ -85,7 +89,7 @@ def diagnose(
     gap = open_vault(base.fit, chosen.fit, data.subset(parts.vault), group[parts.vault], noise)
     judgement, note = _after_vault(judgement, selector, gap)
     place = _place(selector.bench, gap)
-    far = outliers(chosen.fit.residuals.norm)
+    far = outliers(chosen.fit.residuals.alone)
     sentence, proposed = next_experiment(chosen, judgement, bench.data, noise, list(known.not_testable))
     return Diagnosis(
         verdict=judgement.verdict,
@@ -146,6 +150,7 @@ def _bench(robot: Robot, data: Measurements, parts: Split, noise: Noise) -> Work
 def _searched(bench: Workbench, known: Candidates, teller: _Teller) -> tuple[Selector, Judgement, list[str], bool]:
     """Selection and judgement, once more with the noise that the data show if it is not the stated one."""
     selector, notes = Selector(bench, known, teller), list[str]()
+    bench.pause = teller.pause
     try:
         teller("calibrating")
         selector.run()
@@ -155,6 +160,7 @@ def _searched(bench: Workbench, known: Candidates, teller: _Teller) -> tuple[Sel
             notes.append(note)
             again = Workbench(bench.robot, bench.data, scaled, bench.group, bench.fold)
             selector = Selector(again, known, teller)
+            again.pause = teller.pause
             selector.run()
             judgement = judge(selector, selector.found)
     except Interrupted:

@@ -98,7 +98,7 @@ def _predictive(chain: Chain, after: Fit, group: NDArray[np.int_], noise: Noise)
     """Residuals over noise and the parameters' own uncertainty together."""
     whitening: Sequence[int] | NDArray[np.int_] = np.arange(len(group)) if chain.data.is_stream else group
     found = residuals(chain.data, chain.predict(after.p), noise, whitening)
-    ignored = outliers(found.norm)
+    ignored = outliers(found.alone)
     r, J = found.r[~ignored].ravel(), found.J[~ignored].reshape(-1, found.J.shape[2])
     spread = np.eye(len(r)) + J @ after.covariance @ J.T
     return ChiSquare(float(r @ np.linalg.solve(spread, r)), len(r))

@@ -79,7 +79,7 @@ def adequacy(fit: Linear, group: NDArray[np.int_], ignored: NDArray[np.bool_]) -
 
 def remains(bench: Workbench, scored: Scored) -> Adequacy:
     """What is left of the selection's poses after a fit."""
-    return adequacy(linear(scored.fit), bench.group, outliers(scored.fit.residuals.norm))
+    return adequacy(linear(scored.fit), bench.group, outliers(scored.fit.residuals.alone))
 
 
 def _group_means(values: Array, group: NDArray[np.int_]) -> Array:

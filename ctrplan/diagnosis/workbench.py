@@ -57,6 +57,7 @@ class Workbench:
         self, robot: Robot, data: Measurements, noise: Noise, group: NDArray[np.int_], fold: NDArray[np.int_]
     ) -> None:
         self.robot, self.data, self.noise, self.group, self.fold = robot, data, noise, group, fold
+        self.pause: Callable[[], None] = lambda: None  # called between fits; may raise to stop
         self._correction: tuple[Array, Array] | None = None
         self._done: dict[frozenset[str], Scored] = {}
 
@@ -75,6 +76,7 @@ class Workbench:
         """The base and `terms` fitted together, from the values of `near` where it has them."""
         key = frozenset(t.key for t in terms)
         if key not in self._done:
+            self.pause()
             self._done[key] = self._fitted(tuple(terms), near)
         return self._done[key]
 

@@ -1,0 +1,121 @@
+"""The workflow end to end on small data: nothing missing, one effect, look-alikes, something outside the catalogue."""
+
+from __future__ import annotations
+
+import json
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomli_w
+from measured_data import measured, pair_robot, waypoints, write_csv
+
+from ctrplan.cli import main
+from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
+from ctrplan.errors import InputError
+from ctrplan.measurements import Measurements
+from ctrplan.robot import load_robot
+
+ROBOT = pair_robot()
+PLAN = waypoints(ROBOT, 18)
+BASE = {"calibration": {"precurvature_factor_1_1": 1.05, "stiffness_factor_2": 0.93, "poisson_ratio_1": 0.36}}
+QUICK = {name: CATALOGUE[name] for name in ("backlash", "tip_load", "homing_offset", "off_plane_precurvature", "lag")}
+
+
+def names(found: Diagnosis) -> list[set[str]]:
+    return [{f.term.name, *(a.term.name for a in f.alternatives)} for f in found.judgement.findings]
+
+
+def test_wrong_nominal_parameters_are_no_missing_effect() -> None:
+    found = diagnose(ROBOT, measured(ROBOT, PLAN, BASE), catalogue=QUICK)
+    assert found.verdict == "no_missing_effect" and not found.listed
+    assert found.gap.after.rms_m < 1.3 * found.gap.floor_m < found.gap.nominal.rms_m
+    assert "lag" in found.not_testable and "measured at rest" in found.not_testable["lag"]
+
+
+def test_a_tip_load_is_named_with_its_size() -> None:
+    values = BASE | {"tip_load": {"force_x_N": 0.15, "force_y_N": -0.12, "force_z_N": 0.0}}
+    found = diagnose(ROBOT, measured(ROBOT, PLAN, values), catalogue=QUICK)
+    assert found.verdict == "named" and names(found) == [{"tip_load"}]
+    parameters = found.to_json()["effects"][0]["parameters"]
+    for axis, force in zip("xyz", (0.15, -0.12, 0.0), strict=True):
+        low, high = parameters[f"force_{axis}_N"]["ci95"]
+        assert low - 0.5 * (high - low) < force < high + 0.5 * (high - low)
+    assert found.gap.after.rms_m < 1.3 * found.gap.floor_m < 0.7 * found.gap.before.rms_m
+
+
+def test_look_alikes_are_reported_together() -> None:
+    found = diagnose(ROBOT, measured(ROBOT, PLAN, BASE | {"homing_offset": {"theta_2_deg": 6.0}}), catalogue=QUICK)
+    assert found.verdict == "ambiguous"
+    assert names(found) == [{"homing_offset", "off_plane_precurvature"}]
+    assert "separates" in found.next_experiment or "To tell" in found.next_experiment
+
+
+def test_an_effect_outside_the_catalogue_gets_no_name() -> None:
+    data = measured(ROBOT, PLAN, BASE | {"eccentricity": {"sin_2_deg": 9.0, "cos_2_deg": 5.0}})
+    found = diagnose(ROBOT, data, catalogue=QUICK)
+    assert found.verdict == "unexplained" and not found.listed
+    assert found.judgement.adequacy.within.is_noise and not found.judgement.adequacy.between.is_noise
+
+
+def test_an_outlier_is_reported_and_changes_little() -> None:
+    clean = measured(ROBOT, PLAN, BASE)
+    position = clean.position_m.copy()
+    chosen = diagnose(ROBOT, clean, catalogue=QUICK)
+    row = int(chosen.base.fit.chain.data.rows[0])  # one that the selection sees
+    position[int(np.flatnonzero(clean.rows == row)[0])] += [0.02, -0.01, 0.0]
+    spoilt = Measurements(
+        clean.sequence, clean.theta_b, clean.l_b, clean.rows, position, clean.tangent, clean.time_s, clean.is_stream
+    )
+    found = diagnose(ROBOT, spoilt, catalogue=QUICK)
+    assert found.outlier_rows == (row + 1,) and found.verdict == "no_missing_effect"
+    np.testing.assert_allclose(found.base.fit.p, chosen.base.fit.p, atol=0.1)
+
+
+def test_too_few_configurations_and_unknown_noise_are_refused() -> None:
+    with pytest.raises(InputError, match="too few"):
+        diagnose(ROBOT, measured(ROBOT, waypoints(ROBOT, 5)))
+    silent = pair_robot(measurement=None)
+    with pytest.raises(InputError, match="measurement: is missing"):
+        diagnose(silent, measured(ROBOT, PLAN))
+
+
+def test_an_interrupted_run_keeps_what_it_had() -> None:
+    stop, steps = threading.Event(), list[str]()
+
+    def progress(step: str, share: float) -> None:
+        steps.append(step)
+        assert 0 <= share <= 1
+        if step.startswith("trying"):
+            stop.set()
+
+    found = diagnose(ROBOT, measured(ROBOT, PLAN, BASE), progress, catalogue=QUICK, interrupted=stop)
+    assert found.interrupted and found.verdict != "named"
+    assert steps[0] == "calibrating" and steps[-1] == "opening the vault"
+
+
+def test_the_command_writes_files_that_go_on_working(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "robot.toml").write_text(tomli_w.dumps(dict(ROBOT.content)))
+    write_csv(tmp_path / "data.csv", measured(ROBOT, PLAN, BASE | {"backlash": {"theta_2_deg": 8.0}}))
+    out = tmp_path / "out"
+    assert main(["diagnose", str(tmp_path / "robot.toml"), str(tmp_path / "data.csv"), "-o", str(out), "--quiet"]) == 0
+    assert "Missing: backlash." in capsys.readouterr().out
+    content = json.loads((out / "diagnosis.json").read_text())
+    assert content["verdict"] == "named" and content["effects"][0]["stage"] == "drive"
+    assert set(content["gap"]) >= {
+        "before_rms_mm",
+        "after_rms_mm",
+        "noise_floor_mm",
+        "heldout_poses",
+        "before_max_mm",
+        "after_max_mm",
+    }
+    written = load_robot(out / "robot.toml")
+    assert written.effects["backlash"]["theta_2_deg"] == pytest.approx(8.0, abs=1.0)
+    assert np.isfinite(written.bound([0.0, 1.0], [0.0, -0.02]).position_m)
+    page = (out / "report.html").read_text()
+    assert "backlash" in page and "http://" not in page.split("<script")[0]
+    again = [str(out / "robot.toml"), str(tmp_path / "data.csv"), "-o", str(tmp_path / "again"), "--quiet"]
+    assert main(["diagnose", *again]) == 0  # with the effect in the file nothing is missing
+    assert json.loads((tmp_path / "again" / "diagnosis.json").read_text())["verdict"] == "no_missing_effect"

@@ -1,0 +1,56 @@
+"""Writes docs/effects.md from the catalogue: python tools/effects_page.py > docs/effects.md"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ctrplan.diagnosis import CATALOGUE, Effect
+from ctrplan.robot import load_robot
+
+ROBOT = Path(__file__).parents[1] / "scenarios" / "robots" / "three_tube.toml"
+STAGES = ("clock", "drive", "mechanics", "sensor")
+HEAD = """\
+# Catalogue of effects
+
+Made by `python tools/effects_page.py` from the files under `ctrplan/diagnosis/effects/`; how to write another one is
+in [diagnosis.md](diagnosis.md). Every effect is a term of one stage of the chain
+
+    commanded joint path -> clock -> drive -> mechanics -> sensor -> measured pose
+
+and is switched on by a table `[effects.NAME]` of a robot file with the parameters below (of the three-tube robot of
+Table II), each in the unit that its name ends with. *Prior* is the standard deviation of what is plausible. Effects
+of mechanics and drive act in `Robot.bound`, `ctrplan plan` and `ctrplan simulate` too; backlash needs a path and
+acts in the chain only, as do the clock's and the sensor's.
+"""
+
+
+def page() -> str:
+    """The whole page."""
+    parts = [HEAD]
+    for stage in STAGES:
+        parts.append(f"## {stage.capitalize()}\n")
+        parts += [_section(effect) for effect in CATALOGUE.values() if effect.stage == stage]
+    return "\n".join(parts)
+
+
+def _section(effect: Effect) -> str:
+    rows = [
+        f"| `{p.name}` | {p.prior:g} | {p.neutral:g} | {_limit(p.lower)} to {_limit(p.upper)} |"
+        for p in effect.parameters(load_robot(ROBOT))
+    ]
+    shown = rows if len(rows) <= 9 else [*rows[:4], f"| ... {len(rows)} in all | | | |"]
+    table = ["| parameter | prior | vanishes at | range |", "|---|---|---|---|", *shown]
+    looks = ", ".join(effect.look_alikes) or "none"
+    needs = f"\n- *needs* {effect.needs}" if effect.needs else ""
+    return (
+        f"### {effect.name}\n\n- *equation* {effect.equation}\n- *signature* {effect.signature}\n- *looks like* {looks}\n"
+        f"- *what separates it* {effect.experiment}{needs}\n\n" + "\n".join(table) + "\n"
+    )
+
+
+def _limit(value: float) -> str:
+    return f"{value:g}".replace("inf", "∞")
+
+
+if __name__ == "__main__":
+    print(page(), end="")
