@@ -40,12 +40,16 @@ def _section(effect: Effect) -> str:
     ]
     shown = rows if len(rows) <= 9 else [*rows[:4], f"| ... {len(rows)} in all | | | |"]
     table = ["| parameter | prior | vanishes at | range |", "|---|---|---|---|", *shown]
-    looks = ", ".join(effect.look_alikes) or "none"
-    needs = f"\n- *needs* {effect.needs}" if effect.needs else ""
-    return (
-        f"### {effect.name}\n\n- *equation* {effect.equation}\n- *signature* {effect.signature}\n- *looks like* {looks}\n"
-        f"- *what separates it* {effect.experiment}{needs}\n\n" + "\n".join(table) + "\n"
-    )
+    facts = {
+        "equation": effect.equation,
+        "signature": effect.signature,
+        "looks like": ", ".join(effect.look_alikes) or "none",
+        "what separates it": effect.experiment,
+    }
+    if effect.needs:
+        facts["needs"] = effect.needs
+    items = "\n".join(f"- *{name}* {text}" for name, text in facts.items())
+    return f"### {effect.name}\n\n{items}\n\n" + "\n".join(table) + "\n"
 
 
 def _limit(value: float) -> str:
