@@ -74,10 +74,10 @@ def test_advancing_a_nearly_straight_robot_follows_its_leader() -> None:
     """Tubes 1 and 2 opposed stay near the axis all the way; a rotation at full length inserts nothing."""
     scenario = load_scenario(ROOT / "scenarios" / "deploy.toml")
     free = replace(scenario, anatomy=())
-    out = np.array([*scenario.start[:3], 0.0, scenario.start[4]])
+    out = np.array([*scenario.start[:3], -0.09, scenario.start[4]])
     off = follow_the_leader_m(ctrplan.reorder(np.array([scenario.start, out]), free))
     ends = [scenario.robot.solve(*scenario.robot.drive.collars(q)).centreline_m for q in (scenario.start, out)]
     aside = np.abs(ends[1][:, :2]).max()
     assert off is not None and off <= aside + 1e-3
-    turned = out + np.array([0.5, 0.5, 0.5, 0, 0])
+    turned = out + np.array([0.2, 0.2, 0.2, 0, 0])
     assert follow_the_leader_m(ctrplan.reorder(np.array([out, turned]), free)) is None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,15 @@ from scipy.sparse.csgraph import connected_components
 
 from ctrplan.drive import Array
 from ctrplan.mechanics import Status
-from ctrplan.planning.inverse_kinematics import TipSolver, TipTarget, angle_to
+from ctrplan.planning.inverse_kinematics import (
+    DAMPING,
+    LONGEST_STEP_M,
+    M_PER_RAD,
+    TOLERANCE_SHARE,
+    TipSolver,
+    TipTarget,
+    angle_to,
+)
 from ctrplan.planning.motion import MotionChecker, anatomy_grid
 
 SAMPLES = 1500  # random configurations whose tips are looked at
@@ -27,6 +35,7 @@ MOST_REFINED = 80
 ROOM_ENOUGH_M = 5e-3  # more than friction makes of most shapes
 CLEARANCE_STEPS = 4  # on the frictionless clearance model
 GAP_M = 6e-3  # more than clearance moves a tip: within it of the target, refining on the clearance model pays
+TURN_RAD = 0.1  # likewise of the tangent
 REFINED_SHARE = 0.2  # of the tolerance
 LINK_MM = 30.0  # of joint length between neighbours in a branch
 SAME_SHARE = 0.35  # of their distance that the middle of two neighbours may lie off their branch
@@ -76,12 +85,16 @@ def reach(
 ) -> Reach:
     """Distinct configurations whose frictionless tip is within `tolerance_m` of the target, from random starts."""
     solver = TipSolver(checker.space, checker.mechanics)
-    q = solver.solve(target, _starts(solver, target, rng, starts))
+    begin, aim = _starts(solver, target, rng, starts), target
+    q = solver.solve(aim, begin)
+    if not q.reached(replace(target, direction_tolerance_rad=target.direction_tolerance_rad + TURN_RAD), GAP_M).any():
+        aim = TipTarget(target.tip_m)  # the direction can't be had there: how near does the position come?
+        q = solver.solve(aim, begin)
     order = np.argsort(q.error_m)
     near = order[q.error_m[order] <= tolerance_m + GAP_M]
     near = near[np.argsort(-_room(checker, q.joints[near]), kind="stable")] if len(near) else order[:1]
     chosen = _distinct(checker, q.joints, near)[:MOST_REFINED]
-    joints = _refined(checker, solver, target, q.joints[chosen], tolerance_m)
+    joints = _refined(checker, aim, q.joints[chosen], tolerance_m)
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         found = list(pool.map(lambda joint: _configuration(checker, target, joint), joints))
     nearest = min(found, key=lambda c: c.tip_error_m)
@@ -134,28 +147,53 @@ def _apart_mm(checker: MotionChecker, a: Array, b: Array) -> Array:
     return apart
 
 
-def _refined(checker: MotionChecker, solver: TipSolver, target: TipTarget, q: Array, tolerance_m: float) -> Array:
-    """Newton steps on the frictionless clearance tip with the zero-clearance Jacobian, whose error is second order."""
-    aim = np.broadcast_to(target.tip_m, (len(q), 3))
-    best, least = q.copy(), np.full(len(q), np.inf)
-    shift, todo = np.zeros((len(q), 3)), np.arange(len(q))
-    for step in range(CLEARANCE_STEPS):
-        bounds = checker.mechanics.bound_many(*checker.space.drive.collars(q[todo]))
-        miss = aim[todo] - bounds.tip_m
-        error = np.where(bounds.status == Status.FAILED, np.inf, np.linalg.norm(miss, axis=1))
-        turned = angle_to(bounds.tip_tangent, target.direction)
-        score = error + 1e-2 * np.maximum(0.0, turned - target.direction_tolerance_rad)
-        better = score < least[todo]
-        best[todo[better]], least[todo[better]] = q[todo[better]], score[better]
+def _refined(checker: MotionChecker, target: TipTarget, q: Array, tolerance_m: float) -> Array:
+    """Damped Newton steps on the frictionless tip with clearance, by exact derivatives; the best place of each."""
+    best, least, todo = q.copy(), np.full(len(q), np.inf), np.arange(len(q))
+    for _ in range(CLEARANCE_STEPS):
+        miss, slope = _miss(checker, target, q[todo])
+        error = np.linalg.norm(miss, axis=1)
+        better = error < least[todo]
+        best[todo[better]], least[todo[better]] = q[todo[better]], error[better]
         going = better & (error > REFINED_SHARE * tolerance_m)
-        todo, miss = todo[going], miss[going]
-        if step == CLEARANCE_STEPS - 1 or not len(todo):
+        todo, miss, slope = todo[going], miss[going], slope[going]
+        if not len(todo):
             break
-        shift[todo] += miss  # the zero-clearance tip that makes the clearance tip arrive
-        q[todo] = solver.solve(
-            TipTarget(aim[todo] + shift[todo], target.direction, target.direction_tolerance_rad), q[todo], 6
-        ).joints
+        q[todo] = _stepped(checker, q[todo], miss, slope)
     return best
+
+
+def _miss(checker: MotionChecker, target: TipTarget, q: Array) -> tuple[Array, Array]:
+    """(K, 6) [m] of the frictionless tip's position and of its direction beyond its tolerance, and by joints (K, 6, m).
+
+    NaN where the solve failed; a joint at a limit of the tubes' nesting has no derivative and counts as fixed.
+    """
+    drive, n = checker.space.drive, checker.mechanics.n
+    names = [f"theta_b.{i + 1}" for i in range(n)] + [f"l_b.{i + 1}" for i in range(n)]
+    tips = checker.mechanics.tips_with_friction(*drive.collars(q), np.zeros((len(q), n - 1)), parameters=names)
+    failed = tips.status == Status.FAILED
+    moves = np.vstack([drive.matrix_theta, drive.matrix_l])
+    slope = np.nan_to_num(np.concatenate([tips.position_by, tips.tangent_by], axis=1)) @ moves
+    miss = np.zeros((len(q), 6))
+    miss[:, :3] = np.where(failed[:, None], np.nan, target.tip_m - tips.position_m)
+    if target.direction is None:
+        slope[:, 3:] = 0.0
+        return miss, slope
+    turned = np.maximum(angle_to(tips.tangent, target.direction), 1e-12)
+    weight = M_PER_RAD * np.maximum(0.0, 1 - TOLERANCE_SHARE * target.direction_tolerance_rad / turned)[:, None]
+    miss[:, 3:] = weight * (target.direction - tips.tangent)
+    slope[:, 3:] *= weight[:, :, None]
+    return miss, slope
+
+
+def _stepped(checker: MotionChecker, q: Array, miss: Array, slope: Array) -> Array:
+    """q (K, m) after a least-squares step, not longer than LONGEST_STEP_M of weighted joint length."""
+    weights = checker.space.weights_mm / MM_PER_M
+    scaled = slope / weights
+    gram = scaled @ np.swapaxes(scaled, 1, 2) + DAMPING * np.eye(6)
+    step = np.einsum("kij,ki->kj", scaled, np.linalg.solve(gram, np.nan_to_num(miss)[:, :, None])[:, :, 0])
+    step *= np.minimum(1.0, LONGEST_STEP_M / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12))
+    return checker.space.projected(q + step / weights, fallback=q)
 
 
 def _configuration(checker: MotionChecker, target: TipTarget, joints: Array) -> Configuration:
