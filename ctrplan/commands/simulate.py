@@ -38,8 +38,8 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser(
         "simulate",
         help="predict what friction does to the tip along a joint path",
-        description="Follow the friction of every contact along a joint path; write poses.csv (joints, tip, frictionless "
-        "tip, deviation, bound, friction states, snaps) and simulate.png.",
+        description="Follow the friction of every contact along a joint path; write poses.csv (joints, tip, "
+        "frictionless tip, deviation, bound, friction states, snaps) and simulate.png.",
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -63,7 +63,7 @@ def add_parser(commands: Any) -> None:
 
 
 def run_simulate(arguments: argparse.Namespace) -> int:
-    """Runs the command; returns its exit code. Raises CtrplanError, also where there is no equilibrium to go on to."""
+    """Runs the command; returns its exit code. Raises CtrplanError, also where no equilibrium is found to go on to."""
     with interrupt_event() as interrupted:
         from ctrplan.path_file import load_joint_path
         from ctrplan.robot import load_robot
