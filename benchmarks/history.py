@@ -2,7 +2,8 @@
 
     python benchmarks/history.py [--write] [--histories N] [section_v] [loop] [bound] [release] [numerics]
 
-All sections if none is named. `bound` simulates 2,000 random histories, which takes tens of minutes; N of each robot instead.
+All sections if none is named. `bound` simulates 2,000 random histories, which takes tens of minutes; with --histories N
+of each robot.
 """
 
 from __future__ import annotations

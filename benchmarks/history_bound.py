@@ -62,7 +62,7 @@ def sampled(turns: Array, l_b: Array) -> tuple[Array, Array]:
         far = max(np.abs(turns[k + 1] - turns[k]).max() / SAMPLE_RAD, np.abs(l_b[k + 1] - l_b[k]).max() / SAMPLE_M)
         for part in np.linspace(0, 1, max(1, int(np.ceil(far))) + 1)[1:]:
             out.append((turns[k] + part * (turns[k + 1] - turns[k]), l_b[k] + part * (l_b[k + 1] - l_b[k])))
-    return np.array([turn for turn, _ in out]), np.array([l for _, l in out])
+    return np.array([turn for turn, _ in out]), np.array([shift for _, shift in out])
 
 
 def histories(robot: Robot, count: int) -> Iterator[tuple[int, tuple[float, ...], Array, Array]]:
@@ -93,7 +93,7 @@ def walk(robot: Robot, start: tuple[float, ...], theta_b: Array, l_b: Array, tal
 def causes(
     robot: Robot, start: tuple[float, ...], theta_b: Array, l_b: Array, rows: list[int], tally: Tally
 ) -> list[tuple[int, str, float, float]]:
-    """Row, cause, deviation and bound [mm], both on the branch of solutions that the history is on, of each violation."""
+    """Row, cause, deviation and bound [mm] of each violation, both on the branch that the history is on."""
     listed = [(row, *judge(robot, start, theta_b, l_b, row, "search")) for row in rows]
     for k, (row, cause, *_) in enumerate(listed):
         if cause == "beyond the corners":

@@ -78,7 +78,16 @@ def energy(write: bool) -> None:
                 work, loss = work + abs(found.work_J), loss + found.loss_J
         rows.append((label, len(errors), snaps, f"{work:.3f} J", f"{loss:.3f} J",
                      f"{100 * np.median(errors):.2f} %", f"{100 * max(errors):.2f} %", f"{least:.0e} J"))  # fmt: skip
-    head = ("robot", "rotations", "snaps", "work", "friction loss", "median imbalance", "largest", "least loss of a contact")
+    head = (
+        "robot",
+        "rotations",
+        "snaps",
+        "work",
+        "friction loss",
+        "median imbalance",
+        "largest",
+        "least loss of a contact",
+    )
     present("energy", table(head, rows), write)
 
 
@@ -123,7 +132,9 @@ def speed(write: bool) -> None:
 def fine_path(robot: Robot, kind: str) -> tuple[Array, Array]:
     """STEPS waypoints one step apart."""
     part = np.linspace(0, 1, STEPS + 1)[:, None]
-    theta_b = np.array([0.0, 0.7, 1.9])[: robot.n] + part * (np.array([0.0, 10.0, 25.0])[: robot.n] if kind == "rotation" else 0)
+    theta_b = np.array([0.0, 0.7, 1.9])[: robot.n] + part * (
+        np.array([0.0, 10.0, 25.0])[: robot.n] if kind == "rotation" else 0
+    )
     l_b = np.array([0.0, -0.017, -0.07]) if robot is THREE else PAIR_L_M
     back = np.zeros(robot.n)
     back[-1] = -0.03

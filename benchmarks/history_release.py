@@ -67,7 +67,7 @@ def loading(case: Case) -> Array:
 
 
 def releasing(case: Case) -> Array:
-    """(T,) share of the corner's deviation left after translations of SHIFTS_MM from a loaded state; the worse direction."""
+    """(T,) share of the corner's deviation left after translating by SHIFTS_MM from a loaded state, the worse way."""
     (theta_b, l_b), (free_m, full_m) = case.place, corner_m(case)
     shares = np.zeros((2, len(SHIFTS_MM)))
     for row, sign in enumerate((1, -1)):
@@ -88,7 +88,10 @@ def release(write: bool) -> None:
         loaded, left, (_, full_m) = loading(case), releasing(case), corner_m(case)
         axes[0, 0].plot([0, *TURNS_DEG], [0, *100 * loaded], color=COLOURS[k], marker=".", label=case.label)
         axes[0, 1].plot([0, *SHIFTS_MM], [100, *100 * left], color=COLOURS[k], marker=".", label=case.label)
-        at = dict(zip(TURNS_DEG.tolist(), 100 * loaded, strict=True)), dict(zip(SHIFTS_MM.tolist(), 100 * left, strict=True))
+        at = (
+            dict(zip(TURNS_DEG.tolist(), 100 * loaded, strict=True)),
+            dict(zip(SHIFTS_MM.tolist(), 100 * left, strict=True)),
+        )
         shares = [f"{at[0][turn]:.0f} %" for turn in (10, 30, 45, 90)] + [f"{at[1][mm]:.1f} %" for mm in (0.5, 2, 10)]
         rows.append((case.label, f"{full_m * 1e3:.2f} mm", *shares))
     axes[0, 0].axhline(95, color="0.6", ls=":")

@@ -163,7 +163,9 @@ def fig_21() -> Figure:
 def loop(write: bool) -> None:
     """Fig. 1 (b): there and back again, with smaller loops inside."""
     base_deg = np.concatenate([np.arange(0, 361, 4), np.arange(356, -1, -4)])
-    inner_deg = np.concatenate([np.arange(0, 181, 4), np.arange(176, 139, -4), np.arange(144, 221, 4), np.arange(216, 119, -4)])
+    inner_deg = np.concatenate(
+        [np.arange(0, 181, 4), np.arange(176, 139, -4), np.arange(144, 221, 4), np.arange(216, 119, -4)]
+    )
     figure, axes = panels(1, 2, (12, 4.6))
     rows = []
     for deg, colour, label in ((base_deg, COLOURS[0], "0 - 360 - 0 deg"), (inner_deg, COLOURS[5], "smaller turns")):
@@ -180,7 +182,9 @@ def loop(write: bool) -> None:
             for at in (60, 120, 180, 240, 300):
                 k = at // 4
                 tips = norm_mm(steps[k].shape.tip_m - steps[180 - k].shape.tip_m)
-                rows.append((f"{at} deg", f"{there[k]:.1f} deg", f"{back[k]:.1f} deg", f"{free[k]:.1f} deg", f"{tips:.1f} mm"))
+                rows.append(
+                    (f"{at} deg", f"{there[k]:.1f} deg", f"{back[k]:.1f} deg", f"{free[k]:.1f} deg", f"{tips:.1f} mm")
+                )
     axes[0, 0].set_ylabel("relative angle at the tip of tube 1 (deg)")
     axes[0, 1].set_ylabel("tip angle - base angle (deg)")
     for ax in axes.flat:

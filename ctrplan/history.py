@@ -158,7 +158,7 @@ class History:
         )
 
     def tip_beside(self, phi: ArrayLike) -> Array:
-        """Tip (3,) [m] with the contacts of each pair at phi (n - 1,), on the branch of solutions that the history is on.
+        """Tip (3,) [m] with the contacts of each pair at phi (n - 1,), on the branch that the history is on.
 
         The history stays where it is. NaN where the branch ends before friction is there; InputError before the first
         advance. Other solvers choose their branch afresh at every configuration.

@@ -50,12 +50,10 @@ def _draw_deviation(ax: Axes, result: Simulation) -> None:
     unstable = result.bounds.status == Status.UNSTABLE
     for run in result.path.runs:
         rows = (result.place >= run.start) & (result.place <= run.stop - 1)
-        label = {"label": "worst-case bound"} if run.start == 0 else {}
-        ax.fill_between(
-            row[rows], np.where(unstable, np.nan, bound_mm)[rows], color=palette.BOUND, alpha=0.15, lw=0, **label
-        )
-        label = {"label": "predicted tip deviation"} if run.start == 0 else {}
-        ax.plot(row[rows], deviation_mm[rows], color=palette.BOUND, linewidth=2, **label)
+        names = ("worst-case bound", "predicted tip deviation") if run.start == 0 else (None, None)
+        bound = np.where(unstable, np.nan, bound_mm)[rows]
+        ax.fill_between(row[rows], bound, color=palette.BOUND, alpha=0.15, linewidth=0, label=names[0])
+        ax.plot(row[rows], deviation_mm[rows], color=palette.BOUND, linewidth=2, label=names[1])
     at = result.waypoints
     if len(at) <= MOST_WAYPOINTS:
         ax.plot(row[at], deviation_mm[at], "o", color=palette.BOUND, markersize=4)

@@ -7,6 +7,7 @@ import io
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ SAMPLE_RAD, SAMPLE_M = np.radians(10.0), 3e-3  # between two looks at the tip on
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """S samples along a joint path, waypoints among them. It ends early where it was interrupted or no equilibrium is found."""
+    """S samples along a joint path, waypoints among them, as far as it was walked."""
 
     robot: Robot
     path: JointPath
@@ -91,8 +92,7 @@ def poses_csv(result: Simulation) -> str:
     """The waypoints as the content of a CSV file, joints and poses in the columns of a measurement."""
     rotations, translations = joint_columns(result.robot.n)
     chosen = [k for k in result.waypoints.tolist() if result.status[k] != Status.FAILED]
-    before = np.concatenate([[-1], chosen[:-1]]).astype(int) if chosen else []
-    snaps = [int(result.snaps[a + 1 : b + 1].sum()) for a, b in zip(before, chosen, strict=True)]
+    snaps = [int(result.snaps[a + 1 : b + 1].sum()) for a, b in pairwise([-1, *chosen])]
     place = result.place[chosen].astype(int)
     columns: dict[str, Array | list[int] | list[str]] = {"sequence": result.path.sequence[place].tolist()}
     if result.path.time_s is not None:

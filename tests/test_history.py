@@ -89,7 +89,10 @@ def test_a_common_rotation_rotates_the_tips() -> None:
 def mirrored(robot: Robot) -> Robot:
     """In the x-z plane, in which curvature about x changes sign."""
     tubes = tuple(
-        replace(tube, sections=tuple(TubeSection(s.length_m, -s.curvature_x_per_m, s.curvature_y_per_m) for s in tube.sections))
+        replace(
+            tube,
+            sections=tuple(TubeSection(s.length_m, -s.curvature_x_per_m, s.curvature_y_per_m) for s in tube.sections),
+        )
         for tube in robot.tubes
     )
     return replace(robot, tubes=tubes)
@@ -177,7 +180,9 @@ def test_an_oscillation_of_decreasing_amplitude_releases() -> None:
 
 
 def test_without_friction_there_is_no_history() -> None:
-    slippery = load_robot(ROBOTS / "three_tube.toml", ["contact.1.friction_coefficient=0", "contact.2.friction_coefficient=0"])
+    slippery = load_robot(
+        ROBOTS / "three_tube.toml", ["contact.1.friction_coefficient=0", "contact.2.friction_coefficient=0"]
+    )
     theta_b, l_b = path(slippery, 11)
     found = slippery.history((1, -1)).follow(theta_b, l_b)
     free = slippery.bound_many(theta_b, l_b, threads=1)

@@ -38,8 +38,8 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser(
         "simulate",
         help="predict what friction does to the tip along a joint path",
-        description="Follow the friction of every contact along a joint path; write poses.csv (joints, tip, frictionless "
-        "tip, deviation, bound, friction states, snaps) and simulate.png.",
+        description="Follow the friction of every contact along a joint path; write poses.csv (joints, tip, "
+        "frictionless tip, deviation, bound, friction states, snaps) and simulate.png.",
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -63,7 +63,7 @@ def add_parser(commands: Any) -> None:
 
 
 def run_simulate(arguments: argparse.Namespace) -> int:
-    """Runs the command; returns its exit code. Raises CtrplanError, also where the path has no equilibrium to go on to."""
+    """Runs the command; returns its exit code. Raises CtrplanError, also where no equilibrium is found to go on to."""
     with interrupt_event() as interrupted:
         from ctrplan.path_file import load_joint_path
         from ctrplan.robot import load_robot
@@ -94,7 +94,8 @@ def start_state(text: str, pairs: int) -> Start:
     """The start state of --start: a word, or a friction state in [-1, 1] for each pair. Raises InputError."""
     if text in ("released", "oscillated"):
         return text  # type: ignore[return-value]
-    rule = f'must be "released", "oscillated" or {pairs} values in [-1, 1], one per pair, such as {",".join(["+1"] * pairs)}'
+    example = ",".join(["+1"] * pairs)
+    rule = f'must be "released", "oscillated" or {pairs} values in [-1, 1], one per pair, such as {example}'
     try:
         phi = tuple(float(part) for part in text.split(","))
     except ValueError:
@@ -126,7 +127,8 @@ def _summary(folder: Path, result: Simulation) -> str:
         worst, last = found[np.argmax(deviation_mm[found])], found[-1]
         for label, k in (("largest friction error", worst), ("at the end", last)):
             where = f", at row {result.place[k] + 1:.4g}" if k == worst else ""
-            lines.append(f"  {label:27} {deviation_mm[k]:.3f} mm (worst case there {bound_mm[k]:.3f} mm){where}")
+            worst_case = f"(worst case there {bound_mm[k]:.3f} mm)"
+            lines.append(f"  {label:27} {deviation_mm[k]:.3f} mm {worst_case}{where}")
     snapped = np.flatnonzero(result.snaps)
     if len(snapped):
         rows = ", ".join(f"{result.place[k] + 1:.4g}" for k in snapped[:5].tolist())
