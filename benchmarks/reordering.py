@@ -82,7 +82,8 @@ def main() -> None:
             scenario = replace(scenario, planner=replace(scenario.planner, settle="none"))
             text += row(ctrplan.plan(scenario, seed=arguments.seed, time_s=arguments.time))
         except CtrplanError as error:
-            text += f"| {path.stem} | {error} | | | | | | |\n"
+            print(error, file=sys.stderr)
+            text += f"| {path.stem} | no plan in time | | | | | | |\n"
         print(text.splitlines()[-1], file=sys.stderr, flush=True)
     print(text)
     if arguments.write:

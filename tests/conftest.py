@@ -119,6 +119,7 @@ def _certificate(scenario: Scenario, samples: CertificateSamples, stops: int) ->
         error_integral_mm=float(error_mm[:-1] @ np.diff(samples.path_mm)) / scenario.cost.mm_per_rad,
         worst_predicted_m=float(samples.predicted_m.max()),
         goal_predicted_m=float(samples.predicted_m[-1]),
+        released_integral_mm=float(error_mm[:-1] @ np.diff(samples.path_mm)) / scenario.cost.mm_per_rad * 0.8,
         predicted_integral_mm=float(error_mm[:-1] @ np.diff(samples.path_mm)) / scenario.cost.mm_per_rad / 2,
         goal_predicted_tip_m=samples.tip_m[-1],
         goal_predicted_spread_m=0.1e-3,

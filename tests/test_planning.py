@@ -77,7 +77,8 @@ def test_cost_that_weighs_the_error_more_prefers_goals_with_less() -> None:
     checker = MotionChecker(scenario("ribs"))
     goals = goal_states(checker, np.random.default_rng(0))
     motions = [checker.motion(checker.scenario.start, goal.joints) for goal in goals]
-    lengths, errors = (np.array([getattr(m, key) for m in motions]) for key in ("length_mm", "end_error_m"))
+    valid = [motion for motion in motions if motion.valid]
+    lengths, errors = (np.array([getattr(m, key) for m in valid]) for key in ("length_mm", "end_error_m"))
     caring, blind = (errors[np.argmin(lengths + weight * errors * 1e3)] for weight in (200, 0))
     assert caring < blind
 

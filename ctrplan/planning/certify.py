@@ -97,6 +97,7 @@ def certify(
         error_integral_mm=float(integral),
         worst_predicted_m=float(samples.predicted_m.max()),
         goal_predicted_m=float(samples.predicted_m[-1]),
+        released_integral_mm=float(released),
         predicted_integral_mm=float(predicted),
         goal_predicted_tip_m=prediction.end_middle_m,
         goal_predicted_spread_m=prediction.end_spread_m,
@@ -119,6 +120,8 @@ def _target(scenario: Scenario, samples: CertificateSamples) -> TargetReached:
         path_mm=float(samples.path_mm[-1]),
         bound_m=float(samples.bound_m[-1]),
         bound_rad=float(samples.bound_rad[-1]),
+        released_m=float(samples.released_m[-1]),
+        predicted_m=float(samples.predicted_m[-1]),
         tip_error_m=_goal_miss(scenario, samples.tip_m[-1]),
         line_error_m=_line_error(scenario, samples.tip_m),
     )

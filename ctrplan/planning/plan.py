@@ -71,6 +71,8 @@ class TargetReached:
     path_mm: float  # weighted joint length travelled until then
     bound_m: float
     bound_rad: float
+    released_m: float  # the bound less what the friction law says translations released
+    predicted_m: float  # by simulated history
     tip_error_m: float  # frictionless tip to the target; 0 for joint goals
     line_error_m: float | None = (
         None  # largest distance of the frictionless tip from the line on the way, if it has one
@@ -91,6 +93,7 @@ class Certificate:
     error_integral_mm: float  # integral of the bound over the joint length, mm * mm / mm_per_rad
     worst_predicted_m: float  # as the bounds, but by simulated history
     goal_predicted_m: float
+    released_integral_mm: float  # integrals of released_m and predicted_m, like error_integral_mm
     predicted_integral_mm: float
     goal_predicted_tip_m: Array  # (3,) robot frame, mean over the start states
     goal_predicted_spread_m: float  # how far from it a start state can leave the tip

@@ -7,6 +7,7 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from ctrplan.robot import Robot
 
 STEP_RAD, STEP_M = 0.05, 1e-3  # between configurations at which the simulated tips are looked at
+BLOCK = 20  # configurations after which histories are compared
+SAME = 1e-3  # difference of friction, of 0.01 mm and of 1 mrad at the tip, below which they have become one
 TIP_TOLERANCE_M = 0.05e-3  # of simulated tips (benchmarks/history.py)
 
 
@@ -69,7 +72,7 @@ def predict_end(robot: Robot, joints: Array, starts: int | None = None) -> tuple
 
 def predict_from(robot: Robot, states: Sequence[HistoryState], joints: Array) -> Prediction:
     """As `predict`, from states at the first row of joints (K, m), one for each start."""
-    histories = []
+    histories: list[History] = []
     for state in states:
         history = robot.history()
         history.restore(state)
@@ -100,16 +103,36 @@ def rows_to_simulate(robot: Robot, joints: Array, leg: NDArray[np.int_]) -> NDAr
     return np.flatnonzero(wanted)
 
 
-def _follow(robot: Robot, histories: Sequence[History], joints: Array) -> Prediction:
+def _follow(robot: Robot, histories: list[History], joints: Array) -> Prediction:
+    """Tips of the histories along joints (K, m).
+
+    Rotation wipes out where they came from: those that have become the same are followed once from there on, and stand
+    for each other in `histories`.
+    """
     theta_b, l_b = robot.drive.collars(joints)
-
-    def follow(history: History) -> tuple[Array, int]:
-        try:
-            path = history.follow(theta_b, l_b)
-        except SolverError:
-            return np.full((len(joints), 3), np.nan), 0
-        return path.position_m, int(np.nansum(path.snaps))
-
+    tips, snaps = np.full((len(histories), len(joints), 3), np.nan), 0
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        results = list(pool.map(follow, histories))
-    return Prediction(np.array([tips for tips, _ in results]), sum(snaps for _, snaps in results))
+        for begin in range(0, len(joints), BLOCK):
+            rows = slice(begin, begin + BLOCK)
+            apart = list(dict.fromkeys(histories))
+            ends: list[Array] = []
+            for history, (found, count, end) in zip(
+                apart, pool.map(partial(_block, theta_b[rows], l_b[rows]), apart), strict=True
+            ):
+                alike = [k for k, other in enumerate(histories) if other is history]
+                tips[alike, rows], snaps = found, snaps + count * len(alike)
+                same = [k for k, other in enumerate(ends) if np.all(np.abs(end - other) < SAME)]
+                ends.append(end)
+                for k in alike if same else ():
+                    histories[k] = apart[same[0]]
+    return Prediction(tips, snaps)
+
+
+def _block(theta_b: Array, l_b: Array, history: History) -> tuple[Array, int, Array]:
+    """Tips (K, 3), snaps, and what tells the end state from others: tip [0.01 mm] and friction of each pair."""
+    try:
+        path = history.follow(theta_b, l_b)
+    except SolverError:
+        return np.full((len(theta_b), 3), np.nan), 0, np.array([np.nan])
+    end = np.concatenate([path.position_m[-1] / 1e-5, path.tangent[-1] / 1e-3, path.phi[-1]])
+    return path.position_m, int(np.nansum(path.snaps)), end

@@ -25,6 +25,7 @@ def joined_certificates(stages: list[Certificate]) -> Certificate:
         worst_bound_m=max(stage.worst_bound_m for stage in stages),
         error_integral_mm=sum(stage.error_integral_mm for stage in stages),
         worst_predicted_m=max(stage.worst_predicted_m for stage in stages),
+        released_integral_mm=sum(stage.released_integral_mm for stage in stages),
         predicted_integral_mm=sum(stage.predicted_integral_mm for stage in stages),
         snaps=sum(stage.snaps for stage in stages),
         min_clearance_m=min(stage.min_clearance_m for stage in stages),
