@@ -12,7 +12,7 @@ import plotly.graph_objects as go
 from ctrplan import palette
 from ctrplan.scene import goal_tip, plate, pose, poses, tip_path, view_box
 from ctrplan.scene_traces import SIDES, anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces, xyz
-from ctrplan.surface import Surface, anatomy_surface, capsule
+from ctrplan.surface import Surface, anatomy_surface, capsule, thinned
 from ctrplan.swept_space import swept_surface
 from ctrplan.verdict import millimetres
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ctrplan.planning.plan import Plan
 
 FRAMES = 50
-SWEPT_OPACITY = 0.10
+SWEPT_OPACITY, SWEPT_TRIANGLES = 0.10, 15_000
 SHORTEST_FRAME_MS, LONGEST_FRAME_MS = 60, 200  # a motion plays in real time where that is neither jerky nor dull
 BOUND_SCALE = [[0.0, "#2F6FB0"], [0.5, "#B07AA1"], [1.0, palette.BOUND]]
 
@@ -31,7 +31,9 @@ def scene_figure(plan: Plan) -> go.Figure:
     names = [f"{step.time_s:.3f}" for step in path]
     moving = robot_traces(path[-1])
     anatomy = [anatomy_surface(part) for part in plan.scenario.anatomy]
-    swept = mesh_trace(swept_surface(path), palette.ENVELOPE, SWEPT_OPACITY, "space the envelope sweeps")
+    swept = mesh_trace(
+        thinned(swept_surface(path), SWEPT_TRIANGLES), palette.ENVELOPE, SWEPT_OPACITY, "space the envelope sweeps"
+    )
     figure = go.Figure([*moving, *_still(plan, anatomy), swept])
     figure.frames = [
         go.Frame(data=moved_traces(step), traces=list(range(len(moving))), name=name)

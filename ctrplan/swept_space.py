@@ -15,8 +15,9 @@ from ctrplan.surface import Surface
 if TYPE_CHECKING:
     from ctrplan.scene import Pose
 
-NODES = 60_000
+NODES = 400_000
 FINEST_M = 1.0e-3
+THINNEST_CELLS = 0.9  # a thinner rod could slip between the nodes of the grid
 NEIGHBOURS = 12  # spheres looked at by each node: those around it, whatever their radii
 
 
@@ -28,9 +29,11 @@ def swept_surface(poses: Sequence[Pose]) -> Surface:
     lower, upper = centres.min(axis=0) - rim, centres.max(axis=0) + rim
     cell = max(FINEST_M, float(np.cbrt((upper - lower).prod() / NODES)))
     nodes, counts = _grid(lower - cell, upper + cell, cell)
-    apart, which = cKDTree(centres).query(nodes, k=min(NEIGHBOURS, len(centres)))
+    radii = np.maximum(radii, THINNEST_CELLS * cell)
+    far = float(radii.max()) + 2 * cell
+    apart, which = cKDTree(centres).query(nodes, k=min(NEIGHBOURS, len(centres)), distance_upper_bound=far)
     apart, which = apart.reshape(len(nodes), -1), which.reshape(len(nodes), -1)
-    values = (apart - radii[which]).min(axis=1)
+    values = np.minimum(apart - np.append(radii, 0.0)[which], far).min(axis=1)  # no neighbour: infinitely far, number K
     vertices, faces, *_ = igl.marching_cubes(values, nodes, *counts, 0.0)
     return Surface(
         np.asarray(vertices, dtype=np.float64).reshape(-1, 3), np.asarray(faces, dtype=np.int64).reshape(-1, 3)
