@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from ctrplan.diagnosis.effect import Effect, Parameter, Values, register
 from ctrplan.robot import Robot
 
-NITINOL_KG_M3 = 6450.0  # where the robot file gives no density
+NITINOL_KG_M3 = 6450.0  # where the robot file gives no density; a lining or a tool makes g come out larger
 
 
 @register
@@ -21,7 +21,7 @@ class Gravity(Effect):
     scales_with_stiffness = True
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        return tuple(Parameter(f"g_{axis}_m_s2", 15.0) for axis in "xyz")
+        return tuple(Parameter(f"g_{axis}_m_s2", 40.0) for axis in "xyz")
 
     def mechanics(self, values: Values, robot: Robot) -> Mapping[str, float]:
         weights = {

@@ -11,39 +11,50 @@ from ctrplan.diagnosis.effect import MILLIMETRE, Effect, Parameter, Values, regi
 from ctrplan.drive import Array
 from ctrplan.measurements import Measurements
 from ctrplan.robot import Robot
-from ctrplan.sensor import Poses
+from ctrplan.sensor import Poses, frames_along
 
 MONOMIALS = tuple("".join(m) or "1" for k in range(4) for m in itertools.combinations_with_replacement("xyz", k))
 CENTRE_M, SPAN_M = np.array([0.0, 0.0, 0.15]), 0.1  # where the polynomials are centred and how far one unit is
+AHEAD_M = 1e-4  # along the tangent, for the slope of the field
 
 
 @register
 class SensorDistortion(Effect):
     name = "sensor_distortion"
     stage = "sensor"
-    equation = "p = p + sum of a_k m_k(p), m_k the monomials up to third degree about the workspace's centre"
-    signature = "errors are a smooth function of where the tip is, whatever the joints, tangents unharmed"
+    equation = "p = p + D(p), D a polynomial of third degree; t = t + tangent_share dD/dp t"
+    signature = "errors are a smooth function of where the tip is, whatever the joints"
     look_alikes = ("base_misalignment", "joint_scale")
     experiment = "move the tracker's field generator and repeat, or probe a known grid"
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        return tuple(
+        field = (
             Parameter(f"{axis}_{monomial}_mm", 2.0, lower=-50, upper=50, si=MILLIMETRE)
             for axis in "xyz"
             for monomial in MONOMIALS
         )
+        return (*field, Parameter("tangent_share", 0.5, neutral=1.0, lower=0.0, upper=1.5))
 
     def variants(self, robot: Robot, data: Measurements) -> Sequence[Sequence[str]]:
-        names = [parameter.name for parameter in self.parameters(robot)]
-        return [[name for name in names if len(name.split("_")[1]) <= degree] for degree in (2, 3)]
+        """Of second and third degree, with tangents unharmed and turned."""
+        *field, share = (parameter.name for parameter in self.parameters(robot))
+        by_degree = [[name for name in field if len(name.split("_")[1]) <= degree] for degree in (2, 3)]
+        return [[*names, *turned] for names in by_degree for turned in ((), (share,))]
 
     def sensor(self, values: Values, poses: Poses, data: Measurements) -> Poses:
-        by_monomial = _monomials(poses.position)
-        position = poses.position.copy()
+        amounts = np.zeros((len(MONOMIALS), 3))
         for name, amount in values.items():
-            axis, monomial, _ = name.split("_")
-            position[:, "xyz".index(axis)] += amount * by_monomial[:, MONOMIALS.index(monomial)]
-        return Poses(position, poses.frame)
+            if name != "tangent_share":
+                axis, monomial, _ = name.split("_")
+                amounts[MONOMIALS.index(monomial), "xyz".index(axis)] = amount
+        shift = _monomials(poses.position) @ amounts
+        share = values.get("tangent_share", 0.0)
+        if not share:
+            return Poses(poses.position + shift, poses.frame)
+        ahead = _monomials(poses.position + AHEAD_M * poses.frame[:, :, 2]) @ amounts
+        tangent = poses.frame[:, :, 2] + share * (ahead - shift) / AHEAD_M
+        tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+        return Poses(poses.position + shift, frames_along(tangent, poses.frame[:, :, 0]))
 
 
 def _monomials(position: Array) -> Array:
