@@ -93,7 +93,7 @@ def walk(robot: Robot, start: tuple[float, ...], theta_b: Array, l_b: Array, tal
 def causes(
     robot: Robot, start: tuple[float, ...], theta_b: Array, l_b: Array, rows: list[int], tally: Tally
 ) -> list[tuple[int, str, float, float]]:
-    """Row, cause, deviation and bound [mm] of each violation, both on the branch that the history is on."""
+    """Row, cause, deviation and bound [mm] of each violation; on the history's branch if that has a frictionless tip."""
     listed = [(row, *judge(robot, start, theta_b, l_b, row, "search")) for row in rows]
     for k, (row, cause, *_) in enumerate(listed):
         if cause == "beyond the corners":
@@ -113,7 +113,9 @@ def judge(
     corners = np.array([history.tip_beside(signs) for signs in itertools.product((1.0, -1.0), repeat=robot.n - 1)])
     bound_mm, deviation_mm = float(np.nanmax([*norm_mm(corners - free), 0.0])), float(norm_mm(tip_m - free))
     if np.isnan(free).any():
-        return "branch held by friction", float("nan"), float("nan")
+        elsewhere = robot.bound(theta_b[row], l_b[row], accuracy=accuracy)
+        away_mm = float(norm_mm(tip_m - elsewhere.frictionless.tip_m))
+        return "branch held by friction", away_mm, elsewhere.position_m * 1e3
     if deviation_mm <= (1 + SLACK_SHARE) * bound_mm + SLACK_M * 1e3:
         return "other branch", deviation_mm, bound_mm
     if np.isnan(corners).any():
@@ -148,5 +150,5 @@ def tell(rows: list[Row], listed: list[Row], write: bool) -> None:
     head = ("robot", "histories", "configurations", "failed", "snaps", "within the bound", "within, own branch",
             "causes of the rest", "without a bound")  # fmt: skip
     present("bound", table(head, rows), write)
-    head = ("robot", "history", "sample", "cause", "deviation on its branch, mm", "bound on its branch, mm")
+    head = ("robot", "history", "sample", "cause", "deviation, mm", "bound, mm")
     present("violations", table(head, listed), write)
