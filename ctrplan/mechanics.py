@@ -46,7 +46,7 @@ __all__ = [
 ]
 
 Accuracy = Literal["search", "certificate", "exact"]
-"""Tip errors of a mesh on the Table III grid: 0.3, 0.05 mm; "exact": the latter mesh, and geometry not of first order in c."""
+"""Tip errors of a mesh on the Table III grid: 0.3, 0.05 mm; "exact": the latter, geometry not of first order in c."""
 _LEVELS: tuple[Accuracy, ...] = get_args(Accuracy)
 
 
