@@ -93,7 +93,7 @@ def walk(robot: Robot, start: tuple[float, ...], theta_b: Array, l_b: Array, tal
 def causes(
     robot: Robot, start: tuple[float, ...], theta_b: Array, l_b: Array, rows: list[int], tally: Tally
 ) -> list[tuple[int, str, float, float]]:
-    """Row, cause, deviation and bound [mm] of each violation; on the history's branch if that has a frictionless tip."""
+    """Row, cause, deviation and bound [mm] of each violation; on its branch if that has a frictionless tip."""
     listed = [(row, *judge(robot, start, theta_b, l_b, row, "search")) for row in rows]
     for k, (row, cause, *_) in enumerate(listed):
         if cause == "beyond the corners":

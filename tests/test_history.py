@@ -222,8 +222,8 @@ def test_tips_beside_are_the_corners_of_the_branch() -> None:
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads the memory of the process from Linux")
 def test_memory_does_not_grow_with_the_path() -> None:
-    theta_b = np.radians([[0.0, 100.0 + 10 * (k % 2)] for k in range(40)])
-    l_b = np.array([[0.0, -0.0604 - 1e-3 * (k % 2)] for k in range(40)])
+    theta_b = np.radians([[0.0, 100.0 + 10 * (k % 2)] for k in range(12)])
+    l_b = np.array([[0.0, -0.0604 - 1e-3 * (k % 2)] for k in range(12)])
     history = PAIR.history()
     memory_kB = []
     for _ in range(4):
