@@ -15,6 +15,9 @@ from hidden_effects.leftover import leftover_over_noise
 from hidden_effects.noise import add_noise
 from hidden_effects.world import Ordinary, World, believed, draw_ordinary
 
+SOFTENING = {"nonlinear_elasticity", "shaft_torsion", "ovality"}  # effects that make the robot snap earlier
+CALMER = 2.2  # stability of the configurations they are measured in
+
 
 @dataclass(frozen=True)
 class Case:
@@ -56,7 +59,8 @@ def make(case: Case) -> Made:
         plan = experiment.continuous_motion(believed(), case.count, rng)
     else:
         translate = "translation_release" in names
-        plan = experiment.approaches(believed(), case.count, rng, translate_last=translate)
+        least = CALMER if SOFTENING.intersection(names) else experiment.LEAST_STABILITY
+        plan = experiment.approaches(believed(), case.count, rng, translate_last=translate, least_stability=least)
     world, parameters = ordinary.of(believed()), {}
     for i, (name, size) in enumerate(case.hidden):
         draw = effects.Draw(size, np.random.default_rng([case.seed, 1, i]), plan.duration_s)

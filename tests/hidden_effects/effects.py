@@ -176,7 +176,7 @@ def gravity(world: World, draw: Draw) -> tuple[World, Parameters]:
 
 @_register(CATALOGUE)
 def shaft_torsion(world: World, draw: Draw) -> tuple[World, Parameters]:
-    compliance = draw.size * 6.0 * draw.rng.uniform(0.7, 1.3, world.n) * (np.arange(world.n) > 0)
+    compliance = draw.size * 4.0 * draw.rng.uniform(0.7, 1.3, world.n) * (np.arange(world.n) > 0)
     tubes = tuple(
         replace(tube, shaft_compliance_rad_per_Nm=float(c)) for tube, c in zip(world.tubes, compliance, strict=True)
     )

@@ -35,25 +35,27 @@ class Experiment:
         return float(self.motion.time_s[-1])
 
 
-def draw_configurations(world: World, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
+def draw_configurations(
+    world: World, count: int, rng: np.random.Generator, least_stability: float = LEAST_STABILITY
+) -> tuple[Array, Array]:
     """Rotations and translations (count, n) of stable configurations of the believed three-tube robot."""
     thetas: list[Array] = []
     ls: list[Array] = []
     while len(thetas) < count:
         theta = np.concatenate([[0.0], np.cumsum(rng.uniform(-np.pi, np.pi, world.n - 1))])
         l_b = np.array([0.0, -0.017, rng.uniform(-0.115, -0.036)])[: world.n]
-        if is_calm(world, theta, l_b):
+        if is_calm(world, theta, l_b, least_stability):
             thetas.append(theta)
             ls.append(l_b)
     return np.array(thetas), np.array(ls)
 
 
-def is_calm(world: World, theta: Array, l_b: Array) -> bool:
+def is_calm(world: World, theta: Array, l_b: Array, least_stability: float = LEAST_STABILITY) -> bool:
     """Far from snapping, and the same shape from wherever it is approached."""
     s = stations(world.tubes, l_b, Fineness(3e-3, 8e-3, 1.5, 1))
     rods = [Rod(tube, base, s, 1) for tube, base in zip(world.tubes, l_b.tolist(), strict=True)]
     _, angles = common_centreline(rods, theta, len(s) - 1)
-    if stability(rods, angles, len(s) - 1) < LEAST_STABILITY:
+    if stability(rods, angles, len(s) - 1) < least_stability:
         return False
     for turn in product((-1.2, 0.0, 1.2), repeat=world.n - 1):
         _, others = common_centreline(rods, theta, len(s) - 1, np.array([0.0, *turn]))
@@ -62,7 +64,14 @@ def is_calm(world: World, theta: Array, l_b: Array) -> bool:
     return True
 
 
-def approaches(world: World, count: int, rng: np.random.Generator, *, translate_last: bool = False) -> Experiment:
+def approaches(
+    world: World,
+    count: int,
+    rng: np.random.Generator,
+    *,
+    translate_last: bool = False,
+    least_stability: float = LEAST_STABILITY,
+) -> Experiment:
     """Every configuration by quarter turns of the pairs in all directions and by a decreasing oscillation.
 
     With `translate_last` half of the configurations are rotated into 1 to 3 mm off and reached by a translation.
@@ -70,7 +79,7 @@ def approaches(world: World, count: int, rng: np.random.Generator, *, translate_
     rows: list[tuple[Array, Array, float, int, bool, Array, Array]] = []
     clock, sequence, n = 0.0, 0, world.n
     none = np.zeros(n - 1)
-    thetas, ls = draw_configurations(world, count, rng)
+    thetas, ls = draw_configurations(world, count, rng, least_stability)
     for k, (theta, l_b) in enumerate(zip(thetas, ls, strict=True)):
         away = np.zeros(n)
         if translate_last and k % 2:

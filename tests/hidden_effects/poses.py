@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from hidden_effects.equilibrium import CORNER_BARRIER, NoEquilibrium, State, System, corner, tip_pose
 from hidden_effects.mesh import Fineness
-from hidden_effects.tube import Array
+from hidden_effects.tube import Array, Tube
 from hidden_effects.world import World
 
 NEARBY_RAD, NEARBY_M = 0.3, 2e-3
+EASING = (0.0, 0.25, 0.5, 0.75, 0.9, 1.0)
 ROUGHLY_M = 1e-4  # for states that others start from
 
 
@@ -40,16 +42,18 @@ class Solver:
         tubes, released = world.tubes_at(time_s), corner(np.zeros(world.n - 1).tolist())
         if self._places is None or _apart(self._places, theta, l_b):
             rough = System(tubes, world.pairs, theta, l_b, world.loads, Fineness.searching())
-            found = rough.contact_places(rough.solve(rough.cold(), released, converged=ROUGHLY_M))
+            try:
+                state = rough.solve(rough.cold(), released, converged=ROUGHLY_M)
+            except (NoEquilibrium, np.linalg.LinAlgError):
+                state = rough.solve(_eased(rough, tubes), released, converged=ROUGHLY_M)
+            found = rough.contact_places(state)
             self._places = theta, l_b, found
         system = System(tubes, world.pairs, theta, l_b, world.loads, self.fineness, self._places[2])
         start = self._neighbour(system)
         try:
             middle = system.solve(start or system.cold(), released, CORNER_BARRIER, ROUGHLY_M)
         except (NoEquilibrium, np.linalg.LinAlgError):
-            if start is None:
-                raise
-            middle = system.solve(system.cold(), released, CORNER_BARRIER, ROUGHLY_M)
+            middle = _eased(system, tubes)
         self._last = system, middle
         self.solved = system, system.solve(middle, corner(phi.tolist()))
         return tip_pose(*self.solved)
@@ -75,3 +79,13 @@ class Solver:
 
 def _apart(places: tuple[Array, Array, list[float]], theta: Array, l_b: Array) -> bool:
     return bool(np.abs(theta - places[0]).max() > NEARBY_RAD or np.abs(l_b - places[1]).max() > NEARBY_M)
+
+
+def _eased(system: System, tubes: Sequence[Tube]) -> State:
+    """The frictionless state at CORNER_BARRIER by continuation from linear, round tubes on rigid shafts."""
+    released = corner([0.0] * (len(tubes) - 1))
+    state = system.with_tubes([tube.eased(0.0) for tube in tubes]).cold()
+    for share in EASING:
+        easier = system.with_tubes([tube.eased(share) for tube in tubes])
+        state = easier.solve(state, released, CORNER_BARRIER, ROUGHLY_M)
+    return state

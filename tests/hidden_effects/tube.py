@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +75,12 @@ class Tube:
     def joints_m(self) -> list[float]:
         """Ends of sections, from the base: 0, ..., length."""
         return [0.0, *np.cumsum([section.length_m for section in self.sections]).tolist()]
+
+    def eased(self, share: float) -> Tube:
+        """With only a share of softening, ovality and shaft compliance (which stays above zero if it was)."""
+        soft = self.softening and replace(self.softening, fraction=1 - share * (1 - self.softening.fraction))
+        compliance = self.shaft_compliance_rad_per_Nm * max(share, 1e-3)
+        return replace(self, softening=soft, ovality=share * self.ovality, shaft_compliance_rad_per_Nm=compliance)
 
     def precurvature(self, x_m: Array) -> Array:
         """Curvature vector (u_y, -u_x) [1/m] of the unloaded tube at x (S,) from its base, in its own frame: (S, 2)."""
