@@ -252,6 +252,9 @@ double ExactGeometry::update(const FrictionSolver& solver, LaneState& state, int
     alignment_.correct(solver, state, lane, curvature_);
     integrate(pb);
     alignment_.record(solver, state, lane, curvature_, frame_);
+    const double* tip_moment = solver.robot().loads.tip_moment;
+    const Vec3 tip = frame_[static_cast<std::size_t>(pb.nodes - 1) * pb.tubes].tangent();
+    state.load(pb.nodes - 1, 0, lane) -= dot({tip_moment[0], tip_moment[1], tip_moment[2]}, tip);  // twists the innermost tube
     double worst = 0;
     for (int e = pb.elements - 1; e >= 0; --e) {
         begin_element(solver, state, lane, e);
