@@ -78,13 +78,20 @@ def test_cost_that_weighs_the_error_more_prefers_goals_with_less() -> None:
     goals = goal_states(checker, np.random.default_rng(0))
     motions = [checker.motion(checker.scenario.start, goal.joints) for goal in goals]
     valid = [motion for motion in motions if motion.valid]
-    lengths, errors = (np.array([getattr(m, key) for m in valid]) for key in ("length_mm", "end_error_m"))
+    lengths, errors = (np.array([getattr(m, key) for m in valid]) for key in ("length_mm", "end_bound_m"))
     caring, blind = (errors[np.argmin(lengths + weight * errors * 1e3)] for weight in (200, 0))
     assert caring < blind
 
 
-def test_plan_in_the_vessel_keeps_what_every_plan_keeps() -> None:
-    check(ctrplan.plan(scenario("vessel"), seed=0, time_s=2))
+def test_bound_aware_plan_ends_with_less_error_than_blind_one(ribs: ctrplan.Plan) -> None:
+    blind = ctrplan.plan(scenario("ribs", *BLIND), seed=0, time_s=3)
+    assert ribs.certificate.goal_bound_m < 0.5 * blind.certificate.goal_bound_m
+
+
+def test_bound_aware_plan_in_the_vessel_ends_with_less_error_than_blind_one() -> None:
+    aware, blind = (ctrplan.plan(scenario("vessel", *weights), seed=0, time_s=2) for weights in ([], BLIND))
+    check(aware)
+    assert aware.certificate.goal_bound_m < blind.certificate.goal_bound_m
 
 
 def test_plan_goes_round_where_the_straight_line_snaps(snap: ctrplan.Plan) -> None:

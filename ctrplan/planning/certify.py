@@ -83,7 +83,7 @@ def certify(
         np.trapezoid(error * MM_PER_M, samples.path_mm) / scenario.cost.mm_per_rad
         for error in (samples.bound_m, samples.released_m, samples.predicted_m)
     )
-    weights, goal_error_mm = scenario.cost, float(samples.released_m[-1]) * MM_PER_M
+    weights, goal_error_mm = scenario.cost, float(samples.bound_m[-1] + samples.released_m[-1]) * MM_PER_M
     length = float(samples.path_mm[-1])
     cost = weights.path * length + weights.error_along * released + weights.error_goal * goal_error_mm
     return Certificate(

@@ -145,11 +145,11 @@ class MotionChecker:
         return float(lengths.sum()), float(integral)
 
     def cost_mm(self, motion: Motion, *, ends_at_goal: bool) -> float:
-        """Weighted cost of a motion; one that ends at the goal pays for the error left there."""
+        """Weighted cost of a motion; one that ends at the goal pays for the worst case there and for what it left loaded."""
         weights = self.scenario.cost
         cost = weights.path * motion.length_mm + weights.error_along * motion.error_integral_mm
         if ends_at_goal:
-            cost += weights.error_goal * motion.end_error_m * MM_PER_M
+            cost += weights.error_goal * (motion.end_bound_m + motion.end_error_m) * MM_PER_M
         return cost
 
 

@@ -204,7 +204,8 @@ def assemble(
     weights = scenario.cost
 
     def cost(motion: Motion) -> float:
-        errors = weights.error_along * motion.error_integral_mm + weights.error_goal * motion.end_error_m * MM_PER_M
+        left_mm = (motion.end_bound_m + motion.end_error_m) * MM_PER_M
+        errors = weights.error_along * motion.error_integral_mm + weights.error_goal * left_mm
         return weights.path * motion.length_mm + errors
 
     a, b = result.motion_before, result.motion_after
