@@ -13,10 +13,10 @@ from ctrplan.drive import Array
 from ctrplan.errors import InputError
 from ctrplan.residuals import Noise, Residuals, residuals
 
-MOST_STEPS = 12
+MOST_STEPS = 25
 ENOUGH = 0.05  # decrease of the loss (twice a log-likelihood) below which a fit has converged
-SMALLEST_DAMPING, LARGEST_DAMPING = 1e-6, 1e6
-LONGEST_STEP = 3.0  # of a parameter in a step, in standard deviations of its prior
+FIRST_DAMPING, LARGEST_DAMPING = 1.0, 1e6  # of steps in units of the priors: valleys are curved and long in these
+LONGEST_STEP = 2.0  # of a parameter in a step, in standard deviations of its prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,7 @@ def fit(chain: Chain, noise: Noise, group: Sequence[int] | NDArray[np.int_], sta
     groups = np.asarray(group)
     p = np.clip(chain.start if start is None else start, chain.lower, chain.upper)
     here = fit_at(chain, noise, groups, p)
-    damping = SMALLEST_DAMPING
+    damping = 0.0
     for _ in range(MOST_STEPS):
         if not len(p):
             break
@@ -88,13 +88,13 @@ def fit(chain: Chain, noise: Noise, group: Sequence[int] | NDArray[np.int_], sta
         try:
             there = fit_at(chain, noise, groups, target)
         except InputError:  # no robot has these values
-            damping = max(damping * 30, 1e-3)
+            damping = max(damping * 10, FIRST_DAMPING)
             continue
         gain = here.loss - there.loss
         if gain > 0:
-            here, damping = there, max(damping / 10, SMALLEST_DAMPING)
+            here, damping = there, damping / 10 if damping > FIRST_DAMPING else 0.0
         else:
-            damping = max(damping * 30, 1e-3)
+            damping = max(damping * 10, FIRST_DAMPING)
         if abs(gain) < ENOUGH or damping > LARGEST_DAMPING:  # a loss this near is the solver's own noise
             return replace(here, converged=True)
     return here
@@ -117,7 +117,7 @@ def _step(here: Fit, damping: float) -> tuple[Array, float]:
     free = np.flatnonzero(~held)
     step = np.zeros_like(here.p)
     matrix = here.information[np.ix_(free, free)]
-    matrix = matrix + damping * np.diag(np.diag(matrix))
+    matrix = matrix + damping * np.diag(here.precision[free])
     scale = 1 / np.sqrt(np.diag(matrix))
     step[free] = scale * np.linalg.lstsq(matrix * np.outer(scale, scale), scale * gradient[free], rcond=1e-13)[0]
     limit = LONGEST_STEP * chain.prior

@@ -72,12 +72,16 @@ class Selector:
             found.path.append(_step("add", first.term, first.score - here.score, 0.0, needed, False))
         for candidate in tried:
             gain, error = self.bench.difference(candidate, here)
-            best = candidate is tried[0] and gain > max(needed, CERTAIN * error)
+            best = candidate is tried[0] and gain > needed and self._is_certain(candidate, gain, error)
             found.path.append(_step("add", candidate.terms[-1], gain, error, needed, best))
         if not tried or not found.path[-len(tried)].taken:
             return False
         found.chosen = self.bench.corrected(tried[0])
         return True
+
+    def _is_certain(self, candidate: Scored, gain: float, error: float) -> bool:
+        """Whether a gain is no matter of a few configurations, or leaves nothing to gain."""
+        return gain > CERTAIN * error or remains(self.bench, candidate).is_adequate
 
     def _others(self, here: Scored) -> list[Term]:
         names = set(here.names)
