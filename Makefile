@@ -1,4 +1,5 @@
 # make demo: plan a motion on a shipped scenario.  make test: lint, types, tests.  Both need Python and a C++ compiler only.
+# make fuzz: 10,000 made-up files per reader, 100 interruptions per command.
 # make sanitize: the core under sanitizers.  make bank: 20,000 random robots, and 216 measured data sets diagnosed.
 PYTHON ?= python3
 VENV := .venv
@@ -7,7 +8,7 @@ SOURCES := $(shell find ctrplan model scenarios -type f -not -name '*.pyc' -not 
 SCENARIO ?= scenarios/vessel.toml
 OUTPUT ?= demo-output
 
-.PHONY: demo test lint install clean sanitize bank bank-core bank-diagnosis
+.PHONY: demo test lint install clean fuzz sanitize bank bank-core bank-diagnosis
 
 demo: install
 	$(BIN)/ctrplan plan $(SCENARIO) -o $(OUTPUT)
@@ -34,6 +35,10 @@ $(VENV)/.installed: $(VENV)/.deps $(SOURCES)
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps .
 	cp $(VENV)/lib/python*/site-packages/ctrplan/_model* ctrplan/  # for scripts started in this folder, which find ctrplan/ first
 	touch $@
+
+# What CI does a few hundred times, done 10,000 times (files) and 100 times (interruptions): an hour or so.
+fuzz: install
+	CTRPLAN_FUZZ=1 $(BIN)/pytest $(wildcard tests/test_fuzz_*.py) tests/test_running_faults.py
 
 # The core's random solves under the address and undefined-behaviour sanitizers.
 sanitize: $(VENV)/.deps

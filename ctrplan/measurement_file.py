@@ -15,6 +15,7 @@ import numpy as np
 from ctrplan.drive import Array
 from ctrplan.errors import InputError
 from ctrplan.measurements import Measurements, is_streamed
+from ctrplan.path_file import LARGEST_RUN, WHOLE_NUMBER, resumed_run
 from ctrplan.robot import Robot
 
 LARGEST_FILE_BYTES = 200_000_000
@@ -38,14 +39,15 @@ def load_measurements(path: str | os.PathLike[str], robot: Robot) -> Measurement
 def _read(file: str) -> bytes:
     try:
         with open(file, "rb") as stream:
-            data = stream.read(LARGEST_FILE_BYTES + 1)
+            size = os.fstat(stream.fileno()).st_size  # a file that is much too large is not read at all
+            data = stream.read(LARGEST_FILE_BYTES + 1) if size <= LARGEST_FILE_BYTES else b""
     except FileNotFoundError:
         raise InputError("does not exist", file=file) from None
     except IsADirectoryError:
         raise InputError("is a folder, not a CSV file", file=file) from None
     except (OSError, ValueError) as error:
         raise InputError(f"can't be read ({getattr(error, 'strerror', None) or error})", file=file) from None
-    if len(data) > LARGEST_FILE_BYTES:
+    if max(size, len(data)) > LARGEST_FILE_BYTES:
         raise InputError(f"is larger than {LARGEST_FILE_BYTES // 10**6} MB, no file of measurements", file=file)
     return data
 
@@ -149,6 +151,15 @@ class _Table:
         return value
 
     def _column(self, name: str, empty: bool = False) -> Array:
+        column = self.header.index(name)
+        texts = [line[column].strip() for line in self.lines]
+        try:
+            numbers = np.array([float(text) if text else np.nan for text in texts])
+        except ValueError:
+            numbers = np.array([np.inf])
+        given = np.array([bool(text) for text in texts])
+        if len(numbers) == len(given) and np.isfinite(numbers[given]).all() and (empty or given.all()):
+            return numbers
         return np.array([self._cell(row, name, empty) for row in range(len(self.lines))])
 
     def _is_numeric(self, name: str) -> bool:
@@ -171,12 +182,11 @@ class _Table:
         return pose[rows], rows
 
     def _check_order(self, sequence: Array, time_s: Array | None) -> None:
-        for row in np.flatnonzero(sequence != np.round(sequence)).tolist():
-            raise self.fault("must be a whole number", row, "sequence", sequence[row])
-        starts = np.flatnonzero(np.diff(sequence, prepend=np.nan) != 0)
-        for k, row in enumerate(starts.tolist()):
-            if sequence[row] in sequence[starts[:k]]:
-                raise self.fault("this run was over, its rows must stand together", row, "sequence", int(sequence[row]))
+        for row in np.flatnonzero((sequence != np.round(sequence)) | (np.abs(sequence) > LARGEST_RUN)).tolist():
+            raise self.fault(WHOLE_NUMBER, row, "sequence", sequence[row])
+        if (resumed := resumed_run(sequence)) is not None:
+            rule = "this run was over, its rows must stand together"
+            raise self.fault(rule, resumed, "sequence", int(sequence[resumed]))
         if time_s is not None:
             for row in np.flatnonzero(np.diff(time_s) < 0).tolist():
                 raise self.fault(

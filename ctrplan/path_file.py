@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 
 from ctrplan.drive import Array
 from ctrplan.errors import InputError
-from ctrplan.nesting import nesting_violation
+from ctrplan.nesting import TOLERANCE_M, nesting_inequalities, nesting_violation
 from ctrplan.robot import Robot
 
 LARGEST_FILE_BYTES = 200_000_000
 MOST_TURNS = 50  # of a tube; more are most likely degrees
+LARGEST_RUN = 10**15  # numbers of runs beyond it are not exact
+WHOLE_NUMBER = "must be a whole number of at most 15 digits"
 MOST_LENGTHS = 10  # of the longest tube; more are most likely millimetres
 
 
@@ -90,6 +92,12 @@ class CsvTable:
     def numbers(self, name: str) -> Array:
         """(K,) finite numbers of a column."""
         column = self.header.index(name)
+        try:
+            numbers = np.array([float(cells[column]) for cells in self.rows])
+        except ValueError:
+            numbers = np.array([np.nan])
+        if np.isfinite(numbers).all():
+            return numbers
         return np.array([self._number(row, name, cells[column].strip()) for row, cells in enumerate(self.rows)])
 
     def _number(self, row: int, name: str, text: str) -> float:
@@ -105,14 +113,15 @@ class CsvTable:
 def _text(file: str) -> str:
     try:
         with open(file, "rb") as stream:
-            data = stream.read(LARGEST_FILE_BYTES + 1)
+            size = os.fstat(stream.fileno()).st_size  # a file that is much too large is not read at all
+            data = stream.read(LARGEST_FILE_BYTES + 1) if size <= LARGEST_FILE_BYTES else b""
     except FileNotFoundError:
         raise InputError("does not exist", file=file) from None
     except IsADirectoryError:
         raise InputError("is a folder, not a CSV file", file=file) from None
     except (OSError, ValueError) as error:
         raise InputError(f"can't be read ({getattr(error, 'strerror', None) or error})", file=file) from None
-    if len(data) > LARGEST_FILE_BYTES:
+    if max(size, len(data)) > LARGEST_FILE_BYTES:
         raise InputError(f"is larger than {LARGEST_FILE_BYTES // 10**6} MB, no joint path", file=file)
     try:
         return data.decode("utf-8-sig")
@@ -131,13 +140,20 @@ def _require(table: CsvTable, name: str, n: int) -> None:
         raise InputError(f"the robot has only {n} {'tube' if n == 1 else 'tubes'}", file=table.file, key=extra[0])
 
 
-def _check_order(table: CsvTable, sequence: Array, time_s: Array | None) -> None:
-    for row in np.flatnonzero(sequence != np.round(sequence)).tolist():
-        raise table.fault("must be a whole number", row, "sequence", float(sequence[row]))
+def resumed_run(sequence: Array) -> int | None:
+    """The first row (from 0) that goes back to a run which was over, None if there is none."""
     starts = np.flatnonzero(np.diff(sequence, prepend=np.nan) != 0)
-    for k, row in enumerate(starts.tolist()):
-        if sequence[row] in sequence[starts[:k]]:
-            raise table.fault("this run was over, its rows must stand together", row, "sequence", int(sequence[row]))
+    first = np.unique(sequence[starts], return_index=True)[1]
+    again = np.setdiff1d(np.arange(len(starts)), first)
+    return int(starts[again[0]]) if again.size else None
+
+
+def _check_order(table: CsvTable, sequence: Array, time_s: Array | None) -> None:
+    for row in np.flatnonzero((sequence != np.round(sequence)) | (np.abs(sequence) > LARGEST_RUN)).tolist():
+        raise table.fault(WHOLE_NUMBER, row, "sequence", float(sequence[row]))
+    if (resumed := resumed_run(sequence)) is not None:
+        rule = "this run was over, its rows must stand together"
+        raise table.fault(rule, resumed, "sequence", int(sequence[resumed]))
     if time_s is not None:
         for row in (np.flatnonzero(np.diff(time_s) < 0) + 1).tolist():
             rule = f"time runs backwards, the row before has {time_s[row - 1]:g} s"
@@ -153,7 +169,8 @@ def _check_joints(table: CsvTable, theta_b: Array, l_b: Array, robot: Robot) -> 
     for row, i in np.argwhere(np.abs(l_b) > MOST_LENGTHS * longest_m).tolist():
         rule = f"must be in metres and is beyond {MOST_LENGTHS} lengths of the robot, are these millimetres?"
         raise table.fault(rule, row, translations[i], float(l_b[row, i]))
-    for row in range(len(l_b)):
+    G, h = nesting_inequalities(robot.tubes)
+    for row in np.flatnonzero(~np.all(l_b @ G.T <= h + TOLERANCE_M, axis=1)).tolist():
         if sentence := nesting_violation(robot, theta_b[row], l_b[row]):
             raise table.fault(sentence, row)
     if refused := robot.mechanics.first_refused(theta_b, l_b):
