@@ -145,7 +145,7 @@ class MotionChecker:
         return float(lengths.sum()), float(integral)
 
     def cost_mm(self, motion: Motion, *, ends_at_goal: bool) -> float:
-        """Weighted cost of a motion; one that ends at the goal pays for the worst case there and for what it left loaded."""
+        """Weighted cost of a motion; at the goal it pays for the worst case there and for what it left loaded."""
         weights = self.scenario.cost
         cost = weights.path * motion.length_mm + weights.error_along * motion.error_integral_mm
         if ends_at_goal:
