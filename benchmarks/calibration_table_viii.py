@@ -1,7 +1,7 @@
 """Table VIII's shape on simulated data: does friction in the model halve the largest error, as in the paper?
 
 Data: the Table VII robot with its friction, approached from four directions (the friction corners) at an 8 x 8 x 8 grid
-of relative rotations and extensions; the stable ones of a 4 x 4 x 4 subset calibrate, the rest evaluate. Noise of 1.4 mm
+of relative rotations and extensions; stable ones of a 4 x 4 x 4 subset calibrate, the rest evaluate. Noise 1.4 mm
 and 0.5 deg as of ten independent samples. Models: zero clearance (standard), clearance, clearance with friction; all
 calibrated with the paper's weights from Table II's nominal values.
 
