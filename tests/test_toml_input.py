@@ -107,7 +107,7 @@ OVERRIDES = [
     ("contact.1.friction_coefficient=[0.1, 0.3]", "friction_coefficient = 0.2", "friction_coefficient = [0.1, 0.3]"),
     ("name=other", 'name = "pair"', 'name = "other"'),
     ('name="a = b"', 'name = "pair"', 'name = "a = b"'),
-    ("effects.tip_load.force_N=1", "[home]", "[effects.tip_load]\nforce_N = 1\n[home]"),
+    ("effects.tip_load.force_x_N=1", "[home]", "[effects.tip_load]\nforce_x_N = 1\n[home]"),
     ("model_error_mm=1", 'name = "pair"', 'name = "pair"\nmodel_error_mm = 1.0'),
 ]
 

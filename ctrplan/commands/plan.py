@@ -14,7 +14,6 @@ from ctrplan.commands.output_folder import output_folder, written_together
 from ctrplan.commands.progress_bar import ProgressBar
 from ctrplan.errors import InputError
 from ctrplan.interrupts import interrupt_event
-from ctrplan.plan_timing import settling_duration_s
 
 if TYPE_CHECKING:
     from ctrplan.planning.plan import Plan
@@ -159,6 +158,8 @@ def _figures(plan: Plan) -> dict[str, str]:
 
 def _extras(plan: Plan) -> dict[str, str]:
     """Lines about what was asked for beyond the path."""
+    from ctrplan.plan_timing import settling_duration_s
+
     lines, settling, compensation = {}, plan.certificate.settling, plan.compensation
     if settling:
         before_mm, after_mm = settling.goal_predicted_before_m * 1e3, settling.goal_predicted_after_m * 1e3
