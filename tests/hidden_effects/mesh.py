@@ -17,9 +17,9 @@ class Fineness:
     """Length of links where forces concentrate and elsewhere, growth from link to link, links per shape function."""
 
     finest_m: float = 0.35e-3
-    coarsest_m: float = 1.0e-3
-    growth: float = 1.1
-    links_per_node: int = 5
+    coarsest_m: float = 2.0e-3
+    growth: float = 1.2
+    links_per_node: int = 4
 
     @staticmethod
     def searching() -> Fineness:
