@@ -39,7 +39,7 @@ def ribs() -> ctrplan.Plan:
 
 @pytest.fixture(scope="module")
 def snap() -> ctrplan.Plan:
-    return ctrplan.plan(scenario("snap"), seed=0, time_s=3)
+    return ctrplan.plan(scenario("snap"), seed=0, time_s=8)
 
 
 def check(plan: ctrplan.Plan) -> None:

@@ -325,6 +325,7 @@ SHIPPED_CLEARANCES_MM = {
     "table_5_pair": [0.0375],
     "three_tube": [0.0425, 0.0625],
     "three_tube_calibrated": [0.0425, 0.0625],
+    "three_tube_insertion": [0.0425, 0.0625],
 }
 SHIPPED_RADII_MM = {  # y-curvature of the curved section of each tube
     "table_1_pair": [150, 150],
@@ -332,6 +333,7 @@ SHIPPED_RADII_MM = {  # y-curvature of the curved section of each tube
     "table_5_pair": [288.1, 79.3],
     "three_tube": [265, 265, 55],
     "three_tube_calibrated": [282.8, 212.6, 62.37],
+    "three_tube_insertion": [265, 265, 55],
 }
 
 
