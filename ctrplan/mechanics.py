@@ -46,7 +46,7 @@ __all__ = [
 ]
 
 Accuracy = Literal["search", "certificate", "exact"]
-"""Tip errors of a mesh on the Table III grid: 0.3, 0.05 mm; "exact": the latter, geometry not of first order in c."""
+"""Mesh error of a tip on the Table III grid: 0.3, 0.05 mm; "exact" also drops the first order in the clearance."""
 _LEVELS: tuple[Accuracy, ...] = get_args(Accuracy)
 
 

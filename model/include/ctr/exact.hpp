@@ -1,12 +1,11 @@
 // The equations of the paper on the exact geometry: every tube a curve on SE(3) of its own (2), contact in the normal plane
 // of the outer tube (18)-(19), forces (36)-(40) at the two centrelines, torques (41) about the two tangents, balance (37).
 //
-// Unknowns are those of friction.hpp. d'' is now no more than the difference of the neighbours' bending curvatures, each in
-// its own twist-free frame, and the bending of the outermost tube in front of the plate, which the first-order model
-// eliminates, is known up to what the contact forces leave (`bend`). Integrating these curvatures gives the true offsets at
-// the contact points and the true moments of the contact forces. What they differ by from the first-order ones enters the
-// first-order Newton system as a shift of the offsets and a load, until nothing changes (deferred correction): the residual
-// that vanishes is the exact one, the matrix only has to be close.
+// Unknowns are those of friction.hpp. The tubes' curvatures, each in its own twist-free frame, are the first-order ones plus
+// `bend`; integrating them gives the true offsets at the contact points and the true moments of the contact forces. What
+// these differ by from the first-order ones enters the first-order Newton system as a shift of the offsets and a load, until
+// nothing changes (deferred correction): the residual that vanishes is the exact one, the matrix only has to be close.
+// docs/model.md, "Exact geometry".
 #pragma once
 
 #include <array>
