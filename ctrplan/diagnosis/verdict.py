@@ -87,7 +87,7 @@ def _finding(bench: Workbench, chosen: Scored, t: Term, compared: Sequence[Alter
 
 
 def _is_close(a: Alternative, chosen: Scored) -> bool:
-    """Whether it predicts or fits as well: weakly determined parameters predict badly, which speaks against no effect."""
+    """Whether it predicts or fits as well; badly determined parameters predict badly, true or not."""
     worse_fit = (a.scored.fit.residuals.loss - chosen.fit.residuals.loss) / 2
     return min(a.behind, worse_fit) < max(CLOSE, CLOSE_ERRORS * a.error)
 
