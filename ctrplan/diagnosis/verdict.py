@@ -79,11 +79,17 @@ def _finding(bench: Workbench, chosen: Scored, t: Term, compared: Sequence[Alter
     rivals: dict[str, Alternative] = {}
     for a in sorted(compared, key=lambda a: a.behind):
         same_place = {other.key for other in a.scored.terms[:-1]} == rest
-        if same_place and a.term.name not in rivals and a.behind < max(CLOSE, CLOSE_ERRORS * a.error):
+        if same_place and a.term.name not in rivals and _is_close(a, chosen):
             after = remains(bench, a.scored)
             if after.is_adequate or not left.is_adequate:
                 rivals[a.term.name] = a
     return Finding(t, tuple(rivals.values()))
+
+
+def _is_close(a: Alternative, chosen: Scored) -> bool:
+    """Whether it predicts or fits as well; badly determined parameters predict badly, true or not."""
+    worse_fit = (a.scored.fit.residuals.loss - chosen.fit.residuals.loss) / 2
+    return min(a.behind, worse_fit) < max(CLOSE, CLOSE_ERRORS * a.error)
 
 
 def specific(bench: Workbench, found: Selection, findings: Sequence[Finding], left: Adequacy) -> tuple[Finding, ...]:
