@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_TOTAL_BYTES = 1_000_000_000
+ABANDONED_S = 86400.0  # a grid is written within seconds
 
 logger = logging.getLogger(__name__)
 
@@ -49,10 +50,10 @@ def load(key: str, shape: tuple[int, ...]) -> NDArray[np.float32] | None:
             raise ValueError("content does not match its hash")
     except OSError as error:
         if not isinstance(error, FileNotFoundError):
-            logger.info("distance field cache can't be read: %s", error)
+            logger.info("field cache can't be read: %s", error)
         return None
     except Exception as error:  # a damaged archive makes its reader raise almost anything
-        logger.warning("cached distance field %s is damaged and will be rebuilt (%s)", path, error)
+        logger.warning("cached field %s is damaged and will be rebuilt (%s)", path, error)
         return None
     with contextlib.suppress(OSError):
         os.utime(path)  # recently used ones are pruned last
@@ -76,11 +77,14 @@ def store(key: str, values: NDArray[np.float32]) -> None:
             raise
         _prune(path)
     except OSError as error:
-        logger.info("distance field not cached: %s", error)
+        logger.info("field not cached: %s", error)
 
 
 def _prune(newest: Path) -> None:
-    """Remove the least recently used grids beyond MAX_TOTAL_BYTES, never `newest`."""
+    """Remove the least recently used grids beyond MAX_TOTAL_BYTES, never `newest`, and what killed processes left."""
+    for path in newest.parent.glob("*.part"):
+        if path.stat().st_mtime < newest.stat().st_mtime - ABANDONED_S:
+            path.unlink(missing_ok=True)
     found = sorted(newest.parent.glob("*.npz"), key=lambda path: path.stat().st_mtime, reverse=True)
     total = newest.stat().st_size
     for path in found:

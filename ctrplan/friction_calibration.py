@@ -8,7 +8,7 @@ import logging
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,7 +30,8 @@ DENSITY = PathDensity(rotation_rad=0.2, translation_m=2e-3, motion_m=10e-3, near
 STABILITY = 0.1  # least; nearer to a snap there is no law
 ATTEMPTS = 15  # random paths tried per history wanted
 LOADINGS_RAD = np.geomspace(0.03, 6.0, 60)  # looked through for each pair
-VERSION = 1  # of the law: rises when what is stored means something else
+ARRAYS, ERRORS = ("loading_rad", "release_m"), ("error_rms_m", "error_p95_m", "deviation_rms_m")  # what is stored
+VERSION = 2  # of the law: rises when what is stored means something else
 
 logger = logging.getLogger(__name__)
 
@@ -49,7 +50,7 @@ class SimulatedPath:
 def friction_law(robot: Robot) -> FrictionLaw:
     """The robot's law, from the cache or calibrated now: a second or so."""
     key = _digest(robot)
-    stored = _load(key, robot.n - 1)
+    stored = _load(key)
     if stored is not None:
         return stored
     law = fit(robot, simulated_paths(robot, HISTORIES, np.random.default_rng(0)))
@@ -169,17 +170,26 @@ def _path(key: str) -> Path | None:
     return None if directory is None else directory / "friction_laws" / f"{key}.json"
 
 
-def _load(key: str, pairs: int) -> FrictionLaw | None:
+def _load(key: str) -> FrictionLaw | None:
     """The stored law; None when there is none that can be trusted."""
     path = _path(key)
-    try:
-        content = json.loads(path.read_text(encoding="utf-8")) if path else {}
-        loading, release = (np.array(content[name], dtype=np.float64) for name in ("loading_rad", "release_m"))
-        errors = [float(content[name]) for name in ("error_rms_m", "error_p95_m", "deviation_rms_m")]
-    except (OSError, ValueError, TypeError, KeyError):
+    if path is None:
         return None
-    sound = loading.shape == release.shape == (pairs,) and np.all(loading > 0) and np.all(release > 0)
-    return FrictionLaw(loading, release, *errors) if sound else None
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content["sha256"] != _seal(content["law"]):
+            raise ValueError("content does not match its hash")
+        arrays = (np.array(content["law"][name], dtype=np.float64) for name in ARRAYS)
+        return FrictionLaw(*arrays, *(float(content["law"][name]) for name in ERRORS))
+    except OSError:
+        return None
+    except (ValueError, TypeError, KeyError) as error:
+        logger.warning("cached friction law %s is damaged and will be calibrated again (%s)", path, error)
+        return None
+
+
+def _seal(law: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(law, sort_keys=True).encode()).hexdigest()
 
 
 def _store(key: str, law: FrictionLaw) -> None:
@@ -187,9 +197,9 @@ def _store(key: str, law: FrictionLaw) -> None:
     path = _path(key)
     if path is None:
         return
-    names = ("loading_rad", "release_m", "error_rms_m", "error_p95_m", "deviation_rms_m")
     try:
         os.makedirs(path.parent, exist_ok=True)
-        write_atomically(path, json.dumps({name: np.asarray(getattr(law, name)).tolist() for name in names}))
+        content = {name: np.asarray(getattr(law, name)).tolist() for name in (*ARRAYS, *ERRORS)}
+        write_atomically(path, json.dumps({"sha256": _seal(content), "law": content}))
     except (OSError, CtrplanError) as error:
         logger.info("friction law not cached: %s", error)

@@ -121,3 +121,13 @@ def test_least_recently_used_fields_go_first(cache: Path, monkeypatch: pytest.Mo
     built(0.010)  # a hit makes it recent
     built(0.012)
     assert oldest.exists() and not other.exists() and len(list(cache.iterdir())) == 2
+
+
+def test_what_a_killed_process_left_is_cleared_away_a_day_later(cache: Path) -> None:
+    cache.mkdir(parents=True)
+    left, fresh = cache / "left.part", cache / "fresh.part"
+    for path in (left, fresh):
+        path.write_bytes(b"half a grid")
+    os.utime(left, (1, 1))
+    built()
+    assert fresh.exists() and not left.exists()

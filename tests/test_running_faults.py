@@ -1,0 +1,281 @@
+"""Interrupted, killed, out of room, shared and damaged: old outputs stay, exit codes are right, caches are rebuilt."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_up_input import repetitions
+from measured_data import measured, pair_robot, waypoints, write_csv
+
+from ctrplan.cli import main
+from ctrplan.diagnosis import diagnose
+from ctrplan.friction_calibration import friction_law
+from ctrplan.measurement_file import load_measurements
+from ctrplan.planning.bound_field import bound_field, known_field
+from ctrplan.robot import load_robot
+from ctrplan.robot_output import write_robot
+
+SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"
+THREE = str(SCENARIOS / "robots" / "three_tube.toml")
+PAIR = str(SCENARIOS / "robots" / "table_1_pair.toml")
+OUTPUTS = {
+    "plan": {"plan.json", "plan.png", "report.html", "trajectory.csv", "trajectory.yaml"},
+    "diagnose": {"diagnosis.json", "report.html", "robot.toml"},
+    "field": set[str](),
+}
+PATIENCE_S = 120  # on a busy machine; a process that ignores Ctrl-C would take far longer
+
+
+@pytest.fixture(scope="module")
+def measurements(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
+    """A robot file and measurements of that robot, which take a while to diagnose."""
+    folder = tmp_path_factory.mktemp("measured")
+    robot = pair_robot(contact=[{"friction_coefficient": 0.2}])
+    write_robot(folder / "robot.toml", dict(robot.content))
+    write_csv(folder / "measurements.csv", measured(robot, waypoints(robot, 20)))
+    return str(folder / "robot.toml"), str(folder / "measurements.csv")
+
+
+@pytest.fixture
+def commands(measurements: tuple[str, str]) -> dict[str, list[str]]:
+    return {
+        "plan": ["plan", str(SCENARIOS / "pair_free.toml"), "--time", "60"],
+        "diagnose": ["diagnose", *measurements],
+        "field": ["field", THREE],
+    }
+
+
+def started(arguments: list[str], folder: Path, cache: Path | None = None) -> subprocess.Popen[str]:
+    """The command in a process of its own, writing into folder / out."""
+    output = [] if arguments[0] == "field" else ["-o", str(folder / "out")]
+    return subprocess.Popen(
+        [sys.executable, "-m", "ctrplan.cli", *arguments, *output],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        cwd=folder,
+        text=True,
+        env={**os.environ, "CTRPLAN_CACHE_DIR": str(cache or folder / "cache")},
+    )
+
+
+def handles_interrupts(process: subprocess.Popen[str]) -> bool:
+    """Whether the interpreter is up and has its own handler of SIGINT (Linux says so in /proc)."""
+    try:
+        text = Path(f"/proc/{process.pid}/status").read_text()
+    except OSError:
+        return False
+    caught = next((line for line in text.splitlines() if line.startswith("SigCgt")), "SigCgt 0").split()[1]
+    return bool(int(caught, 16) & 1 << (signal.SIGINT - 1))
+
+
+def wait_until_up(process: subprocess.Popen[str]) -> None:
+    until = time.monotonic() + PATIENCE_S
+    while not handles_interrupts(process) and process.poll() is None and time.monotonic() < until:
+        time.sleep(0.01)
+
+
+def readable(folder: Path) -> set[str]:
+    """Names of the results there are, each of which can be read; nothing hidden is left beside them."""
+    if not folder.exists():
+        return set()
+    for path in folder.iterdir():
+        assert not path.name.startswith(".ctrplan-"), f"{path.name} was left behind"
+        content = path.read_bytes()
+        assert content
+        if path.suffix == ".json":
+            json.loads(content)
+        if path.suffix == ".html":
+            assert content.rstrip().endswith(b"</html>")
+    return {path.name for path in folder.iterdir()}
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="looks into /proc for the handler of Ctrl-C")
+@pytest.mark.parametrize("command", ["plan", "diagnose", "field"])
+def test_ctrl_c_at_any_moment_ends_with_130_and_whole_files(
+    command: str, commands: dict[str, list[str]], tmp_path: Path
+) -> None:
+    moments = random.Random(command)
+    for attempt in range(repetitions(1)):
+        folder = tmp_path / str(attempt)
+        folder.mkdir()
+        process = started(commands[command], folder)
+        wait_until_up(process)
+        time.sleep(moments.uniform(0.3, 6.0))
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=PATIENCE_S)
+        assert "Traceback" not in err, err
+        assert process.returncode in (0, 130), err  # 0: it was done before
+        written = readable(folder / "out")
+        assert written == OUTPUTS[command] or (process.returncode == 130 and not written)
+        assert not list(folder.rglob("*.part"))
+        shutil.rmtree(folder)
+
+
+WRITER = """
+import sys
+from pathlib import Path
+from ctrplan.commands.output_folder import written_together
+from ctrplan.export import write_atomically
+names = ["a", "b", "c"]
+for version in range(10**6):
+    with written_together(Path(sys.argv[1]), names) as made:
+        for name in names:
+            write_atomically(made / name, f"{version:08d}" * 50_000)
+    if not version:
+        print("written", flush=True)
+"""
+
+
+def test_killed_while_writing_leaves_old_or_new_files_whole(tmp_path: Path) -> None:
+    moments = random.Random(0)
+    for attempt in range(repetitions(3)):
+        folder = tmp_path / str(attempt)
+        process = subprocess.Popen([sys.executable, "-c", WRITER, str(folder)], stdout=subprocess.PIPE, text=True)
+        assert process.stdout is not None and process.stdout.readline() == "written\n"
+        time.sleep(moments.uniform(0.0, 0.1))
+        process.kill()
+        process.communicate()
+        for name in "abc":
+            content = (folder / name).read_text()
+            assert content == content[:8] * 50_000
+
+
+def in_a_small_world(
+    tmp_path: Path, options: str, arguments: str, after: str = "true"
+) -> subprocess.CompletedProcess[str]:
+    """A command with a small disk at tmp_path / disk, in a mount namespace of its own; skipped where there is none."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = f"mount -t tmpfs -o size=200k none '{disk}' && echo old > '{disk}/plan.json'"
+    if subprocess.run(["unshare", "-rm", "sh", "-c", mount], capture_output=True).returncode:
+        pytest.skip("this machine does not let users mount a small disk")
+    script = f"{mount} && mount -o remount,{options} '{disk}' && '{sys.executable}' -m ctrplan.cli {arguments}; "
+    script += f"echo exit $?; ls -A '{disk}'; cat '{disk}/plan.json'; {after}"
+    environment = {**os.environ, "CTRPLAN_CACHE_DIR": str(disk / "cache"), "MPLCONFIGDIR": str(tmp_path / "matplotlib")}
+    return subprocess.run(["unshare", "-rm", "sh", "-c", script], capture_output=True, text=True, env=environment)
+
+
+needs_namespaces = pytest.mark.skipif(shutil.which("unshare") is None, reason="has no unshare")
+
+
+@needs_namespaces
+def test_a_full_disk_leaves_the_old_plan_and_nothing_else(tmp_path: Path) -> None:
+    arguments = f"plan '{SCENARIOS / 'pair_free.toml'}' --time 0.2 -o '{tmp_path / 'disk'}'"
+    done = in_a_small_world(tmp_path, "rw", arguments)
+    assert done.stdout.split() == ["exit", "1", "cache", "plan.json", "old"], done.stdout + done.stderr
+    assert "No space left on device" in done.stderr and "Traceback" not in done.stderr
+
+
+@needs_namespaces
+def test_a_read_only_disk_is_refused_before_anything_is_computed(tmp_path: Path) -> None:
+    arguments = f"plan '{SCENARIOS / 'pair_free.toml'}' --time 1000 -o '{tmp_path / 'disk'}'"
+    done = in_a_small_world(tmp_path, "ro", arguments)
+    assert done.stdout.split() == ["exit", "2", "plan.json", "old"], done.stdout + done.stderr
+    assert "is not writable" in done.stderr and "Traceback" not in done.stderr
+
+
+@needs_namespaces
+@pytest.mark.parametrize("options", ["ro", "size=8k"])
+def test_a_cache_without_room_or_permission_is_no_error(options: str, tmp_path: Path) -> None:
+    done = in_a_small_world(tmp_path, options, f"field '{PAIR}'")
+    assert "exit 0\n" in done.stdout and "bound field of" in done.stdout and not done.stderr, done.stderr
+    assert ".part" not in done.stdout
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="has no /dev/full")
+def test_results_that_can_not_be_printed_are_reported() -> None:
+    command = [sys.executable, "-m", "ctrplan.cli", "bound", PAIR, "--theta-deg", "0", "90", "--l-mm", "0", "-17"]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 1 and "could not print the result: No space left on device" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_two_processes_share_a_cache(tmp_path: Path) -> None:
+    for attempt in range(repetitions(1)):
+        cache = tmp_path / f"cache {attempt}"
+        pair = [started(["field", PAIR], tmp_path, cache) for _ in range(2)]
+        told = [process.communicate(timeout=PATIENCE_S) for process in pair]
+        assert [process.returncode for process in pair] == [0, 0], told
+        assert all(not err for _, err in told)
+        (kept,) = (cache / "fields").iterdir()
+        assert kept.suffix == ".npz"
+
+
+@pytest.mark.parametrize("damage", ["truncated", "flipped", "empty", "folder"])
+def test_a_damaged_bound_field_is_rebuilt_with_a_note(
+    damage: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("CTRPLAN_CACHE_DIR", str(tmp_path))
+    robot = load_robot(PAIR)
+    first = bound_field(robot)
+    (stored,) = (tmp_path / "fields").iterdir()
+    content = bytearray(stored.read_bytes())
+    if damage == "truncated":
+        content = content[: len(content) // 2]
+    elif damage == "flipped":
+        content[len(content) // 2] ^= 1
+    elif damage == "empty":
+        content.clear()
+    stored.write_bytes(content)
+    if damage == "folder":
+        stored.unlink()
+        stored.mkdir()
+    again = bound_field(robot)
+    assert first is not None and again is not None
+    np.testing.assert_array_equal(first.values, again.values)
+    if damage != "folder":
+        assert "damaged and will be rebuilt" in caplog.text
+        assert known_field(robot) is not None
+
+
+@pytest.mark.parametrize("damage", ["digit", "truncated", "list", "number", "nan"])
+def test_a_damaged_friction_law_is_calibrated_again_with_a_note(
+    damage: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("CTRPLAN_CACHE_DIR", str(tmp_path))
+    first = friction_law(load_robot(PAIR))
+    (stored,) = (path for path in tmp_path.rglob("*") if path.is_file())
+    text = stored.read_text()
+    place = text.index("loading_rad")
+    digit = next(k for k in range(place, len(text)) if text[k] in "123456789")
+    damaged = {
+        "digit": text[:digit] + str(int(text[digit]) % 9 + 1) + text[digit + 1 :],
+        "truncated": text[: len(text) // 2],
+        "list": "[]",
+        "number": "7",
+        "nan": text[:digit] + "NaN" + text[digit + 1 :].lstrip("0123456789."),
+    }
+    stored.write_text(damaged[damage])
+    again = friction_law(load_robot(PAIR))
+    np.testing.assert_array_equal(first.loading_rad, again.loading_rad)
+    assert "damaged and will be" in caplog.text
+    assert stored.read_text() == text
+
+
+def test_a_clock_that_goes_backwards_changes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Searches go by the monotonic clock; the wall clock, set back a year at every look, is not asked."""
+    clock = iter(range(10**9, 0, -31_536_000 // 100))
+    monkeypatch.setattr(time, "time", lambda: float(next(clock)))
+    assert main(["plan", str(SCENARIOS / "pair_free.toml"), "--time", "0.3", "-o", str(tmp_path)]) == 0
+    assert readable(tmp_path) == OUTPUTS["plan"]
+
+
+def test_a_diagnosis_interrupted_from_the_start_says_so(measurements: tuple[str, str]) -> None:
+    robot, event = load_robot(measurements[0]), threading.Event()
+    event.set()
+    found = diagnose(robot, load_measurements(measurements[1], robot), interrupted=event)
+    assert found.interrupted and found.verdict == "unexplained" and any("Interrupted" in note for note in found.notes)
