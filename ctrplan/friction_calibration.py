@@ -179,8 +179,8 @@ def _load(key: str) -> FrictionLaw | None:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["sha256"] != _seal(content["law"]):
             raise ValueError("content does not match its hash")
-        arrays = (np.array(content["law"][name], dtype=np.float64) for name in ARRAYS)
-        return FrictionLaw(*arrays, *(float(content["law"][name]) for name in ERRORS))
+        loading, release = (np.array(content["law"][name], dtype=np.float64) for name in ARRAYS)
+        return FrictionLaw(loading, release, *(float(content["law"][name]) for name in ERRORS))
     except OSError:
         return None
     except (ValueError, TypeError, KeyError) as error:
