@@ -13,7 +13,7 @@ ZERO: Vector = (0.0, 0.0, 0.0)
 class Loads:
     """Force [N] and moment [N m] on the innermost tip, and the acceleration [m/s^2] that gives every tube its weight.
 
-    Vectors of three in the world frame, z along insertion. The front plate carries what is behind it.
+    Vectors of three in the world frame, z along insertion. The front plate bears what reaches tube 1.
     """
 
     tip_force_N: Vector = ZERO

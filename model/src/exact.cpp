@@ -229,7 +229,8 @@ double ExactGeometry::balance(const FrictionSolver& solver, LaneState& state, in
                 bent[t].moment[i] += K[i] * more[0] + K[i + 1] * more[1];
                 bent[t].kappa[i] += more[i];
                 state.bend_at_gauss(e, g, t, i, lane) += more[i];
-                sum[i] += weight * (bent[t].moment[i] - flat[t].moment[i] - element_[t].moment[g][i]);
+                const double known = state.load_moment(e, g, t, i, lane);  // to the kernel
+                sum[i] += weight * (bent[t].moment[i] - flat[t].moment[i] + known - element_[t].moment[g][i]);
                 for (int a = 0; a < 4 && t < offsets; ++a) element_[t].load[a][i] += b[a] * sum[i];
             }
             const double torque = weight * (bent[t].torque() - flat[t].torque());
@@ -254,7 +255,8 @@ double ExactGeometry::update(const FrictionSolver& solver, LaneState& state, int
     alignment_.record(solver, state, lane, curvature_, frame_);
     const double* tip_moment = solver.robot().loads.tip_moment;
     const Vec3 tip = frame_[static_cast<std::size_t>(pb.nodes - 1) * pb.tubes].tangent();
-    state.load(pb.nodes - 1, 0, lane) -= dot({tip_moment[0], tip_moment[1], tip_moment[2]}, tip);  // twists the innermost tube
+    // twists the innermost tube; the kernel has it at the first-order tip
+    state.load(pb.nodes - 1, 0, lane) -= dot({tip_moment[0], tip_moment[1], tip_moment[2]}, tip) - state.tip_torque(lane);
     double worst = 0;
     for (int e = pb.elements - 1; e >= 0; --e) {
         begin_element(solver, state, lane, e);

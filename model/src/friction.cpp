@@ -44,8 +44,9 @@ void LaneState::resize(const KernelProblem& problem, int lanes) {
     slack_.resize(contacts);
     slack_step_.resize(contacts);
     phi_mu_.resize(contacts);
-    load_moment_.resize(static_cast<std::size_t>(problem.elements) * 4 * lanes);
-    std::fill(load_moment_.data(), load_moment_.data() + static_cast<std::size_t>(problem.elements) * 4 * lanes, 0.0);
+    tubes_ = problem.tubes;
+    load_moment_.resize((static_cast<std::size_t>(problem.elements) * 4 * tubes_ + 1) * lanes);
+    load_moment_.fill(0.0);
     is_exact_ = false;
 }
 

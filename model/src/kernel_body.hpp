@@ -58,9 +58,13 @@ template <class V>
 inline void start_residual(const KernelProblem& pb, const KernelState& st) {
     V* r = lanes<V>(st.rhs);
     const int count = pb.nodes * pb.stride;
-    if (!st.load) return clear(r, count);
-    const V* load = reinterpret_cast<const V*>(st.load);
-    for (int i = 0; i < count; ++i) r[i] = load[i];
+    if (st.load) {
+        const V* load = reinterpret_cast<const V*>(st.load);
+        for (int i = 0; i < count; ++i) r[i] = load[i];
+    } else {
+        clear(r, count);
+    }
+    if (pb.law) r[count - pb.stride] -= reinterpret_cast<const V*>(st.load_moment)[pb.elements * 4 * pb.tubes];
 }
 
 // Slack and multiplier steps that belong to `step`: w + dw = gap - d . delta, lambda dw + w dlambda = eps - lambda w.

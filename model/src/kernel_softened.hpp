@@ -65,9 +65,11 @@ inline void add_bending_point(const KernelProblem& pb, const KernelState& st, in
         turn_section<V>(pb.law[t], v + 2 * t, linear[0] * el.x[0][theta_index(t)] + linear[1] * el.x[1][theta_index(t)], section[t]);
     }
     V mean[2] = {zero, zero};
+    const V* share = reinterpret_cast<const V*>(st.load_moment) + (e * 2 + gauss) * 2 * n;  // of the loads, per tube
     if (free) {
-        const V* moment = reinterpret_cast<const V*>(st.load_moment);
-        const V load[2] = {moment ? moment[(e * 2 + gauss) * 2] : zero, moment ? moment[(e * 2 + gauss) * 2 + 1] : zero};
+        V load[2] = {zero, zero};
+        for (int t = 0; t < M; ++t)
+            for (int plane = 0; plane < 2; ++plane) load[plane] += share[2 * t + plane];
         free_mean<V>(M, pb.law, against, load, section, mean, inverse);
     } else {
         for (int t = 0; t < M; ++t) bend(pb.law[t], against[t], section[t]);
@@ -80,7 +82,7 @@ inline void add_bending_point(const KernelProblem& pb, const KernelState& st, in
         const V torque = weight * (section[t].moment[0] * kappa[t][1] - section[t].moment[1] * kappa[t][0]);  // -moment . J kappa
         for (int a = 0; a < 2; ++a) el.r[a][theta_index(t)] += linear[a] * torque;
         for (int plane = 0; plane < 2; ++plane) {
-            pair_moment[plane] += section[t].moment[plane];
+            pair_moment[plane] += section[t].moment[plane] - share[2 * t + plane];
             if (t >= offsets) continue;
             for (int a = 0; a < 4; ++a)
                 el.r[a >> 1][(a & 1) ? slope_index(t, plane) : offset_index(t, plane)] += (weight * b[a]) * pair_moment[plane];

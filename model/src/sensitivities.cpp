@@ -192,7 +192,7 @@ void Sensitivities::compute(FrictionSolver& solver, LaneState& state, const Conf
     for (int k = 0; k < pb.contacts; ++k) multiplier_[k] = state.multiplier(k, 0);
     moments_.clear();
     if (loaded || std::any_of(directions.begin(), directions.end(), [&](const Direction& d) { return loads(solver.robot(), q, d); }))
-        moments_.assign(state.load_moments(), state.load_moments() + static_cast<std::size_t>(pb.elements) * 4);
+        moments_.assign(state.load_moments(), state.load_moments() + state.load_moment_count());
     const double nan = std::numeric_limits<double>::quiet_NaN();
     out.assign(directions.size(), {{nan, nan, nan}, {nan, nan, nan}});
     for (std::size_t j = 0; j < directions.size(); ++j) {

@@ -76,7 +76,11 @@ void element_curvature(const FrictionSolver& solver, const LaneState& state, int
         double load[2], inverse[3];
         for (int t = 0; t < m; ++t) turn_section<double>(pb.law[t], v[t], angle[t], section[t]);
         for (int plane = 0; plane < 2; ++plane) {
-            const double first = state.load_moment(e, 0, plane, lane), second = state.load_moment(e, 1, plane, lane);
+            double first = 0, second = 0;
+            for (int t = 0; t < m; ++t) {
+                first += state.load_moment(e, 0, t, plane, lane);
+                second += state.load_moment(e, 1, t, plane, lane);
+            }
             load[plane] = first + part * (second - first);
         }
         free_mean<double>(m, pb.law, curvature, load, section, mean, inverse);

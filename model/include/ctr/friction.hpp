@@ -36,19 +36,18 @@ class LaneState {
     double phi_mu(int contact, int lane) const { return phi_mu_[static_cast<std::size_t>(contact) * lanes_ + lane]; }
     void set_phi_mu(int contact, int lane, double value) { phi_mu_[static_cast<std::size_t>(contact) * lanes_ + lane] = value; }
     void follow_slip(const SlipLaw* law) { slip_ = law; }  // null: friction states stay as they are set
+    // What the loads ask of the tubes, one lane fastest: load_moment() of every tube at every Gauss point, then tip_torque().
     double* load_moments() { return load_moment_.data(); }
+    std::size_t load_moment_count() const { return load_moment_.size(); }
     double& unknown(int node, int index, int lane) { return unknowns_[(static_cast<std::size_t>(node) * stride_ + index) * lanes_ + lane]; }
     double unknown(int node, int index, int lane) const { return unknowns_[(static_cast<std::size_t>(node) * stride_ + index) * lanes_ + lane]; }
     double& multiplier(int contact, int lane) { return multiplier_[static_cast<std::size_t>(contact) * lanes_ + lane]; }
     double multiplier(int contact, int lane) const { return multiplier_[static_cast<std::size_t>(contact) * lanes_ + lane]; }
     double& slack(int contact, int lane) { return slack_[static_cast<std::size_t>(contact) * lanes_ + lane]; }
     double slack(int contact, int lane) const { return slack_[static_cast<std::size_t>(contact) * lanes_ + lane]; }
-    double& load_moment(int element, int gauss, int plane, int lane) {
-        return load_moment_[((static_cast<std::size_t>(element) * 2 + gauss) * 2 + plane) * lanes_ + lane];
-    }
-    double load_moment(int element, int gauss, int plane, int lane) const {
-        return load_moment_[((static_cast<std::size_t>(element) * 2 + gauss) * 2 + plane) * lanes_ + lane];
-    }
+    double& load_moment(int element, int gauss, int tube, int plane, int lane) { return load_moment_[bend_index(element, gauss, tube, plane, lane)]; }
+    double load_moment(int element, int gauss, int tube, int plane, int lane) const { return load_moment_[bend_index(element, gauss, tube, plane, lane)]; }
+    double& tip_torque(int lane) { return load_moment_[load_moment_.size() - lanes_ + lane]; }
     double& rhs(int node, int index, int lane) { return rhs_[(static_cast<std::size_t>(node) * stride_ + index) * lanes_ + lane]; }
     double step(int node, int index, int lane) const { return step_[(static_cast<std::size_t>(node) * stride_ + index) * lanes_ + lane]; }
     double inverse_pivot(int node, int index, int lane) const {

@@ -80,7 +80,9 @@ struct KernelState {
     double* upper;        // [node][stride][block_stride] A^-1 U
     double* lower;        // [node][stride][block_stride]
     double* rhs;          // [node][stride]
-    const double* load_moment;  // [element][Gauss point][2] of the loads beyond, N m as a curvature vector; null without loads
+    // [element][Gauss point][tube][2] of the loads beyond on that tube, N m as a curvature vector, then the torque of the tip
+    // moment on the innermost tip, N m
+    const double* load_moment;
     const SlipLaw* slip;      // null: phi_mu is given; else it follows the slip (single lane)
     const double* anchor; // [node][stride] angles that damping pulls back to; null without damping
     int block_stride;     // row length of blocks: room for stride + 1 entries, for a single lane in whole registers

@@ -52,7 +52,7 @@ struct Pair {
 };
 
 // Dead loads in the world frame: on the innermost tip, and the acceleration that gives every tube its weight. The plate
-// carries what hangs behind it.
+// bears what reaches tube 1 behind it.
 struct Loads {
     double tip_force[3] = {0, 0, 0};   // N
     double tip_moment[3] = {0, 0, 0};  // N m
