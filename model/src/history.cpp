@@ -383,15 +383,19 @@ bool History::slide(const Configuration& q) {
     constexpr int kRounds = 8;
     carried_.give(solver_.mesh(), state_);
     solver_.set_base(state_, q);
-    if (!slide_with(last_phi_)) {  // from the shape that the robot has when it is put there afresh
-        ZeroClearance zero;
-        zero.solve(solver_.robot(), q);
-        solver_.start(state_, q, zero, BarrierPath::kFirst);
-        hold(last_phi_);
-        solver_.slide(state_, BarrierPath::kFirst, convergence_);
-        if (!convergence_.converged) return false;
-    }
     std::vector<double> phi = last_phi_;
+    if (!slide_with(phi)) {  // from the shape that the robot has when it is put there afresh, without friction
+        const std::vector<double> none(solver_.robot().pairs.size() + 1, 0.0);
+        if (starter_.solve(q, accuracy_, none) == Status::failed) return false;
+        solver_.build(q, accuracy_);
+        built_breaks_ = solver_.mesh().breaks();
+        state_.resize(solver_.mesh().problem(), 1);
+        refer(q);
+        phi.assign(solver_.mesh().problem().contacts, 0.0);
+        hold(phi);
+        solver_.spread(starter_.state(), state_);
+        convergence_ = starter_.convergence();
+    }
     for (int round = 0; round < kRounds; ++round) {
         const Iterate slid = iterate();
         const Convergence held = convergence_;
