@@ -28,6 +28,7 @@ __all__ = [
 ]
 
 FORMAT = b"ctrplan distance field 1"  # part of the cache key: change it with anything that changes the values
+SPACINGS_M = (1e-6, 1.0)
 DEFAULT_NODES, MAX_DEFAULT_NODES, MAX_NODES = 2e6, 8e6, 5e8
 
 
@@ -43,6 +44,8 @@ def field_bounds(
     The robot leaves its base along the base's z axis and stays within reach_m of it, in front of it, and, where given,
     within side_m of that axis [m]. Lumens bound it further: outside their box nothing is clear.
     """
+    if not 0 < reach_m < np.inf:
+        raise InputError("must be a finite number above zero", key="reach_m", value=reach_m, unit="m")
     base, R = np.asarray(base_position_m, dtype=np.float64), np.asarray(base_R, dtype=np.float64)
     side = reach_m if side_m is None else min(side_m, reach_m)
     # Extent along each axis of the anatomy's frame of the box side x side x [0, reach] turned by R, within the ball.
@@ -109,6 +112,9 @@ def _grid(lower_m: ArrayLike, upper_m: ArrayLike, spacing_m: float) -> tuple[Arr
     lower, upper = np.array(lower_m, dtype=np.float64), np.array(upper_m, dtype=np.float64)
     if not (np.isfinite(spacing_m) and spacing_m > 0):
         raise InputError("must be a finite number above zero", key="spacing_m", value=spacing_m, unit="m")
+    if not SPACINGS_M[0] <= spacing_m <= SPACINGS_M[1]:
+        rule = f"must be from {SPACINGS_M[0]:g} to {SPACINGS_M[1]:g} m"
+        raise InputError(rule, key="spacing_m", value=spacing_m, unit="m")
     if lower.shape != (3,) or upper.shape != (3,) or not (np.isfinite(lower) & (lower <= upper)).all():
         raise InputError("must not exceed upper_m", key="lower_m", value=lower.tolist(), unit="m")
     cells = np.ceil(np.maximum((upper - lower) / (COARSEST * spacing_m) - 1e-9, 1.0)) * COARSEST

@@ -36,9 +36,11 @@ def bare_scenario(robot: Robot) -> Scenario:
     )
 
 
-def load_robot_or_scenario(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scenario:
+def load_robot_or_scenario(
+    path: str | os.PathLike[str], overrides: Sequence[str] = (), *, allow_outside: bool = False
+) -> Scenario:
     """The scenario of a file, or the bare scenario of a robot file: what has tubes is a robot. Raises InputError."""
     document = read_document(path)
     if "tube" not in document.content:
-        return load_scenario(path, overrides)
+        return load_scenario(path, overrides, allow_outside=allow_outside)
     return bare_scenario(robot_from_dict(document.with_overrides(overrides).content, file=document.file))

@@ -207,7 +207,8 @@ class _Table:
             raise self.fault("all joints are constant: one configuration says nothing about a model")
 
     def _check_poses(self, pose: Array, rows: Sequence[int], robot: Robot) -> None:
-        far = np.linalg.norm(pose[:, :3], axis=1)
+        with np.errstate(over="ignore"):  # what is beyond all numbers is too far
+            far, length = (np.linalg.norm(vectors, axis=1) for vectors in (pose[:, :3], pose[:, 3:]))
         limit = FURTHEST * max(tube.length_m for tube in robot.tubes)
         for k in np.flatnonzero(far > limit).tolist():
             unit = ", are these millimetres?" if np.median(far) > 100 * limit else ""
@@ -215,7 +216,6 @@ class _Table:
             raise self.fault(rule, int(rows[k]), "x_m", pose[k, 0])
         if np.median(far) < limit / 2000:
             raise self.fault(f"tips are {np.median(far):.2g} m from the base, are these metres?", column="x_m")
-        length = np.linalg.norm(pose[:, 3:], axis=1)
         for k in np.flatnonzero(np.abs(length - 1) > TANGENT_TOLERANCE).tolist():
             raise self.fault(
                 f"tangent has length {length[k]:.4g}, must be a unit vector", int(rows[k]), "tx", pose[k, 3]

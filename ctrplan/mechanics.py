@@ -47,6 +47,7 @@ __all__ = [
 
 Accuracy = Literal["search", "certificate", "exact"]
 """Mesh error of a tip on the Table III grid: 0.3, 0.05 mm; "exact" also drops the first order in the clearance."""
+MOST_THREADS = 1024
 _LEVELS: tuple[Accuracy, ...] = get_args(Accuracy)
 
 
@@ -145,7 +146,7 @@ class Mechanics:
         `progress` is told the finished share between chunks of a few hundred. With an `executor`, any that has the
         interface of concurrent.futures, chunks are its tasks, by default on one thread each; the result is the same.
         """
-        (thetas, ls), level = self._configurations(theta_b, l_b), _level(accuracy)
+        (thetas, ls), level, cores = self._configurations(theta_b, l_b), _level(accuracy), _checked(threads)
         if executor is not None or len(thetas) > CHUNK:  # nothing is solved before all is known to be well-formed
             self._refuse(thetas, ls)
         if executor is not None:
@@ -153,7 +154,7 @@ class Mechanics:
 
         def solve(theta_b: Array, l_b: Array) -> Bounds:
             with input_errors():
-                return _bounds(np.asarray(self._model.bound_many(theta_b, l_b, level, threads)))
+                return _bounds(np.asarray(self._model.bound_many(theta_b, l_b, level, cores)))
 
         return bounds_in_chunks(solve, thetas, ls, progress)
 
@@ -174,7 +175,7 @@ class Mechanics:
     def tips(self, theta_b: ArrayLike, l_b: ArrayLike, *, threads: int = 0) -> tuple[Array, Array, NDArray[np.int_]]:
         """Zero-clearance tips (K, 3) [m], tangents (K, 3) and status (K,) of K configurations."""
         with input_errors():
-            table: Array = np.asarray(self._model.tips(self._rows(theta_b), self._rows(l_b), threads))
+            table: Array = np.asarray(self._model.tips(self._rows(theta_b), self._rows(l_b), _checked(threads)))
         return table[:, :3], table[:, 3:6], table[:, 6].astype(int)
 
     def tips_with_friction(
@@ -202,7 +203,7 @@ class Mechanics:
         given = directions(parameters, self._given[0], self._model.number_names())
         with input_errors():
             table: Array = np.asarray(
-                self._model.tips_with_friction(thetas, ls, states, given, _first_order(accuracy), threads)
+                self._model.tips_with_friction(thetas, ls, states, given, _first_order(accuracy), _checked(threads))
             )
         slopes = table[:, 9:].reshape(len(thetas), len(given), 2, 3)
         return Tips(
@@ -247,7 +248,7 @@ class Mechanics:
         """(K, FieldLookup.NUMBERS) what a grid of bounds stores of K configurations, (K, n), (K, n)."""
         thetas, ls = self._configurations(theta_b, l_b)
         with input_errors():
-            return np.asarray(self._model.field_entries(thetas, ls, threads))
+            return np.asarray(self._model.field_entries(thetas, ls, _checked(threads)))
 
     def body(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> tuple[Array, Array]:
         """Outermost centreline in front of the plate: points (1 + corners, N, 3) [m], outer radii (N,) [m]."""
@@ -386,6 +387,12 @@ def _numbers(values: ArrayLike, key: str) -> Array:
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
         raise InputError("must be numbers", key=key) from None
+
+
+def _checked(threads: int) -> int:
+    if not 0 <= threads <= MOST_THREADS:
+        raise InputError(f"must be from 0 (every core) to {MOST_THREADS}", key="threads", value=threads)
+    return threads
 
 
 def _level(accuracy: Accuracy) -> int:

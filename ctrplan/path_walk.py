@@ -7,7 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrplan.errors import InputError
+
 Array = NDArray[np.float64]
+SHORTEST_STEP = 1e-6  # rad or m
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +46,13 @@ class PathDensity:
     near_m: float = 2e-3
     point_spacing_m: float = 1.5e-3  # between the points of a shape that are looked up in the field
 
+    def __post_init__(self) -> None:
+        """Raises InputError for steps so short that a walk would not end."""
+        for key, value in vars(self).items():
+            if not value >= SHORTEST_STEP:
+                unit = "rad" if key == "rotation_rad" else "m"
+                raise InputError(f"must be at least {SHORTEST_STEP:g} {unit}", key=key, value=value, unit=unit)
+
 
 @dataclass(frozen=True)
 class PathLimits:
@@ -51,6 +61,12 @@ class PathLimits:
     stability: float = -np.inf
     max_strain: float = np.inf
     clearance_m: float = -np.inf
+
+    def __post_init__(self) -> None:
+        """Raises InputError for NaN, which no sample would break."""
+        for key, value in vars(self).items():
+            if np.isnan(value):
+                raise InputError("must be a number", key=key, value=value)
 
 
 @dataclass(frozen=True, eq=False)

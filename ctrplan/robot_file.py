@@ -30,14 +30,14 @@ class SectionEntry(Struct, forbid_unknown_fields=True):
 class TubeEntry(Struct, forbid_unknown_fields=True):
     """[[tube]], outermost first."""
 
-    outer_diameter_mm: Positive
+    outer_diameter_mm: Annotated[float, Meta(gt=0, le=1000)]
     inner_diameter_mm: NotNegative
-    bending_stiffness_Nm2: Positive
+    bending_stiffness_Nm2: Annotated[float, Meta(gt=0, le=1e6)]
     poisson_ratio: Annotated[float, Meta(gt=-0.999, le=0.5)]
     section: Annotated[list[SectionEntry], Meta(min_length=1)]
     collar_length_mm: NotNegative = 0.0
     max_strain: Annotated[float, Meta(gt=0, le=1)] = 0.08
-    density_kg_m3: NotNegative = 0.0
+    density_kg_m3: Annotated[float, Meta(ge=0, le=1e5)] = 0.0
 
 
 class ContactEntry(Struct, forbid_unknown_fields=True):
@@ -45,7 +45,7 @@ class ContactEntry(Struct, forbid_unknown_fields=True):
 
     # Limits are checked by hand: msgspec 0.22 reads stray memory for a union of a constrained number and a tuple.
     friction_coefficient: float | list[float]
-    clearance_mm: Positive | None = None
+    clearance_mm: Annotated[float, Meta(gt=0, le=1000)] | None = None
 
 
 class MeasurementEntry(Struct, forbid_unknown_fields=True):

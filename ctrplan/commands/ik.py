@@ -8,7 +8,7 @@ import math
 import sys
 from typing import TYPE_CHECKING, Any
 
-from ctrplan.commands.options import add_set_option
+from ctrplan.commands.options import add_allow_outside_option, add_set_option
 from ctrplan.errors import InputError, NoAnswerError
 
 if TYPE_CHECKING:
@@ -46,6 +46,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--starts", type=int, default=400, help="random starts (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of the random starts (default: %(default)s)")
     parser.add_argument("--json", action="store_true", help="machine-readable output")
+    add_allow_outside_option(parser)
     add_set_option(parser, "a key of the file")
     parser.set_defaults(run=run_ik)
 
@@ -58,7 +59,7 @@ def run_ik(arguments: argparse.Namespace) -> int:
     from ctrplan.planning.branches import reach
     from ctrplan.planning.motion import MotionChecker
 
-    scenario = load_robot_or_scenario(arguments.file, arguments.overrides)
+    scenario = load_robot_or_scenario(arguments.file, arguments.overrides, allow_outside=arguments.allow_outside)
     target = _target(arguments, scenario)
     for warning in scenario.warnings:
         print(f"ctrplan: warning: {warning}", file=sys.stderr)
@@ -94,6 +95,8 @@ def _target(arguments: argparse.Namespace, scenario: Scenario) -> TipTarget:
         raise InputError("must be above 0 and at most 180", key="--direction-tolerance-deg", value=value)
     if not 1 <= arguments.starts <= 100_000:
         raise InputError("must be from 1 to 100000", key="--starts", value=arguments.starts)
+    if arguments.seed < 0:
+        raise InputError("must be zero or more", key="--seed", value=arguments.seed)
     tip = scenario.base_R.T @ (np.multiply(arguments.tip_mm, 1e-3) - scenario.base_position_m)
     if arguments.direction is None:
         return TipTarget(tip)

@@ -15,3 +15,12 @@ def add_set_option(parser: argparse.ArgumentParser, what: str) -> None:
         dest="overrides",
         help=f"change {what}, e.g. tube.2.poisson_ratio=0.28",
     )
+
+
+def add_allow_outside_option(parser: argparse.ArgumentParser) -> None:
+    """Adds --allow-outside, for scenarios whose robot and meshes lie elsewhere."""
+    parser.add_argument(
+        "--allow-outside",
+        action="store_true",
+        help="read files that the scenario names although they lie outside its folder",
+    )

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ctrplan.commands.options import add_set_option
+from ctrplan.commands.options import add_allow_outside_option, add_set_option
 from ctrplan.commands.output_folder import DEFAULT as DEFAULT_FOLDER
 from ctrplan.commands.output_folder import output_folder, written_together
 from ctrplan.commands.progress_bar import ProgressBar
@@ -55,6 +55,7 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     parser.add_argument("--no-field", action="store_true", help="solve every bound, although `ctrplan field` was run")
+    add_allow_outside_option(parser)
     add_set_option(parser, "the scenario's key, or the robot's after robot.")
     parser.set_defaults(run=run_plan)
 
@@ -70,7 +71,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
         from ctrplan.planning.bound_field import known_field
         from ctrplan.scenario import load_scenario
 
-        scenario = load_scenario(arguments.scenario, arguments.overrides)
+        scenario = load_scenario(arguments.scenario, arguments.overrides, allow_outside=arguments.allow_outside)
         folder = output_folder(arguments.output, OUTPUTS)
         for warning in scenario.warnings:
             print(f"ctrplan: warning: {warning}", file=sys.stderr)

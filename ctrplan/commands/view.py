@@ -7,7 +7,7 @@ import sys
 import webbrowser
 from typing import Any
 
-from ctrplan.commands.options import add_set_option
+from ctrplan.commands.options import add_allow_outside_option, add_set_option
 from ctrplan.errors import InputError
 
 EXAMPLES = """examples:
@@ -29,6 +29,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("file", metavar="ROBOT.toml|SCENARIO.toml")
     parser.add_argument("--port", type=int, default=0, help="of 127.0.0.1 (default: a free one)")
     parser.add_argument("--no-browser", action="store_true", help="only print the page's address")
+    add_allow_outside_option(parser)
     add_set_option(parser, "a key of the file")
     parser.set_defaults(run=run_view)
 
@@ -41,7 +42,7 @@ def run_view(arguments: argparse.Namespace) -> int:
 
     if not 0 <= arguments.port <= 65535:
         raise InputError("must be from 0 to 65535", key="--port", value=arguments.port)
-    scenario = load_robot_or_scenario(arguments.file, arguments.overrides)
+    scenario = load_robot_or_scenario(arguments.file, arguments.overrides, allow_outside=arguments.allow_outside)
     for warning in scenario.warnings:
         print(f"ctrplan: warning: {warning}", file=sys.stderr)
     with LiveServer(LiveState(scenario), arguments.port) as server:

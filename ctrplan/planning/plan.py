@@ -9,12 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.drive import Array, Drive
+from ctrplan.errors import InputError
 
 if TYPE_CHECKING:
     from ctrplan.scenario import Scenario
     from ctrplan.trajectory import Trajectory
 
 LegKind = Literal["rotation", "translation", "simultaneous"]
+LONGEST_S, LARGEST_SEED = 3600.0, 2**31 - 10**5 - 1  # the search adds to the seed
+ENDED_BY_TIME = "The search was ended by the clock: with the same seed, another machine may find another path."
 MotionStyle = Literal["rotations before translations", "simultaneous"]
 
 
@@ -183,3 +186,12 @@ def leg_kind(drive: Drive, start: Array, end: Array) -> LegKind:
     if rotates and translates:
         return "simultaneous"
     return "rotation" if rotates else "translation"
+
+
+def checked_search(seed: int, time_s: float) -> float:
+    """The time [s] for a search. Raises InputError unless seed and time can be used."""
+    if not 0 < time_s <= LONGEST_S:
+        raise InputError(f"must be above 0 and at most {LONGEST_S:g}", key="time_s", value=time_s, unit="s")
+    if not (isinstance(seed, (int, np.integer)) and 0 <= seed <= LARGEST_SEED):
+        raise InputError(f"must be a whole number from 0 to {LARGEST_SEED}", key="seed", value=seed)
+    return float(time_s)

@@ -23,7 +23,7 @@ from ctrplan.planning.line import follow_line, line_beginnings
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.objective import BoundObjective
 from ctrplan.planning.ompl_space import StateReader, state_space
-from ctrplan.planning.plan import Certificate, Compensation, MotionStyle, Plan
+from ctrplan.planning.plan import ENDED_BY_TIME, Certificate, Compensation, MotionStyle, Plan, checked_search
 from ctrplan.planning.reorder import Reordered, assemble, least_error
 from ctrplan.planning.retreat import RoadmapSearch, promising, retreat_roadmap
 from ctrplan.planning.room import refuse_impossible_margins, start_trouble
@@ -93,7 +93,7 @@ def plan(
         rule = "is no single tip position (tip_mm), which compensation needs"
         raise InputError(rule, file=scenario.path, key="goal")
     began = time.monotonic()
-    budget = scenario.planner.time_s if time_s is None else time_s
+    budget = checked_search(seed, scenario.planner.time_s if time_s is None else time_s)
     refuse_impossible_margins(scenario)
     start, _ = MotionChecker(scenario).probe(scenario.start)
     if not start.valid:
@@ -102,7 +102,7 @@ def plan(
     with interrupt_event(interrupted) as interrupted:
         stages = _stages(scenario, seed, began, budget, progress or (lambda _: None), interrupted, bound_field)
         finish = _finish(scenario, stages[-1][1], compensated, progress or (lambda _: None))
-    notes = scenario.warnings
+    notes: tuple[str, ...] = (*scenario.warnings, ENDED_BY_TIME)
     if bound_field is not None:
         notes += (f"Searched with the robot's bound field {bound_field.key}.",)
     paths = [best.result for _, best in stages]

@@ -207,10 +207,10 @@ std::vector<PathSample> BoundField::check_path(const std::vector<Configuration>&
         double longest = 0;
         for (std::size_t i = 0; i < a.theta.size(); ++i)
             longest = std::max({longest, std::fabs(b.theta[i] - a.theta[i]) / density.rotation, std::fabs(b.l[i] - a.l[i]) / density.translation});
-        double at = 0, step = longest > 0 ? 1 / std::ceil(longest - 1e-9) : 1;
+        double at = 0, step = 1 / std::max(1.0, std::ceil(longest - 1e-9));
         const double largest = step;
         while (at < 1) {
-            const double allowed = std::clamp(samples.back().clearance, density.near, density.motion);
+            const double allowed = density.allowed(samples.back().clearance);
             const double next = at + step > 1 - 1e-9 ? 1 : at + step;
             Configuration q = a;
             for (std::size_t i = 0; i < a.theta.size(); ++i) {
@@ -231,7 +231,7 @@ std::vector<PathSample> BoundField::check_path(const std::vector<Configuration>&
             if (!fits(sample)) return samples;
             std::swap(before, now);
             last = q;
-            if (motion > 0) step = std::min(largest, std::max(step, 0.8 * (next - at) * std::clamp(sample.clearance, density.near, density.motion) / motion));
+            if (motion > 0) step = std::min(largest, std::max(step, 0.8 * (next - at) * density.allowed(sample.clearance) / motion));
             at = next;
         }
     }

@@ -121,12 +121,12 @@ std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Config
     for (std::size_t leg = 0; leg + 1 < corners.size(); ++leg) {
         const Configuration &a = corners[leg], &b = corners[leg + 1];
         const double longest = steps(a, b, density);  // joint steps this leg needs at least
-        double at = 0, step = longest > 0 ? 1 / std::ceil(longest - 1e-9) : 1, rate = 0;
+        double at = 0, step = 1 / std::max(1.0, std::ceil(longest - 1e-9)), rate = 0;
         const double largest = step;
         bool retrying = false;
         double rejected = 0;  // motion of the last step that was not accepted
         while (at < 1) {
-            const double allowed = std::clamp(samples.back().clearance, density.near, density.motion);
+            const double allowed = density.allowed(samples.back().clearance);
             if (rate > 0) step = std::min(step, 0.85 * allowed / rate);
             double next = at + step > 1 - 1e-9 ? 1 : at + step;
             if (next < 1 && at + 2 * step > 1) next = 0.5 * (at + 1);  // two even steps rather than a long and a sliver

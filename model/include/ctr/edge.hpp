@@ -1,6 +1,7 @@
 // Checking a path of legs: everything the planner asks about a motion, in one call.
 #pragma once
 
+#include <algorithm>
 #include <vector>
 
 #include "ctr/bound.hpp"
@@ -40,6 +41,9 @@ struct PathDensity {
     double motion = 20e-3;      // m
     double near = 2e-3;         // m
     double point_spacing = 1.5e-3;  // m, between the points of a shape that are looked up in the field
+
+    // Motion that a step may have which starts with a clearance.
+    double allowed(double clearance) const { return std::clamp(clearance, std::min(near, motion), motion); }
 };
 
 // Clearance of everything in front of the plate, in all shapes, at points no farther apart than `spacing`.
