@@ -365,7 +365,8 @@ double FrictionSolver::stability(LaneState& state, int& negative) {
     x.assign(static_cast<std::size_t>(pb.nodes) * n, 0.0);  // not the last mode: equal questions get equal answers
     for (int k = 1; k < pb.nodes; ++k)
         for (int t = 0; t < n; ++t)
-            if (5 * t < pb.node_unknowns[k]) x[k * n + t] = std::sin(1.0 + 0.1 * k + t);  // overlaps every low mode
+            if (5 * t < pb.node_unknowns[k])  // near the lowest mode of tubes held at their bases, and overlapping every other
+                x[k * n + t] = (mesh_.s()[k] - base_l_) / robot_.tubes.back().length() + 0.1 * std::sin(1.0 + 0.1 * k + t);
     double value = 0;
     for (int iteration = 0; iteration < 12; ++iteration) {
         for (int k = 0; k < pb.nodes; ++k)
