@@ -97,6 +97,7 @@ void BoundSolver::slide_from_shared(LaneState& state, Convergence& result) {
 }
 
 void BoundSolver::solve(const Configuration& q, const Accuracy& accuracy) {
+    predictor_.forget();
     zero_.solve(solver_.robot(), q);
     prepare(q, accuracy);
     solve_frictionless();
@@ -117,39 +118,48 @@ double joint_motion(const Configuration& a, const Configuration& b) {
 
 }  // namespace
 
-void BoundSolver::advance(LaneState& state, const CarriedState& carried, const BarrierPath& path, Convergence* result) {
-    const int lanes = state.lanes();
-    state.resize(solver_.mesh().problem(), lanes);
-    carried.give(solver_.mesh(), state);
+void BoundSolver::remember() {
+    std::vector<const LaneState*> states{&frictionless_};
+    for (const auto& batch : batches_) states.push_back(batch.get());
+    carried_.resize(states.size());
+    carried_q_ = q_;
+    for (std::size_t k = 0; k < states.size(); ++k) carried_[k].take(solver_.mesh(), *states[k]);
+    predictor_.take(q_, solver_.mesh(), states);
+}
+
+// Of one state: frictionless, then the batches. Extrapolated, or the last solution carried over to the new mesh.
+bool BoundSolver::advance(std::size_t index, LaneState& state, bool predicted, Convergence* result) {
+    const double last = solver_.last_barrier();
+    const BarrierPath path = predicted ? BarrierPath::predicted(last) : BarrierPath::warm(joint_motion(carried_q_, q_), last);
+    if (predicted) predictor_.give(solver_.mesh(), index, solver_.last_level(), state);
+    else carried_[index].give(solver_.mesh(), state);
     solver_.set_base(state, q_);
-    solver_.recentre(state, path.first);
+    if (!predicted) solver_.recentre(state, path.first);
     solver_.solve(state, path, result);
+    return std::all_of(result, result + state.lanes(), [](const Convergence& c) { return c.converged; });
+}
+
+bool BoundSolver::follow_from(bool predicted) {
+    const KernelProblem& pb = solver_.mesh().problem();
+    frictionless_.resize(pb, 1);
+    std::fill(phi_.begin(), phi_.end(), 0.0);
+    frictionless_.set_phi(solver_.robot(), pb, 0, phi_.data());
+    if (!advance(0, frictionless_, predicted, &frictionless_convergence_)) return false;
+    for (std::size_t b = 0; b < batches_.size(); ++b) {
+        batches_[b]->resize(pb, kLanes);
+        set_corner_phi(b);
+        if (!advance(b + 1, *batches_[b], predicted, &corner_convergence_[b * kLanes])) return false;
+    }
+    return true;
 }
 
 void BoundSolver::follow(const Configuration& q, const Accuracy& accuracy, bool retrying) {
     if (!have_solution_) return solve(q, accuracy);
-    carried_.resize(batches_.size() + 1);
-    if (!retrying) {
-        carried_q_ = q_;
-        carried_[0].take(solver_.mesh(), frictionless_);
-        for (std::size_t b = 0; b < batches_.size(); ++b) carried_[b + 1].take(solver_.mesh(), *batches_[b]);
-    }
+    if (!retrying) remember();
     prepare(q, accuracy);
-    const BarrierPath path = BarrierPath::warm(joint_motion(carried_q_, q), solver_.last_barrier());
-    if (!carried_[0].fits(solver_.mesh())) return solve(q, accuracy);
-    frictionless_.resize(solver_.mesh().problem(), 1);
-    std::fill(phi_.begin(), phi_.end(), 0.0);
-    frictionless_.set_phi(solver_.robot(), solver_.mesh().problem(), 0, phi_.data());
-    advance(frictionless_, carried_[0], path, &frictionless_convergence_);
-    if (!frictionless_convergence_.converged) return solve(q, accuracy);
+    const bool predicted = predictor_.reaches(q, solver_.mesh()) && follow_from(true);
+    if (!predicted && !(carried_[0].fits(solver_.mesh()) && follow_from(false))) return solve(q, accuracy);
     stability_ = solver_.stability(frictionless_, negative_);
-    for (std::size_t b = 0; b < batches_.size(); ++b) {
-        LaneState& state = *batches_[b];
-        state.resize(solver_.mesh().problem(), kLanes);
-        set_corner_phi(b);
-        advance(state, carried_[b + 1], path, &corner_convergence_[b * kLanes]);
-    }
-    if (!all_converged()) return solve(q, accuracy);
     ++warm_starts_;
     measure();
 }

@@ -365,8 +365,9 @@ double FrictionSolver::stability(LaneState& state, int& negative) {
     x.assign(static_cast<std::size_t>(pb.nodes) * n, 0.0);  // not the last mode: equal questions get equal answers
     for (int k = 1; k < pb.nodes; ++k)
         for (int t = 0; t < n; ++t)
-            if (5 * t < pb.node_unknowns[k]) x[k * n + t] = std::sin(1.0 + 0.1 * k + t);  // overlaps every low mode
-    double value = 0;
+            if (5 * t < pb.node_unknowns[k])  // near the lowest mode of tubes held at their bases, and overlapping every other
+                x[k * n + t] = (mesh_.s()[k] - base_l_) / robot_.tubes.back().length() + 0.1 * std::sin(1.0 + 0.1 * k + t);
+    double value = 0, change = 0;
     for (int iteration = 0; iteration < 12; ++iteration) {
         for (int k = 0; k < pb.nodes; ++k)
             for (int i = 0; i < pb.stride; ++i) state.rhs(k, i, 0) = 0;
@@ -386,12 +387,14 @@ double FrictionSolver::stability(LaneState& state, int& negative) {
                 numerator += h / 6 * (2 * a * c + a * d + b * c + 2 * b * d);
                 denominator += h / 3 * (c * c + c * d + d * d);
             }
-        const double before = value;
+        const double before = value, last_change = change;
         value = numerator / denominator;
+        change = std::fabs(value - before);
         const double norm = 1 / std::sqrt(denominator);
         for (int k = 0; k < pb.nodes; ++k)
             for (int t = 0; t < n; ++t) x[k * n + t] = 5 * t < pb.node_unknowns[k] ? state.step(k, 5 * t, 0) * norm : 0.0;
-        if (iteration > 1 && std::fabs(value - before) < 1e-3 * std::fabs(value)) break;
+        const double rate = change / last_change;  // what is left is a geometric series
+        if (iteration > 1 && rate < 0.5 && change * rate / (1 - rate) < 1e-3 * std::fabs(value)) break;
     }
     const Tube& inner = robot_.tubes.back();
     const double length = inner.length();

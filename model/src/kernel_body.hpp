@@ -84,25 +84,6 @@ void recover_multipliers(const KernelProblem& pb, const KernelState& st, const V
         }
 }
 
-// Of a row of a block, zero beyond its entries, and a vector.
-template <class V>
-inline V product(const V* row, const V* vector, int count);
-template <>
-inline V4 product<V4>(const V4* row, const V4* vector, int count) {
-    V4 sum = zero_of(V4{});
-    for (int j = 0; j < count; ++j) sum += row[j] * vector[j];
-    return sum;
-}
-template <>
-inline double product<double>(const double* row, const double* vector, int count) {
-    V4 sum = zero_of(V4{});
-    int j = 0;
-    for (; j + 4 <= count; j += 4) sum += Chunk<double>::load(row + j) * Chunk<double>::load(vector + j);
-    double rest = 0;
-    for (; j < count; ++j) rest += row[j] * vector[j];
-    return rest + (sum[0] + sum[1]) + (sum[2] + sum[3]);
-}
-
 template <class V>
 void back_substitute(const KernelProblem& pb, const KernelState& st) {
     const int stride = pb.stride, ld = st.block_stride, square = stride * ld;
@@ -156,8 +137,7 @@ void solve(const KernelProblem& pb, const KernelState& st) {
         V* b = r + k * stride;
         apply_factors<V>(A + k * square, b, ld, P);
         if (k + 1 == pb.nodes) break;
-        for (int i = 0; i < pb.element_unknowns[k]; ++i)
-            for (int j = 0; j < P; ++j) r[(k + 1) * stride + i] -= L[k * square + i * ld + j] * b[j];
+        for (int i = 0; i < pb.element_unknowns[k]; ++i) r[(k + 1) * stride + i] -= product<V>(L + k * square + i * ld, b, P);
     }
     back_substitute<V>(pb, st);
 }

@@ -104,18 +104,29 @@ inline void factorise(V* A, int ld, int P) {
     }
 }
 
+// Of a row of a block and a vector.
+template <class V>
+inline V product(const V* row, const V* vector, int count);
+template <>
+inline V4 product<V4>(const V4* row, const V4* vector, int count) {
+    V4 sum = zero_of(V4{});
+    for (int j = 0; j < count; ++j) sum += row[j] * vector[j];
+    return sum;
+}
+template <>
+inline double product<double>(const double* row, const double* vector, int count) {
+    V4 sum = zero_of(V4{});
+    int j = 0;
+    for (; j + 4 <= count; j += 4) sum += Chunk<double>::load(row + j) * Chunk<double>::load(vector + j);
+    double rest = 0;
+    for (; j < count; ++j) rest += row[j] * vector[j];
+    return rest + (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
 template <class V>
 inline void apply_factors(const V* A, V* r, int ld, int P) {
-    for (int i = 1; i < P; ++i) {
-        V sum = r[i];
-        for (int k = 0; k < i; ++k) sum -= A[i * ld + k] * r[k];
-        r[i] = sum;
-    }
-    for (int i = P - 1; i >= 0; --i) {
-        V sum = r[i];
-        for (int k = i + 1; k < P; ++k) sum -= A[i * ld + k] * r[k];
-        r[i] = sum * A[i * ld + i];
-    }
+    for (int i = 1; i < P; ++i) r[i] -= product<V>(A + i * ld, r, i);
+    for (int i = P - 1; i >= 0; --i) r[i] = (r[i] - product<V>(A + i * ld + i + 1, r + i + 1, P - i - 1)) * A[i * ld + i];
 }
 
 // Entries of a row that are handled together: Q of them and the right-hand side after the last.

@@ -31,11 +31,17 @@ void Mesh::build(const Robot& robot, const Configuration& q, const Accuracy& acc
     find_breaks(robot, q);
     place_nodes(robot, q, accuracy);
     fill_elements(robot, q);
-    place_contacts(accuracy);
+    place_contacts();
     fill_pairs(robot);
     fill_regimes(robot);
     fill_laws(robot);
     publish();
+}
+
+bool Mesh::laid_out_like(const Mesh& other) const {
+    return element_tubes_ == other.element_tubes_ && element_contacts_ == other.element_contacts_ && node_unknowns_ == other.node_unknowns_ &&
+           std::equal(breaks_.begin(), breaks_.end(), other.breaks_.begin(), other.breaks_.end(),
+                      [](const Break& a, const Break& b) { return a.members == b.members; });
 }
 
 bool Mesh::move(const Robot& robot, const Configuration& q) {
@@ -71,10 +77,10 @@ void Mesh::find_breaks(const Robot& robot, const Configuration& q) {
     const int n = robot.count();
     for (int i = 0; i < n; ++i) {
         double s = q.l[i];
-        breaks_.push_back({s, n > 1, member(breaks_.size())});
-        for (const Section& section : robot.tubes[i].sections) breaks_.push_back({s += section.length, n > 1, member(breaks_.size())});
+        breaks_.push_back({s, member(breaks_.size())});
+        for (const Section& section : robot.tubes[i].sections) breaks_.push_back({s += section.length, member(breaks_.size())});
     }
-    breaks_.push_back({0.0, n > 1, member(breaks_.size())});
+    breaks_.push_back({0.0, member(breaks_.size())});
     const double first = q.l[n - 1], last = q.l[n - 1] + robot.tubes[n - 1].length();
     std::sort(breaks_.begin(), breaks_.end(), [](const Break& a, const Break& b) { return a.s < b.s; });
     std::vector<Break> merged;
@@ -89,7 +95,7 @@ void Mesh::find_breaks(const Robot& robot, const Configuration& q) {
         merged.pop_back();
     }
     merged.front().s = first;
-    merged.push_back({last, true, members});
+    merged.push_back({last, members});
     for (Break& b : merged)
         if (std::fabs(b.s) <= kMergeDistance) b.s = 0;
     breaks_.swap(merged);
@@ -97,17 +103,11 @@ void Mesh::find_breaks(const Robot& robot, const Configuration& q) {
     for (const Break& b : breaks_) break_s_.push_back(b.s);
 }
 
-double Mesh::distance_to_sharp(double s) const {
-    double best = 1e9;
-    for (const Break& b : breaks_)
-        if (b.sharp) best = std::min(best, std::fabs(s - b.s));
-    return best;
-}
-
 void Mesh::place_nodes(const Robot& robot, const Configuration& q, const Accuracy& accuracy) {
     const int n = robot.count();
     s_.assign(1, breaks_.front().s);
     element_tubes_.clear();
+    element_contacts_.clear();
     for (std::size_t b = 0; b + 1 < breaks_.size(); ++b) {
         const double from = breaks_[b].s, to = breaks_[b + 1].s, middle = 0.5 * (from + to), span = to - from;
         int present = 0;
@@ -125,6 +125,11 @@ void Mesh::place_nodes(const Robot& robot, const Configuration& q, const Accurac
             const double x = std::expm1(accuracy.growth * std::min(wanted, near)) * accuracy.finest / accuracy.growth;
             return x + std::max(0.0, wanted - near) * accuracy.coarsest;
         };
+        // Spacings are asked for at a span of so many elements, so that contact points keep their number while it changes.
+        auto nominal = [&](double k, int count) {
+            const double distance = inverse(std::min(k, count - k) * (count - 0.5) / count);
+            return 2 * k <= count ? distance : 2 * inverse(0.5 * count - 0.25) - distance;
+        };
         const double half = cumulative(0.5 * span);
         const Section& inner = section_at(robot.tubes[n - 1], middle - q.l[n - 1]);
         const bool straight = inner.curvature_x == 0 && inner.curvature_y == 0 && !robot.loaded();
@@ -140,6 +145,10 @@ void Mesh::place_nodes(const Robot& robot, const Configuration& q, const Accurac
             }
             s_.push_back(k == count ? to : from + x);
             element_tubes_.push_back(present);
+            const double h = nominal(k, count) - nominal(k - 1, count), middle_distance = std::min(nominal(k - 0.5, count), nominal(count - k + 0.5, count));
+            const double spacing = std::min(accuracy.contact_coarsest, accuracy.contact_finest + accuracy.growth * middle_distance *
+                                                                           accuracy.contact_coarsest / accuracy.coarsest);
+            element_contacts_.push_back(present > 1 ? std::max(1, static_cast<int>(std::ceil(h / spacing - 1e-9))) : 0);
         }
     }
 }
@@ -177,7 +186,7 @@ void Mesh::fill_elements(const Robot& robot, const Configuration& q) {
     }
 }
 
-void Mesh::place_contacts(const Accuracy& accuracy) {
+void Mesh::place_contacts() {
     const int elements = static_cast<int>(length_.size());
     contact_begin_.assign(1, 0);
     contact_pair_.clear();
@@ -187,10 +196,7 @@ void Mesh::place_contacts(const Accuracy& accuracy) {
     contact_s_.clear();
     for (int e = 0; e < elements; ++e) {
         const double h = length_[e];
-        const double spacing = std::min(accuracy.contact_coarsest,
-                                        accuracy.contact_finest + accuracy.growth * distance_to_sharp(0.5 * (s_[e] + s_[e + 1])) *
-                                            accuracy.contact_coarsest / accuracy.coarsest);
-        const int count = element_tubes_[e] > 1 ? std::max(1, static_cast<int>(std::ceil(h / spacing - 1e-9))) : 0;
+        const int count = element_contacts_[e];
         const int before = e == 0 ? 1 : element_tubes_[e - 1];
         for (int k = 0; k <= count; ++k)
             for (int p = 0; p < element_tubes_[e] - 1; ++p) {

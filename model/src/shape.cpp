@@ -60,7 +60,8 @@ void element_curvature(const FrictionSolver& solver, const LaneState& state, int
             v[t][plane] = first + part * (second - first);
         }
         angle[t] = (1 - xi) * state.unknown(e, 5 * t, lane) + xi * state.unknown(e + 1, 5 * t, lane);
-        const double c = std::cos(angle[t]), s = std::sin(angle[t]), EI = solver.robot().tubes[n - 1 - t].bending_stiffness;
+        const bool curved = v[t][0] != 0 || v[t][1] != 0;
+        const double c = curved ? std::cos(angle[t]) : 1.0, s = curved ? std::sin(angle[t]) : 0.0, EI = solver.robot().tubes[n - 1 - t].bending_stiffness;
         rotated[t][0] = c * v[t][0] - s * v[t][1];
         rotated[t][1] = s * v[t][0] + c * v[t][1];
         total += EI;
@@ -112,7 +113,7 @@ void trace_backbone(const FrictionSolver& solver, const LaneState& state, int la
     double kappa[2][kMaxTubes][2], rotated[kMaxTubes][2];
     out.frame.resize(pb.nodes);
     out.outer_position.resize(pb.nodes);
-    out.max_strain = 0;
+    double square = 0;  // of the largest strain
     Frame frame;
     frame.p = {0, 0, base_l};
     out.frame[0] = frame;
@@ -122,12 +123,14 @@ void trace_backbone(const FrictionSolver& solver, const LaneState& state, int la
             element_curvature(solver, state, lane, e, kGauss[g], kappa[g], rotated);
             for (int t = 0; t < m; ++t) {
                 const double r = solver.robot().tubes[pb.tubes - 1 - t].outer_radius;
-                out.max_strain = std::max(out.max_strain, r * std::hypot(kappa[g][t][0] - rotated[t][0], kappa[g][t][1] - rotated[t][1]));
+                const double x = kappa[g][t][0] - rotated[t][0], y = kappa[g][t][1] - rotated[t][1];
+                square = std::max(square, r * r * (x * x + y * y));
             }
         }
         advance(frame, kappa[0][0], kappa[1][0], pb.length[e]);
         out.frame[e + 1] = frame;
     }
+    out.max_strain = std::sqrt(square);
     for (int k = 0; k < pb.nodes; ++k) {
         const int m = pb.element_tubes[std::min(k, pb.elements - 1)];
         double offset[2] = {0, 0};

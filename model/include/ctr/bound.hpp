@@ -6,6 +6,7 @@
 
 #include "ctr/carry.hpp"
 #include "ctr/friction.hpp"
+#include "ctr/predict.hpp"
 #include "ctr/shape.hpp"
 #include "ctr/zero_clearance.hpp"
 
@@ -62,7 +63,9 @@ class BoundSolver {
     void slide_from_shared(LaneState& state, Convergence& result);
     void set_corner_phi(std::size_t batch);
     void measure();
-    void advance(LaneState& state, const CarriedState& carried, const BarrierPath& path, Convergence* result);
+    void remember();
+    bool follow_from(bool predicted);
+    bool advance(std::size_t index, LaneState& state, bool predicted, Convergence* result);
 
     FrictionSolver solver_;
     ZeroClearance zero_;
@@ -79,6 +82,7 @@ class BoundSolver {
     LaneState trial_;
     bool have_solution_ = false;
     std::vector<CarriedState> carried_;  // what follow() starts from: frictionless, then the batches
+    Predictor predictor_;
     Configuration carried_q_;
     std::vector<double> phi_;
     Configuration q_;

@@ -36,6 +36,8 @@ class LaneState {
     double phi_mu(int contact, int lane) const { return phi_mu_[static_cast<std::size_t>(contact) * lanes_ + lane]; }
     void set_phi_mu(int contact, int lane, double value) { phi_mu_[static_cast<std::size_t>(contact) * lanes_ + lane] = value; }
     void follow_slip(const SlipLaw* law) { slip_ = law; }  // null: friction states stay as they are set
+    double* unknowns() { return unknowns_.data(); }
+    const double* unknowns() const { return unknowns_.data(); }
     // What the loads ask of the tubes, one lane fastest: load_moment() of every tube at every Gauss point, then tip_torque().
     double* load_moments() { return load_moment_.data(); }
     std::size_t load_moment_count() const { return load_moment_.size(); }
@@ -103,6 +105,8 @@ struct BarrierPath {
     static BarrierPath warm(double motion, double last) {
         return {std::clamp(0.06 * motion * motion, std::min(4 * last, 0.3), kSoft), last, 0.08};
     }
+    // From an extrapolated solution.
+    static BarrierPath predicted(double last) { return {last, last, 0.3, 8}; }
 };
 
 class FrictionSolver {

@@ -39,14 +39,14 @@ struct Accuracy {
 
 // What a mesh owns; KernelProblem points into it.
 struct MeshArrays {
-    struct Break { double s; bool sharp; std::uint64_t members; };  // members: a number for each set of what stands there
+    struct Break { double s; std::uint64_t members; };  // members: a number for each set of what stands there
     std::vector<Break> breaks_;
     std::vector<double> break_s_;
     std::vector<double> s_, length_, precurvature_, stiffness_, pair_stiffness_, mixed_stiffness_, torsional_;
     std::vector<double> shaft_stiffness_, shaft_angle_;
     std::vector<BendingLaw> laws_;
     std::vector<double> contact_shape_, contact_xi_, contact_weight_, contact_s_, half_square_, outer_arm_, inner_arm_, scale_;
-    std::vector<int> node_unknowns_, element_tubes_, element_unknowns_, element_regime_, contact_begin_, contact_pair_, shaft_node_;
+    std::vector<int> node_unknowns_, element_tubes_, element_contacts_, element_unknowns_, element_regime_, contact_begin_, contact_pair_, shaft_node_;
     int tubes_ = 0;
     bool has_laws_ = false;  // cross sections obey laws of their own
 };
@@ -68,6 +68,9 @@ class Mesh : private MeshArrays {
     // what derivatives are taken along. False where collars, joints or tips meet in another order or a shaft becomes compliant.
     bool move(const Robot& robot, const Configuration& q);
 
+    // Whether both have the same elements and contact points between the same collars, joints and tips.
+    bool laid_out_like(const Mesh& other) const;
+
     const KernelProblem& problem() const { return problem_; }
     const std::vector<double>& s() const { return s_; }              // [node] arc length from the plate, m
     const std::vector<double>& breaks() const { return break_s_; }   // collars, joints, tips, the plate; ascending, m
@@ -81,13 +84,12 @@ class Mesh : private MeshArrays {
     void find_breaks(const Robot& robot, const Configuration& q);
     void place_nodes(const Robot& robot, const Configuration& q, const Accuracy& accuracy);
     void fill_elements(const Robot& robot, const Configuration& q);
-    void place_contacts(const Accuracy& accuracy);
+    void place_contacts();
     static void fill_contact_shape(double xi, double h, double* shape);
     void fill_pairs(const Robot& robot);
     void fill_regimes(const Robot& robot);
     void fill_laws(const Robot& robot);
     void publish();
-    double distance_to_sharp(double s) const;
 
     KernelProblem problem_{};
 };
