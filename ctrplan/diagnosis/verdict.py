@@ -20,6 +20,7 @@ Verdict = Literal["named", "no_missing_effect", "ambiguous", "unexplained"]
 
 CLOSE = 3.0  # log-likelihood: an alternative that predicts nearly as well
 CLOSE_ERRORS = 1.0  # or worse by less than this many standard errors of the comparison
+MOST_RIVALS = 3  # alternatives of one of several effects: with more of them the data ask for something else
 OVERWHELMING = 30.0  # log-likelihood of an effect that stays listed although something remains unexplained
 
 
@@ -61,6 +62,9 @@ def judge(selector: Selector, found: Selection) -> Judgement:
     findings = tuple(_finding(bench, chosen, t, compared, left) for t in chosen.terms)
     if not left.is_adequate:
         return Judgement("unexplained", specific(bench, found, findings, left), left, tuple(compared))
+    clear = tuple(f for f in findings if len(f.alternatives) <= MOST_RIVALS)
+    if len(findings) > 1 and len(clear) < len(findings):  # beside others, what anything can stand in for is nothing
+        return Judgement("unexplained", clear, left, tuple(compared))
     verdict: Verdict = "ambiguous" if any(f.alternatives for f in findings) else "named"
     return Judgement(verdict, findings, left, tuple(compared))
 
