@@ -266,6 +266,20 @@ def test_the_derivative_by_insertion_follows_the_moving_mesh() -> None:
     np.testing.assert_allclose(found.position_by[0, :, 0], (tips[0] - tips[1]) / (2 * change), atol=0.01)
 
 
+@pytest.mark.parametrize("l_1", [0.0, -0.3e-3, -0.7e-3, -1e-3, -3.1e-3])
+def test_common_rotation_turns_the_tip_wherever_the_outer_collar_is(l_1: float) -> None:
+    """Collars on a node whose place is rounded were once not turned."""
+    tubes = (
+        Tube(2.4e-3, 2.2e-3, 0.0507, 0.3, (TubeSection(0.15, 0.0, 3.8),)),
+        Tube(2.0e-3, 1.8e-3, 0.0145, 0.3, (TubeSection(0.1, 0.0, 0.0), TubeSection(0.1, 0.0, 12.0))),
+    )
+    pair = Mechanics(tubes, [1e-4], [0.2])
+    theta, l_b = np.array([[0.2, 1.5]]), np.array([[l_1, -0.012]])
+    found = pair.tips_with_friction(theta, l_b, np.array([[1.0]]), parameters=["theta_b.1", "theta_b.2"])
+    x, y, _ = found.position_m[0]
+    np.testing.assert_allclose(found.position_by[0].sum(axis=1), [-y, x, 0.0], atol=1e-6)
+
+
 def test_tips_agree_with_shapes() -> None:
     states = np.array([[0.0, 0.0], [1.0, -1.0], [-1.0, -1.0]])
     tips = ROBOT.mechanics.tips_with_friction(np.tile(THETA, (3, 1)), np.tile(L, (3, 1)), states)

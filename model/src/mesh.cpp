@@ -54,7 +54,7 @@ bool Mesh::move(const Robot& robot, const Configuration& q) {
         return false;
     std::size_t b = 0;
     for (double& s : s_) {
-        while (b + 2 < breaks.size() && s > breaks[b + 1] + 0.5 * kMergeDistance) ++b;
+        while (b + 2 < breaks.size() && s > breaks[b + 1] - 0.5 * kMergeDistance) ++b;  // a node on a break stays exactly there
         s = break_s_[b] + (s - breaks[b]) / (breaks[b + 1] - breaks[b]) * (break_s_[b + 1] - break_s_[b]);
     }
     fill_elements(robot, q);
