@@ -21,6 +21,7 @@ SAMPLE_RAD, SAMPLE_M = np.radians(20.0), 6e-3
 INNER_L_M = {2: (-0.1034, -0.0170), 3: (-0.1204, -0.0340)}  # range of the innermost tube's base
 ROBOTS = (("pair (Table V)", PAIR), ("three tubes (Table II)", THREE))
 Row = tuple[object, ...]
+WALKED = 8  # samples before a violation
 SLACK_SHARE, SLACK_M = 0.01, 0.05e-3
 
 
@@ -123,6 +124,17 @@ def judge(
     return "beyond the corners", deviation_mm, bound_mm
 
 
+def seen_on_the_way(robot: Robot, theta_b: Array, l_b: Array, row: int, deviation_mm: float) -> str:
+    """What the planner's walk along the end of the way says, each of its solutions starting from the one before."""
+    first = max(0, row - WALKED)
+    walk = robot.mechanics.check_path(theta_b[first : row + 1], l_b[first : row + 1])
+    if np.isin(walk.status, [Status.UNSTABLE, Status.FAILED]).any():
+        return "snaps without friction"
+    bound_mm = float(walk.position_m[-1]) * 1e3
+    within = deviation_mm <= (1 + SLACK_SHARE) * bound_mm + SLACK_M * 1e3
+    return f"{bound_mm:.2f} mm" if within else f"missed, {bound_mm:.2f} mm"
+
+
 def examine(label: str, robot: Robot, count: int) -> tuple[Row, list[Row]]:
     """A row on one robot's histories, and a row for every violation."""
     tally, found, listed, began = Tally(), Counter[str](), list[Row](), time.perf_counter()
@@ -130,12 +142,16 @@ def examine(label: str, robot: Robot, count: int) -> tuple[Row, list[Row]]:
         beyond = walk(robot, start, theta_b, l_b, tally)
         for row, cause, *values in causes(robot, start, theta_b, l_b, beyond, tally):
             found[cause] += 1
-            listed.append((label, number, row, cause, *(f"{value:.2f}" for value in values)))
+            seen = seen_on_the_way(robot, theta_b, l_b, row, values[0])
+            listed.append((label, number, row, cause, *(f"{value:.2f}" for value in values), seen))
         if number % 50 == 49:
             print(f"{label}: {tally}, {dict(found)}, {time.perf_counter() - began:.0f} s", flush=True)
     kinds = ", ".join(f"{number} {cause}" for cause, number in found.most_common()) or "none"
-    faults = found["beyond the corners"] + found["discretisation"]
-    shares = (f"{100 * (1 - missed / tally.configurations):.3f} %" for missed in (tally.beyond, faults))
+    faults, held = found["beyond the corners"] + found["discretisation"], found["branch held by friction"]
+    shares = (
+        f"{100 * (1 - tally.beyond / tally.configurations):.3f} %",
+        f"{100 * (1 - faults / (tally.configurations - held)):.3f} %",
+    )
     given = (label, tally.histories, tally.configurations, tally.failed, tally.snaps)
     return (*given, *shares, kinds, tally.without_bound), listed
 
@@ -147,8 +163,14 @@ def bound(write: bool, count: int = HISTORIES) -> None:
 
 
 def tell(rows: list[Row], listed: list[Row], write: bool) -> None:
-    head = ("robot", "histories", "configurations", "failed", "snaps", "within the bound", "within, own branch",
-            "causes of the rest", "without a bound")  # fmt: skip
+    head = ("robot", "histories", "configurations", "failed", "snaps", "within the bound",
+            "where their own branch has a bound", "causes of the rest", "without a bound")  # fmt: skip
     present("bound", table(head, rows), write)
-    head = ("robot", "history", "sample", "cause", "deviation, mm", "bound, mm")
+    head = ("robot", "history", "sample", "cause", "deviation, mm", "bound, mm", "walked there")
     present("violations", table(head, listed), write)
+    kinds = Counter(
+        "missed" if "missed" in str(row[-1]) else "within" if "mm" in str(row[-1]) else "snaps" for row in listed
+    )
+    labels = ("the robot snaps without friction too", "within the bound walked there", "neither")
+    rows = [(label, kinds[kind]) for label, kind in zip(labels, ("snaps", "within", "missed"), strict=True)]
+    present("walked", table(("a walk along the path says", "violations"), rows), write)
