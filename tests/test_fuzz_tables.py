@@ -145,7 +145,7 @@ def test_reading_takes_time_in_proportion_to_the_rows(kind: str, runs: str, tmp_
         began = time.process_time()
         assert len(READERS[kind](file, ROBOT).theta_b) == count
         seconds.append((time.process_time() - began) / count)
-    assert seconds[1] < 2 * seconds[0] and seconds[1] * 1e6 < 2 * HANG_S, f"{seconds} s per row"
+    assert seconds[1] < 3 * seconds[0] and seconds[1] * 1e6 < 2 * HANG_S, f"{seconds} s per row"
 
 
 @pytest.mark.parametrize("kind", sorted(READERS))
