@@ -31,7 +31,7 @@ def cost_mm(plan: Plan, weights: Cost) -> float:
     """What the plan costs with the scenario's own weights, whatever the planner was told."""
     c, samples = plan.certificate, plan.certificate.samples
     along = np.trapezoid(samples.released_m * 1e3, samples.path_mm) / weights.mm_per_rad
-    left_mm = float(samples.released_m[-1]) * 1e3
+    left_mm = float(samples.bound_m[-1] + samples.released_m[-1]) * 1e3
     return float(weights.path * c.length_mm + weights.error_along * along + weights.error_goal * left_mm)
 
 
@@ -53,7 +53,7 @@ def table(seed: int) -> str:
                 plan = ctrplan.plan(ctrplan.load_scenario(path, overrides), seed=seed)
                 line = row(plan.scenario.name, label, plan, ctrplan.load_scenario(path).cost)
             except CtrplanError as error:
-                line = f"| {path.stem} | {label} | {error} | | | | | | | |\n"
+                line = f"| {path.stem} | {label} | {str(error).rsplit(': ', 1)[-1]} | | | | | | | |\n"
             print(line, end="", file=sys.stderr, flush=True)
             text += line
     return text
