@@ -17,6 +17,7 @@ from ctrplan.errors import InputError
 from ctrplan.measurements import Measurements, is_streamed
 from ctrplan.path_file import LARGEST_RUN, WHOLE_NUMBER, resumed_run
 from ctrplan.robot import Robot
+from ctrplan.table_bytes import table_bytes
 
 LARGEST_FILE_BYTES = 200_000_000
 POSE = ("x_m", "y_m", "z_m", "tx", "ty", "tz")
@@ -32,24 +33,8 @@ def load_measurements(path: str | os.PathLike[str], robot: Robot) -> Measurement
     Raises InputError, one sentence with file, row, column, value and rule, for anything malformed or contradictory.
     """
     file = os.fspath(path)
-    data = _read(file)
+    data = table_bytes(file, LARGEST_FILE_BYTES, "file of measurements")
     return _Table(file, data).measurements(robot)
-
-
-def _read(file: str) -> bytes:
-    try:
-        with open(file, "rb") as stream:
-            size = os.fstat(stream.fileno()).st_size  # a file that is much too large is not read at all
-            data = stream.read(LARGEST_FILE_BYTES + 1) if size <= LARGEST_FILE_BYTES else b""
-    except FileNotFoundError:
-        raise InputError("does not exist", file=file) from None
-    except IsADirectoryError:
-        raise InputError("is a folder, not a CSV file", file=file) from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"can't be read ({getattr(error, 'strerror', None) or error})", file=file) from None
-    if max(size, len(data)) > LARGEST_FILE_BYTES:
-        raise InputError(f"is larger than {LARGEST_FILE_BYTES // 10**6} MB, no file of measurements", file=file)
-    return data
 
 
 class _Table:

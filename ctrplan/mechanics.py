@@ -7,7 +7,6 @@ front plate, z along insertion, s = 0 at the plate.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -216,6 +215,13 @@ class Mechanics:
             tangent_by=np.moveaxis(slopes[:, :, 1], 1, 2),
         )
 
+    def core_lookup(
+        self, axes: Sequence[tuple[int, bool, float, float, int]], values: NDArray[np.float32], margin_m: float
+    ) -> _model.FieldLookup:
+        """The compiled lookup that `ctrplan.field_lookup.FieldLookup` asks."""
+        with input_errors():
+            return self._model.field_lookup(list(axes), np.ascontiguousarray(values), margin_m)
+
     def core_history(self, options: HistoryOptions, accuracy: Accuracy) -> _model.History:
         """The compiled simulation that `ctrplan.history.History` drives."""
         given = (options.breakaway_m, options.rotation_rad, options.translation_m, options.state_change)
@@ -238,11 +244,11 @@ class Mechanics:
 
         Stops after the first sample that breaks a limit, fails, or is UNSTABLE, which a snap on the way is too.
         """
-        given = _walk_arguments(field, density or PathDensity(), limits or PathLimits())
+        given = walk_arguments(field, density or PathDensity(), limits or PathLimits())
         with input_errors():
             theta, length = joint_rows(theta_b, l_b, self.n)
             table, points = self._model.check_path(theta, length, *given, _level(accuracy), bodies)
-        return _path_samples(np.asarray(table), points)
+        return path_samples(np.asarray(table), points)
 
     def field_entries(self, theta_b: ArrayLike, l_b: ArrayLike, *, threads: int = 0) -> Array:
         """(K, FieldLookup.NUMBERS) what a grid of bounds stores of K configurations, (K, n), (K, n)."""
@@ -274,57 +280,6 @@ class Mechanics:
 
     def _rows(self, values: ArrayLike) -> Array:
         return _joint_table(values, self.n)
-
-
-@dataclass(frozen=True, eq=False)
-class FieldEntries:
-    """Bounds and shapes of K configurations as a grid of bounds holds them, tube 1 turned to zero."""
-
-    position_m: Array  # (K,) bound of the tip
-    valid: Array  # (K,) 1 where solved and stable
-    points_m: Array  # (K, S, 3) outermost centreline, evenly from the plate (not counted) to the innermost tip
-    envelope_m: Array  # (K, S) largest deviation of a corner there
-
-
-class FieldLookup:
-    """A grid of bounds in the core. axes: (tube, is a rotation, lower, step, count), last one fastest.
-
-    values (points, NUMBERS) float32 as `Mechanics.field_entries` gives them; margin_m is added to bounds and envelopes.
-    """
-
-    STATIONS = 24
-    NUMBERS = 8 + 4 * STATIONS
-    VALID = 4
-    MIRROR = np.array([*[1.0] * 5, *[1.0, -1.0, 1.0] * STATIONS, 1.0, -1.0, 1.0, *[1.0] * STATIONS], np.float32)
-
-    def __init__(
-        self,
-        mechanics: Mechanics,
-        axes: Sequence[tuple[int, bool, float, float, int]],
-        values: NDArray[np.float32],
-        margin_m: float,
-    ) -> None:
-        self.n = mechanics.n
-        with input_errors():
-            self._core = mechanics._model.field_lookup(list(axes), np.ascontiguousarray(values), margin_m)
-
-    def sample(self, theta_b: ArrayLike, l_b: ArrayLike) -> FieldEntries:
-        """Interpolated entries at configurations (K, n), (K, n); not valid next to unsolved or unstable ones."""
-        return self.entries(np.asarray(self._core.sample(*joint_rows(theta_b, l_b, self.n))))
-
-    @classmethod
-    def entries(cls, table: Array) -> FieldEntries:
-        """Names for the columns of a table of entries."""
-        points = table[:, 5 : 5 + 3 * cls.STATIONS].reshape(-1, cls.STATIONS, 3)
-        return FieldEntries(table[:, 0], table[:, cls.VALID], points, table[:, -cls.STATIONS :])
-
-    def check_path(
-        self, theta_b: ArrayLike, l_b: ArrayLike, field: Field | None, *, density: PathDensity, limits: PathLimits
-    ) -> PathSamples:
-        """As `Mechanics.check_path`, by lookup; FAILED next to configurations that the grid has no answer for."""
-        given = _walk_arguments(field, density, limits)
-        with input_errors():
-            return _path_samples(np.asarray(self._core.check_path(*joint_rows(theta_b, l_b, self.n), *given)), ())
 
 
 class input_errors:
@@ -407,9 +362,10 @@ def _first_order(accuracy: Accuracy) -> int:
     return _level(accuracy)
 
 
-def _walk_arguments(
+def walk_arguments(
     field: Field | None, density: PathDensity, limits: PathLimits
 ) -> tuple[Any, Any, Any, Any, Any, Any, Any]:
+    """What the core is told of a walk, in its order."""
     grid = field or Field(np.zeros((1, 1, 1), np.float32), np.zeros(3), 1.0, np.eye(3), np.zeros(3))
     return (
         None if field is None else grid.values_m,
@@ -424,7 +380,8 @@ def _walk_arguments(
     )
 
 
-def _path_samples(table: Array, bodies: Sequence[Array]) -> PathSamples:
+def path_samples(table: Array, bodies: Sequence[Array]) -> PathSamples:
+    """Names for the columns of the core's table of samples."""
     return PathSamples(
         segment=table[:, 0].astype(int),
         fraction=table[:, 1],

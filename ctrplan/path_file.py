@@ -19,6 +19,7 @@ from ctrplan.drive import Array
 from ctrplan.errors import InputError
 from ctrplan.nesting import TOLERANCE_M, nesting_inequalities, nesting_violation
 from ctrplan.robot import Robot
+from ctrplan.table_bytes import table_bytes
 
 LARGEST_FILE_BYTES = 200_000_000
 MOST_TURNS = 50  # of a tube; more are most likely degrees
@@ -111,18 +112,7 @@ class CsvTable:
 
 
 def _text(file: str) -> str:
-    try:
-        with open(file, "rb") as stream:
-            size = os.fstat(stream.fileno()).st_size  # a file that is much too large is not read at all
-            data = stream.read(LARGEST_FILE_BYTES + 1) if size <= LARGEST_FILE_BYTES else b""
-    except FileNotFoundError:
-        raise InputError("does not exist", file=file) from None
-    except IsADirectoryError:
-        raise InputError("is a folder, not a CSV file", file=file) from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"can't be read ({getattr(error, 'strerror', None) or error})", file=file) from None
-    if max(size, len(data)) > LARGEST_FILE_BYTES:
-        raise InputError(f"is larger than {LARGEST_FILE_BYTES // 10**6} MB, no joint path", file=file)
+    data = table_bytes(file, LARGEST_FILE_BYTES, "joint path")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from ctrplan.errors import InputError
-from ctrplan.mechanics import Field, FieldLookup, PathDensity, PathLimits, Status
+from ctrplan.field_lookup import FieldLookup
+from ctrplan.mechanics import Field, PathDensity, PathLimits, Status
 from ctrplan.planning import bound_field as fields
 from ctrplan.planning import plan
 from ctrplan.planning.bound_field import BoundField, bound_field, choose_axes

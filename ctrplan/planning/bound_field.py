@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from ctrplan import __version__, field_cache
 from ctrplan.drive import Array
 from ctrplan.errors import InputError
+from ctrplan.field_lookup import FieldLookup
 from ctrplan.loads import Loads
-from ctrplan.mechanics import FieldLookup
 from ctrplan.nesting import TOLERANCE_M, nesting_inequalities
 from ctrplan.path_walk import Field, PathDensity, PathLimits, PathSamples
 

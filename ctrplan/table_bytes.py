@@ -1,0 +1,24 @@
+"""The bytes of a table file, or one sentence about why they can't be had."""
+
+from __future__ import annotations
+
+import os
+
+from ctrplan.errors import InputError
+
+
+def table_bytes(file: str, largest_bytes: int, what: str) -> bytes:
+    """Everything in `file`. Raises InputError where it can't be read or is larger than a `what` can be."""
+    try:
+        with open(file, "rb") as stream:
+            size = os.fstat(stream.fileno()).st_size  # a file that is much too large is not read at all
+            data = stream.read(largest_bytes + 1) if size <= largest_bytes else b""
+    except FileNotFoundError:
+        raise InputError("does not exist", file=file) from None
+    except IsADirectoryError:
+        raise InputError("is a folder, not a CSV file", file=file) from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"can't be read ({getattr(error, 'strerror', None) or error})", file=file) from None
+    if max(size, len(data)) > largest_bytes:
+        raise InputError(f"is larger than {largest_bytes // 10**6} MB, no {what}", file=file)
+    return data
