@@ -32,7 +32,7 @@ void LaneState::resize(const KernelProblem& problem, int lanes) {
     stride_ = problem.stride;
     block_stride_ = lanes == 1 ? stride_ / 4 * 4 + 4 : stride_ + 1;
     const std::size_t vector = static_cast<std::size_t>(problem.nodes) * stride_ * lanes, block = vector * block_stride_;
-    const std::size_t contacts = static_cast<std::size_t>(std::max(problem.contacts, 1)) * lanes;
+    const std::size_t contacts = static_cast<std::size_t>(problem.contacts) * lanes + kLanes;
     unknowns_.resize(vector);
     step_.resize(vector);
     rhs_.resize(vector);
@@ -43,6 +43,9 @@ void LaneState::resize(const KernelProblem& problem, int lanes) {
     multiplier_step_.resize(contacts);
     slack_.resize(contacts);
     slack_step_.resize(contacts);
+    corrected_step_.resize(vector);
+    corrected_multiplier_step_.resize(contacts);
+    corrected_slack_step_.resize(contacts);
     phi_mu_.resize(contacts);
     tubes_ = problem.tubes;
     load_moment_.resize((static_cast<std::size_t>(problem.elements) * 4 * tubes_ + 1) * lanes);
@@ -51,7 +54,7 @@ void LaneState::resize(const KernelProblem& problem, int lanes) {
 }
 
 void LaneState::begin_exact(const KernelProblem& problem) {
-    shift_.resize(static_cast<std::size_t>(std::max(problem.contacts, 1)) * 2 * lanes_);
+    shift_.resize((static_cast<std::size_t>(problem.contacts) * lanes_ + kLanes) * 2);
     load_.resize(static_cast<std::size_t>(problem.nodes) * stride_ * lanes_);
     tubes_ = problem.tubes;
     bend_.resize(static_cast<std::size_t>(problem.elements) * 4 * tubes_ * lanes_);
@@ -80,6 +83,30 @@ KernelState LaneState::view(const LaneState* anchor) {
             multiplier_step_.data(), slack_step_.data(), diagonal_.data(), upper_.data(),  lower_.data(), rhs_.data(),
             load_moment_.data(), slip_, anchor ? anchor->unknowns_.data() : nullptr, block_stride_,
             is_exact_ ? shift_.data() : nullptr, is_exact_ ? load_.data() : nullptr};
+}
+
+KernelState LaneState::corrected_view() {
+    KernelState state = view();
+    state.step = corrected_step_.data();
+    state.multiplier_step = corrected_multiplier_step_.data();
+    state.slack_step = corrected_slack_step_.data();
+    return state;
+}
+
+void LaneState::take_corrected(const bool* take) {
+    if (std::all_of(take, take + lanes_, [](bool t) { return t; })) {
+        std::swap(step_, corrected_step_);
+        std::swap(multiplier_step_, corrected_multiplier_step_);
+        std::swap(slack_step_, corrected_slack_step_);
+        return;
+    }
+    auto copy = [&](const AlignedArray& from, AlignedArray& to) {
+        for (int lane = 0; lane < lanes_; ++lane)
+            for (std::size_t i = lane; take[lane] && i < from.size(); i += lanes_) to[i] = from[i];
+    };
+    copy(corrected_step_, step_);
+    copy(corrected_multiplier_step_, multiplier_step_);
+    copy(corrected_slack_step_, slack_step_);
 }
 
 FrictionSolver::FrictionSolver(const Robot& robot) : robot_(robot) {
@@ -201,7 +228,6 @@ void FrictionSolver::set_base(LaneState& state, const Configuration& q) {
 void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergence* result) {
     const KernelProblem& pb = mesh_.problem();
     if (is_exact_ && !state.is_exact()) state.begin_exact(pb);
-    const KernelState view = state.view();
     const int lanes = state.lanes();
     const KernelTable& run = kernel(lanes);
     alignas(kAlignment) double level[kLanes], primal[kLanes], dual[kLanes], moment[kLanes], gap[kLanes];
@@ -222,8 +248,9 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
     const int most = path.max_steps + (is_exact_ ? kExactSteps : 0);
     const double centred = is_exact_ ? kExactComplementarity : kComplementarity;
     for (int k = 0; k < most; ++k) {
-        run.newton(pb, view, level, nullptr);
-        run.step_length(pb, view, kKeep, primal, dual);
+        run.newton(pb, state.view(), level, nullptr);
+        run.step_length(pb, state.view(), kKeep, primal, dual);
+        lengthen(state, primal, dual);
         for (int lane = 0; lane < lanes; ++lane) {
             const double twist = largest_twist(state, lane);
             if (done[lane] || !(twist < 1e6)) {  // also NaN
@@ -232,7 +259,7 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
             }
             primal[lane] = std::min(primal[lane], kMaxTwistStep / std::max(twist, 1e-12));
         }
-        run.advance(pb, view, primal, dual);
+        run.advance(pb, state.view(), primal, dual);
         weigh(state);
         bool check = false;
         for (int lane = 0; lane < lanes; ++lane) {
@@ -253,7 +280,7 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
         }
         update();
         if (!check) continue;
-        run.residual(pb, view, level, moment, gap);
+        run.residual(pb, state.view(), level, moment, gap);
         bool all = true;
         for (int lane = 0; lane < lanes; ++lane) {
             if (done[lane]) continue;
@@ -265,6 +292,23 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
         }
         if (all) return;
     }
+}
+
+// Corrects the step of every lane that may go as far with the correction as without.
+void FrictionSolver::lengthen(LaneState& state, double* primal, double* dual) {
+    const KernelProblem& pb = mesh_.problem();
+    const KernelTable& run = kernel(state.lanes());
+    alignas(kAlignment) double further[kLanes], dual_further[kLanes];
+    bool take[kLanes];
+    run.correct(pb, state.view(), state.corrected_view());
+    run.step_length(pb, state.corrected_view(), kKeep, further, dual_further);
+    for (int lane = 0; lane < state.lanes(); ++lane) {
+        take[lane] = std::min(further[lane], dual_further[lane]) >= std::min(primal[lane], dual[lane]);
+        if (!take[lane]) continue;
+        primal[lane] = further[lane];
+        dual[lane] = dual_further[lane];
+    }
+    state.take_corrected(take);
 }
 
 // Newton steps at one level, until they are full and small; false if they do not become so.

@@ -71,17 +71,18 @@ inline void start_residual(const KernelProblem& pb, const KernelState& st) {
 template <class V>
 void recover_multipliers(const KernelProblem& pb, const KernelState& st, const V* level) {
     const int ld = pb.stride;
-    const V *x = lanes<V>(st.unknowns), *step = lanes<V>(st.step), *lambda = lanes<V>(st.multiplier), *slack = lanes<V>(st.slack);
+    const V *x = lanes<V>(st.unknowns), *step = lanes<V>(st.step), *slack = lanes<V>(st.slack);
     V *change = lanes<V>(st.multiplier_step), *slack_change = lanes<V>(st.slack_step);
     for (int e = 0; e < pb.elements; ++e)
-        for (int k = pb.contact_begin[e]; k < pb.contact_begin[e + 1]; ++k) {
-            const int p = pb.contact_pair[k];
-            const ContactPoint<V> at = contact_point<V>(pb, st, k, x + e * ld, x + (e + 1) * ld);
-            const ContactPoint<V> move = contact_point<V>(pb, k, step + e * ld, step + (e + 1) * ld);
-            const V eps = level[0] * (pb.barrier_scale[p] * pb.contact_weight[k]);
-            slack_change[k] = at.gap - slack[k] - (at.d[0] * move.d[0] + at.d[1] * move.d[1]);
-            change[k] = (eps - lambda[k] * slack_change[k]) / slack[k] - lambda[k];
-        }
+        each_batch<V>(pb, e, [&](int k, int count) __attribute__((always_inline)) {
+            const PointBatch<V> at = read_points<V>(pb, st, k, count, x + e * ld, x + (e + 1) * ld);
+            const V4 w = Points<V>::state(slack + k, count, 1);
+            V4 move[2];
+            offset_at(at.shape, pb.contact_pair[k], step + e * ld, step + (e + 1) * ld, move);
+            const V4 wider = at.gap - w - (at.d[0] * move[0] + at.d[1] * move[1]);
+            Points<V>::store(slack_change + k, wider);
+            Points<V>::store(change + k, (level[0] * at.scale - at.lambda * wider) / w - at.lambda);
+        });
 }
 
 template <class V>
@@ -142,26 +143,51 @@ void solve(const KernelProblem& pb, const KernelState& st) {
     back_substitute<V>(pb, st);
 }
 
+// The step of newton() in `st`, corrected with the same factors by what contacts add at second order.
+template <class V>
+void correct(const KernelProblem& pb, const KernelState& st, const KernelState& corrected) {
+    const int stride = pb.stride, count = pb.nodes * stride;
+    const V *x = lanes<V>(st.unknowns), *step = lanes<V>(st.step), *slack = lanes<V>(st.slack);
+    const V *change = lanes<V>(st.multiplier_step), *wider = lanes<V>(st.slack_step);
+    V *more = lanes<V>(corrected.step), *new_change = lanes<V>(corrected.multiplier_step), *new_wider = lanes<V>(corrected.slack_step);
+    clear(lanes<V>(st.rhs), count);
+    for (int e = 0; e < pb.elements; ++e) add_second_order<V>(pb, st, e, view<V>(pb, st, e));
+    solve<V>(pb, corrected);
+    for (int e = 0; e < pb.elements; ++e)
+        each_batch<V>(pb, e, [&](int k, int points) __attribute__((always_inline)) {
+            const int here = e * stride, next = here + stride, p = pb.contact_pair[k];
+            const PointBatch<V> at = read_points<V>(pb, st, k, points, x + here, x + next);
+            const V4 dw = Points<V>::state(wider + k, points, 0), dlambda = Points<V>::state(change + k, points, 0);
+            V4 first[2], second[2];
+            offset_at(at.shape, p, step + here, step + next, first);
+            offset_at(at.shape, p, more + here, more + next, second);
+            const V4 further = -(at.d[0] * second[0] + at.d[1] * second[1]) - 0.5 * (first[0] * first[0] + first[1] * first[1]);
+            Points<V>::store(new_wider + k, dw + further);
+            Points<V>::store(new_change + k, dlambda - (dlambda * dw + at.lambda * further) / Points<V>::state(slack + k, points, 1));
+        });
+    for (int i = 0; i < count; ++i) more[i] += step[i];
+}
+
 template <class V>
 void residual(const KernelProblem& pb, const KernelState& st, const double* level_values, double* moment, double* complementarity) {
     const int ld = pb.stride;
     V level = zero_of(V{});
     for (int lane = 0; lane < Lane<V>::count; ++lane) Lane<V>::at(level, lane) = level_values[lane];
     V* r = lanes<V>(st.rhs);
-    const V* lambda = lanes<V>(st.multiplier);
     start_residual<V>(pb, st);
-    V worst = zero_of(V{}), gap_error = zero_of(V{});
+    V worst = zero_of(V{});
+    V4 gap_error = zero_of(V4{});
     for (int e = 0; e < pb.elements; ++e) {
         const ElementView<V> el = view<V>(pb, st, e);
         add_element<V, false>(pb, st, e, el, &level, nullptr);
         const double h = pb.length[e];
         const int P = pb.node_unknowns[e];
         for (int i = 0; i < P; ++i) worst = larger(worst, (i % 5 == 1 || i % 5 == 2) ? h * magnitude(el.r[0][i]) : magnitude(el.r[0][i]));
-        for (int k = pb.contact_begin[e]; k < pb.contact_begin[e + 1]; ++k) {
-            const V eps = level * (pb.barrier_scale[pb.contact_pair[k]] * pb.contact_weight[k]);
-            const V gap = contact_point<V>(pb, st, k, el.x[0], el.x[1]).gap;
-            gap_error = larger(gap_error, magnitude(lambda[k] * gap - eps) / eps);
-        }
+        each_batch<V>(pb, e, [&](int k, int count) __attribute__((always_inline)) {
+            const PointBatch<V> at = read_points<V>(pb, st, k, count, el.x[0], el.x[1]);
+            const V4 eps = level * at.scale;
+            gap_error = larger(gap_error, among_points<V>(magnitude(at.lambda * at.gap - eps) / eps, count));
+        });
     }
     const int last = pb.nodes - 1;
     const double h = pb.length[pb.elements - 1];
@@ -171,7 +197,7 @@ void residual(const KernelProblem& pb, const KernelState& st, const double* leve
     }
     for (int lane = 0; lane < Lane<V>::count; ++lane) {
         moment[lane] = Lane<V>::at(worst, lane);
-        complementarity[lane] = Lane<V>::at(gap_error, lane);
+        complementarity[lane] = largest_of<V>(gap_error, lane);
     }
 }
 
@@ -206,5 +232,5 @@ void advance(const KernelProblem& pb, const KernelState& st, const double* prima
     }
 }
 
-const KernelTable kScalar = {newton<double>, step_length<double>, advance<double>, residual<double>, solve<double>};
-const KernelTable kVector = {newton<V4>, step_length<V4>, advance<V4>, residual<V4>, solve<V4>};
+const KernelTable kScalar = {newton<double>, step_length<double>, advance<double>, residual<double>, solve<double>, correct<double>};
+const KernelTable kVector = {newton<V4>, step_length<V4>, advance<V4>, residual<V4>, solve<V4>, correct<V4>};

@@ -29,6 +29,107 @@ inline ContactPoint<V> contact_point(const KernelProblem& pb, const KernelState&
     return point;
 }
 
+// Contact points are treated four values at a time: one point in four friction states, or four points of one pair in a
+// single state. Then what belongs to the mesh has four values too, and points beyond the last of the pair carry nothing.
+template <class V>
+struct Points;
+
+template <>
+struct Points<V4> {
+    static constexpr int width = 1;
+    typedef double Real;  // a value of the mesh
+    static double real(const double* values, int) { return values[0]; }
+    static V4 state(const V4* values, int, double) { return values[0]; }
+    static void read_shapes(const double* shapes, int, double* shape) {
+        for (int a = 0; a < 4; ++a) shape[a] = shapes[a];
+    }
+    static void read_shift(const V4* values, V4* shift) {
+        for (int plane = 0; plane < 2; ++plane) shift[plane] = values[plane];
+    }
+    static void store(V4* values, V4 value) { values[0] = value; }
+};
+
+// Arrays over contacts have room for four values from every contact on (kernel.hpp).
+template <>
+struct Points<double> {
+    static constexpr int width = 4;
+    typedef V4 Real;
+    static V4 read(const double* values) {
+        V4 v;
+        __builtin_memcpy(&v, values, sizeof v);
+        return v;
+    }
+    static V4 among(V4 v, int count, double otherwise) {
+        const V4 place = {0, 1, 2, 3};
+        return place < broadcast<V4>(count) ? v : broadcast<V4>(otherwise);
+    }
+    static V4 real(const double* values, int count) { return among(read(values), count, 0); }
+    static V4 state(const double* values, int count, double otherwise) { return among(read(values), count, otherwise); }
+    static void read_shapes(const double* shapes, int count, V4* shape) {
+        V4 row[4];
+        for (int i = 0; i < 4; ++i) row[i] = read(shapes + 4 * i);
+        transpose(row, shape);
+        for (int a = 0; a < 4; ++a) shape[a] = among(shape[a], count, 0);
+    }
+    static void read_shift(const double* values, V4* shift) {
+        const V4 first = read(values), second = read(values + 4);
+        shift[0] = __builtin_shuffle(first, second, Order{0, 2, 4, 6});
+        shift[1] = __builtin_shuffle(first, second, Order{1, 3, 5, 7});
+    }
+    // Those beyond the last are overwritten by the next points, or lie behind the array's end.
+    static void store(double* values, V4 value) { __builtin_memcpy(values, &value, sizeof value); }
+};
+
+template <class V>
+struct PointBatch {
+    typename Points<V>::Real shape[4], linear[2], scale;  // scale: barrier level to eps
+    V4 d[2], gap, lambda, friction;
+};
+
+// Offset that the values at the nodes of an element amount to at contact points of pair p.
+template <class Real, class V>
+inline void offset_at(const Real* shape, int p, const V* proximal, const V* distal, V4* d) {
+    for (int plane = 0; plane < 2; ++plane)
+        d[plane] = zero_of(V4{}) + shape[0] * proximal[offset_index(p, plane)] + shape[1] * proximal[slope_index(p, plane)] +
+                   shape[2] * distal[offset_index(p, plane)] + shape[3] * distal[slope_index(p, plane)];
+}
+
+template <class V>
+inline PointBatch<V> read_points(const KernelProblem& pb, const KernelState& st, int k, int count, const V* proximal, const V* distal) {
+    typedef Points<V> Read;
+    const int p = pb.contact_pair[k];
+    PointBatch<V> at;
+    Read::read_shapes(pb.contact_shape + 4 * k, count, at.shape);
+    at.linear[1] = Read::real(pb.contact_xi + k, count);
+    at.linear[0] = 1.0 - at.linear[1];
+    at.scale = pb.barrier_scale[p] * Read::real(pb.contact_weight + k, count);
+    at.lambda = Read::state(lanes<V>(st.multiplier) + k, count, 0);
+    at.friction = Read::state(lanes<V>(st.phi_mu) + k, count, 0);
+    offset_at(at.shape, p, proximal, distal, at.d);
+    if (st.shift) {
+        V4 shift[2];
+        Read::read_shift(reinterpret_cast<const V*>(st.shift) + 2 * k, shift);
+        for (int plane = 0; plane < 2; ++plane) at.d[plane] += shift[plane];
+    }
+    at.gap = pb.half_square_clearance[p] - 0.5 * (at.d[0] * at.d[0] + at.d[1] * at.d[1]);
+    return at;
+}
+
+// Points in the batch that begins with contact k.
+template <class V>
+inline int batch_size(const KernelProblem& pb, int k, int end) {
+    int count = 1;
+    while (count < Points<V>::width && k + count < end && pb.contact_pair[k + count] == pb.contact_pair[k]) ++count;
+    return count;
+}
+
+// Work with the first contact and the number of points of every batch in an element.
+template <class V, class Work>
+__attribute__((always_inline)) inline void each_batch(const KernelProblem& pb, int e, const Work& work) {
+    const int end = pb.contact_begin[e + 1];
+    for (int k = pb.contact_begin[e], count; k < end; k += count) work(k, count = batch_size<V>(pb, k, end));
+}
+
 // What the contact points of one pair add up to in an element, before it is spread over the blocks.
 template <class V>
 struct PairSums {
@@ -38,118 +139,194 @@ struct PairSums {
     V slope[2][4][2];       // per node and Hermite function: derivative of the torque by the offset
 };
 
-// Adds N_a N_b T of one contact point; for a single lane all of T at once.
-inline void add_tangent(const double* shape, const V4 (&T)[2][2], PairSums<V4>& sums) {
-    int ab = 0;
-    for (int a = 0; a < 4; ++a)
-        for (int b = a; b < 4; ++b, ++ab) {
-            const double product = shape[a] * shape[b];
-            for (int row = 0; row < 2; ++row)
-                for (int plane = 0; plane < 2; ++plane) sums.tangent[ab][row][plane] += product * T[row][plane];
-        }
-}
-
-inline void add_tangent(const double* shape, const double (&T)[2][2], PairSums<double>& sums) {
-    V4 all;
-    __builtin_memcpy(&all, T, sizeof all);
-    int ab = 0;
-    for (int a = 0; a < 4; ++a)
-        for (int b = a; b < 4; ++b, ++ab) {
-            V4 sum;
-            __builtin_memcpy(&sum, sums.tangent[ab], sizeof sum);
-            sum += (shape[a] * shape[b]) * all;
-            __builtin_memcpy(sums.tangent[ab], &sum, sizeof sum);
-        }
-}
-
-inline bool rubs(double friction) { return friction != 0; }
-inline bool rubs(V4) { return true; }
-
-// Contact forces of one element. The gap w = (c^2 - |d|^2) / 2 has a slack variable of its own, so that contact points may
+// Contact forces of a batch. The gap w = (c^2 - |d|^2) / 2 has a slack variable of its own, so that contact points may
 // slide around the bore in one step; `value` is the iterate's multiplier for the true residual, and in a Newton step what
 // eliminating multiplier and slack leaves of it. The primal-dual derivative follows if MATRIX.
 template <class V, bool MATRIX>
-inline void sum_contact(const KernelProblem& pb, const KernelState& st, int k, const ElementView<V>& el, V level, PairSums<V>& sums) {
-    const int p = pb.contact_pair[k];
-    const double* shape = pb.contact_shape + 4 * k;
-    const double linear[2] = {1 - pb.contact_xi[k], pb.contact_xi[k]};
-    const V lambda = lanes<V>(st.multiplier)[k], friction = lanes<V>(st.phi_mu)[k];
-    const ContactPoint<V> at = contact_point<V>(pb, st, k, el.x[0], el.x[1]);
-    V value = lambda, ratio = zero_of(V{});
+inline void sum_contacts(const PointBatch<V>& at, V4 slack, V4 level, bool rubs, PairSums<V4>& sums) {
+    V4 value = at.lambda, ratio = zero_of(V4{});
     if (MATRIX) {
-        const V slack = lanes<V>(st.slack)[k];
-        const V eps = level * (pb.barrier_scale[p] * pb.contact_weight[k]);
-        const V inverse_slack = 1.0 / slack;
-        ratio = lambda * inverse_slack;
-        value = eps * inverse_slack + ratio * (slack - at.gap);
+        const V4 inverse_slack = 1.0 / slack;
+        ratio = at.lambda * inverse_slack;
+        value = level * at.scale * inverse_slack + ratio * (slack - at.gap);
     }
-    const V g[2] = {at.d[0] - friction * at.d[1], at.d[1] + friction * at.d[0]};  // (I + phi mu J) d
-    const V square = at.d[0] * at.d[0] + at.d[1] * at.d[1];
-    const V torque = friction * value * square;
+    const V4 g[2] = {at.d[0] - at.friction * at.d[1], at.d[1] + at.friction * at.d[0]};  // (I + phi mu J) d
+    CTR_UNROLL
     for (int plane = 0; plane < 2; ++plane) {
-        const V force = value * g[plane];
-        for (int a = 0; a < 4; ++a) sums.force[a][plane] += shape[a] * force;
+        const V4 force = value * g[plane];
+        CTR_UNROLL
+        for (int a = 0; a < 4; ++a) sums.force[a][plane] += at.shape[a] * force;
     }
-    for (int a = 0; a < 2; ++a) sums.torque[a] += linear[a] * torque;
+    const V4 square = at.d[0] * at.d[0] + at.d[1] * at.d[1];
+    if (rubs) {
+        const V4 torque = at.friction * value * square;
+        CTR_UNROLL
+        for (int a = 0; a < 2; ++a) sums.torque[a] += at.linear[a] * torque;
+    }
     if (!MATRIX) return;
-    const V T[2][2] = {{lambda + ratio * g[0] * at.d[0], ratio * g[0] * at.d[1] - lambda * friction},
-                       {ratio * g[1] * at.d[0] + lambda * friction, lambda + ratio * g[1] * at.d[1]}};
-    add_tangent(shape, T, sums);
-    if (!rubs(friction)) return;
-    const V torque_slope = friction * (ratio * square + 2.0 * lambda);
+    const V4 T[2][2] = {{at.lambda + ratio * g[0] * at.d[0], ratio * g[0] * at.d[1] - at.lambda * at.friction},
+                        {ratio * g[1] * at.d[0] + at.lambda * at.friction, at.lambda + ratio * g[1] * at.d[1]}};
+    int ab = 0;
+    CTR_UNROLL
+    for (int a = 0; a < 4; ++a)
+        CTR_UNROLL
+        for (int b = a; b < 4; ++b, ++ab) {
+            const auto product = at.shape[a] * at.shape[b];
+            CTR_UNROLL
+            for (int row = 0; row < 2; ++row)
+                CTR_UNROLL
+                for (int plane = 0; plane < 2; ++plane) sums.tangent[ab][row][plane] += product * T[row][plane];
+        }
+    if (!rubs) return;
+    const V4 torque_slope = at.friction * (ratio * square + 2.0 * at.lambda);
+    CTR_UNROLL
     for (int plane = 0; plane < 2; ++plane) {
-        const V slope = torque_slope * at.d[plane];
+        const V4 slope = torque_slope * at.d[plane];
+        CTR_UNROLL
         for (int b = 0; b < 4; ++b) {
-            const V s = shape[b] * slope;
-            for (int a = 0; a < 2; ++a) sums.slope[a][b][plane] += linear[a] * s;
+            const V4 s = at.shape[b] * slope;
+            CTR_UNROLL
+            for (int a = 0; a < 2; ++a) sums.slope[a][b][plane] += at.linear[a] * s;
         }
     }
 }
 
+// Of errors at the points of a batch: those that there are, and the largest in a lane.
+template <class V>
+inline V4 among_points(V4 values, int count);
+template <>
+inline V4 among_points<V4>(V4 values, int) { return values; }
+template <>
+inline V4 among_points<double>(V4 values, int count) { return Points<double>::among(values, count, 0); }
+template <class V>
+inline double largest_of(V4 values, int lane);
+template <>
+inline double largest_of<V4>(V4 values, int lane) { return values[lane]; }
+template <>
+inline double largest_of<double>(V4 values, int) { return larger(larger(values[0], values[1]), larger(values[2], values[3])); }
+
+// Whether any of a batch has friction; four states differ in that.
+inline bool rubs(const PointBatch<V4>&) { return true; }
+inline bool rubs(const PointBatch<double>& at) {
+    return at.friction[0] != 0 || at.friction[1] != 0 || at.friction[2] != 0 || at.friction[3] != 0;
+}
+
+// Sums over the points of batches, where a batch has several.
+template <bool MATRIX>
+inline const PairSums<V4>& summed(const PairSums<V4>& sums, bool, PairSums<V4>&) { return sums; }
+template <bool MATRIX>
+inline const PairSums<double>& summed(const PairSums<V4>& sums, bool rubs, PairSums<double>& out) {
+    sum_lanes(&sums.force[0][0], 8, &out.force[0][0]);
+    if (MATRIX) sum_lanes(&sums.tangent[0][0][0], 40, &out.tangent[0][0][0]);
+    if (!rubs) return out;
+    sum_lanes(sums.torque, 2, out.torque);
+    if (MATRIX) sum_lanes(&sums.slope[0][0][0], 16, &out.slope[0][0][0]);
+    return out;
+}
+
+// Place of the pair of Hermite functions (a, b) among those with a <= b.
+constexpr int place(int a, int b) { return a <= b ? a * 4 - a * (a - 1) / 2 + b - a : place(b, a); }
+
+// Row `row` of function a (2 node + 0 offset, 1 slope) of sum N_a N_b T, with both functions b of a node, is added to `to`.
+inline void add_tangent_row(const PairSums<V4>& sums, int a, int node, int row, V4* to) {
+    CTR_UNROLL
+    for (int b = 0; b < 2; ++b)
+        CTR_UNROLL
+        for (int plane = 0; plane < 2; ++plane) to[2 * b + plane] += sums.tangent[place(a, 2 * node + b)][row][plane];
+}
+inline void add_tangent_row(const PairSums<double>& sums, int a, int node, int row, double* to) {
+    const double *offset = sums.tangent[place(a, 2 * node)][row], *slope = sums.tangent[place(a, 2 * node + 1)][row];
+    Quad<double>::add(to, V4{offset[0], offset[1], slope[0], slope[1]});
+}
+
+// Adds factor times the four values of a pair's offsets and slopes at a node.
+inline void add_quad(double factor, const V4* values, V4* to) {
+    CTR_UNROLL
+    for (int i = 0; i < 4; ++i) to[i] += factor * values[i];
+}
+inline void add_quad(double factor, const double* values, double* to) { Quad<double>::add(to, factor * Points<double>::read(values)); }
+
 template <class V, bool MATRIX>
-inline void spread_contacts(const KernelProblem& pb, int p, const ElementView<V>& el, const PairSums<V>& sums) {
-    const int ld = el.ld, outer = theta_index(p + 1), inner = theta_index(p);
+inline void spread_contacts(const KernelProblem& pb, int p, bool rubs, const ElementView<V>& el, const PairSums<V>& sums) {
+    const int ld = el.ld, outer = theta_index(p + 1), inner = theta_index(p), first = offset_index(p, 0);
     const double arm_out = pb.outer_torque_arm[p], arm_in = pb.inner_torque_arm[p];
-    for (int a = 0; a < 4; ++a)
-        for (int plane = 0; plane < 2; ++plane)
-            el.r[a >> 1][(a & 1) ? slope_index(p, plane) : offset_index(p, plane)] += sums.force[a][plane];
+    CTR_UNROLL
+    for (int node = 0; node < 2; ++node) add_quad(1, sums.force[2 * node], el.r[node] + first);
+    if (MATRIX)
+        CTR_UNROLL
+        for (int a = 0; a < 4; ++a)
+            CTR_UNROLL
+            for (int node = 0; node < 2; ++node)
+                CTR_UNROLL
+                for (int row = 0; row < 2; ++row)
+                    add_tangent_row(sums, a, node, row, el.block[a >> 1][node] + (first + 2 * (a & 1) + row) * ld + first);
+    if (!rubs) return;
+    CTR_UNROLL
     for (int a = 0; a < 2; ++a) {
         el.r[a][outer] -= arm_out * sums.torque[a];
         el.r[a][inner] += arm_in * sums.torque[a];
+        CTR_UNROLL
+        for (int node = 0; MATRIX && node < 2; ++node) {
+            add_quad(-arm_out, sums.slope[a][2 * node], el.block[a][node] + outer * ld + first);
+            add_quad(arm_in, sums.slope[a][2 * node], el.block[a][node] + inner * ld + first);
+        }
     }
-    if (!MATRIX) return;
-    int ab = 0;
-    for (int a = 0; a < 4; ++a)
-        for (int b = a; b < 4; ++b, ++ab)
-            for (int row = 0; row < 2; ++row)
-                for (int plane = 0; plane < 2; ++plane) {
-                    const V value = sums.tangent[ab][row][plane];
-                    const int ia = (a & 1) ? slope_index(p, row) : offset_index(p, row);
-                    const int jb = (b & 1) ? slope_index(p, plane) : offset_index(p, plane);
-                    el.block[a >> 1][b >> 1][ia * ld + jb] += value;
-                    if (a == b) continue;
-                    const int ib = (b & 1) ? slope_index(p, row) : offset_index(p, row);
-                    const int ja = (a & 1) ? slope_index(p, plane) : offset_index(p, plane);
-                    el.block[b >> 1][a >> 1][ib * ld + ja] += value;
-                }
-    for (int a = 0; a < 2; ++a)
-        for (int b = 0; b < 4; ++b)
-            for (int plane = 0; plane < 2; ++plane) {
-                const int j = (b & 1) ? slope_index(p, plane) : offset_index(p, plane);
-                el.block[a][b >> 1][outer * ld + j] -= arm_out * sums.slope[a][b][plane];
-                el.block[a][b >> 1][inner * ld + j] += arm_in * sums.slope[a][b][plane];
-            }
+}
+
+// Spreads what `add` sums up of the batches of an element, pair by pair; it says whether there is friction.
+template <class V, bool MATRIX, class Add>
+__attribute__((always_inline)) inline void spread_pairs(const KernelProblem& pb, int e, const ElementView<V>& el, const Add& add) {
+    constexpr int used = MATRIX ? sizeof(PairSums<V4>) / sizeof(V4) : 10;
+    static_assert(__builtin_offsetof(PairSums<V4>, tangent) == 10 * sizeof(V4));
+    const int end = pb.contact_begin[e + 1];
+    PairSums<V> total;
+    for (int k = pb.contact_begin[e]; k < end;) {
+        const int pair = pb.contact_pair[k];
+        bool rubbing = false;
+        PairSums<V4> sums;
+        clear(reinterpret_cast<V4*>(&sums), used);
+        while (k < end && pb.contact_pair[k] == pair) {
+            const int count = batch_size<V>(pb, k, end);
+            if (add(k, count, sums)) rubbing = true;
+            k += count;
+        }
+        spread_contacts<V, MATRIX>(pb, pair, rubbing, el, summed<MATRIX>(sums, rubbing, total));
+    }
 }
 
 template <class V, bool MATRIX>
 inline void add_contacts(const KernelProblem& pb, const KernelState& st, int e, const ElementView<V>& el, const V* level) {
-    const int begin = pb.contact_begin[e], end = pb.contact_begin[e + 1], pairs = pb.element_tubes[e] - 1;
-    if (begin == end) return;
-    for (int p = 0; p < pairs; ++p) {
-        PairSums<V> sums;
-        clear(reinterpret_cast<V*>(&sums), sizeof(sums) / sizeof(V));
-        for (int k = begin; k < end; ++k)
-            if (pb.contact_pair[k] == p) sum_contact<V, MATRIX>(pb, st, k, el, level[0], sums);
-        spread_contacts<V, MATRIX>(pb, p, el, sums);
-    }
+    spread_pairs<V, MATRIX>(pb, e, el, [&](int k, int count, PairSums<V4>& sums) __attribute__((always_inline)) {
+        const PointBatch<V> at = read_points<V>(pb, st, k, count, el.x[0], el.x[1]);
+        const bool rubbing = rubs(at);
+        sum_contacts<V, MATRIX>(at, Points<V>::state(lanes<V>(st.slack) + k, count, 1), zero_of(V4{}) + level[0], rubbing, sums);
+        return rubbing;
+    });
+}
+
+// What the contacts of an element do beyond first order when they move by the step: the gap is quadratic in the offset,
+// complementarity, forces and torques have products of multiplier, slack and offset.
+template <class V>
+inline void add_second_order(const KernelProblem& pb, const KernelState& st, int e, const ElementView<V>& el) {
+    const int ld = pb.stride;
+    const V* step = lanes<V>(st.step) + e * ld;
+    spread_pairs<V, false>(pb, e, el, [&](int k, int count, PairSums<V4>& sums) __attribute__((always_inline)) {
+        const PointBatch<V> at = read_points<V>(pb, st, k, count, el.x[0], el.x[1]);
+        const V4 slack = Points<V>::state(lanes<V>(st.slack) + k, count, 1), wider = Points<V>::state(lanes<V>(st.slack_step) + k, count, 0);
+        const V4 change = Points<V>::state(lanes<V>(st.multiplier_step) + k, count, 0);
+        V4 move[2], push[2];
+        offset_at(at.shape, pb.contact_pair[k], step, step + ld, move);
+        const V4 moved = move[0] * move[0] + move[1] * move[1];
+        const V4 value = (0.5 * at.lambda * moved - change * wider) / slack;
+        for (int plane = 0; plane < 2; ++plane) push[plane] = value * at.d[plane] + change * move[plane];
+        const V4 force[2] = {push[0] - at.friction * push[1], push[1] + at.friction * push[0]};
+        CTR_UNROLL
+        for (int a = 0; a < 4; ++a)
+            for (int plane = 0; plane < 2; ++plane) sums.force[a][plane] += at.shape[a] * force[plane];
+        if (!rubs(at)) return false;
+        const V4 torque = at.friction * (value * (at.d[0] * at.d[0] + at.d[1] * at.d[1]) + at.lambda * moved +
+                                         2.0 * change * (at.d[0] * move[0] + at.d[1] * move[1]));
+        for (int a = 0; a < 2; ++a) sums.torque[a] += at.linear[a] * torque;
+        return true;
+    });
 }

@@ -1,6 +1,9 @@
 // Values of one or four lanes: arithmetic, square roots, sines and cosines.
 // Part of the kernels (kernel_body.hpp): included inside an anonymous namespace, no std::, no Eigen.
 
+// Loops of known length over members of small arrays: their indices should be constants, so that values stay in registers.
+#define CTR_UNROLL _Pragma("GCC unroll 16")
+
 typedef double V4 __attribute__((vector_size(32)));
 
 // The lanes of a value: a double has one, a V4 four.
@@ -58,6 +61,30 @@ inline void sine_cosine(V x, V& sine, V& cosine) {
         Lane<V>::at(sine, lane) = (k & 2) ? -a : a;
         Lane<V>::at(cosine, lane) = (k == 1 || k == 2) ? -b : b;
     }
+}
+
+typedef long long Order __attribute__((vector_size(32)));
+
+inline void transpose(const V4 (&row)[4], V4* column) {
+    const V4 a = __builtin_shuffle(row[0], row[1], Order{0, 4, 2, 6}), b = __builtin_shuffle(row[0], row[1], Order{1, 5, 3, 7});
+    const V4 c = __builtin_shuffle(row[2], row[3], Order{0, 4, 2, 6}), d = __builtin_shuffle(row[2], row[3], Order{1, 5, 3, 7});
+    column[0] = __builtin_shuffle(a, c, Order{0, 1, 4, 5});
+    column[1] = __builtin_shuffle(b, d, Order{0, 1, 4, 5});
+    column[2] = __builtin_shuffle(a, c, Order{2, 3, 6, 7});
+    column[3] = __builtin_shuffle(b, d, Order{2, 3, 6, 7});
+}
+
+// The sum over the lanes of each value.
+inline void sum_lanes(const V4* values, int count, double* sums) {
+    int i = 0;
+    for (; i + 4 <= count; i += 4) {
+        V4 column[4];
+        const V4 row[4] = {values[i], values[i + 1], values[i + 2], values[i + 3]};
+        transpose(row, column);
+        const V4 sum = (column[0] + column[1]) + (column[2] + column[3]);
+        __builtin_memcpy(sums + i, &sum, sizeof sum);
+    }
+    for (; i < count; ++i) sums[i] = (values[i][0] + values[i][1]) + (values[i][2] + values[i][3]);
 }
 
 template <class V>

@@ -198,9 +198,8 @@ void Mesh::place_contacts() {
         const double h = length_[e];
         const int count = element_contacts_[e];
         const int before = e == 0 ? 1 : element_tubes_[e - 1];
-        for (int k = 0; k <= count; ++k)
-            for (int p = 0; p < element_tubes_[e] - 1; ++p) {
-                if (k == 0 && p < before - 1) continue;  // only where an overlap begins: the rim of the outer tube's base
+        for (int p = 0; p < element_tubes_[e] - 1; ++p)  // pair by pair, as the kernels take them
+            for (int k = p < before - 1 ? 1 : 0; k <= count; ++k) {  // 0 only where an overlap begins: the rim of the outer base
                 const double xi = static_cast<double>(k) / count;
                 contact_pair_.push_back(p);
                 contact_xi_.push_back(xi);
@@ -211,6 +210,8 @@ void Mesh::place_contacts() {
             }
         contact_begin_.push_back(static_cast<int>(contact_pair_.size()));
     }
+    for (std::vector<double>* values : {&contact_xi_, &contact_weight_}) values->resize(contact_pair_.size() + kLanes - 1);
+    contact_shape_.resize(4 * contact_xi_.size());
 }
 
 void Mesh::fill_contact_shape(double xi, double h, double* shape) {

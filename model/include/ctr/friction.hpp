@@ -56,6 +56,8 @@ class LaneState {
         return diagonal_[((static_cast<std::size_t>(node) * stride_ + index) * block_stride_ + index) * lanes_ + lane];
     }
     KernelState view(const LaneState* anchor = nullptr);
+    KernelState corrected_view();         // with steps of its own
+    void take_corrected(const bool* take); // per lane: the step becomes the corrected one
 
     // Exact geometry (exact.hpp): what it adds to the first-order model at this iterate. Solves without it forget it.
     void begin_exact(const KernelProblem& problem);
@@ -82,7 +84,7 @@ class LaneState {
     bool is_exact_ = false;
     AlignedArray shift_, load_, bend_, need_;  // [contact][2] m, [node][stride], [element][gauss][tube][2] 1/m, [node][pair][2] m
     const SlipLaw* slip_ = nullptr;
-    AlignedArray unknowns_, multiplier_, slack_, phi_mu_, step_, multiplier_step_, slack_step_, diagonal_, upper_, lower_, rhs_, load_moment_;
+    AlignedArray unknowns_, multiplier_, slack_, phi_mu_, step_, multiplier_step_, slack_step_, corrected_step_, corrected_multiplier_step_, corrected_slack_step_, diagonal_, upper_, lower_, rhs_, load_moment_;
 };
 
 // Barrier levels, in units of the robot's own force per length (largest EI * precurvature over the innermost tube's length
@@ -152,6 +154,7 @@ class FrictionSolver {
 
   private:
     void scale(const Configuration& q, const Accuracy& accuracy);
+    void lengthen(LaneState& state, double* primal, double* dual);
     bool settle(LaneState& state, double level, double damping, int& steps);
     double moved(const LaneState& state) const;  // rad, since the anchor
     double largest_twist(const LaneState& state, int lane) const;  // rad, of the last step

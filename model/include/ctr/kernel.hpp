@@ -43,6 +43,8 @@ struct KernelProblem {
     const double* shaft_stiffness;// [tube] between actuator and collar, N m / rad; 0: rigid
     const double* shaft_angle;    // [tube] of the actuator, rad
     const int* shaft_node;        // [tube] where the tube begins
+    // Contacts stand element by element, pair by pair. Arrays over them have room for kLanes - 1 values more, so that the
+    // kernels may read four from every contact on; likewise those of a single lane's state.
     const int* contact_begin;     // [elements + 1]
     const int* contact_pair;      // [contact]
     const double* contact_shape;  // [contact][4] Hermite values, the slopes' in m
@@ -104,6 +106,9 @@ struct KernelTable {
     void (*residual)(const KernelProblem&, const KernelState&, const double* level, double* moment, double* complementarity);
     // Solves with the last factors for the right-hand side in rhs, into step (multiplier_step is not touched).
     void (*solve)(const KernelProblem&, const KernelState&);
+    // The step of newton() corrected by what contacts add at second order, with the same factors: into the steps of
+    // `corrected`, which shares everything else with the state.
+    void (*correct)(const KernelProblem&, const KernelState&, const KernelState& corrected);
 };
 
 const KernelTable& baseline_kernel(int lanes);
