@@ -16,6 +16,7 @@ constexpr double kSettled = 1e-3;         // rad, last Newton step of a step in 
 constexpr double kAtRest = 0.01;          // rad, a step in time after which equilibrium is near
 constexpr int kSlidingSteps = 3000;       // Newton steps in all
 constexpr double kKeep = 0.98;            // fraction of the way to the boundary
+constexpr double kNearlyFull = 0.99;      // of a step, below which no residual vanishes
 constexpr double kMaxTwistStep = 0.6;     // rad
 constexpr double kResidual = 1e-8;        // of EI * precurvature
 constexpr double kExactLevel = 0.1;       // barrier level, see BarrierPath, below which exact geometry matters
@@ -34,7 +35,10 @@ void LaneState::resize(const KernelProblem& problem, int lanes) {
     const std::size_t vector = static_cast<std::size_t>(problem.nodes) * stride_ * lanes, block = vector * block_stride_;
     const std::size_t contacts = static_cast<std::size_t>(problem.contacts) * lanes + kLanes;
     unknowns_.resize(vector);
-    step_.resize(vector);
+    for (AlignedArray* step : {&step_, &corrected_step_}) {  // with finite values behind the end
+        step->resize(vector + kLanes);
+        std::fill(step->data() + vector, step->data() + vector + kLanes, 0.0);
+    }
     rhs_.resize(vector);
     diagonal_.resize(block);
     upper_.resize(block);
@@ -43,7 +47,6 @@ void LaneState::resize(const KernelProblem& problem, int lanes) {
     multiplier_step_.resize(contacts);
     slack_.resize(contacts);
     slack_step_.resize(contacts);
-    corrected_step_.resize(vector);
     corrected_multiplier_step_.resize(contacts);
     corrected_slack_step_.resize(contacts);
     phi_mu_.resize(contacts);
@@ -265,7 +268,7 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
         for (int lane = 0; lane < lanes; ++lane) {
             if (done[lane]) continue;
             ++result[lane].iterations;
-            if (level[lane] <= last) check = true;
+            if (level[lane] <= last && std::min(primal[lane], dual[lane]) > kNearlyFull) check = true;
             if (path.centre_only && level[lane] <= last && std::min(primal[lane], dual[lane]) > 0.5) {
                 done[lane] = result[lane].converged = true;
                 continue;

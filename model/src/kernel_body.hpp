@@ -93,11 +93,8 @@ void back_substitute(const KernelProblem& pb, const KernelState& st) {
     for (int k = pb.nodes - 1; k >= 0; --k) {
         const int P = pb.node_unknowns[k];
         const int Q = k + 1 < pb.nodes ? pb.element_unknowns[k] : 0;
-        for (int i = 0; i < stride; ++i) {
-            V sum = i < P ? -r[k * stride + i] : zero_of(V{});
-            if (i < P) sum -= product<V>(U + k * square + i * ld, step + (k + 1) * stride, Q);
-            step[k * stride + i] = sum;
-        }
+        for (int i = 0; i < stride; ++i) step[k * stride + i] = i < P ? -r[k * stride + i] : zero_of(V{});
+        if (Q > 0) subtract_product(U + k * square, step + (k + 1) * stride, step + k * stride, ld, P, Q);
     }
 }
 
@@ -123,7 +120,7 @@ void newton(const KernelProblem& pb, const KernelState& st, const double* level_
     }
     const int last = pb.nodes - 1;
     factorise<V>(A + last * square, ld, pb.node_unknowns[last]);
-    apply_factors<V>(A + last * square, r + last * stride, ld, pb.node_unknowns[last]);
+    apply_factors(A + last * square, r + last * stride, ld, pb.node_unknowns[last]);
     back_substitute<V>(pb, st);
     recover_multipliers<V>(pb, st, &level);
 }
@@ -136,9 +133,9 @@ void solve(const KernelProblem& pb, const KernelState& st) {
     for (int k = 0; k < pb.nodes; ++k) {
         const int P = pb.node_unknowns[k];
         V* b = r + k * stride;
-        apply_factors<V>(A + k * square, b, ld, P);
+        apply_factors(A + k * square, b, ld, P);
         if (k + 1 == pb.nodes) break;
-        for (int i = 0; i < pb.element_unknowns[k]; ++i) r[(k + 1) * stride + i] -= product<V>(L + k * square + i * ld, b, P);
+        subtract_product(L + k * square, b, r + (k + 1) * stride, ld, pb.element_unknowns[k], P);
     }
     back_substitute<V>(pb, st);
 }

@@ -123,10 +123,67 @@ inline double product<double>(const double* row, const double* vector, int count
     return rest + (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
 
+// to -= M x for a block of `rows` rows, of which `count` entries are in use. A single lane takes four rows at a time and whole
+// registers of each: the rest of a row is zero, and x is finite beyond its end (kernel.hpp).
+inline void subtract_product(const V4* M, const V4* x, V4* to, int ld, int rows, int count) {
+    for (int i = 0; i < rows; ++i) to[i] -= product<V4>(M + i * ld, x, count);
+}
+inline V4 four_products(const double* M, const double* x, int ld, int count) {
+    V4 sum[4] = {zero_of(V4{}), zero_of(V4{}), zero_of(V4{}), zero_of(V4{})}, column[4];
+    for (int j = 0; j < count; j += 4) {
+        const V4 values = Chunk<double>::load(x + j);
+        CTR_UNROLL
+        for (int row = 0; row < 4; ++row) sum[row] += Chunk<double>::load(M + row * ld + j) * values;
+    }
+    transpose(sum, column);
+    return (column[0] + column[1]) + (column[2] + column[3]);
+}
+inline void subtract_product(const double* M, const double* x, double* to, int ld, int rows, int count) {
+    int i = 0;
+    for (; i + 4 <= rows; i += 4) Chunk<double>::store(to + i, Chunk<double>::load(to + i) - four_products(M + i * ld, x, ld, count));
+    if (i < rows && rows >= 4) {  // the last four once more, those that are done left out
+        const V4 place = {0, 1, 2, 3}, more = four_products(M + (rows - 4) * ld, x, ld, count);
+        const V4 kept = Chunk<double>::load(to + rows - 4);
+        Chunk<double>::store(to + rows - 4, place < broadcast<V4>(4 - (rows - i)) ? kept : kept - more);
+    } else {
+        for (; i < rows; ++i) to[i] -= product<double>(M + i * ld, x, count);
+    }
+}
+
+// r := A^-1 r with the factors of P x P, column by column, r in registers meanwhile.
+template <int P, class V>
+__attribute__((noinline)) void apply_factors_fixed(const V* A, V* r, int ld) {
+    V value[P];
+    Each<P>::run([&](auto i) __attribute__((always_inline)) { value[i.value] = r[i.value]; });
+    Each<P>::run([&](auto column) __attribute__((always_inline)) {
+        constexpr int j = column.value;
+        Each<P - 1 - j>::run([&](auto below) __attribute__((always_inline)) {
+            constexpr int i = j + 1 + below.value;
+            value[i] -= A[i * ld + j] * value[j];
+        });
+    });
+    Each<P>::run([&](auto back) __attribute__((always_inline)) {
+        constexpr int j = P - 1 - back.value;
+        value[j] *= A[j * ld + j];
+        Each<j>::run([&](auto i) __attribute__((always_inline)) { value[i.value] -= A[i.value * ld + j] * value[j]; });
+    });
+    Each<P>::run([&](auto i) __attribute__((always_inline)) { r[i.value] = value[i.value]; });
+}
+
 template <class V>
 inline void apply_factors(const V* A, V* r, int ld, int P) {
-    for (int i = 1; i < P; ++i) r[i] -= product<V>(A + i * ld, r, i);
-    for (int i = P - 1; i >= 0; --i) r[i] = (r[i] - product<V>(A + i * ld + i + 1, r + i + 1, P - i - 1)) * A[i * ld + i];
+    switch (P) {
+        case 0: return;
+        case 1: return apply_factors_fixed<1>(A, r, ld);
+        case 5: return apply_factors_fixed<5>(A, r, ld);
+        case 6: return apply_factors_fixed<6>(A, r, ld);
+        case 10: return apply_factors_fixed<10>(A, r, ld);
+        case 11: return apply_factors_fixed<11>(A, r, ld);
+        case 16: return apply_factors_fixed<16>(A, r, ld);
+        default:
+            for (int i = 1; i < P; ++i) r[i] -= product<V>(A + i * ld, r, i);
+            for (int i = P - 1; i >= 0; --i) r[i] = (r[i] - product<V>(A + i * ld + i + 1, r + i + 1, P - i - 1)) * A[i * ld + i];
+    }
 }
 
 // Entries of a row that are handled together: Q of them and the right-hand side after the last.
@@ -188,7 +245,7 @@ __attribute__((noinline)) void eliminate_columns(const V* A, V* U, V* r, const V
 // The same for sizes known only at run time.
 template <class V>
 void eliminate_columns_any(const V* A, V* U, V* r, const V* L, V* next, V* next_r, int ld, int P, int Q) {
-    apply_factors<V>(A, r, ld, P);
+    apply_factors(A, r, ld, P);
     for (int j = 0; j < Q; ++j) {
         for (int i = 1; i < P; ++i)
             for (int k = 0; k < i; ++k) U[i * ld + j] -= A[i * ld + k] * U[k * ld + j];

@@ -75,7 +75,7 @@ struct KernelState {
     double* multiplier;   // [contact] lambda, N/m
     double* slack;        // [contact] w > 0, m^2; equals (c^2 - |d|^2) / 2 at convergence
     double* phi_mu;       // [contact] signed friction coefficient
-    double* step;         // [node][stride]
+    double* step;         // [node][stride] and kLanes values that are finite
     double* multiplier_step;  // [contact]
     double* slack_step;       // [contact]
     double* diagonal;     // [node][stride][block_stride] factored blocks
