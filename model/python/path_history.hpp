@@ -53,11 +53,12 @@ class PathHistory {
         {
             nb::gil_scoped_release release;
             ctr::Backbone backbone;
+            ctr::BackboneTracer tracer;
             for (std::size_t k = 0; k < rows; ++k) {
                 double* row = &out[k * columns];
                 row[0] = static_cast<int>(history_.advance(path[k]));
                 if (history_.status() == ctr::Status::failed) break;
-                ctr::trace_backbone(history_.solver(), history_.state(), 0, path[k].l.back(), backbone);
+                tracer.trace(history_.solver(), history_.state(), 0, 1, path[k].l.back(), &backbone);
                 row[1] = history_.snaps();
                 const ctr::Vec3 tangent = backbone.frame.back().tangent();
                 for (int i = 0; i < 3; ++i) {

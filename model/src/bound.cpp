@@ -121,16 +121,25 @@ double joint_motion(const Configuration& a, const Configuration& b) {
 void BoundSolver::remember() {
     std::vector<const LaneState*> states{&frictionless_};
     for (const auto& batch : batches_) states.push_back(batch.get());
-    carried_.resize(states.size());
-    carried_q_ = q_;
-    for (std::size_t k = 0; k < states.size(); ++k) carried_[k].take(solver_.mesh(), *states[k]);
     predictor_.take(q_, solver_.mesh(), states);
+}
+
+// The last solution is carried over to the mesh of this configuration; where it is a batch, to all its lanes.
+bool BoundSolver::follow_last() {
+    std::vector<LaneState*> states{&frictionless_};
+    for (const auto& batch : batches_) states.push_back(batch.get());
+    carried_.resize(states.size());
+    for (std::size_t k = 0; k < states.size(); ++k) {
+        predictor_.restore(k, solver_.last_level(), *states[k]);
+        carried_[k].take(predictor_.last_mesh(), *states[k]);
+    }
+    return carried_[0].fits(solver_.mesh()) && follow_from(false);
 }
 
 // Of one state: frictionless, then the batches. Extrapolated, or the last solution carried over to the new mesh.
 bool BoundSolver::advance(std::size_t index, LaneState& state, bool predicted, Convergence* result) {
     const double last = solver_.last_barrier();
-    const BarrierPath path = predicted ? BarrierPath::predicted(last) : BarrierPath::warm(joint_motion(carried_q_, q_), last);
+    const BarrierPath path = predicted ? BarrierPath::predicted(last) : BarrierPath::warm(joint_motion(predictor_.last(), q_), last);
     if (predicted) predictor_.give(solver_.mesh(), index, solver_.last_level(), state);
     else carried_[index].give(solver_.mesh(), state);
     solver_.set_base(state, q_);
@@ -158,7 +167,7 @@ void BoundSolver::follow(const Configuration& q, const Accuracy& accuracy, bool 
     if (!retrying) remember();
     prepare(q, accuracy);
     const bool predicted = predictor_.reaches(q, solver_.mesh()) && follow_from(true);
-    if (!predicted && !(carried_[0].fits(solver_.mesh()) && follow_from(false))) return solve(q, accuracy);
+    if (!predicted && !follow_last()) return solve(q, accuracy);
     stability_ = solver_.stability(frictionless_, negative_);
     ++warm_starts_;
     measure();
@@ -218,15 +227,16 @@ int BoundSolver::iterations() const {
 }
 
 void BoundSolver::measure() {
-    trace_backbone(solver_, frictionless_, 0, q_.l.back(), backbone);
+    tracer_.trace(solver_, frictionless_, 0, 1, q_.l.back(), &backbone);
+    for (int k = 0; k < corners_; k += kLanes)
+        tracer_.trace(solver_, corner_state(k), 0, std::min(kLanes, corners_ - k), q_.l.back(), &corner_backbones[k]);
     const std::size_t nodes = backbone.frame.size();
     envelope.assign(nodes, 0.0);
     position = tangent = 0;
     worst_corner = 0;
     max_strain = backbone.max_strain;
     for (int k = 0; k < corners_; ++k) {
-        Backbone& other = corner_backbones[k];
-        trace_backbone(solver_, corner_state(k), corner_lane(k), q_.l.back(), other);
+        const Backbone& other = corner_backbones[k];
         max_strain = std::max(max_strain, other.max_strain);
         for (std::size_t i = 0; i < nodes; ++i) {
             const Vec3 &a = backbone.frame[i].p, &b = other.frame[i].p;

@@ -358,7 +358,7 @@ bool History::solve_beside(const std::vector<double>& phi, Backbone& backbone) {
         part *= 0.5;
         found = part > kSmallestPart;
     }
-    if (found) trace_backbone(solver_, state_, 0, q_.l.back(), backbone);
+    if (found) tracer_.trace(solver_, state_, 0, 1, q_.l.back(), &backbone);
     found = found && !solver_.turns_away(state_);
     restore(kept);
     convergence_ = convergence;

@@ -229,5 +229,41 @@ void advance(const KernelProblem& pb, const KernelState& st, const double* prima
     }
 }
 
-const KernelTable kScalar = {newton<double>, step_length<double>, advance<double>, residual<double>, solve<double>, correct<double>};
-const KernelTable kVector = {newton<V4>, step_length<V4>, advance<V4>, residual<V4>, solve<V4>, correct<V4>};
+template <class V>
+void bending(const KernelProblem& pb, const double* unknowns, double* innermost, double* strain_square) {
+    const V* x = lanes<V>(unknowns);
+    V* out = lanes<V>(innermost);
+    V largest = zero_of(V{});
+    for (int e = 0; e < pb.elements; ++e) {
+        const int M = pb.element_tubes[e], offsets = pb.element_unknowns[e] == 5 * M ? M : M - 1;
+        const double* EI = pb.bending_stiffness;
+        double total = 0, b[4];
+        for (int t = 0; t < M; ++t) total += EI[t];
+        const double share = pb.element_regime[e] % 2 == 0 ? 1 / total : 0.0;  // behind the plate no bending is common
+        ElementView<V> el = {};
+        el.x[0] = x + e * pb.stride;
+        el.x[1] = el.x[0] + pb.stride;
+        Turned<V> turned;
+        turn_precurvature<V>(M, pb, e, el, turned);
+        for (int g = 0; g < 2; ++g) {
+            hermite_second(kGauss[g], pb.length[e], b);
+            V against[kMaxTubes][2], common[2] = {zero_of(V{}), zero_of(V{})}, running[2] = {zero_of(V{}), zero_of(V{})};
+            for (int t = M - 1; t >= 0; --t)
+                for (int plane = 0; plane < 2; ++plane) {
+                    const int i = offset_index(t, plane), j = slope_index(t, plane);
+                    if (t < offsets) running[plane] += b[0] * el.x[0][i] + b[1] * el.x[0][j] + b[2] * el.x[1][i] + b[3] * el.x[1][j];
+                    against[t][plane] = running[plane] - turned.w[g][t][plane];
+                    common[plane] -= (share * EI[t]) * against[t][plane];
+                }
+            for (int t = 0; t < M; ++t) {
+                const V bent[2] = {against[t][0] + common[0], against[t][1] + common[1]};
+                largest = larger(largest, (pb.outer_radius[t] * pb.outer_radius[t]) * (bent[0] * bent[0] + bent[1] * bent[1]));
+            }
+            for (int plane = 0; plane < 2; ++plane) out[4 * e + 2 * g + plane] = running[plane] + common[plane];
+        }
+    }
+    for (int lane = 0; lane < Lane<V>::count; ++lane) strain_square[lane] = Lane<V>::at(largest, lane);
+}
+
+const KernelTable kScalar = {newton<double>, step_length<double>, advance<double>, residual<double>, solve<double>, correct<double>, bending<double>};
+const KernelTable kVector = {newton<V4>, step_length<V4>, advance<V4>, residual<V4>, solve<V4>, correct<V4>, bending<V4>};

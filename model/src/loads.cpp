@@ -26,7 +26,7 @@ double LoadMoments::update(const FrictionSolver& solver, LaneState& state, doubl
         kept = value;
     };
     for (int lane = 0; lane < state.lanes(); ++lane) {
-        trace_backbone(solver, state, lane, base_l, backbone_);
+        tracer_.trace(solver, state, lane, 1, base_l, &backbone_);
         for (int t = 0; t < pb.tubes; ++t) force[t] = moment[t] = {0, 0, 0};
         for (int i = 0; i < 3; ++i) {
             force[0][i] = loads.tip_force[i];

@@ -281,7 +281,14 @@ void Mesh::fill_regimes(const Robot& robot) {
                 }
         }
     torsional_.resize(n);
-    for (int t = 0; t < n; ++t) torsional_[t] = robot.tubes[n - 1 - t].torsional_stiffness;
+    bending_.resize(n);
+    outer_radius_.resize(n);
+    for (int t = 0; t < n; ++t) {
+        const Tube& tube = robot.tubes[n - 1 - t];
+        torsional_[t] = tube.torsional_stiffness;
+        bending_[t] = tube.bending_stiffness;
+        outer_radius_[t] = tube.outer_radius;
+    }
 }
 
 void Mesh::publish() {
@@ -300,6 +307,8 @@ void Mesh::publish() {
     problem_.pair_stiffness = pair_stiffness_.data();
     problem_.mixed_stiffness = mixed_stiffness_.data();
     problem_.torsional_stiffness = torsional_.data();
+    problem_.bending_stiffness = bending_.data();
+    problem_.outer_radius = outer_radius_.data();
     problem_.law = has_laws_ ? laws_.data() : nullptr;
     problem_.shaft_stiffness = shaft_stiffness_.data();
     problem_.shaft_angle = shaft_angle_.data();

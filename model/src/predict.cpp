@@ -70,6 +70,21 @@ bool Predictor::reaches(const Configuration& q, const Mesh& mesh) {
     return used_ > 1;
 }
 
+void Predictor::restore(std::size_t index, double level, LaneState& state) const {
+    const Past& last = past_[0];
+    const KernelProblem& pb = last.mesh.problem();
+    const int lanes = state.lanes();
+    state.resize(pb, lanes);
+    std::copy(last.unknowns[index].begin(), last.unknowns[index].end(), state.unknowns());
+    for (int k = 0; k < pb.contacts; ++k) {
+        const double eps = level * pb.barrier_scale[pb.contact_pair[k]] * pb.contact_weight[k];
+        for (int lane = 0; lane < lanes; ++lane) {
+            state.slack(k, lane) = std::exp(last.log_slack[index][static_cast<std::size_t>(k) * lanes + lane]);
+            state.multiplier(k, lane) = eps / state.slack(k, lane);
+        }
+    }
+}
+
 void Predictor::give(const Mesh& mesh, std::size_t index, double level, LaneState& state) const {
     const KernelProblem& pb = mesh.problem();
     const std::size_t lanes = state.lanes(), count = static_cast<std::size_t>(pb.nodes) * pb.stride * lanes;

@@ -64,7 +64,7 @@ static bool loads(const Robot& robot, const Configuration& q, const Direction& d
 }
 
 Frame Sensitivities::tip(const FrictionSolver& solver, LaneState& state) {
-    trace_backbone(solver, state, 0, solver.base_l(), backbone_);
+    tracer_.trace(solver, state, 0, 1, solver.base_l(), &backbone_);
     return backbone_.frame.back();
 }
 

@@ -108,29 +108,37 @@ void section_moment(const FrictionSolver& solver, const LaneState& state, int la
     tangent[1] = 0;
 }
 
-void trace_backbone(const FrictionSolver& solver, const LaneState& state, int lane, double base_l, Backbone& out) {
+namespace {
+
+// Curvature of the innermost tube at the Gauss points of an element, and the square of the largest strain of any tube.
+double innermost_bending(const FrictionSolver& solver, const LaneState& state, int lane, int e, double (*innermost)[2]) {
     const KernelProblem& pb = solver.mesh().problem();
-    double kappa[2][kMaxTubes][2], rotated[kMaxTubes][2];
+    double kappa[kMaxTubes][2], rotated[kMaxTubes][2], square = 0;
+    for (int g = 0; g < 2; ++g) {
+        element_curvature(solver, state, lane, e, kGauss[g], kappa, rotated);
+        for (int t = 0; t < pb.element_tubes[e]; ++t) {
+            const double x = kappa[t][0] - rotated[t][0], y = kappa[t][1] - rotated[t][1];
+            square = std::max(square, pb.outer_radius[t] * pb.outer_radius[t] * (x * x + y * y));
+        }
+        for (int plane = 0; plane < 2; ++plane) innermost[g][plane] = kappa[0][plane];
+    }
+    return square;
+}
+
+void follow_innermost(const FrictionSolver& solver, const LaneState& state, int lane, double base_l, const double* innermost, Backbone& out) {
+    const KernelProblem& pb = solver.mesh().problem();
+    const int lanes = state.lanes();
     out.frame.resize(pb.nodes);
     out.outer_position.resize(pb.nodes);
-    double square = 0;  // of the largest strain
     Frame frame;
     frame.p = {0, 0, base_l};
     out.frame[0] = frame;
     for (int e = 0; e < pb.elements; ++e) {
-        const int m = pb.element_tubes[e];
-        for (int g = 0; g < 2; ++g) {
-            element_curvature(solver, state, lane, e, kGauss[g], kappa[g], rotated);
-            for (int t = 0; t < m; ++t) {
-                const double r = solver.robot().tubes[pb.tubes - 1 - t].outer_radius;
-                const double x = kappa[g][t][0] - rotated[t][0], y = kappa[g][t][1] - rotated[t][1];
-                square = std::max(square, r * r * (x * x + y * y));
-            }
-        }
-        advance(frame, kappa[0][0], kappa[1][0], pb.length[e]);
+        const double* kappa = innermost + static_cast<std::size_t>(4) * e * lanes + lane;
+        const double first[2] = {kappa[0], kappa[lanes]}, second[2] = {kappa[2 * lanes], kappa[3 * lanes]};
+        advance(frame, first, second, pb.length[e]);
         out.frame[e + 1] = frame;
     }
-    out.max_strain = std::sqrt(square);
     for (int k = 0; k < pb.nodes; ++k) {
         const int m = pb.element_tubes[std::min(k, pb.elements - 1)];
         double offset[2] = {0, 0};
@@ -138,6 +146,29 @@ void trace_backbone(const FrictionSolver& solver, const LaneState& state, int la
             for (int plane = 0; plane < 2; ++plane) offset[plane] += state.unknown(k, 1 + 5 * p + plane, lane);
         const Frame& f = out.frame[k];
         for (int i = 0; i < 3; ++i) out.outer_position[k][i] = f.p[i] - offset[0] * f.R[3 * i] - offset[1] * f.R[3 * i + 1];
+    }
+}
+
+}  // namespace
+
+void BackboneTracer::trace(const FrictionSolver& solver, const LaneState& state, int first_lane, int count, double base_l, Backbone* out) {
+    const KernelProblem& pb = solver.mesh().problem();
+    const int lanes = state.lanes();
+    alignas(kAlignment) double square[kLanes] = {};
+    innermost_.resize(static_cast<std::size_t>(4) * pb.elements * lanes);
+    if (pb.law || state.is_exact()) {
+        for (int lane = first_lane; lane < first_lane + count; ++lane)
+            for (int e = 0; e < pb.elements; ++e) {
+                double kappa[2][2];
+                square[lane] = std::max(square[lane], innermost_bending(solver, state, lane, e, kappa));
+                for (int i = 0; i < 4; ++i) innermost_[(static_cast<std::size_t>(4) * e + i) * lanes + lane] = kappa[i / 2][i % 2];
+            }
+    } else {
+        kernel(lanes).bending(pb, state.unknowns(), innermost_.data(), square);
+    }
+    for (int i = 0; i < count; ++i) {
+        follow_innermost(solver, state, first_lane + i, base_l, innermost_.data(), out[i]);
+        out[i].max_strain = std::sqrt(square[first_lane + i]);
     }
 }
 

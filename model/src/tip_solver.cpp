@@ -35,7 +35,7 @@ Status TipSolver::solve(const Configuration& q, const Accuracy& accuracy, const 
         else solver_.start(state_, q_, zero_, BarrierPath::kFirst);
         solver_.slide(state_, shared_is_good_ ? BarrierPath::kParting : BarrierPath::kFirst, convergence_);
     }
-    trace_backbone(solver_, state_, 0, q_.l.back(), backbone_);
+    tracer_.trace(solver_, state_, 0, 1, q_.l.back(), &backbone_);
     if (!convergence_.converged) return Status::failed;
     return solver_.turns_away(state_) ? Status::unstable : Status::converged;
 }

@@ -64,10 +64,12 @@ class BoundSolver {
     void set_corner_phi(std::size_t batch);
     void measure();
     void remember();
+    bool follow_last();
     bool follow_from(bool predicted);
     bool advance(std::size_t index, LaneState& state, bool predicted, Convergence* result);
 
     FrictionSolver solver_;
+    BackboneTracer tracer_;
     ZeroClearance zero_;
     int pairs_, corners_;
     LaneState frictionless_, shared_;  // shared_: the frictionless iterate where the friction states part
@@ -83,7 +85,6 @@ class BoundSolver {
     bool have_solution_ = false;
     std::vector<CarriedState> carried_;  // what follow() starts from: frictionless, then the batches
     Predictor predictor_;
-    Configuration carried_q_;
     std::vector<double> phi_;
     Configuration q_;
 };

@@ -34,10 +34,11 @@ inline void advance(Frame& frame, const double* kappa_1, const double* kappa_2, 
     const Vec3 travel{bracket * (a[1] - b[1]), -bracket * (a[0] - b[0]), h};
     const double square = dot(rotation, rotation);
     double s1, s2, s3;  // sin(x)/x, (1 - cos x)/x^2, (x - sin x)/x^3
-    if (square < 1e-4) {
-        s1 = 1 - square / 6 * (1 - square / 20);
-        s2 = 0.5 - square / 24 * (1 - square / 30);
-        s3 = 1.0 / 6 - square / 120 * (1 - square / 42);
+    if (square < 0.25) {  // the next terms are below 1e-16
+        const double x = square;
+        s2 = (1 - x / 12 * (1 - x / 30 * (1 - x / 56 * (1 - x / 90 * (1 - x / 132 * (1 - x / 182)))))) / 2;
+        s3 = (1 - x / 20 * (1 - x / 42 * (1 - x / 72 * (1 - x / 110 * (1 - x / 156 * (1 - x / 210)))))) / 6;
+        s1 = 1 - x * s3;
     } else {
         const double x = std::sqrt(square);
         s1 = std::sin(x) / x;

@@ -167,7 +167,7 @@ class FrictionSolver {
     LaneState kept_;  // of slide(): the iterate to go back to, and the anchor
     ExactGeometry exact_;
     bool is_exact_ = false;  // accuracy built for
-    std::vector<double> mass_vector_;  // [node][tube], the eigenvector of stability()
+    std::vector<double> modes_;  // of stability(), [node][tube] each
 };
 
 }  // namespace ctr

@@ -115,6 +115,7 @@ class History {
 
     HistoryOptions options_;
     Accuracy accuracy_;
+    BackboneTracer tracer_;
     FrictionSolver solver_;
     TipSolver starter_;
     LaneState state_;

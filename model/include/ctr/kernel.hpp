@@ -39,6 +39,8 @@ struct KernelProblem {
     const double* pair_stiffness; // C [regime][pair][pair]
     const double* mixed_stiffness;// D [regime][pair][tube]
     const double* torsional_stiffness;  // [tube] N m^2
+    const double* bending_stiffness;    // [tube] N m^2
+    const double* outer_radius;         // [tube] m
     const BendingLaw* law;        // [tube], or null where all tubes are linear and round and nothing pulls
     const double* shaft_stiffness;// [tube] between actuator and collar, N m / rad; 0: rigid
     const double* shaft_angle;    // [tube] of the actuator, rad
@@ -109,6 +111,9 @@ struct KernelTable {
     // The step of newton() corrected by what contacts add at second order, with the same factors: into the steps of
     // `corrected`, which shares everything else with the state.
     void (*correct)(const KernelProblem&, const KernelState&, const KernelState& corrected);
+    // Bending of linear round tubes for unknowns [node][stride]: curvature of the innermost one at the Gauss points, 1/m,
+    // into [element][Gauss point][2], and per lane the square of the largest strain of any.
+    void (*bending)(const KernelProblem&, const double* unknowns, double* innermost, double* strain_square);
 };
 
 const KernelTable& baseline_kernel(int lanes);

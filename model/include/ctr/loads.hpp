@@ -17,6 +17,7 @@ class LoadMoments {
 
   private:
     Backbone backbone_;
+    BackboneTracer tracer_;
 };
 
 }  // namespace ctr

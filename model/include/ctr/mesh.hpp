@@ -42,7 +42,7 @@ struct MeshArrays {
     struct Break { double s; std::uint64_t members; };  // members: a number for each set of what stands there
     std::vector<Break> breaks_;
     std::vector<double> break_s_;
-    std::vector<double> s_, length_, precurvature_, stiffness_, pair_stiffness_, mixed_stiffness_, torsional_;
+    std::vector<double> s_, length_, precurvature_, stiffness_, pair_stiffness_, mixed_stiffness_, torsional_, bending_, outer_radius_;
     std::vector<double> shaft_stiffness_, shaft_angle_;
     std::vector<BendingLaw> laws_;
     std::vector<double> contact_shape_, contact_xi_, contact_weight_, contact_s_, half_square_, outer_arm_, inner_arm_, scale_;

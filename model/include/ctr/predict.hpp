@@ -17,6 +17,10 @@ class Predictor {
     bool reaches(const Configuration& q, const Mesh& mesh);
     // Fills the state with that index, on the central path at a level [N/m]; base angles must be set afterwards.
     void give(const Mesh& mesh, std::size_t index, double level, LaneState& state) const;
+    // The latest solution with that index as it was remembered, on its own mesh.
+    void restore(std::size_t index, double level, LaneState& state) const;
+    const Mesh& last_mesh() const { return past_[0].mesh; }
+    const Configuration& last() const { return past_[0].q; }
 
   private:
     struct Past {

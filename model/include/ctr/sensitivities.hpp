@@ -56,6 +56,7 @@ class Sensitivities {
     Side plus_, minus_;
     std::vector<double> unknowns_, change_, multiplier_, multiplier_change_, moments_, moments_change_;
     Backbone backbone_;
+    BackboneTracer tracer_;
 };
 
 }  // namespace ctr

@@ -51,7 +51,16 @@ void element_curvature(const FrictionSolver& solver, const LaneState& state, int
 void section_moment(const FrictionSolver& solver, const LaneState& state, int lane, int element, int gauss, int t, const double* kappa,
                     const double* rotated, double* moment, double* tangent);
 
-void trace_backbone(const FrictionSolver& solver, const LaneState& state, int lane, double base_l, Backbone& out);
+// Integrates backbones out of solutions; memory is reused.
+class BackboneTracer {
+  public:
+    // Of `count` lanes from the first one on, into as many backbones; base_l [m] is the innermost tube's.
+    void trace(const FrictionSolver& solver, const LaneState& state, int first_lane, int count, double base_l, Backbone* out);
+
+  private:
+    AlignedArray innermost_;  // [element][Gauss point][2][lane] 1/m
+};
+
 Shape make_shape(const FrictionSolver& solver, const LaneState& state, int lane, const Configuration& q);
 Shape make_shape(const Robot& robot, const ZeroClearance& solution, const Configuration& q);
 

@@ -40,6 +40,7 @@ class TipSolver {
     std::vector<double> phi_;
     Convergence convergence_;
     Backbone backbone_;
+    BackboneTracer tracer_;
     Sensitivities sensitivities_;
 };
 
