@@ -125,18 +125,47 @@ double innermost_bending(const FrictionSolver& solver, const LaneState& state, i
     return square;
 }
 
-void follow_innermost(const FrictionSolver& solver, const LaneState& state, int lane, double base_l, const double* innermost, Backbone& out) {
+}  // namespace
+
+void BackboneTracer::bend(const FrictionSolver& solver, const LaneState& state, int first_lane, int count) {
     const KernelProblem& pb = solver.mesh().problem();
-    const int lanes = state.lanes();
+    lanes_ = state.lanes();
+    innermost_.resize(static_cast<std::size_t>(4) * pb.elements * lanes_);
+    if (!pb.law && !state.is_exact()) return kernel(lanes_).bending(pb, state.unknowns(), innermost_.data(), strain_square_);
+    for (int lane = first_lane; lane < first_lane + count; ++lane) {
+        strain_square_[lane] = 0;
+        for (int e = 0; e < pb.elements; ++e) {
+            double kappa[2][2];
+            strain_square_[lane] = std::max(strain_square_[lane], innermost_bending(solver, state, lane, e, kappa));
+            for (int i = 0; i < 4; ++i) innermost_[(static_cast<std::size_t>(4) * e + i) * lanes_ + lane] = kappa[i / 2][i % 2];
+        }
+    }
+}
+
+void BackboneTracer::innermost(int element, int gauss, int lane, double* curvature) const {
+    for (int plane = 0; plane < 2; ++plane)
+        curvature[plane] = innermost_[(static_cast<std::size_t>(4) * element + 2 * gauss + plane) * lanes_ + lane];
+}
+
+void BackboneTracer::trace(const FrictionSolver& solver, const LaneState& state, int first_lane, int count, double base_l, Backbone* out) {
+    bend(solver, state, first_lane, count);
+    for (int i = 0; i < count; ++i) {
+        follow(solver, state, first_lane + i, base_l, out[i]);
+        out[i].max_strain = std::sqrt(strain_square_[first_lane + i]);
+    }
+}
+
+void BackboneTracer::follow(const FrictionSolver& solver, const LaneState& state, int lane, double base_l, Backbone& out) const {
+    const KernelProblem& pb = solver.mesh().problem();
     out.frame.resize(pb.nodes);
     out.outer_position.resize(pb.nodes);
     Frame frame;
     frame.p = {0, 0, base_l};
     out.frame[0] = frame;
     for (int e = 0; e < pb.elements; ++e) {
-        const double* kappa = innermost + static_cast<std::size_t>(4) * e * lanes + lane;
-        const double first[2] = {kappa[0], kappa[lanes]}, second[2] = {kappa[2 * lanes], kappa[3 * lanes]};
-        advance(frame, first, second, pb.length[e]);
+        double kappa[2][2];
+        for (int g = 0; g < 2; ++g) innermost(e, g, lane, kappa[g]);
+        advance(frame, kappa[0], kappa[1], pb.length[e]);
         out.frame[e + 1] = frame;
     }
     for (int k = 0; k < pb.nodes; ++k) {
@@ -149,29 +178,6 @@ void follow_innermost(const FrictionSolver& solver, const LaneState& state, int 
     }
 }
 
-}  // namespace
-
-void BackboneTracer::trace(const FrictionSolver& solver, const LaneState& state, int first_lane, int count, double base_l, Backbone* out) {
-    const KernelProblem& pb = solver.mesh().problem();
-    const int lanes = state.lanes();
-    alignas(kAlignment) double square[kLanes] = {};
-    innermost_.resize(static_cast<std::size_t>(4) * pb.elements * lanes);
-    if (pb.law || state.is_exact()) {
-        for (int lane = first_lane; lane < first_lane + count; ++lane)
-            for (int e = 0; e < pb.elements; ++e) {
-                double kappa[2][2];
-                square[lane] = std::max(square[lane], innermost_bending(solver, state, lane, e, kappa));
-                for (int i = 0; i < 4; ++i) innermost_[(static_cast<std::size_t>(4) * e + i) * lanes + lane] = kappa[i / 2][i % 2];
-            }
-    } else {
-        kernel(lanes).bending(pb, state.unknowns(), innermost_.data(), square);
-    }
-    for (int i = 0; i < count; ++i) {
-        follow_innermost(solver, state, first_lane + i, base_l, innermost_.data(), out[i]);
-        out[i].max_strain = std::sqrt(square[first_lane + i]);
-    }
-}
-
 Shape make_shape(const FrictionSolver& solver, const LaneState& state, int lane, const Configuration& q) {
     const KernelProblem& pb = solver.mesh().problem();
     const Robot& robot = solver.robot();
@@ -181,9 +187,14 @@ Shape make_shape(const FrictionSolver& solver, const LaneState& state, int lane,
     shape.tubes.resize(n);
     double kappa[4][kMaxTubes][2], rotated[kMaxTubes][2], rotated_end[kMaxTubes][2];
     std::vector<Frame> frame(n);
+    BackboneTracer tracer;
+    tracer.bend(solver, state, lane, 1);
     for (int e = 0; e < pb.elements; ++e) {
         const int m = pb.element_tubes[e];
-        for (int g = 0; g < 2; ++g) element_curvature(solver, state, lane, e, kGauss[g], kappa[g], rotated);
+        for (int g = 0; g < 2; ++g) {
+            element_curvature(solver, state, lane, e, kGauss[g], kappa[g], rotated);
+            tracer.innermost(e, g, lane, kappa[g][0]);  // the same digits as in a backbone
+        }
         element_curvature(solver, state, lane, e, 1.0, kappa[3], rotated_end);
         element_curvature(solver, state, lane, e, 0.0, kappa[2], rotated);
         for (int t = 0; t < m; ++t) {

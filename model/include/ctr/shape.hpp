@@ -56,9 +56,16 @@ class BackboneTracer {
   public:
     // Of `count` lanes from the first one on, into as many backbones; base_l [m] is the innermost tube's.
     void trace(const FrictionSolver& solver, const LaneState& state, int first_lane, int count, double base_l, Backbone* out);
+    // The first half of that: how the innermost tube bends.
+    void bend(const FrictionSolver& solver, const LaneState& state, int first_lane, int count);
+    void innermost(int element, int gauss, int lane, double* curvature) const;
 
   private:
+    void follow(const FrictionSolver& solver, const LaneState& state, int lane, double base_l, Backbone& out) const;
+
     AlignedArray innermost_;  // [element][Gauss point][2][lane] 1/m
+    alignas(kAlignment) double strain_square_[kLanes] = {};
+    int lanes_ = 1;
 };
 
 Shape make_shape(const FrictionSolver& solver, const LaneState& state, int lane, const Configuration& q);
