@@ -49,6 +49,10 @@ class _Piece:
 
 def frictionless_arrives(scenario: Scenario, samples: CertificateSamples, prediction: Prediction) -> list[str]:
     """Sentences if the frictionless tip misses the goal."""
+    return _frictionless_miss(scenario, samples)
+
+
+def _frictionless_miss(scenario: Scenario, samples: CertificateSamples) -> list[str]:
     goal, miss = scenario.goal, _goal_miss(scenario, samples.tip_m[-1])
     if goal.tip_m is None or miss <= goal.tolerance_m:
         return []
@@ -74,11 +78,42 @@ def certify(
     which the cost counts as the search does; and the prediction by simulated histories. `arrival` says what misses the
     goal.
     """
+    return finished(walk_legs(scenario, corners, accuracy=accuracy, progress=progress), arrival)
+
+
+@dataclass(frozen=True, eq=False)
+class WalkedLegs:
+    """Legs walked for a certificate: what it rests on, before histories are simulated."""
+
+    scenario: Scenario
+    corners: Array  # (K, m)
+    accuracy: Accuracy
+    pieces: list[_Piece]
+    samples: CertificateSamples
+    problems: list[str]  # but whether the goal is met
+
+    @property
+    def failure(self) -> str:
+        """The first reason not to certify the legs, or that the frictionless tip misses the goal; empty if none."""
+        return next(iter(self.problems + _frictionless_miss(self.scenario, self.samples)), "")
+
+
+def walk_legs(
+    scenario: Scenario, corners: Array, *, accuracy: Accuracy = "search", progress: Progress | None = None
+) -> WalkedLegs:
+    """What decides whether the polyline `corners` (K, m) is valid, see `certify`."""
     space = JointSpace.of(scenario)
-    limits = path_limits(scenario)
     pieces = _walk(scenario, space, corners, accuracy, progress)
-    prediction, samples = _predicted(scenario, pieces, _join(scenario.robot, space, corners, pieces), accuracy)
-    problems = _problems(scenario, space, corners, pieces, samples, limits) + arrival(scenario, samples, prediction)
+    samples = _join(scenario.robot, space, corners, pieces)
+    problems = _problems(scenario, space, corners, pieces, samples, path_limits(scenario))
+    return WalkedLegs(scenario, corners, accuracy, pieces, samples, problems)
+
+
+def finished(walk: WalkedLegs, arrival: Arrival = frictionless_arrives) -> Certificate:
+    """The certificate of walked legs, histories simulated."""
+    scenario, corners = walk.scenario, walk.corners
+    prediction, samples = _predicted(scenario, walk.pieces, walk.samples, walk.accuracy)
+    problems = walk.problems + arrival(scenario, samples, prediction)
     integral, released, predicted = (
         np.trapezoid(error * MM_PER_M, samples.path_mm) / scenario.cost.mm_per_rad
         for error in (samples.bound_m, samples.released_m, samples.predicted_m)

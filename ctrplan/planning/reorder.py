@@ -17,6 +17,7 @@ from ctrplan.planning.certify import certify
 from ctrplan.planning.motion import MM_PER_M, Motion, MotionChecker
 from ctrplan.planning.plan import Certificate, Compensation, Leg, MotionStyle, Plan, ReorderReport, leg_kind
 from ctrplan.planning.prediction import TIP_TOLERANCE_M, goal_error
+from ctrplan.planning.search_clock import SearchEnd
 from ctrplan.trajectory import time_parameterise
 
 if TYPE_CHECKING:
@@ -94,6 +95,12 @@ def least_error(checker: MotionChecker, corners: Array) -> Reordered:
     close = open_to & (errors <= errors[open_to].min() + TIP_TOLERANCE_M)
     best = int(np.argmin(np.where(close, costs, np.inf)))
     return Reordered(corners, ways[best], before, motions[best], _style(checker, ways[best]))
+
+
+def as_given(checker: MotionChecker, corners: Array) -> Reordered:
+    """A path (K, m) left as it is."""
+    motion = checker.along(corners)
+    return Reordered(corners, corners, motion, motion, _style(checker, corners))
 
 
 def rotations_first(checker: MotionChecker, corners: Array) -> Reordered:
@@ -191,6 +198,7 @@ def assemble(
     notes: tuple[str, ...] = (),
     end: Array | None = None,
     compensation: Compensation | None = None,
+    ended_by: SearchEnd = "completion",
 ) -> Plan:
     """The plan of reordered corners, stage by stage; the trajectory rests after each stage.
 
@@ -234,6 +242,7 @@ def assemble(
         first_certified_s=first_certified_s,
         notes=(*notes, *_remarks(certificate)),
         compensation=compensation,
+        ended_by=ended_by,
     )
 
 

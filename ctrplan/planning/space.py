@@ -58,6 +58,12 @@ class JointSpace:
         weighted = delta * self.weights_mm
         return float(np.linalg.norm(weighted[rotation]) + np.linalg.norm(weighted[~rotation]))
 
+    def lengths_mm(self, delta: Array) -> Array:
+        """(K,) the same of motions (K, m)."""
+        rotation, weighted = self.drive.is_rotation, delta * self.weights_mm
+        lengths: Array = np.linalg.norm(weighted[:, rotation], axis=1) + np.linalg.norm(weighted[:, ~rotation], axis=1)
+        return lengths
+
     def corners(self, a: Array, b: Array, style: MotionStyle) -> Array:
         """(K, m) start, corner if both kinds of joints move, end; windings continue from a."""
         delta = self.difference(a, b)
