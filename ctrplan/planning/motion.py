@@ -28,6 +28,7 @@ SEARCH_ROOM_M = 0.5e-3
 # Motions and states whose zero-clearance shapes have less room than this are not solved: of 1,400 in three scenarios,
 # the 73 that had less than nothing were all invalid (`benchmarks/zero_clearance_rooms.py`).
 HOPELESS_M = -1e-3
+FEW = 100  # shapes, which are not worth a thread
 HOPELESS = "a corner shape comes too close to the anatomy: so does the zero-clearance shape"
 
 
@@ -151,7 +152,7 @@ class MotionChecker:
         points = [self._stations(way) for way in ways]
         self.meter.add(ROOM_NS * sum(map(len, points)))
         theta_b, l_b = self.space.drive.collars(np.concatenate(points))
-        rooms = self.mechanics.zero_clearance_rooms(theta_b, l_b, self.field)
+        rooms = self.mechanics.zero_clearance_rooms(theta_b, l_b, self.field, threads=0 if len(l_b) > FEW else 1)
         firsts = np.cumsum([0, *map(len, points[:-1])])
         return np.asarray(np.minimum.reduceat(rooms, firsts) - self.limits.clearance_m)
 
