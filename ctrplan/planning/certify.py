@@ -120,7 +120,9 @@ def finished(walk: WalkedLegs, arrival: Arrival = frictionless_arrives) -> Certi
     )
     weights, goal_error_mm = scenario.cost, float(samples.bound_m[-1] + samples.released_m[-1]) * MM_PER_M
     length = float(samples.path_mm[-1])
-    cost = weights.path * length + weights.error_along * released + weights.error_goal * goal_error_mm
+    legs = len(merge_legs(corners)) - 1
+    cost = weights.path * length + weights.stop * legs
+    cost += weights.error_along * released + weights.error_goal * goal_error_mm
     return Certificate(
         samples=samples,
         valid=not problems,
@@ -141,7 +143,7 @@ def finished(walk: WalkedLegs, arrival: Arrival = frictionless_arrives) -> Certi
         min_stability=float(samples.stability.min()),
         max_strain=float(samples.max_strain.max()),
         length_mm=length,
-        stops=max(len(merge_legs(corners)) - 2, 0),
+        stops=max(legs - 1, 0),
         cost_mm=float(cost),
         spacing_m=float(samples.motion_m.max()),
         targets=(_target(scenario, samples),),

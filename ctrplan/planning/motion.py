@@ -42,6 +42,7 @@ class Motion:
     error_integral_mm: float  # integral of the error over the joint length, per mm_per_rad of length
     end_bound_m: float  # whatever the history
     end_error_m: float  # less what the friction law says the motion released; fully loaded at its start
+    legs: int = 0  # the drive stops after each
 
 
 class MotionChecker:
@@ -122,7 +123,7 @@ class MotionChecker:
             return invalid(reason)
         error = self.errors(corners, samples)
         length, integral = self.price(corners, samples, error)
-        return Motion(True, "", length, integral, float(samples.position_m[-1]), float(error[-1]))
+        return Motion(True, "", length, integral, float(samples.position_m[-1]), float(error[-1]), len(corners) - 1)
 
     def walk(self, corners: Array, density: PathDensity, limits: PathLimits) -> PathSamples:
         """The core's samples along a polyline."""
@@ -194,6 +195,7 @@ class MotionChecker:
         """Weighted cost of a motion; at the goal it pays for the worst case there and for what it left loaded."""
         weights = self.scenario.cost
         cost = weights.path * motion.length_mm + weights.error_along * motion.error_integral_mm
+        cost += weights.stop * motion.legs
         if ends_at_goal:
             cost += weights.error_goal * (motion.end_bound_m + motion.end_error_m) * MM_PER_M
         return cost

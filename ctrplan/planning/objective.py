@@ -21,7 +21,7 @@ GOAL_TOLERANCE = 1e-9  # rad or m; states at the goal are copies of goal states
 
 
 class BoundObjective(ob.OptimizationObjective):  # type: ignore[misc]
-    """Weighted joint length + friction error along the path + error left at the goal, in mm.
+    """Weighted joint length + stops + friction error along the path + error left at the goal, in mm.
 
     A motion that ends at one of `goals` (G, m) pays for the error left there. Motions are L-shaped, rotations before
     translations, and priced in the direction driven. States must be those of `ctrplan.planning.ompl_space.state_space`.
@@ -40,7 +40,6 @@ class BoundObjective(ob.OptimizationObjective):  # type: ignore[misc]
         self.read = StateReader(self.checker.space)
         drive, weights = self.checker.space.drive, self.checker.space.weights_mm
         self._joints = list(zip(drive.wraps.tolist(), drive.is_rotation.tolist(), weights.tolist(), strict=True))
-        self._path_weight = self.checker.scenario.cost.path
         self.goals = np.array(goals).reshape(-1, len(scenario.robot.drive.joints))
 
     def motionCost(self, a: Any, b: Any) -> Any:  # noqa: N802, OMPL's names from here on
@@ -52,7 +51,7 @@ class BoundObjective(ob.OptimizationObjective):  # type: ignore[misc]
         return ob.Cost(cost) if np.isfinite(cost) and cost >= 0 else self.infiniteCost()
 
     def motionCostHeuristic(self, a: Any, b: Any) -> Any:  # noqa: N802
-        # admissible: the length of the L is exact, the error is never negative; asked for so often that numpy is too slow
+        # admissible: length and stops are exact, errors never negative; asked for so often that numpy is too slow
         self.checker.meter.add(HEURISTIC_NS)
         squares = [0.0, 0.0]  # of translations and rotations
         for i, (wraps, turns, weight) in enumerate(self._joints):
@@ -60,7 +59,8 @@ class BoundObjective(ob.OptimizationObjective):  # type: ignore[misc]
             if wraps and abs(delta) > math.pi:
                 delta -= math.copysign(2 * math.pi, delta)
             squares[turns] += (weight * delta) ** 2
-        return ob.Cost(self._path_weight * (math.sqrt(squares[0]) + math.sqrt(squares[1])))
+        weights, legs = self.checker.scenario.cost, (squares[0] > 0) + (squares[1] > 0)
+        return ob.Cost(weights.path * (math.sqrt(squares[0]) + math.sqrt(squares[1])) + weights.stop * legs)
 
     def stateCost(self, state: Any) -> Any:  # noqa: N802
         return ob.Cost(0.0)

@@ -15,13 +15,16 @@ from scipy.sparse.csgraph import dijkstra
 
 from ctrplan.drive import Array
 from ctrplan.planning.goals import GoalState
+from ctrplan.planning.inverse_kinematics import TipSolver, TipTarget
 from ctrplan.planning.motion import HOPELESS_M, MM_PER_M, MotionChecker
 from ctrplan.planning.retreat import Roadmap
+from ctrplan.planning.search_clock import ROOM_NS
 
 AT_ONCE = 2  # motions checked in parallel; the same everywhere, as it decides what is checked
 SURE = 0.3  # of its length is what a motion counts that is known to be valid, while any path will do
 NEIGHBOURS = 8
-NEAR_MM = 30.0  # of joint length, standard deviation of random states near others
+NEAR_MM = 30.0  # of joint length, standard deviation of random states beside others, before their tips are brought back
+TIP_STEPS, NEAR_TIP_M = 4, 4e-3  # for that, and how near they must come
 TRIES = 4  # random states looked at for each that is added
 ROOM_M = 1e-3  # that a random state must have around its zero-clearance shape
 # Share of motions that are valid, by the room [m] around their zero-clearance shapes: found in three scenarios
@@ -38,6 +41,7 @@ class RoadmapSearch:
         self.edges = np.empty((0, 2), dtype=int)
         self.length, self.cost, self.hope = np.empty(0), np.empty(0), np.empty(0)
         self.known, self.probed = np.empty(0, dtype=bool), np.empty(0, dtype=bool)
+        self.refused = np.empty(0, dtype=int)  # states that are not valid
         self.row: dict[tuple[int, int], int] = {}
         self.extend(roadmap.joints, roadmap.edges)
 
@@ -47,9 +51,10 @@ class RoadmapSearch:
         self.joints = np.concatenate([self.joints, joints])
         self.probed = np.concatenate([self.probed, np.zeros(len(joints), dtype=bool)])
         a, b = edges.T
-        length = space.lengths_mm(space.difference(self.joints[a], self.joints[b]))
+        delta = space.difference(self.joints[a], self.joints[b])
+        length = space.lengths_mm(delta)
         left = np.array([self.left_m.get(int(node), 0.0) for node in b])
-        least = weights.path * length + weights.error_goal * left * MM_PER_M + 1e-6
+        least = weights.path * length + weights.stop * space.legs(delta) + weights.error_goal * left * MM_PER_M + 1e-6
         self.row |= {(int(i), int(j)): k for k, (i, j) in enumerate(edges, len(self.edges))}
         self.edges, self.length = np.concatenate([self.edges, edges]), np.concatenate([self.length, length])
         self.cost = np.concatenate([self.cost, least])  # at least; what it costs where known
@@ -57,12 +62,12 @@ class RoadmapSearch:
         self.hope = np.concatenate([self.hope, np.full(len(edges), np.nan)])  # share; NaN before a look
 
     def grow(self, rng: np.random.Generator, count: int) -> None:
-        """Adds up to `count` random states with room around their zero-clearance shapes, half of them near others."""
+        """Adds up to `count` random states with room around their zero-clearance shapes.
+
+        Half of them have the tip where that of another state is, of those first from or to which no motion was valid.
+        """
         space, q = self.checker.space, self.joints
-        near = q[rng.integers(len(q), size=TRIES * count)]
-        near = near + rng.normal(size=near.shape) * NEAR_MM / space.weights_mm
-        near = space.wound_into_limits(near)
-        found = [self._with_room(near[space.allowed_rows(near)], count // 2)]
+        found = [self._with_room(self._beside(q[self._troubled(rng, TRIES * count // 2)], rng), count // 2)]
         found.append(self._with_room(space.sample(rng, TRIES * count), count - len(found[0])))
         added = np.concatenate(found)
         everything, edges = np.concatenate([q, added]), set()
@@ -72,6 +77,22 @@ class RoadmapSearch:
             others = {*np.argsort(apart)[:NEIGHBOURS].tolist(), int(self.goals[np.argmin(apart[self.goals])])}
             edges |= {(0, i)} | {(i, j) for j in others} | {(j, i) for j in others}
         self.extend(added, np.array(sorted(edges), dtype=int).reshape(-1, 2))
+
+    def _troubled(self, rng: np.random.Generator, count: int) -> NDArray[np.int_]:
+        """`count` random states, by how many motions from and to them were refused."""
+        refused = self.edges[self.known & ~np.isfinite(self.cost)].ravel()
+        weight = 1e-3 + np.bincount(np.concatenate([refused, self.refused]), minlength=len(self.joints))
+        return rng.choice(len(weight), size=count, p=weight / weight.sum())
+
+    def _beside(self, q: Array, rng: np.random.Generator) -> Array:
+        """Other configurations with the tips of q (K, m)."""
+        space = self.checker.space
+        solver = TipSolver(space, self.checker.mechanics)
+        near = space.wound_into_limits(q + rng.normal(size=q.shape) * NEAR_MM / space.weights_mm)
+        allowed = space.allowed_rows(near)
+        found = solver.solve(TipTarget(solver.tips(q[allowed])[0]), near[allowed], TIP_STEPS, turned=False)
+        self.checker.meter.add(ROOM_NS * TIP_STEPS * len(near))
+        return found.joints[found.error_m < NEAR_TIP_M]
 
     def _with_room(self, q: Array, most: int) -> Array:
         return q[self.checker.rooms([row[None] for row in q]) > ROOM_M][:most]
@@ -119,6 +140,7 @@ class RoadmapSearch:
             motions = list(pool.map(lambda node: self.checker.state(self.joints[node]), todo))
         refused = [node for node, motion in zip(todo, motions, strict=True) if not motion.valid]
         self.probed[todo] = True
+        self.refused = np.concatenate([self.refused, np.array(refused, dtype=int)])
         self.cost[np.isin(self.edges, refused).any(axis=1)] = np.inf
         return bool(refused)
 

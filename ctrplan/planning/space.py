@@ -64,6 +64,11 @@ class JointSpace:
         lengths: Array = np.linalg.norm(weighted[:, rotation], axis=1) + np.linalg.norm(weighted[:, ~rotation], axis=1)
         return lengths
 
+    def legs(self, delta: Array) -> NDArray[np.int_]:
+        """(K,) legs of the L-shaped motions by delta (K, m): 0, 1 or 2."""
+        moves, rotation = delta != 0, self.drive.is_rotation
+        return np.any(moves[:, rotation], axis=1).astype(int) + np.any(moves[:, ~rotation], axis=1)
+
     def corners(self, a: Array, b: Array, style: MotionStyle) -> Array:
         """(K, m) start, corner if both kinds of joints move, end; windings continue from a."""
         delta = self.difference(a, b)
