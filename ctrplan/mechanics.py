@@ -409,7 +409,8 @@ def path_samples(table: Array, bodies: Sequence[Array]) -> PathSamples:
         status=table[:, 8].astype(int),
         tip_m=table[:, 9:12],
         tip_tangent=table[:, 12:15],
-        corner_tip_m=table[:, 15:].reshape(len(table), (table.shape[1] - 15) // 3, 3),
+        solves=table[:, 15].astype(int),
+        corner_tip_m=table[:, 16:].reshape(len(table), (table.shape[1] - 16) // 3, 3),
         bodies=tuple(bodies),
     )
 

@@ -78,6 +78,20 @@ class RoadmapSearch:
             edges |= {(0, i)} | {(i, j) for j in others} | {(j, i) for j in others}
         self.extend(added, np.array(sorted(edges), dtype=int).reshape(-1, 2))
 
+    def add_goals(self, goals: list[GoalState]) -> None:
+        """Adds goal states, joined to the start and to the states nearest to them."""
+        first = len(self.joints)
+        added = np.array([goal.joints for goal in goals]).reshape(-1, self.joints.shape[1])
+        edges = set()
+        for k, goal in enumerate(goals, first):
+            apart = np.linalg.norm(
+                self.checker.space.difference(self.joints, goal.joints) * self.checker.space.weights_mm, axis=1
+            )
+            edges |= {(0, k)} | {(int(i), k) for i in np.argsort(apart)[:NEIGHBOURS]}
+            self.left_m[k] = goal.bound_m
+        self.goals = np.append(self.goals, np.arange(first, first + len(goals)))
+        self.extend(added, np.array(sorted(edges), dtype=int).reshape(-1, 2))
+
     def _troubled(self, rng: np.random.Generator, count: int) -> NDArray[np.int_]:
         """`count` random states, by how many motions from and to them were refused."""
         refused = self.edges[self.known & ~np.isfinite(self.cost)].ravel()

@@ -29,7 +29,7 @@ class JointSpace:
     drive: Drive
     weights_mm: Array  # (m,) mm of joint length per rad or m
     nesting_G: Array  # (r, n)
-    nesting_h: Array  # (r,) base translations nest where nesting_G @ l_b <= nesting_h
+    nesting_h: Array  # (r,) base translations are allowed where nesting_G @ l_b <= nesting_h
 
     @classmethod
     def of(cls, scenario: Scenario) -> JointSpace:
@@ -40,6 +40,9 @@ class JointSpace:
     def of_robot(cls, robot: Robot, mm_per_rad: float = MM_PER_RAD) -> JointSpace:
         """The joint space of a robot, 1 rad counted as `mm_per_rad`."""
         G, h = nesting_inequalities(robot.tubes)
+        outermost = robot.tubes[0]  # its tip stays in front of the plate
+        G = np.vstack([G, -np.eye(robot.n)[:1]])
+        h = np.append(h, outermost.length_m - 3 * TOLERANCE_M)
         return cls(robot.drive, np.where(robot.drive.is_rotation, mm_per_rad, MM_PER_M), G, h)
 
     def difference(self, a: Array, b: Array) -> Array:

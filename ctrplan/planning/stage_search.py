@@ -13,6 +13,7 @@ from ctrplan.drive import Array
 from ctrplan.errors import NoAnswerError
 from ctrplan.legs import merge_legs
 from ctrplan.planning.certify import finished, walk_legs
+from ctrplan.planning.goal_descent import descended
 from ctrplan.planning.goals import GoalState
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.plan import Certificate
@@ -22,10 +23,11 @@ from ctrplan.planning.roadmap_search import RoadmapSearch
 from ctrplan.planning.search_clock import SearchClock
 from ctrplan.planning.search_problem import SearchProblem
 
-FIRST_SHARE, ROADMAP_SHARE = 0.6, 0.4  # of the time by which a first path, and the cheapest, of the roadmap is sought
+FIRST_SHARE, ROADMAP_SHARE = 0.6, 0.7  # of the time by which a first path, and the cheapest, of the roadmap is sought
 LEAST_SHARE = 0.25  # of the time for sampling, however long the roadmap took
 FALLBACK_SHARE = 0.3  # of the time, for simultaneous motions when no L-shaped path was found
 FIRST_STATES, FIRST_ROUND_S = 100, 0.4  # random states a roadmap first grows by, and after how long; then twice as many
+MOST_STATES = 3000  # of a roadmap
 ATTEMPTS = 8  # searches after a path failed its certificate
 LATEST = 2.0  # times the budget: no further attempt begins after it
 
@@ -104,15 +106,30 @@ class StageSearch:
         return search
 
     def _cheapest_of(self, search: RoadmapSearch) -> None:
-        """The cheapest path of the roadmap, put in order and certified."""
-        while True:
-            path = search.path(lambda: self._is_over(ROADMAP_SHARE * self.budget), eager=False)
-            if path is None:
+        """The cheapest path of a roadmap that grows further, put in order and certified."""
+        rng, states, cheapest = np.random.default_rng(self.seed), FIRST_STATES, np.empty((0, 0))
+        if self.best is not None and self.checker.scenario.cost.error_goal > 0:
+            better = descended(self.checker, self.goals, rng)
+            search.add_goals(better)
+            self.goals = better + self.goals
+        until = ROADMAP_SHARE * self.budget
+        while not self._is_over(until):
+            path = search.path(lambda: self._is_over(until), eager=False)
+            if path is None and not self._is_over(until):
+                break  # not even a way
+            if path is not None and not np.array_equal(path, cheapest):
+                cheapest = path
+            if len(search.joints) > MOST_STATES:
                 break
-            failed = self._tidied(self.checker, self._expanded(path), ROADMAP)
+            search.grow(rng, states)
+            states *= 2
+        while len(cheapest):
+            failed = self._tidied(self.checker, self._expanded(cheapest), ROADMAP)
             if not failed:
                 break
-            search.forbid(path, failed)
+            search.forbid(cheapest, failed)
+            path = search.path(lambda: self._is_over(until), eager=False)
+            cheapest = np.empty((0, 0)) if path is None else path
 
     def _expanded(self, states: Array) -> Array:
         """(K, m) corners of the motions through states, with the start's own winding."""
