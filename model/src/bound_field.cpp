@@ -100,12 +100,14 @@ FieldEntry BoundField::sample(const Configuration& q, int every) const {
         cell[a] = std::clamp(static_cast<int>(x), 0, cells - 1);
         part[a] = x - cell[a];
     }
-    auto point = [&](int a, int offset) {
-        const FieldAxis& axis = axes_[a];
-        int i = cell[a] + offset;
-        if (axis.rotation) i = (i % axis.count + axis.count) % axis.count;
-        return std::clamp(i, 0, axis.count - 1) * stride_[a];
-    };
+    long place[kMostAxes][4];  // of the grid points around, along each axis
+    for (int a = 0; a < axes; ++a)
+        for (int side = 0; side < 4; ++side) {
+            const FieldAxis& axis = axes_[a];
+            int i = cell[a] + side - 1;
+            if (axis.rotation) i = (i % axis.count + axis.count) % axis.count;
+            place[a][side] = std::clamp(i, 0, axis.count - 1) * stride_[a];
+        }
     float* out = reinterpret_cast<float*>(&entry);
     const int linear = 1 << axes;
     bool valid = true;
@@ -115,7 +117,7 @@ FieldEntry BoundField::sample(const Configuration& q, int every) const {
         for (int a = 0; a < axes; ++a) {
             const int side = corner >> a & 1;
             weight *= side ? part[a] : 1 - part[a];
-            index += point(a, side);
+            index += place[a][side + 1];
         }
         const float* from = values_ + index * kFieldFloats;
         valid = valid && reinterpret_cast<const FieldEntry*>(from)->valid > 0;
@@ -137,13 +139,15 @@ FieldEntry BoundField::sample(const Configuration& q, int every) const {
         for (int a = 0; a < axes; ++a) {
             const int side = corner >> (2 * a) & 3;
             weight *= weights[a][side];
-            index += point(a, side - 1);
+            index += place[a][side];
         }
         if (weight == 0) continue;
         const float* from = values_ + index * kFieldFloats;
         if (!(reinterpret_cast<const FieldEntry*>(from)->valid > 0)) return entry;  // next to a snap: the linear values stand
-        add(static_cast<float>(weight), from, every, sum);
+        add(static_cast<float>(weight), from, every == 1 ? 1 : kStations, sum);  // else of the stations the tip alone
     }
+    if (every != 1)
+        for (int j = 0; j + 1 < kStations; ++j) std::copy_n(entry.point[j], 3, smooth.point[j]);
     // how much both differ says how far either may be off here
     auto above = [](float a, float b) { return std::max(a, b) + kLocalError * std::fabs(a - b); };
     smooth.position = above(smooth.position, entry.position);
