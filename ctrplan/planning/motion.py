@@ -123,7 +123,7 @@ class MotionChecker:
             return invalid(reason)
         error = self.errors(corners, samples)
         length, integral = self.price(corners, samples, error)
-        return Motion(True, "", length, integral, float(samples.position_m[-1]), float(error[-1]), len(corners) - 1)
+        return Motion(True, "", length, integral, float(samples.position_m[-1]), float(error[-1]), count_legs(corners))
 
     def walk(self, corners: Array, density: PathDensity, limits: PathLimits) -> PathSamples:
         """The core's samples along a polyline."""
@@ -199,6 +199,11 @@ class MotionChecker:
         if ends_at_goal:
             cost += weights.error_goal * (motion.end_bound_m + motion.end_error_m) * MM_PER_M
         return cost
+
+
+def count_legs(corners: Array) -> int:
+    """Legs of a polyline (K, m) that go anywhere."""
+    return int(np.any(np.diff(corners, axis=0), axis=1).sum())
 
 
 def invalid(reason: str) -> Motion:
