@@ -90,7 +90,15 @@ def main() -> None:
     if arguments.write:
         page = ROOT / "docs" / "planning.md"
         before, rest = page.read_text(encoding="utf-8").split(BEGIN)
-        page.write_text(before + BEGIN + text + END + rest.split(END)[1], encoding="utf-8")
+        table, after = rest.split(END)
+        page.write_text(before + BEGIN + merged(table, text) + END + after, encoding="utf-8")
+
+
+def merged(table: str, text: str) -> str:
+    """The table with its rows renewed by those of another, by their scenarios."""
+    head = HEADER.count("\n")
+    rows = {line.split("|")[1].strip(): line for half in (table, text) for line in half.splitlines()[head:]}
+    return HEADER + "".join(f"{rows[name]}\n" for name in sorted(rows))
 
 
 if __name__ == "__main__":

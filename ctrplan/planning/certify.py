@@ -115,7 +115,7 @@ def finished(walk: WalkedLegs, arrival: Arrival = frictionless_arrives) -> Certi
     prediction, samples = _predicted(scenario, walk.pieces, walk.samples, walk.accuracy)
     problems = walk.problems + arrival(scenario, samples, prediction)
     integral, released, predicted = (
-        np.trapezoid(error * MM_PER_M, samples.path_mm) / scenario.cost.mm_per_rad
+        float(np.trapezoid(error * MM_PER_M, samples.path_mm)) / scenario.cost.mm_per_rad
         for error in (samples.bound_m, samples.released_m, samples.predicted_m)
     )
     weights, goal_error_mm = scenario.cost, float(samples.bound_m[-1] + samples.released_m[-1]) * MM_PER_M
@@ -131,11 +131,11 @@ def finished(walk: WalkedLegs, arrival: Arrival = frictionless_arrives) -> Certi
         goal_bound_m=float(samples.bound_m[-1]),
         goal_bound_rad=float(samples.bound_rad[-1]),
         goal_tip_error_m=_goal_miss(scenario, samples.tip_m[-1]),
-        error_integral_mm=float(integral),
+        error_integral_mm=integral,
         worst_predicted_m=float(samples.predicted_m.max()),
         goal_predicted_m=float(samples.predicted_m[-1]),
-        released_integral_mm=float(released),
-        predicted_integral_mm=float(predicted),
+        released_integral_mm=released,
+        predicted_integral_mm=predicted,
         goal_predicted_tip_m=prediction.end_middle_m,
         goal_predicted_spread_m=prediction.end_spread_m,
         snaps=prediction.snaps,
@@ -144,7 +144,7 @@ def finished(walk: WalkedLegs, arrival: Arrival = frictionless_arrives) -> Certi
         max_strain=float(samples.max_strain.max()),
         length_mm=length,
         stops=max(legs - 1, 0),
-        cost_mm=float(cost),
+        cost_mm=cost,
         spacing_m=float(samples.motion_m.max()),
         targets=(_target(scenario, samples),),
     )

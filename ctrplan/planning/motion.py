@@ -25,8 +25,8 @@ MM_PER_M = 1e3
 # What a certificate on the fine mesh takes off a clearance, half the motion between samples and the discretisation
 # error, and a little for what the search's coarse mesh usually differs.
 SEARCH_ROOM_M = 0.5e-3
-# Motions and states whose zero-clearance shapes have less room than this are not solved: of 1,400 in three scenarios,
-# the 73 that had less than nothing were all invalid (`benchmarks/zero_clearance_rooms.py`).
+# Motions and states whose zero-clearance shapes have less room than this are not solved: none of 214 in three scenarios
+# was valid (`benchmarks/zero_clearance_rooms.py`).
 HOPELESS_M = -1e-3
 FEW = 100  # shapes, which are not worth a thread
 HOPELESS = "a corner shape comes too close to the anatomy: so does the zero-clearance shape"

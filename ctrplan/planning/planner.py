@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -63,7 +64,7 @@ def plan(
         raise NoAnswerError(f"{scenario.path or scenario.name}: start: the start state is not valid: {reason}.")
     with interrupt_event(interrupted) as interrupted:
         asked = _Asked(seed, began, budget, time_s is not None, progress or (lambda _: None), interrupted, bound_field)
-        stages, ended_by = _stages(scenario, asked)
+        first, stages, ended_by = _anytime_stages(scenario, asked)
         finish = _finish(scenario, stages[-1][1], compensated, progress or (lambda _: None))
     notes: tuple[str, ...] = (*scenario.warnings, *((ENDED_BY_TIME,) if ended_by == "time" else ()))
     if bound_field is not None:
@@ -80,8 +81,8 @@ def plan(
         planner=scenario.planner.name,
         seed=seed,
         time_s=time.monotonic() - began,
-        first_found_s=stages[-1][0].found_s,
-        first_certified_s=stages[-1][0].certified_s,
+        first_found_s=first.found_s,
+        first_certified_s=first.certified_s,
         notes=(*notes, *finish.notes),
         end=finish.corners,
         compensation=finish.compensation,
@@ -103,9 +104,31 @@ class _Asked:
     bound_field: BoundField | None
 
 
-def _stages(scenario: Scenario, asked: _Asked) -> tuple[list[tuple[Candidate, Candidate]], SearchEnd]:
+Stages = list[tuple[Candidate, Candidate]]
+
+
+def _anytime_stages(scenario: Scenario, asked: _Asked) -> tuple[Candidate, Stages, SearchEnd]:
+    """The candidate that first completed the way to all targets, the way to be driven, and what ended the search.
+
+    Of several targets the way to all is completed with the first path to each before any is improved.
+    """
+    if not scenario.via:
+        stages, ended_by = _stages(scenario, asked, StageSearch.run)
+        return stages[-1][0], stages, ended_by
+    hasty, _ = _stages(scenario, asked, StageSearch.run_to_first)
+    try:
+        stages, ended_by = _stages(scenario, asked, StageSearch.run)
+    except (KeyboardInterrupt, NoAnswerError):
+        return hasty[-1][0], hasty, "completion"
+    kept = min(stages, hasty, key=lambda way: sum(best.certificate.cost_mm for _, best in way))
+    return hasty[-1][0], kept, ended_by
+
+
+def _stages(
+    scenario: Scenario, asked: _Asked, run: Callable[[StageSearch], tuple[Candidate, Candidate]]
+) -> tuple[Stages, SearchEnd]:
     """The first and the best certified path to each target, from where the one before ended; and what ended it."""
-    found: list[tuple[Candidate, Candidate]] = []
+    found: Stages = []
     ended_by: SearchEnd = "completion"
     start, targets = scenario.start, scenario.targets
     for k, goal in enumerate(targets):
@@ -119,7 +142,7 @@ def _stages(scenario: Scenario, asked: _Asked) -> tuple[list[tuple[Candidate, Ca
                 goals = line_beginnings(checker, goals, targets[k + 1])
             clock, share = SearchClock(checker.meter, asked.timed), asked.budget / len(targets)
             search = StageSearch(checker, goals, asked.seed, asked.began, share, clock, asked.report, asked.interrupted)
-            found.append(search.run())
+            found.append(run(search))
             ended_by = clock.name if clock.ran_out else ended_by
         start = found[-1][1].result.after[-1]
     return found, ended_by

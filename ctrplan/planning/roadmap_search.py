@@ -27,7 +27,8 @@ NEAR_MM = 30.0  # of joint length, standard deviation of random states beside ot
 TIP_STEPS, NEAR_TIP_M = 4, 4e-3  # for that, and how near they must come
 TRIES = 4  # random states looked at for each that is added
 ROOM_M = 1e-3  # that a random state must have around its zero-clearance shape
-# Share of motions that are valid, by the room [m] around their zero-clearance shapes: found in three scenarios
+# Share of motions that are valid, by the room [m] around their zero-clearance shapes, a line through
+# `benchmarks/zero_clearance_rooms.py`
 VALID_AT_M, VALID_SHARE = (-0.5e-3, 3e-3), (0.02, 1.0)
 
 
@@ -134,6 +135,11 @@ class RoadmapSearch:
             with ThreadPoolExecutor(AT_ONCE) as pool:
                 list(pool.map(self._check, todo[:AT_ONCE]))
         return None
+
+    def known_path(self) -> Array | None:
+        """(K, m) the cheapest path of motions known to be valid; None without one."""
+        nodes = self._shortest(np.where(self.known, self.cost, np.inf))
+        return None if nodes is None else self.joints[nodes]
 
     def forbid(self, path: Array, reason: str) -> None:
         """Forbids the motions of a path (K, m) of states that failed its certificate."""

@@ -70,7 +70,8 @@ class JointSpace:
     def legs(self, delta: Array) -> NDArray[np.int_]:
         """(K,) legs of the L-shaped motions by delta (K, m): 0, 1 or 2."""
         moves, rotation = delta != 0, self.drive.is_rotation
-        return np.any(moves[:, rotation], axis=1).astype(int) + np.any(moves[:, ~rotation], axis=1)
+        count: NDArray[np.int_] = np.any(moves[:, rotation], axis=1).astype(int) + np.any(moves[:, ~rotation], axis=1)
+        return count
 
     def corners(self, a: Array, b: Array, style: MotionStyle) -> Array:
         """(K, m) start, corner if both kinds of joints move, end; windings continue from a."""

@@ -73,6 +73,13 @@ class StageSearch:
     first: Candidate | None = None  # that was certified
     best: Candidate | None = None
 
+    def run_to_first(self) -> tuple[Candidate, Candidate]:
+        """The first certified path, as the first and the best."""
+        self._first_path()
+        if self.best is None:
+            self._sample()
+        return self._answer()
+
     def run(self) -> tuple[Candidate, Candidate]:
         """The first and the best certified path."""
         roadmap = self._first_path()
@@ -80,6 +87,10 @@ class StageSearch:
         if self.best is not None and not self.best.tidied:
             self._tidied(self.checker, self.best.result.after, self.best.found_by)
         self._sample()
+        return self._answer()
+
+    def _answer(self) -> tuple[Candidate, Candidate]:
+        """The first and the best. Raises NoAnswerError or KeyboardInterrupt without one."""
         if self.first is not None and self.best is not None:
             return self.first, self.best
         if self.interrupted.is_set():
@@ -123,12 +134,14 @@ class StageSearch:
                 break
             search.grow(rng, states)
             states *= 2
+        if not len(cheapest) and (known := search.known_path()) is not None:
+            cheapest = known  # out of time before it could be told which is the cheapest
         while len(cheapest):
             failed = self._tidied(self.checker, self._expanded(cheapest), ROADMAP)
             if not failed:
                 break
             search.forbid(cheapest, failed)
-            path = search.path(lambda: self._is_over(until), eager=False)
+            path = search.known_path()
             cheapest = np.empty((0, 0)) if path is None else path
 
     def _expanded(self, states: Array) -> Array:
