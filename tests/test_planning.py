@@ -39,7 +39,7 @@ def ribs() -> ctrplan.Plan:
 
 @pytest.fixture(scope="module")
 def snap() -> ctrplan.Plan:
-    return ctrplan.plan(scenario("snap", "planner.time_s=1"), seed=0)
+    return ctrplan.plan(scenario("snap", "planner.time_s=2"), seed=0)
 
 
 def check(plan: ctrplan.Plan) -> None:
