@@ -32,7 +32,8 @@ def cost_mm(plan: Plan, weights: Cost) -> float:
     c, samples = plan.certificate, plan.certificate.samples
     along = np.trapezoid(samples.released_m * 1e3, samples.path_mm) / weights.mm_per_rad
     left_mm = float(samples.bound_m[-1] + samples.released_m[-1]) * 1e3
-    return float(weights.path * c.length_mm + weights.error_along * along + weights.error_goal * left_mm)
+    driven = weights.path * c.length_mm + weights.stop * (c.stops + 1)
+    return float(driven + weights.error_along * along + weights.error_goal * left_mm)
 
 
 def row(name: str, label: str, plan: Plan, weights: Cost) -> str:

@@ -1,10 +1,11 @@
 """What does the order of motions leave at the goal? Every scenario, predicted by history, beside the worst case.
 
-python benchmarks/reordering.py [--seed N] [--time S] [--write] [SCENARIO ...]
+python benchmarks/reordering.py [--seed N] [--count S] [--write] [SCENARIO ...]
 
 --write puts the table into docs/planning.md. The plan as found is the search's path before reordering. "with settling"
 is the reordered plan with the oscillation at its end, also where `ctrplan plan` would leave it out; "translations
-first, with settling" shows it where friction is loaded. Of several targets the last one counts.
+first, with settling" shows it where friction is loaded. Of several targets the last one counts; where that is a
+line, along which joints have one way to go, the one before it. Searches end by work counted.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scenarios", nargs="*", help="names of scenarios; default: all")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--time", type=float, help="seconds of search (default: the scenario's)")
+    parser.add_argument("--count", type=float, metavar="S", help="of search, by work counted (default: the scenario's)")
     parser.add_argument("--write", action="store_true", help="put the table into docs/planning.md")
     arguments = parser.parse_args()
     text = HEADER
@@ -76,11 +77,11 @@ def main() -> None:
         if arguments.scenarios and path.stem not in arguments.scenarios:
             continue
         try:
-            scenario = ctrplan.load_scenario(path)
-            if scenario.goal.line_m is not None:  # its joints have one way to go
-                continue
+            scenario = ctrplan.load_scenario(path, [f"planner.time_s={arguments.count}"] if arguments.count else [])
+            if scenario.goal.line_m is not None:
+                scenario = replace(scenario, goal=scenario.via[-1], via=scenario.via[:-1])
             scenario = replace(scenario, planner=replace(scenario.planner, settle="none"))
-            text += row(ctrplan.plan(scenario, seed=arguments.seed, time_s=arguments.time))
+            text += row(ctrplan.plan(scenario, seed=arguments.seed))
         except CtrplanError as error:
             print(error, file=sys.stderr)
             text += f"| {path.stem} | no plan in time | | | | | | |\n"
@@ -89,7 +90,15 @@ def main() -> None:
     if arguments.write:
         page = ROOT / "docs" / "planning.md"
         before, rest = page.read_text(encoding="utf-8").split(BEGIN)
-        page.write_text(before + BEGIN + text + END + rest.split(END)[1], encoding="utf-8")
+        table, after = rest.split(END)
+        page.write_text(before + BEGIN + merged(table, text) + END + after, encoding="utf-8")
+
+
+def merged(table: str, text: str) -> str:
+    """The table with its rows renewed by those of another, by their scenarios."""
+    head = HEADER.count("\n")
+    rows = {line.split("|")[1].strip(): line for half in (table, text) for line in half.splitlines()[head:]}
+    return HEADER + "".join(f"{rows[name]}\n" for name in sorted(rows))
 
 
 if __name__ == "__main__":

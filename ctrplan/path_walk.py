@@ -28,6 +28,7 @@ class PathSamples:
     status: NDArray[np.int_]  # (K,) values of Status
     tip_m: Array  # (K, 3) frictionless
     tip_tangent: Array  # (K, 3)
+    solves: NDArray[np.int_]  # (K,) configurations solved since the sample before, those not accepted among them
     corner_tip_m: Array  # (K, C, 3) of the corner shapes in the order of Bound.corners; C = 0 when looked up
     bodies: tuple[Array, ...] = ()  # per sample, if asked for: (N, 4) points of all shapes and their outer radius [m]
 

@@ -41,6 +41,7 @@ def plan_to_json(plan: Plan) -> dict[str, Any]:
         "search_time_s": plan.search_time_s,
         "first_found_s": plan.first_found_s,
         "first_certified_s": plan.first_certified_s,
+        "search_ended_by": plan.ended_by,
         "interrupted": plan.interrupted,
         "base": {"position_m": scenario.base_position_m, "R": scenario.base_R},
         "goal": _goal(scenario, scenario.goal),

@@ -193,6 +193,7 @@ def _provenance(plan: Plan) -> Markup:
             ("SHA-256 of the robot", tag("code", robot.sha256)),
             ("Planner", f"{plan.planner}, {plan.style}, seed {plan.seed}"),
             ("Search", f"{digits(plan.search_time_s)} s, first certified path at {digits(plan.first_certified_s)} s"),
+            ("Search ended by", plan.ended_by),
             ("ctrplan", ctrplan.__version__),
         ]
     )

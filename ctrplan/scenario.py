@@ -62,13 +62,14 @@ class Margins:
 
 @dataclass(frozen=True)
 class Cost:
-    """Weights of a plan's cost in mm: length in joint space, friction error along the path and at the goal."""
+    """Weights of a plan's cost in mm: length in joint space, stops, friction error along the path and at the goal."""
 
     path: float = 1.0
     mm_per_rad: float = 20.0
     error_along: float = 1.0
     error_goal: float = 10.0
     max_error_goal_m: float | None = None  # requirement on the worst-case friction error at the goal
+    stop: float = 2.0  # of each leg, at whose end the drive stops
 
 
 @dataclass(frozen=True)
@@ -216,4 +217,4 @@ def _unit_vector(vector: Vector, document: Document, *path: Step) -> Array:
 
 def _cost(entry: CostEntry) -> Cost:
     limit_m = None if entry.max_error_goal_mm is None else entry.max_error_goal_mm * 1e-3
-    return Cost(entry.path, entry.mm_per_rad, entry.error_along, entry.error_goal, limit_m)
+    return Cost(entry.path, entry.mm_per_rad, entry.error_along, entry.error_goal, limit_m, entry.stop)

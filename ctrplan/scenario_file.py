@@ -76,6 +76,7 @@ class CostEntry(Struct, forbid_unknown_fields=True, frozen=True):
     error_along: NotNegative = 1.0
     error_goal: NotNegative = 10.0
     max_error_goal_mm: Positive | None = None
+    stop: NotNegative = 2.0
 
 
 class PlannerEntry(Struct, forbid_unknown_fields=True, frozen=True):

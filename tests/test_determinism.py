@@ -77,4 +77,14 @@ def test_a_plan_says_that_it_depends_on_the_speed_of_the_machine(tmp_path: Path)
     assert main(["plan", str(SCENARIOS / "pair_free.toml"), "--time", "1", "-o", str(tmp_path), "--seed", "5"]) == 0
     content = json.loads((tmp_path / "plan.json").read_text())
     assert content["seed"] == 5 and content["search_time_s"] > 0
+    assert content["search_ended_by"] == "time"
     assert any("may find another path" in note for note in content["notes"])
+
+
+def test_a_search_that_ends_by_count_gives_the_same_legs_to_the_last_bit() -> None:
+    scenario = load_scenario(SCENARIOS / "vessel.toml", ["planner.time_s=0.3"])
+    first, second = (plan_to_json(ctrplan.plan(scenario, seed=4)) for _ in range(2))
+    assert first["search_ended_by"] == "count"
+    for key in ("legs", "certificate", "search_ended_by", "notes"):
+        assert json.dumps(first[key]) == json.dumps(second[key])
+    assert not any("another machine" in note for note in first["notes"])

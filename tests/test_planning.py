@@ -34,12 +34,12 @@ def scenario(name: str, *overrides: str) -> Scenario:
 
 @pytest.fixture(scope="module")
 def ribs() -> ctrplan.Plan:
-    return ctrplan.plan(scenario("ribs"), seed=0, time_s=3)
+    return ctrplan.plan(scenario("ribs", "planner.time_s=1"), seed=0)
 
 
 @pytest.fixture(scope="module")
 def snap() -> ctrplan.Plan:
-    return ctrplan.plan(scenario("snap"), seed=0, time_s=8)
+    return ctrplan.plan(scenario("snap", "planner.time_s=2"), seed=0)
 
 
 def check(plan: ctrplan.Plan) -> None:
@@ -84,12 +84,12 @@ def test_cost_that_weighs_the_error_more_prefers_goals_with_less() -> None:
 
 
 def test_bound_aware_plan_ends_with_less_error_than_blind_one(ribs: ctrplan.Plan) -> None:
-    blind = ctrplan.plan(scenario("ribs", *BLIND), seed=0, time_s=3)
+    blind = ctrplan.plan(scenario("ribs", "planner.time_s=1", *BLIND), seed=0)
     assert ribs.certificate.goal_bound_m < 0.5 * blind.certificate.goal_bound_m
 
 
 def test_bound_aware_plan_in_the_vessel_ends_with_less_error_than_blind_one() -> None:
-    aware, blind = (ctrplan.plan(scenario("vessel", *weights), seed=0, time_s=2) for weights in ([], BLIND))
+    aware, blind = (ctrplan.plan(scenario("vessel", "planner.time_s=1", *weights), seed=0) for weights in ([], BLIND))
     check(aware)
     assert aware.certificate.goal_bound_m < blind.certificate.goal_bound_m
 
@@ -112,7 +112,7 @@ def test_walk_reports_a_snap_it_was_not_told_about(snap: ctrplan.Plan) -> None:
 
 @pytest.mark.parametrize("name", ["RRT*", "RRTConnect"])
 def test_other_planners(name: str) -> None:
-    check(ctrplan.plan(scenario("ribs", f'planner.name="{name}"'), seed=1, time_s=3))
+    check(ctrplan.plan(scenario("ribs", "planner.time_s=1", f'planner.name="{name}"'), seed=1))
 
 
 def test_reorder_puts_rotations_first_at_no_higher_cost() -> None:
@@ -190,7 +190,7 @@ def test_simultaneous_motion_is_a_named_fallback(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(
         sys.modules["ctrplan.planning.reorder"], "_pieces", lambda checker, corners, i, j: [corners[i : j + 1]]
     )
-    plan = ctrplan.plan(scenario("pair_free"), seed=0, time_s=1)
+    plan = ctrplan.plan(scenario("pair_free", "planner.time_s=1"), seed=0)
     assert plan.style == "simultaneous" and any("simultaneously" in note for note in plan.notes)
     assert plan.certificate.valid
 

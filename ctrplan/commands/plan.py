@@ -46,7 +46,10 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of the search (default: %(default)s)")
     parser.add_argument(
-        "--time", type=float, metavar="S", help="seconds of search (default: the scenario's planner.time_s)"
+        "--time",
+        type=float,
+        metavar="S",
+        help="seconds of search by the clock (default: work that takes about the scenario's planner.time_s)",
     )
     parser.add_argument(
         "--compensate",

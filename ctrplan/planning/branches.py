@@ -96,7 +96,7 @@ def reach(
     chosen = _distinct(checker, q.joints, near)[:MOST_REFINED]
     joints = _refined(checker, aim, q.joints[chosen], tolerance_m)
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        found = list(pool.map(lambda joint: _configuration(checker, target, joint), joints))
+        found = list(pool.map(lambda joint: configuration(checker, target, joint), joints))
     nearest = min(found, key=lambda c: c.tip_error_m)
     reached = [c for c in found if c.tip_error_m <= tolerance_m and c.turned_rad <= target.direction_tolerance_rad]
     reached.sort(key=lambda c: c.bound_m)
@@ -196,7 +196,8 @@ def _stepped(checker: MotionChecker, q: Array, miss: Array, slope: Array) -> Arr
     return checker.space.projected(q + step / weights, fallback=q)
 
 
-def _configuration(checker: MotionChecker, target: TipTarget, joints: Array) -> Configuration:
+def configuration(checker: MotionChecker, target: TipTarget, joints: Array) -> Configuration:
+    """Joint values (m,) and what they are worth at a target."""
     motion, samples = checker.probe(joints)
     assert samples is not None, "the solver keeps limits and nesting"
     tip, tangent = samples.tip_m[-1], samples.tip_tangent[-1]

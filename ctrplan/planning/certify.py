@@ -49,6 +49,10 @@ class _Piece:
 
 def frictionless_arrives(scenario: Scenario, samples: CertificateSamples, prediction: Prediction) -> list[str]:
     """Sentences if the frictionless tip misses the goal."""
+    return _frictionless_miss(scenario, samples)
+
+
+def _frictionless_miss(scenario: Scenario, samples: CertificateSamples) -> list[str]:
     goal, miss = scenario.goal, _goal_miss(scenario, samples.tip_m[-1])
     if goal.tip_m is None or miss <= goal.tolerance_m:
         return []
@@ -74,18 +78,51 @@ def certify(
     which the cost counts as the search does; and the prediction by simulated histories. `arrival` says what misses the
     goal.
     """
+    return finished(walk_legs(scenario, corners, accuracy=accuracy, progress=progress), arrival)
+
+
+@dataclass(frozen=True, eq=False)
+class WalkedLegs:
+    """Legs walked for a certificate: what it rests on, before histories are simulated."""
+
+    scenario: Scenario
+    corners: Array  # (K, m)
+    accuracy: Accuracy
+    pieces: list[_Piece]
+    samples: CertificateSamples
+    problems: list[str]  # but whether the goal is met
+
+    @property
+    def failure(self) -> str:
+        """The first reason not to certify the legs, or that the frictionless tip misses the goal; empty if none."""
+        return next(iter(self.problems + _frictionless_miss(self.scenario, self.samples)), "")
+
+
+def walk_legs(
+    scenario: Scenario, corners: Array, *, accuracy: Accuracy = "search", progress: Progress | None = None
+) -> WalkedLegs:
+    """What decides whether the polyline `corners` (K, m) is valid, see `certify`."""
     space = JointSpace.of(scenario)
-    limits = path_limits(scenario)
     pieces = _walk(scenario, space, corners, accuracy, progress)
-    prediction, samples = _predicted(scenario, pieces, _join(scenario.robot, space, corners, pieces), accuracy)
-    problems = _problems(scenario, space, corners, pieces, samples, limits) + arrival(scenario, samples, prediction)
+    samples = _join(scenario.robot, space, corners, pieces)
+    problems = _problems(scenario, space, corners, pieces, samples, path_limits(scenario))
+    return WalkedLegs(scenario, corners, accuracy, pieces, samples, problems)
+
+
+def finished(walk: WalkedLegs, arrival: Arrival = frictionless_arrives) -> Certificate:
+    """The certificate of walked legs, histories simulated."""
+    scenario, corners = walk.scenario, walk.corners
+    prediction, samples = _predicted(scenario, walk.pieces, walk.samples, walk.accuracy)
+    problems = walk.problems + arrival(scenario, samples, prediction)
     integral, released, predicted = (
-        np.trapezoid(error * MM_PER_M, samples.path_mm) / scenario.cost.mm_per_rad
+        float(np.trapezoid(error * MM_PER_M, samples.path_mm)) / scenario.cost.mm_per_rad
         for error in (samples.bound_m, samples.released_m, samples.predicted_m)
     )
     weights, goal_error_mm = scenario.cost, float(samples.bound_m[-1] + samples.released_m[-1]) * MM_PER_M
     length = float(samples.path_mm[-1])
-    cost = weights.path * length + weights.error_along * released + weights.error_goal * goal_error_mm
+    legs = len(merge_legs(corners)) - 1
+    cost = weights.path * length + weights.stop * legs
+    cost += weights.error_along * released + weights.error_goal * goal_error_mm
     return Certificate(
         samples=samples,
         valid=not problems,
@@ -94,11 +131,11 @@ def certify(
         goal_bound_m=float(samples.bound_m[-1]),
         goal_bound_rad=float(samples.bound_rad[-1]),
         goal_tip_error_m=_goal_miss(scenario, samples.tip_m[-1]),
-        error_integral_mm=float(integral),
+        error_integral_mm=integral,
         worst_predicted_m=float(samples.predicted_m.max()),
         goal_predicted_m=float(samples.predicted_m[-1]),
-        released_integral_mm=float(released),
-        predicted_integral_mm=float(predicted),
+        released_integral_mm=released,
+        predicted_integral_mm=predicted,
         goal_predicted_tip_m=prediction.end_middle_m,
         goal_predicted_spread_m=prediction.end_spread_m,
         snaps=prediction.snaps,
@@ -106,8 +143,8 @@ def certify(
         min_stability=float(samples.stability.min()),
         max_strain=float(samples.max_strain.max()),
         length_mm=length,
-        stops=max(len(merge_legs(corners)) - 2, 0),
-        cost_mm=float(cost),
+        stops=max(legs - 1, 0),
+        cost_mm=cost,
         spacing_m=float(samples.motion_m.max()),
         targets=(_target(scenario, samples),),
     )

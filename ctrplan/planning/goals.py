@@ -41,6 +41,11 @@ def goal_states(checker: MotionChecker, rng: np.random.Generator) -> list[GoalSt
     found.sort(key=lambda state: state.bound_m)
     limit = checker.scenario.cost.max_error_goal_m
     kept = [state for state in found if limit is None or state.bound_m <= limit]
+    if limit is not None and not kept:
+        from ctrplan.planning.goal_descent import descended  # which knows about goals
+
+        found = sorted(found + descended(checker, found, rng), key=lambda state: state.bound_m)
+        kept = [state for state in found if state.bound_m <= limit]
     if not kept:
         required, best = (limit or 0) * MM_PER_M, found[0].bound_m * MM_PER_M
         raise _no_answer(

@@ -13,6 +13,7 @@ from ctrplan.drive import Array
 from ctrplan.friction_law import largest_deviation
 from ctrplan.mechanics import Field, PathDensity, PathLimits, PathSamples, Status
 from ctrplan.planning.plan import MotionStyle
+from ctrplan.planning.search_clock import ASKED_NS, LOOKED_UP_NS, ROOM_NS, SHAPE_NS, WorkMeter
 from ctrplan.planning.space import JointSpace
 
 if TYPE_CHECKING:
@@ -24,6 +25,11 @@ MM_PER_M = 1e3
 # What a certificate on the fine mesh takes off a clearance, half the motion between samples and the discretisation
 # error, and a little for what the search's coarse mesh usually differs.
 SEARCH_ROOM_M = 0.5e-3
+# Motions and states whose zero-clearance shapes have less room than this are not solved: none of 214 in three scenarios
+# was valid (`benchmarks/zero_clearance_rooms.py`).
+HOPELESS_M = -1e-3
+FEW = 100  # shapes, which are not worth a thread
+HOPELESS = "a corner shape comes too close to the anatomy: so does the zero-clearance shape"
 
 
 @dataclass(frozen=True)
@@ -36,6 +42,7 @@ class Motion:
     error_integral_mm: float  # integral of the error over the joint length, per mm_per_rad of length
     end_bound_m: float  # whatever the history
     end_error_m: float  # less what the friction law says the motion released; fully loaded at its start
+    legs: int = 0  # the drive stops after each
 
 
 class MotionChecker:
@@ -46,6 +53,7 @@ class MotionChecker:
         scenario: Scenario,
         style: MotionStyle = "rotations before translations",
         bound_field: BoundField | None = None,
+        meter: WorkMeter | None = None,
     ) -> None:
         """With a `bound_field` of the robot motions are looked up; where it has no answer they are solved."""
         self.scenario = scenario
@@ -57,23 +65,36 @@ class MotionChecker:
         self.density = PathDensity(rotation_rad=0.26, translation_m=8e-3, motion_m=15e-3)
         self.limits = search_limits(scenario)
         self.calls = 0  # into the core
+        self.meter = meter or WorkMeter()  # counts what is solved and asked
+        self.solved_ns = SHAPE_NS * (1 + 2 ** (scenario.robot.n - 1))
         self._known: dict[bytes, Motion] = {}
         self._states: dict[bytes, tuple[Motion, PathSamples | None]] = {}
 
     def motion(self, a: Array, b: Array) -> Motion:
         """The motion from joint values a to b, (m,) each, in the checker's style."""
+        self.meter.add(ASKED_NS)
         key = a.tobytes() + b.tobytes()
         found = self._known.get(key)
         if found is None:
-            found = self._known[key] = self.along(self.space.corners(a, b, self.style))
+            corners = self.space.corners(a, b, self.style)
+            found = self._known[key] = invalid(HOPELESS) if self.is_hopeless(corners) else self.along(corners)
         return found
+
+    def is_hopeless(self, corners: Array) -> bool:
+        """Whether zero-clearance shapes collide by so much that a polyline (K, m) is not worth a walk."""
+        return self.bound_field is None and self.space.allowed(corners) and self.rooms([corners])[0] < HOPELESS_M
 
     def state(self, q: Array) -> Motion:
         """A single state as a motion of no length."""
-        return self.probe(q)[0] if self.bound_field is None else self.motion(q, q)
+        if self.bound_field is not None:
+            return self.motion(q, q)
+        if q.tobytes() not in self._states and self.is_hopeless(q[None, :]):
+            return invalid(HOPELESS)
+        return self.probe(q)[0]
 
     def probe(self, q: Array) -> tuple[Motion, PathSamples | None]:
         """A single state, and what the core says of it; None where limits or nesting forbid it."""
+        self.meter.add(ASKED_NS)
         key = q.tobytes()
         found = self._states.get(key)
         if found is None:
@@ -102,22 +123,48 @@ class MotionChecker:
             return invalid(reason)
         error = self.errors(corners, samples)
         length, integral = self.price(corners, samples, error)
-        return Motion(True, "", length, integral, float(samples.position_m[-1]), float(error[-1]))
+        return Motion(True, "", length, integral, float(samples.position_m[-1]), float(error[-1]), count_legs(corners))
 
     def walk(self, corners: Array, density: PathDensity, limits: PathLimits) -> PathSamples:
         """The core's samples along a polyline."""
         theta_b, l_b = self.space.drive.collars(corners)
         self.calls += 1
-        return self.mechanics.check_path(theta_b, l_b, self.field, density=density, limits=limits)
+        samples = self.mechanics.check_path(theta_b, l_b, self.field, density=density, limits=limits)
+        self.meter.add(self.solved_ns * int(samples.solves.sum()))
+        return samples
 
     def look_up(self, corners: Array) -> PathSamples:
         """As `walk`, by lookup where there is a bound field that has an answer."""
         if self.bound_field is not None:
             theta_b, l_b = self.space.drive.collars(corners)
             samples = self.bound_field.check_path(theta_b, l_b, self.field, density=self.density, limits=self.limits)
+            self.meter.add(LOOKED_UP_NS * len(samples.status))
             if samples.status[-1] != Status.FAILED:
                 return samples
         return self.walk(corners, self.density, self.limits)
+
+    def rooms(self, ways: list[Array]) -> Array:
+        """(E,) [m] smallest clearance of zero-clearance shapes on polylines (K, m) each, beyond what is required.
+
+        A cheap hint whether they are valid: friction and clearance between tubes move shapes by millimetres.
+        """
+        if self.field is None or not ways:
+            return np.full(len(ways), np.inf)
+        points = [self._stations(way) for way in ways]
+        self.meter.add(ROOM_NS * sum(map(len, points)))
+        theta_b, l_b = self.space.drive.collars(np.concatenate(points))
+        rooms = self.mechanics.zero_clearance_rooms(theta_b, l_b, self.field, threads=0 if len(l_b) > FEW else 1)
+        firsts = np.cumsum([0, *map(len, points[:-1])])
+        return np.asarray(np.minimum.reduceat(rooms, firsts) - self.limits.clearance_m)
+
+    def _stations(self, corners: Array) -> Array:
+        """(S, m) points on a polyline no farther apart than the density's steps."""
+        longest = np.where(self.space.drive.is_rotation, self.density.rotation_rad, self.density.translation_m)
+        found = [corners[:1]]
+        for a, b in zip(corners[:-1], corners[1:], strict=True):
+            count = max(1, int(np.ceil(np.abs((b - a) / longest).max())))
+            found.append(a + np.arange(1, count + 1)[:, None] / count * (b - a))
+        return np.concatenate(found)
 
     def errors(self, corners: Array, samples: PathSamples) -> Array:
         """(K,) [m] friction errors on a walked polyline that starts fully loaded, by the robot's friction law.
@@ -148,9 +195,15 @@ class MotionChecker:
         """Weighted cost of a motion; at the goal it pays for the worst case there and for what it left loaded."""
         weights = self.scenario.cost
         cost = weights.path * motion.length_mm + weights.error_along * motion.error_integral_mm
+        cost += weights.stop * motion.legs
         if ends_at_goal:
             cost += weights.error_goal * (motion.end_bound_m + motion.end_error_m) * MM_PER_M
         return cost
+
+
+def count_legs(corners: Array) -> int:
+    """Legs of a polyline (K, m) that go anywhere."""
+    return int(np.any(np.diff(corners, axis=0), axis=1).sum())
 
 
 def invalid(reason: str) -> Motion:

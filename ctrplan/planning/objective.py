@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from ompl import base as ob
 from ctrplan.drive import Array
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.ompl_space import StateReader
+from ctrplan.planning.search_clock import HEURISTIC_NS
 
 if TYPE_CHECKING:
     from ctrplan.scenario import Scenario
@@ -19,7 +21,7 @@ GOAL_TOLERANCE = 1e-9  # rad or m; states at the goal are copies of goal states
 
 
 class BoundObjective(ob.OptimizationObjective):  # type: ignore[misc]
-    """Weighted joint length + friction error along the path + error left at the goal, in mm.
+    """Weighted joint length + stops + friction error along the path + error left at the goal, in mm.
 
     A motion that ends at one of `goals` (G, m) pays for the error left there. Motions are L-shaped, rotations before
     translations, and priced in the direction driven. States must be those of `ctrplan.planning.ompl_space.state_space`.
@@ -36,6 +38,8 @@ class BoundObjective(ob.OptimizationObjective):  # type: ignore[misc]
         super().__init__(space_information)
         self.checker = checker or MotionChecker(scenario)
         self.read = StateReader(self.checker.space)
+        drive, weights = self.checker.space.drive, self.checker.space.weights_mm
+        self._joints = list(zip(drive.wraps.tolist(), drive.is_rotation.tolist(), weights.tolist(), strict=True))
         self.goals = np.array(goals).reshape(-1, len(scenario.robot.drive.joints))
 
     def motionCost(self, a: Any, b: Any) -> Any:  # noqa: N802, OMPL's names from here on
@@ -47,10 +51,16 @@ class BoundObjective(ob.OptimizationObjective):  # type: ignore[misc]
         return ob.Cost(cost) if np.isfinite(cost) and cost >= 0 else self.infiniteCost()
 
     def motionCostHeuristic(self, a: Any, b: Any) -> Any:  # noqa: N802
-        # admissible: the length of the L is exact, the error is never negative
-        space = self.checker.space
-        delta = space.difference(self.read(a), self.read(b))
-        return ob.Cost(self.checker.scenario.cost.path * space.length_mm(delta))
+        # admissible: length and stops are exact, errors never negative; asked for so often that numpy is too slow
+        self.checker.meter.add(HEURISTIC_NS)
+        squares = [0.0, 0.0]  # of translations and rotations
+        for i, (wraps, turns, weight) in enumerate(self._joints):
+            delta = b[i].value - a[i].value if wraps else b[i][0] - a[i][0]
+            if wraps and abs(delta) > math.pi:
+                delta -= math.copysign(2 * math.pi, delta)
+            squares[turns] += (weight * delta) ** 2
+        weights, legs = self.checker.scenario.cost, (squares[0] > 0) + (squares[1] > 0)
+        return ob.Cost(weights.path * (math.sqrt(squares[0]) + math.sqrt(squares[1])) + weights.stop * legs)
 
     def stateCost(self, state: Any) -> Any:  # noqa: N802
         return ob.Cost(0.0)

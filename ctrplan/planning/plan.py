@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ctrplan.drive import Array, Drive
 from ctrplan.errors import InputError
+from ctrplan.planning.search_clock import SearchEnd
 
 if TYPE_CHECKING:
     from ctrplan.scenario import Scenario
@@ -166,6 +167,7 @@ class Plan:
     notes: tuple[str, ...] = field(default=())
     compensation: Compensation | None = None  # only if asked for
     interrupted: bool = False  # by Ctrl-C: the best path found until then
+    ended_by: SearchEnd = "completion"  # what ended the search; "completion": it had nothing left to do
 
     @property
     def waypoints(self) -> Array:

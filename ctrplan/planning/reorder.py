@@ -17,6 +17,7 @@ from ctrplan.planning.certify import certify
 from ctrplan.planning.motion import MM_PER_M, Motion, MotionChecker
 from ctrplan.planning.plan import Certificate, Compensation, Leg, MotionStyle, Plan, ReorderReport, leg_kind
 from ctrplan.planning.prediction import TIP_TOLERANCE_M, goal_error
+from ctrplan.planning.search_clock import SearchEnd
 from ctrplan.trajectory import time_parameterise
 
 if TYPE_CHECKING:
@@ -96,38 +97,76 @@ def least_error(checker: MotionChecker, corners: Array) -> Reordered:
     return Reordered(corners, ways[best], before, motions[best], _style(checker, ways[best]))
 
 
+def as_given(checker: MotionChecker, corners: Array) -> Reordered:
+    """A path (K, m) left as it is."""
+    motion = checker.along(corners)
+    return Reordered(corners, corners, motion, motion, _style(checker, corners))
+
+
 def rotations_first(checker: MotionChecker, corners: Array) -> Reordered:
     """The cheapest way through the corners (K, m), some of them skipped by L-shaped motions; ends are kept.
 
     A shortest path over the corners whose edges are the given legs and all L-shaped motions between corners at most
-    LONGEST_SKIP apart: the given path is among the candidates, so that the cost cannot rise.
+    LONGEST_SKIP apart: the given path is among the candidates, so that the cost cannot rise. Motions count their length
+    and stops, which is never too dear, and are walked only where they may be on it.
     """
     before = checker.along(corners)
-    count = len(corners)
-    cost = np.full(count, np.inf)
-    cost[0] = 0.0
-    came: list[tuple[int, Array]] = [(0, corners[:1])] * count
-    for j in range(1, count):
-        for i in range(max(0, j - LONGEST_SKIP), j):
-            if not np.isfinite(cost[i]):
-                continue
-            for piece in _pieces(checker, corners, i, j):
-                motion = checker.along(piece)
-                total = cost[i] + checker.cost_mm(motion, ends_at_goal=False) if motion.valid else np.inf
-                if total < cost[j] - 1e-9:
-                    cost[j], came[j] = total, (i, piece)
-    if not np.isfinite(cost[-1]):
-        return Reordered(corners, corners, before, before, _style(checker, corners))
-    pieces, j = [], count - 1
-    while j > 0:
-        i, piece = came[j]
-        pieces.append(piece)
-        j = i
-    after = merge_legs(np.concatenate([corners[:1], *[piece[1:] for piece in reversed(pieces)]]))
+    given = Reordered(corners, corners, before, before, _style(checker, corners))
+    steps = [
+        _Step(i, j, piece, _least_mm(checker, piece))
+        for j in range(1, len(corners))
+        for i in range(max(0, j - LONGEST_SKIP), j)
+        for piece in _pieces(checker, corners, i, j)
+    ]
+    while True:
+        chosen = _cheapest(steps, len(corners))
+        if not chosen:
+            return given
+        unknown = [step for step in chosen if not step.known]
+        if not unknown:
+            break
+        for step in unknown:
+            motion = checker.along(step.piece)
+            step.cost_mm = checker.cost_mm(motion, ends_at_goal=False) if motion.valid else np.inf
+            step.known = True
+    after = merge_legs(np.concatenate([corners[:1], *(step.piece[1:] for step in chosen)]))
     motion = checker.along(after)
     if not motion.valid or _way_cost(checker, motion) > _way_cost(checker, before) + 1e-9:
-        return Reordered(corners, corners, before, before, _style(checker, corners))
+        return given
     return Reordered(corners, after, before, motion, _style(checker, after))
+
+
+@dataclass(eq=False)
+class _Step:
+    """A way from corner i to corner j."""
+
+    i: int
+    j: int
+    piece: Array  # (2 or 3, m)
+    cost_mm: float  # at least; what it costs once known
+    known: bool = False
+
+
+def _cheapest(steps: list[_Step], count: int) -> list[_Step]:
+    """The steps, sorted by where they end, that lead from the first corner to the last; empty if none do."""
+    cost, came = np.full(count, np.inf), dict[int, _Step]()
+    cost[0] = 0.0
+    for step in steps:
+        total = cost[step.i] + step.cost_mm
+        if total < cost[step.j] - 1e-9:
+            cost[step.j], came[step.j] = total, step
+    if not np.isfinite(cost[-1]):
+        return []
+    chosen, j = [], count - 1
+    while j > 0:
+        chosen.append(came[j])
+        j = came[j].i
+    return chosen[::-1]
+
+
+def _least_mm(checker: MotionChecker, piece: Array) -> float:
+    length = sum(checker.space.length_mm(delta) for delta in np.diff(piece, axis=0))
+    return checker.scenario.cost.path * length + checker.scenario.cost.stop * (len(piece) - 1)
 
 
 def joined_paths(stages: list[Reordered]) -> Reordered:
@@ -151,6 +190,7 @@ def _summed(motions: list[Motion]) -> Motion:
         sum(motion.error_integral_mm for motion in motions),
         sum(motion.end_bound_m for motion in motions),
         sum(motion.end_error_m for motion in motions),
+        sum(motion.legs for motion in motions),
     )
 
 
@@ -191,6 +231,7 @@ def assemble(
     notes: tuple[str, ...] = (),
     end: Array | None = None,
     compensation: Compensation | None = None,
+    ended_by: SearchEnd = "completion",
 ) -> Plan:
     """The plan of reordered corners, stage by stage; the trajectory rests after each stage.
 
@@ -206,7 +247,7 @@ def assemble(
     def cost(motion: Motion) -> float:
         left_mm = (motion.end_bound_m + motion.end_error_m) * MM_PER_M
         errors = weights.error_along * motion.error_integral_mm + weights.error_goal * left_mm
-        return weights.path * motion.length_mm + errors
+        return weights.path * motion.length_mm + weights.stop * motion.legs + errors
 
     a, b = result.motion_before, result.motion_after
     report = ReorderReport(
@@ -234,6 +275,7 @@ def assemble(
         first_certified_s=first_certified_s,
         notes=(*notes, *_remarks(certificate)),
         compensation=compensation,
+        ended_by=ended_by,
     )
 
 

@@ -8,14 +8,10 @@ among them, by L-shaped motions, and its cheapest path is found by checking only
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 
 from ctrplan.drive import Array
 from ctrplan.planning.goals import GoalState
@@ -28,8 +24,6 @@ SKIPS = (1, 2, 4, 8)  # stations along a chain that a motion may go
 NEIGHBOURS = 4  # in other chains, to either side
 MOST_GOALS = 12
 FAR_SHARE = 0.6  # of the stations that some chain must reach
-USUAL_MM = 25.0  # of joint length: shorter motions near a valid one are valid more often than not
-AT_ONCE = 2  # motions checked in parallel
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,13 +38,14 @@ class Roadmap:
 def retreat_roadmap(checker: MotionChecker, goals: list[GoalState]) -> Roadmap:
     """Chains from the goals back to the plate, joined to each other and to the start.
 
-    Without any edge where the drive can't withdraw the robot far along its body.
+    Start and goals alone where the drive can't withdraw the robot far along its body.
     """
     ends = np.array([goal.joints for goal in goals])
     start = checker.scenario.start
     chains, stations = _chains(checker, np.vstack([ends, start]))
     if all(len(chain) < FAR_SHARE * count for chain, count in zip(chains[:-1], stations[:-1], strict=True)):
-        return Roadmap(start[None], np.empty((0, 2), dtype=int), np.empty(0, dtype=int))
+        nodes = np.arange(1, 1 + len(ends))
+        return Roadmap(np.vstack([start, ends]), np.stack([np.zeros_like(nodes), nodes], axis=1), nodes)
     joints, owner, station = [start], [-1], [0]
     for k, chain in enumerate(chains):
         for place, q in enumerate(chain):
@@ -77,54 +72,6 @@ def promising(checker: MotionChecker, goals: list[GoalState]) -> list[GoalState]
         return weights.path * way + weights.error_goal * goal.bound_m * MM_PER_M
 
     return sorted(goals, key=least)[:MOST_GOALS]
-
-
-class RoadmapSearch:
-    """Finds the cheapest path of a roadmap by checking only motions that may lie on it."""
-
-    def __init__(self, checker: MotionChecker, roadmap: Roadmap, goals: list[GoalState]) -> None:
-        self.checker, self.roadmap = checker, roadmap
-        weights, space, q = checker.scenario.cost, checker.space, roadmap.joints
-        a, b = roadmap.edges.T
-        self.length = np.array([space.length_mm(d) for d in space.difference(q[a], q[b])])
-        at_goal = dict(zip(roadmap.goals.tolist(), (goal.bound_m for goal in goals), strict=False))
-        self.ends = np.isin(b, roadmap.goals)
-        left = np.array([at_goal.get(int(node), 0.0) for node in b])
-        self.cost = weights.path * self.length + weights.error_goal * left * MM_PER_M + 1e-6
-        self.known = np.zeros(len(a), dtype=bool)
-        self.row = {(int(i), int(j)): k for k, (i, j) in enumerate(roadmap.edges)}
-
-    def path(self, stop: Callable[[], bool], *, shy: bool) -> Array | None:
-        """(K, m) states from the start to a goal; None without a way, or if `stop` came first.
-
-        A motion not checked yet counts its length alone, which is never too dear; where `shy`, long ones count more, as
-        they fail more often: a path is found sooner, and it is not the cheapest.
-        """
-        while len(self.cost) and not stop():
-            doubt = np.where(self.known, 1.0, np.maximum(1.0, self.length / USUAL_MM) ** (1.0 if shy else 0.0))
-            nodes = _shortest(self.cost * doubt, self.roadmap)
-            if nodes is None:
-                return None
-            todo = [self.row[pair] for pair in zip(nodes[:-1], nodes[1:], strict=True)]
-            todo = [k for k in todo if not self.known[k]]
-            if not todo:
-                return self.roadmap.joints[nodes]
-            with ThreadPoolExecutor(AT_ONCE) as pool:
-                list(pool.map(self._check, todo[:AT_ONCE]))
-        return None
-
-    def forbid(self, path: Array, reason: str) -> None:
-        """Forbids the motions of a path (K, m) of states that failed its certificate."""
-        nodes = [int(np.argmin(np.abs(self.roadmap.joints - q).max(axis=1))) for q in path]
-        for a, b in zip(nodes[:-1], nodes[1:], strict=True):
-            self.checker.forbid(self.roadmap.joints[a], self.roadmap.joints[b], reason)
-            self.cost[self.row[a, b]] = np.inf
-
-    def _check(self, k: int) -> None:
-        a, b = self.roadmap.edges[k]
-        motion = self.checker.motion(self.roadmap.joints[a], self.roadmap.joints[b])
-        self.cost[k] = self.checker.cost_mm(motion, ends_at_goal=bool(self.ends[k])) if motion.valid else np.inf
-        self.known[k] = True
 
 
 def _chains(checker: MotionChecker, ends: Array) -> tuple[list[list[Array]], list[int]]:
@@ -166,18 +113,3 @@ def _edges(
         apart = np.linalg.norm(checker.space.difference(q[i], q[others]) * checker.space.weights_mm, axis=1)
         found |= {(i, int(j)) for j in others[np.argsort(apart)[:NEIGHBOURS]]}
     return np.array(sorted(found), dtype=int).reshape(-1, 2)
-
-
-def _shortest(cost: Array, roadmap: Roadmap) -> list[int] | None:
-    """Nodes of the cheapest path from node 0 to a goal."""
-    is_open, count = np.isfinite(cost), len(roadmap.joints)
-    a, b = roadmap.edges[is_open].T
-    graph = csr_array((cost[is_open], (a, b)), shape=(count, count))
-    distance, before = dijkstra(graph, indices=0, return_predecessors=True)
-    goal = int(roadmap.goals[np.argmin(distance[roadmap.goals])])
-    if not np.isfinite(distance[goal]):
-        return None
-    nodes = [goal]
-    while nodes[-1] != 0:
-        nodes.append(int(before[nodes[-1]]))
-    return nodes[::-1]

@@ -29,7 +29,7 @@ class JointSpace:
     drive: Drive
     weights_mm: Array  # (m,) mm of joint length per rad or m
     nesting_G: Array  # (r, n)
-    nesting_h: Array  # (r,) base translations nest where nesting_G @ l_b <= nesting_h
+    nesting_h: Array  # (r,) base translations are allowed where nesting_G @ l_b <= nesting_h
 
     @classmethod
     def of(cls, scenario: Scenario) -> JointSpace:
@@ -40,6 +40,9 @@ class JointSpace:
     def of_robot(cls, robot: Robot, mm_per_rad: float = MM_PER_RAD) -> JointSpace:
         """The joint space of a robot, 1 rad counted as `mm_per_rad`."""
         G, h = nesting_inequalities(robot.tubes)
+        outermost = robot.tubes[0]  # its tip stays in front of the plate
+        G = np.vstack([G, -np.eye(robot.n)[:1]])
+        h = np.append(h, outermost.length_m - 3 * TOLERANCE_M)
         return cls(robot.drive, np.where(robot.drive.is_rotation, mm_per_rad, MM_PER_M), G, h)
 
     def difference(self, a: Array, b: Array) -> Array:
@@ -57,6 +60,18 @@ class JointSpace:
         rotation = self.drive.is_rotation
         weighted = delta * self.weights_mm
         return float(np.linalg.norm(weighted[rotation]) + np.linalg.norm(weighted[~rotation]))
+
+    def lengths_mm(self, delta: Array) -> Array:
+        """(K,) the same of motions (K, m)."""
+        rotation, weighted = self.drive.is_rotation, delta * self.weights_mm
+        lengths: Array = np.linalg.norm(weighted[:, rotation], axis=1) + np.linalg.norm(weighted[:, ~rotation], axis=1)
+        return lengths
+
+    def legs(self, delta: Array) -> NDArray[np.int_]:
+        """(K,) legs of the L-shaped motions by delta (K, m): 0, 1 or 2."""
+        moves, rotation = delta != 0, self.drive.is_rotation
+        count: NDArray[np.int_] = np.any(moves[:, rotation], axis=1).astype(int) + np.any(moves[:, ~rotation], axis=1)
+        return count
 
     def corners(self, a: Array, b: Array, style: MotionStyle) -> Array:
         """(K, m) start, corner if both kinds of joints move, end; windings continue from a."""

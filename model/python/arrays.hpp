@@ -92,9 +92,9 @@ inline ctr::SignedDistanceField distance_field(const nb::object& field, Field& v
 }
 
 // Columns: segment, fraction, position bound, tangent bound, stability, max strain, clearance, motion, status, tip (3), tangent (3),
-// tip of each corner (3), which lookups don't know.
+// solves, tip of each corner (3), which lookups don't know.
 inline nb::object table(const std::vector<ctr::PathSample>& samples) {
-    const std::size_t columns = 15 + 3 * (samples.empty() ? 0 : samples.front().corner_tips.size());
+    const std::size_t columns = 16 + 3 * (samples.empty() ? 0 : samples.front().corner_tips.size());
     std::vector<double> out;
     out.reserve(samples.size() * columns);
     for (const ctr::PathSample& s : samples) {
@@ -103,6 +103,7 @@ inline nb::object table(const std::vector<ctr::PathSample>& samples) {
             out.push_back(value);
         out.insert(out.end(), s.tip.begin(), s.tip.end());
         out.insert(out.end(), s.tangent.begin(), s.tangent.end());
+        out.push_back(s.solves);
         for (const ctr::Vec3& tip : s.corner_tips) out.insert(out.end(), tip.begin(), tip.end());
     }
     return array(std::move(out), {samples.size(), columns});

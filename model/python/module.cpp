@@ -30,6 +30,8 @@ NB_MODULE(_model, m) {
         .def("bound", &Model::bound, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "level"_a)
         .def("bound_many", &Model::bound_many, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "level"_a, "threads"_a)
         .def("tips", &Model::tips, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "threads"_a)
+        .def("rooms", &Model::rooms, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "field"_a.none(), "origin"_a.noconvert(),
+             "spacing"_a, "R_AB"_a.noconvert(), "p_AB"_a.noconvert(), "step"_a, "threads"_a)
         .def("field_entries", &Model::field_entries, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "threads"_a)
         .def("field_lookup", &Model::field_lookup, "axes"_a, "values"_a.noconvert(), "margin"_a)
         .def("history", &Model::history, "level"_a, "breakaway"_a, "rotation"_a, "translation"_a, "state_change"_a)

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 
 namespace ctr {
 namespace {
@@ -14,6 +15,8 @@ constexpr float kLocalError = 0.5f;   // of the difference between linear and cu
 constexpr float kShapeError = 0.1f;   // and for points of the shape, to the envelope
 constexpr double kOffGrid = 1e-9;  // of a step
 constexpr double kShortestStep = 1.0 / 256;  // of a leg
+constexpr int kEvery = 3;  // stations looked at where there is no anatomy: motions need no more
+constexpr double kLongWay = 1.2;  // of a cubic between two stations, over their chord
 
 // Four weights for the grid points around a value, Catmull-Rom, with the line continued beyond the ends of an axis.
 void cubic_weights(double x, bool first, bool last, double* w) {
@@ -35,6 +38,19 @@ void cubic_weights(double x, bool first, bool last, double* w) {
 }
 
 Vec3 turned(const float* v, double c, double s) { return {c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]}; }
+
+// Adds what is wanted of a grid point, see BoundField::sample.
+void add(float weight, const float* from, int every, float* sum) {
+    if (every == 1) {
+        for (int i = 0; i < kFieldFloats; ++i) sum[i] += weight * from[i];
+        return;
+    }
+    constexpr int kHead = offsetof(FieldEntry, point) / sizeof(float), kTangent = offsetof(FieldEntry, tip_tangent) / sizeof(float);
+    for (int i = 0; i < kHead; ++i) sum[i] += weight * from[i];
+    for (int j = kStations - 1; j >= 0; j -= every)
+        for (int i = kHead + 3 * j; i < kHead + 3 * j + 3; ++i) sum[i] += weight * from[i];
+    for (int i = kTangent; i < kTangent + 3; ++i) sum[i] += weight * from[i];
+}
 
 double apart(const Vec3& a, const Vec3& b) { return std::hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]); }
 
@@ -69,7 +85,7 @@ BoundField::BoundField(const Robot& robot, std::vector<FieldAxis> axes, const fl
     for (int a = static_cast<int>(axes_.size()) - 2; a >= 0; --a) stride_[a] = stride_[a + 1] * axes_[a + 1].count;
 }
 
-FieldEntry BoundField::sample(const Configuration& q) const {
+FieldEntry BoundField::sample(const Configuration& q, int every) const {
     const int axes = static_cast<int>(axes_.size());
     int cell[kMostAxes];
     double part[kMostAxes];
@@ -84,12 +100,14 @@ FieldEntry BoundField::sample(const Configuration& q) const {
         cell[a] = std::clamp(static_cast<int>(x), 0, cells - 1);
         part[a] = x - cell[a];
     }
-    auto point = [&](int a, int offset) {
-        const FieldAxis& axis = axes_[a];
-        int i = cell[a] + offset;
-        if (axis.rotation) i = (i % axis.count + axis.count) % axis.count;
-        return std::clamp(i, 0, axis.count - 1) * stride_[a];
-    };
+    long place[kMostAxes][4];  // of the grid points around, along each axis
+    for (int a = 0; a < axes; ++a)
+        for (int side = 0; side < 4; ++side) {
+            const FieldAxis& axis = axes_[a];
+            int i = cell[a] + side - 1;
+            if (axis.rotation) i = (i % axis.count + axis.count) % axis.count;
+            place[a][side] = std::clamp(i, 0, axis.count - 1) * stride_[a];
+        }
     float* out = reinterpret_cast<float*>(&entry);
     const int linear = 1 << axes;
     bool valid = true;
@@ -99,12 +117,11 @@ FieldEntry BoundField::sample(const Configuration& q) const {
         for (int a = 0; a < axes; ++a) {
             const int side = corner >> a & 1;
             weight *= side ? part[a] : 1 - part[a];
-            index += point(a, side);
+            index += place[a][side + 1];
         }
         const float* from = values_ + index * kFieldFloats;
         valid = valid && reinterpret_cast<const FieldEntry*>(from)->valid > 0;
-        const float w = static_cast<float>(weight);
-        for (int i = 0; i < kFieldFloats; ++i) out[i] += w * from[i];
+        add(static_cast<float>(weight), from, every, out);
     }
     entry.valid = valid ? 1 : 0;
     if (!valid || axes > kMostCubicAxes) return entry;
@@ -122,21 +139,22 @@ FieldEntry BoundField::sample(const Configuration& q) const {
         for (int a = 0; a < axes; ++a) {
             const int side = corner >> (2 * a) & 3;
             weight *= weights[a][side];
-            index += point(a, side - 1);
+            index += place[a][side];
         }
         if (weight == 0) continue;
         const float* from = values_ + index * kFieldFloats;
         if (!(reinterpret_cast<const FieldEntry*>(from)->valid > 0)) return entry;  // next to a snap: the linear values stand
-        const float w = static_cast<float>(weight);
-        for (int i = 0; i < kFieldFloats; ++i) sum[i] += w * from[i];
+        add(static_cast<float>(weight), from, every == 1 ? 1 : kStations, sum);  // else of the stations the tip alone
     }
+    if (every != 1)
+        for (int j = 0; j + 1 < kStations; ++j) std::copy_n(entry.point[j], 3, smooth.point[j]);
     // how much both differ says how far either may be off here
     auto above = [](float a, float b) { return std::max(a, b) + kLocalError * std::fabs(a - b); };
     smooth.position = above(smooth.position, entry.position);
     smooth.tangent = above(smooth.tangent, entry.tangent);
     smooth.strain = above(smooth.strain, entry.strain);
     smooth.stability = std::min(smooth.stability, entry.stability);
-    for (int j = 0; j < kStations; ++j) {
+    for (int j = 0; j < kStations && every == 1; ++j) {
         float aside = 0;
         for (int i = 0; i < 3; ++i) aside += (smooth.point[j][i] - entry.point[j][i]) * (smooth.point[j][i] - entry.point[j][i]);
         smooth.envelope[j] = above(smooth.envelope[j], entry.envelope[j]) + kShapeError * std::sqrt(aside);
@@ -146,7 +164,7 @@ FieldEntry BoundField::sample(const Configuration& q) const {
 }
 
 PathSample BoundField::measure(const Configuration& q, const SignedDistanceField& field, double spacing, FieldEntry& entry) const {
-    entry = sample(q);
+    entry = sample(q, field.values ? 1 : kEvery);
     PathSample result;
     if (!(entry.valid > 0)) return result;
     const double c = std::cos(q.theta[0]), s = std::sin(q.theta[0]);
@@ -159,29 +177,45 @@ PathSample BoundField::measure(const Configuration& q, const SignedDistanceField
     result.tangent = turned(entry.tip_tangent, c, s);
     const double size = std::sqrt(dot(result.tangent, result.tangent));
     for (double& value : result.tangent) value /= size;
-    result.clearance = 1e9;
-    if (!field.values) return result;
+    result.clearance = field.values ? clearance(q, entry, field, spacing) : 1e9;
+    return result;
+}
+
+// Stations first; between two of them only where distances, being 1-Lipschitz, leave it open.
+double BoundField::clearance(const Configuration& q, const FieldEntry& entry, const SignedDistanceField& field, double spacing) const {
+    const double c = std::cos(q.theta[0]), s = std::sin(q.theta[0]);
     const int n = robot_.count();
     const double length = q.l.back() + robot_.tubes.back().length();
     Vec3 points[kStations + 1];
     points[0] = {0, 0, 0};
     for (int j = 0; j < kStations; ++j) points[j + 1] = turned(entry.point[j], c, s);
+    double distance[kStations + 1], least = 1e9;
+    int tube = 0, tubes[kStations + 1];  // outermost present
+    for (int j = 0; j <= kStations; ++j) {
+        while (tube + 1 < n && length * j / kStations > q.l[tube] + robot_.tubes[tube].length()) ++tube;
+        tubes[j] = tube;
+        distance[j] = field.sample(points[j]);
+        least = std::min(least, distance[j] - robot_.tubes[tube].outer_radius - (j == 0 ? 0 : entry.envelope[j - 1]) - margin_);
+    }
     const int parts = std::max(1, static_cast<int>(std::ceil(length / kStations / spacing)));
-    int tube = 0;  // outermost present
     for (int j = 0; j < kStations; ++j) {
         double w[4];
-        for (int k = j == 0 ? 0 : 1; k <= parts; ++k) {
+        const double near = j == 0 ? 0 : entry.envelope[j - 1], far = entry.envelope[j];
+        tube = tubes[j];
+        const double within = 0.5 * (distance[j] + distance[j + 1] - kLongWay * apart(points[j], points[j + 1]));
+        if (within - robot_.tubes[tube].outer_radius - std::max(near, far) - margin_ > least) continue;
+        for (int k = 1; k < parts; ++k) {
             const double x = static_cast<double>(k) / parts, at = length * (j + x) / kStations;
             while (tube + 1 < n && at > q.l[tube] + robot_.tubes[tube].length()) ++tube;
             cubic_weights(x, j == 0, j == kStations - 1, w);
             Vec3 p{0, 0, 0};
             for (int i = 0; i < 3; ++i)
                 for (int m = 0; m < 4; ++m) p[i] += w[m] == 0 ? 0 : w[m] * points[std::clamp(j - 1 + m, 0, kStations)][i];
-            const double near = j == 0 ? 0 : entry.envelope[j - 1], around = near + x * (entry.envelope[j] - near);
-            result.clearance = std::min(result.clearance, field.sample(p) - robot_.tubes[tube].outer_radius - around - margin_);
+            const double around = near + x * (far - near);
+            least = std::min(least, field.sample(p) - robot_.tubes[tube].outer_radius - around - margin_);
         }
     }
-    return result;
+    return least;
 }
 
 std::vector<PathSample> BoundField::check_path(const std::vector<Configuration>& corners, const SignedDistanceField& field,
@@ -195,7 +229,7 @@ std::vector<PathSample> BoundField::check_path(const std::vector<Configuration>&
     auto moved = [&](const Configuration& a, const Configuration& b) {
         double most = 0;
         const double ca = std::cos(a.theta[0]), sa = std::sin(a.theta[0]), cb = std::cos(b.theta[0]), sb = std::sin(b.theta[0]);
-        for (int j = 0; j < kStations; ++j) most = std::max(most, apart(turned(before.point[j], ca, sa), turned(now.point[j], cb, sb)));
+        for (int j = kStations - 1; j >= 0; j -= field.values ? 1 : kEvery) most = std::max(most, apart(turned(before.point[j], ca, sa), turned(now.point[j], cb, sb)));
         return most;
     };
     if (corners.empty()) return samples;

@@ -94,6 +94,7 @@ std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Config
                                    bool keep_bodies) {
     std::vector<PathSample> samples;
     Markers before, now;
+    int solves = 0;
     // Solves at q and appends the sample; false if it breaks a limit.
     auto record = [&](int segment, double fraction, double motion) {
         PathSample sample;
@@ -106,6 +107,8 @@ std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Config
         sample.max_strain = solver.max_strain;
         sample.clearance = clearance(solver, field, density.point_spacing);
         sample.motion = motion;
+        sample.solves = solves;
+        solves = 0;
         sample.tip = solver.backbone.frame.back().p;
         sample.tangent = solver.backbone.frame.back().tangent();
         for (const Backbone& corner : solver.corner_backbones) sample.corner_tips.push_back(corner.frame.back().p);
@@ -116,6 +119,7 @@ std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Config
     };
     if (corners.empty()) return samples;
     solver.solve(corners.front(), mesh);
+    ++solves;
     before = material_markers(solver);
     if (!record(0, 0, 0)) return samples;
     for (std::size_t leg = 0; leg + 1 < corners.size(); ++leg) {
@@ -131,6 +135,7 @@ std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Config
             double next = at + step > 1 - 1e-9 ? 1 : at + step;
             if (next < 1 && at + 2 * step > 1) next = 0.5 * (at + 1);  // two even steps rather than a long and a sliver
             solver.follow(between(a, b, next), mesh, retrying);
+            ++solves;
             now = material_markers(solver);
             const double motion = largest_motion(before, now);
             // A body that moves much faster than before may have snapped: look closer, until its motion shrinks with the step.

@@ -361,11 +361,26 @@ double ZeroClearance::twist_rate(int t, double s) const {
 }
 
 Frame ZeroClearance::tip() const {
+    return trace(kTipStep, true, [](const Vec3&, int) {});
+}
+
+double ZeroClearance::clearance(const Robot& robot, const SignedDistanceField& field, double spacing) const {
+    double least = 1e9;
+    trace(spacing, false, [&](const Vec3& p, int tubes) {
+        least = std::min(least, field.sample(p) - robot.tubes[n_ - tubes].outer_radius);
+    });
+    return least;
+}
+
+// Integrates the centreline by steps no longer than `longest`, arcs of the innermost tube alone at once if they are `whole`;
+// visit(point, tubes present there) is called after every step. Returns the last frame.
+template <class Visit>
+Frame ZeroClearance::trace(double longest, bool whole, const Visit& visit) const {
     Frame frame;
     double angle[2 * kMaxTubes + 1] = {}, sine[2 * kMaxTubes + 1], cosine[2 * kMaxTubes + 1], kappa[2][2];
     constexpr double kHalf = 0.28867513459481288225;  // half the distance of two Gauss points
     for (int e = 0; e + 1 < nodes_; ++e) {
-        const int m = tubes_[e], count = static_cast<int>(std::ceil((s_[e + 1] - s_[e]) / kTipStep));
+        const int m = tubes_[e], count = static_cast<int>(std::ceil((s_[e + 1] - s_[e]) / longest));
         const double h = s_[e + 1] - s_[e], *a = &x_[e * ld_], *b = a + ld_;
         double total = 0;
         for (int t = 0; t < m; ++t) total += ei_[t];
@@ -391,6 +406,7 @@ Frame ZeroClearance::tip() const {
                 }
             }
             advance(frame, kappa[0], kappa[1], h / count);
+            visit(frame.p, m);
         }
     }
     // beyond, the innermost tube alone: arcs
@@ -399,7 +415,7 @@ Frame ZeroClearance::tip() const {
     for (std::size_t k = 0; k < tip_s_.size(); ++k) {
         const double* v = &tip_v_[4 * k];
         const bool arc = v[0] == v[2] && v[1] == v[3];
-        const int count = arc ? 1 : static_cast<int>(std::ceil((tip_s_[k] - s) / kTipStep));
+        const int count = arc && whole ? 1 : static_cast<int>(std::ceil((tip_s_[k] - s) / longest));
         for (int step = 0; step < count; ++step) {
             double kappa[2][2];
             for (int g = 0; g < 2; ++g) {
@@ -408,6 +424,7 @@ Frame ZeroClearance::tip() const {
                 kappa[g][1] = n * vx + c * vy;
             }
             advance(frame, kappa[0], kappa[1], (tip_s_[k] - s) / count);
+            visit(frame.p, 1);
         }
         s = tip_s_[k];
     }

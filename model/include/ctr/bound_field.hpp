@@ -38,14 +38,16 @@ class BoundField {
     // values: [grid points, last axis fastest][kFieldFloats]. margin: added to every bound and envelope, m.
     BoundField(const Robot& robot, std::vector<FieldAxis> axes, const float* values, double margin);
 
-    // Entry at a configuration; invalid if any grid point around it is, or if it lies off the grid.
-    FieldEntry sample(const Configuration& q) const;
+    // Entry at a configuration; invalid if any grid point around it is, or if it lies off the grid. Stations counted from the
+    // tip that are no multiple of `every` stay empty, and envelopes unless it is 1; then all but the tip are linear.
+    FieldEntry sample(const Configuration& q, int every = 1) const;
     // As ctr::check_path, by lookup: cheap enough for tens of thousands of motions a second.
     std::vector<PathSample> check_path(const std::vector<Configuration>& corners, const SignedDistanceField& field,
                                        const PathDensity& density, const PathLimits& limits) const;
 
   private:
     PathSample measure(const Configuration& q, const SignedDistanceField& field, double spacing, FieldEntry& entry) const;
+    double clearance(const Configuration& q, const FieldEntry& entry, const SignedDistanceField& field, double spacing) const;
 
     Robot robot_;
     std::vector<FieldAxis> axes_;

@@ -18,6 +18,7 @@ struct PathSample {
     double max_strain = 0;
     double clearance = 0;       // smallest over the frictionless and every corner shape, less the outer radius, m
     double motion = 0;          // largest displacement of any body point since the previous sample, m
+    int solves = 0;             // configurations solved since the previous sample, those not accepted among them
     Vec3 tip{0, 0, 0};          // frictionless
     Vec3 tangent{0, 0, 1};
     std::vector<Vec3> corner_tips;

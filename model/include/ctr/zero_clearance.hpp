@@ -10,6 +10,7 @@
 
 #include "ctr/curve.hpp"
 #include "ctr/robot.hpp"
+#include "ctr/sdf.hpp"
 
 namespace ctr {
 
@@ -26,6 +27,9 @@ class ZeroClearance {
     double theta(int t, double s) const;
     double twist_rate(int t, double s) const;
     Frame tip() const;  // of the innermost tube, twist-free frame
+    // Smallest clearance of points on the centreline in front of the plate, no farther apart than `spacing`, less the outer
+    // radius of what is there [m].
+    double clearance(const Robot& robot, const SignedDistanceField& field, double spacing) const;
     double residual() const { return residual_; }        // largest torque imbalance over EI * precurvature
     int negative_pivots() const { return negative_; }    // > 0: not a minimum
     bool is_unique() const { return unique_; }           // true where the energy is convex, which leaves one equilibrium
@@ -46,6 +50,8 @@ class ZeroClearance {
     bool follow_branch();
     bool turn_and_correct(const std::vector<double>& twist);
     int locate(double s) const;
+    template <class Visit>
+    Frame trace(double longest, bool whole, const Visit& visit) const;
     int node_unknowns(int node) const { return 2 * (node == 0 ? n_ : tubes_[node - 1]); }
     bool is_clamped(int t) const;                // at the plate: its angle there is that of its actuator
     double transmission_stiffness(int t) const;  // from the actuator to the plate, N m / rad

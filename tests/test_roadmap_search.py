@@ -1,0 +1,96 @@
+"""The roadmap's search against plain relaxation over all its motions, and its hint against the shapes it stands for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ctrplan.planning.goals import goal_states
+from ctrplan.planning.motion import MotionChecker, anatomy_grid
+from ctrplan.planning.retreat import Roadmap
+from ctrplan.planning.roadmap_search import RoadmapSearch
+from ctrplan.planning.search_clock import SearchClock, WorkMeter
+from ctrplan.scenario import load_scenario
+
+SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"
+
+
+@pytest.fixture(scope="module")
+def vessel() -> MotionChecker:
+    return MotionChecker(load_scenario(SCENARIOS / "vessel.toml"))
+
+
+@pytest.fixture(scope="module")
+def search(vessel: MotionChecker) -> RoadmapSearch:
+    goals = goal_states(vessel, np.random.default_rng(0))[:3]
+    joints = np.vstack([vessel.scenario.start, *(goal.joints for goal in goals)])
+    found = RoadmapSearch(vessel, Roadmap(joints, np.array([[0, 1], [0, 2], [0, 3]]), np.array([1, 2, 3])), goals)
+    found.grow(np.random.default_rng(1), 6)
+    return found
+
+
+def test_the_path_found_is_the_cheapest_of_all(vessel: MotionChecker, search: RoadmapSearch) -> None:
+    path = search.path(lambda: False, eager=False)
+    assert path is not None
+
+    def cost(a: int, b: int) -> float:
+        motion = vessel.motion(search.joints[a], search.joints[b])
+        return vessel.cost_mm(motion, ends_at_goal=b in search.goals) if motion.valid else np.inf
+
+    prices = {(int(a), int(b)): cost(a, b) for a, b in search.edges}
+    least = np.where(np.arange(len(search.joints)) == 0, 0.0, np.inf)
+    for _ in range(len(least)):
+        for (a, b), price in prices.items():
+            least[b] = min(least[b], least[a] + price)
+    nodes = [int(np.argmin(np.abs(search.joints - q).max(axis=1))) for q in path]
+    total = sum(prices[pair] for pair in zip(nodes[:-1], nodes[1:], strict=True))
+    assert total == pytest.approx(least[search.goals].min(), abs=1e-4)
+    assert nodes[0] == 0 and nodes[-1] in search.goals
+
+
+def test_a_forbidden_path_is_not_found_again(vessel: MotionChecker, search: RoadmapSearch) -> None:
+    path = search.path(lambda: False, eager=True)
+    assert path is not None
+    assert all(vessel.motion(a, b).valid for a, b in zip(path[:-1], path[1:], strict=True))
+    search.forbid(path, "refused")
+    other = search.path(lambda: False, eager=True)
+    assert other is None or not np.array_equal(other, path)
+
+
+def test_rooms_of_zero_clearance_shapes_are_those_of_their_centrelines(vessel: MotionChecker) -> None:
+    scenario, grid = vessel.scenario, anatomy_grid(vessel.scenario)
+    assert grid is not None and vessel.field is not None
+    joints = vessel.space.sample(np.random.default_rng(3), 12)
+    theta_b, l_b = vessel.space.drive.collars(joints)
+    found = vessel.mechanics.zero_clearance_rooms(theta_b, l_b, vessel.field, spacing_m=1e-3)
+    for k in np.flatnonzero(np.isfinite(found)):
+        shape = vessel.mechanics.zero_clearance(theta_b[k], l_b[k])
+        ahead = shape.s_m >= 0
+        points = shape.centreline_m[ahead] @ scenario.base_R.T + scenario.base_position_m
+        expected = float((grid.sample(points) - shape.radius_m[ahead]).min())
+        assert found[k] == pytest.approx(expected, abs=1e-3)  # other points of the same line, at most 1 mm apart
+    coarse = vessel.mechanics.zero_clearance_rooms(theta_b, l_b, vessel.field, spacing_m=4e-3)
+    np.testing.assert_allclose(coarse, found, atol=4e-3)
+
+
+def test_every_leg_is_charged_for_its_stop(vessel: MotionChecker) -> None:
+    dear = MotionChecker(load_scenario(SCENARIOS / "vessel.toml", ["cost.stop=7"]))
+    start = vessel.scenario.start
+    turned = start + np.where(vessel.space.drive.is_rotation, 0.1, 0.0)
+    moved = turned + np.where(vessel.space.drive.is_rotation, 0.0, 1e-3)
+    for end, legs in ((start, 0), (turned, 1), (moved, 2)):
+        motion = vessel.motion(start, end)
+        extra = dear.cost_mm(motion, ends_at_goal=False) - vessel.cost_mm(motion, ends_at_goal=False)
+        assert extra == pytest.approx((7 - vessel.scenario.cost.stop) * legs)
+        assert motion.legs == legs
+
+
+def test_counted_time_is_work_alone() -> None:
+    meter = WorkMeter()
+    meter.add(10**9)
+    clock = SearchClock(meter, timed=False)
+    assert clock.now() == 0 and not clock.is_past(1.5)
+    meter.add(2 * 10**9)
+    assert clock.now() == pytest.approx(2.0) and clock.is_past(1.5) and clock.ran_out and clock.name == "count"
