@@ -73,8 +73,8 @@ struct Points<double> {
     }
     static void read_shift(const double* values, V4* shift) {
         const V4 first = read(values), second = read(values + 4);
-        shift[0] = __builtin_shuffle(first, second, Order{0, 2, 4, 6});
-        shift[1] = __builtin_shuffle(first, second, Order{1, 3, 5, 7});
+        shift[0] = V4{first[0], first[2], second[0], second[2]};
+        shift[1] = V4{first[1], first[3], second[1], second[3]};
     }
     // Those beyond the last are overwritten by the next points, or lie behind the array's end.
     static void store(double* values, V4 value) { __builtin_memcpy(values, &value, sizeof value); }

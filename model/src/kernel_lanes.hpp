@@ -2,7 +2,11 @@
 // Part of the kernels (kernel_body.hpp): included inside an anonymous namespace, no std::, no Eigen.
 
 // Loops of known length over members of small arrays: their indices should be constants, so that values stay in registers.
+#ifdef __clang__
+#define CTR_UNROLL _Pragma("clang loop unroll(full)")
+#else
 #define CTR_UNROLL _Pragma("GCC unroll 16")
+#endif
 
 typedef double V4 __attribute__((vector_size(32)));
 
@@ -63,15 +67,13 @@ inline void sine_cosine(V x, V& sine, V& cosine) {
     }
 }
 
-typedef long long Order __attribute__((vector_size(32)));
-
 inline void transpose(const V4 (&row)[4], V4* column) {
-    const V4 a = __builtin_shuffle(row[0], row[1], Order{0, 4, 2, 6}), b = __builtin_shuffle(row[0], row[1], Order{1, 5, 3, 7});
-    const V4 c = __builtin_shuffle(row[2], row[3], Order{0, 4, 2, 6}), d = __builtin_shuffle(row[2], row[3], Order{1, 5, 3, 7});
-    column[0] = __builtin_shuffle(a, c, Order{0, 1, 4, 5});
-    column[1] = __builtin_shuffle(b, d, Order{0, 1, 4, 5});
-    column[2] = __builtin_shuffle(a, c, Order{2, 3, 6, 7});
-    column[3] = __builtin_shuffle(b, d, Order{2, 3, 6, 7});
+    const V4 a = {row[0][0], row[1][0], row[0][2], row[1][2]}, b = {row[0][1], row[1][1], row[0][3], row[1][3]};
+    const V4 c = {row[2][0], row[3][0], row[2][2], row[3][2]}, d = {row[2][1], row[3][1], row[2][3], row[3][3]};
+    column[0] = V4{a[0], a[1], c[0], c[1]};
+    column[1] = V4{b[0], b[1], d[0], d[1]};
+    column[2] = V4{a[2], a[3], c[2], c[3]};
+    column[3] = V4{b[2], b[3], d[2], d[3]};
 }
 
 // The sum over the lanes of each value.
