@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import ctrplan
 from ctrplan.commands import bound, calibrate, diagnose, field, ik, plan, simulate, view
+from ctrplan.commands.command_line import CommandLine
 from ctrplan.commands.plan import INTERRUPTED
 from ctrplan.errors import CtrplanError
 
@@ -21,8 +22,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a name the terminal can't show must not end the program
-    parsed = _parser().parse_args(arguments)
     try:
+        parsed = _parser().parse_args(arguments)
         code = int(parsed.run(parsed))
         sys.stdout.flush()
         return code
@@ -42,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="ctrplan", description=(ctrplan.__doc__ or "").splitlines()[0])
+    parser = CommandLine(prog="ctrplan", description=(ctrplan.__doc__ or "").splitlines()[0])
     parser.add_argument("--version", action="version", version=f"ctrplan {ctrplan.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in COMMANDS:

@@ -96,6 +96,40 @@ def test_failure_is_one_sentence(
     assert not list(tmp_path.rglob("*.*"))
 
 
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ([], "ctrplan: the following arguments are required: COMMAND (see ctrplan --help).\n"),
+        (["plna"], "ctrplan: COMMAND: invalid choice: 'plna' (choose from "),
+        (["plan"], "ctrplan: the following arguments are required: SCENARIO.toml (see ctrplan plan --help).\n"),
+        (["plan", "x", "--time", "soon"], "ctrplan: --time: must be a number, not 'soon' (see ctrplan plan --help).\n"),
+        (
+            ["plan", "x", "--seed", "1.5"],
+            "ctrplan: --seed: must be a whole number, not '1.5' (see ctrplan plan --help).\n",
+        ),
+        (["plan", "x", "--tiem", "3"], "ctrplan: --tiem 3: is not known here (see ctrplan plan --help).\n"),
+        (["ik", "x", "--tip-mm", "1", "2"], "ctrplan: --tip-mm: expected 3 arguments (see ctrplan ik --help).\n"),
+        (["plan", "x", "-o"], "ctrplan: --output: expected one argument (see ctrplan plan --help).\n"),
+    ],
+)
+def test_a_command_that_is_not_understood_is_one_sentence(
+    arguments: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    message = capsys.readouterr().err
+    assert message.startswith(sentence) and message.count("\n") == 1
+
+
+@pytest.mark.parametrize("translations", ["0 -17 -62.8", "0 -17e0 -6.28e+1", "-0.0 -1.7E1 -62.80"])
+def test_negative_numbers_are_values_however_they_are_written(
+    translations: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["bound", ROBOT, "--theta-deg", "0", "90", "-.18e3", "--l-mm", *translations.split(), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["bound_position_mm"] == pytest.approx(17.81, abs=0.1)  # as above
+    assert main(["bound", ROBOT, "--theta-deg", "0", "90", "-inf", "--l-mm", *translations.split()]) == 2
+    assert "--theta-deg" in capsys.readouterr().err
+
+
 def test_output_that_is_a_file_is_refused_before_planning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "out").write_text("mine")
     assert main(["plan", str(SCENARIOS / "ribs.toml"), "-o", str(tmp_path / "out")]) == 2

@@ -29,7 +29,7 @@ translations of the tubes, outermost first; optionally sequence (runs that are a
 examples:
   ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out
   ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out --start oscillated
-  ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out --start=+1,-1
+  ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out --start +1,-1
 """
 
 
@@ -53,7 +53,7 @@ def add_parser(commands: Any) -> None:
         default="released",
         metavar="STATE",
         help="friction at the first waypoint: released, oscillated (a decreasing oscillation has let go of it), "
-        "or a state in [-1, 1] per pair, as --start=+1,-1 (default: %(default)s)",
+        "or a state in [-1, 1] per pair, as --start +1,-1 (default: %(default)s)",
     )
     parser.add_argument(
         "--accuracy", choices=["search", "certificate"], default="search", help="mesh (default: %(default)s)"
