@@ -7,6 +7,8 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+INTERRUPTED = 130  # exit code
+
 
 @contextmanager
 def interrupt_event(given: threading.Event | None = None) -> Iterator[threading.Event]:

@@ -36,7 +36,7 @@ def test_poses_are_those_of_the_history(tmp_path: Path, capsys: pytest.CaptureFi
     assert main(["simulate", PAIR, path, "-o", str(tmp_path / "out"), "--start", "-1"]) == 0
     found = capsys.readouterr()
     assert "3 of 3 rows simulated" in found.out and "largest friction error" in found.out and found.err == ""
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {"poses.csv", "simulate.png"}
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"SHA256SUMS", "poses.csv", "simulate.png"}
     assert (tmp_path / "out" / "simulate.png").read_bytes()[:4] == b"\x89PNG"
     robot = load_robot(PAIR)
     history = robot.history((-1,))

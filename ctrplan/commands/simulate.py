@@ -12,14 +12,13 @@ from ctrplan.commands.output_folder import DEFAULT as DEFAULT_FOLDER
 from ctrplan.commands.output_folder import output_folder, written_together
 from ctrplan.commands.progress_bar import ProgressBar
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.interrupts import interrupt_event
+from ctrplan.interrupts import INTERRUPTED, interrupt_event
 
 if TYPE_CHECKING:
     from ctrplan.history import Start
     from ctrplan.simulation import Simulation
 
 OUTPUTS = ("poses.csv", "simulate.png")
-INTERRUPTED = 130  # exit code
 PATIENCE_S = 1.0  # before a progress bar shows up
 
 
