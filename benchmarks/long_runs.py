@@ -10,6 +10,7 @@ is compared with that at the end. Exits with 1 where it grew by GROWTH or more.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import gc
 import os
 import sys
@@ -65,8 +66,9 @@ def growth(what: str, work: Callable[[int], object], count: int, warm_up: int) -
 
 
 def plan_again(seed: int) -> None:
-    """A plan of a scenario read from its file, its robot made anew."""
-    ctrplan.plan(ctrplan.load_scenario(SCENARIOS / "pair_free.toml", [NEAR]), seed=seed, time_s=SEARCH_S)
+    """A plan of a scenario read from its file, its robot made anew; on a busy machine some find nothing in time."""
+    with contextlib.suppress(ctrplan.NoAnswerError):
+        ctrplan.plan(ctrplan.load_scenario(SCENARIOS / "pair_free.toml", [NEAR]), seed=seed, time_s=SEARCH_S)
 
 
 def bounds_at_random(robot: ctrplan.Robot) -> Callable[[int], None]:
