@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import io
 import os
 import sys
@@ -22,7 +21,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a name the terminal can't show must not end the program
     try:
-        parsed = _parser().parse_args(arguments)
+        parsed = parser().parse_args(arguments)
         code = int(parsed.run(parsed))
         sys.stdout.flush()
         return code
@@ -38,10 +37,11 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return 1
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = CommandLine(prog="ctrplan", description=(ctrplan.__doc__ or "").splitlines()[0])
-    parser.add_argument("--version", action="version", version=f"ctrplan {ctrplan.__version__}")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+def parser() -> CommandLine:
+    """The parser of the program, with one for each of its commands."""
+    program = CommandLine(prog="ctrplan", description=(ctrplan.__doc__ or "").splitlines()[0])
+    program.add_argument("--version", action="version", version=f"ctrplan {ctrplan.__version__}")
+    commands = program.add_subparsers(required=True, metavar="COMMAND")
     for command in COMMANDS:
         command.add_parser(commands)
-    return parser
+    return program
