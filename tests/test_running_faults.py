@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from interruptible import INTERRUPTIBLE
 from made_up_input import repetitions
 from measured_data import measured, pair_robot, waypoints, write_csv
 
@@ -35,7 +36,6 @@ OUTPUTS = {
     "diagnose": {"SHA256SUMS", "diagnosis.json", "report.html", "robot.toml"},
     "field": set[str](),
 }
-COMMAND = "import sys; from ctrplan.cli import main; print('up', flush=True); sys.exit(main(sys.argv[1:]))"
 PATIENCE_S = 120  # on a busy machine; a process that ignores Ctrl-C would take far longer
 
 
@@ -62,7 +62,7 @@ def started(arguments: list[str], folder: Path, cache: Path | None = None) -> su
     """The command in a process of its own, writing into folder / out."""
     output = [] if arguments[0] == "field" else ["-o", str(folder / "out")]
     return subprocess.Popen(
-        [sys.executable, "-c", COMMAND, *arguments, *output],
+        [sys.executable, "-c", INTERRUPTIBLE, *arguments, *output],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         cwd=folder,
