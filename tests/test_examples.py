@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -28,8 +29,9 @@ def test_every_example_is_tested_and_short() -> None:
 @pytest.mark.parametrize("name", GOLDEN)
 def test_example(name: str, tmp_path: Path) -> None:
     command = [sys.executable, str(EXAMPLES / name)]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=120)
-    assert done.returncode == 0, done.stderr
+    environment = {**os.environ, "CTRPLAN_LEAK_WARNINGS": "1"}
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=120, env=environment)
+    assert done.returncode == 0 and "leaked" not in done.stderr, done.stderr
     pattern, golden, tolerance = GOLDEN[name]
     found = re.search(pattern, done.stdout, re.MULTILINE)
     assert found is not None, done.stdout
