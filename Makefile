@@ -52,7 +52,7 @@ api: install
 # The core's random solves under the address and undefined-behaviour sanitizers.
 sanitize: $(VENV)/.deps
 	$(BIN)/cmake -S model -B build/sanitize -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DCTR_PYTHON=OFF -DCTR_TESTS=ON \
-	  -DCMAKE_CXX_FLAGS="-fsanitize=address,undefined -fno-sanitize-recover=all -O1 -g" > /dev/null
+	  -DCMAKE_BUILD_TYPE=Sanitize -DCMAKE_CXX_FLAGS="-fsanitize=address,undefined -fno-sanitize-recover=all -O1 -g" > /dev/null
 	$(BIN)/cmake --build build/sanitize > /dev/null
 	build/sanitize/core_test 60
 	build/sanitize/example_bound
