@@ -10,8 +10,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command; returns its exit code: 0 done, 1 no answer, 2 malformed input, 130 interrupted."""
     try:
         from ctrplan.commands.program import run
+        from ctrplan.interrupts import interrupts_noticed
 
-        return run(arguments)
+        with interrupts_noticed():
+            return run(arguments)
     except KeyboardInterrupt:
         print("ctrplan: interrupted before there was a result.", file=sys.stderr)
         return 130

@@ -163,6 +163,29 @@ def test_ctrl_c_at_any_moment(tmp_path: Path, seconds: float) -> None:
     assert written in ([], ["SHA256SUMS", "plan.json", "plan.png", "report.html", "trajectory.csv", "trajectory.yaml"])
 
 
+def test_ctrl_c_that_an_import_makes_another_error_of(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The initialisation of compiled modules may turn KeyboardInterrupt into ImportError: libigl's does."""
+
+    def importing(_: object) -> int:
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(10)
+        except KeyboardInterrupt:
+            raise ImportError("std::bad_cast") from None
+        return 0
+
+    monkeypatch.setattr("ctrplan.commands.bound.run_bound", importing)
+    previous = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        assert main(["bound", ROBOT, "--theta-deg", "0", "--l-mm", "0"]) == 130
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, previous)
+    assert capsys.readouterr().err == "ctrplan: interrupted before there was a result.\n"
+
+
 def test_ctrl_c_keeps_the_best_plan_so_far(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Pressed as soon as there is a certified path, in a search that would go on for five minutes."""
     update, pressed = ProgressBar.update, False
