@@ -1,5 +1,6 @@
 # make demo: plan a motion on a shipped scenario.  make test: lint, types, tests.  Both need Python and a C++ compiler only.
 # make fuzz: 10,000 made-up files per reader, 100 interruptions per command.
+# make wheel: a wheel from the source distribution, run where no compiler is.  make api: the reference of the interface, as HTML.
 # make sanitize: the core under sanitizers.  make bank: 20,000 random robots, and 216 measured data sets diagnosed.
 PYTHON ?= python3
 VENV := .venv
@@ -8,7 +9,7 @@ SOURCES := $(shell find ctrplan model scenarios -type f -not -name '*.pyc' -not 
 SCENARIO ?= scenarios/vessel.toml
 OUTPUT ?= demo-output
 
-.PHONY: demo test lint install clean fuzz sanitize bank bank-core bank-diagnosis
+.PHONY: demo test lint install clean fuzz wheel api sanitize bank bank-core bank-diagnosis
 
 demo: install
 	$(BIN)/ctrplan plan $(SCENARIO) -o $(OUTPUT)
@@ -40,10 +41,18 @@ $(VENV)/.installed: $(VENV)/.deps $(SOURCES)
 fuzz: install
 	CTRPLAN_FUZZ=1 $(BIN)/pytest $(wildcard tests/test_fuzz_*.py) tests/test_running_faults.py
 
+wheel:
+	tools/check_wheel.sh $(PYTHON)
+
+api: install
+	$(BIN)/pip install --quiet --disable-pip-version-check "pdoc>=15,<17"
+	cd $(VENV) && bin/python ../tools/api_reference.py ../build/api
+	@echo "Open build/api/index.html."
+
 # The core's random solves under the address and undefined-behaviour sanitizers.
 sanitize: $(VENV)/.deps
 	$(BIN)/cmake -S model -B build/sanitize -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DCTR_PYTHON=OFF -DCTR_TESTS=ON \
-	  -DCMAKE_CXX_FLAGS="-fsanitize=address,undefined -fno-sanitize-recover=all -O1 -g" > /dev/null
+	  -DCMAKE_BUILD_TYPE=Sanitize -DCMAKE_CXX_FLAGS="-fsanitize=address,undefined -fno-sanitize-recover=all -O1 -g" > /dev/null
 	$(BIN)/cmake --build build/sanitize > /dev/null
 	build/sanitize/core_test 60
 	build/sanitize/example_bound

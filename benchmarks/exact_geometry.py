@@ -5,7 +5,6 @@
 Processor times of this process, which other work on the machine stretches less than the clock.
 """
 
-import importlib.util
 import itertools
 import json
 import sys
@@ -19,14 +18,12 @@ from ctrplan.mechanics import Mechanics, Status
 from ctrplan.robot import load_robot
 from ctrplan.tube import Tube, TubeSection
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "tests"))
+import paper_oracle as paper  # noqa: E402
+
 ROBOTS = ROOT / "scenarios" / "robots"
 PAIRS = json.loads((ROOT / "tests" / "reference" / "pair_values.json").read_text())
-spec = importlib.util.spec_from_file_location("paper", ROOT / "tests" / "reference" / "paper_algorithm.py")
-assert spec is not None and spec.loader is not None
-paper = importlib.util.module_from_spec(spec)
-sys.modules["paper"] = paper
-spec.loader.exec_module(paper)
 ACCURACIES: tuple[Any, ...] = ("certificate", "exact")
 
 

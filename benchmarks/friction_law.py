@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from page_table import put_into_page
 
 import ctrplan
 from ctrplan.friction_calibration import HISTORIES, SimulatedPath, fit, misses, simulated_paths
@@ -70,9 +71,7 @@ def main() -> None:
         print(text.splitlines()[-1], file=sys.stderr, flush=True)
     print(text)
     if arguments.write:
-        page = ROOT / "docs" / "planning.md"
-        before, rest = page.read_text(encoding="utf-8").split(BEGIN)
-        page.write_text(before + BEGIN + text + END + rest.split(END)[1], encoding="utf-8")
+        put_into_page(ROOT / "docs" / "planning.md", BEGIN, text, END)
 
 
 if __name__ == "__main__":

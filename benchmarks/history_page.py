@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from page_table import put_into_page
 from PIL import Image
 
 from ctrplan import palette
@@ -35,8 +36,7 @@ def present(name: str, text: str, write: bool) -> None:
     """Prints a table and puts it between its marks in the page."""
     print(f"\n{name}\n{text}", end="", flush=True)
     if write:
-        before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN.format(name))
-        PAGE.write_text(before + BEGIN.format(name) + text + END + rest.split(END, 1)[1], encoding="utf-8")
+        put_into_page(PAGE, BEGIN.format(name), text, END)
 
 
 def draw(name: str, figure: Figure, write: bool) -> None:

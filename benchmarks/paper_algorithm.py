@@ -3,7 +3,7 @@
     python benchmarks/paper_algorithm.py [--limit SECONDS]
 
 Three-tube robot of Table II, 2.5 mm elements (the paper's density: it has 133 contacts when fully extended), one
-configuration, both relative rotations counterclockwise. The ascent of tests/reference/paper_algorithm.py in numpy runs
+configuration, both relative rotations counterclockwise. The ascent of tests/paper_oracle in numpy runs
 to the paper's own criterion or to the limit, 1000 inner iterations at most for each linearisation; its tip is compared
 with the solution of the same equations on the same mesh by Newton's method. CPU seconds of one thread; nothing is
 extrapolated. ctrplan places its own elements, as its accuracy demands.
@@ -12,14 +12,12 @@ extrapolated. ctrplan places its own elements, as its accuracy demands.
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import os
 import statistics
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 for library in ("OPENBLAS", "OMP", "MKL"):  # numpy reads them when it is imported; small matrices gain nothing
@@ -30,20 +28,12 @@ import numpy as np  # noqa: E402
 from ctrplan.robot import load_robot  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "tests"))
+import paper_oracle as paper  # noqa: E402
+
 THETA_B, L_B = np.deg2rad([0, 0, 90]), np.array([0, -0.017, -0.0916])
 SPACING_M, MAX_INNER, NEAR_M = 2.5e-3, 1000, 5e-5
 PAPER_S = 11.7  # Table VIII, friction, its machine
-
-
-def script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location(
-        "paper_algorithm_oracle", ROOT / "tests" / "reference" / "paper_algorithm.py"
-    )
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
 
 
 def seconds(work: Callable[[], object], repeats: int) -> float:
@@ -56,7 +46,7 @@ def seconds(work: Callable[[], object], repeats: int) -> float:
     return statistics.median(taken)
 
 
-def ascent(paper: ModuleType, problem: Any, tip_m: Any, limit_s: float) -> dict[str, Any]:
+def ascent(problem: Any, tip_m: Any, limit_s: float) -> dict[str, Any]:
     """The outer loop with a clock: seconds, loops, and when the tip came to stay within NEAR_M of `tip_m`."""
     settings = paper.Ascent(max_inner=MAX_INNER, max_outer=1)
     taken, inner, outer, near_s = 0.0, 0, 0, None
@@ -78,14 +68,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--limit", type=float, default=110.0, help="seconds after which the ascent is cut short")
     limit_s = parser.parse_args().limit
-    paper, robot = script(), load_robot(ROOT / "scenarios" / "robots" / "three_tube.toml")
+    robot = load_robot(ROOT / "scenarios" / "robots" / "three_tube.toml")
     nodes = paper.mesh(robot.tubes, L_B, SPACING_M)
     friction = [mu for _, mu in robot.friction]
     problem = paper.Problem(robot.tubes, robot.clearance_m, friction, THETA_B, L_B, [1.0, 1.0], nodes)
     start = time.process_time()
     newton = paper.refine(problem)
     newton_s = time.process_time() - start
-    run = ascent(paper, problem, newton.tip_m, limit_s)
+    run = ascent(problem, newton.tip_m, limit_s)
     solve_s = seconds(lambda: robot.solve(THETA_B, L_B, [1.0, 1.0]), 100)
     bound_s = seconds(lambda: robot.bound(THETA_B, L_B), 100)
     fine_s = seconds(lambda: robot.bound(THETA_B, L_B, accuracy="certificate"), 50)

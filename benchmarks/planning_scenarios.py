@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from page_table import put_into_page
 
 import ctrplan
 from ctrplan.errors import CtrplanError
@@ -69,10 +70,7 @@ def main() -> None:
     print(text)
     print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
     if arguments.write:
-        readme = ROOT / "README.md"
-        content = readme.read_text(encoding="utf-8")
-        before, rest = content.split(BEGIN)
-        readme.write_text(before + BEGIN + text + END + rest.split(END)[1], encoding="utf-8")
+        put_into_page(ROOT / "README.md", BEGIN, text, END)
 
 
 if __name__ == "__main__":

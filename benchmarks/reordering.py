@@ -16,6 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from page_table import put_into_page
 
 import ctrplan
 from ctrplan.errors import CtrplanError
@@ -89,9 +90,8 @@ def main() -> None:
     print(text)
     if arguments.write:
         page = ROOT / "docs" / "planning.md"
-        before, rest = page.read_text(encoding="utf-8").split(BEGIN)
-        table, after = rest.split(END)
-        page.write_text(before + BEGIN + merged(table, text) + END + after, encoding="utf-8")
+        table = page.read_text(encoding="utf-8").split(BEGIN)[1].split(END)[0]
+        put_into_page(page, BEGIN, merged(table, text), END)
 
 
 def merged(table: str, text: str) -> str:

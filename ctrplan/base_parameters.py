@@ -22,6 +22,7 @@ class BaseParameters(Effect):
     stage = "mechanics"
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Precurvatures, stiffnesses, Poisson's ratios and friction of every tube and pair, with their priors."""
         numbered = list(enumerate(robot.tubes, start=1))
         curvatures = [
             Parameter(f"precurvature_factor_{i}_{k}", CURVATURE_PRIOR, neutral=1.0, lower=0.3, upper=3.0)
@@ -44,6 +45,7 @@ class BaseParameters(Effect):
         return (*curvatures, *stiffnesses, *ratios, *frictions)
 
     def mechanics(self, values: Values, robot: Robot) -> Mapping[str, float]:
+        """The robot's numbers, by name, that these values change."""
         changed: dict[str, float] = {}
         for name, value in values.items():
             kind, *place = name.rsplit("_", 2) if name.startswith("precurvature") else name.rsplit("_", 1)

@@ -58,9 +58,11 @@ class NamedParameters(Effect):
         self.names, self.priors, self.bounds = tuple(names), priors, bounds
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """The named numbers, with the priors and bounds that were given for them."""
         return tuple(self._parameter(robot, name) for name in self.names)
 
     def mechanics(self, values: Values, robot: Robot) -> Mapping[str, float]:
+        """The robot's numbers are the parameters themselves."""
         return dict(values)
 
     def _parameter(self, robot: Robot, name: str) -> Parameter:

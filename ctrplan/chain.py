@@ -37,6 +37,7 @@ class Term:
 
     @property
     def name(self) -> str:
+        """The effect's."""
         return self.effect.name
 
     @property

@@ -1,53 +1,22 @@
-"""The command line: what `ctrplan --help` lists. Every failure is one sentence on stderr and an exit code."""
+"""Where the command line begins. Nothing is imported before Ctrl-C is taken care of."""
 
 from __future__ import annotations
 
-import argparse
-import io
-import os
 import sys
 from collections.abc import Sequence
-
-import ctrplan
-from ctrplan.commands import bound, calibrate, diagnose, field, ik, plan, simulate, view
-from ctrplan.commands.plan import INTERRUPTED
-from ctrplan.errors import CtrplanError
-
-COMMANDS = (plan, bound, ik, simulate, field, calibrate, diagnose, view)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command; returns its exit code: 0 done, 1 no answer, 2 malformed input, 130 interrupted."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # a name the terminal can't show must not end the program
-    parsed = _parser().parse_args(arguments)
     try:
-        code = int(parsed.run(parsed))
-        sys.stdout.flush()
-        return code
-    except CtrplanError as error:
-        print(f"ctrplan: {error}", file=sys.stderr)
-        return error.exit_code
+        from ctrplan.commands.program import run
+        from ctrplan.interrupts import interrupts_noticed
+
+        with interrupts_noticed():
+            return run(arguments)
     except KeyboardInterrupt:
         print("ctrplan: interrupted before there was a result.", file=sys.stderr)
-        return INTERRUPTED
-    except BrokenPipeError:  # the reader of our output went away
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
-    except OSError as error:  # of standard output; files have sentences of their own
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        print(f"ctrplan: could not print the result: {error.strerror or error}.", file=sys.stderr)
-        return 1
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="ctrplan", description=(ctrplan.__doc__ or "").splitlines()[0])
-    parser.add_argument("--version", action="version", version=f"ctrplan {ctrplan.__version__}")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for command in COMMANDS:
-        command.add_parser(commands)
-    return parser
+        return 130
 
 
 if __name__ == "__main__":

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ctrplan.mechanics import Mechanics, input_errors, joint_rows, path_samples, walk_arguments
+from ctrplan.core_arrays import joint_rows, path_samples, walk_arguments
+from ctrplan.mechanics import Mechanics, input_errors
 from ctrplan.path_walk import Field, PathDensity, PathLimits, PathSamples
 from ctrplan.shapes import Array
 

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ctrplan.core_arrays import joint_row, joint_rows, shape_from_core
 from ctrplan.errors import InputError, SolverError
-from ctrplan.mechanics import Accuracy, Mechanics, input_errors, joint_row, joint_rows, shape_from_core
+from ctrplan.mechanics import Accuracy, Mechanics, input_errors
 from ctrplan.shapes import Array, Shape, Status
 
 if TYPE_CHECKING:

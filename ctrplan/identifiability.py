@@ -21,6 +21,7 @@ class Combination:
 
     @property
     def is_known(self) -> bool:
+        """Whether the data say more of it than the prior did."""
         return self.left < UNKNOWN
 
 

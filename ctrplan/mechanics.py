@@ -14,6 +14,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from ctrplan import _model
 from ctrplan.batch import CHUNK, Progress, bounds_in_chunks, bounds_on_executor
+from ctrplan.core_arrays import (
+    bounds_from_core,
+    joint_row,
+    joint_rows,
+    joint_table,
+    numbers,
+    path_samples,
+    shape_from_core,
+    tube_numbers,
+    walk_arguments,
+    worst,
+)
 from ctrplan.errors import InputError
 from ctrplan.loads import Loads
 from ctrplan.nesting import TOLERANCE_M, nesting_inequalities
@@ -65,7 +77,7 @@ class Mechanics:
             raise InputError("must be above -1", key="poisson_ratio", value=min(tube.poisson_ratio for tube in tubes))
         with input_errors():
             self._model = _model.Model(
-                [_tube_numbers(tube) for tube in tubes],
+                [tube_numbers(tube) for tube in tubes],
                 [
                     [[s.length_m, s.curvature_x_per_m, s.curvature_y_per_m, s.gradient] for s in tube.sections]
                     for tube in tubes
@@ -104,12 +116,12 @@ class Mechanics:
         """
         if not 0.25 <= refinement <= 16:
             raise InputError("must lie in [0.25, 16]", key="refinement", value=refinement)
-        state = _numbers(phi, "phi")
+        state = numbers(phi, "phi")
         if state.ndim == 0:
             state = np.full(self.n - 1, state)
         state = self._pairs(state, "phi")
         if not np.all(np.abs(state) <= 1):
-            raise InputError("must lie in [-1, 1]", key="phi", value=_worst(state))
+            raise InputError("must lie in [-1, 1]", key="phi", value=worst(state))
         with input_errors():
             return shape_from_core(
                 self._model.solve(
@@ -153,7 +165,7 @@ class Mechanics:
 
         def solve(theta_b: Array, l_b: Array) -> Bounds:
             with input_errors():
-                return _bounds(np.asarray(self._model.bound_many(theta_b, l_b, level, cores)))
+                return bounds_from_core(np.asarray(self._model.bound_many(theta_b, l_b, level, cores)))
 
         return bounds_in_chunks(solve, thetas, ls, progress)
 
@@ -209,11 +221,11 @@ class Mechanics:
         or tip would pass another one, and by the compliance of a shaft that is rigid.
         """
         thetas, ls = self._configurations(theta_b, l_b)
-        states = np.ascontiguousarray(_numbers(phi, "phi"))
+        states = np.ascontiguousarray(numbers(phi, "phi"))
         if states.shape != (len(thetas), self.n - 1):
             raise InputError(f"must have shape ({len(thetas)}, {self.n - 1}), not {states.shape}", key="phi")
         if not np.all(np.abs(states) <= 1):
-            raise InputError("must lie in [-1, 1]", key="phi", value=_worst(states))
+            raise InputError("must lie in [-1, 1]", key="phi", value=worst(states))
         given = directions(parameters, self._given[0], self._model.number_names())
         with input_errors():
             table: Array = np.asarray(
@@ -285,7 +297,7 @@ class Mechanics:
             raise InputError("row {}: {}".format(*refused))
 
     def _pairs(self, values: ArrayLike, key: str) -> Array:
-        pairs = np.atleast_1d(_numbers(values, key))
+        pairs = np.atleast_1d(numbers(values, key))
         if pairs.shape != (self.n - 1,):
             raise InputError(f"must have shape ({self.n - 1},), one value per pair, not {pairs.shape}", key=key)
         return pairs
@@ -294,7 +306,7 @@ class Mechanics:
         return joint_row(values, self.n)
 
     def _rows(self, values: ArrayLike) -> Array:
-        return _joint_table(values, self.n)
+        return joint_table(values, self.n)
 
 
 class input_errors:
@@ -308,55 +320,9 @@ class input_errors:
             raise InputError(str(error)) from None
 
 
-def joint_row(values: ArrayLike, n: int) -> Array:
-    """The (n,) joint array in the layout of the core. Raises InputError."""
-    row = np.ascontiguousarray(_numbers(values, "joint array"))
-    if row.shape != (n,):
-        raise InputError(f"must have shape ({n},), one value per tube, not {row.shape}", key="joint array")
-    return row
-
-
-def joint_rows(theta_b: ArrayLike, l_b: ArrayLike, n: int) -> tuple[Array, Array]:
-    """Base rotations and translations (K, n) in the layout of the core. Raises InputError."""
-    rows = _joint_table(theta_b, n), _joint_table(l_b, n)
-    if len(rows[0]) != len(rows[1]):
-        raise InputError("theta_b and l_b need the same number of rows")
-    return rows
-
-
-def _joint_table(values: ArrayLike, n: int) -> Array:
-    rows = np.ascontiguousarray(_numbers(values, "joint array"))
-    if rows.ndim != 2 or rows.shape[1] != n:
-        raise InputError(f"must have shape (K, {n}), not {rows.shape}", key="joint array")
-    return rows
-
-
 def kernel_name() -> str:
     """Instruction set of the kernel in use: "avx2" or "baseline"."""
     return str(_model.kernel_name())
-
-
-def _tube_numbers(tube: Tube) -> list[float]:
-    return [
-        tube.outer_diameter_m / 2,
-        tube.inner_diameter_m / 2,
-        tube.bending_stiffness_Nm2,
-        tube.bending_stiffness_Nm2 / (1 + tube.poisson_ratio),
-        tube.collar_length_m,
-        tube.ovality,
-        tube.ovality_axis_rad,
-        min(tube.softening_strain, 1e300),
-        tube.softening_fraction,
-        tube.shaft_compliance_rad_per_Nm,
-        tube.mass_per_length_kg_m,
-    ]
-
-
-def _numbers(values: ArrayLike, key: str) -> Array:
-    try:
-        return np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError("must be numbers", key=key) from None
 
 
 def _checked(threads: int) -> int:
@@ -375,74 +341,3 @@ def _first_order(accuracy: Accuracy) -> int:
     if accuracy == "exact":
         raise InputError('must be "search" or "certificate" here', key="accuracy", value=accuracy)
     return _level(accuracy)
-
-
-def walk_arguments(
-    field: Field | None, density: PathDensity, limits: PathLimits
-) -> tuple[Any, Any, Any, Any, Any, Any, Any]:
-    """What the core is told of a walk, in its order."""
-    grid = field or Field(np.zeros((1, 1, 1), np.float32), np.zeros(3), 1.0, np.eye(3), np.zeros(3))
-    return (
-        None if field is None else grid.values_m,
-        grid.origin_m,
-        grid.spacing_m,
-        np.ascontiguousarray(grid.R_AB),
-        np.ascontiguousarray(grid.p_AB),
-        np.array(
-            [density.rotation_rad, density.translation_m, density.motion_m, density.near_m, density.point_spacing_m]
-        ),
-        np.array([limits.stability, limits.max_strain, limits.clearance_m]),
-    )
-
-
-def path_samples(table: Array, bodies: Sequence[Array]) -> PathSamples:
-    """Names for the columns of the core's table of samples."""
-    return PathSamples(
-        segment=table[:, 0].astype(int),
-        fraction=table[:, 1],
-        position_m=table[:, 2],
-        tangent_rad=table[:, 3],
-        stability=table[:, 4],
-        max_strain=table[:, 5],
-        clearance_m=table[:, 6],
-        motion_m=table[:, 7],
-        status=table[:, 8].astype(int),
-        tip_m=table[:, 9:12],
-        tip_tangent=table[:, 12:15],
-        solves=table[:, 15].astype(int),
-        corner_tip_m=table[:, 16:].reshape(len(table), (table.shape[1] - 16) // 3, 3),
-        bodies=tuple(bodies),
-    )
-
-
-def _worst(values: Array) -> float:
-    return float(values[np.argmax(np.where(np.isnan(values), np.inf, np.abs(values)))])
-
-
-def _bounds(table: Array) -> Bounds:
-    return Bounds(
-        position_m=table[:, 0],
-        tangent_rad=table[:, 1],
-        stability=table[:, 2],
-        max_strain=table[:, 3],
-        residual=table[:, 4],
-        status=table[:, 5].astype(int),
-        tip_m=table[:, 6:9],
-        tip_tangent=table[:, 9:12],
-    )
-
-
-def shape_from_core(raw: dict[str, Any]) -> Shape:
-    """The Shape of what the core returns."""
-    contacts = raw["contacts"]
-    return Shape(
-        tubes=tuple(TubeShape(*tube) for tube in raw["tubes"]),
-        radius_m=raw["radius"],
-        contact_s_m=tuple(contact[0] for contact in contacts),
-        contact_force_N=tuple(contact[1] for contact in contacts),
-        contact_angle_rad=tuple(contact[2] for contact in contacts),
-        status=Status(raw["status"]),
-        residual=raw["residual"],
-        stability=raw["stability"],
-        max_strain=raw["max_strain"],
-    )

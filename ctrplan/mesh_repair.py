@@ -86,6 +86,7 @@ def _unbalanced_edges(faces: Indices) -> Indices:
 
 
 def turned_outward(vertices: Array, faces: Indices) -> Indices:
+    """Faces (F, 3) of a closed mesh, wound consistently with normals outward. Raises MeshRefusal if it is open."""
     given = faces
     if not len(faces):
         raise MeshRefusal("is empty: all its triangles are collapsed to lines")

@@ -1,6 +1,6 @@
 """Made-up files for the readers, and what each of them owes whoever gave it such a file.
 
-CI makes a few hundred; with CTRPLAN_FUZZ set (`make fuzz`) every test makes CASES.
+CI makes a few hundred; with CTRPLAN_FUZZ set (`make fuzz`) a test makes CASES, a fault comes REPETITIONS times.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from ctrplan.errors import InputError
 
 FUZZ = bool(os.environ.get("CTRPLAN_FUZZ"))
 CASES = int(os.environ.get("CTRPLAN_FUZZ_CASES", "10000"))
+REPETITIONS = int(os.environ.get("CTRPLAN_FUZZ_REPETITIONS", "100"))
 HANG_S = 10.0
 
 # Rules about a file as a whole: there is no key or value to name.
@@ -49,8 +50,8 @@ def cases(few: int) -> Callable[[Any], Any]:
 
 
 def repetitions(few: int) -> int:
-    """How often a fault is tried: `few` times in CI, 100 times with `make fuzz`."""
-    return 100 if FUZZ else few
+    """How often a fault is tried: `few` times in CI, REPETITIONS times with `make fuzz`."""
+    return REPETITIONS if FUZZ else few
 
 
 def assert_names_the_fault(error: InputError, file: str) -> None:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import importlib.util
 import itertools
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
+import paper_oracle as paper
 import pytest
 from scipy.interpolate import CubicSpline
 
@@ -112,22 +110,13 @@ def test_three_tube_points_without_friction(point: dict[str, Any]) -> None:
 # --- the paper's own equations solved by other means ---
 
 
-def script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("oracle", HERE / "reference" / "paper_algorithm.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.mark.parametrize("eta", [(0.0, 0.0), (1.0, -1.0), (1.0, 1.0)])
 def test_three_tubes_with_wide_clearances_against_the_oracle(eta: tuple[float, float]) -> None:
     """Twenty times the clearances of Table II, 0.85 and 1.25 mm, where the first-order model is 0.3 to 0.5 mm off.
 
     0.05 mm as everywhere, of which the oracle's 2 mm mesh takes most.
     """
-    paper, model = script(), three_tubes(20.0)
+    model = three_tubes(20.0)
     nodes = paper.mesh(ROBOT.tubes, L, 6e-3, 2e-3, 8e-3)
     problem = paper.Problem(ROBOT.tubes, 20 * ROBOT.clearance_m, ROBOT.friction[:, 1], THETA, L, eta, nodes)
     oracle = paper.refine(problem)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -41,12 +42,12 @@ DAMAGE = st.lists(
 )
 
 
-def damaged(text: str, changes: list[tuple[str, float, str]]) -> str:
+def damaged(text: str, changes: list[tuple[str, float, str]]) -> bytes:
     """The text with lines lost, doubled and swapped, and keys and values replaced."""
     lines = text.splitlines()
     for kind, share, new in changes:
         if not lines:
-            return new
+            return encoded(new)
         at = int(share * len(lines))
         if kind == "value":
             places = [k for k, line in enumerate(lines) if re.match(r"\s*[\w\"' ]+=", line)]
@@ -63,7 +64,11 @@ def damaged(text: str, changes: list[tuple[str, float, str]]) -> str:
             lines[at], lines[other] = lines[other], lines[at]
         else:
             lines.insert(at, new)
-    return "\n".join(lines)
+    return encoded("\n".join(lines))
+
+
+def encoded(text: str) -> bytes:
+    return text.encode("utf-8", "surrogatepass")
 
 
 @pytest.fixture(scope="module")
@@ -73,17 +78,21 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
+def check_reading(read: Callable[[Path], object], kind: type, file: Path, content: bytes) -> None:
+    """What was read is of the kind, or the refusal names the fault."""
+    file.write_bytes(content)
+    try:
+        assert isinstance(read(file), kind)
+    except InputError as error:
+        assert_names_the_fault(error, str(file))
+
+
 @cases(300)
 @given(st.sampled_from(sorted(ROBOTS)), DAMAGE)
 def test_a_damaged_robot_file_is_read_or_refused_in_one_sentence(
     folder: Path, name: str, changes: list[tuple[str, float, str]]
 ) -> None:
-    file = folder / "robot.toml"
-    file.write_bytes(damaged(ROBOTS[name], changes).encode("utf-8", "surrogatepass"))
-    try:
-        assert isinstance(load_robot(file), Robot)
-    except InputError as error:
-        assert_names_the_fault(error, str(file))
+    check_reading(load_robot, Robot, folder / "robot.toml", damaged(ROBOTS[name], changes))
 
 
 @cases(200)
@@ -91,12 +100,7 @@ def test_a_damaged_robot_file_is_read_or_refused_in_one_sentence(
 def test_a_damaged_scenario_file_is_read_or_refused_in_one_sentence(
     folder: Path, name: str, changes: list[tuple[str, float, str]]
 ) -> None:
-    file = folder / "scenario.toml"
-    file.write_bytes(damaged(PROBLEMS[name], changes).encode("utf-8", "surrogatepass"))
-    try:
-        assert isinstance(load_scenario(file), Scenario)
-    except InputError as error:
-        assert_names_the_fault(error, str(file))
+    check_reading(load_scenario, Scenario, folder / "scenario.toml", damaged(PROBLEMS[name], changes))
 
 
 @cases(100)
@@ -104,12 +108,7 @@ def test_a_damaged_scenario_file_is_read_or_refused_in_one_sentence(
 def test_bytes_lost_and_put_into_a_robot_file(folder: Path, name: str, at: int, new: bytes, lost: int) -> None:
     content = ROBOTS[name].encode()
     at %= len(content)
-    file = folder / "robot.toml"
-    file.write_bytes(content[:at] + new + content[at + lost :])
-    try:
-        assert isinstance(load_robot(file), Robot)
-    except InputError as error:
-        assert_names_the_fault(error, str(file))
+    check_reading(load_robot, Robot, folder / "robot.toml", content[:at] + new + content[at + lost :])
 
 
 @cases(30)
@@ -119,7 +118,7 @@ def test_a_robot_that_was_read_has_a_bound_or_says_why_not(
 ) -> None:
     """What the reader lets through, the mechanics must bear: a status or one sentence, never anything else."""
     file = folder / "robot.toml"
-    file.write_bytes(damaged(ROBOTS[name], changes).encode("utf-8", "surrogatepass"))
+    file.write_bytes(damaged(ROBOTS[name], changes))
     try:
         robot = load_robot(file)
         theta_b, l_b = robot.drive.collars(bare_scenario(robot).start)

@@ -25,6 +25,12 @@ HALVED = HistoryOptions(
 MM = 1e-3
 
 
+@pytest.fixture
+def robot(request: pytest.FixtureRequest) -> Robot:
+    """By name: what a mark holds, pytest holds beyond the end of Python."""
+    return {"pair": PAIR, "three": THREE}[request.param]
+
+
 def path(robot: Robot, seed: int, legs: int = 4, turn_rad: float = 1.5) -> tuple[Array, Array]:
     """Waypoints (K, n) of rotations, translations and both, in turn."""
     rng, n = np.random.default_rng(seed), robot.n
@@ -36,7 +42,7 @@ def path(robot: Robot, seed: int, legs: int = 4, turn_rad: float = 1.5) -> tuple
     return theta_b, l_b
 
 
-@pytest.mark.parametrize("robot", [PAIR, THREE], ids=["pair", "three"])
+@pytest.mark.parametrize("robot", ["pair", "three"], indirect=True)
 def test_a_released_start_is_the_frictionless_solution_and_a_loaded_one_its_corner(robot: Robot) -> None:
     theta_b, l_b = (rows[0] for rows in path(robot, 1))
     bound = robot.bound(theta_b, l_b)
@@ -47,7 +53,7 @@ def test_a_released_start_is_the_frictionless_solution_and_a_loaded_one_its_corn
         np.testing.assert_allclose(loaded.shape.tip_m, corner.tip_m, atol=1e-6 * MM)
 
 
-@pytest.mark.parametrize("robot", [PAIR, THREE], ids=["pair", "three"])
+@pytest.mark.parametrize("robot", ["pair", "three"], indirect=True)
 def test_a_full_rotation_reaches_the_corner(robot: Robot) -> None:
     """90 deg of every pair saturate friction, as in Section V; neighbours turn each other's tubes a little."""
     for signs in itertools.product((1, -1), repeat=robot.n - 1):
@@ -98,7 +104,7 @@ def mirrored(robot: Robot) -> Robot:
     return replace(robot, tubes=tubes)
 
 
-@pytest.mark.parametrize("robot", [PAIR, THREE], ids=["pair", "three"])
+@pytest.mark.parametrize("robot", ["pair", "three"], indirect=True)
 def test_a_mirrored_path_mirrors_the_tips_and_turns_friction_round(robot: Robot) -> None:
     theta_b, l_b = path(robot, 5)
     one, other = robot.history().follow(theta_b, l_b), mirrored(robot).history().follow(-theta_b, l_b)
@@ -106,7 +112,7 @@ def test_a_mirrored_path_mirrors_the_tips_and_turns_friction_round(robot: Robot)
     np.testing.assert_allclose(other.phi, -one.phi, atol=1e-3)
 
 
-@pytest.mark.parametrize("robot", [PAIR, THREE], ids=["pair", "three"])
+@pytest.mark.parametrize("robot", ["pair", "three"], indirect=True)
 def test_the_energy_of_rotations_balances_and_no_contact_gains_any(robot: Robot) -> None:
     theta_b, l_b = path(robot, 6, legs=3)
     history = robot.history()
@@ -121,7 +127,7 @@ def test_the_energy_of_rotations_balances_and_no_contact_gains_any(robot: Robot)
         assert energy.smallest_loss_J > -1e-15
 
 
-@pytest.mark.parametrize("robot", [PAIR, THREE], ids=["pair", "three"])
+@pytest.mark.parametrize("robot", ["pair", "three"], indirect=True)
 def test_half_the_step_gives_the_same_tips(robot: Robot) -> None:
     for seed in range(2):
         theta_b, l_b = path(robot, 7 + seed, legs=3)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import Browser, chromium
+from interruptible import INTERRUPTIBLE
 
 from ctrplan.bare_scenario import load_robot_or_scenario
 from ctrplan.cli import main
@@ -106,10 +107,10 @@ def test_taken_port_is_one_sentence(server: LiveServer, capsys: pytest.CaptureFi
 
 
 def test_command_serves_until_ctrl_c() -> None:
-    arguments = ["view", str(SCENARIOS / "robots" / "table_5_pair.toml"), "--no-browser"]
-    command = [sys.executable, "-c", f"import sys; from ctrplan.cli import main; sys.exit(main({arguments!r}))"]
+    robot = str(SCENARIOS / "robots" / "table_5_pair.toml")
+    command = [sys.executable, "-c", INTERRUPTIBLE, "view", robot, "--no-browser"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=dict(os.environ))
-    assert process.stdout is not None
+    assert process.stdout is not None and process.stdout.readline() == "up\n"
     line = process.stdout.readline()
     assert "http://127.0.0.1:" in line
     port = int(line.split("127.0.0.1:")[1].split("/")[0])

@@ -27,7 +27,7 @@ def test_functions_are_not_hidden_by_the_modules_of_their_name() -> None:
     assert isinstance(ctrplan.planning.BoundObjective, type)
 
 
-@pytest.mark.parametrize("module", ["ctrplan", "ctrplan.cli"])
+@pytest.mark.parametrize("module", ["ctrplan", "ctrplan.cli", "ctrplan.commands.program"])
 def test_import_loads_nothing_heavy(module: str) -> None:
     heavy = "{'numpy', 'scipy', 'ompl', 'ruckig', 'trimesh', 'igl', 'plotly', 'matplotlib', 'tqdm', 'msgspec'}"
     code = f"import sys, {module}; print(*sorted({heavy} & set(sys.modules)))"

@@ -1,4 +1,4 @@
-"""The paper's own algorithm (tests/reference/paper_algorithm.py): its parts by themselves, then ctrplan against it.
+"""The paper's own algorithm (tests/paper_oracle): its parts by themselves, then ctrplan against it.
 
 Meshes of 5 mm where only the algorithm is tested. Values are taken from the refined mode, which solves the same
 equations on the same mesh by Newton's method; the paper's ascent is shown to end there too.
@@ -6,14 +6,12 @@ equations on the same mesh by Newton's method; the paper's ascent is shown to en
 
 from __future__ import annotations
 
-import importlib.util
 import json
-import sys
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
+import paper_oracle as paper
 import pytest
 
 from ctrplan.mechanics import Array, Mechanics
@@ -24,16 +22,6 @@ HERE = Path(__file__).parent
 ROBOTS = HERE.parent / "scenarios" / "robots"
 
 
-def script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("paper_algorithm", HERE / "reference" / "paper_algorithm.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
-
-
-paper = script()
 TABLE_1 = json.loads((HERE / "reference" / "pair_values.json").read_text())["table_I_pair"]
 THREE_TUBE_POINTS = json.loads((HERE / "reference" / "three_tube_points.json").read_text())["points"]
 

@@ -15,10 +15,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from interruptible import INTERRUPTIBLE
 from made_up_input import repetitions
 from measured_data import measured, pair_robot, waypoints, write_csv
 
 from ctrplan.cli import main
+from ctrplan.commands.output_folder import unmatched, written_together
 from ctrplan.diagnosis import diagnose
 from ctrplan.friction_calibration import friction_law
 from ctrplan.measurement_file import load_measurements
@@ -30,11 +32,10 @@ SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"
 THREE = str(SCENARIOS / "robots" / "three_tube.toml")
 PAIR = str(SCENARIOS / "robots" / "table_1_pair.toml")
 OUTPUTS = {
-    "plan": {"plan.json", "plan.png", "report.html", "trajectory.csv", "trajectory.yaml"},
-    "diagnose": {"diagnosis.json", "report.html", "robot.toml"},
+    "plan": {"SHA256SUMS", "plan.json", "plan.png", "report.html", "trajectory.csv", "trajectory.yaml"},
+    "diagnose": {"SHA256SUMS", "diagnosis.json", "report.html", "robot.toml"},
     "field": set[str](),
 }
-COMMAND = "import sys; from ctrplan.cli import main; print('up', flush=True); sys.exit(main(sys.argv[1:]))"
 PATIENCE_S = 120  # on a busy machine; a process that ignores Ctrl-C would take far longer
 
 
@@ -61,7 +62,7 @@ def started(arguments: list[str], folder: Path, cache: Path | None = None) -> su
     """The command in a process of its own, writing into folder / out."""
     output = [] if arguments[0] == "field" else ["-o", str(folder / "out")]
     return subprocess.Popen(
-        [sys.executable, "-c", COMMAND, *arguments, *output],
+        [sys.executable, "-c", INTERRUPTIBLE, *arguments, *output],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         cwd=folder,
@@ -76,9 +77,10 @@ def wait_until_up(process: subprocess.Popen[str]) -> None:
 
 
 def readable(folder: Path) -> set[str]:
-    """Names of the results there are, each of which can be read; nothing hidden is left beside them."""
-    if not folder.exists():
+    """Names of the results there are, of one set, each of which can be read; nothing hidden is left beside them."""
+    if not folder.exists() or not any(folder.iterdir()):
         return set()
+    assert not unmatched(folder)
     for path in folder.iterdir():
         assert not path.name.startswith(".ctrplan-"), f"{path.name} was left behind"
         content = path.read_bytes()
@@ -126,7 +128,7 @@ for version in range(10**6):
 """
 
 
-def test_killed_while_writing_leaves_old_or_new_files_whole(tmp_path: Path) -> None:
+def test_killed_while_writing_leaves_old_or_new_files_whole_and_tells_them_apart(tmp_path: Path) -> None:
     moments = random.Random(0)
     for attempt in range(repetitions(3)):
         folder = tmp_path / str(attempt)
@@ -135,9 +137,44 @@ def test_killed_while_writing_leaves_old_or_new_files_whole(tmp_path: Path) -> N
         time.sleep(moments.uniform(0.0, 0.1))
         process.kill()
         process.communicate()
-        for name in "abc":
-            content = (folder / name).read_text()
-            assert content == content[:8] * 50_000
+        contents = [(folder / name).read_text() for name in "abc"]
+        assert all(content == content[:8] * 50_000 for content in contents)
+        if len(set(contents)) > 1:
+            assert unmatched(folder)
+
+
+@pytest.mark.parametrize("renamed", range(5))
+def test_a_set_is_whole_or_does_not_match_its_checksums(
+    renamed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stopped after each of the renames that put four files, the checksums among them, in the place of older ones."""
+    replace, left = os.replace, renamed
+
+    def write(text: str) -> None:
+        with written_together(tmp_path, "abc") as made:
+            for name in "abc":
+                (made / name).write_text(text)
+
+    def stopping(source: Path, target: Path) -> None:
+        nonlocal left
+        if Path(target).parent == tmp_path:
+            if not left:
+                raise KeyboardInterrupt
+            left -= 1
+        replace(source, target)
+
+    write("old")
+    monkeypatch.setattr(os, "replace", stopping)
+    if renamed < 4:
+        with pytest.raises(KeyboardInterrupt):
+            write("new")
+    else:
+        write("new")
+    texts = [(tmp_path / name).read_text() for name in "abc"]
+    assert texts == ["new"] * min(renamed, 3) + ["old"] * (3 - min(renamed, 3))
+    assert unmatched(tmp_path) == (() if renamed == 4 else tuple("abc"[:renamed]))
+    check = subprocess.run(["sha256sum", "--check", "--status", "SHA256SUMS"], cwd=tmp_path)
+    assert (check.returncode == 0) == (renamed in (0, 4))
 
 
 def in_a_small_world(

@@ -33,10 +33,10 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 def test_poses_are_those_of_the_history(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write_path(tmp_path, HEADER, *ROWS)
-    assert main(["simulate", PAIR, path, "-o", str(tmp_path / "out"), "--start=-1"]) == 0
+    assert main(["simulate", PAIR, path, "-o", str(tmp_path / "out"), "--start", "-1"]) == 0
     found = capsys.readouterr()
     assert "3 of 3 rows simulated" in found.out and "largest friction error" in found.out and found.err == ""
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {"poses.csv", "simulate.png"}
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"SHA256SUMS", "poses.csv", "simulate.png"}
     assert (tmp_path / "out" / "simulate.png").read_bytes()[:4] == b"\x89PNG"
     robot = load_robot(PAIR)
     history = robot.history((-1,))
@@ -132,7 +132,7 @@ def test_files_that_are_none(file: str, words: str, tmp_path: Path, capsys: pyte
 @pytest.mark.parametrize("text", ["resting", "+1,-1", "2", "", "+1,", "nan"])
 def test_start_states_are_checked(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write_path(tmp_path, HEADER, *ROWS)
-    assert main(["simulate", PAIR, path, "-o", str(tmp_path / "out"), f"--start={text}"]) == 2
+    assert main(["simulate", PAIR, path, "-o", str(tmp_path / "out"), "--start", text]) == 2
     message = capsys.readouterr().err
     assert "--start" in message and "oscillated" in message and message.count("\n") == 1
     assert start_state("+1,-0.5", 2) == (1.0, -0.5)
@@ -142,4 +142,4 @@ def test_help_has_examples(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["simulate", "--help"])
     text = capsys.readouterr().out
-    assert "examples:" in text and "--start=+1,-1" in text and "theta_1_rad" in text
+    assert "examples:" in text and "--start +1,-1" in text and "theta_1_rad" in text

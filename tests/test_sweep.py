@@ -39,7 +39,7 @@ def test_one_axis_gives_the_bounds_of_its_configurations(tmp_path: Path, capsys:
     assert main(["bound", PAIR, *AT, "--sweep", "l_2=-40:-80:5", "-o", str(tmp_path / "out")]) == 0
     found = capsys.readouterr()
     assert "5 points over l_2" in found.out and "sweep.csv, sweep.png" in found.out and found.err == ""
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {"sweep.csv", "sweep.png"}
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"SHA256SUMS", "sweep.csv", "sweep.png"}
     table = rows(tmp_path / "out" / "sweep.csv")
     assert list(table[0]) == ["l_2_mm", "bound_mm", "bound_deg", "stability", "max_strain", "status"]
     assert [float(row["l_2_mm"]) for row in table] == [-40, -50, -60, -70, -80]

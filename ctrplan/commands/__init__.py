@@ -1,1 +1,1 @@
-"""What the commands of the command line do; `ctrplan.cli` reads their arguments."""
+"""What the commands of the command line do; `program` reads their arguments."""

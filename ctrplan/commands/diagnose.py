@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any
 from ctrplan.commands.options import add_set_option
 from ctrplan.commands.output_folder import DEFAULT as DEFAULT_FOLDER
 from ctrplan.commands.output_folder import output_folder, written_together
-from ctrplan.commands.plan import INTERRUPTED
 from ctrplan.commands.progress_bar import ProgressBar
-from ctrplan.interrupts import interrupt_event
+from ctrplan.interrupts import INTERRUPTED, interrupt_event
 
 if TYPE_CHECKING:
     from ctrplan.diagnosis import Diagnosis

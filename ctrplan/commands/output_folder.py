@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -11,22 +12,43 @@ from pathlib import Path
 from ctrplan.errors import CtrplanError, InputError
 
 DEFAULT = "ctrplan-output"
+CHECKSUMS = "SHA256SUMS"
 
 
 @contextmanager
 def written_together(folder: Path, outputs: Sequence[str]) -> Iterator[Path]:
     """A hidden folder to write `outputs` into; they are renamed to their places together, or none is.
 
-    Makes `folder` if need be. Raises CtrplanError where the system refuses.
+    The file SHA256SUMS follows last: a process killed between two renames leaves files that do not match it, so
+    `sha256sum -c SHA256SUMS` and `unmatched` tell a whole set from a mixed one. Makes `folder` if need be. Raises
+    CtrplanError where the system refuses.
     """
+    from ctrplan.export import write_atomically
+
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".ctrplan-", dir=folder) as name:
-            yield Path(name)
-            for output in outputs:
-                os.replace(Path(name) / output, folder / output)
+            made = Path(name)
+            yield made
+            sums = "".join(f"{_sha256(made / output)}  {output}\n" for output in outputs)
+            write_atomically(made / CHECKSUMS, sums)
+            for output in (*outputs, CHECKSUMS):
+                os.replace(made / output, folder / output)
     except OSError as error:
         raise CtrplanError(f"{folder}: could not be written: {error.strerror or error}.") from error
+
+
+def unmatched(folder: Path) -> tuple[str, ...]:
+    """Names in the folder's SHA256SUMS whose files are missing or are not of the same set. Raises CtrplanError."""
+    try:
+        rows = [row.split("  ", 1) for row in (folder / CHECKSUMS).read_text().splitlines()]
+        return tuple(name for sha256, name in rows if not (folder / name).exists() or _sha256(folder / name) != sha256)
+    except (OSError, ValueError) as error:
+        raise CtrplanError(f"{folder / CHECKSUMS}: could not be read: {error}.") from error
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def output_folder(name: str, outputs: Sequence[str]) -> Path:
@@ -40,7 +62,7 @@ def output_folder(name: str, outputs: Sequence[str]) -> Path:
         raise InputError("must be a folder, or a place to make one", key="--output", value=name)
     if not os.access(existing, os.W_OK):
         raise InputError("is not writable", key="--output", value=name)
-    for output in outputs:
+    for output in (*outputs, CHECKSUMS):
         if (folder / output).is_dir():
             rule = f"holds a folder of the name {output}, where a file is to be written"
             raise InputError(rule, key="--output", value=name)

@@ -13,12 +13,11 @@ from ctrplan.commands.output_folder import DEFAULT as DEFAULT_FOLDER
 from ctrplan.commands.output_folder import output_folder, written_together
 from ctrplan.commands.progress_bar import ProgressBar
 from ctrplan.errors import InputError
-from ctrplan.interrupts import interrupt_event
+from ctrplan.interrupts import INTERRUPTED, interrupt_event
 
 if TYPE_CHECKING:
     from ctrplan.planning.plan import Plan
 
-INTERRUPTED = 130  # exit code
 OUTPUTS = ("plan.json", "trajectory.csv", "trajectory.yaml", "plan.png", "report.html")
 
 

@@ -12,14 +12,13 @@ from ctrplan.commands.output_folder import DEFAULT as DEFAULT_FOLDER
 from ctrplan.commands.output_folder import output_folder, written_together
 from ctrplan.commands.progress_bar import ProgressBar
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.interrupts import interrupt_event
+from ctrplan.interrupts import INTERRUPTED, interrupt_event
 
 if TYPE_CHECKING:
     from ctrplan.history import Start
     from ctrplan.simulation import Simulation
 
 OUTPUTS = ("poses.csv", "simulate.png")
-INTERRUPTED = 130  # exit code
 PATIENCE_S = 1.0  # before a progress bar shows up
 
 
@@ -29,7 +28,7 @@ translations of the tubes, outermost first; optionally sequence (runs that are a
 examples:
   ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out
   ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out --start oscillated
-  ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out --start=+1,-1
+  ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out --start +1,-1
 """
 
 
@@ -53,7 +52,7 @@ def add_parser(commands: Any) -> None:
         default="released",
         metavar="STATE",
         help="friction at the first waypoint: released, oscillated (a decreasing oscillation has let go of it), "
-        "or a state in [-1, 1] per pair, as --start=+1,-1 (default: %(default)s)",
+        "or a state in [-1, 1] per pair, as --start +1,-1 (default: %(default)s)",
     )
     parser.add_argument(
         "--accuracy", choices=["search", "certificate"], default="search", help="mesh (default: %(default)s)"

@@ -37,6 +37,7 @@ class ChiSquare:
 
     @property
     def is_noise(self) -> bool:
+        """Whether noise of the stated size explains it."""
         return self.p > REJECTED
 
 
@@ -52,6 +53,7 @@ class Adequacy:
 
     @property
     def is_adequate(self) -> bool:
+        """Whether nothing but noise is left, in all, between configurations and within them."""
         return self.total.is_noise and self.between.is_noise and self.within.is_noise
 
 

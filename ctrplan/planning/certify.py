@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,12 @@ BRANCH_TOLERANCE_M = 0.2e-3  # between the ends of neighbouring pieces, the same
 GRID_SHARE = 0.03  # of a clearance by which the grid may be off far from surfaces (ctrplan.grid_distance)
 PIECE_MM = 40.0  # joint length of the pieces that run in parallel
 Progress = Callable[[float], None]
-Arrival = Callable[["Scenario", CertificateSamples, Prediction], list[str]]
+
+
+class Arrival(Protocol):
+    """Says in sentences why the end of a certified path does not meet the goal; none if it does."""
+
+    def __call__(self, scenario: Scenario, samples: CertificateSamples, prediction: Prediction) -> list[str]: ...
 
 
 @dataclass(frozen=True, eq=False)

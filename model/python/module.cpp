@@ -1,9 +1,13 @@
 // The thin Python face of the core: arrays in, arrays and plain dictionaries out. ctrplan/mechanics.py is its only user.
+#include <cstdlib>
+
 #include "ctr/kernel.hpp"
 #include "model.hpp"
 
 NB_MODULE(_model, m) {
     m.doc() = "Mechanics of concentric tube robots with clearance and friction (C++ core of ctrplan)";
+    // Somebody who still holds a robot when Python ends is told so only if they ask; the tests do.
+    nb::set_leak_warnings(std::getenv("CTRPLAN_LEAK_WARNINGS") != nullptr);
     nb::exception<ctr::InvalidInput>(m, "InvalidInput", PyExc_ValueError);
     m.def("kernel_name", &ctr::kernel_name, "instruction set of the kernel in use");
     nb::class_<ctr::History::State>(m, "HistoryState");

@@ -189,10 +189,12 @@ inline void apply_factors(const V* A, V* r, int ld, int P) {
 // Entries of a row that are handled together: Q of them and the right-hand side after the last.
 template <class V, int Q>
 constexpr int kChunks = Q / Chunk<V>::width + 1;
+template <class V, int Q>
+using Chunks = V4[kChunks<V, Q>];
 
 // row -= sum over k in [from, to) of factors[k] * rows[k]; the row stays in registers meanwhile.
 template <class V, int Q>
-__attribute__((always_inline)) inline void subtract(V4 (&kept)[kChunks<V, Q>], const V* factors, const V* rows, int ld, int from, int to) {
+__attribute__((always_inline)) inline void subtract(Chunks<V, Q>& kept, const V* factors, const V* rows, int ld, int from, int to) {
     for (int k = from; k < to; ++k) {
         const V factor = factors[k];
         for (int c = 0; c < kChunks<V, Q>; ++c) kept[c] -= factor * Chunk<V>::load(rows + k * ld + c * Chunk<V>::width);
@@ -200,12 +202,12 @@ __attribute__((always_inline)) inline void subtract(V4 (&kept)[kChunks<V, Q>], c
 }
 
 template <class V, int Q>
-__attribute__((always_inline)) inline void read(V4 (&kept)[kChunks<V, Q>], const V* row) {
+__attribute__((always_inline)) inline void read(Chunks<V, Q>& kept, const V* row) {
     for (int c = 0; c < kChunks<V, Q>; ++c) kept[c] = Chunk<V>::load(row + c * Chunk<V>::width);
 }
 
 template <class V, int Q>
-__attribute__((always_inline)) inline void write(V* row, const V4 (&kept)[kChunks<V, Q>]) {
+__attribute__((always_inline)) inline void write(V* row, const Chunks<V, Q>& kept) {
     for (int c = 0; c < kChunks<V, Q>; ++c) Chunk<V>::store(row + c * Chunk<V>::width, kept[c]);
 }
 
@@ -213,7 +215,7 @@ __attribute__((always_inline)) inline void write(V* row, const V4 (&kept)[kChunk
 // rides along in the entries after the rows of U, which a row has room for (kernel.hpp) and which are zero otherwise.
 template <class V, int Q>
 __attribute__((noinline)) void eliminate_columns(const V* A, V* U, V* r, const V* L, V* next, V* next_r, int ld, int P) {
-    V4 kept[kChunks<V, Q>];
+    Chunks<V, Q> kept;
     for (int i = 0; i < P; ++i) U[i * ld + Q] = r[i];
     for (int i = 1; i < P; ++i) {
         read<V, Q>(kept, U + i * ld);

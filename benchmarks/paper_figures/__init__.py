@@ -1,0 +1,1 @@
+"""Figures and tables of the paper, each module a part of its Section IV."""

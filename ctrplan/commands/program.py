@@ -1,0 +1,47 @@
+"""The command line: what `ctrplan --help` lists. Every failure is one sentence on stderr and an exit code."""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+from collections.abc import Sequence
+
+import ctrplan
+from ctrplan.commands import bound, calibrate, diagnose, field, ik, plan, simulate, view
+from ctrplan.commands.command_line import CommandLine
+from ctrplan.errors import CtrplanError
+
+COMMANDS = (plan, bound, ik, simulate, field, calibrate, diagnose, view)
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Runs a command; returns its exit code. Raises KeyboardInterrupt where Ctrl-C left no result."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a name the terminal can't show must not end the program
+    try:
+        parsed = parser().parse_args(arguments)
+        code = int(parsed.run(parsed))
+        sys.stdout.flush()
+        return code
+    except CtrplanError as error:
+        print(f"ctrplan: {error}", file=sys.stderr)
+        return error.exit_code
+    except BrokenPipeError:  # the reader of our output went away
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except OSError as error:  # of standard output; files have sentences of their own
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        print(f"ctrplan: could not print the result: {error.strerror or error}.", file=sys.stderr)
+        return 1
+
+
+def parser() -> CommandLine:
+    """The parser of the program, with one for each of its commands."""
+    program = CommandLine(prog="ctrplan", description=(ctrplan.__doc__ or "").splitlines()[0])
+    program.add_argument("--version", action="version", version=f"ctrplan {ctrplan.__version__}")
+    commands = program.add_subparsers(required=True, metavar="COMMAND")
+    for command in COMMANDS:
+        command.add_parser(commands)
+    return program
