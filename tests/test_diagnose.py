@@ -59,6 +59,27 @@ def test_an_effect_outside_the_catalogue_gets_no_name() -> None:
     assert found.judgement.adequacy.within.is_noise and not found.judgement.adequacy.between.is_noise
 
 
+def test_an_effect_taken_out_is_not_replaced_by_another_name() -> None:
+    data = measured(ROBOT, PLAN, BASE | {"backlash": {"theta_2_deg": 8.0}})
+    found = diagnose(ROBOT, data, catalogue=QUICK, without=["backlash"])
+    assert found.verdict == "unexplained" and not found.listed
+    assert found.to_json()["without"] == ["backlash"]
+    assert any("backlash" in note for note in found.notes)
+    assert not any(step.effect == "backlash" for step in found.path)
+
+
+def test_only_effects_of_the_catalogue_can_be_taken_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(InputError, match="'sticktion': must be an effect of the catalogue: .*tip_load"):
+        diagnose(ROBOT, PLAN, without=["tip_load", "sticktion"])
+    (tmp_path / "robot.toml").write_text(tomli_w.dumps(dict(ROBOT.content)))
+    write_csv(tmp_path / "data.csv", measured(ROBOT, PLAN, BASE))
+    call = ["diagnose", str(tmp_path / "robot.toml"), str(tmp_path / "data.csv"), "-o", str(tmp_path / "out")]
+    assert main([*call, "--without", "sticktion"]) == 2
+    message = capsys.readouterr().err
+    assert "friction" in message and "sticktion" in message and message.count("\n") == 1
+    assert not (tmp_path / "out" / "diagnosis.json").exists()
+
+
 def test_an_outlier_is_reported_and_changes_little() -> None:
     clean = measured(ROBOT, PLAN, BASE)
     position = clean.position_m.copy()

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.diagnosis.candidates import Candidates, candidates
+from ctrplan.diagnosis.candidates import Candidates, candidates, reduced
 from ctrplan.diagnosis.effect import CATALOGUE, Effect
 from ctrplan.diagnosis.experiment import next_experiment
 from ctrplan.diagnosis.gap import Gap, distances, open_vault
@@ -66,19 +66,22 @@ def diagnose(
     progress: Progress | None = None,
     *,
     catalogue: Mapping[str, Effect] = CATALOGUE,
+    without: Sequence[str] = (),
     interrupted: threading.Event | None = None,
 ) -> Diagnosis:
     """Compares the whole chain with measurements and says which stage lacks what, if anything.
 
     `progress` is told the step and the share done. When `interrupted` is set, what was found so far is returned.
-    Raises InputError where the data are too few or the robot file does not state the noise.
+    `without` names effects to be left out of the catalogue. Raises InputError where it names another, where the data
+    are too few, or the robot file does not state the noise.
     """
     began = time.monotonic()
+    allowed = reduced(catalogue, without)
     teller = _Teller(progress, interrupted)
     noise = stated_noise(robot)
     usable = usable_poses(robot, data)
     parts = _checked_split(data, usable)
-    known = candidates(robot, data, catalogue)
+    known = candidates(robot, data, allowed)
     bench = _bench(robot, data, parts, noise)
     selector, judgement, notes, stopped = _searched(bench, known, teller)
     chosen, base = selector.found.chosen, selector.bench.scored([])
@@ -102,7 +105,8 @@ def diagnose(
         proposals=proposed,
         path=tuple(selector.found.path),
         not_testable=known.not_testable,
-        notes=(*data.warnings, *notes, *note, *symptoms(chosen.fit), *_coverage(usable)),
+        without=tuple(without),
+        notes=(*data.warnings, *_left_out(without), *notes, *note, *symptoms(chosen.fit), *_coverage(usable)),
         robot=robot,
         data=data,
         noise=noise,
@@ -184,6 +188,10 @@ def _place(bench: Workbench, gap: Gap) -> Place:
     fit = bench.scored([]).fit
     error = distances(fit.chain, fit.p)
     return localise(bench.data, fit.residuals.r, bench.group, error, gap.floor_m)
+
+
+def _left_out(without: Sequence[str]) -> list[str]:
+    return [f"Taken out of the catalogue, as asked: {', '.join(without)}."] if without else []
 
 
 def _coverage(usable: NDArray[np.bool_]) -> list[str]:
