@@ -92,3 +92,5 @@ def test_few_far_poses_are_outliers_and_many_are_a_misfit() -> None:
     assert outliers(norm).sum() == 2
     norm[:20] = 9.0
     assert outliers(norm).sum() == 0
+    norm[1:] = 2.0
+    assert outliers(norm[:20]).sum() == 1  # one far pose is one in a small set, too

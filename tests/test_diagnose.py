@@ -16,6 +16,7 @@ from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
 from ctrplan.errors import InputError
 from ctrplan.measurements import Measurements
 from ctrplan.robot import load_robot
+from ctrplan.robot_output import write_robot
 
 ROBOT = pair_robot()
 PLAN = waypoints(ROBOT, 18)
@@ -78,6 +79,29 @@ def test_only_effects_of_the_catalogue_can_be_taken_out(tmp_path: Path, capsys: 
     message = capsys.readouterr().err
     assert "friction" in message and "sticktion" in message and message.count("\n") == 1
     assert not (tmp_path / "out" / "diagnosis.json").exists()
+
+
+def test_a_ratio_no_tube_has_is_reported_and_a_robot_file_can_still_be_written(tmp_path: Path) -> None:
+    data = measured(ROBOT, PLAN, {"calibration": {"poisson_ratio_1": 0.9, "poisson_ratio_2": 0.9}})
+    found = diagnose(ROBOT, data, catalogue=QUICK)
+    assert any("poisson_ratio" in note and "no tube has" in note for note in found.notes)
+    write_robot(tmp_path / "robot.toml", found.robot_content())
+    written = load_robot(tmp_path / "robot.toml")
+    assert max(tube.poisson_ratio for tube in written.tubes) == 0.5
+    tips = [written.solve(*row).tip_m for row in zip(data.theta_b[data.rows], data.l_b[data.rows], strict=True)]
+    error_m = np.linalg.norm(np.array(tips) - data.position_m, axis=1)  # the gap is that of the file
+    share = np.sqrt(np.mean(error_m**2)) / found.gap.after.rms_m
+    assert 0.8 < share < 1.25
+
+
+def test_what_is_handed_over_has_the_effects_of_the_verdict_alone() -> None:
+    values = {"tip_load": {"force_x_N": 0.1, "force_y_N": -0.1, "force_z_N": 0.0}, "backlash": {"theta_2_deg": 3.0}}
+    data = measured(ROBOT, PLAN, BASE | values | {"eccentricity": {"sin_2_deg": 2.0, "cos_2_deg": 2.0}})
+    found = diagnose(ROBOT, data, catalogue=QUICK)
+    assert {step.effect for step in found.path if step.taken} > {"backlash"}  # others were chosen, and not believed
+    assert found.verdict == "unexplained" and [t.name for t in found.listed] == ["backlash"]
+    assert found.chosen.names == ("backlash",) and not found.judgement.adequacy.is_adequate
+    assert set(found.robot_content()["effects"]) == {"backlash"}
 
 
 def test_an_outlier_is_reported_and_changes_little() -> None:

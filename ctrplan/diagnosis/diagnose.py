@@ -22,11 +22,12 @@ from ctrplan.diagnosis.selection import Selector
 from ctrplan.diagnosis.split import Split, groups, split
 from ctrplan.diagnosis.symptoms import symptoms
 from ctrplan.diagnosis.verdict import Finding, Judgement, judge, specific
-from ctrplan.diagnosis.workbench import Workbench
+from ctrplan.diagnosis.workbench import Scored, Workbench
 from ctrplan.errors import InputError
 from ctrplan.measurements import LONGEST_LAG_S, Measurements
 from ctrplan.residuals import Noise
 from ctrplan.robot import Robot
+from ctrplan.robot_output import within_file
 from ctrplan.shapes import Status
 
 LEAST_STABILITY = 0.03  # of the believed robot: nearer to snapping no model is asked
@@ -84,6 +85,7 @@ def diagnose(
     known = candidates(robot, data, allowed)
     bench = _bench(robot, data, parts, noise)
     selector, judgement, notes, stopped = _searched(bench, known, teller)
+    selector.bench.pause = lambda: None  # what follows is short, and nothing is told without it
     chosen, base = selector.found.chosen, selector.bench.scored([])
     noise = selector.bench.noise
     if progress:
@@ -91,6 +93,10 @@ def diagnose(
     group = groups(data)
     gap = open_vault(base.fit, chosen.fit, data.subset(parts.vault), group[parts.vault], noise)
     judgement, note = _after_vault(judgement, selector, gap)
+    written = _written(selector.bench, chosen, judgement)
+    if written is not chosen:  # errors are of the model that is handed over
+        judgement = replace(judgement, adequacy=remains(selector.bench, written))
+        gap = open_vault(base.fit, written.fit, data.subset(parts.vault), group[parts.vault], noise)
     place = _place(selector.bench, gap)
     far = outliers(chosen.fit.residuals.alone)
     sentence, proposed = next_experiment(chosen, judgement, bench.data, noise, list(known.not_testable))
@@ -98,7 +104,7 @@ def diagnose(
         verdict=judgement.verdict,
         judgement=judgement,
         base=base,
-        chosen=chosen,
+        chosen=written,
         gap=gap,
         place=place,
         next_experiment=sentence,
@@ -182,6 +188,15 @@ def _after_vault(judgement: Judgement, selector: Selector, gap: Gap) -> tuple[Ju
     kept = specific(selector.bench, selector.found, judgement.findings, judgement.adequacy)
     note = f"The vault contradicts it: chi-square per degree of freedom {gap.chi_square.ratio:.2f}."
     return replace(judgement, verdict="unexplained", findings=kept), [note]
+
+
+def _written(bench: Workbench, chosen: Scored, judgement: Judgement) -> Scored:
+    """The model with the effects of the verdict alone, and numbers that a robot file may have."""
+    listed = {finding.term.key for finding in judgement.findings}
+    kept = [t for t in chosen.terms if t.key in listed]
+    scored = chosen if len(kept) == len(chosen.terms) else bench.scored(kept, chosen.fit)
+    inside = within_file(scored.fit)
+    return scored if inside is scored.fit else replace(scored, fit=inside)
 
 
 def _place(bench: Workbench, gap: Gap) -> Place:

@@ -33,7 +33,7 @@ class Diagnosis:
     verdict: Verdict
     judgement: Judgement
     base: Scored  # calibrated, without effects
-    chosen: Scored  # with them
+    chosen: Scored  # with those of the verdict
     gap: Gap
     place: Place
     next_experiment: str
