@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
-from measured_data import measured, pair_robot, waypoints, write_csv
+from measured_data import SIGMA_M, SIGMA_RAD, measured, pair_robot, waypoints, write_csv
 
 from ctrplan.cli import main
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
@@ -19,6 +19,7 @@ from ctrplan.robot import load_robot
 from ctrplan.robot_output import write_robot
 
 ROBOT = pair_robot()
+SILENT = pair_robot(measurement=None)
 PLAN = waypoints(ROBOT, 18)
 BASE = {"calibration": {"precurvature_factor_1_1": 1.05, "stiffness_factor_2": 0.93, "poisson_ratio_1": 0.36}}
 QUICK = {name: CATALOGUE[name] for name in ("backlash", "tip_load", "homing_offset", "off_plane_precurvature", "lag")}
@@ -121,9 +122,38 @@ def test_an_outlier_is_reported_and_changes_little() -> None:
 def test_too_few_configurations_and_unknown_noise_are_refused() -> None:
     with pytest.raises(InputError, match="too few"):
         diagnose(ROBOT, measured(ROBOT, waypoints(ROBOT, 5)))
-    silent = pair_robot(measurement=None)
-    with pytest.raises(InputError, match="measurement: is missing"):
-        diagnose(silent, measured(ROBOT, PLAN))
+    with pytest.raises(
+        InputError, match="measurement: is missing.*or measure at least 20 poses again.*these data have 0"
+    ):
+        diagnose(SILENT, measured(ROBOT, PLAN))
+    with pytest.raises(InputError, match="have 9"):
+        diagnose(SILENT, measured(ROBOT, waypoints_with_repeats(9)))
+
+
+def test_without_a_stated_noise_it_comes_from_repeats() -> None:
+    data = measured(ROBOT, waypoints_with_repeats(54), BASE | {"backlash": {"theta_2_deg": 8.0}})
+    data.position_m[np.flatnonzero(np.diff(data.rows) == 1)[3]] += 0.02  # one that went wrong
+    found = diagnose(SILENT, data, catalogue=QUICK)
+    assert found.noise.position_m == pytest.approx(SIGMA_M, rel=0.15)
+    assert found.noise.tangent_rad == pytest.approx(SIGMA_RAD, rel=0.15)
+    assert any("states no noise; 54 repeated poses" in note for note in found.notes)
+    assert found.verdict == "named" and names(found) == [{"backlash"}]  # no difference of approaches went into it
+
+
+def waypoints_with_repeats(count: int) -> Measurements:
+    """The plan with its first poses measured twice."""
+    again = np.sort(np.concatenate([np.arange(len(PLAN.sequence)), PLAN.rows[:count]]))
+    rows = np.flatnonzero(np.isin(again, PLAN.rows))
+    nothing = np.zeros((len(rows), 3))
+    return Measurements(
+        PLAN.sequence[again],
+        PLAN.theta_b[again],
+        PLAN.l_b[again],
+        rows,
+        nothing,
+        nothing,
+        np.arange(len(again), dtype=float),
+    )
 
 
 def test_an_interrupted_run_keeps_what_it_had() -> None:

@@ -17,6 +17,7 @@ from ctrplan.diagnosis.gap import Gap, distances, open_vault
 from ctrplan.diagnosis.guards import outliers, remains
 from ctrplan.diagnosis.localise import Place, localise
 from ctrplan.diagnosis.misstated import rescaled_noise
+from ctrplan.diagnosis.noise_floor import noise_floor
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.selection import Selector
 from ctrplan.diagnosis.split import Split, groups, split
@@ -74,12 +75,12 @@ def diagnose(
 
     `progress` is told the step and the share done. When `interrupted` is set, what was found so far is returned.
     `without` names effects to be left out of the catalogue. Raises InputError where it names another, where the data
-    are too few, or the robot file does not state the noise.
+    are too few, or neither the robot file states the noise nor the data have repeats.
     """
     began = time.monotonic()
     allowed = reduced(catalogue, without)
     teller = _Teller(progress, interrupted)
-    noise = stated_noise(robot)
+    noise, about_noise = noise_floor(robot, data)
     usable = usable_poses(robot, data)
     parts = _checked_split(data, usable)
     known = candidates(robot, data, allowed)
@@ -112,7 +113,15 @@ def diagnose(
         path=tuple(selector.found.path),
         not_testable=known.not_testable,
         without=tuple(without),
-        notes=(*data.warnings, *_left_out(without), *notes, *note, *symptoms(chosen.fit), *_coverage(usable)),
+        notes=(
+            *data.warnings,
+            *_left_out(without),
+            *([about_noise] if about_noise else []),
+            *notes,
+            *note,
+            *symptoms(chosen.fit),
+            *_coverage(usable),
+        ),
         robot=robot,
         data=data,
         noise=noise,
@@ -121,14 +130,6 @@ def diagnose(
         interrupted=stopped,
         time_s=time.monotonic() - began,
     )
-
-
-def stated_noise(robot: Robot) -> Noise:
-    """The noise of the robot file. Raises InputError where it has none: it is never assumed."""
-    if robot.measurement is None:
-        rule = "is missing: state position_sigma_mm and tangent_sigma_deg, from repeats or the tracker's data sheet"
-        raise InputError(rule, file=robot.path, key="measurement")
-    return Noise(robot.measurement.position_sigma_m, robot.measurement.tangent_sigma_rad)
 
 
 def usable_poses(robot: Robot, data: Measurements) -> NDArray[np.bool_]:
