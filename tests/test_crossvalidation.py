@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ctrplan.diagnosis.crossvalidation import Linear, held_out_loss, null_scores
-from ctrplan.diagnosis.guards import adequacy, outliers
-from ctrplan.diagnosis.misstated import rescaled_noise
+from ctrplan.diagnosis.guards import ChiSquare, adequacy, outliers
+from ctrplan.diagnosis.misstated import agreement, rescaled_noise
 from ctrplan.diagnosis.nulls import null_threshold
 from ctrplan.drive import Array
 from ctrplan.residuals import PER_POSE, Noise
@@ -94,3 +94,18 @@ def test_few_far_poses_are_outliers_and_many_are_a_misfit() -> None:
     assert outliers(norm).sum() == 0
     norm[1:] = 2.0
     assert outliers(norm[:20]).sum() == 1  # one far pose is one in a small set, too
+
+
+@pytest.mark.parametrize(("freedom", "most"), [(1e6, 0.03), (8.0, 0.05), (4.0, 0.08)])
+def test_a_vault_like_the_selection_agrees_with_it_whatever_the_tails(freedom: float, most: float) -> None:
+    rng, alarms, missed, believing_in_gauss = np.random.default_rng(4), 0, 0, 0
+    for _ in range(400):
+        scale = np.sqrt(freedom / rng.chisquare(freedom, 80))  # of Student's t
+        square = ((rng.standard_normal((80, 5)) * scale[:, None]) ** 2).sum(axis=1)
+        left, vault = ChiSquare(float(square[:60].sum()), 300.0), float(square[60:].sum())
+        norm = np.sqrt(square[:60] / left.ratio)  # the noise as the selection shows it
+        alarms += agreement(ChiSquare(vault, 100.0), left, norm) < 0.01
+        believing_in_gauss += ChiSquare(vault / left.ratio, 100.0).p < 0.01
+        missed += agreement(ChiSquare(6.25 * vault, 100.0), left, norm) > 0.01
+    assert alarms / 400 <= most and alarms < believing_in_gauss / 2
+    assert missed / 400 < 0.1  # errors 2.5 times as large do not agree

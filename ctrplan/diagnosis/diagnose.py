@@ -16,7 +16,7 @@ from ctrplan.diagnosis.experiment import next_experiment
 from ctrplan.diagnosis.gap import Gap, distances, open_vault
 from ctrplan.diagnosis.guards import outliers, remains
 from ctrplan.diagnosis.localise import Place, localise
-from ctrplan.diagnosis.misstated import rescaled_noise
+from ctrplan.diagnosis.misstated import agreement, rescaled_noise
 from ctrplan.diagnosis.noise_floor import noise_floor
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.selection import Selector
@@ -93,7 +93,7 @@ def diagnose(
         progress("opening the vault", 0.95)
     group = groups(data)
     gap = open_vault(base.fit, chosen.fit, data.subset(parts.vault), group[parts.vault], noise)
-    judgement, note = _after_vault(judgement, selector, gap)
+    judgement, note = _after_vault(judgement, selector, gap, noise is not bench.noise)
     written = _written(selector.bench, chosen, judgement)
     if written is not chosen:  # errors are of the model that is handed over
         judgement = replace(judgement, adequacy=remains(selector.bench, written))
@@ -182,9 +182,12 @@ def _searched(bench: Workbench, known: Candidates, teller: _Teller) -> tuple[Sel
     return selector, judgement, notes, False
 
 
-def _after_vault(judgement: Judgement, selector: Selector, gap: Gap) -> tuple[Judgement, list[str]]:
-    """A verdict that the vault contradicts is taken back."""
-    if judgement.verdict == "unexplained" or gap.chi_square.p > VAULT_REJECTED:
+def _after_vault(judgement: Judgement, selector: Selector, gap: Gap, estimated: bool) -> tuple[Judgement, list[str]]:
+    """A verdict that the vault contradicts is taken back; `estimated`: the noise is not as stated."""
+    residuals = selector.found.chosen.fit.residuals
+    norm = residuals.norm[~outliers(residuals.alone)]
+    p = agreement(gap.chi_square, judgement.adequacy.total, norm) if estimated else gap.chi_square.p
+    if judgement.verdict == "unexplained" or p > VAULT_REJECTED:
         return judgement, []
     kept = specific(selector.bench, selector.found, judgement.findings, judgement.adequacy)
     note = f"The vault contradicts it: chi-square per degree of freedom {gap.chi_square.ratio:.2f}."

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from scipy.stats import chi2, f
 
 from ctrplan.diagnosis.guards import REJECTED, Adequacy, ChiSquare
-from ctrplan.residuals import Noise
+from ctrplan.drive import Array
+from ctrplan.residuals import PER_POSE, Noise
 
 UNEVEN = 0.01  # probability of a ratio of between to within below which the excess has structure
 LARGEST_FACTOR = 3.0
@@ -36,6 +38,16 @@ def rescaled_noise(left: Adequacy, noise: Noise) -> tuple[Noise | None, str]:
         f"fit the data, the file says {noise.position_m * 1e3:.3g} mm and {math.degrees(noise.tangent_rad):.3g} deg."
     )
     return found, sentence
+
+
+def agreement(vault: ChiSquare, left: ChiSquare, norm: Array) -> float:
+    """Probability of a vault as far off as this when the noise is an estimate from the selection: no chi-square, but F.
+
+    Tails heavier than Gaussian make sums of squares less certain: degrees of freedom shrink with the kurtosis of the
+    selection's residuals, whose norms per pose are `norm` (K,) (Box and Andersen 1955).
+    """
+    excess = max(1.0, float(np.var(norm**2) / (2 * PER_POSE)))
+    return float(f.sf(vault.ratio / left.ratio, vault.dof / excess, left.dof / excess))
 
 
 def _is_even(left: Adequacy) -> bool:
