@@ -73,17 +73,29 @@ def test_noise_is_adequate_and_structure_is_not(seed: int) -> None:
     shared = 0.8 * rng.standard_normal((GROUPS, PER_POSE))[GROUP]
     spoilt = adequacy(problem(6, seed, rng.standard_normal((POSES, PER_POSE)) + shared).refitted(), GROUP, nothing)
     assert not spoilt.is_adequate and not spoilt.between.is_noise and spoilt.within.is_noise
-    assert rescaled_noise(spoilt, Noise(1e-3, 1e-2))[0] is None  # structure is never taken for larger noise
+    assert rescaled_noise(spoilt, Noise(1e-3, 1e-2), np.full(POSES, 2.0))[0] is None  # structure is never taken for larger noise
 
 
 def test_noise_of_another_size_is_recognised() -> None:
     rng = np.random.default_rng(7)
     r = rng.standard_normal((POSES, PER_POSE)) * [1.6, 1.6, 1.6, 1.0, 1.0]
     left = adequacy(problem(4, 7, r).refitted(), GROUP, np.zeros(POSES, bool))
-    found, sentence = rescaled_noise(left, Noise(0.4e-3, 0.01))
+    found, sentence = rescaled_noise(left, Noise(0.4e-3, 0.01), np.linalg.norm(r, axis=1))
     assert found is not None and "not as stated" in sentence
     assert found.position_m == pytest.approx(1.6 * 0.4e-3, rel=0.08)
     assert found.tangent_rad == pytest.approx(0.01, rel=0.1)
+
+
+def test_a_small_middle_with_heavy_tails_is_noise_of_the_stated_size() -> None:
+    rng = np.random.default_rng(8)
+    stated = Noise(0.4e-3, 0.01)
+    for scale in (0.6 * np.ones(POSES), np.sqrt(1 / rng.chisquare(3, POSES))):
+        r = rng.standard_normal((POSES, PER_POSE)) * scale[:, None]
+        far = np.linalg.norm(r, axis=1) > 5.6
+        left = adequacy(problem(4, 8, r).refitted(), GROUP, far)
+        assert left.total.ratio < 0.8
+        found, sentence = rescaled_noise(left, stated, np.linalg.norm(r[~far], axis=1))
+        assert (found is None) == bool(np.ptp(scale)) and ("tails" in sentence) == bool(np.ptp(scale))
 
 
 def test_few_far_poses_are_outliers_and_many_are_a_misfit() -> None:

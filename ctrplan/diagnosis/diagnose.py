@@ -24,6 +24,7 @@ from ctrplan.diagnosis.split import Split, groups, split
 from ctrplan.diagnosis.symptoms import symptoms
 from ctrplan.diagnosis.verdict import Finding, Judgement, judge, specific
 from ctrplan.diagnosis.workbench import Scored, Workbench
+from ctrplan.drive import Array
 from ctrplan.errors import InputError
 from ctrplan.measurements import LONGEST_LAG_S, Measurements
 from ctrplan.residuals import Noise
@@ -166,9 +167,9 @@ def _searched(bench: Workbench, known: Candidates, teller: _Teller) -> tuple[Sel
         teller("calibrating")
         selector.run()
         judgement = judge(selector, selector.found)
-        scaled, note = rescaled_noise(judgement.adequacy, bench.noise)
+        scaled, note = rescaled_noise(judgement.adequacy, bench.noise, _norms(selector.found.chosen))
+        notes += [note] if note else []
         if scaled is not None:
-            notes.append(note)
             again = Workbench(bench.robot, bench.data, scaled, bench.group, bench.fold)
             selector = Selector(again, known, teller)
             again.pause = teller.pause
@@ -184,14 +185,20 @@ def _searched(bench: Workbench, known: Candidates, teller: _Teller) -> tuple[Sel
 
 def _after_vault(judgement: Judgement, selector: Selector, gap: Gap, estimated: bool) -> tuple[Judgement, list[str]]:
     """A verdict that the vault contradicts is taken back; `estimated`: the noise is not as stated."""
-    residuals = selector.found.chosen.fit.residuals
-    norm = residuals.norm[~outliers(residuals.alone)]
-    p = agreement(gap.chi_square, judgement.adequacy.total, norm) if estimated else gap.chi_square.p
+    total, norms = judgement.adequacy.total, _norms(selector.found.chosen)
+    p = agreement(gap.chi_square, total, norms) if estimated else gap.chi_square.p
     if judgement.verdict == "unexplained" or p > VAULT_REJECTED:
         return judgement, []
     kept = specific(selector.bench, selector.found, judgement.findings, judgement.adequacy)
     note = f"The vault contradicts it: chi-square per degree of freedom {gap.chi_square.ratio:.2f}."
     return replace(judgement, verdict="unexplained", findings=kept), [note]
+
+
+def _norms(scored: Scored) -> Array:
+    """Of the residuals per pose, without outliers."""
+    residuals = scored.fit.residuals
+    norms: Array = residuals.norm[~outliers(residuals.alone)]
+    return norms
 
 
 def _written(bench: Workbench, chosen: Scored, judgement: Judgement) -> Scored:

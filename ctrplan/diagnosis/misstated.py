@@ -13,18 +13,22 @@ from ctrplan.residuals import PER_POSE, Noise
 
 UNEVEN = 0.01  # probability of a ratio of between to within below which the excess has structure
 LARGEST_FACTOR = 3.0
+HEAVY = 2.0  # tail weight that 60 poses of Gaussian noise have once in a thousand
 WORTH_IT = 1.05  # factors nearer to 1 change nothing
 
 
-def rescaled_noise(left: Adequacy, noise: Noise) -> tuple[Noise | None, str]:
+def rescaled_noise(left: Adequacy, noise: Noise, norm: Array) -> tuple[Noise | None, str]:
     """Noise as the residuals show it, if they differ from the stated one and are even; and a sentence about it.
 
     Even: as large between configurations as between approaches of one. An effect that the model lacks acts on one of
-    the two, because it belongs to the configuration or to the way there.
+    the two, because it belongs to the configuration or to the way there. Residuals, with norms per pose `norm` (K,),
+    that are small but for heavy tails say nothing against the stated size: the tails are part of it.
     """
-    off = min(left.total.p, _too_small(left.total)) < REJECTED
-    if not off or not _is_even(left):
+    small = _too_small(left.total) < REJECTED
+    if not (small or left.total.p < REJECTED) or not _is_even(left):
         return None, ""
+    if small and tail_weight(norm) > HEAVY:
+        return None, "The noise has heavier tails than a Gaussian; its size is taken as stated."
     factors = [math.sqrt(part.ratio) for part in (left.position, left.tangent)]
     if (
         max(factors) > LARGEST_FACTOR
@@ -40,13 +44,19 @@ def rescaled_noise(left: Adequacy, noise: Noise) -> tuple[Noise | None, str]:
     return found, sentence
 
 
+def tail_weight(norm: Array) -> float:
+    """Variance of squared norms (K,) of poses over what it is for Gaussian noise of their size: 1 without tails."""
+    square = norm**2
+    return float(np.var(square) / np.mean(square) ** 2 * PER_POSE / 2)
+
+
 def agreement(vault: ChiSquare, left: ChiSquare, norm: Array) -> float:
     """Probability of a vault as far off as this when the noise is an estimate from the selection: no chi-square, but F.
 
     Tails heavier than Gaussian make sums of squares less certain: degrees of freedom shrink with the kurtosis of the
     selection's residuals, whose norms per pose are `norm` (K,) (Box and Andersen 1955).
     """
-    excess = max(1.0, float(np.var(norm**2) / (2 * PER_POSE)))
+    excess = max(1.0, tail_weight(norm))
     return float(f.sf(vault.ratio / left.ratio, vault.dof / excess, left.dof / excess))
 
 
