@@ -73,7 +73,9 @@ def test_noise_is_adequate_and_structure_is_not(seed: int) -> None:
     shared = 0.8 * rng.standard_normal((GROUPS, PER_POSE))[GROUP]
     spoilt = adequacy(problem(6, seed, rng.standard_normal((POSES, PER_POSE)) + shared).refitted(), GROUP, nothing)
     assert not spoilt.is_adequate and not spoilt.between.is_noise and spoilt.within.is_noise
-    assert rescaled_noise(spoilt, Noise(1e-3, 1e-2), np.full(POSES, 2.0))[0] is None  # structure is never taken for larger noise
+    assert (
+        rescaled_noise(spoilt, Noise(1e-3, 1e-2), np.full(POSES, 2.0))[0] is None
+    )  # structure is never taken for larger noise
 
 
 def test_noise_of_another_size_is_recognised() -> None:

@@ -47,6 +47,18 @@ def test_a_tip_load_is_named_with_its_size() -> None:
     assert found.gap.after.rms_m < 1.3 * found.gap.floor_m < 0.7 * found.gap.before.rms_m
 
 
+def test_an_effect_larger_than_expected_gets_the_size_that_the_data_say() -> None:
+    values = {"g_x_m_s2": 200.0, "g_y_m_s2": -300.0, "g_z_m_s2": 0.0}  # the prior has 40
+    data = measured(ROBOT, PLAN, BASE | {"gravity": values})
+    found = diagnose(ROBOT, data, catalogue={"gravity": CATALOGUE["gravity"]})
+    assert found.verdict == "named" and any("times what is plausible" in note for note in found.notes)
+    for name, e in found.to_json()["effects"][0]["parameters"].items():
+        half = (e["ci95"][1] - e["ci95"][0]) / 2
+        assert abs(e["value"] - values[name]) < 1.5 * half
+    y = found.to_json()["effects"][0]["parameters"]["g_y_m_s2"]
+    assert y["value"] == pytest.approx(-300, rel=0.2) and y["ci95"][1] < -150
+
+
 def test_look_alikes_are_reported_together() -> None:
     found = diagnose(ROBOT, measured(ROBOT, PLAN, BASE | {"homing_offset": {"theta_2_deg": 6.0}}), catalogue=QUICK)
     assert found.verdict == "ambiguous"

@@ -202,10 +202,10 @@ def _norms(scored: Scored) -> Array:
 
 
 def _written(bench: Workbench, chosen: Scored, judgement: Judgement) -> Scored:
-    """The model with the effects of the verdict alone, and numbers that a robot file may have."""
+    """The model with the effects of the verdict alone, as large as the data say, in numbers a robot file may have."""
     listed = {finding.term.key for finding in judgement.findings}
     kept = [t for t in chosen.terms if t.key in listed]
-    scored = chosen if len(kept) == len(chosen.terms) else bench.scored(kept, chosen.fit)
+    scored = bench.sized(chosen if len(kept) == len(chosen.terms) else bench.scored(kept, chosen.fit))
     inside = within_file(scored.fit)
     return scored if inside is scored.fit else replace(scored, fit=inside)
 

@@ -26,5 +26,6 @@ def symptoms(fit: Fit) -> list[str]:
             if value + CERTAIN * error < low or value - CERTAIN * error > high:
                 found.append(f"{shown} is outside {low:g} to {high:g}, which no tube has: something else hides in it.")
         if abs(value - parameter.neutral) > CONFLICT * parameter.prior:
-            found.append(f"{shown} is far from {parameter.neutral:g}, more than {CONFLICT:g} times what is plausible.")
+            times = f"more than {CONFLICT:g} times what is plausible"
+            found.append(f"{owner}: {parameter.name} is {times} away from {parameter.neutral:g}.")
     return found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,6 +19,8 @@ from ctrplan.measurements import Measurements
 from ctrplan.residuals import Noise, residuals, robust_square
 from ctrplan.robot import Robot
 
+MOST_WIDENINGS = 3
+WIDENED_FROM = 1.1  # standard deviations of a prior
 CORRECTIONS = {False: 1, True: 2}  # rounds, of poses at rest and of a continuous motion
 
 
@@ -134,6 +136,25 @@ class Workbench:
             changed[place] = value * si[place]
         return changed
 
+    def sized(self, scored: Scored) -> Scored:
+        """The same set with priors of its effects as wide as what was found is large.
+
+        Priors say where to look. The size of an effect that is there is for the data to say: a prior that it exceeds
+        would draw it in and make its interval too narrow.
+        """
+        for _ in range(MOST_WIDENINGS):
+            chain, p = scored.fit.chain, scored.fit.p
+            terms = [
+                t if t.name not in scored.names else _widened(t, p[s])
+                for t, s in zip(chain.terms, chain.slices(), strict=True)
+            ]
+            if all(a is b for a, b in zip(terms, chain.terms, strict=True)):
+                break
+            wide = Chain(self.robot, self.data, terms)
+            wide.correction = chain.correction
+            scored = replace(scored, fit=fit(wide, self.noise, self.whitening_group, p))
+        return scored
+
     def screened(
         self, here: Scored, others: Sequence[Term], completed: Callable[[Sequence[Term], Term], Sequence[Term]]
     ) -> list[Screened]:
@@ -176,6 +197,15 @@ class Workbench:
         gain = (b.held_out - a.held_out) / 2
         by_group = np.bincount(np.unique(self.group, return_inverse=True)[1], weights=gain)
         return float(gain.sum()), float(np.sqrt(len(by_group)) * by_group.std(ddof=1))
+
+
+def _widened(t: Term, p: Array) -> Term:
+    """Priors in proportion to the largest parameter, where that exceeds its own."""
+    sizes = [abs(value / q.si - q.neutral) / q.prior for q, value in zip(t.parameters, p.tolist(), strict=True)]
+    largest = max(sizes)
+    if largest < WIDENED_FROM:
+        return t
+    return Term(t.effect, tuple(replace(q, prior=q.prior * largest) for q in t.parameters))
 
 
 def linear(found: Fit) -> Linear:
