@@ -73,8 +73,7 @@ def _compared(selector: Selector, found: Selection, t: Term) -> list[Alternative
     """Other effects in the place of `t`, refitted together with the rest."""
     bench, chosen = selector.bench, found.chosen
     selector.tell(f"looking for what imitates {t.name}")
-    rest = bench.scored([other for other in chosen.terms if other is not t], chosen.fit)
-    others = [s for s in selector.replacements(rest, without=chosen.terms) if s.terms[-1].name != t.name]
+    others = [s for s in selector.replacements(chosen, t) if s.terms[-1].name != t.name]
     return [Alternative(s.terms[-1], s, *bench.difference(chosen, s)) for s in others]
 
 
