@@ -16,7 +16,7 @@ from ctrplan.diagnosis.experiment import next_experiment
 from ctrplan.diagnosis.gap import Gap, distances, open_vault
 from ctrplan.diagnosis.guards import outliers, remains
 from ctrplan.diagnosis.localise import Place, localise
-from ctrplan.diagnosis.misstated import agreement, rescaled_noise
+from ctrplan.diagnosis.misstated import rescaled_noise, vault_probability
 from ctrplan.diagnosis.noise_floor import noise_floor
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.selection import Selector
@@ -185,8 +185,8 @@ def _searched(bench: Workbench, known: Candidates, teller: _Teller) -> tuple[Sel
 
 def _after_vault(judgement: Judgement, selector: Selector, gap: Gap, estimated: bool) -> tuple[Judgement, list[str]]:
     """A verdict that the vault contradicts is taken back; `estimated`: the noise is not as stated."""
-    total, norms = judgement.adequacy.total, _norms(selector.found.chosen)
-    p = agreement(gap.chi_square, total, norms) if estimated else gap.chi_square.p
+    residuals = selector.found.chosen.fit.residuals
+    p = vault_probability(gap.chi_square, judgement.adequacy.total, residuals, estimated=estimated)
     if judgement.verdict == "unexplained" or p > VAULT_REJECTED:
         return judgement, []
     kept = specific(selector.bench, selector.found, judgement.findings, judgement.adequacy)

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from scipy.stats import chi2, f
 
-from ctrplan.diagnosis.guards import REJECTED, Adequacy, ChiSquare
+from ctrplan.diagnosis.guards import REJECTED, Adequacy, ChiSquare, outliers
 from ctrplan.drive import Array
-from ctrplan.residuals import PER_POSE, Noise
+from ctrplan.residuals import PER_POSE, Noise, Residuals
 
 UNEVEN = 0.01  # probability of a ratio of between to within below which the excess has structure
 LARGEST_FACTOR = 3.0
@@ -50,14 +50,20 @@ def tail_weight(norm: Array) -> float:
     return float(np.var(square) / np.mean(square) ** 2 * PER_POSE / 2)
 
 
-def agreement(vault: ChiSquare, left: ChiSquare, norm: Array) -> float:
-    """Probability of a vault as far off as this when the noise is an estimate from the selection: no chi-square, but F.
+def vault_probability(vault: ChiSquare, left: ChiSquare, residuals: Residuals, *, estimated: bool) -> float:
+    """Probability of a vault as far off as this, given what is `left` in the selection, whose residuals these are.
 
-    Tails heavier than Gaussian make sums of squares less certain: degrees of freedom shrink with the kurtosis of the
-    selection's residuals, whose norms per pose are `norm` (K,) (Box and Andersen 1955).
+    Where the noise is an estimate from the selection it is F instead of chi-square. Tails heavier than Gaussian make
+    sums of squares less certain: degrees of freedom shrink with the kurtosis (Box and Andersen 1955).
     """
-    excess = max(1.0, tail_weight(norm))
-    return float(f.sf(vault.ratio / left.ratio, vault.dof / excess, left.dof / excess))
+    kept = residuals.norm[~outliers(residuals.alone)]
+    if estimated:
+        excess = max(1.0, tail_weight(kept))
+        return float(f.sf(vault.ratio / left.ratio, vault.dof / excess, left.dof / excess))
+    if tail_weight(kept) < HEAVY:
+        return vault.p
+    excess = tail_weight(residuals.norm)  # with the far ones, which a small vault can't tell as such
+    return float(chi2.sf(vault.value / excess, vault.dof / excess))
 
 
 def _is_even(left: Adequacy) -> bool:
