@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from measured_data import measured, pair_robot, waypoints
 
-from ctrplan.chain import Term, term
+from ctrplan.chain import Chain, Term, term
 from ctrplan.diagnosis import CATALOGUE
+from ctrplan.diagnosis.gap import distances
 from ctrplan.diagnosis.noise_floor import noise_floor
 from ctrplan.diagnosis.workbench import Workbench
 from ctrplan.measurements import Measurements
@@ -50,3 +53,14 @@ def test_the_order_in_which_effects_came_does_not_matter(data: Measurements) -> 
     found = bench.scored([load, shaft], wide.fit, None)
     assert found.fit.loss == pytest.approx(direct.fit.loss, abs=1.0)
     assert np.sqrt(found.fit.loss / (5 * data.count)) < 1.1
+
+
+def test_errors_are_numbers_where_a_model_has_no_solution(data: Measurements, monkeypatch: pytest.MonkeyPatch) -> None:
+    chain = bench_of(data).scored([]).fit.chain
+    tips = chain.predict(chain.neutral, derivatives=False)
+    lost = tips.position_m.copy()
+    lost[3] = np.nan
+    monkeypatch.setattr(Chain, "predict", lambda *_, **__: replace(tips, position_m=lost))
+    error_m = distances(chain, chain.neutral)
+    assert error_m[3] == pytest.approx(np.linalg.norm(data.position_m[3]))
+    np.testing.assert_allclose(error_m[4:], np.linalg.norm(tips.position_m - data.position_m, axis=1)[4:])
