@@ -17,7 +17,7 @@ CAUTION = 2.0  # times the threshold, for an effect that the residuals do not as
 CERTAIN = 2.0  # standard errors that a gain must exceed zero by
 REFITTED = 5  # variants of different effects that are fitted for good after the screening
 WORTH_IT = 0.5  # share of the best gain of the screening that makes a variant worth fitting
-PAIRED = 3  # effects that did not pass alone and are tried in pairs, and variants tried beside each
+FIRST_OF_PAIRS, SECOND_OF_PAIRS = 2, 3  # effects that did not pass alone, and variants tried beside each
 PER_EFFECT = 2  # variants of one effect among them
 
 Report = Callable[[str], None]
@@ -89,7 +89,9 @@ class Selector:
         here = found.chosen
         if len(here.terms) > MOST_EFFECTS - 2 or remains(self.bench, here).is_adequate:
             return False
-        pairs = [pair for first in _best_of_each(tried)[:PAIRED] for pair in self._beside(first, found.threshold)]
+        pairs = [
+            pair for first in _best_of_each(tried)[:FIRST_OF_PAIRS] for pair in self._beside(first, found.threshold)
+        ]
         if not pairs:
             return False
         best, needed = max(pairs, key=lambda pair: pair[0].score)
@@ -108,7 +110,7 @@ class Selector:
         if not screened:
             return []
         needed = threshold + null_threshold(linear(first.fit), [s.linear for s in screened], self.bench.fold)
-        return [(scored, needed) for scored in self.fitted(first, screened[:PAIRED])]
+        return [(scored, needed) for scored in self.fitted(first, screened[:SECOND_OF_PAIRS])]
 
     def _is_certain(self, candidate: Scored, gain: float, error: float) -> bool:
         """Whether a gain is no matter of a few configurations, or leaves nothing to gain."""
