@@ -94,7 +94,7 @@ def diagnose(
         progress("opening the vault", 0.95)
     group = groups(data)
     gap = open_vault(base.fit, chosen.fit, data.subset(parts.vault), group[parts.vault], noise)
-    judgement, note = _after_vault(judgement, selector, gap, noise is not bench.noise)
+    judgement, note = _after_vault(judgement, selector, gap, noise.position_m < bench.noise.position_m)
     written = _written(selector.bench, chosen, judgement)
     if written is not chosen:  # errors are of the model that is handed over
         judgement = replace(judgement, adequacy=remains(selector.bench, written))
@@ -184,7 +184,10 @@ def _searched(bench: Workbench, known: Candidates, teller: _Teller) -> tuple[Sel
 
 
 def _after_vault(judgement: Judgement, selector: Selector, gap: Gap, estimated: bool) -> tuple[Judgement, list[str]]:
-    """A verdict that the vault contradicts is taken back; `estimated`: the noise is not as stated."""
+    """A verdict that the vault contradicts is taken back; `estimated`: the noise is smaller than stated.
+
+    Noise that had to be enlarged may have taken in a misfit: no allowance is made for it.
+    """
     residuals = selector.found.chosen.fit.residuals
     p = vault_probability(gap.chi_square, judgement.adequacy.total, residuals, estimated=estimated)
     if judgement.verdict == "unexplained" or p > VAULT_REJECTED:
