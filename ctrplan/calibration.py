@@ -30,7 +30,7 @@ from ctrplan.measurements import Measurements
 from ctrplan.named_numbers import value_of
 from ctrplan.residuals import PER_POSE, Noise
 from ctrplan.robot import Robot
-from ctrplan.robot_output import calibrated_content, model_error_m
+from ctrplan.robot_output import calibrated_content, model_error_m, within_file
 
 Weighting = Literal["stated", "paper"]
 
@@ -224,6 +224,7 @@ def _held(parameter: Parameter, value: float) -> Parameter:
 def _calibration(
     passes: Sequence[Fit], data: Measurements, group: NDArray[np.int_], aside: NDArray[np.bool_]
 ) -> Calibration:
+    passes, noticed = [*passes[:-1], within_file(passes[-1])], symptoms(passes[0])
     first, found = passes[0], passes[-1]
     robot, terms = found.chain.robot, found.chain.terms
     held = None
@@ -247,7 +248,7 @@ def _calibration(
         nominal=summary(distances(whole, whole.neutral), group),
         combinations=left,
         model_error_m=model_error_m(trained if held is None else held, found.noise.position_m),
-        notes=(*data.warnings, *unknown, *symptoms(first)),
+        notes=(*data.warnings, *unknown, *noticed),
         data=data,
     )
 

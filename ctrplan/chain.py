@@ -239,7 +239,7 @@ class Chain:
 
         Without a sensor that is fixed to the tube any direction across the tangent will do.
         """
-        if not any(effect.name == "sensor_offset" for effect, _ in self._at_work(p)):
+        if not any(effect.turns_with_tip for effect, _ in self._at_work(p)):
             across: Array = np.eye(3)[np.argmin(np.abs(tangent), axis=1)]
             return across
         if self._across is None:

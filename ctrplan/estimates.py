@@ -32,7 +32,9 @@ def estimates(fit: Fit, term: Term) -> dict[str, Estimate]:
         for j, parameter in zip(range(place.start, place.stop), t.parameters, strict=True):
             value, wide = fit.p[j] / parameter.si, spread[j] / parameter.si
             low, high = max(value - wide, parameter.lower), min(value + wide, parameter.upper)
-            found[parameter.name] = Estimate(_rounded(value), (_rounded(low), _rounded(high)), bool(fit.at_bound[j]))
+            numbers = (min(max(_rounded(x), parameter.lower), parameter.upper) for x in (value, low, high))
+            shown, *ends = numbers  # rounding must not leave the range: robot files are checked
+            found[parameter.name] = Estimate(shown, (ends[0], ends[1]), bool(fit.at_bound[j]))
     return found
 
 

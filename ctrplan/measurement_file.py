@@ -15,7 +15,7 @@ import numpy as np
 from ctrplan.drive import Array
 from ctrplan.errors import InputError
 from ctrplan.measurements import Measurements, is_streamed
-from ctrplan.path_file import LARGEST_RUN, WHOLE_NUMBER, resumed_run
+from ctrplan.path_file import LARGEST_RUN, WHOLE_NUMBER, joint_columns, resumed_run
 from ctrplan.robot import Robot
 from ctrplan.table_bytes import table_bytes
 
@@ -57,21 +57,15 @@ class _Table:
     def measurements(self, robot: Robot) -> Measurements:
         n = robot.n
         self._check_columns(n)
-        theta_b = np.column_stack([self._column(f"theta_{i + 1}_rad") for i in range(n)])
-        l_b = np.column_stack([self._column(f"l_{i + 1}_m") for i in range(n)])
+        rotations, translations = joint_columns(n)
+        theta_b, l_b = (np.column_stack([self._column(name) for name in names]) for names in (rotations, translations))
         pose, rows = self._poses()
         sequence = self._column("sequence")
         time_s = self._column("time_s") if "time_s" in self.header else None
         self._check_order(sequence, time_s)
         self._check_joints(theta_b, l_b, robot)
         self._check_poses(pose, rows, robot)
-        known = {
-            "sequence",
-            "time_s",
-            *POSE,
-            *(f"theta_{i + 1}_rad" for i in range(n)),
-            *(f"l_{i + 1}_m" for i in range(n)),
-        }
+        known = {"sequence", "time_s", *POSE, *rotations, *translations}
         tangent = pose[:, 3:] / np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
         return Measurements(
             sequence=sequence.astype(int),
@@ -81,7 +75,7 @@ class _Table:
             position_m=pose[:, :3],
             tangent=tangent,
             time_s=time_s,
-            is_stream=is_streamed(sequence.astype(int), rows),
+            is_stream=is_streamed(sequence.astype(int), rows, np.hstack([theta_b, l_b])),
             more={
                 name: self._column(name, empty=True)
                 for name in self.header
@@ -112,8 +106,8 @@ class _Table:
         tubes = max(numbers, default=0)
         if tubes > n or 0 < tubes < n:
             raise self.fault(f"has joints of {tubes} tubes, the robot file has {n}", column="header")
-        needed = ["sequence", *(f"theta_{i + 1}_rad" for i in range(n)), *(f"l_{i + 1}_m" for i in range(n)), *POSE]
-        for name in needed:
+        rotations, translations = joint_columns(n)
+        for name in ("sequence", *rotations, *translations, *POSE):
             if name not in self.header:
                 raise self.fault(self._missing(name), column=name)
 

@@ -72,10 +72,11 @@ class Measurements:
         return self.theta_b[row] - self.theta_b[row - 1], self.l_b[row] - self.l_b[row - 1]
 
 
-def is_streamed(sequence: NDArray[np.int_], rows: NDArray[np.int_]) -> bool:
-    """Whether poses were logged with the joints on a continuous motion, rather than after settling at a waypoint."""
+def is_streamed(sequence: NDArray[np.int_], rows: NDArray[np.int_], joints: Array) -> bool:
+    """Whether poses were logged on a continuous motion of the joints (R, 2 n), rather than after settling."""
+    moves = np.abs(np.diff(joints, axis=0, prepend=joints[:1], append=joints[-1:])).max(axis=1) > 0
     measured = np.zeros(len(sequence) + 2, bool)
     measured[rows + 1] = True
     run = np.concatenate([[-1], sequence, [-1]])
     inside = measured[rows] & measured[rows + 2] & (run[rows] == run[rows + 1]) & (run[rows + 2] == run[rows + 1])
-    return bool(inside.mean() > STREAMED_SHARE)
+    return bool((inside & moves[rows] & moves[rows + 1]).mean() > STREAMED_SHARE)

@@ -6,6 +6,7 @@ import copy
 import math
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,30 +15,47 @@ import tomli_w
 
 import ctrplan
 from ctrplan.chain import Chain, Term
-from ctrplan.diagnosis.effect import CATALOGUE
+from ctrplan.diagnosis.effect import CATALOGUE, Parameter
 from ctrplan.estimates import estimates
 from ctrplan.export import write_atomically
-from ctrplan.least_squares import Fit
+from ctrplan.least_squares import Fit, fit
 from ctrplan.measurements import Measurements
 from ctrplan.named_numbers import value_of
 from ctrplan.robot import Robot, robot_from_dict
 
 DIGITS = 7  # of numbers in the file
+LARGEST_POISSON_RATIO = 0.5  # of a robot file; a fit may go beyond, which is a symptom
 CHI95 = 2.795  # 95 % of distances of three Gaussian coordinates lie within that many standard deviations
 
 
-def calibrated_content(fit: Fit, effects: Sequence[Term], data: Measurements, model_error_m: float) -> dict[str, Any]:
+def within_file(found: Fit) -> Fit:
+    """`found`; where it has a Poisson's ratio that no tube has, refitted without, for a robot file can't say that."""
+    chain = found.chain
+    terms = [Term(t.effect, tuple(_possible(p) for p in t.parameters)) for t in chain.terms]
+    inside = Chain(chain.robot, chain.data, terms)
+    if np.all(found.p <= inside.upper):
+        return found
+    inside.correction = chain.correction
+    return fit(inside, found.noise, found.group, found.p)
+
+
+def _possible(parameter: Parameter) -> Parameter:
+    is_ratio = "poisson_ratio" in parameter.name
+    return replace(parameter, upper=min(parameter.upper, LARGEST_POISSON_RATIO)) if is_ratio else parameter
+
+
+def calibrated_content(found: Fit, effects: Sequence[Term], data: Measurements, model_error_m: float) -> dict[str, Any]:
     """The content of the new file: the parent's with the fitted numbers in it. The parent is not touched."""
-    chain = fit.chain
+    chain = found.chain
     content: dict[str, Any] = copy.deepcopy(dict(chain.robot.content))
-    for t, values in zip(chain.terms, chain.values(fit.p), strict=True):
+    for t, values in zip(chain.terms, chain.values(found.p), strict=True):
         if t.effect.stage == "mechanics" and t.name not in CATALOGUE:
             _put(content, chain.robot, t.effect.mechanics(values, chain.robot))
     table = content.setdefault("effects", {})
     for t in effects:
-        found = estimates(fit, t)
-        table[t.name] = {name: e.value for name, e in found.items()}
-        table[t.name]["ci95"] = {name: list(e.ci95) for name, e in found.items()}
+        fitted = estimates(found, t)
+        table[t.name] = {name: e.value for name, e in fitted.items()}
+        table[t.name]["ci95"] = {name: list(e.ci95) for name, e in fitted.items()}
     if not table:
         del content["effects"]
     content["model_error_mm"] = _rounded(model_error_m * 1e3)

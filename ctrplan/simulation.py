@@ -1,4 +1,7 @@
-"""What a robot does along a joint path, beside what it would do without friction and the bound on the difference."""
+"""What a robot does along a joint path, beside what it would do without friction and the bound on the difference.
+
+The path is commanded: effects of the robot's drive come before the history, those of clock and sensor after it.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +15,16 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrplan.diagnosis.effect import Collars
 from ctrplan.drive import Array
+from ctrplan.errors import InputError
 from ctrplan.history import History, Start
 from ctrplan.mechanics import Accuracy, Bounds, Status
+from ctrplan.nesting import nesting_violation
 from ctrplan.path_file import JointPath, joint_columns
 from ctrplan.robot import Robot
+from ctrplan.sensor import Poses
+from ctrplan.simulated_chain import chain_warnings, collars_of, measured_poses
 
 SAMPLE_RAD, SAMPLE_M = np.radians(10.0), 3e-3  # between two looks at the tip on a leg
 
@@ -28,14 +36,17 @@ class Simulation:
     robot: Robot
     path: JointPath
     place: Array  # (S,) in waypoints: 2.5 is halfway from waypoint 2 to 3, counted from 0
-    theta_b: Array  # (S, n) rad
-    l_b: Array  # (S, n) m
+    theta_b: Array  # (S, n) commanded, rad
+    l_b: Array  # (S, n) commanded, m
+    collars: Collars  # where the drive puts them: as commanded but for effects of the robot's drive
     position_m: Array  # (S, 3)
     tangent: Array  # (S, 3)
     phi: Array  # (S, n - 1) circumferential friction state of each pair, averaged by normal force
     snaps: NDArray[np.int_]  # (S,) times the robot slid to another equilibrium on the way from the sample before
     status: NDArray[np.int_]  # (S,) Status; the last may be FAILED
     bounds: Bounds  # (S,) with the frictionless tips
+    measured: Poses | None  # (S,) what a tracker reports, if effects of clock or sensor stand in between
+    warnings: tuple[str, ...] = ()
 
     @property
     def deviation_m(self) -> Array:
@@ -78,10 +89,10 @@ def simulate(
     count = len(path.theta_b)
     for run in path.runs:
         history = History(robot.mechanics, start, accuracy=accuracy)
-        for place, theta_b, l_b in _legs(path, run):
-            found = history.follow(theta_b, l_b)
-            columns = (place, theta_b, l_b, found.position_m, found.tangent, found.phi, found.snaps, found.status)
-            rows.append(np.column_stack(columns))
+        for place, *commanded, theta, l in _driven_legs(robot, path, run):  # noqa: E741 (as in the equations)
+            found = history.follow(theta, l)
+            tip = found.position_m, found.tangent, found.phi, found.snaps, found.status
+            rows.append(np.column_stack((place, *commanded, theta, l, *tip)))
             told("simulating", (place[-1] + 1) / count)
             if stop.is_set() or found.status[-1] == Status.FAILED:
                 return _simulation(robot, path, np.vstack(rows), accuracy, told)
@@ -105,6 +116,9 @@ def poses_csv(result: Simulation) -> str:
         (("frictionless_x_m", "frictionless_y_m", "frictionless_z_m"), result.bounds.tip_m),
     ):
         columns |= {name: values[chosen, i] for i, name in enumerate(names)}
+    if result.measured is not None:
+        seen = np.hstack([result.measured.position, result.measured.frame[:, :, 2]])[chosen]
+        columns |= {f"measured_{name}": seen[:, i] for i, name in enumerate(("x_m", "y_m", "z_m", "tx", "ty", "tz"))}
     columns["deviation_mm"] = result.deviation_m[chosen] * 1e3
     columns["bound_mm"] = result.bounds.position_m[chosen] * 1e3
     columns |= {f"phi_{i + 1}": result.phi[chosen, i] for i in range(result.robot.n - 1)}
@@ -127,18 +141,38 @@ def _legs(path: JointPath, run: slice) -> Iterator[tuple[Array, Array, Array]]:
         yield k + part[:, 0], theta[:1] + part * np.diff(theta, axis=0), l[:1] + part * np.diff(l, axis=0)
 
 
+def _driven_legs(robot: Robot, path: JointPath, run: slice) -> Iterator[tuple[Array, ...]]:
+    """Places, commanded rotations and translations, and those that the drive makes of them, leg by leg."""
+    legs = list(_legs(path, run))
+    place, theta_b, l_b = (np.concatenate(parts) for parts in zip(*legs, strict=True))
+    collars = collars_of(robot, path, place, theta_b, l_b)
+    if collars.l is not l_b:
+        _check_collars(robot, path, place, collars)
+    ends = np.cumsum([len(leg[0]) for leg in legs])[:-1]
+    yield from zip(*(np.split(part, ends) for part in (place, theta_b, l_b, collars.theta, collars.l)), strict=True)
+
+
+def _check_collars(robot: Robot, path: JointPath, place: Array, collars: Collars) -> None:
+    for k in range(len(place)):
+        if sentence := nesting_violation(robot, collars.theta[k], collars.l[k]):
+            key = f"row {place[k] + 1:.4g}"
+            raise InputError(f"with the effects of the drive, {sentence}", file=path.file, key=key)
+
+
 def _simulation(
     robot: Robot, path: JointPath, table: Array, accuracy: Accuracy, told: Callable[[str, float], None]
 ) -> Simulation:
     n = robot.n
     failed = np.flatnonzero(table[:, -1] == Status.FAILED)
     table = table[: failed[0] + 1] if len(failed) else table
-    place, theta_b, l_b, position_m, tangent, phi, snaps, status = np.split(
-        table, np.cumsum([1, n, n, 3, 3, n - 1, 1]), axis=1
+    place, theta_b, l_b, theta, l, position_m, tangent, phi, snaps, status = map(  # noqa: E741
+        np.ascontiguousarray, np.split(table, np.cumsum([1, n, n, n, n, 3, 3, n - 1, 1]), axis=1)
     )
-    theta_b, l_b = np.ascontiguousarray(theta_b), np.ascontiguousarray(l_b)
-    bounds = robot.bound_many(theta_b, l_b, accuracy=accuracy, progress=lambda share: told("bounds", share))
+    collars = Collars(theta, l)
+    bounds = robot.bound_many(theta, l, accuracy=accuracy, progress=lambda share: told("bounds", share))
+    measured = measured_poses(robot, path, place[:, 0], collars, phi, position_m, tangent)
     return Simulation(
-        robot, path, place[:, 0], theta_b, l_b, position_m, tangent, phi,
+        robot, path, place[:, 0], theta_b, l_b, collars, position_m, tangent, phi,
         np.nan_to_num(snaps[:, 0]).astype(int), status[:, 0].astype(int), bounds,
+        measured, tuple(chain_warnings(robot, path)),
     )  # fmt: skip

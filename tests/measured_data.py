@@ -68,7 +68,9 @@ def waypoints(robot: Robot, count: int, seed: int = 0) -> Measurements:
     last = np.flatnonzero(np.diff(runs, append=run) != 0)
     nothing = np.zeros((len(last), 3))
     time_s = np.arange(len(runs), dtype=float)
-    return Measurements(runs, table[:, :n], table[:, n:], last, nothing, nothing, time_s, is_streamed(runs, last))
+    return Measurements(
+        runs, table[:, :n], table[:, n:], last, nothing, nothing, time_s, is_streamed(runs, last, table)
+    )
 
 
 def chain_of(robot: Robot, data: Measurements, effects: Mapping[str, list[str] | None]) -> Chain:

@@ -57,6 +57,7 @@ def test_directions_are_those_of_the_last_motion_and_forget_nothing() -> None:
 
 
 def test_a_stream_is_told_from_waypoints() -> None:
-    run = np.zeros(20, int)
-    assert is_streamed(run, np.arange(20))
-    assert not is_streamed(np.repeat(np.arange(10), 2), np.arange(1, 20, 2))
+    run, moving = np.zeros(20, int), np.arange(20.0)[:, None]
+    assert is_streamed(run, np.arange(20), moving)
+    assert not is_streamed(np.repeat(np.arange(10), 2), np.arange(1, 20, 2), moving)
+    assert not is_streamed(run, np.arange(20), np.repeat(moving[:4], 5, axis=0))  # measured again and again at rest

@@ -9,15 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
-from measured_data import measured, pair_robot, waypoints, write_csv
+from measured_data import SIGMA_M, SIGMA_RAD, measured, pair_robot, waypoints, write_csv
 
 from ctrplan.cli import main
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
 from ctrplan.errors import InputError
 from ctrplan.measurements import Measurements
 from ctrplan.robot import load_robot
+from ctrplan.robot_output import write_robot
 
 ROBOT = pair_robot()
+SILENT = pair_robot(measurement=None)
 PLAN = waypoints(ROBOT, 18)
 BASE = {"calibration": {"precurvature_factor_1_1": 1.05, "stiffness_factor_2": 0.93, "poisson_ratio_1": 0.36}}
 QUICK = {name: CATALOGUE[name] for name in ("backlash", "tip_load", "homing_offset", "off_plane_precurvature", "lag")}
@@ -45,6 +47,18 @@ def test_a_tip_load_is_named_with_its_size() -> None:
     assert found.gap.after.rms_m < 1.3 * found.gap.floor_m < 0.7 * found.gap.before.rms_m
 
 
+def test_an_effect_larger_than_expected_gets_the_size_that_the_data_say() -> None:
+    values = {"g_x_m_s2": 200.0, "g_y_m_s2": -300.0, "g_z_m_s2": 0.0}  # the prior has 40
+    data = measured(ROBOT, PLAN, BASE | {"gravity": values})
+    found = diagnose(ROBOT, data, catalogue={"gravity": CATALOGUE["gravity"]})
+    assert found.verdict == "named" and any("times what is plausible" in note for note in found.notes)
+    for name, e in found.to_json()["effects"][0]["parameters"].items():
+        half = (e["ci95"][1] - e["ci95"][0]) / 2
+        assert abs(e["value"] - values[name]) < 1.5 * half
+    y = found.to_json()["effects"][0]["parameters"]["g_y_m_s2"]
+    assert y["value"] == pytest.approx(-300, rel=0.2) and y["ci95"][1] < -150
+
+
 def test_look_alikes_are_reported_together() -> None:
     found = diagnose(ROBOT, measured(ROBOT, PLAN, BASE | {"homing_offset": {"theta_2_deg": 6.0}}), catalogue=QUICK)
     assert found.verdict == "ambiguous"
@@ -52,11 +66,71 @@ def test_look_alikes_are_reported_together() -> None:
     assert "separates" in found.next_experiment or "To tell" in found.next_experiment
 
 
+def test_two_effects_that_hide_one_another_are_found_together() -> None:
+    values = {"tip_load": {"force_x_N": 0.15, "force_y_N": -0.12}, "eccentricity": {"sin_2_deg": 5.0, "cos_2_deg": 3.0}}
+    catalogue = {name: CATALOGUE[name] for name in ("homing_offset", "tip_load", "eccentricity")}
+    found = diagnose(ROBOT, measured(ROBOT, PLAN, BASE | values), catalogue=catalogue)
+    taken = [step for step in found.path if step.taken]
+    assert taken[0].effect == "homing_offset and eccentricity"  # none passes alone, and a swap mends the pair
+    assert found.verdict == "named" and set(found.chosen.names) == {"tip_load", "eccentricity"}
+
+
 def test_an_effect_outside_the_catalogue_gets_no_name() -> None:
     data = measured(ROBOT, PLAN, BASE | {"eccentricity": {"sin_2_deg": 9.0, "cos_2_deg": 5.0}})
     found = diagnose(ROBOT, data, catalogue=QUICK)
     assert found.verdict == "unexplained" and not found.listed
     assert found.judgement.adequacy.within.is_noise and not found.judgement.adequacy.between.is_noise
+
+
+def test_an_effect_taken_out_is_not_replaced_by_another_name() -> None:
+    data = measured(ROBOT, PLAN, BASE | {"backlash": {"theta_2_deg": 8.0}})
+    found = diagnose(ROBOT, data, catalogue=QUICK, without=["backlash"])
+    assert found.verdict == "unexplained" and not found.listed
+    assert found.to_json()["without"] == ["backlash"]
+    assert any("backlash" in note for note in found.notes)
+    assert not any(step.effect == "backlash" for step in found.path)
+
+
+def test_only_effects_of_the_catalogue_can_be_taken_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(InputError, match="'sticktion': must be an effect of the catalogue: .*tip_load"):
+        diagnose(ROBOT, PLAN, without=["tip_load", "sticktion"])
+    (tmp_path / "robot.toml").write_text(tomli_w.dumps(dict(ROBOT.content)))
+    write_csv(tmp_path / "data.csv", measured(ROBOT, PLAN, BASE))
+    call = ["diagnose", str(tmp_path / "robot.toml"), str(tmp_path / "data.csv"), "-o", str(tmp_path / "out")]
+    assert main([*call, "--without", "sticktion"]) == 2
+    message = capsys.readouterr().err
+    assert "friction" in message and "sticktion" in message and message.count("\n") == 1
+    assert not (tmp_path / "out" / "diagnosis.json").exists()
+
+
+def test_a_ratio_no_tube_has_is_reported_and_a_robot_file_can_still_be_written(tmp_path: Path) -> None:
+    data = measured(ROBOT, PLAN, {"calibration": {"poisson_ratio_1": 0.9, "poisson_ratio_2": 0.9}})
+    found = diagnose(ROBOT, data, catalogue=QUICK)
+    assert any("poisson_ratio" in note and "no tube has" in note for note in found.notes)
+    write_robot(tmp_path / "robot.toml", found.robot_content())
+    written = load_robot(tmp_path / "robot.toml")
+    assert max(tube.poisson_ratio for tube in written.tubes) == 0.5
+    tips = [written.solve(*row).tip_m for row in zip(data.theta_b[data.rows], data.l_b[data.rows], strict=True)]
+    error_m = np.linalg.norm(np.array(tips) - data.position_m, axis=1)  # the gap is that of the file
+    share = np.sqrt(np.mean(error_m**2)) / found.gap.after.rms_m
+    assert 0.8 < share < 1.25
+
+
+def test_no_name_is_given_beside_a_calibration_that_no_tube_can_have() -> None:
+    impossible = {"calibration": {"poisson_ratio_1": 0.9, "poisson_ratio_2": 0.9}}
+    found = diagnose(ROBOT, measured(ROBOT, PLAN, impossible | {"backlash": {"theta_2_deg": 8.0}}), catalogue=QUICK)
+    assert [step.effect for step in found.path if step.taken] == ["backlash"]  # found, and not believed
+    assert found.verdict == "unexplained" and any("no tube has" in note for note in found.notes)
+
+
+def test_what_is_handed_over_has_the_effects_of_the_verdict_alone() -> None:
+    values = {"tip_load": {"force_x_N": 0.1, "force_y_N": -0.1, "force_z_N": 0.0}, "backlash": {"theta_2_deg": 3.0}}
+    data = measured(ROBOT, PLAN, BASE | values | {"eccentricity": {"sin_2_deg": 2.0, "cos_2_deg": 2.0}})
+    found = diagnose(ROBOT, data, catalogue=QUICK)
+    assert {step.effect for step in found.path if step.taken} > {"backlash"}  # others were chosen, and not believed
+    assert found.verdict == "unexplained" and [t.name for t in found.listed] == ["backlash"]
+    assert found.chosen.names == ("backlash",) and not found.judgement.adequacy.is_adequate
+    assert set(found.robot_content()["effects"]) == {"backlash"}
 
 
 def test_an_outlier_is_reported_and_changes_little() -> None:
@@ -76,9 +150,38 @@ def test_an_outlier_is_reported_and_changes_little() -> None:
 def test_too_few_configurations_and_unknown_noise_are_refused() -> None:
     with pytest.raises(InputError, match="too few"):
         diagnose(ROBOT, measured(ROBOT, waypoints(ROBOT, 5)))
-    silent = pair_robot(measurement=None)
-    with pytest.raises(InputError, match="measurement: is missing"):
-        diagnose(silent, measured(ROBOT, PLAN))
+    with pytest.raises(
+        InputError, match="measurement: is missing.*or measure at least 20 poses again.*these data have 0"
+    ):
+        diagnose(SILENT, measured(ROBOT, PLAN))
+    with pytest.raises(InputError, match="have 9"):
+        diagnose(SILENT, measured(ROBOT, waypoints_with_repeats(9)))
+
+
+def test_without_a_stated_noise_it_comes_from_repeats() -> None:
+    data = measured(ROBOT, waypoints_with_repeats(54), BASE | {"backlash": {"theta_2_deg": 8.0}})
+    data.position_m[np.flatnonzero(np.diff(data.rows) == 1)[3]] += 0.02  # one that went wrong
+    found = diagnose(SILENT, data, catalogue=QUICK)
+    assert found.noise.position_m == pytest.approx(SIGMA_M, rel=0.15)
+    assert found.noise.tangent_rad == pytest.approx(SIGMA_RAD, rel=0.15)
+    assert any("states no noise; 54 repeated poses" in note for note in found.notes)
+    assert found.verdict == "named" and names(found) == [{"backlash"}]  # no difference of approaches went into it
+
+
+def waypoints_with_repeats(count: int) -> Measurements:
+    """The plan with its first poses measured twice."""
+    again = np.sort(np.concatenate([np.arange(len(PLAN.sequence)), PLAN.rows[:count]]))
+    rows = np.flatnonzero(np.isin(again, PLAN.rows))
+    nothing = np.zeros((len(rows), 3))
+    return Measurements(
+        PLAN.sequence[again],
+        PLAN.theta_b[again],
+        PLAN.l_b[again],
+        rows,
+        nothing,
+        nothing,
+        np.arange(len(again), dtype=float),
+    )
 
 
 def test_an_interrupted_run_keeps_what_it_had() -> None:

@@ -7,9 +7,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hidden_effects.run import diagnose_all
-from hidden_effects.score import Trial, draw_power, goals, intervals, power, read, wilson
+from hidden_effects.score import Trial, draw_power, goals, intervals, pooled_gap, power, read, wilson
 
 
 def trial(row: str, true: list[str], verdict: str, named: list[list[str]], leftover: float = 2.0, **more: Any) -> Trial:
@@ -20,7 +21,16 @@ def trial(row: str, true: list[str], verdict: str, named: list[list[str]], lefto
         "parameters": more.get("parameters", {}),
         "case": {"row": row, "hidden": [[true[0] if true else "", 1.0]]},
     }
-    gap = {"after_rms_mm": more.get("after", 0.7), "noise_floor_mm": 0.69}
+    after = more.get("after", 0.7)
+    region = {"before": {"rms_mm": 1.0}, "after": {"rms_mm": after}}
+    gap = {
+        "before_rms_mm": 2.0,
+        "after_rms_mm": after,
+        "noise_floor_mm": 0.69,
+        "heldout_poses": 20,
+        "after": {"rms_ci95_mm": [0.85 * after, 1.15 * after]},
+        "regions": {"near": region, "far": region | more.get("far", {})},
+    }
     return Trial("x", truth, {"verdict": verdict, "effects": effects, "gap": gap}, more.get("seconds", 10.0))
 
 
@@ -52,14 +62,19 @@ def test_rows_count_their_own_trials() -> None:
         trial("single", ["lag"], "named", [["lag"]], seconds=400.0),
         trial("single", ["lag"], "no_missing_effect", [], leftover=0.4),
         trial("single", ["lag"], "named", [["drift"]]),
+        trial("single, heavy tails", ["lag"], "named", [["lag"]]),
         trial("look-alike", ["a|b"], "ambiguous", [["a", "b"]], after=0.9),
-        trial("look-alike", ["a|b"], "named", [["a"]]),
+        trial("look-alike", ["a|b"], "named", [["a"]], after=0.8, far={"after": {"rms_mm": 1.1}}),
         trial("not in the catalogue", ["unknown"], "named", [["drift"]]),
         trial("not in the catalogue", ["unknown"], "unexplained", []),
     ]
     counted = [(goal.hits, goal.trials) for goal in goals(trials)]
-    assert counted == [(1, 2), (0, 0), (1, 2), (0, 0), (3, 9), (1, 2), (1, 2), (0, 0), (2, 3), (8, 9)]
+    singles = [(1, 2), (1, 1), (0, 0)]
+    assert counted == [(1, 2), (0, 0), *singles, (3, 10), (1, 2), (1, 2), (0, 0), (2, 4), (3, 4), (3, 4), (9, 10)]
     assert power(trials)["lag"] == [(0.4, False), (2.0, False), (2.0, True)]
+    before, after = pooled_gap(trials)
+    assert before == pytest.approx(2.0 / 0.69)
+    assert after == pytest.approx(np.sqrt(np.mean(np.square([0.7, 0.7, 0.9, 0.8]))) / 0.69)
 
 
 def test_wilson_interval_against_published_values() -> None:
@@ -81,7 +96,7 @@ def test_intervals_are_compared_where_truth_has_the_parameter() -> None:
         found=found,
         parameters={"homing_rotation": {"theta_2_deg": 2.0}},
     )
-    assert list(intervals(homing)) == [False]
+    assert list(intervals(homing)) == [False, True]  # the other angle is truly zero
 
 
 def test_runner_keeps_what_it_has_and_scoring_reads_it(tmp_path: Path) -> None:

@@ -7,12 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 
 from ctrplan.cli import main
 from ctrplan.commands.simulate import start_state
-from ctrplan.path_file import load_joint_path
+from ctrplan.errors import InputError
+from ctrplan.path_file import JointPath, load_joint_path
 from ctrplan.plots_simulation import simulation_figure
-from ctrplan.robot import load_robot
+from ctrplan.robot import Robot, load_robot, robot_from_dict
 from ctrplan.simulation import poses_csv, simulate
 
 ROBOTS = Path(__file__).resolve().parents[1] / "scenarios" / "robots"
@@ -83,6 +85,85 @@ def test_an_oscillation_starts_near_the_frictionless_solution(tmp_path: Path) ->
     robot = load_robot(PAIR)
     result = simulate(robot, load_joint_path(write_path(tmp_path, HEADER, ROWS[0]), robot), "oscillated")
     assert 0 < result.deviation_m[0] < 0.2 * result.bounds.position_m[0]
+
+
+TIMED = ["time_s," + HEADER, *(f"{3 * k},{row}" for k, row in enumerate(ROWS))]
+
+
+def with_effects(**effects: dict[str, float]) -> Robot:
+    return robot_from_dict(dict(load_robot(PAIR).content) | {"effects": effects})
+
+
+def test_effects_of_the_drive_move_the_collars(tmp_path: Path) -> None:
+    robot = with_effects(homing_offset={"theta_2_deg": 5.0}, joint_scale={"l_2": -0.01}, backlash={"theta_2_deg": 4.0})
+    plain = load_robot(PAIR)
+    path = load_joint_path(write_path(tmp_path, HEADER, *ROWS), robot)
+    found = simulate(robot, path, (-1,))
+    at = found.waypoints
+    np.testing.assert_array_equal(found.theta_b[at], path.theta_b)  # the table shows what was commanded
+    lost = np.radians(2.0) * np.array([0, 1, 1])  # nothing is known before the first turn
+    np.testing.assert_allclose(found.collars.theta[at, 1], path.theta_b[:, 1] + np.radians(5.0) - lost, atol=1e-12)
+    np.testing.assert_allclose(found.collars.l[at, 1], 0.99 * path.l_b[:, 1], atol=1e-12)
+    driven = JointPath(found.collars.theta, found.collars.l, np.zeros(len(found.place), int))
+    same = simulate(plain, driven, (-1,))
+    np.testing.assert_allclose(found.position_m, same.position_m[same.waypoints], atol=2e-6)
+    assert found.measured is None and "measured_x_m" not in poses_csv(found)
+
+
+def test_what_a_tracker_would_report_stands_beside_the_tip(tmp_path: Path) -> None:
+    turn, rate = np.radians(3.0), 7200.0
+    robot = with_effects(drift={"shift_y_mm_per_h": rate}, base_misalignment={"rotation_z_deg": 3.0, "shift_x_mm": 2.0})
+    path = load_joint_path(write_path(tmp_path, *TIMED), robot)
+    found, plain = simulate(robot, path), simulate(load_robot(PAIR), path)
+    np.testing.assert_array_equal(found.position_m, plain.position_m)
+    R = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    assert found.measured is not None and path.time_s is not None
+    at = found.waypoints
+    shift = path.time_s[:, None] * [0, rate / 3.6e6, 0]
+    expected = (plain.position_m[at] + shift) @ R.T + [2e-3, 0, 0]
+    np.testing.assert_allclose(found.measured.position[at], expected, atol=1e-12)
+    np.testing.assert_allclose(found.measured.frame[at, :, 2], plain.tangent[at] @ R.T, atol=1e-12)
+    table = list(csv.DictReader(poses_csv(found).splitlines()))
+    assert float(table[2]["measured_y_m"]) == found.measured.position[at[2], 1] != float(table[2]["y_m"])
+
+
+def test_a_lag_reports_tips_of_an_earlier_time(tmp_path: Path) -> None:
+    path = load_joint_path(write_path(tmp_path, *TIMED), load_robot(PAIR))
+    found = simulate(with_effects(lag={"tau_s": 0.3}), path)
+    assert found.measured is not None
+    at = found.waypoints
+    np.testing.assert_array_equal(found.measured.position[0], found.position_m[0])  # a run starts at rest
+    behind = found.position_m[at[1]] - found.measured.position[at[1]]
+    speed = (found.position_m[at[1]] - found.position_m[at[1] - 1]) / (3.0 / (at[1] - at[0]))
+    np.testing.assert_allclose(behind, 0.3 * speed, rtol=1e-9)
+
+
+def test_an_offset_sensor_draws_a_circle_about_a_tube_that_turns_freely(tmp_path: Path) -> None:
+    robot = with_effects(sensor_offset={"offset_x_mm": 3.0})
+    path = load_joint_path(write_path(tmp_path, HEADER, "0,0.3,0,-0.0604", "1.1,1.4,0,-0.0604"), robot)
+    found = simulate(robot, path)
+    assert found.measured is not None
+    at = found.waypoints
+    offset = found.measured.position[at] - found.position_m[at]
+    np.testing.assert_allclose(np.linalg.norm(offset, axis=1), 3e-3, rtol=1e-9)
+    R = np.array([[np.cos(1.1), -np.sin(1.1), 0], [np.sin(1.1), np.cos(1.1), 0], [0, 0, 1]])
+    np.testing.assert_allclose(offset[1], R @ offset[0], atol=2e-5)  # all tubes turned together
+
+
+def test_effects_that_need_a_time_say_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "robot.toml").write_text(tomli_w.dumps(dict(with_effects(lag={"tau_s": 0.1}).content)))
+    path = write_path(tmp_path, HEADER, *ROWS)
+    assert main(["simulate", str(tmp_path / "robot.toml"), path, "-o", str(tmp_path / "out")]) == 0
+    warning = capsys.readouterr().err
+    assert "time_s" in warning and "lag" in warning and warning.count("\n") == 1
+    assert "measured_x_m" not in (tmp_path / "out" / "poses.csv").read_text()
+
+
+def test_a_drive_that_pushes_tubes_through_the_plate_is_refused(tmp_path: Path) -> None:
+    robot = with_effects(homing_offset={"l_1_mm": 1.0})
+    path = load_joint_path(write_path(tmp_path, HEADER, *ROWS), robot)
+    with pytest.raises(InputError, match=r"row 1.*effects of the drive.*behind the plate"):
+        simulate(robot, path)
 
 
 @pytest.mark.parametrize(

@@ -19,8 +19,9 @@ in [diagnosis.md](diagnosis.md). Every effect is a term of one stage of the chai
 
 and is switched on by a table `[effects.NAME]` of a robot file with the parameters below (of the three-tube robot of
 Table II), each in the unit that its name ends with. *Prior* is the standard deviation of what is plausible. Effects
-of mechanics and drive act in `Robot.bound`, `ctrplan plan` and `ctrplan simulate` too; backlash needs a path and
-acts in the chain only, as do the clock's and the sensor's.
+of mechanics and drive act in `Robot.bound`, `ctrplan plan` and `ctrplan simulate` too; backlash needs to know the way
+there and acts on paths only. Those of clock and sensor move no tube: `ctrplan simulate` writes what would be measured
+(`measured_x_m` ...) beside where the tip is.
 """
 
 

@@ -22,6 +22,7 @@ OUTPUTS = ("diagnosis.json", "robot.toml", "report.html")
 
 EXAMPLES = """examples:
   ctrplan diagnose robot.toml measurements.csv -o out
+  ctrplan diagnose robot.toml measurements.csv -o out --without friction --without backlash
   ctrplan bound out/robot.toml --theta-deg 0 90 180 --l-mm 0 -17 -62.8
 """
 
@@ -40,6 +41,13 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("measurements", metavar="MEASUREMENTS.csv")
     parser.add_argument(
         "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder for the results (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--without",
+        metavar="EFFECT",
+        action="append",
+        default=[],
+        help="leave an effect out of the catalogue, to see what would be said if it were unknown; repeatable",
     )
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     add_set_option(parser, "the robot's key")
@@ -60,7 +68,7 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
             print(f"ctrplan: warning: {warning}", file=sys.stderr)
         terminal = sys.stderr is not None and sys.stderr.isatty()
         with ProgressBar(quiet=arguments.quiet or not terminal) as bar:
-            found = diagnose(robot, data, bar.show, interrupted=interrupted)
+            found = diagnose(robot, data, bar.show, without=arguments.without, interrupted=interrupted)
         _write(folder, found)
         print(summary(folder, found))
         return INTERRUPTED if found.interrupted else 0

@@ -81,6 +81,8 @@ def run_simulate(arguments: argparse.Namespace) -> int:
             result = simulate(
                 robot, path, start, accuracy=arguments.accuracy, progress=bar.show, interrupted=interrupted
             )
+        for warning in result.warnings:
+            print(f"ctrplan: warning: {warning}", file=sys.stderr)
         _write(folder, result)
         print(_summary(folder, result))
         if (row := result.failed_waypoint) is not None:

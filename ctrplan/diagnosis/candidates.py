@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import ctrplan.diagnosis.effects  # noqa: F401 (fills the catalogue)
 from ctrplan.chain import Term, term
 from ctrplan.diagnosis.effect import CATALOGUE, Effect
+from ctrplan.errors import InputError
 from ctrplan.measurements import Measurements
 from ctrplan.robot import Robot
 
@@ -31,6 +32,14 @@ class Candidates:
         missing = added.effect.needs not in ("", *(t.name for t in chosen))
         needed = [t for t in self.terms if missing and t.name == added.effect.needs]
         return [*chosen, *needed, added]
+
+
+def reduced(catalogue: Mapping[str, Effect], without: Sequence[str]) -> dict[str, Effect]:
+    """The catalogue without some of its effects. Raises InputError for a name that it does not have."""
+    for name in without:
+        if name not in catalogue:
+            raise InputError(f"must be an effect of the catalogue: {', '.join(catalogue)}", key="without", value=name)
+    return {name: effect for name, effect in catalogue.items() if name not in without}
 
 
 def candidates(robot: Robot, data: Measurements, catalogue: Mapping[str, Effect] = CATALOGUE) -> Candidates:

@@ -4,29 +4,32 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.diagnosis.candidates import Candidates, candidates
+from ctrplan.diagnosis.candidates import Candidates, candidates, reduced
 from ctrplan.diagnosis.effect import CATALOGUE, Effect
 from ctrplan.diagnosis.experiment import next_experiment
 from ctrplan.diagnosis.gap import Gap, distances, open_vault
 from ctrplan.diagnosis.guards import outliers, remains
 from ctrplan.diagnosis.localise import Place, localise
-from ctrplan.diagnosis.misstated import rescaled_noise
+from ctrplan.diagnosis.misstated import rescaled_noise, vault_probability
+from ctrplan.diagnosis.noise_floor import noise_floor
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.selection import Selector
 from ctrplan.diagnosis.split import Split, groups, split
 from ctrplan.diagnosis.symptoms import symptoms
 from ctrplan.diagnosis.verdict import Finding, Judgement, judge, specific
-from ctrplan.diagnosis.workbench import Workbench
+from ctrplan.diagnosis.workbench import Scored, Workbench
+from ctrplan.drive import Array
 from ctrplan.errors import InputError
 from ctrplan.measurements import LONGEST_LAG_S, Measurements
 from ctrplan.residuals import Noise
 from ctrplan.robot import Robot
+from ctrplan.robot_output import within_file
 from ctrplan.shapes import Status
 
 LEAST_STABILITY = 0.03  # of the believed robot: nearer to snapping no model is asked
@@ -66,28 +69,36 @@ def diagnose(
     progress: Progress | None = None,
     *,
     catalogue: Mapping[str, Effect] = CATALOGUE,
+    without: Sequence[str] = (),
     interrupted: threading.Event | None = None,
 ) -> Diagnosis:
     """Compares the whole chain with measurements and says which stage lacks what, if anything.
 
     `progress` is told the step and the share done. When `interrupted` is set, what was found so far is returned.
-    Raises InputError where the data are too few or the robot file does not state the noise.
+    `without` names effects to be left out of the catalogue. Raises InputError where it names another, where the data
+    are too few, or neither the robot file states the noise nor the data have repeats.
     """
     began = time.monotonic()
+    allowed = reduced(catalogue, without)
     teller = _Teller(progress, interrupted)
-    noise = stated_noise(robot)
+    noise, about_noise = noise_floor(robot, data)
     usable = usable_poses(robot, data)
     parts = _checked_split(data, usable)
-    known = candidates(robot, data, catalogue)
+    known = candidates(robot, data, allowed)
     bench = _bench(robot, data, parts, noise)
     selector, judgement, notes, stopped = _searched(bench, known, teller)
+    selector.bench.pause = lambda: None  # what follows is short, and nothing is told without it
     chosen, base = selector.found.chosen, selector.bench.scored([])
     noise = selector.bench.noise
     if progress:
         progress("opening the vault", 0.95)
     group = groups(data)
     gap = open_vault(base.fit, chosen.fit, data.subset(parts.vault), group[parts.vault], noise)
-    judgement, note = _after_vault(judgement, selector, gap)
+    judgement, note = _after_vault(judgement, selector, gap, noise.position_m < bench.noise.position_m)
+    written = _written(selector.bench, chosen, judgement)
+    if written is not chosen:  # errors are of the model that is handed over
+        judgement = replace(judgement, adequacy=remains(selector.bench, written))
+        gap = open_vault(base.fit, written.fit, data.subset(parts.vault), group[parts.vault], noise)
     place = _place(selector.bench, gap)
     far = outliers(chosen.fit.residuals.alone)
     sentence, proposed = next_experiment(chosen, judgement, bench.data, noise, list(known.not_testable))
@@ -95,14 +106,23 @@ def diagnose(
         verdict=judgement.verdict,
         judgement=judgement,
         base=base,
-        chosen=chosen,
+        chosen=written,
         gap=gap,
         place=place,
         next_experiment=sentence,
         proposals=proposed,
         path=tuple(selector.found.path),
         not_testable=known.not_testable,
-        notes=(*data.warnings, *notes, *note, *symptoms(chosen.fit), *_coverage(usable)),
+        without=tuple(without),
+        notes=(
+            *data.warnings,
+            *_left_out(without),
+            *([about_noise] if about_noise else []),
+            *notes,
+            *note,
+            *symptoms(chosen.fit),
+            *_coverage(usable),
+        ),
         robot=robot,
         data=data,
         noise=noise,
@@ -111,14 +131,6 @@ def diagnose(
         interrupted=stopped,
         time_s=time.monotonic() - began,
     )
-
-
-def stated_noise(robot: Robot) -> Noise:
-    """The noise of the robot file. Raises InputError where it has none: it is never assumed."""
-    if robot.measurement is None:
-        rule = "is missing: state position_sigma_mm and tangent_sigma_deg, from repeats or the tracker's data sheet"
-        raise InputError(rule, file=robot.path, key="measurement")
-    return Noise(robot.measurement.position_sigma_m, robot.measurement.tangent_sigma_rad)
 
 
 def usable_poses(robot: Robot, data: Measurements) -> NDArray[np.bool_]:
@@ -155,9 +167,9 @@ def _searched(bench: Workbench, known: Candidates, teller: _Teller) -> tuple[Sel
         teller("calibrating")
         selector.run()
         judgement = judge(selector, selector.found)
-        scaled, note = rescaled_noise(judgement.adequacy, bench.noise)
+        scaled, note = rescaled_noise(judgement.adequacy, bench.noise, _norms(selector.found.chosen))
+        notes += [note] if note else []
         if scaled is not None:
-            notes.append(note)
             again = Workbench(bench.robot, bench.data, scaled, bench.group, bench.fold)
             selector = Selector(again, known, teller)
             again.pause = teller.pause
@@ -171,19 +183,44 @@ def _searched(bench: Workbench, known: Candidates, teller: _Teller) -> tuple[Sel
     return selector, judgement, notes, False
 
 
-def _after_vault(judgement: Judgement, selector: Selector, gap: Gap) -> tuple[Judgement, list[str]]:
-    """A verdict that the vault contradicts is taken back."""
-    if judgement.verdict == "unexplained" or gap.chi_square.p > VAULT_REJECTED:
+def _after_vault(judgement: Judgement, selector: Selector, gap: Gap, estimated: bool) -> tuple[Judgement, list[str]]:
+    """A verdict that the vault contradicts is taken back; `estimated`: the noise is smaller than stated.
+
+    Noise that had to be enlarged may have taken in a misfit: no allowance is made for it.
+    """
+    residuals = selector.found.chosen.fit.residuals
+    p = vault_probability(gap.chi_square, judgement.adequacy.total, residuals, estimated=estimated)
+    if judgement.verdict == "unexplained" or p > VAULT_REJECTED:
         return judgement, []
     kept = specific(selector.bench, selector.found, judgement.findings, judgement.adequacy)
     note = f"The vault contradicts it: chi-square per degree of freedom {gap.chi_square.ratio:.2f}."
     return replace(judgement, verdict="unexplained", findings=kept), [note]
 
 
+def _norms(scored: Scored) -> Array:
+    """Of the residuals per pose, without outliers."""
+    residuals = scored.fit.residuals
+    norms: Array = residuals.norm[~outliers(residuals.alone)]
+    return norms
+
+
+def _written(bench: Workbench, chosen: Scored, judgement: Judgement) -> Scored:
+    """The model with the effects of the verdict alone, as large as the data say, in numbers a robot file may have."""
+    listed = {finding.term.key for finding in judgement.findings}
+    kept = [t for t in chosen.terms if t.key in listed]
+    scored = bench.sized(chosen if len(kept) == len(chosen.terms) else bench.scored(kept, chosen.fit))
+    inside = within_file(scored.fit)
+    return scored if inside is scored.fit else replace(scored, fit=inside)
+
+
 def _place(bench: Workbench, gap: Gap) -> Place:
     fit = bench.scored([]).fit
     error = distances(fit.chain, fit.p)
     return localise(bench.data, fit.residuals.r, bench.group, error, gap.floor_m)
+
+
+def _left_out(without: Sequence[str]) -> list[str]:
+    return [f"Taken out of the catalogue, as asked: {', '.join(without)}."] if without else []
 
 
 def _coverage(usable: NDArray[np.bool_]) -> list[str]:

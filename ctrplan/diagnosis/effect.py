@@ -59,6 +59,9 @@ class Effect:
     needs: ClassVar[str] = ""  # an effect without which it does nothing
     depends_on_history: ClassVar[bool] = False  # acts on differences between approaches of one configuration
 
+    needs_time: ClassVar[bool] = False  # whether it does nothing without time_s
+    turns_with_tip: ClassVar[bool] = False  # of the sensor: whether the tangent alone says too little
+
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Everything that a robot file may say about the effect."""
         raise NotImplementedError
@@ -78,6 +81,10 @@ class Effect:
     def clock(self, values: Values, data: Measurements, collars: Collars) -> Collars:
         """The commanded collars that the poses really belong to."""
         return collars
+
+    def delay_s(self, values: Values) -> float:
+        """How much earlier the joints are that a pose belongs to."""
+        return 0.0
 
     def drive(self, values: Values, collars: Collars, directions: Array) -> Collars:
         """Where collars stand when the drive has gone to `collars` in `directions` (K, 2 n)."""

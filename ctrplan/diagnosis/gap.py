@@ -47,9 +47,11 @@ class Gap:
 
 
 def distances(chain: Chain, p: Array) -> Array:
-    """(K,) distance [m] of measured from predicted tips."""
-    distance: Array = np.linalg.norm(chain.predict(p, derivatives=False).position_m - chain.data.position_m, axis=1)
-    return distance
+    """(K,) distance [m] of measured from predicted tips; from the base where the model has no solution."""
+    measured = chain.data.position_m
+    distance = np.linalg.norm(chain.predict(p, derivatives=False).position_m - measured, axis=1)
+    wrong: Array = np.where(np.isfinite(distance), distance, np.linalg.norm(measured, axis=1))
+    return wrong
 
 
 def open_vault(before: Fit, after: Fit, vault: Measurements, group: NDArray[np.int_], noise: Noise) -> Gap:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ from ctrplan.residuals import PER_POSE, information_inverse
 
 REJECTED = 1e-3  # probability below which a chi-square is no chance
 OUTLIER = 5.6  # norm of a pose's five numbers: once in 10^5
-MOST_OUTLIERS = 0.03  # of the poses; more are no outliers but a misfit
+MOST_OUTLIERS = 0.03  # of the poses, and one in any case; more are no outliers but a misfit
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class Adequacy:
 def outliers(norm: Array) -> NDArray[np.bool_]:
     """(K,) poses too far off for noise, if they are few."""
     far = norm > OUTLIER
-    return far if far.mean() <= MOST_OUTLIERS else np.zeros_like(far)
+    return far if far.sum() <= math.ceil(MOST_OUTLIERS * len(far)) else np.zeros_like(far)
 
 
 def adequacy(fit: Linear, group: NDArray[np.int_], ignored: NDArray[np.bool_]) -> Adequacy:

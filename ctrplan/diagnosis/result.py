@@ -33,13 +33,14 @@ class Diagnosis:
     verdict: Verdict
     judgement: Judgement
     base: Scored  # calibrated, without effects
-    chosen: Scored  # with them
+    chosen: Scored  # with those of the verdict
     gap: Gap
     place: Place
     next_experiment: str
     proposals: tuple[Proposal, ...]
     path: tuple[Step, ...]
     not_testable: Mapping[str, str]
+    without: tuple[str, ...]  # effects that were left out of the catalogue
     notes: tuple[str, ...]
     robot: Robot
     data: Measurements
@@ -72,6 +73,7 @@ class Diagnosis:
             "where": self.place.sentence,
             "next_experiment": self.next_experiment,
             "not_testable": dict(self.not_testable),
+            "without": list(self.without),
             "calibration": {
                 name: asdict(estimate)
                 for name, estimate in estimates(self.chosen.fit, self.chosen.fit.chain.terms[0]).items()

@@ -10,12 +10,14 @@ from ctrplan.diagnosis.candidates import Candidates
 from ctrplan.diagnosis.guards import remains
 from ctrplan.diagnosis.nulls import null_threshold
 from ctrplan.diagnosis.workbench import Scored, Screened, Workbench, linear
+from ctrplan.least_squares import Fit
 
 MOST_EFFECTS = 4
 CAUTION = 2.0  # times the threshold, for an effect that the residuals do not ask for: they look like noise already
 CERTAIN = 2.0  # standard errors that a gain must exceed zero by
 REFITTED = 5  # variants of different effects that are fitted for good after the screening
 WORTH_IT = 0.5  # share of the best gain of the screening that makes a variant worth fitting
+FIRST_OF_PAIRS, SECOND_OF_PAIRS = 2, 3  # effects that did not pass alone, and variants tried beside each
 PER_EFFECT = 2  # variants of one effect among them
 
 Report = Callable[[str], None]
@@ -75,9 +77,40 @@ class Selector:
             best = candidate is tried[0] and gain > needed and self._is_certain(candidate, gain, error)
             found.path.append(_step("add", candidate.terms[-1], gain, error, needed, best))
         if not tried or not found.path[-len(tried)].taken:
-            return False
+            return self._grow_by_two(found, tried)
         found.chosen = self.bench.corrected(tried[0])
         return True
+
+    def _grow_by_two(self, found: Selection, tried: Sequence[Scored]) -> bool:
+        """Two effects at once where none passes alone: what the other leaves makes each of them look uncertain.
+
+        A pair pays for both choices and must leave nothing but noise.
+        """
+        here = found.chosen
+        if len(here.terms) > MOST_EFFECTS - 2 or remains(self.bench, here).is_adequate:
+            return False
+        pairs = [
+            pair for first in _best_of_each(tried)[:FIRST_OF_PAIRS] for pair in self._beside(first, found.threshold)
+        ]
+        if not pairs:
+            return False
+        best, needed = max(pairs, key=lambda pair: pair[0].score)
+        gain, error = self.bench.difference(best, here)
+        taken = gain > max(needed, CERTAIN * error) and remains(self.bench, best).is_adequate
+        first, second = best.terms[-2:]
+        found.path.append(_step("add", second, gain, error, needed, taken, beside=first))
+        if taken:
+            found.chosen = self.bench.corrected(best)
+        return taken
+
+    def _beside(self, first: Scored, threshold: float) -> list[tuple[Scored, float]]:
+        """Pairs of an effect that did not pass alone with the most promising others, and what each has to gain."""
+        self.tell(f"trying pairs with {first.names[-1]}")
+        screened = self.bench.screened(first, self._others(first), self.candidates.completed)
+        if not screened:
+            return []
+        needed = threshold + null_threshold(linear(first.fit), [s.linear for s in screened], self.bench.fold)
+        return [(scored, needed) for scored in self.fitted(first, screened[:SECOND_OF_PAIRS])]
 
     def _is_certain(self, candidate: Scored, gain: float, error: float) -> bool:
         """Whether a gain is no matter of a few configurations, or leaves nothing to gain."""
@@ -87,11 +120,11 @@ class Selector:
         names = set(here.names)
         return [t for t in self.candidates.beside(here.terms) if t.name not in names]
 
-    def fitted(self, here: Scored, screened: Sequence[Screened]) -> list[Scored]:
-        """The most promising variants fitted beside `here`, best first."""
+    def fitted(self, here: Scored, screened: Sequence[Screened], *near: Fit) -> list[Scored]:
+        """The most promising variants fitted beside `here`, from there or from fits in `near`, best first."""
         worth = here.score + WORTH_IT * max(screened[0].score - here.score, 0.0)
         tried = [
-            self.bench.scored(self.candidates.completed(here.terms, s.term), here.fit)
+            self.bench.scored(self.candidates.completed(here.terms, s.term), here.fit, *near)
             for s in promising(screened)
             if s.score > worth
         ]
@@ -103,7 +136,7 @@ class Selector:
         while dropped and len(found.chosen.terms) > 1:
             dropped = False
             for t in found.chosen.terms:
-                rest = self.bench.scored([other for other in found.chosen.terms if other is not t], found.chosen.fit)
+                rest = self.without(found.chosen, t)
                 gain, error = self.bench.difference(rest, found.chosen)
                 if gain > -found.threshold:
                     found.path.append(_step("drop", t, gain, error, -found.threshold, True))
@@ -113,19 +146,25 @@ class Selector:
     def _swap(self, found: Selection) -> None:
         """Replaces an effect where another one in its place predicts better."""
         for t in found.chosen.terms:
-            rest = self.bench.scored([other for other in found.chosen.terms if other is not t], found.chosen.fit)
-            for candidate in self.replacements(rest, without=found.chosen.terms):
+            for candidate in self.replacements(found.chosen, t):
                 gain, error = self.bench.difference(candidate, found.chosen)
                 if gain > 0:
                     found.path.append(_step("swap", candidate.terms[-1], gain, error, 0.0, True))
                     found.chosen = candidate
                     return
 
-    def replacements(self, rest: Scored, without: Sequence[Term]) -> list[Scored]:
-        """What stands beside `rest` best, variants of the chosen effects included, the chosen ones themselves not."""
-        keys, names = {t.key for t in without}, set(rest.names)
-        others = [t for t in self.candidates.beside(rest.terms) if t.name not in names and t.key not in keys]
-        return self.fitted(rest, self.bench.screened(rest, others, self.candidates.completed)) if others else []
+    def without(self, chosen: Scored, t: Term) -> Scored:
+        """The chosen set less one of its effects; what remains may fit best far from where it stood."""
+        return self.bench.scored([other for other in chosen.terms if other is not t], chosen.fit, None)
+
+    def replacements(self, chosen: Scored, t: Term) -> list[Scored]:
+        """What stands best in the place of `t`, variants of the chosen effects included, the chosen ones not."""
+        rest = self.without(chosen, t)
+        keys, names = {other.key for other in chosen.terms}, set(rest.names)
+        others = [o for o in self.candidates.beside(rest.terms) if o.name not in names and o.key not in keys]
+        if not others:
+            return []
+        return self.fitted(rest, self.bench.screened(rest, others, self.candidates.completed), chosen.fit)
 
 
 def promising(screened: Sequence[Screened]) -> list[Screened]:
@@ -139,6 +178,15 @@ def promising(screened: Sequence[Screened]) -> list[Screened]:
     return taken
 
 
-def _step(action: str, t: Term, gain: float, error: float, threshold: float, taken: bool) -> Step:
-    names = tuple(parameter.name for parameter in t.parameters)
-    return Step(action, t.name, names, round(gain, 2), round(error, 2), round(threshold, 2), taken)
+def _best_of_each(tried: Sequence[Scored]) -> list[Scored]:
+    """The best variant of each effect, best first."""
+    return list({scored.terms[-1].name: scored for scored in reversed(tried)}.values())[::-1]
+
+
+def _step(
+    action: str, t: Term, gain: float, error: float, threshold: float, taken: bool, beside: Term | None = None
+) -> Step:
+    terms = [t] if beside is None else [beside, t]
+    names = tuple(parameter.name for term in terms for parameter in term.parameters)
+    effect = " and ".join(term.name for term in terms)
+    return Step(action, effect, names, round(gain, 2), round(error, 2), round(threshold, 2), taken)

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
+from ctrplan.base_parameters import BaseParameters
 from ctrplan.least_squares import Fit
 
 CONFLICT = 3.0  # standard deviations of the prior
 PHYSICAL_POISSON = (0.0, 0.5)
 CERTAIN = 2.0  # standard errors
+
+
+def is_strained(fit: Fit) -> bool:
+    """Whether ordinary calibration had to go where no tube is: what is missing hides in it, whatever else was added."""
+    return any(sentence.startswith(f"{BaseParameters.name}:") for sentence in symptoms(fit))
 
 
 def symptoms(fit: Fit) -> list[str]:
@@ -26,5 +32,6 @@ def symptoms(fit: Fit) -> list[str]:
             if value + CERTAIN * error < low or value - CERTAIN * error > high:
                 found.append(f"{shown} is outside {low:g} to {high:g}, which no tube has: something else hides in it.")
         if abs(value - parameter.neutral) > CONFLICT * parameter.prior:
-            found.append(f"{shown} is far from {parameter.neutral:g}, more than {CONFLICT:g} times what is plausible.")
+            times = f"more than {CONFLICT:g} times what is plausible"
+            found.append(f"{owner}: {parameter.name} is {times} away from {parameter.neutral:g}.")
     return found

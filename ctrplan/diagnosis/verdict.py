@@ -14,6 +14,7 @@ from typing import Literal
 from ctrplan.chain import Term
 from ctrplan.diagnosis.guards import Adequacy, remains
 from ctrplan.diagnosis.selection import Selection, Selector
+from ctrplan.diagnosis.symptoms import is_strained
 from ctrplan.diagnosis.workbench import Scored, Workbench
 
 Verdict = Literal["named", "no_missing_effect", "ambiguous", "unexplained"]
@@ -60,8 +61,9 @@ def judge(selector: Selector, found: Selection) -> Judgement:
         return Judgement("no_missing_effect" if left.is_adequate else "unexplained", (), left, ())
     compared = [a for t in chosen.terms for a in _compared(selector, found, t)]
     findings = tuple(_finding(bench, chosen, t, compared, left) for t in chosen.terms)
-    if not left.is_adequate:
-        return Judgement("unexplained", specific(bench, found, findings, left), left, tuple(compared))
+    if not left.is_adequate or is_strained(chosen.fit):  # a fit that needs impossible tubes proves nothing
+        kept = () if _is_enlarged(bench) else specific(bench, found, findings, left)
+        return Judgement("unexplained", kept, left, tuple(compared))
     clear = tuple(f for f in findings if len(f.alternatives) <= MOST_RIVALS)
     if len(findings) > 1 and len(clear) < len(findings):  # beside others, what anything can stand in for is nothing
         return Judgement("unexplained", clear, left, tuple(compared))
@@ -69,12 +71,17 @@ def judge(selector: Selector, found: Selection) -> Judgement:
     return Judgement(verdict, findings, left, tuple(compared))
 
 
+def _is_enlarged(bench: Workbench) -> bool:
+    """Whether the noise was taken for larger than stated, so that it may hide what an effect does not explain."""
+    stated = bench.robot.measurement
+    return stated is not None and bench.noise.position_m > stated.position_sigma_m
+
+
 def _compared(selector: Selector, found: Selection, t: Term) -> list[Alternative]:
     """Other effects in the place of `t`, refitted together with the rest."""
     bench, chosen = selector.bench, found.chosen
     selector.tell(f"looking for what imitates {t.name}")
-    rest = bench.scored([other for other in chosen.terms if other is not t], chosen.fit)
-    others = [s for s in selector.replacements(rest, without=chosen.terms) if s.terms[-1].name != t.name]
+    others = [s for s in selector.replacements(chosen, t) if s.terms[-1].name != t.name]
     return [Alternative(s.terms[-1], s, *bench.difference(chosen, s)) for s in others]
 
 

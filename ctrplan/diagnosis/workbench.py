@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,6 +19,9 @@ from ctrplan.measurements import Measurements
 from ctrplan.residuals import Noise, residuals, robust_square
 from ctrplan.robot import Robot
 
+MOST_WIDENINGS = 3
+WIDENED_FROM = 1.1  # standard deviations of a prior
+WORTH_ANOTHER = 2.0  # of the loss, to fit a set again from another place
 CORRECTIONS = {False: 1, True: 2}  # rounds, of poses at rest and of a continuous motion
 
 
@@ -60,6 +63,7 @@ class Workbench:
         self.pause: Callable[[], None] = lambda: None  # called between fits; may raise to stop
         self._correction: tuple[Array, Array] | None = None
         self._done: dict[frozenset[str], Scored] = {}
+        self._tried: dict[frozenset[str], list[Fit | None]] = {}  # where fits of a set began
 
     @cached_property
     def whitening_group(self) -> NDArray[np.int_]:
@@ -72,17 +76,29 @@ class Workbench:
         names = [parameter.name for parameter in effect.parameters(self.robot)]
         return term(effect, [name for name in names if loaded or name != ABSOLUTE_STIFFNESS], self.robot)
 
-    def scored(self, terms: Sequence[Term], near: Fit | None = None) -> Scored:
-        """The base and `terms` fitted together, from the values of `near` where it has them."""
-        key = frozenset(t.key for t in terms)
-        if key not in self._done:
-            self.pause()
-            self._done[key] = self._fitted(tuple(terms), near)
-        return self._done[key]
+    def scored(self, terms: Sequence[Term], *near: Fit | None) -> Scored:
+        """The base and `terms` fitted together, from the values of a fit in `near` where it has them.
 
-    def _fitted(self, terms: tuple[Term, ...], near: Fit | None) -> Scored:
-        chain = self._chain([self.base(terms), *terms])
-        best = fit(chain, self.noise, self.whitening_group, self._start(chain, near))
+        None in `near` stands for where a fit starts without any. A set that is known already is fitted again from a
+        place that promises more: the first fit may have ended in another valley, or where robots snap.
+        """
+        key = frozenset(t.key for t in terms)
+        tried = self._tried.setdefault(key, [])
+        places = [f for f in near or (None,) if not any(f is other for other in tried)]
+        known = self._done.get(key)
+        if known is None or places:
+            self.pause()
+            tried += places
+            chain = self._chain([self.base(terms), *terms])
+            start, promised = self._start(chain, places, compared=known is not None)
+            if known is None or promised < known.fit.residuals.loss - WORTH_ANOTHER:
+                found = self._fitted(tuple(terms), chain, start)
+                known = found if known is None or found.fit.loss < known.fit.loss else known
+                self._done[key] = known
+        return known
+
+    def _fitted(self, terms: tuple[Term, ...], chain: Chain, start: Array) -> Scored:
+        best = fit(chain, self.noise, self.whitening_group, start)
         return Scored(terms, best, held_out_loss(linear(best), self.fold))
 
     def _chain(self, terms: Sequence[Term]) -> Chain:
@@ -101,17 +117,22 @@ class Workbench:
         for _ in range(CORRECTIONS[self.data.is_stream]):
             self._correction = friction_correction(scored.fit.chain, scored.fit.p)
             self._done = {key: old for key, old in self._done.items() if not self._has_friction(old.terms)}
+            self._tried = {key: tried for key, tried in self._tried.items() if key in self._done}
             scored = self.scored(scored.terms, scored.fit)
         return scored
 
-    def _start(self, chain: Chain, near: Fit | None) -> Array:
-        """Of several starts the one whose first step promises most."""
-        starts = self._starts(chain, near)
-        if len(starts) == 1:
-            return starts[0]
+    def _start(self, chain: Chain, near: Sequence[Fit | None], compared: bool = False) -> tuple[Array, float]:
+        """Of several starts the one whose first step promises most, and the loss that it promises.
+
+        Without anything to compare with nothing is promised.
+        """
+        starts = [start for place in near or (None,) for start in self._starts(chain, place)]
+        if len(starts) == 1 and not compared:
+            return starts[0], np.nan
         fits = [fit_at(chain, self.noise, self.whitening_group, start) for start in starts]
         promised = [float(robust_square(np.linalg.norm(linear(f).refitted().r, axis=1)).sum()) for f in fits]
-        return starts[int(np.argmin(promised))]
+        best = int(np.argmin(promised))
+        return starts[best], promised[best]
 
     def _starts(self, chain: Chain, near: Fit | None) -> list[Array]:
         """Known values of the parameters, and the effects' own suggestions for those not known yet."""
@@ -133,6 +154,25 @@ class Workbench:
             place = keys.index((t.name, name))
             changed[place] = value * si[place]
         return changed
+
+    def sized(self, scored: Scored) -> Scored:
+        """The same set with priors of its effects as wide as what was found is large.
+
+        Priors say where to look. The size of an effect that is there is for the data to say: a prior that it exceeds
+        would draw it in and make its interval too narrow.
+        """
+        for _ in range(MOST_WIDENINGS):
+            chain, p = scored.fit.chain, scored.fit.p
+            terms = [
+                t if t.name not in scored.names else _widened(t, p[s])
+                for t, s in zip(chain.terms, chain.slices(), strict=True)
+            ]
+            if all(a is b for a, b in zip(terms, chain.terms, strict=True)):
+                break
+            wide = Chain(self.robot, self.data, terms)
+            wide.correction = chain.correction
+            scored = replace(scored, fit=fit(wide, self.noise, self.whitening_group, p))
+        return scored
 
     def screened(
         self, here: Scored, others: Sequence[Term], completed: Callable[[Sequence[Term], Term], Sequence[Term]]
@@ -167,7 +207,7 @@ class Workbench:
         """A variant that does not act in proportion, linearised where its first step promises most."""
         terms = completed([t for t in here.terms if t.name != other.name], other)
         chain = self._chain([self.base(terms), *terms])
-        start = self._start(chain, here.fit)
+        start, _ = self._start(chain, [here.fit])
         there = linear(fit_at(chain, self.noise, self.whitening_group, start)).refitted()
         return Screened(other, there, float(-held_out_loss(there, self.fold).sum() / 2))
 
@@ -176,6 +216,15 @@ class Workbench:
         gain = (b.held_out - a.held_out) / 2
         by_group = np.bincount(np.unique(self.group, return_inverse=True)[1], weights=gain)
         return float(gain.sum()), float(np.sqrt(len(by_group)) * by_group.std(ddof=1))
+
+
+def _widened(t: Term, p: Array) -> Term:
+    """Priors in proportion to the largest parameter, where that exceeds its own."""
+    sizes = [abs(value / q.si - q.neutral) / q.prior for q, value in zip(t.parameters, p.tolist(), strict=True)]
+    largest = max(sizes)
+    if largest < WIDENED_FROM:
+        return t
+    return Term(t.effect, tuple(replace(q, prior=q.prior * largest) for q in t.parameters))
 
 
 def linear(found: Fit) -> Linear:

@@ -22,6 +22,7 @@ class Drift(Effect):
     signature = "errors grow with the time of the experiment, whatever the joints"
     look_alikes = ("base_misalignment", "joint_scale")
     experiment = "repeat the first configurations at the end"
+    needs_time = True
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         shifts = (Parameter(f"shift_{axis}_mm_per_h", 100.0, si=MILLIMETRE / HOUR_S) for axis in "xyz")

@@ -22,6 +22,7 @@ class Lag(Effect):
     experiment = "the same path at half the speed, or a stop on the way"
     is_linear = False
     depends_on_history = True
+    needs_time = True
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return (Parameter("tau_s", 0.15, lower=-LONGEST_LAG_S, upper=LONGEST_LAG_S, start=0.02),)
@@ -37,6 +38,9 @@ class Lag(Effect):
     def clock(self, values: Values, data: Measurements, collars: Collars) -> Collars:
         tau = values["tau_s"]
         return Collars(_earlier(data, data.theta_b, tau), _earlier(data, data.l_b, tau))
+
+    def delay_s(self, values: Values) -> float:
+        return values["tau_s"]
 
 
 def _earlier(data: Measurements, joints: Array, tau_s: float) -> Array:

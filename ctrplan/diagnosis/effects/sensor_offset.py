@@ -20,6 +20,7 @@ class SensorOffset(Effect):
     signature = "a displacement that turns with the tip"
     look_alikes = ("base_misalignment", "homing_offset")
     experiment = "turn the innermost tube where nothing bends it: the offset draws a circle"
+    turns_with_tip = True
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         shifts = (Parameter(f"offset_{axis}_mm", 2.0, lower=-50, upper=50, si=MILLIMETRE) for axis in "xyz")
