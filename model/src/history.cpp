@@ -6,23 +6,12 @@
 namespace ctr {
 namespace {
 
-constexpr double kGauss[2] = {0.21132486540518711775, 0.78867513459481288225};
 constexpr double kMostStretch = 1.2;    // of the elements between two breaks, before the mesh is made anew
-constexpr double kMostRenewal = 0.1;    // rad, that a new mesh may turn a tube
-constexpr double kLargestTurn = 0.15;   // rad, of any place in a step: more is another equilibrium, or a step too long
 constexpr double kShortestStep = 1e-3;  // of the longest
 constexpr double kApart = 5e-5;         // m, that collars, joints and tips keep from each other until they change their order
 constexpr double kHasty = 1.5;          // of the change of friction aimed at: a step is repeated shorter
 constexpr double kUnhurried = 0.02;     // of the longest step: not for such a reason
 constexpr double kDegree = 0.017453292519943295;
-
-// Interval of ascending values that holds x, and where in it.
-int locate(const std::vector<double>& values, double x, double& part) {
-    const auto it = std::upper_bound(values.begin(), values.end(), x);
-    const int i = std::clamp(static_cast<int>(it - values.begin()) - 1, 0, static_cast<int>(values.size()) - 2);
-    part = std::clamp((x - values[i]) / (values[i + 1] - values[i]), 0.0, 1.0);
-    return i;
-}
 
 // Longest joint motion between two configurations in units of the longest steps.
 double motion(const Configuration& a, const Configuration& b, const HistoryOptions& options) {
@@ -32,12 +21,6 @@ double motion(const Configuration& a, const Configuration& b, const HistoryOptio
     return most;
 }
 
-// Of the inner tube of a pair, counted from the innermost.
-double axial_slip(int pair, const Configuration& a, const Configuration& b) {
-    const std::size_t inner = a.l.size() - 1 - pair, outer = inner - 1;
-    return b.l[inner] - a.l[inner] - b.l[outer] + a.l[outer];
-}
-
 Configuration between(const Configuration& a, const Configuration& b, double part) {
     Configuration q = a;
     for (std::size_t i = 0; i < a.theta.size(); ++i) {
@@ -45,12 +28,6 @@ Configuration between(const Configuration& a, const Configuration& b, double par
         q.l[i] += part * (b.l[i] - a.l[i]);
     }
     return part == 1 ? b : q;
-}
-
-// Energy per length over EI of a cross section that is bent to rho, see (f) in docs/model.md.
-double bending(double rho, double knee, double fraction) {
-    if (rho <= knee) return 0.5 * rho * rho;
-    return (1 - fraction) * knee * (rho - 0.5 * knee) + 0.5 * fraction * rho * rho;
 }
 
 }  // namespace
@@ -161,134 +138,6 @@ void History::remember() {
         }
 }
 
-double History::offset(int e, int k, int plane) const {
-    const KernelProblem& pb = solver_.mesh().problem();
-    const int d = 1 + 5 * pb.contact_pair[k] + plane;
-    const double* N = pb.contact_shape + 4 * k;
-    return N[0] * state_.unknown(e, d, 0) + N[1] * state_.unknown(e, d + 2, 0) + N[2] * state_.unknown(e + 1, d, 0) +
-           N[3] * state_.unknown(e + 1, d + 2, 0);
-}
-
-// Nodes move with collars, joints and tips; where these meet in another order, or elements would be stretched far, a new mesh
-// takes over.
-void History::move_mesh(const Configuration& q) {
-    if (solver_.move(solver_, solver_.robot(), q)) return;
-    solver_.build(q, accuracy_);
-    built_breaks_ = solver_.mesh().breaks();
-    state_.resize(solver_.mesh().problem(), 1);
-    carried_.give(solver_.mesh(), state_);
-}
-
-bool History::is_stretched(double most) const {
-    const std::vector<double>& now = solver_.mesh().breaks();
-    for (std::size_t i = 0; i + 1 < now.size(); ++i) {
-        const double ratio = (now[i + 1] - now[i]) / (built_breaks_[i + 1] - built_breaks_[i]);
-        if (ratio > most || ratio < 1 / most) return true;
-    }
-    return false;
-}
-
-// Whether collars, joints and tips meet in another order there than on the mesh.
-bool History::leaves_mesh(const Configuration& q) const {
-    if (q.l == q_.l) return false;
-    Mesh probe = solver_.mesh();
-    return !probe.move(solver_.robot(), q);
-}
-
-// Puts the state on the mesh that any solver would use at q, here or a very little way off. What that moves is no slip, or
-// pairs that do not translate would collect it as friction; the axial slip is left to the next step.
-bool History::renew_mesh(const Configuration& q) {
-    const State kept = save();
-    remember();
-    carried_.take(solver_.mesh(), state_);
-    solver_.build(q, accuracy_);
-    const KernelProblem& pb = solver_.mesh().problem();
-    state_.resize(pb, 1);
-    carried_.give(solver_.mesh(), state_);
-    std::vector<double> phi(pb.contacts), psi(pb.contacts);
-    for (int k = 0; k < pb.contacts; ++k) {
-        const OldContact old = old_contact(pb.contact_pair[k], solver_.mesh().contact_s()[k]);
-        phi[k] = old.phi;
-        psi[k] = old.psi;
-    }
-    hold(phi);
-    solver_.set_base(state_, q);
-    const BarrierPath path = BarrierPath::warm(2, solver_.last_barrier());
-    solver_.recentre(state_, path.first);
-    Convergence renewed;
-    solver_.solve(state_, path, &renewed);
-    if (!renewed.converged || largest_turn(q) > kMostRenewal) {
-        restore(kept);
-        return false;
-    }
-    convergence_ = renewed;
-    phi_.swap(phi);
-    psi_.swap(psi);
-    built_breaks_ = solver_.mesh().breaks();
-    for (int p = 0; p + 1 < pb.tubes; ++p) pending_slip_[p] += axial_slip(p, q_, q);
-    q_ = q;
-    take_stock();
-    return true;
-}
-
-double History::old_angle(int tube, double s) const {
-    double part;
-    const int stride = solver_.mesh().problem().stride, e = locate(before_.s, s, part);
-    const double *a = &before_.unknowns[static_cast<std::size_t>(e) * stride], *b = a + stride;
-    return (1 - part) * a[5 * tube] + part * b[5 * tube];
-}
-
-History::OldContact History::old_contact(int pair, double s) const {
-    OldContact contact;
-    const OldContacts& old = before_.pairs[pair];
-    if (old.s.size() < 2) return contact;
-    double part;
-    const int i = locate(old.s, s, part);
-    contact.phi = (1 - part) * old.phi[i] + part * old.phi[i + 1];
-    contact.psi = (1 - part) * old.psi[i] + part * old.psi[i + 1];
-    const double dx = (1 - part) * old.d[2 * i] + part * old.d[2 * i + 2], dy = (1 - part) * old.d[2 * i + 1] + part * old.d[2 * i + 3];
-    const double size = std::hypot(dx, dy);
-    if (size == 0) return contact;
-    contact.direction[0] = dx / size;
-    contact.direction[1] = dy / size;
-    return contact;
-}
-
-// What slip is counted from: the angles that the material points now in contact had, where the contact was.
-void History::refer(const Configuration& q) {
-    const Mesh& mesh = solver_.mesh();
-    const KernelProblem& pb = mesh.problem();
-    const int n = pb.tubes;
-    for (auto* values : {&friction_, &reference_, &last_phi_, &next_psi_}) values->assign(pb.contacts, 0.0);
-    across_.assign(2 * static_cast<std::size_t>(pb.contacts), 0.0);
-    const bool corresponds = mesh.breaks().size() == before_.breaks.size();
-    for (int k = 0; k < pb.contacts; ++k) {
-        const int p = pb.contact_pair[k], inner = n - 1 - p, outer = n - 2 - p;
-        const double s = mesh.contact_s()[k];
-        friction_[k] = solver_.robot().pairs[outer].friction;
-        reference_[k] = inner_arm_[p] * old_angle(p, s - q.l[inner] + before_.q.l[inner]) -
-                        outer_arm_[p] * old_angle(p + 1, s - q.l[outer] + before_.q.l[outer]);
-        next_psi_[k] = (pending_slip_[p] + axial_slip(p, before_.q, q)) / options_.breakaway;
-        double image = s;
-        if (corresponds) {
-            double part;
-            const int b = locate(mesh.breaks(), s, part);
-            image = before_.breaks[b] + part * (before_.breaks[b + 1] - before_.breaks[b]);
-        }
-        const OldContact old = old_contact(p, image);
-        last_phi_[k] = old.phi;
-        next_psi_[k] += old.psi;
-        across_[2 * k] = -old.direction[1];
-        across_[2 * k + 1] = old.direction[0];
-    }
-    publish_law();
-}
-
-void History::publish_law() {
-    law_ = {friction_.data(), reference_.data(), across_.data(),   inner_arm_.data(),
-            outer_arm_.data(), last_phi_.data(), next_psi_.data(), options_.breakaway};
-}
-
 bool History::try_step(const Configuration& q) {
     double most = 0;  // degrees or half millimetres
     for (std::size_t i = 0; i < q.l.size(); ++i)
@@ -315,106 +164,6 @@ double History::largest_turn(const Configuration& q) const {
             most = std::max(most, std::fabs(state_.unknown(e + 1, 5 * t, 0) - old_angle(t, s)));
         }
     return most;
-}
-
-void History::hold(const std::vector<double>& phi) {
-    const KernelProblem& pb = solver_.mesh().problem();
-    state_.follow_slip(nullptr);
-    for (int k = 0; k < pb.contacts; ++k)
-        state_.set_phi_mu(k, 0, std::clamp(phi[k], -1.0, 1.0) * solver_.robot().pairs[pb.tubes - 2 - pb.contact_pair[k]].friction);
-}
-
-// Where the robot goes while friction is held.
-bool History::slide_with(const std::vector<double>& phi) {
-    hold(phi);
-    solver_.recentre(state_, BarrierPath::kSoft);
-    solver_.slide(state_, BarrierPath::kSoft, convergence_);
-    return convergence_.converged;
-}
-
-bool History::solve_beside(const std::vector<double>& phi, Backbone& backbone) {
-    constexpr double kSmallestPart = 0.01;
-    const State kept = save();
-    const Convergence convergence = convergence_;
-    const KernelProblem& pb = solver_.mesh().problem();
-    const int pairs = pb.tubes - 1;
-    std::vector<double> now(pb.contacts);
-    double done = 0, part = 0.25;
-    bool found = true;
-    while (done < 1 && found) {
-        const double next = std::min(1.0, done + part);
-        const Iterate at = iterate();
-        remember();
-        for (int k = 0; k < pb.contacts; ++k) now[k] = (1 - next) * kept.phi[k] + next * phi[pairs - 1 - pb.contact_pair[k]];
-        hold(now);
-        const BarrierPath path = BarrierPath::warm(5, solver_.last_barrier());
-        solver_.recentre(state_, path.first);
-        solver_.solve(state_, path, &convergence_);
-        if (convergence_.converged && largest_turn(q_) < 2 * kLargestTurn) {
-            done = next;
-            continue;
-        }
-        put(at);
-        part *= 0.5;
-        found = part > kSmallestPart;
-    }
-    if (found) tracer_.trace(solver_, state_, 0, 1, q_.l.back(), &backbone);
-    found = found && !solver_.turns_away(state_);
-    restore(kept);
-    convergence_ = convergence;
-    return found;
-}
-
-// Friction that belongs to the slip so far.
-std::vector<double> History::followed_phi() const {
-    const KernelProblem& pb = solver_.mesh().problem();
-    std::vector<double> phi(pb.contacts);
-    for (int e = 0; e < pb.elements; ++e)
-        for (int k = pb.contact_begin[e]; k < pb.contact_begin[e + 1]; ++k) {
-            const double trial = last_phi_[k] + slip_of(e, k) / options_.breakaway;
-            phi[k] = trial / std::max(1.0, std::hypot(trial, next_psi_[k]));
-        }
-    return phi;
-}
-
-// No equilibrium near by: friction as it was, the robot slides to where there is one, and friction follows that slip,
-// by parts if it must. Where friction and shape do not settle on each other, the shape has the friction of the last part.
-bool History::slide(const Configuration& q) {
-    constexpr int kRounds = 8;
-    carried_.give(solver_.mesh(), state_);
-    solver_.set_base(state_, q);
-    std::vector<double> phi = last_phi_;
-    if (!slide_with(phi)) {  // from the shape that the robot has when it is put there afresh, without friction
-        const std::vector<double> none(solver_.robot().pairs.size() + 1, 0.0);
-        if (starter_.solve(q, accuracy_, none) == Status::failed) return false;
-        solver_.build(q, accuracy_);
-        built_breaks_ = solver_.mesh().breaks();
-        state_.resize(solver_.mesh().problem(), 1);
-        refer(q);
-        phi.assign(solver_.mesh().problem().contacts, 0.0);
-        hold(phi);
-        solver_.spread(starter_.state(), state_);
-        convergence_ = starter_.convergence();
-    }
-    for (int round = 0; round < kRounds; ++round) {
-        const Iterate slid = iterate();
-        const Convergence held = convergence_;
-        state_.follow_slip(&law_);
-        solver_.recentre(state_, 1);
-        solver_.solve(state_, BarrierPath::warm(10, solver_.last_barrier()), &convergence_);
-        if (convergence_.converged) return true;
-        put(slid);
-        convergence_ = held;
-        const std::vector<double> goal = followed_phi(), last = phi;
-        for (std::size_t k = 0; k < phi.size(); ++k) phi[k] += (round < 2 ? 1.0 : 0.4) * (goal[k] - phi[k]);
-        if (!slide_with(phi)) {
-            put(slid);
-            hold(last);
-            convergence_ = held;
-            break;
-        }
-    }
-    return held_ = true;
 }
 
 // Mean change of the circumferential friction state in this step, weighted by force, over what is aimed at: less where little
@@ -555,41 +304,6 @@ Status History::advance(const Configuration& target) {
         step = std::min(step, 1 / length);
     }
     return status_ = solver_.turns_away(state_) ? Status::unstable : Status::converged;
-}
-
-double History::base_torque(int t) const {
-    const KernelProblem& pb = solver_.mesh().problem();
-    const int node = pb.shaft_node[t];
-    if (node < 0) return 0;
-    if (pb.shaft_stiffness[t] > 0) return pb.shaft_stiffness[t] * (pb.shaft_angle[t] - state_.unknown(node, 5 * t, 0));
-    return const_cast<LaneState&>(state_).rhs(node, 5 * t, 0);
-}
-
-double History::elastic_energy() const {
-    const KernelProblem& pb = solver_.mesh().problem();
-    const Robot& robot = solver_.robot();
-    double kappa[kMaxTubes][2], rotated[kMaxTubes][2], energy = 0;
-    for (int e = 0; e < pb.elements; ++e) {
-        const double h = pb.length[e];
-        for (int t = 0; t < pb.element_tubes[e]; ++t) {
-            const double twist = state_.unknown(e + 1, 5 * t, 0) - state_.unknown(e, 5 * t, 0);
-            energy += 0.5 * pb.torsional_stiffness[t] * twist * twist / h;
-        }
-        for (double xi : kGauss) {
-            element_curvature(solver_, state_, 0, e, xi, kappa, rotated);
-            for (int t = 0; t < pb.element_tubes[e]; ++t) {
-                const Tube& tube = robot.tubes[pb.tubes - 1 - t];
-                const double axis = tube.ovality_axis + (1 - xi) * state_.unknown(e, 5 * t, 0) + xi * state_.unknown(e + 1, 5 * t, 0);
-                const double x = kappa[t][0] - rotated[t][0], y = kappa[t][1] - rotated[t][1];
-                const double k0 = std::cos(axis) * x + std::sin(axis) * y, k1 = std::cos(axis) * y - std::sin(axis) * x;
-                const double rho = std::sqrt((1 + tube.ovality) * k0 * k0 + (1 - tube.ovality) * k1 * k1);
-                energy += 0.5 * h * tube.bending_stiffness * bending(rho, tube.softening_strain / tube.outer_radius, tube.softening_fraction);
-            }
-        }
-    }
-    for (int t = 0; t < pb.tubes; ++t)
-        if (pb.shaft_stiffness[t] > 0) energy += 0.5 * base_torque(t) * base_torque(t) / pb.shaft_stiffness[t];
-    return energy;
 }
 
 }  // namespace ctr

@@ -115,6 +115,8 @@ class History {
 
     HistoryOptions options_;
     Accuracy accuracy_;
+    static constexpr double kLargestTurn = 0.15;  // rad, of any place in a step: more is another equilibrium, or a step too long
+
     BackboneTracer tracer_;
     FrictionSolver solver_;
     TipSolver starter_;
