@@ -65,7 +65,7 @@ class Document:
         return InputError(
             rule,
             file=self.file,
-            key=".".join(step if isinstance(step, str) else str(step + 1) for step in path) or None,
+            key=".".join((step or '""') if isinstance(step, str) else str(step + 1) for step in path) or None,
             value=... if is_table else value,
             unit=unit or (unit_of(names[-1]) if names and is_number else None),
         )

@@ -26,6 +26,9 @@ name = "pair" -> name = "a\tb"
     name = 'a\tb': must be one line of printable text.
 name = "pair" -> nmae = "pair"
     nmae = 'pair': unknown key, did you mean name?
+name = "pair" -> "" = "pair"
+    "" = 'pair': unknown key, known ones are tube, name, contact, home, joint, model_error_mm, measurement, effects,
+    provenance.
 name = "pair" -> [effects]\ntip_load = 1
     effects.tip_load = 1: must be a table.
 name = "pair" -> model_error_mm = -1
