@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
+from ctrplan.drive import Array
+from ctrplan.mechanics import PathSamples
+from ctrplan.planning.bound_field import BoundField
 from ctrplan.planning.goals import goal_states
 from ctrplan.planning.motion import MotionChecker, anatomy_grid
 from ctrplan.planning.retreat import Roadmap
 from ctrplan.planning.roadmap_search import RoadmapSearch
 from ctrplan.planning.search_clock import SearchClock, WorkMeter
+from ctrplan.planning.search_problem import SearchProblem
 from ctrplan.scenario import load_scenario
 
 SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"
@@ -94,3 +100,25 @@ def test_counted_time_is_work_alone() -> None:
     assert clock.now() == 0 and not clock.is_past(1.5)
     meter.add(2 * 10**9)
     assert clock.now() == pytest.approx(2.0) and clock.is_past(1.5) and clock.ran_out and clock.name == "count"
+
+
+def test_what_a_bound_field_refuses_is_solved(vessel: MotionChecker) -> None:
+    class Refusing:
+        """A field whose margin is too large for this scenario."""
+
+        def check_path(self, theta_b: Array, l_b: Array, *_: object, **limits: Any) -> PathSamples:
+            samples = vessel.walk(np.array([vessel.scenario.start]), vessel.density, vessel.limits)
+            return replace(samples, clearance_m=np.full(1, limits["limits"].clearance_m - 1e-3))
+
+    looked_up = MotionChecker(vessel.scenario, bound_field=cast(BoundField, Refusing()))
+    asked, solved = looked_up.state(vessel.scenario.start), vessel.state(vessel.scenario.start)
+    assert asked.valid
+    assert asked.end_bound_m == pytest.approx(solved.end_bound_m, abs=1e-9)
+
+
+def test_a_search_without_a_valid_goal_ends_at_once(vessel: MotionChecker) -> None:
+    goal = goal_states(vessel, np.random.default_rng(0))[0]
+    inside_the_wall = replace(goal, joints=goal.joints + [3.0, 3.0, 0, 0])
+    assert not vessel.state(inside_the_wall.joints).valid
+    problem = SearchProblem(vessel, [inside_the_wall], seed=0)
+    assert not problem.solve(lambda cost: pytest.fail("it waits for another goal"), only_first=True)

@@ -12,7 +12,8 @@ import ctrplan
 from ctrplan.insertion import follow_the_leader_m
 from ctrplan.planning.goals import goal_states
 from ctrplan.planning.motion import MotionChecker
-from ctrplan.planning.retreat import RoadmapSearch, retreat_roadmap
+from ctrplan.planning.retreat import retreat_roadmap
+from ctrplan.planning.roadmap_search import RoadmapSearch
 from ctrplan.scenario import load_scenario
 
 ROOT = Path(__file__).resolve().parents[1]

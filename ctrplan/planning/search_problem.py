@@ -41,6 +41,7 @@ class SearchProblem:
         self.information.setup()
         self.definition: Any = ob.ProblemDefinition(self.information)
         self.definition.addStartState(self._state(checker.scenario.start))
+        self.has_goal = any(checker.state(goal.joints).valid for goal in goals)
         self.goal = ob.GoalStates(self.information)
         for goal in goals:
             self.goal.addState(self._state(goal.joints))
@@ -69,6 +70,8 @@ class SearchProblem:
             cost = self.best_cost()
             return stop(cost) or (only_first and bool(np.isfinite(cost)))
 
+        if not self.has_goal:
+            return False  # OMPL would wait for another goal, asking whether to stop now and then
         if self.improves or only_first:
             self.planner.solve(ob.PlannerTerminationCondition(over))
         return bool(self.definition.hasExactSolution())
