@@ -6,6 +6,7 @@ A new effect is one new file under effects/: docs/diagnosis.md has an example.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal, TypeVar
@@ -44,7 +45,7 @@ class Collars:
     l: Array  # noqa: E741 (as in the equations)
 
 
-class Effect:
+class Effect(ABC):
     """A term of one stage. Subclasses set the class attributes and override what they change."""
 
     name: ClassVar[str]
@@ -62,9 +63,9 @@ class Effect:
     needs_time: ClassVar[bool] = False  # whether it does nothing without time_s
     turns_with_tip: ClassVar[bool] = False  # of the sensor: whether the tangent alone says too little
 
+    @abstractmethod
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Everything that a robot file may say about the effect."""
-        raise NotImplementedError
 
     def untestable(self, robot: Robot, data: Measurements) -> str:
         """Why these data say nothing about the effect; empty if they do."""
