@@ -63,6 +63,7 @@ bank: bank-core bank-diagnosis
 bank-core: $(VENV)/.deps
 	$(BIN)/cmake -S model -B build/core -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DCTR_PYTHON=OFF -DCTR_TESTS=ON > /dev/null
 	$(BIN)/cmake --build build/core > /dev/null
+	build/core/memory_test
 	build/core/core_test 20000
 
 # Data with hidden effects, drawn from a seed, diagnosed and scored: hours; what is there is not made again. BANK_FIRST=20

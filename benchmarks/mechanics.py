@@ -27,6 +27,18 @@ ROBOTS = ROOT / "scenarios" / "robots"
 THREE_TUBES = load_robot(ROBOTS / "three_tube.toml")
 ACCURACIES: tuple[Accuracy, ...] = ("search", "certificate")
 Row = tuple[object, ...]
+JOINTS = [f"{name}.{tube}" for name in ("theta_b", "l_b") for tube in (1, 2, 3)]
+NUMBERS = [  # everything of the three-tube robot that its frictionless or frictional shape depends on
+    *JOINTS,
+    *(f"tube.{tube}.{key}" for tube in (1, 2, 3) for key in ("bending_stiffness_Nm2", "poisson_ratio")),
+    *(
+        f"tube.{tube}.section.{section}.{key}"
+        for tube, sections in ((1, 1), (2, 2), (3, 2))
+        for section in range(1, sections + 1)
+        for key in ("length_m", "curvature_x_per_m", "curvature_y_per_m")
+    ),
+    *(f"contact.{pair}.{key}" for pair in (1, 2) for key in ("clearance_m", "friction_coefficient")),
+]
 TABLE_3 = {  # mean and max position [mm], mean and max tangent [deg]; "exact" is this grid by an exact-geometry solver
     False: {"paper": (1.8, 4.2, 2.7, 5.1), "exact": (1.68, 4.15, 2.64, 5.06)},
     True: {"paper": (6.1, 23.8, 10.7, 45.6), "exact": (5.89, 23.89, 10.20, 45.57)},
@@ -271,8 +283,7 @@ def speed() -> None:
     q = random_joints(1000)
     few = q[0][:200], q[1][:200]
     batches = batches_ms(*q)
-    joints = [f"{name}.{tube}" for name in ("theta_b", "l_b") for tube in (1, 2, 3)]
-    plain, derived = tips_ms(few), tips_ms(few, joints)
+    plain, derived, by_all = tips_ms(few), tips_ms(few, JOINTS), tips_ms(few, NUMBERS)
     measured = {
         "zero clearance, cold, tips of a batch": zero_clearance_ms(q),
         "zero clearance, Robot.zero_clearance": times_ms(THREE_TUBES.zero_clearance, *q),
@@ -284,6 +295,7 @@ def speed() -> None:
         "along a path, 0.5 mm a step": path_ms(0, 0.5e-3),
         "tips of the five states": plain,
         f"the same by all joints ({np.median(derived) / np.median(plain):.2f} x)": derived,
+        f"the same by {len(NUMBERS)} numbers ({np.median(by_all) / np.median(plain):.2f} x)": by_all,
         "import ctrplan": import_ms(),
     }
     rows = [(name, len(t), float(t.min()), *map(float, np.quantile(t, (0.5, 0.99)))) for name, t in measured.items()]

@@ -15,6 +15,8 @@ BoundSolver::BoundSolver(const Robot& robot)
     : solver_(robot), pairs_(robot.count() - 1), corners_(1 << (robot.count() - 1)) {
     corner_convergence_.resize((corners_ + kLanes - 1) / kLanes * kLanes);
     for (int k = 0; k < corners_; k += kLanes) batches_.push_back(std::make_unique<LaneState>());
+    states_.push_back(&frictionless_);
+    for (const auto& batch : batches_) states_.push_back(batch.get());
     corner_backbones.resize(corners_);
     phi_.resize(std::max(pairs_, 1));
 }
@@ -119,19 +121,15 @@ double joint_motion(const Configuration& a, const Configuration& b) {
 }  // namespace
 
 void BoundSolver::remember() {
-    std::vector<const LaneState*> states{&frictionless_};
-    for (const auto& batch : batches_) states.push_back(batch.get());
-    predictor_.take(q_, solver_.mesh(), states);
+    predictor_.take(q_, solver_.mesh(), states_);
 }
 
 // The last solution is carried over to the mesh of this configuration; where it is a batch, to all its lanes.
 bool BoundSolver::follow_last() {
-    std::vector<LaneState*> states{&frictionless_};
-    for (const auto& batch : batches_) states.push_back(batch.get());
-    carried_.resize(states.size());
-    for (std::size_t k = 0; k < states.size(); ++k) {
-        predictor_.restore(k, solver_.last_level(), *states[k]);
-        carried_[k].take(predictor_.last_mesh(), *states[k]);
+    carried_.resize(states_.size());
+    for (std::size_t k = 0; k < states_.size(); ++k) {
+        predictor_.restore(k, solver_.last_level(), *states_[k]);
+        carried_[k].take(predictor_.last_mesh(), *states_[k]);
     }
     return carried_[0].fits(solver_.mesh()) && follow_from(false);
 }

@@ -72,14 +72,22 @@ void FrictionSolver::weigh_out(LaneState& state) {
 }
 
 bool FrictionSolver::move(const FrictionSolver& from, const Robot& robot, const Configuration& q) {
-    if (&from != this) mesh_ = from.mesh_;
     robot_ = robot;
     moment_scale_ = from.moment_scale_;
     barrier_unit_ = from.barrier_unit_;
     last_barrier_ = from.last_barrier_;
     base_l_ = q.l.back();
-    loads_ = robot.loaded() ? std::make_shared<LoadMoments>() : nullptr;
-    return mesh_.move(robot, q);
+    if (!robot.loaded()) loads_ = nullptr;
+    else if (!loads_) loads_ = std::make_shared<LoadMoments>();
+    return mesh_.move(from.mesh_, robot, q);
+}
+
+bool FrictionSolver::move_along(const Configuration& q) {
+    base_l_ = q.l.back();
+    std::swap(mesh_, left_);
+    if (mesh_.move(left_, robot_, q)) return true;
+    std::swap(mesh_, left_);
+    return false;
 }
 
 void FrictionSolver::factorise(LaneState& state) {

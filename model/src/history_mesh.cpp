@@ -36,7 +36,7 @@ double History::offset(int e, int k, int plane) const {
 // Nodes move with collars, joints and tips; where these meet in another order, or elements would be stretched far, a new mesh
 // takes over.
 void History::move_mesh(const Configuration& q) {
-    if (solver_.move(solver_, solver_.robot(), q)) return;
+    if (solver_.move_along(q)) return;
     solver_.build(q, accuracy_);
     built_breaks_ = solver_.mesh().breaks();
     state_.resize(solver_.mesh().problem(), 1);
@@ -55,8 +55,7 @@ bool History::is_stretched(double most) const {
 // Whether collars, joints and tips meet in another order there than on the mesh.
 bool History::leaves_mesh(const Configuration& q) const {
     if (q.l == q_.l) return false;
-    Mesh probe = solver_.mesh();
-    return !probe.move(solver_.robot(), q);
+    return !Mesh().move(solver_.mesh(), solver_.robot(), q);
 }
 
 // Puts the state on the mesh that any solver would use at q, here or a very little way off. What that moves is no slip, or

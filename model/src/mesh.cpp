@@ -44,24 +44,31 @@ bool Mesh::laid_out_like(const Mesh& other) const {
                       [](const Break& a, const Break& b) { return a.members == b.members; });
 }
 
-bool Mesh::move(const Robot& robot, const Configuration& q) {
-    const std::vector<double> breaks = break_s_, lengths = length_;
-    const std::vector<Break> before = breaks_;
-    const std::vector<int> unknowns = node_unknowns_;
+bool Mesh::move(const Mesh& from, const Robot& robot, const Configuration& q) {
     find_breaks(robot, q);
-    if (!std::equal(before.begin(), before.end(), breaks_.begin(), breaks_.end(),
+    if (!std::equal(breaks_.begin(), breaks_.end(), from.breaks_.begin(), from.breaks_.end(),
                     [](const Break& a, const Break& b) { return a.members == b.members; }))
         return false;
+    element_tubes_ = from.element_tubes_;
+    element_contacts_ = from.element_contacts_;
+    s_.resize(from.s_.size());
+    const std::vector<double>& breaks = from.break_s_;
     std::size_t b = 0;
-    for (double& s : s_) {
+    for (std::size_t k = 0; k < s_.size(); ++k) {
+        const double s = from.s_[k];
         while (b + 2 < breaks.size() && s > breaks[b + 1] - 0.5 * kMergeDistance) ++b;  // a node on a break stays exactly there
-        s = break_s_[b] + (s - breaks[b]) / (breaks[b + 1] - breaks[b]) * (break_s_[b + 1] - break_s_[b]);
+        s_[k] = break_s_[b] + (s - breaks[b]) / (breaks[b + 1] - breaks[b]) * (break_s_[b + 1] - break_s_[b]);
     }
     fill_elements(robot, q);
-    if (node_unknowns_ != unknowns) return false;
-    for (int e = 0; e < problem_.elements; ++e)
+    if (node_unknowns_ != from.node_unknowns_) return false;
+    contact_begin_ = from.contact_begin_;
+    contact_pair_ = from.contact_pair_;
+    contact_xi_ = from.contact_xi_;
+    for (auto [mine, theirs] : {std::pair{&contact_weight_, &from.contact_weight_}, {&contact_s_, &from.contact_s_}, {&contact_shape_, &from.contact_shape_}})
+        mine->resize(theirs->size());
+    for (std::size_t e = 0; e < length_.size(); ++e)
         for (int k = contact_begin_[e]; k < contact_begin_[e + 1]; ++k) {
-            contact_weight_[k] *= length_[e] / lengths[e];
+            contact_weight_[k] = from.contact_weight_[k] * (length_[e] / from.length_[e]);
             contact_s_[k] = s_[e] + contact_xi_[k] * length_[e];
             fill_contact_shape(contact_xi_[k], length_[e], &contact_shape_[4 * k]);
         }
@@ -83,7 +90,8 @@ void Mesh::find_breaks(const Robot& robot, const Configuration& q) {
     breaks_.push_back({0.0, member(breaks_.size())});
     const double first = q.l[n - 1], last = q.l[n - 1] + robot.tubes[n - 1].length();
     std::sort(breaks_.begin(), breaks_.end(), [](const Break& a, const Break& b) { return a.s < b.s; });
-    std::vector<Break> merged;
+    std::vector<Break>& merged = found_;
+    merged.clear();
     for (const Break& b : breaks_) {
         if (merged.empty() || b.s - merged.back().s > kMergeDistance) merged.push_back(b);
         else merged.back().members += b.members;

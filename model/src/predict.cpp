@@ -10,23 +10,18 @@ constexpr double kStraight = 1e-3;    // of a step, that configurations may lie 
 constexpr double kLongest = 2.5;      // times the step before, that is extrapolated over
 constexpr double kMostLogChange = 1;  // of a slack
 
-// Joint motion in degrees and half millimetres.
-std::vector<double> motion(const Configuration& from, const Configuration& to) {
-    std::vector<double> moved;
-    for (std::size_t i = 0; i < from.theta.size(); ++i) moved.push_back((to.theta[i] - from.theta[i]) * 57.3);
-    for (std::size_t i = 0; i < from.l.size(); ++i) moved.push_back((to.l[i] - from.l[i]) / 0.5e-3);
-    return moved;
-}
-
-double product(const std::vector<double>& a, const std::vector<double>& b) {
+// Scalar product of the joint motions from one configuration to two others, in degrees and half millimetres.
+double product(const Configuration& from, const Configuration& a, const Configuration& b) {
     double sum = 0;
-    for (std::size_t i = 0; i < a.size(); ++i) sum += a[i] * b[i];
+    for (std::size_t i = 0; i < from.theta.size(); ++i)
+        sum += (a.theta[i] - from.theta[i]) * (b.theta[i] - from.theta[i]) * (57.3 * 57.3) +
+               (a.l[i] - from.l[i]) * (b.l[i] - from.l[i]) / (0.5e-3 * 0.5e-3);
     return sum;
 }
 
 }  // namespace
 
-void Predictor::take(const Configuration& q, const Mesh& mesh, const std::vector<const LaneState*>& states) {
+void Predictor::take(const Configuration& q, const Mesh& mesh, const std::vector<LaneState*>& states) {
     std::rotate(past_.begin(), past_.end() - 1, past_.end());
     count_ = std::min(count_ + 1, static_cast<int>(past_.size()));
     Past& last = past_.front();
@@ -47,12 +42,11 @@ void Predictor::take(const Configuration& q, const Mesh& mesh, const std::vector
 
 // Where a past configuration stands on the line from the latest (0) to q (1).
 bool Predictor::place(const Configuration& q, const Past& past, double& t) const {
-    const std::vector<double> ahead = motion(past_[0].q, q), back = motion(past_[0].q, past.q);
-    const double length = product(ahead, ahead);
+    const Configuration& from = past_[0].q;
+    const double length = product(from, q, q), back = product(from, past.q, past.q);
     if (!(length > 0)) return false;
-    t = product(ahead, back) / length;
-    const double off = product(back, back) - t * t * length;
-    return off <= kStraight * kStraight * product(back, back);
+    t = product(from, q, past.q) / length;
+    return back - t * t * length <= kStraight * kStraight * back;
 }
 
 bool Predictor::reaches(const Configuration& q, const Mesh& mesh) {

@@ -36,8 +36,8 @@ std::vector<std::string> number_names(const Robot& robot) {
     return names;
 }
 
-std::vector<double*> numbers(Robot& robot, Configuration& q) {
-    std::vector<double*> all;
+void numbers(Robot& robot, Configuration& q, std::vector<double*>& all) {
+    all.clear();
     for (Tube& t : robot.tubes) {
         for (double* value : {&t.outer_radius, &t.inner_radius, &t.bending_stiffness, &t.torsional_stiffness, &t.ovality, &t.ovality_axis,
                               &t.softening_strain, &t.softening_fraction, &t.shaft_compliance, &t.mass_per_length})
@@ -51,16 +51,6 @@ std::vector<double*> numbers(Robot& robot, Configuration& q) {
         for (int k = 0; k < 3; ++k) all.push_back(vector + k);
     for (double& value : q.theta) all.push_back(&value);
     for (double& value : q.l) all.push_back(&value);
-    return all;
-}
-
-// Whether a direction puts a load on a robot.
-static bool loads(const Robot& robot, const Configuration& q, const Direction& direction) {
-    Robot moved = robot;
-    Configuration at = q;
-    const std::vector<double*> values = numbers(moved, at);
-    for (const auto& [index, weight] : direction.weights) *values[index] += direction.step * weight;
-    return moved.loaded();
 }
 
 Frame Sensitivities::tip(const FrictionSolver& solver, LaneState& state) {
@@ -68,13 +58,48 @@ Frame Sensitivities::tip(const FrictionSolver& solver, LaneState& state) {
     return backbone_.frame.back();
 }
 
-bool Sensitivities::shift(const FrictionSolver& solver, const Configuration& q, const Direction& direction, double amount, Side& side) {
-    if (!side.solver) side.solver = std::make_unique<FrictionSolver>(solver.robot());
-    Robot robot = solver.robot();
+void Sensitivities::set(const FrictionSolver& solver, const Configuration& q, const Direction& direction, double amount, Side& side) const {
+    side.robot = solver.robot();
     side.q = q;
-    const std::vector<double*> values = numbers(robot, side.q);
-    for (const auto& [index, weight] : direction.weights) *values[index] += amount * weight;
-    return side.solver->move(solver, robot, side.q);
+    numbers(side.robot, side.q, side.values);
+    for (const auto& [index, weight] : direction.weights) *side.values[index] += amount * weight;
+}
+
+bool Sensitivities::shift(FrictionSolver& solver, const Configuration& q, const Direction& direction, double amount, Side& side) const {
+    set(solver, q, direction, amount, side);
+    const int count = static_cast<int>(side.values.size()), n = solver.robot().count();
+    const bool only_turns = std::all_of(direction.weights.begin(), direction.weights.end(),
+                                        [&](const auto& w) { return w.first >= count - 2 * n && w.first < count - n; }) &&
+                            std::all_of(side.robot.tubes.begin(), side.robot.tubes.end(), [](const Tube& t) { return t.shaft_compliance == 0; });
+    if (only_turns) {
+        side.solver = &solver;
+        return true;
+    }
+    if (!side.own) side.own = std::make_unique<FrictionSolver>(solver.robot());
+    side.solver = side.own.get();
+    return side.own->move(solver, side.robot, side.q);
+}
+
+// Whether the robot carries loads, or would along one of the directions.
+bool Sensitivities::loads(const FrictionSolver& solver, const Configuration& q, const std::vector<Direction>& directions) {
+    return solver.robot().loaded() || std::any_of(directions.begin(), directions.end(), [&](const Direction& direction) {
+               set(solver, q, direction, direction.step, plus_);
+               return plus_.robot.loaded();
+           });
+}
+
+// With multiplier times gap on the barrier: of every contact where the unknowns are.
+void Sensitivities::measure_multiplier_change(const LaneState& state, double step) {
+    if (plus_.solver == minus_.solver) {  // neither gaps nor barriers know base rotations
+        std::fill(multiplier_change_.begin(), multiplier_change_.end(), 0.0);
+        return;
+    }
+    measure_gaps(state, plus_);
+    measure_gaps(state, minus_);
+    for (std::size_t k = 0; k < multiplier_change_.size(); ++k) {
+        const double gap = (plus_.gap[k] - minus_.gap[k]) / (2 * step), barrier = (plus_.barrier[k] - minus_.barrier[k]) / (2 * step);
+        multiplier_change_[k] = (barrier - multiplier_[k] * gap) / state.slack(static_cast<int>(k), 0);
+    }
 }
 
 // Gaps and barriers of the contact points where the unknowns are.
@@ -103,22 +128,19 @@ void Sensitivities::measure_gaps(const LaneState& state, Side& side) const {
 // their own changes.
 void Sensitivities::measure_imbalance(LaneState& state, const std::vector<double>& phi, double amount, Side& side) {
     const KernelProblem& pb = side.solver->mesh().problem();
-    state.set_phi(side.solver->robot(), pb, 0, phi.data());
+    state.set_phi(side.robot, pb, 0, phi.data());
     side.solver->set_base(state, side.q);
     for (int k = 0; k < pb.contacts; ++k) state.multiplier(k, 0) = multiplier_[k] + amount * multiplier_change_[k];
     set_load_moments(state, amount);
     double level[kLanes], moment[kLanes], gap[kLanes];
     std::fill(level, level + kLanes, side.solver->last_level());
     kernel(1).residual(pb, state.view(), level, moment, gap);
-    side.rhs.resize(static_cast<std::size_t>(pb.nodes) * pb.stride);
-    for (int k = 0; k < pb.nodes; ++k)
-        for (int i = 0; i < pb.stride; ++i) side.rhs[k * pb.stride + i] = i < pb.node_unknowns[k] ? state.rhs(k, i, 0) : 0.0;
+    side.rhs.assign(&state.rhs(0, 0, 0), &state.rhs(0, 0, 0) + static_cast<std::size_t>(pb.nodes) * pb.stride);
 }
 
 void Sensitivities::move_state(LaneState& state, double amount) const {
-    const int stride = state.stride();
-    for (std::size_t i = 0; i < unknowns_.size(); ++i)
-        state.unknown(static_cast<int>(i) / stride, static_cast<int>(i) % stride, 0) = unknowns_[i] + amount * change_[i];
+    double* unknowns = state.unknowns();
+    for (std::size_t i = 0; i < unknowns_.size(); ++i) unknowns[i] = unknowns_[i] + amount * change_[i];
 }
 
 void Sensitivities::set_load_moments(LaneState& state, double amount) const {
@@ -139,8 +161,10 @@ void Sensitivities::solve_change(FrictionSolver& solver, LaneState& state, const
     measure_imbalance(state, phi, -step, minus_);
     rest(solver, state, q, phi);
     for (int k = 0; k < pb.nodes; ++k)
-        for (int i = 0; i < pb.stride; ++i)
-            state.rhs(k, i, 0) = (plus_.rhs[k * pb.stride + i] - minus_.rhs[k * pb.stride + i]) / (2 * step);
+        for (int i = 0; i < pb.stride; ++i) {
+            const double change = (plus_.rhs[k * pb.stride + i] - minus_.rhs[k * pb.stride + i]) / (2 * step);
+            state.rhs(k, i, 0) = i < pb.node_unknowns[k] ? change : 0.0;
+        }
     kernel(1).solve(pb, state.view());
     for (int k = 0; k < pb.nodes; ++k)
         for (int i = 0; i < pb.node_unknowns[k]; ++i) change_[k * pb.stride + i] = state.step(k, i, 0);
@@ -159,7 +183,8 @@ void Sensitivities::rest(FrictionSolver& solver, LaneState& state, const Configu
 // The moments of the loads follow the shape, which H does not know: both changes are repeated until they settle, faster by
 // the ratio of buckling load to load.
 bool Sensitivities::follow_loads(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi, double step) {
-    std::vector<double> upper(moments_.size());
+    std::vector<double>& upper = upper_moments_;
+    upper.resize(moments_.size());
     for (int k = 0; k < kMaxLoadSteps; ++k) {
         move_to(state, step, plus_);
         plus_.solver->weigh(state);
@@ -183,27 +208,20 @@ void Sensitivities::compute(FrictionSolver& solver, LaneState& state, const Conf
                             const std::vector<Direction>& directions, std::vector<TipDerivative>& out) {
     const KernelProblem& pb = solver.mesh().problem();
     const std::size_t count = static_cast<std::size_t>(pb.nodes) * pb.stride;
-    const bool loaded = solver.robot().loaded();
     solver.factorise(state);
     unknowns_.resize(count);
     multiplier_.resize(pb.contacts);
     multiplier_change_.resize(pb.contacts);
-    for (std::size_t i = 0; i < count; ++i) unknowns_[i] = state.unknown(static_cast<int>(i) / pb.stride, static_cast<int>(i) % pb.stride, 0);
+    std::copy_n(state.unknowns(), count, unknowns_.begin());
     for (int k = 0; k < pb.contacts; ++k) multiplier_[k] = state.multiplier(k, 0);
     moments_.clear();
-    if (loaded || std::any_of(directions.begin(), directions.end(), [&](const Direction& d) { return loads(solver.robot(), q, d); }))
-        moments_.assign(state.load_moments(), state.load_moments() + state.load_moment_count());
+    if (loads(solver, q, directions)) moments_.assign(state.load_moments(), state.load_moments() + state.load_moment_count());
     const double nan = std::numeric_limits<double>::quiet_NaN();
     out.assign(directions.size(), {{nan, nan, nan}, {nan, nan, nan}});
     for (std::size_t j = 0; j < directions.size(); ++j) {
         const double step = directions[j].step;
         if (!shift(solver, q, directions[j], step, plus_) || !shift(solver, q, directions[j], -step, minus_)) continue;
-        measure_gaps(state, plus_);
-        measure_gaps(state, minus_);
-        for (int k = 0; k < pb.contacts; ++k) {
-            const double gap = (plus_.gap[k] - minus_.gap[k]) / (2 * step), barrier = (plus_.barrier[k] - minus_.barrier[k]) / (2 * step);
-            multiplier_change_[k] = (barrier - multiplier_[k] * gap) / state.slack(k, 0);
-        }
+        measure_multiplier_change(state, step);
         change_.assign(count, 0.0);
         moments_change_.assign(moments_.size(), 0.0);
         solve_change(solver, state, q, phi, step);

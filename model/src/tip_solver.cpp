@@ -10,8 +10,8 @@ void TipSolver::begin(const Configuration& q, const Accuracy& accuracy) {
     solver_.build(q, accuracy);
     const KernelProblem& pb = solver_.mesh().problem();
     shared_.resize(pb, 1);
-    const std::vector<double> frictionless(solver_.robot().pairs.size() + 1, 0.0);
-    shared_.set_phi(solver_.robot(), pb, 0, frictionless.data());
+    phi_.assign(solver_.robot().pairs.size() + 1, 0.0);
+    shared_.set_phi(solver_.robot(), pb, 0, phi_.data());
     const BarrierPath path = BarrierPath::shared();
     solver_.start(shared_, q_, zero_, path.first);
     solver_.solve(shared_, path, &convergence_);

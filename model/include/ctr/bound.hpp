@@ -16,6 +16,8 @@ namespace ctr {
 class BoundSolver {
   public:
     explicit BoundSolver(const Robot& robot);
+    BoundSolver(const BoundSolver&) = delete;
+    BoundSolver& operator=(const BoundSolver&) = delete;
 
     // Solves from scratch, along the branch of the zero-clearance model.
     void solve(const Configuration& q, const Accuracy& accuracy);
@@ -75,6 +77,7 @@ class BoundSolver {
     LaneState frictionless_, shared_;  // shared_: the frictionless iterate where the friction states part
     bool shared_is_good_ = false;
     std::vector<std::unique_ptr<LaneState>> batches_;
+    std::vector<LaneState*> states_;  // frictionless, then the batches
     Convergence frictionless_convergence_;
     std::vector<Convergence> corner_convergence_;
     double stability_ = 0;

@@ -116,9 +116,10 @@ class FrictionSolver {
     explicit FrictionSolver(const Robot& robot);
 
     void build(const Configuration& q, const Accuracy& accuracy);
-    // Takes over another solver's mesh, moved along to a robot and configuration a little way off (Mesh::move).
     void adopt(const Mesh& mesh, const Configuration& q, const Accuracy& accuracy);  // a mesh kept from an earlier build
+    // Takes over another solver's mesh, or its own, moved along to a robot and configuration a little way off (Mesh::move).
     bool move(const FrictionSolver& from, const Robot& robot, const Configuration& q);
+    bool move_along(const Configuration& q);
     // Angles from the zero-clearance solution, no offsets, multipliers on the central path at the given level (BarrierPath).
     void start(LaneState& state, const Configuration& q, const ZeroClearance& guess, double level);
     // Copies a one-lane iterate on the same mesh into every lane, or into one.
@@ -160,7 +161,7 @@ class FrictionSolver {
     double largest_twist(const LaneState& state, int lane) const;  // rad, of the last step
 
     Robot robot_;
-    Mesh mesh_;
+    Mesh mesh_, left_;  // left_: where move_along() came from
     double moment_scale_ = 1, barrier_unit_ = 1, last_barrier_ = 0.015;  // N m, N/m, in units
     double base_l_ = 0;
     std::shared_ptr<LoadMoments> loads_;  // null without loads

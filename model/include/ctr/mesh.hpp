@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <utility>
 #include <vector>
 
 #include "ctr/kernel.hpp"
@@ -40,7 +41,7 @@ struct Accuracy {
 // What a mesh owns; KernelProblem points into it.
 struct MeshArrays {
     struct Break { double s; std::uint64_t members; };  // members: a number for each set of what stands there
-    std::vector<Break> breaks_;
+    std::vector<Break> breaks_, found_;
     std::vector<double> break_s_;
     std::vector<double> s_, length_, precurvature_, stiffness_, pair_stiffness_, mixed_stiffness_, torsional_, bending_, outer_radius_;
     std::vector<double> shaft_stiffness_, shaft_angle_;
@@ -56,17 +57,23 @@ class Mesh : private MeshArrays {
   public:
     Mesh() = default;
     Mesh(const Mesh& other) : MeshArrays(other) { publish(); }
+    Mesh(Mesh&& other) noexcept : MeshArrays(std::move(other)) { publish(); }
     Mesh& operator=(const Mesh& other) {
         MeshArrays::operator=(other);
+        publish();
+        return *this;
+    }
+    Mesh& operator=(Mesh&& other) noexcept {
+        MeshArrays::operator=(std::move(other));
         publish();
         return *this;
     }
     // Rebuilds for a configuration (validated by the caller); keeps its memory.
     void build(const Robot& robot, const Configuration& q, const Accuracy& accuracy);
 
-    // Carries nodes and contact points along to a robot or configuration a little way off, without changing their number:
+    // Another mesh's nodes and contact points carried along to a robot or configuration a little way off, in the same number:
     // what derivatives are taken along. False where collars, joints or tips meet in another order or a shaft becomes compliant.
-    bool move(const Robot& robot, const Configuration& q);
+    bool move(const Mesh& from, const Robot& robot, const Configuration& q);
 
     // Whether both have the same elements and contact points between the same collars, joints and tips.
     bool laid_out_like(const Mesh& other) const;

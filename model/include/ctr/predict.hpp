@@ -12,7 +12,7 @@ class Predictor {
   public:
     void forget() { count_ = 0; }
     // Remembers the solutions at q, instead of the oldest of three.
-    void take(const Configuration& q, const Mesh& mesh, const std::vector<const LaneState*>& states);
+    void take(const Configuration& q, const Mesh& mesh, const std::vector<LaneState*>& states);
     // Whether at least two of them lie on a straight line with q, in order, on meshes laid out like this one.
     bool reaches(const Configuration& q, const Mesh& mesh);
     // Fills the state with that index, on the central path at a level [N/m]; base angles must be set afterwards.

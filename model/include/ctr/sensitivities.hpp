@@ -13,7 +13,7 @@ namespace ctr {
 // Every number of a robot and of a configuration, in one order; names like "tube.1.section.2.length", from 1, outermost
 // first, SI units. Joints come last: theta_b.1, ..., l_b.1, ...
 std::vector<std::string> number_names(const Robot& robot);
-std::vector<double*> numbers(Robot& robot, Configuration& q);
+void numbers(Robot& robot, Configuration& q, std::vector<double*>& all);
 
 // A change of several numbers at once: what is asked for may be a combination of them. `step` [in units of the parameter] is
 // small for it: differences are taken across it of expressions that are polynomials or trigonometric in the parameter.
@@ -38,11 +38,17 @@ class Sensitivities {
 
   private:
     struct Side {  // the problem at parameter +- step
-        std::unique_ptr<FrictionSolver> solver;
+        FrictionSolver* solver = nullptr;      // the one asked about where only base rotations change, else its own
+        std::unique_ptr<FrictionSolver> own;
+        Robot robot;
         Configuration q;
+        std::vector<double*> values;           // numbers() of the two
         std::vector<double> gap, barrier, rhs;  // of every contact, every unknown
     };
-    bool shift(const FrictionSolver& solver, const Configuration& q, const Direction& direction, double amount, Side& side);
+    void set(const FrictionSolver& solver, const Configuration& q, const Direction& direction, double amount, Side& side) const;
+    bool shift(FrictionSolver& solver, const Configuration& q, const Direction& direction, double amount, Side& side) const;
+    bool loads(const FrictionSolver& solver, const Configuration& q, const std::vector<Direction>& directions);
+    void measure_multiplier_change(const LaneState& state, double step);
     void measure_gaps(const LaneState& state, Side& side) const;
     void measure_imbalance(LaneState& state, const std::vector<double>& phi, double amount, Side& side);
     void move_state(LaneState& state, double amount) const;  // along change_
@@ -54,7 +60,7 @@ class Sensitivities {
     Frame tip(const FrictionSolver& solver, LaneState& state);
 
     Side plus_, minus_;
-    std::vector<double> unknowns_, change_, multiplier_, multiplier_change_, moments_, moments_change_;
+    std::vector<double> unknowns_, change_, multiplier_, multiplier_change_, moments_, moments_change_, upper_moments_;
     Backbone backbone_;
     BackboneTracer tracer_;
 };
