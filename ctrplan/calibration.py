@@ -55,6 +55,7 @@ class NamedParameters(Effect):
     stage = "mechanics"
 
     def __init__(self, names: Sequence[str], priors: Mapping[str, float], bounds: Mapping[str, tuple[float, float]]):
+        """priors: name -> standard deviation; bounds: name -> (lowest, highest); usual ones for names not in them."""
         self.names, self.priors, self.bounds = tuple(names), priors, bounds
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:

@@ -70,6 +70,7 @@ class CsvTable:
     """Cells of a CSV file by column name; rows are counted from 1 below the header, as a person would."""
 
     def __init__(self, file: str) -> None:
+        """Reads the whole file. Raises InputError unless it is a table: readable, one header, all rows as long."""
         self.file = file
         try:
             lines = [row for row in csv.reader(_text(file).splitlines(), strict=True) if any(map(str.strip, row))]
