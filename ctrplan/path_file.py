@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from ctrplan.drive import Array
 from ctrplan.errors import InputError
+from ctrplan.file_bytes import file_bytes
 from ctrplan.nesting import TOLERANCE_M, nesting_inequalities, nesting_violation
 from ctrplan.robot import Robot
-from ctrplan.table_bytes import table_bytes
 
 LARGEST_FILE_BYTES = 200_000_000
 MOST_TURNS = 50  # of a tube; more are most likely degrees
@@ -113,7 +113,7 @@ class CsvTable:
 
 
 def _text(file: str) -> str:
-    data = table_bytes(file, LARGEST_FILE_BYTES, "joint path")
+    data = file_bytes(file, LARGEST_FILE_BYTES, "CSV", "joint path")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

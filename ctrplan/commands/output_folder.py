@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -35,6 +35,15 @@ def written_together(folder: Path, outputs: Sequence[str]) -> Iterator[Path]:
                 os.replace(made / output, folder / output)
     except OSError as error:
         raise CtrplanError(f"{folder}: could not be written: {error.strerror or error}.") from error
+
+
+def write_results(folder: Path, results: Mapping[str, str | bytes]) -> None:
+    """Writes contents by their file names as `written_together` does."""
+    from ctrplan.export import write_atomically
+
+    with written_together(folder, tuple(results)) as made:
+        for name, content in results.items():
+            write_atomically(made / name, content)
 
 
 def unmatched(folder: Path) -> tuple[str, ...]:
