@@ -8,7 +8,7 @@ from ctrplan.errors import InputError
 
 
 def file_bytes(file: str, largest_bytes: int, kind: str, what: str) -> bytes:
-    """Everything in `file`; its kind: "CSV", say. Raises InputError if it is too large for a `what` or can't be read."""
+    """Everything in `file`; its kind is "CSV" or so. Raises InputError if it is unreadable or too large a `what`."""
     try:
         with open(file, "rb") as stream:
             size = os.fstat(stream.fileno()).st_size  # a file that is much too large is not read at all
