@@ -118,9 +118,14 @@ def calibrate(
     Names: a number of the robot such as tube.2.poisson_ratio (SI), effects.friction.mu_1 for one of an effect,
     or one of the base parameters; None: all of those (precurvature magnitudes, stiffness ratios, Poisson's ratios).
     `priors` are standard deviations and `bounds` limits, by name. `held_out` is the share of configurations kept aside.
-    Raises InputError for unknown names and for too few poses.
+    Raises InputError for unknown names, for names given twice and for too few poses.
     """
     names = _base_names(robot) if parameters is None else list(parameters)
+    for name in names:
+        if [*names, *second_pass].count(name) > 1:
+            raise InputError("is named twice", key=name)
+    if seed < 0:
+        raise InputError("must be zero or more", key="seed", value=seed)
     noise = _noise(robot, weighting)
     group = groups(measurements)
     aside = _aside(group, held_out, seed)

@@ -38,7 +38,7 @@ class InputError(CtrplanError):
         """
         self.rule, self.file, self.key, self.value, self.unit = rule, file, key, value, unit
         quantity = " = ".join(part for part in (key, _shown(value, unit)) if part)
-        sentence = ": ".join(str(part) for part in (file, quantity, rule) if part)
+        sentence = ": ".join(str(part) for part in (repr(file) if file == "" else file, quantity, rule) if part)
         super().__init__(_one_line(sentence))
 
 

@@ -16,7 +16,7 @@ from ctrplan.drive import Array
 from ctrplan.errors import InputError
 from ctrplan.file_bytes import file_bytes
 from ctrplan.measurements import Measurements, is_streamed
-from ctrplan.path_file import LARGEST_RUN, WHOLE_NUMBER, joint_columns, resumed_run
+from ctrplan.path_file import LARGEST_RUN, WHOLE_NUMBER, column_names, joint_columns, resumed_run
 from ctrplan.robot import Robot
 
 LARGEST_FILE_BYTES = 200_000_000
@@ -50,7 +50,7 @@ class _Table:
             raise InputError(f"is no readable CSV file ({error})", file=file) from None
         if len(lines) < 2:
             raise InputError("must have a header and at least one row", file=file)
-        self.header = [name.strip() for name in lines[0]]
+        self.header = column_names(lines[0], file)
         self.lines = lines[1:]
         self._check_rows()
 

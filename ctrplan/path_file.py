@@ -10,6 +10,7 @@ import csv
 import os
 import re
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,7 +79,7 @@ class CsvTable:
             raise InputError(f"is no readable CSV file ({error})", file=file) from None
         if len(lines) < 2:
             raise InputError("must have a header and at least one row", file=file)
-        self.header = [name.strip() for name in lines[0]]
+        self.header = column_names(lines[0], file)
         self.rows = lines[1:]
         for name, count in Counter(self.header).items():
             if count > 1:
@@ -129,6 +130,14 @@ def _require(table: CsvTable, name: str, n: int) -> None:
     extra = [given for given in table.header if re.fullmatch(rf"(theta|l)_{n + 1}_\w+", given)]
     if extra:
         raise InputError(f"the robot has only {n} {'tube' if n == 1 else 'tubes'}", file=table.file, key=extra[0])
+
+
+def column_names(header: Sequence[str], file: str) -> list[str]:
+    """Names of the columns. Raises InputError where something else than a comma stands between them."""
+    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
+        if len(header) == 1 and separator in header[0]:
+            raise InputError(f"has its columns separated by {name}, must be commas", file=file)
+    return [name.strip() for name in header]
 
 
 def resumed_run(sequence: Array) -> int | None:
