@@ -21,16 +21,11 @@ from ctrplan.tube import Tube, TubeSection
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 import paper_oracle as paper  # noqa: E402
+from table_1_pair import table_1_pair  # noqa: E402
 
 ROBOTS = ROOT / "scenarios" / "robots"
 PAIRS = json.loads((ROOT / "tests" / "reference" / "pair_values.json").read_text())
 ACCURACIES: tuple[Any, ...] = ("certificate", "exact")
-
-
-def table_1_pair(clearance_m: float, mu: float) -> Mechanics:
-    curved, bore = (TubeSection(0.15, 0.0, 1 / 0.15),), 1e-3 + 2 * clearance_m
-    inner = Tube(1e-3, 8e-4, 0.0507, 0.3, (TubeSection(0.017, 0.0, 0.0), *curved))
-    return Mechanics((Tube(bore + 2e-4, bore, 0.0507, 0.3, curved), inner), [clearance_m], [mu])
 
 
 def distance_mm(a: Any, b: Any) -> float:

@@ -18,11 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from ctrplan.mechanics import Accuracy, Array, Mechanics, PathDensity, Shape, Status, kernel_name
+from ctrplan.mechanics import Accuracy, Array, PathDensity, Shape, Status, kernel_name
 from ctrplan.robot import load_robot
-from ctrplan.tube import Tube, TubeSection
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "tests"))
+from table_1_pair import table_1_pair  # noqa: E402
+
 ROBOTS = ROOT / "scenarios" / "robots"
 THREE_TUBES = load_robot(ROBOTS / "three_tube.toml")
 ACCURACIES: tuple[Accuracy, ...] = ("search", "certificate")
@@ -85,14 +87,6 @@ def references() -> None:
                 beyond.append(errors[-1] - 1e3 * p["uncertainty_m"][key])
         rows.append((accuracy, len(errors), float(np.median(errors)), max(errors), max(beyond)))
     table("clearance and friction", ("mesh", "tips", "median mm", "max mm", "max beyond uncertainty mm"), rows)
-
-
-def table_1_pair(clearance_m: float, mu: float, transmission_m: float = 0.017) -> Mechanics:
-    curved = (TubeSection(0.15, 0.0, 1 / 0.15),)
-    straight = (TubeSection(transmission_m, 0.0, 0.0),) if transmission_m else ()
-    bore = 1e-3 + 2 * clearance_m
-    tubes = (Tube(bore + 2e-4, bore, 0.0507, 0.3, curved), Tube(1e-3, 8e-4, 0.0507, 0.3, straight + curved))
-    return Mechanics(tubes, [clearance_m], [mu])
 
 
 def pairs() -> None:

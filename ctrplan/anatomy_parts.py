@@ -45,6 +45,7 @@ class AnatomyPart:
     file: str | None = None
 
     def __post_init__(self) -> None:
+        """Checks the quantities of the kind and copies its arrays."""
         if self.kind not in _QUANTITIES:
             raise InputError("must be 'sphere', 'capsule' or 'mesh'", key="kind", value=self.kind)
         if self.role not in ("avoid", "inside"):

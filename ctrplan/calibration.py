@@ -55,6 +55,7 @@ class NamedParameters(Effect):
     stage = "mechanics"
 
     def __init__(self, names: Sequence[str], priors: Mapping[str, float], bounds: Mapping[str, tuple[float, float]]):
+        """priors: name -> standard deviation; bounds: name -> (lowest, highest); usual ones for names not in them."""
         self.names, self.priors, self.bounds = tuple(names), priors, bounds
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
@@ -117,9 +118,14 @@ def calibrate(
     Names: a number of the robot such as tube.2.poisson_ratio (SI), effects.friction.mu_1 for one of an effect,
     or one of the base parameters; None: all of those (precurvature magnitudes, stiffness ratios, Poisson's ratios).
     `priors` are standard deviations and `bounds` limits, by name. `held_out` is the share of configurations kept aside.
-    Raises InputError for unknown names and for too few poses.
+    Raises InputError for unknown names, for names given twice and for too few poses.
     """
     names = _base_names(robot) if parameters is None else list(parameters)
+    for name in names:
+        if [*names, *second_pass].count(name) > 1:
+            raise InputError("is named twice", key=name)
+    if seed < 0:
+        raise InputError("must be zero or more", key="seed", value=seed)
     noise = _noise(robot, weighting)
     group = groups(measurements)
     aside = _aside(group, held_out, seed)

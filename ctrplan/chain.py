@@ -67,6 +67,7 @@ class Chain:
     """Robot and terms along the waypoints of measurements. Parameter vectors (P,) are SI, term after term."""
 
     def __init__(self, robot: Robot, data: Measurements, terms: Sequence[Term]) -> None:
+        """terms: effects, with the parameters that vary; effects in the robot file act besides, at their values."""
         self.robot, self.data, self.terms = robot, data, tuple(terms)
         self.parameters = tuple(p for t in self.terms for p in t.parameters)
         self.si = np.array([p.si for p in self.parameters])

@@ -32,9 +32,13 @@ class InputError(CtrplanError):
         value: Any = ...,
         unit: str | None = None,
     ) -> None:
+        """rule: what must be, without the value. file, key, value, unit: what the rule is about, where known.
+
+        A value is shown as a file spells it, at most LONGEST_VALUE characters of it; text without its unit.
+        """
         self.rule, self.file, self.key, self.value, self.unit = rule, file, key, value, unit
         quantity = " = ".join(part for part in (key, _shown(value, unit)) if part)
-        sentence = ": ".join(str(part) for part in (file, quantity, rule) if part)
+        sentence = ": ".join(str(part) for part in (repr(file) if file == "" else file, quantity, rule) if part)
         super().__init__(_one_line(sentence))
 
 

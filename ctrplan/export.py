@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import io
 import json
 import os
-import secrets
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -15,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.errors import CtrplanError, InputError
+from ctrplan.temporary import temporary
 from ctrplan.trajectory import Trajectory
 
 FloatArray = NDArray[np.float64]
@@ -26,15 +25,12 @@ def write_atomically(path: str | os.PathLike[str], content: str | bytes) -> None
     Raises CtrplanError where the system refuses (no such folder, no permission, disk full); the old file stays.
     """
     target = Path(os.path.realpath(path))  # a link is written through, not replaced
-    temporary = target.with_name(f".ctrplan-{secrets.token_hex(8)}.tmp")
     try:
-        _write_through(temporary, content.encode() if isinstance(content, str) else content)
-        os.replace(temporary, target)
+        with temporary(target.parent, Path.touch) as made:
+            _write_through(made, content.encode() if isinstance(content, str) else content)
+            os.replace(made, target)
     except OSError as error:
         raise CtrplanError(f"{path}: could not be written, nothing was changed: {error.strerror or error}.") from error
-    finally:
-        with contextlib.suppress(OSError):  # gone after the rename, or never made
-            temporary.unlink()
 
 
 def write_trajectory_csv(path: str | os.PathLike[str], trajectory: Trajectory) -> None:
@@ -89,7 +85,7 @@ def trajectory_as_ros2_yaml(trajectory: Trajectory) -> str:
 
 
 def _write_through(path: Path, content: bytes) -> None:
-    with open(path, "xb") as file:
+    with open(path, "wb") as file:
         file.write(content)
         file.flush()
         os.fsync(file.fileno())  # before the rename, or a crash may leave an empty file under the final name

@@ -4,14 +4,14 @@ import contextlib
 import hashlib
 import logging
 import os
-import tempfile
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrplan.temporary import temporary
+
 MAX_TOTAL_BYTES = 1_000_000_000
-ABANDONED_S = 86400.0  # a grid is written within seconds
 
 logger = logging.getLogger(__name__)
 
@@ -67,24 +67,17 @@ def store(key: str, values: NDArray[np.float32]) -> None:
         return
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".part")
-        try:
-            with os.fdopen(handle, "wb") as stream:
+        with temporary(path.parent, Path.touch) as made:
+            with made.open("wb") as stream:
                 np.savez(stream, values_m=values, sha256=np.array(_digest(key, values)))
-            os.replace(temporary, path)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
+            os.replace(made, path)
         _prune(path)
     except OSError as error:
         logger.info("field not cached: %s", error)
 
 
 def _prune(newest: Path) -> None:
-    """Remove the least recently used grids beyond MAX_TOTAL_BYTES, never `newest`, and what killed processes left."""
-    for path in newest.parent.glob("*.part"):
-        if path.stat().st_mtime < newest.stat().st_mtime - ABANDONED_S:
-            path.unlink(missing_ok=True)
+    """Remove the least recently used grids beyond MAX_TOTAL_BYTES, never `newest`."""
     found = sorted(newest.parent.glob("*.npz"), key=lambda path: path.stat().st_mtime, reverse=True)
     total = newest.stat().st_size
     for path in found:

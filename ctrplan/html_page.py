@@ -33,7 +33,7 @@ section {{ background: #fff; border-radius: 8px; padding: 18px 22px; margin: 0 0
 table {{ border-collapse: collapse; width: 100%; font-size: 0.95rem; }}
 th, td {{ text-align: left; vertical-align: top; padding: 6px 14px 6px 0; border-bottom: 1px solid {palette.GRID};
   overflow-wrap: anywhere; font-variant-numeric: tabular-nums; }}
-th {{ color: {palette.MUTED}; font-weight: 600; }}
+th {{ color: {palette.MUTED}; font-weight: 600; overflow-wrap: break-word; }}
 td.key {{ width: 30%; color: {palette.MUTED}; }}
 code {{ font-size: 0.85rem; }}
 .plot {{ margin: 8px -8px 0; }}

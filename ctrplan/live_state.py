@@ -28,6 +28,7 @@ class LiveState:
     """A scenario's robot at any joint values; calls may come from several threads."""
 
     def __init__(self, scenario: Scenario) -> None:
+        """Solves the scenario's start, where the sliders begin."""
         self.scenario = scenario
         self.checker = MotionChecker(scenario)
         self.checker.limits = path_limits(scenario)  # the scenario's own, without what a search adds

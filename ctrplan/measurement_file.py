@@ -14,10 +14,10 @@ import numpy as np
 
 from ctrplan.drive import Array
 from ctrplan.errors import InputError
+from ctrplan.file_bytes import file_bytes
 from ctrplan.measurements import Measurements, is_streamed
-from ctrplan.path_file import LARGEST_RUN, WHOLE_NUMBER, joint_columns, resumed_run
+from ctrplan.path_file import LARGEST_RUN, WHOLE_NUMBER, column_names, joint_columns, resumed_run
 from ctrplan.robot import Robot
-from ctrplan.table_bytes import table_bytes
 
 LARGEST_FILE_BYTES = 200_000_000
 POSE = ("x_m", "y_m", "z_m", "tx", "ty", "tz")
@@ -33,7 +33,7 @@ def load_measurements(path: str | os.PathLike[str], robot: Robot) -> Measurement
     Raises InputError, one sentence with file, row, column, value and rule, for anything malformed or contradictory.
     """
     file = os.fspath(path)
-    data = table_bytes(file, LARGEST_FILE_BYTES, "file of measurements")
+    data = file_bytes(file, LARGEST_FILE_BYTES, "CSV", "file of measurements")
     return _Table(file, data).measurements(robot)
 
 
@@ -50,7 +50,7 @@ class _Table:
             raise InputError(f"is no readable CSV file ({error})", file=file) from None
         if len(lines) < 2:
             raise InputError("must have a header and at least one row", file=file)
-        self.header = [name.strip() for name in lines[0]]
+        self.header = column_names(lines[0], file)
         self.lines = lines[1:]
         self._check_rows()
 

@@ -47,11 +47,6 @@ class Measurements:
         """K, the number of poses."""
         return len(self.rows)
 
-    @property
-    def pose_time_s(self) -> Array | None:
-        """(K,) time of each pose."""
-        return None if self.time_s is None else self.time_s[self.rows]
-
     @cached_property
     def configuration(self) -> NDArray[np.int_]:
         """(K,) number of each pose's commanded configuration, whatever way it was approached."""

@@ -10,6 +10,7 @@ import csv
 import os
 import re
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,9 +18,9 @@ from numpy.typing import NDArray
 
 from ctrplan.drive import Array
 from ctrplan.errors import InputError
+from ctrplan.file_bytes import file_bytes
 from ctrplan.nesting import TOLERANCE_M, nesting_inequalities, nesting_violation
 from ctrplan.robot import Robot
-from ctrplan.table_bytes import table_bytes
 
 LARGEST_FILE_BYTES = 200_000_000
 MOST_TURNS = 50  # of a tube; more are most likely degrees
@@ -70,6 +71,7 @@ class CsvTable:
     """Cells of a CSV file by column name; rows are counted from 1 below the header, as a person would."""
 
     def __init__(self, file: str) -> None:
+        """Reads the whole file. Raises InputError unless it is a table: readable, one header, all rows as long."""
         self.file = file
         try:
             lines = [row for row in csv.reader(_text(file).splitlines(), strict=True) if any(map(str.strip, row))]
@@ -77,7 +79,7 @@ class CsvTable:
             raise InputError(f"is no readable CSV file ({error})", file=file) from None
         if len(lines) < 2:
             raise InputError("must have a header and at least one row", file=file)
-        self.header = [name.strip() for name in lines[0]]
+        self.header = column_names(lines[0], file)
         self.rows = lines[1:]
         for name, count in Counter(self.header).items():
             if count > 1:
@@ -112,7 +114,7 @@ class CsvTable:
 
 
 def _text(file: str) -> str:
-    data = table_bytes(file, LARGEST_FILE_BYTES, "joint path")
+    data = file_bytes(file, LARGEST_FILE_BYTES, "CSV", "joint path")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -128,6 +130,14 @@ def _require(table: CsvTable, name: str, n: int) -> None:
     extra = [given for given in table.header if re.fullmatch(rf"(theta|l)_{n + 1}_\w+", given)]
     if extra:
         raise InputError(f"the robot has only {n} {'tube' if n == 1 else 'tubes'}", file=table.file, key=extra[0])
+
+
+def column_names(header: Sequence[str], file: str) -> list[str]:
+    """Names of the columns. Raises InputError where something else than a comma stands between them."""
+    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
+        if len(header) == 1 and separator in header[0]:
+            raise InputError(f"has its columns separated by {name}, must be commas", file=file)
+    return [name.strip() for name in header]
 
 
 def resumed_run(sequence: Array) -> int | None:

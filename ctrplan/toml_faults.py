@@ -29,6 +29,9 @@ _ANY_UNIT = re.compile(
     r"_(?:per_)?(?:[µumnck]?m|in|inch|deg|degrees?|rad|rads|N?[munck]?m2|GPa|MPa|Pa|k?g_c?m3|m?s|min|percent|turns?)"
     r"(?:_s[23]?|_ms)?$"
 )
+# Keys that files of one kind have and those of the other do not.
+_OF_ROBOTS = {"tube", "contact", "joint", "home", "measurement", "effects"}
+_OF_SCENARIOS = {"robot", "start", "goal", "target", "base", "anatomy", "margins", "cost", "planner"}
 _TYPES = {"float": "a number", "array": "a list", "object": "a table", "str": "text", "bool": "true or false"}
 
 
@@ -64,6 +67,10 @@ def _broken_rule(text: str) -> str:
 
 
 def _unknown_key(key: str, known: dict[str, Any]) -> str:
+    if key in _OF_ROBOTS and known.keys() >= _OF_SCENARIOS:
+        return f"is a key of robot files, this must be a scenario; to change its robot, write robot.{key} after --set"
+    if key in _OF_SCENARIOS and "tube" in known:
+        return "is a key of scenarios, this must be a robot file"
     quantity = _ANY_UNIT.sub("", key)
     if same := [name for name in known if _ANY_UNIT.sub("", name) == quantity]:
         return "unknown key, expected " + " or ".join(f"{n} (in {unit_of(n)})" if unit_of(n) else n for n in same)

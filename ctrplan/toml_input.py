@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from ctrplan.errors import InputError
+from ctrplan.file_bytes import file_bytes
 from ctrplan.toml_faults import explain, unit_of
 
 if sys.version_info >= (3, 11):
@@ -90,17 +91,7 @@ class Document:
 def read_document(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Document:
     """The TOML file at `path` after `overrides`. Raises InputError when it can't be read or is no TOML."""
     file = os.fspath(path)
-    try:
-        with open(file, "rb") as stream:
-            data = stream.read(LARGEST_FILE_BYTES + 1)
-    except FileNotFoundError:
-        raise InputError("does not exist", file=file) from None
-    except IsADirectoryError:
-        raise InputError("is a folder, not a TOML file", file=file) from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"can't be read ({getattr(error, 'strerror', None) or error})", file=file) from None
-    if len(data) > LARGEST_FILE_BYTES:
-        raise InputError(f"is larger than {LARGEST_FILE_BYTES // 1000} kB, no robot or scenario file", file=file)
+    data = file_bytes(file, LARGEST_FILE_BYTES, "TOML", "robot or scenario file")
     try:
         return Document(_parse(data, file), file).with_overrides(overrides)
     except RecursionError:

@@ -29,6 +29,7 @@ OF_THE_FILE = (
     "must have a header and at least one row",
     "holds a number with thousands of digits",
     "is larger than",
+    "has its columns separated by",
     "all joints are constant",
     "holds no pose",
 )

@@ -77,11 +77,17 @@ def test_friction_in_a_second_pass() -> None:
         (["effects.gremlins.a"], "unknown effect"),
         (["effects.friction.mu_7"], "is not a parameter of friction"),
         (["tube.1.ovality"], "has no key in a robot file"),
+        (["tube.2.poisson_ratio", "tube.1.poisson_ratio", "tube.2.poisson_ratio"], "is named twice"),
     ],
 )
 def test_unknown_names_are_refused(names: list[str], sentence: str, data: Measurements) -> None:
     with pytest.raises(InputError, match=sentence):
         calibrate(ROBOT, data, names)
+
+
+def test_a_seed_below_zero_is_refused(data: Measurements) -> None:
+    with pytest.raises(InputError, match="seed = -1: must be zero or more"):
+        calibrate(ROBOT, data, seed=-1)
 
 
 def test_too_few_poses_are_refused() -> None:

@@ -86,6 +86,13 @@ def test_set_changes_the_robot(capsys: pytest.CaptureFixture[str]) -> None:
         (["bound", ROBOT, "--theta-deg", "0", "0", "--l-mm", "0", "-17", "-40"], 2, ["--theta-deg", "3 values"]),
         (["bound", ROBOT, "--theta-deg", "0", "0", "nan", "--l-mm", "0", "-17", "-40"], 2, ["--theta-deg", "finite"]),
         (["bound", ROBOT, "--theta-deg", "0", "0", "0", "--l-mm", "0", "-17", "-20"], 2, ["--l-mm", "17 mm apart"]),
+        (["plan", ""], 2, ["'': does not exist"]),
+        (["plan", ROBOT], 2, [ROBOT, "tube: is a key of robot files"]),
+        (["field", str(SCENARIOS / "ribs.toml")], 2, ["ribs.toml: robot = 'robots/three_tube.toml'", "of scenarios"]),
+        (["view", str(SCENARIOS / "ribs.toml"), "--set", "tube.2.poisson_ratio=0"], 2, ["robot.tube after --set"]),
+        (["calibrate", ROBOT, "x.csv", "--seed", "-1"], 2, ["--seed = -1", "zero or more"]),
+        (["calibrate", ROBOT, "x.csv", "--held-out", "1"], 2, ["--held-out = 1.0", "below 1"]),
+        (["diagnose", ROBOT, "x.csv", "--without", "sticktion"], 2, ["--without = 'sticktion'", "friction"]),
     ],
 )
 def test_failure_is_one_sentence(

@@ -144,6 +144,7 @@ def test_ik_prints_a_table_and_json(capsys: pytest.CaptureFixture[str]) -> None:
         (["--tip-mm", "0", "0", "100", "--direction", "0", "0", "0"], 2, "--direction.*zero"),
         (["--tip-mm", "0", "0", "100", "--tolerance-mm", "0"], 2, "--tolerance-mm"),
         (["--tip-mm", "0", "0", "100", "--starts", "0"], 2, "--starts"),
+        (["--tip-mm", "0", "0", "100", "--direction-tolerance-deg", "3"], 2, "goes with --direction"),
         (["--tip-mm", "50", "10", "200", "--direction", "0", "0", "-1"], 1, "deg from --direction"),
     ],
 )

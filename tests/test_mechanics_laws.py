@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from table_1_pair import table_1_pair
 
 from ctrplan.mechanics import Array, Bound, Mechanics, Shape, Status
 from ctrplan.robot import load_robot
@@ -28,15 +29,6 @@ def random_joints(seed: int, count: int) -> tuple[Array, Array]:
 
 def shapes(bound: Bound) -> tuple[Shape, ...]:
     return (bound.frictionless, *bound.corners)
-
-
-def pair(clearance_m: float, mu: float, transmission_m: float = 0.0) -> Mechanics:
-    """Two equally stiff tubes that each bend to a radius of 150 mm (Table I)."""
-    curved = (TubeSection(0.15, 0.0, 1 / 0.15),)
-    straight = (TubeSection(transmission_m, 0.0, 0.0),) if transmission_m else ()
-    bore = 1e-3 + 2 * clearance_m
-    tubes = (Tube(bore + 2e-4, bore, 0.0507, 0.3, curved), Tube(1e-3, 8e-4, 0.0507, 0.3, straight + curved))
-    return Mechanics(tubes, [clearance_m], [mu])
 
 
 def three_tubes(mu: float) -> Mechanics:
@@ -97,7 +89,7 @@ def test_bound_grows_with_friction() -> None:
 @pytest.mark.parametrize("angle_deg", [30, 90, 180, 250])
 def test_partial_friction_lies_between_the_corners(angle_deg: float) -> None:
     """The tip moves monotonically from one corner to the other, and so does the twist between the tubes, which lags."""
-    model, q = pair(5e-5, 0.3, 0.017), (np.deg2rad([0, angle_deg]), [0, -0.017])
+    model, q = table_1_pair(5e-5, 0.3), (np.deg2rad([0, angle_deg]), [0, -0.017])
     states = [model.solve(*q, phi) for phi in np.linspace(-1, 1, 9)]
     way = states[-1].tip_m - states[0].tip_m
     assert np.all(np.diff([shape.tip_m @ way for shape in states]) > 0)
@@ -162,7 +154,7 @@ def test_cutting_a_section_in_two_changes_nothing() -> None:
     tubes = (Tube(1.3e-3, 1.1e-3, 0.0507, 0.3, (half, half)), Tube(1e-3, 8e-4, 0.0507, 0.3, (half, half)))
     q = [0.0, 2.0], [0.0, 0.0]
     cut = Mechanics(tubes, [5e-5], [0.2]).bound(*q, accuracy="certificate")
-    whole = pair(5e-5, 0.2).bound(*q, accuracy="certificate")
+    whole = table_1_pair(5e-5, 0.2, 0.0).bound(*q, accuracy="certificate")
     for a, b in zip(shapes(whole), shapes(cut), strict=True):
         np.testing.assert_allclose(a.tip_m, b.tip_m, rtol=0, atol=5e-5)  # a joint of sections refines the mesh
 
@@ -175,8 +167,8 @@ def test_small_clearance_tends_to_the_zero_clearance_model(angle_deg: float, ord
     """
     q = np.deg2rad([0, angle_deg]), [0, 0]
     clearance_m = np.array([1e-5, 2e-5, 4e-5, 8e-5])
-    limit = pair(1e-5, 0).zero_clearance(*q).tip_m
-    tips = [pair(c, 0).solve(*q, accuracy="certificate").tip_m for c in clearance_m]
+    limit = table_1_pair(1e-5, 0, 0.0).zero_clearance(*q).tip_m
+    tips = [table_1_pair(c, 0, 0.0).solve(*q, accuracy="certificate").tip_m for c in clearance_m]
     away = np.linalg.norm(np.subtract(tips, limit), axis=1)
     slope = np.polyfit(np.log(clearance_m), np.log(away), 1)[0]
     assert slope == pytest.approx(order, abs=0.06)

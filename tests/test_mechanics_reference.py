@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from table_1_pair import table_1_pair
 
-from ctrplan.mechanics import Array, Bound, Mechanics, Shape, Status
+from ctrplan.mechanics import Array, Bound, Shape, Status
 from ctrplan.robot import Robot, load_robot
-from ctrplan.tube import Tube, TubeSection
 
 REFERENCE = Path(__file__).parent / "reference"
 ROBOTS = Path(__file__).parents[1] / "scenarios" / "robots"
@@ -45,15 +45,6 @@ def distance(a: Any, b: Any) -> float:
 
 def angle_deg(u: Array, v: Array) -> float:
     return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(u, v)), u @ v)))
-
-
-def table_1_pair(clearance_m: float, mu: float, transmission_m: float = 0.017) -> Mechanics:
-    """Balanced pair of Table I, inner OD 1.0 mm, with any clearance and straight transmission."""
-    curved = (TubeSection(0.15, 0.0, 1 / 0.15),)
-    straight = (TubeSection(transmission_m, 0.0, 0.0),) if transmission_m else ()
-    bore = 1e-3 + 2 * clearance_m
-    tubes = (Tube(bore + 2e-4, bore, 0.0507, 0.3, curved), Tube(1e-3, 8e-4, 0.0507, 0.3, straight + curved))
-    return Mechanics(tubes, [clearance_m], [mu])
 
 
 @pytest.mark.parametrize("point", read("zero_clearance_points.json")["points"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import copy
-import re
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pair_file import PAIR, pair
+from refusals import refusals
 
 from ctrplan.errors import InputError
 from ctrplan.robot import Robot, load_robot, robot_from_dict
@@ -185,18 +185,7 @@ ABSURD = [
 ]
 
 
-def refused() -> list[tuple[str, str]]:
-    """Text of the file and the sentence, for every entry of REFUSED."""
-    cases = []
-    for entry in re.split(r"\n(?! )", REFUSED.strip()):
-        change, *sentence = entry.split("\n")
-        old, new = (text.strip().replace(r"\n", "\n") for text in f"{change} ".split(" -> "))
-        assert old in PAIR, old
-        cases.append((PAIR.replace(old, new, 1), " ".join(line.strip() for line in sentence)))
-    return cases
-
-
-CASES = refused() + ABSURD
+CASES = refusals(REFUSED, PAIR) + ABSURD
 
 
 @pytest.fixture

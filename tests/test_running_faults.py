@@ -109,7 +109,7 @@ def test_ctrl_c_at_any_moment_ends_with_130_and_whole_files(
         assert process.returncode in (0, 130), err  # 0: it was done before
         written = readable(folder / "out")
         assert written == OUTPUTS[command] or (process.returncode == 130 and not written)
-        assert not list(folder.rglob("*.part"))
+        assert not list(folder.rglob(".ctrplan-*"))
         shutil.rmtree(folder)
 
 
@@ -141,6 +141,10 @@ def test_killed_while_writing_leaves_old_or_new_files_whole_and_tells_them_apart
         assert all(content == content[:8] * 50_000 for content in contents)
         if len(set(contents)) > 1:
             assert unmatched(folder)
+        with written_together(folder, "abc") as made:  # the next run
+            for name in "abc":
+                (made / name).write_text("new")
+        assert {path.name for path in folder.iterdir()} == {"a", "b", "c", "SHA256SUMS"}
 
 
 @pytest.mark.parametrize("renamed", range(5))
@@ -216,7 +220,7 @@ def test_a_read_only_disk_is_refused_before_anything_is_computed(tmp_path: Path)
 def test_a_cache_without_room_or_permission_is_no_error(options: str, tmp_path: Path) -> None:
     done = in_a_small_world(tmp_path, options, f"field '{PAIR}'")
     assert "exit 0\n" in done.stdout and "bound field of" in done.stdout and not done.stderr, done.stderr
-    assert ".part" not in done.stdout
+    assert ".ctrplan-" not in done.stdout
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="has no /dev/full")

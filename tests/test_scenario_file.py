@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refusals
 
 from ctrplan.errors import InputError
 from ctrplan.robot import load_robot
@@ -159,17 +160,6 @@ settle = "oscillate" -> settle = true
 """
 
 
-def refused() -> list[tuple[str, str]]:
-    """Text of the file and the sentence, for every entry of REFUSED."""
-    cases = []
-    for entry in re.split(r"\n(?! )", REFUSED.strip()):
-        change, *sentence = entry.split("\n")
-        old, new = (text.strip().replace(r"\n", "\n") for text in f"{change} ".split(" -> "))
-        assert old in SCENARIO, old
-        cases.append((SCENARIO.replace(old, new, 1), " ".join(line.strip() for line in sentence)))
-    return cases
-
-
 def with_joint_goal(text: str = SCENARIO) -> str:
     return re.sub(r"\[goal\]\n.*?(?=\[\[)", lambda match: JOINT_GOAL, text, flags=re.DOTALL)
 
@@ -207,7 +197,7 @@ def refusal(*arguments: Any, **options: Any) -> str:
     return str(caught.value)
 
 
-CASES = refused()
+CASES = refusals(REFUSED, SCENARIO)
 
 
 @pytest.mark.parametrize(("text", "sentence"), CASES, ids=[sentence for _, sentence in CASES])

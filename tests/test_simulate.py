@@ -187,6 +187,8 @@ def test_a_drive_that_pushes_tubes_through_the_plate_is_refused(tmp_path: Path) 
         (["sequence," + HEADER, "1.5," + ROWS[0]], ["row 1", "sequence", "whole"]),
         (["time_s," + HEADER, "1," + ROWS[0], "0," + ROWS[0]], ["row 2", "time_s", "backwards"]),
         ([HEADER, '"0,0,0,-0.06'], ["CSV"]),
+        ([HEADER.replace(",", ";"), ROWS[0].replace(",", ";")], ["separated by semicolons", "commas"]),
+        ([HEADER.replace(",", "\t"), ROWS[0].replace(",", "\t")], ["separated by tabs"]),
     ],
 )
 def test_bad_paths_are_refused_in_one_sentence(

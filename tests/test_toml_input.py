@@ -9,36 +9,11 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pair_file import PAIR
 
 from ctrplan.errors import InputError
 from ctrplan.robot import load_robot
 from ctrplan.toml_input import Document, read_document
-
-ROBOT = """
-name = "pair"
-[[tube]]
-outer_diameter_mm = 1.3
-inner_diameter_mm = 1.1
-bending_stiffness_Nm2 = 0.05
-poisson_ratio = 0.3
-[[tube.section]]
-length_mm = 150
-curvature_x_per_m = 0
-curvature_y_per_m = 6.5
-[[tube]]
-outer_diameter_mm = 1.0
-inner_diameter_mm = 0.8
-bending_stiffness_Nm2 = 0.04
-poisson_ratio = -0.2
-[[tube.section]]
-length_mm = 200
-curvature_x_per_m = 0
-curvature_y_per_m = 5
-[[contact]]
-friction_coefficient = 0.2
-[home]
-l_mm = [0, -17]
-"""
 
 
 @pytest.fixture
@@ -67,7 +42,7 @@ def test_files_that_are_no_text_are_refused(folder: Path) -> None:
     (folder / "huge.toml").write_bytes(b"#" * 2_000_000)
     (folder / "deep.toml").write_text("a" + ".a" * 2_000 + " = 1")
     assert refusal("latin.toml") == "latin.toml: is not UTF-8 text (byte 8)."
-    assert refusal("huge.toml") == "huge.toml: is larger than 1000 kB, no robot or scenario file."
+    assert refusal("huge.toml") == "huge.toml: is larger than 1 MB, no robot or scenario file."
     assert refusal("deep.toml") == "deep.toml: is nested too deeply."
     assert refusal("missing.toml") == "missing.toml: does not exist."
     assert refusal(".") == ".: is a folder, not a TOML file."
@@ -76,13 +51,13 @@ def test_files_that_are_no_text_are_refused(folder: Path) -> None:
 
 
 def test_a_key_or_file_name_can_not_break_the_sentence(folder: Path) -> None:
-    (folder / "robot.toml").write_text('"a\\nb.\\u001b" = 1\n' + ROBOT)
+    (folder / "robot.toml").write_text('"a\\nb.\\u001b" = 1\n' + PAIR)
     assert refusal("robot.toml").startswith("robot.toml: a b.? = 1: unknown key, known ones are tube, ")
 
 
 def test_a_byte_order_mark_and_windows_lines_are_read(folder: Path) -> None:
-    (folder / "plain.toml").write_text(ROBOT)
-    (folder / "robot.toml").write_bytes(b"\xef\xbb\xbf" + ROBOT.replace("\n", "\r\n").encode())
+    (folder / "plain.toml").write_text(PAIR)
+    (folder / "robot.toml").write_bytes(b"\xef\xbb\xbf" + PAIR.replace("\n", "\r\n").encode())
     assert load_robot("robot.toml").sha256 == load_robot("plain.toml").sha256
 
 
@@ -114,9 +89,9 @@ OVERRIDES = [
 
 @pytest.mark.parametrize(("override", "old", "new"), OVERRIDES)
 def test_an_override_equals_editing_the_file(folder: Path, override: str, old: str, new: str) -> None:
-    (folder / "a.toml").write_text(ROBOT)
-    assert old in ROBOT
-    (folder / "b.toml").write_text(ROBOT.replace(old, new, 1))
+    (folder / "a.toml").write_text(PAIR)
+    assert old in PAIR
+    (folder / "b.toml").write_text(PAIR.replace(old, new, 1))
     overridden, edited = load_robot("a.toml", [override]), load_robot("b.toml")
     assert overridden.sha256 == edited.sha256 != load_robot("a.toml").sha256
     assert (overridden.tubes, overridden.contacts, overridden.name) == (edited.tubes, edited.contacts, edited.name)
@@ -141,7 +116,7 @@ def test_an_override_equals_editing_the_file(folder: Path, override: str, old: s
     ],
 )
 def test_a_bad_override_is_refused_in_one_sentence(folder: Path, override: str, sentence: str | None) -> None:
-    (folder / "robot.toml").write_text(ROBOT)
+    (folder / "robot.toml").write_text(PAIR)
     found = refusal("robot.toml", [override])
     assert sentence is None or found == sentence
     assert found.isprintable() and found.endswith((".", "?"))

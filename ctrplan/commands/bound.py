@@ -54,7 +54,10 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("-o", "--output", metavar="DIR", help=f"folder for a sweep's files (default: {DEFAULT_FOLDER})")
     parser.add_argument(
-        "--accuracy", choices=["search", "certificate"], help="mesh (default: certificate; search with --sweep)"
+        "--accuracy",
+        choices=["search", "certificate", "exact"],
+        help="mesh; exact: the certificate's with the exact geometry, for clearances above about 0.1 mm (default: "
+        "certificate; search with --sweep)",
     )
     parser.add_argument("--json", action="store_true", help="machine-readable output")
     add_set_option(parser, "the robot's key")

@@ -63,6 +63,10 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
 
     if not 1 <= arguments.starts <= 100:
         raise InputError("must be from 1 to 100", key="--starts", value=arguments.starts)
+    if not 0 <= arguments.held_out < 1:
+        raise InputError("must be from 0 to below 1", key="--held-out", value=arguments.held_out)
+    if arguments.seed < 0:
+        raise InputError("must be zero or more", key="--seed", value=arguments.seed)
     robot = load_robot(arguments.robot, arguments.overrides)
     data = load_measurements(arguments.measurements, robot)
     folder = output_folder(arguments.output, OUTPUTS)

@@ -18,6 +18,7 @@ class CommandLine(argparse.ArgumentParser):
     """A parser, of the program or of one of its commands."""
 
     def __init__(self, *arguments: Any, **keys: Any) -> None:
+        """Arguments of argparse.ArgumentParser."""
         super().__init__(*arguments, **keys)
         self._negative_number_matcher = NEGATIVE_VALUE  # before Python 3.14 argparse knows -17 and -0.5 only
 

@@ -57,10 +57,12 @@ def add_parser(commands: Any) -> None:
 def run_diagnose(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is nothing to write."""
     with interrupt_event() as interrupted:
-        from ctrplan.diagnosis import diagnose
+        from ctrplan.diagnosis import CATALOGUE, diagnose
+        from ctrplan.diagnosis.candidates import reduced
         from ctrplan.measurement_file import load_measurements
         from ctrplan.robot import load_robot
 
+        reduced(CATALOGUE, arguments.without, key="--without")
         robot = load_robot(arguments.robot, arguments.overrides)
         data = load_measurements(arguments.measurements, robot)
         folder = output_folder(arguments.output, OUTPUTS)

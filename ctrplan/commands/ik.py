@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from ctrplan.planning.inverse_kinematics import TipTarget
     from ctrplan.scenario import Scenario
 
-
+DIRECTION_TOLERANCE_DEG = 5.0
 EXAMPLES = """examples:
   ctrplan ik scenarios/robots/three_tube.toml --tip-mm 34 -47 200
   ctrplan ik scenarios/vessel.toml --tip-mm 51 2 168 --direction 1 0 0.4 --direction-tolerance-deg 20 --json
@@ -40,7 +40,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--direction", help="of the tip, any length", **xyz)
     for option, default, what in (
         ("--tolerance-mm", 0.1, "distance from the point that counts as there (default: %(default)s)"),
-        ("--direction-tolerance-deg", 5.0, "likewise from the direction (default: %(default)s)"),
+        ("--direction-tolerance-deg", None, f"likewise from the direction (default: {DIRECTION_TOLERANCE_DEG})"),
     ):
         parser.add_argument(option, type=float, default=default, metavar="T", help=what)
     parser.add_argument("--starts", type=int, default=400, help="random starts (default: %(default)s)")
@@ -90,9 +90,11 @@ def _target(arguments: argparse.Namespace, scenario: Scenario) -> TipTarget:
             raise InputError("must be finite, at most 1e5", key=key, value=values)
     if not 0 < arguments.tolerance_mm <= 1e3:
         raise InputError("must be above 0 and at most 1000", key="--tolerance-mm", value=arguments.tolerance_mm)
-    if not 0 < arguments.direction_tolerance_deg <= 180:
-        value = arguments.direction_tolerance_deg
-        raise InputError("must be above 0 and at most 180", key="--direction-tolerance-deg", value=value)
+    allowed_deg = arguments.direction_tolerance_deg
+    if allowed_deg is not None and arguments.direction is None:
+        raise InputError("goes with --direction", key="--direction-tolerance-deg", value=allowed_deg)
+    if allowed_deg is not None and not 0 < allowed_deg <= 180:
+        raise InputError("must be above 0 and at most 180", key="--direction-tolerance-deg", value=allowed_deg)
     if not 1 <= arguments.starts <= 100_000:
         raise InputError("must be from 1 to 100000", key="--starts", value=arguments.starts)
     if arguments.seed < 0:
@@ -104,7 +106,7 @@ def _target(arguments: argparse.Namespace, scenario: Scenario) -> TipTarget:
     if length == 0:
         raise InputError("must not be zero", key="--direction", value=arguments.direction)
     direction = scenario.base_R.T @ (np.array(arguments.direction) / length)
-    return TipTarget(tip, direction, math.radians(arguments.direction_tolerance_deg))
+    return TipTarget(tip, direction, math.radians(allowed_deg or DIRECTION_TOLERANCE_DEG))
 
 
 def _text(scenario: Scenario, found: Reach, branches: list[int]) -> str:
@@ -191,7 +193,8 @@ def _finite(value: float) -> float | None:
 def _unreached(scenario: Scenario, found: Reach, arguments: argparse.Namespace) -> str:
     nearest = found.nearest
     if nearest.tip_error_m <= found.tolerance_m:
-        turned, allowed = math.degrees(nearest.turned_rad), arguments.direction_tolerance_deg
+        turned = math.degrees(nearest.turned_rad)
+        allowed = arguments.direction_tolerance_deg or DIRECTION_TOLERANCE_DEG
         return f"reached, but at best {turned:.1f} deg from --direction, --direction-tolerance-deg = {allowed:g}"
     away_mm, where = nearest.tip_error_m * 1e3, [round(x, 2) for x in _tip_mm(scenario, nearest)]
     return f"out of reach, the nearest tip found is {away_mm:.3g} mm away at {where} mm"

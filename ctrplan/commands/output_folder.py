@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import os
-import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 from ctrplan.errors import CtrplanError, InputError
+from ctrplan.temporary import temporary
 
 DEFAULT = "ctrplan-output"
 CHECKSUMS = "SHA256SUMS"
@@ -20,15 +20,14 @@ def written_together(folder: Path, outputs: Sequence[str]) -> Iterator[Path]:
     """A hidden folder to write `outputs` into; they are renamed to their places together, or none is.
 
     The file SHA256SUMS follows last: a process killed between two renames leaves files that do not match it, so
-    `sha256sum -c SHA256SUMS` and `unmatched` tell a whole set from a mixed one. Makes `folder` if need be. Raises
-    CtrplanError where the system refuses.
+    `sha256sum -c SHA256SUMS` and `unmatched` tell a whole set from a mixed one. What a killed process left hidden is
+    removed by the next one. Makes `folder` if need be. Raises CtrplanError where the system refuses.
     """
     from ctrplan.export import write_atomically
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".ctrplan-", dir=folder) as name:
-            made = Path(name)
+        with temporary(folder, Path.mkdir) as made:
             yield made
             sums = "".join(f"{_sha256(made / output)}  {output}\n" for output in outputs)
             write_atomically(made / CHECKSUMS, sums)
@@ -36,6 +35,15 @@ def written_together(folder: Path, outputs: Sequence[str]) -> Iterator[Path]:
                 os.replace(made / output, folder / output)
     except OSError as error:
         raise CtrplanError(f"{folder}: could not be written: {error.strerror or error}.") from error
+
+
+def write_results(folder: Path, results: Mapping[str, str | bytes]) -> None:
+    """Writes contents by their file names as `written_together` does."""
+    from ctrplan.export import write_atomically
+
+    with written_together(folder, tuple(results)) as made:
+        for name, content in results.items():
+            write_atomically(made / name, content)
 
 
 def unmatched(folder: Path) -> tuple[str, ...]:

@@ -148,13 +148,15 @@ def _figures(plan: Plan) -> dict[str, str]:
     count, strain_percent = len(certificate.samples.leg), 100 * certificate.max_strain
     clearance = "free space" if math.isinf(clearance_mm) else f"{clearance_mm:.2f} mm beyond the margins"
     predicted_mm, way_mm = certificate.goal_predicted_m * 1e3, certificate.worst_predicted_m * 1e3
+    changed = f"{before_mm:.1f}" != f"{after_mm:.1f}"
+    gain = f"; reordering took {before_mm:.1f} to {after_mm:.1f} mm" if changed else ""
     return {
         "worst-case friction error": f"{goal_mm:.2f} mm at the goal, {worst_mm:.2f} mm on the way",
         "predicted friction error": f"{predicted_mm:.2f} mm at the goal, {way_mm:.2f} mm on the way",
         **_extras(plan),
         "clearance of every shape": clearance,
         "least stability": f"{certificate.min_stability:.2f}, largest strain {strain_percent:.2f} %",
-        "cost": f"{certificate.cost_mm:.1f} mm; reordering took {before_mm:.1f} to {after_mm:.1f} mm",
+        "cost": f"{certificate.cost_mm:.1f} mm{gain}",
         "certified on": f"{count} samples, no point moves more than {spacing_mm:.2f} mm between two",
     }
 

@@ -12,15 +12,18 @@ class ProgressBar:
     """One bar per stage, gone from the terminal when the stage is over; none for stages shorter than `patience_s`."""
 
     def __init__(self, *, quiet: bool, patience_s: float = 0.0) -> None:
+        """quiet: show nothing at all."""
         self.quiet = quiet
         self.patience_s = patience_s
         self.bar: Any = None
         self.stage = ""
 
     def __enter__(self) -> ProgressBar:
+        """The bar itself, empty until the first stage."""
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Takes the last bar off the terminal, also after an error."""
         if self.bar is not None:
             self.bar.close()
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ctrplan.commands.options import add_set_option
 from ctrplan.commands.output_folder import DEFAULT as DEFAULT_FOLDER
-from ctrplan.commands.output_folder import output_folder, written_together
+from ctrplan.commands.output_folder import output_folder, write_results
 from ctrplan.commands.progress_bar import ProgressBar
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.interrupts import INTERRUPTED, interrupt_event
@@ -107,14 +107,10 @@ def start_state(text: str, pairs: int) -> Start:
 
 
 def _write(folder: Path, result: Simulation) -> None:
-    from ctrplan.export import write_atomically
     from ctrplan.plots_simulation import simulation_png
     from ctrplan.simulation import poses_csv
 
-    picture = simulation_png(result)
-    with written_together(folder, OUTPUTS) as made:
-        write_atomically(made / "poses.csv", poses_csv(result))
-        write_atomically(made / "simulate.png", picture)
+    write_results(folder, dict(zip(OUTPUTS, (poses_csv(result), simulation_png(result)), strict=True)))
 
 
 def _summary(folder: Path, result: Simulation) -> str:

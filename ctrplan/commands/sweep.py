@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ctrplan.commands.bound import configuration
-from ctrplan.commands.output_folder import DEFAULT, output_folder, written_together
+from ctrplan.commands.output_folder import DEFAULT, output_folder, write_results
 from ctrplan.commands.progress_bar import ProgressBar
 from ctrplan.errors import InputError
 
@@ -56,14 +56,10 @@ def _warn(result: Sweep) -> None:
 
 
 def _write(folder: Path, result: Sweep) -> None:
-    from ctrplan.export import write_atomically
     from ctrplan.plots_sweep import sweep_png
     from ctrplan.sweep import sweep_csv
 
-    picture = sweep_png(result)
-    with written_together(folder, OUTPUTS) as made:
-        write_atomically(made / "sweep.csv", sweep_csv(result))
-        write_atomically(made / "sweep.png", picture)
+    write_results(folder, dict(zip(OUTPUTS, (sweep_csv(result), sweep_png(result)), strict=True)))
 
 
 def _summary(folder: Path, result: Sweep) -> str:

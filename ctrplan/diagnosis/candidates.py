@@ -34,11 +34,11 @@ class Candidates:
         return [*chosen, *needed, added]
 
 
-def reduced(catalogue: Mapping[str, Effect], without: Sequence[str]) -> dict[str, Effect]:
-    """The catalogue without some of its effects. Raises InputError for a name that it does not have."""
+def reduced(catalogue: Mapping[str, Effect], without: Sequence[str], *, key: str = "without") -> dict[str, Effect]:
+    """The catalogue without some of its effects. Raises InputError, about `key`, for a name that it does not have."""
     for name in without:
         if name not in catalogue:
-            raise InputError(f"must be an effect of the catalogue: {', '.join(catalogue)}", key="without", value=name)
+            raise InputError(f"must be an effect of the catalogue: {', '.join(catalogue)}", key=key, value=name)
     return {name: effect for name, effect in catalogue.items() if name not in without}
 
 

@@ -65,7 +65,7 @@ class Effect(ABC):
 
     @abstractmethod
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        """Everything that a robot file may say about the effect."""
+        """Everything that a robot file may say about the effect, of tubes numbered from 1, outermost first."""
 
     def untestable(self, robot: Robot, data: Measurements) -> str:
         """Why these data say nothing about the effect; empty if they do."""
@@ -84,11 +84,14 @@ class Effect(ABC):
         return collars
 
     def delay_s(self, values: Values) -> float:
-        """How much earlier the joints are that a pose belongs to."""
+        """How much earlier [s] the joints are that a pose belongs to."""
         return 0.0
 
     def drive(self, values: Values, collars: Collars, directions: Array) -> Collars:
-        """Where collars stand when the drive has gone to `collars` in `directions` (K, 2 n)."""
+        """Where collars stand when the drive has gone to `collars`; values are SI by name.
+
+        directions (K, 2 n): sign of the last motion of each rotation, then of each translation; 0 before any.
+        """
         return collars
 
     def mechanics(self, values: Values, robot: Robot) -> Mapping[str, float]:
@@ -96,11 +99,11 @@ class Effect(ABC):
         return {}
 
     def friction_release_m(self, values: Values) -> float:
-        """Relative translation that leaves 1/e of the circumferential friction."""
+        """Relative translation [m] that leaves 1/e of the circumferential friction; infinite if none does."""
         return np.inf
 
     def sensor(self, values: Values, poses: Poses, data: Measurements) -> Poses:
-        """What is measured of `poses`."""
+        """What is measured of `poses`, the K of `data` in the robot's frame."""
         return poses
 
 

@@ -49,6 +49,7 @@ class Selector:
     """Searches sets of effects on a workbench."""
 
     def __init__(self, bench: Workbench, candidates: Candidates, tell: Report = lambda _: None) -> None:
+        """tell: called with a sentence before each round of fits."""
         self.bench, self.candidates, self.tell = bench, candidates, tell
         self.found = Selection(bench.scored([]))  # so far
 

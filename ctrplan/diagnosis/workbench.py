@@ -59,6 +59,7 @@ class Workbench:
     def __init__(
         self, robot: Robot, data: Measurements, noise: Noise, group: NDArray[np.int_], fold: NDArray[np.int_]
     ) -> None:
+        """group (K,): poses that count as one where gains are compared; fold (K,): those left out together."""
         self.robot, self.data, self.noise, self.group, self.fold = robot, data, noise, group, fold
         self.pause: Callable[[], None] = lambda: None  # called between fits; may raise to stop
         self._correction: tuple[Array, Array] | None = None

@@ -39,7 +39,9 @@ Progress = Callable[[float], None]
 class Arrival(Protocol):
     """Says in sentences why the end of a certified path does not meet the goal; none if it does."""
 
-    def __call__(self, scenario: Scenario, samples: CertificateSamples, prediction: Prediction) -> list[str]: ...
+    def __call__(self, scenario: Scenario, samples: CertificateSamples, prediction: Prediction) -> list[str]:
+        """samples: of the whole path; prediction: tips from several friction states."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)

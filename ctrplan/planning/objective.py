@@ -35,6 +35,7 @@ class BoundObjective(ob.OptimizationObjective):  # type: ignore[misc]
         goals: Sequence[Array] = (),
         checker: MotionChecker | None = None,
     ) -> None:
+        """checker: shared with validity checks, so that no motion is solved twice; a new one by default."""
         super().__init__(space_information)
         self.checker = checker or MotionChecker(scenario)
         self.read = StateReader(self.checker.space)
@@ -43,6 +44,7 @@ class BoundObjective(ob.OptimizationObjective):  # type: ignore[misc]
         self.goals = np.array(goals).reshape(-1, len(scenario.robot.drive.joints))
 
     def motionCost(self, a: Any, b: Any) -> Any:  # noqa: N802, OMPL's names from here on
+        """Cost [mm] of the motion from a to b; infinite where it is not valid."""
         start, end = self.read(a), self.read(b)
         motion = self.checker.motion(start, end)
         if not motion.valid:
@@ -51,7 +53,8 @@ class BoundObjective(ob.OptimizationObjective):  # type: ignore[misc]
         return ob.Cost(cost) if np.isfinite(cost) and cost >= 0 else self.infiniteCost()
 
     def motionCostHeuristic(self, a: Any, b: Any) -> Any:  # noqa: N802
-        # admissible: length and stops are exact, errors never negative; asked for so often that numpy is too slow
+        """Lower bound [mm] of that cost: length and stops are exact, errors never negative."""
+        # asked for so often that numpy is too slow
         self.checker.meter.add(HEURISTIC_NS)
         squares = [0.0, 0.0]  # of translations and rotations
         for i, (wraps, turns, weight) in enumerate(self._joints):
@@ -63,9 +66,11 @@ class BoundObjective(ob.OptimizationObjective):  # type: ignore[misc]
         return ob.Cost(weights.path * (math.sqrt(squares[0]) + math.sqrt(squares[1])) + weights.stop * legs)
 
     def stateCost(self, state: Any) -> Any:  # noqa: N802
+        """Nothing: what a state costs is in the motion that ends there."""
         return ob.Cost(0.0)
 
     def isSymmetric(self) -> bool:  # noqa: N802
+        """No: rotations come first on the way there and on the way back."""
         return False
 
     def is_goal(self, q: Array) -> bool:

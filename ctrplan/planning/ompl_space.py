@@ -33,9 +33,11 @@ class StateReader:
     """Joint values (m,) of an OMPL state."""
 
     def __init__(self, space: JointSpace) -> None:
+        """space: the one that `state_space` was made of."""
         self.wraps = [bool(w) for w in space.drive.wraps]
 
     def __call__(self, state: Any) -> Array:
+        """Joint values (m,) [rad, m] of a state."""
         return np.array([state[i].value if wraps else state[i][0] for i, wraps in enumerate(self.wraps)])
 
     def write(self, state: Any, q: Array) -> None:

@@ -36,6 +36,7 @@ class RoadmapSearch:
     """Checks motions of a roadmap when they are needed, and remembers what they cost."""
 
     def __init__(self, checker: MotionChecker, roadmap: Roadmap, goals: list[GoalState]) -> None:
+        """goals: those of the roadmap, in its order, with their bounds."""
         self.checker, self.goals = checker, roadmap.goals
         self.left_m = dict(zip(roadmap.goals.tolist(), (goal.bound_m for goal in goals), strict=True))
         self.joints = np.empty((0, len(checker.space.weights_mm)))

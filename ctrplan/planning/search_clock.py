@@ -20,6 +20,7 @@ class WorkMeter:
     """Counts work [ns]; whole numbers, so that the order in which threads add does not matter."""
 
     def __init__(self) -> None:
+        """Begins at nothing spent."""
         self._lock = threading.Lock()
         self.spent_ns = 0
 

@@ -29,6 +29,7 @@ class SearchProblem:
     """Everything OMPL needs for one search, kept alive together and released together."""
 
     def __init__(self, checker: MotionChecker, goals: list[GoalState], seed: int) -> None:
+        """goals: states to end at, of which any will do; seed: of OMPL's random numbers, which all searches share."""
         _reseed(seed)
         self.checker = checker
         self.read = StateReader(checker.space)

@@ -10,6 +10,8 @@ from ctrplan.robot import Robot
 
 @register
 class Backlash(Effect):
+    """Play b per actuator: `theta_I_deg` and `l_I_mm` are its full widths, I the tube from 1 (outermost), b >= 0."""
+
     name = "backlash"
     stage = "drive"
     equation = "joint = commanded - b / 2 times the sign of its last motion"

@@ -14,6 +14,8 @@ from ctrplan.sensor import Poses, moved_rigidly
 
 @register
 class BaseMisalignment(Effect):
+    """One rigid motion of all poses: `rotation_x_deg` ... (a rotation vector), then `shift_x_mm` ..."""
+
     name = "base_misalignment"
     stage = "sensor"
     equation = "p = R(rotation vector) p + t, tangents turn with R"

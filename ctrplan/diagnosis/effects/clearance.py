@@ -10,6 +10,8 @@ from ctrplan.robot import Robot
 
 @register
 class Clearance(Effect):
+    """`delta_I_mm` is added to the radial clearance c_I of tubes I and I + 1, of which a tenth always stays."""
+
     name = "clearance"
     stage = "mechanics"
     equation = "|d_i| <= c_i + delta_i, (14)"

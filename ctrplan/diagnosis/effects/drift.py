@@ -16,6 +16,8 @@ HOUR_S = 3600.0
 
 @register
 class Drift(Effect):
+    """A rigid motion per hour of time_s: `shift_x_mm_per_h` ... and `rotation_x_deg_per_h` ... (rotation vector)."""
+
     name = "drift"
     stage = "sensor"
     equation = "a rigid motion that grows in proportion to time_s, from none at the first waypoint"

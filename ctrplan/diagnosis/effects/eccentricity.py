@@ -14,6 +14,8 @@ from ctrplan.robot import Robot
 
 @register
 class Eccentricity(Effect):
+    """The once-per-turn error of tube I's rotation: `sin_I_deg` and `cos_I_deg` are a cos p and a sin p."""
+
     name = "eccentricity"
     stage = "drive"
     equation = "theta = commanded + a sin(commanded + p); sin, cos: a cos p, a sin p"

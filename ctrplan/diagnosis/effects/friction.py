@@ -11,6 +11,8 @@ from ctrplan.robot import Robot
 
 @register
 class Friction(Effect):
+    """Coulomb friction coefficients: `mu_I` between tubes I and I + 1; neutral is what the robot file has."""
+
     name = "friction"
     stage = "mechanics"
     equation = "force lambda phi mu J d and torque phi mu r lambda |d|^2 / c at every contact, (38), (41)"

@@ -12,6 +12,8 @@ NITINOL_KG_M3 = 6450.0  # where the robot file gives no density; a lining or a t
 
 @register
 class Gravity(Effect):
+    """The acceleration `g_x_m_s2` ... in the world frame, on every tube by its density."""
+
     name = "gravity"
     stage = "mechanics"
     equation = "density times cross section times g along every tube, world frame"

@@ -23,6 +23,8 @@ from ctrplan.robot import Robot
 
 @register
 class HomingOffset(Effect):
+    """Constants added to base rotation and base translation of tube I: `theta_I_deg`, `l_I_mm`."""
+
     name = "homing_offset"
     stage = "drive"
     equation = "joint = commanded + offset, rotations and translations"

@@ -22,6 +22,8 @@ from ctrplan.robot import Robot
 
 @register
 class JointScale(Effect):
+    """Relative errors s of the travel from zero: `theta_I` and `l_I` of tube I, without unit (0.01 is 1 % too far)."""
+
     name = "joint_scale"
     stage = "drive"
     equation = "joint = commanded (1 + s)"

@@ -14,6 +14,8 @@ from ctrplan.robot import Robot
 
 @register
 class Lag(Effect):
+    """`tau_s` [s] is how much earlier the joints are that a pose belongs to; negative if they are later."""
+
     name = "lag"
     stage = "clock"
     equation = "pose(t) = pose of the joints at t - tau"

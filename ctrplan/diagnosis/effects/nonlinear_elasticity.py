@@ -10,6 +10,8 @@ from ctrplan.robot import Robot
 
 @register
 class NonlinearElasticity(Effect):
+    """Every tube softens alike: beyond `strain_percent` its tangent stiffness is `stiffness_fraction` of EI."""
+
     name = "nonlinear_elasticity"
     stage = "mechanics"
     equation = "bending stiffness falls to a fraction where r_out |u - u_hat| exceeds a strain, bilinear"

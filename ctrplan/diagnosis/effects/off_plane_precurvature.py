@@ -12,6 +12,8 @@ from ctrplan.robot import Robot
 
 @register
 class OffPlanePrecurvature(Effect):
+    """`delta_I_K_per_m` [1/m] is added across the drawn precurvature of section K (from 1, at the base) of tube I."""
+
     name = "off_plane_precurvature"
     stage = "mechanics"
     equation = "u_hat += delta e, e across the drawn precurvature (Tables VI, VII)"

@@ -20,6 +20,11 @@ AHEAD_M = 1e-4  # along the tangent, for the slope of the field
 
 @register
 class SensorDistortion(Effect):
+    """A distorted field D with coefficients `x_MONOMIAL_mm` ...; `tangent_share` of its slope turns the tangent.
+
+    Monomials are in (p - CENTRE_M) / SPAN_M: `x_1_mm` is constant, `z_xxy_mm` of third degree.
+    """
+
     name = "sensor_distortion"
     stage = "sensor"
     equation = "p = p + D(p), D a polynomial of third degree; t = t + tangent_share dD/dp t"

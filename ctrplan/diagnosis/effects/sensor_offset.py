@@ -14,6 +14,8 @@ from ctrplan.sensor import Poses, rotation
 
 @register
 class SensorOffset(Effect):
+    """The sensor in the frame of the tip: moved by `offset_x_mm` ..., tilted by `tilt_x_deg`, `tilt_y_deg`."""
+
     name = "sensor_offset"
     stage = "sensor"
     equation = "p = p_tip + R_tip d, t = R_tip R(tilt) e_z, R_tip the frame of the innermost tube"

@@ -12,6 +12,8 @@ NEARLY_RIGID = 1e-3  # rad/(N m), which moves a tip by about a micrometre: a rig
 
 @register
 class ShaftTorsion(Effect):
+    """`compliance_I_rad_per_Nm` [rad/(N m)] of the shaft between the actuator and the collar of tube I."""
+
     name = "shaft_torsion"
     stage = "mechanics"
     equation = "theta_collar = theta_commanded + C times the torque of the tube on its collar"

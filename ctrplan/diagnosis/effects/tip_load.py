@@ -10,6 +10,8 @@ from ctrplan.robot import Robot
 
 @register
 class TipLoad(Effect):
+    """A dead load on the innermost tip: `force_x_N` ... [N] in the world frame."""
+
     name = "tip_load"
     stage = "mechanics"
     equation = "constant force on the innermost tip, world frame"

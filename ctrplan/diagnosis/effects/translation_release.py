@@ -11,6 +11,8 @@ from ctrplan.robot import Robot
 
 @register
 class TranslationRelease(Effect):
+    """`release_per_mm` is a: a relative translation of 1/a leaves 1/e of the circumferential friction."""
+
     name = "translation_release"
     stage = "mechanics"
     equation = "d phi = d(relative rotation) / breakaway - phi |d(relative translation)| a"

@@ -10,6 +10,8 @@ from ctrplan.robot import Robot
 
 @register
 class VaryingPrecurvature(Effect):
+    """`gradient_I_K` is g of section K of tube I: the relative change from its middle to its end, no unit."""
+
     name = "varying_precurvature"
     stage = "mechanics"
     equation = "u_hat(x) = u_hat (1 + g (2 x / L - 1)), x from the section's base"

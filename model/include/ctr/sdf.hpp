@@ -34,10 +34,11 @@ struct SignedDistanceField {
             if (cell[i] > size[i] - 2) cell[i] = size[i] > 1 ? size[i] - 2 : 0;
             f[i] = index[i] - cell[i];
         }
-        const long sy = nz, sx = static_cast<long>(ny) * nz;
-        const float* v = values + cell[0] * sx + cell[1] * sy + cell[2];
-        const double c00 = v[0] + f[2] * (v[1] - v[0]), c01 = v[sy] + f[2] * (v[sy + 1] - v[sy]);
-        const double c10 = v[sx] + f[2] * (v[sx + 1] - v[sx]), c11 = v[sx + sy] + f[2] * (v[sx + sy + 1] - v[sx + sy]);
+        // to the next node, where there is one: a grid may be a single layer
+        const long sz = nz > 1 ? 1 : 0, sy = ny > 1 ? nz : 0, sx = nx > 1 ? static_cast<long>(ny) * nz : 0;
+        const float* v = values + (static_cast<long>(cell[0]) * ny + cell[1]) * nz + cell[2];
+        const double c00 = v[0] + f[2] * (v[sz] - v[0]), c01 = v[sy] + f[2] * (v[sy + sz] - v[sy]);
+        const double c10 = v[sx] + f[2] * (v[sx + sz] - v[sx]), c11 = v[sx + sy] + f[2] * (v[sx + sy + sz] - v[sx + sy]);
         const double c0 = c00 + f[1] * (c01 - c00), c1 = c10 + f[1] * (c11 - c10);
         return c0 + f[0] * (c1 - c0) - spacing * std::sqrt(outside);
     }

@@ -1,4 +1,4 @@
-"""The bytes of a table file, or one sentence about why they can't be had."""
+"""The bytes of an input file, or one sentence about why they can't be had."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import os
 from ctrplan.errors import InputError
 
 
-def table_bytes(file: str, largest_bytes: int, what: str) -> bytes:
-    """Everything in `file`. Raises InputError where it can't be read or is larger than a `what` can be."""
+def file_bytes(file: str, largest_bytes: int, kind: str, what: str) -> bytes:
+    """Everything in `file`; its kind is "CSV" or so. Raises InputError if it is unreadable or too large a `what`."""
     try:
         with open(file, "rb") as stream:
             size = os.fstat(stream.fileno()).st_size  # a file that is much too large is not read at all
@@ -16,7 +16,7 @@ def table_bytes(file: str, largest_bytes: int, what: str) -> bytes:
     except FileNotFoundError:
         raise InputError("does not exist", file=file) from None
     except IsADirectoryError:
-        raise InputError("is a folder, not a CSV file", file=file) from None
+        raise InputError(f"is a folder, not a {kind} file", file=file) from None
     except (OSError, ValueError) as error:
         raise InputError(f"can't be read ({getattr(error, 'strerror', None) or error})", file=file) from None
     if max(size, len(data)) > largest_bytes:

@@ -1,0 +1,283 @@
+// Laws of the parts that plans, fits and histories are made of, on random robots; something to run under sanitizers.
+//   build/core/parts_test [ROBOTS]
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <limits>
+#include <random>
+#include <vector>
+
+#include "ctr/bound.hpp"
+#include "ctr/bound_field.hpp"
+#include "ctr/edge.hpp"
+#include "ctr/history.hpp"
+#include "ctr/sensitivities.hpp"
+#include "ctr/tip_solver.hpp"
+#include "random_robot.hpp"
+
+namespace {
+
+using ctr::Vec3;
+using tests::Case;
+using tests::expect;
+
+double distance(const Vec3& a, const Vec3& b) { return std::hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]); }
+
+Vec3 turned(const Vec3& p, double angle) {
+    return {std::cos(angle) * p[0] - std::sin(angle) * p[1], std::sin(angle) * p[0] + std::cos(angle) * p[1], p[2]};
+}
+
+Case with_all_turned(Case made, double angle) {
+    for (double& theta : made.q.theta) theta += angle;
+    return made;
+}
+
+double uniform(std::mt19937& random, double a, double b) { return std::uniform_real_distribution<double>(a, b)(random); }
+
+// Distances from the plane normal . p = 0, as large as the grid and not a number more, so that a sanitizer sees a look beyond.
+struct PlaneField {
+    std::vector<float> values;
+    ctr::SignedDistanceField field;
+    Vec3 normal;
+
+    PlaneField(int nx, int ny, int nz, double spacing, const Vec3& origin, const Vec3& normal) : normal(normal) {
+        for (int i = 0; i < nx; ++i)
+            for (int j = 0; j < ny; ++j)
+                for (int k = 0; k < nz; ++k)
+                    values.push_back(static_cast<float>(normal[0] * (origin[0] + i * spacing) + normal[1] * (origin[1] + j * spacing) +
+                                                        normal[2] * (origin[2] + k * spacing)));
+        values.shrink_to_fit();
+        field.values = values.data();
+        field.nx = nx, field.ny = ny, field.nz = nz;
+        field.spacing = spacing;
+        field.origin = origin;
+    }
+};
+
+// Trilinear interpolation of a plane's distances is exact inside and never more than the distance outside, also in grids of
+// a single layer.
+void check_distances(int seed) {
+    std::mt19937 random(seed);
+    const int size[3] = {2 + seed % 4, 1 + seed % 3, 1 + seed / 2 % 3};
+    const double pitch = uniform(random, 0, M_PI), yaw = uniform(random, 0, 2 * M_PI);
+    Vec3 normal{std::sin(pitch) * std::cos(yaw), std::sin(pitch) * std::sin(yaw), std::cos(pitch)};
+    const Vec3 origin{-0.01, -0.02, 0.03};
+    const PlaneField plane(size[0], size[1], size[2], 0.01, origin, normal);
+    for (int k = 0; k < 200; ++k) {
+        Vec3 inside, anywhere;
+        for (int i = 0; i < 3; ++i) {
+            inside[i] = origin[i] + 0.01 * (size[i] - 1) * (k < 8 ? k >> i & 1 : uniform(random, 0, 1));
+            anywhere[i] = origin[i] + uniform(random, -0.1, 0.1);
+        }
+        expect(std::fabs(plane.field.sample(inside) - ctr::dot(normal, inside)) < 1e-7, "a plane's distances are interpolated exactly", seed);
+        expect(plane.field.sample(anywhere) <= ctr::dot(normal, anywhere) + 1e-7, "outside the grid a distance is a lower bound", seed);
+    }
+    expect(std::isnan(plane.field.sample({std::nan(""), 0, 0})), "the distance of no point is no number", seed);
+}
+
+// A common rotation turns the zero-clearance shape, and the room around it where a wall is normal to the axis.
+void check_zero_clearance(int seed, const Case& made) {
+    ctr::ZeroClearance first, second, other;
+    if (!first.solve(made.robot, made.q)) return;
+    const Case second_case = with_all_turned(made, 0.7);
+    if (!second.solve(second_case.robot, second_case.q)) return;
+    expect(first.residual() < 1e-9, "zero clearance: residual below 1e-9", seed);
+    if (first.is_unique()) {
+        expect(distance(turned(first.tip().p, 0.7), second.tip().p) < 1e-9, "zero clearance: a common rotation turns the tip", seed);
+        expect(first.search_other(made.robot, made.q, 0, other) < 0, "zero clearance: where one is known to be all, no other is found", seed);
+        const PlaneField wall(2, 2, 9, 0.05, {0, 0, -0.1}, {0, 0, 1});
+        const double room = first.clearance(made.robot, wall.field, 1e-3);
+        expect(std::fabs(room - second.clearance(made.robot, wall.field, 1e-3)) < 1e-6, "zero clearance: a common rotation leaves the room", seed);
+        expect(room < 1e-3, "zero clearance: the robot begins at the plate", seed);
+    } else if (first.search_other(made.robot, made.q, 0, other) >= 0) {
+        expect(other.residual() < 1e-9 && !other.negative_pivots(), "zero clearance: another equilibrium is one, and stable", seed);
+    }
+    std::mt19937 random(seed);  // the same object for a robot of another size, and back
+    const Case alone = tests::random_case(random, 1);
+    if (other.solve(alone.robot, alone.q) && other.solve(made.robot, made.q) && first.is_unique())
+        expect(distance(other.tip().p, first.tip().p) < 1e-9, "zero clearance: nothing is left of another robot", seed);
+}
+
+// Exact geometry: residuals, common rotation, one tube is the curve it was made as.
+void check_exact(int seed, const Case& made) {
+    ctr::BoundSolver solver(made.robot), second(made.robot);
+    const ctr::Accuracy accuracy = ctr::Accuracy::exact_geometry();
+    solver.solve(made.q, accuracy);
+    if (!solver.all_converged()) return;
+    expect(solver.frictionless().residual < 1e-8, "exact: residual below 1e-8", seed);
+    second.solve(with_all_turned(made, 0.7).q, accuracy);
+    if (solver.status() == ctr::Status::converged && second.all_converged()) {
+        const Vec3 tip = solver.backbone.frame.back().p;
+        expect(distance(turned(tip, 0.7), second.backbone.frame.back().p) < 1e-6, "exact: a common rotation turns the tip", seed);
+        expect(std::fabs(solver.position - second.position) < 1e-6, "exact: a common rotation leaves the bound", seed);
+    }
+    if (made.robot.count() > 1) return;
+    ctr::ZeroClearance alone;
+    if (alone.solve(made.robot, made.q))
+        expect(distance(alone.tip().p, solver.backbone.frame.back().p) < 1e-7, "exact: one tube is as it was made", seed);
+}
+
+// Turning everything moves the tip with e_z x p, pushing everything with e_z; and a difference of two solves says the same of
+// each joint alone.
+void check_sensitivities(int seed, const Case& made) {
+    const int n = made.robot.count();
+    ctr::TipSolver solver(made.robot);
+    const std::vector<double> phi(n - 1, seed % 3 - 1);
+    const ctr::Accuracy accuracy = ctr::Accuracy::search();
+    if (solver.solve(made.q, accuracy, phi) != ctr::Status::converged) return;
+    const int count = static_cast<int>(ctr::number_names(made.robot).size());
+    ctr::Configuration q = made.q;
+    ctr::Robot robot = made.robot;
+    expect(static_cast<int>(ctr::numbers(robot, q).size()) == count, "every number has a name", seed);
+    std::vector<ctr::Direction> directions(1);
+    for (int i = 0; i < n; ++i) directions[0].weights.push_back({count - 2 * n + i, 1});
+    directions[0].step = 1e-4;
+    for (int k = 0; k < count; ++k) directions.push_back({{{k, 1}}, 1e-5});  // all in one call, whatever they are worth
+    std::vector<ctr::TipDerivative> found;
+    solver.differentiate(directions, found);
+    expect(found.size() == directions.size(), "one derivative per direction", seed);
+    const Vec3 tip = solver.tip().p;
+    expect(distance(found[0].position, {-tip[1], tip[0], 0}) < 1e-5, "turning everything turns the tip", seed);
+    const double step = 1e-4;
+    for (int i = 1; i < n; ++i) {
+        Vec3 ends[2];
+        bool both = true;
+        for (int side = 0; side < 2; ++side) {
+            ctr::Configuration moved = made.q;
+            moved.theta[i] += side ? step : -step;
+            ctr::TipSolver fresh(made.robot);
+            both &= fresh.solve(moved, accuracy, phi) == ctr::Status::converged;
+            if (both) ends[side] = fresh.tip().p;
+        }
+        if (!both || distance(ends[0], ends[1]) > 2 * step) continue;  // a tip that moves a metre a radian is about to snap
+        const Vec3& by = found[1 + count - 2 * n + i].position;
+        Vec3 difference;
+        for (int k = 0; k < 3; ++k) difference[k] = (ends[1][k] - ends[0][k]) / (2 * step);
+        expect(distance(difference, by) < 1e-3 + 0.02 * std::sqrt(ctr::dot(by, by)), "a derivative is the limit of differences", seed);
+    }
+}
+
+// What was saved is where it was, and goes on as it did.
+void check_history(int seed, const Case& made) {
+    const std::size_t n = made.robot.tubes.size();
+    ctr::History history(made.robot, ctr::Accuracy::search(), ctr::HistoryOptions());
+    const std::vector<double> released(n - 1, 0.0), loaded(n - 1, 1.0);
+    if (history.start(made.q, released) == ctr::Status::failed) return;
+    ctr::Configuration near = made.q, far = made.q;
+    for (std::size_t i = 1; i < n; ++i) near.theta[i] += 0.2, far.theta[i] += 0.5;
+    if (history.advance(near) == ctr::Status::failed) return;
+    const ctr::History::State saved = history.save();
+    if (history.advance(far) == ctr::Status::failed) return;
+    const std::vector<double> phi = history.phi();
+    const double residual = history.residual();
+    history.restore(saved);
+    expect(history.configuration().theta == near.theta && history.phi() == saved.phi, "history: back to what was saved", seed);
+    ctr::Backbone beside;
+    if (history.solve_beside(loaded, beside)) expect(!beside.frame.empty(), "history: a shape beside it has points", seed);
+    expect(history.phi() == saved.phi, "history: it stays where it is while a state beside it is solved", seed);
+    history.restore(saved);
+    if (history.advance(far) == ctr::Status::failed) return expect(false, "history: what went once goes again", seed);
+    expect(history.phi() == phi && history.residual() == residual, "history: goes on as it did, bit for bit", seed);
+}
+
+// A path past a wall: whole steps are within the density, ends are what a solve of their own says, a limit ends the walk at the
+// first sample that breaks it; the way back has the same ends.
+void check_edges(int seed, const Case& made) {
+    const std::size_t n = made.robot.tubes.size();
+    const PlaneField wall(3, 2, 5, 0.2, {-0.2, -0.1, -0.4}, {1, 0, 0});
+    ctr::SignedDistanceField field = wall.field;
+    field.p_AB = {0.03, 0, 0};
+    std::vector<ctr::Configuration> corners(3, made.q);
+    for (std::size_t i = 1; i < n; ++i) corners[1].theta[i] += 0.3;
+    corners[2] = corners[1];
+    corners[2].l[n - 1] += n > 1 ? 0.3 * std::max(0.0, made.q.l[n - 2] - 5e-3 - made.q.l[n - 1]) : 2e-3;
+    ctr::BoundSolver solver(made.robot), alone(made.robot);
+    const ctr::Accuracy accuracy = ctr::Accuracy::search();
+    const ctr::PathDensity density;
+    const std::vector<ctr::PathSample> samples = ctr::check_path(solver, corners, accuracy, field, density, {}, true);
+    expect(!samples.empty(), "edge: the first configuration is a sample", seed);
+    alone.solve(corners[0], accuracy);
+    if (!alone.all_converged() || samples.empty() || samples.back().status == ctr::Status::failed) return;
+    expect(std::fabs(samples[0].position_bound - alone.position) < 1e-9, "edge: it begins where a solve does", seed);
+    double least = 1e9;
+    for (const ctr::PathSample& sample : samples) {
+        for (std::size_t k = 0; k + 3 < sample.body.size(); k += 4) {
+            const Vec3 point{sample.body[k], sample.body[k + 1], sample.body[k + 2]};
+            const double room = field.sample(point) - sample.body[k + 3];
+            expect(room > sample.clearance - 1e-6, "edge: no point of a body is nearer than its clearance", seed);
+        }
+        if (sample.status != ctr::Status::unstable) expect(sample.motion <= density.motion * (1 + 1e-6), "edge: no step moves farther than allowed", seed);
+        least = std::min(least, sample.clearance);
+    }
+    ctr::PathLimits limits;
+    limits.clearance = 0.5 * (samples[0].clearance + least);
+    const std::vector<ctr::PathSample> ended = ctr::check_path(solver, corners, accuracy, field, density, limits);
+    for (std::size_t k = 0; k + 1 < ended.size(); ++k) expect(ended[k].clearance >= limits.clearance, "edge: a limit ends a walk at once", seed);
+}
+
+// The bound of a pair on a grid: entries at grid points, periodic, turned with the robot, invalid beyond the grid; motions by
+// look-up end at the same tips as by solves.
+void check_field(int seed) {
+    std::mt19937 random(seed);
+    const Case made = tests::random_case(random, 2);
+    const double far = made.q.l[1], near = 0.5 * (made.q.l[0] - 5e-3 + far);
+    if (!(near > far)) return;
+    const double turn = 2 * M_PI;
+    const std::vector<ctr::FieldAxis> axes{{1, true, -M_PI, turn / 12, 12}, {1, false, far, (near - far) / 2, 3}};
+    std::vector<ctr::FieldEntry> entries;
+    ctr::BoundSolver solver(made.robot);
+    ctr::Configuration q = made.q;
+    q.theta[0] = 0;
+    for (int i = 0; i < axes[0].count; ++i)
+        for (int j = 0; j < axes[1].count; ++j) {
+            q.theta[1] = axes[0].lower + i * axes[0].step;
+            q.l[1] = axes[1].lower + j * axes[1].step;
+            entries.push_back(ctr::field_entry(solver, q, ctr::Accuracy::search()));
+        }
+    entries.shrink_to_fit();
+    const double margin = 1e-4;
+    const ctr::BoundField field(made.robot, axes, reinterpret_cast<const float*>(entries.data()), margin);
+    for (int i = 0; i < axes[0].count; ++i)
+        for (int j = 0; j < axes[1].count; ++j) {
+            const ctr::FieldEntry& entry = entries[i * axes[1].count + j];
+            q.theta[0] = i % 3;
+            q.theta[1] = q.theta[0] + axes[0].lower + i * axes[0].step + turn * (i % 2);
+            q.l[1] = axes[1].lower + j * axes[1].step;
+            if (!field.sample(q).valid) continue;  // or a grid point beside it
+            const ctr::PathSample found = field.check_path({q, q}, {}, {}, {}).at(0);
+            expect(std::fabs(found.position_bound - entry.position - margin) < 1e-7, "field: entries and the margin at grid points", seed);
+            const float* tip = entry.point[ctr::kStations - 1];
+            expect(distance(turned({tip[0], tip[1], tip[2]}, q.theta[0]), found.tip) < 1e-7, "field: turned with the robot", seed);
+        }
+    ctr::Configuration start = q, end = q;
+    start.l[1] = far, end.l[1] = near;
+    end.theta[1] += 1;
+    const std::vector<ctr::PathSample> samples = field.check_path({start, end, start}, {}, {}, {});
+    expect(!samples.empty(), "field: the first configuration is a sample", seed);
+    end.l[1] = near + 0.1 * (near - far);
+    expect(!field.sample(end).valid, "field: beyond the grid nothing is said", seed);
+    end.l[1] = far - 0.1 * (near - far);
+    expect(!field.sample(end).valid, "field: nor before it", seed);
+}
+
+}  // namespace
+
+int main(int count, char** arguments) {
+    const int robots = count > 1 ? std::atoi(arguments[1]) : 30;
+    for (int seed = 0; seed < robots; ++seed) {
+        std::mt19937 random(seed);
+        const Case made = tests::random_case(random, 1 + seed % 3);
+        check_distances(seed);
+        check_zero_clearance(seed, made);
+        check_sensitivities(seed, made);
+        check_history(seed, made);
+        check_edges(seed, made);
+        check_exact(seed, made);
+        if (seed % 5 == 0) check_field(seed);
+    }
+    std::printf("Parts of the core on %d random robots of 1 to 3 tubes: %d checks, %d laws broken\n", robots, tests::checks.load(),
+                tests::failures.load());
+    return tests::failures != 0;
+}

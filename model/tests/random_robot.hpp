@@ -1,0 +1,59 @@
+// Random robots with a configuration, and the count of laws that did not hold.
+#pragma once
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <cstdio>
+#include <random>
+#include <vector>
+
+#include "ctr/robot.hpp"
+
+namespace tests {
+
+struct Case {
+    ctr::Robot robot;
+    ctr::Configuration q;
+};
+
+// n tubes, straight then curved, one robot in five fully retracted: clearances 0.01 to 3 mm or 2 % of the radius of curvature,
+// mu 0 to 0.5, nu -0.3 to 0.5.
+inline Case random_case(std::mt19937& random, int n) {
+    auto uniform = [&](double a, double b) { return std::uniform_real_distribution<double>(a, b)(random); };
+    Case made;
+    double base = -uniform(0, 0.02), tip = uniform(0.05, 0.12);
+    const bool retracted = uniform(0, 1) < 0.2;
+    for (int i = 0; i < n; ++i) {
+        const double EI = std::pow(10.0, uniform(-3, -1)), curved = uniform(0.3, 0.9) * tip;
+        made.robot.tubes.push_back({0, 0, EI, EI / (1 + uniform(-0.3, 0.5)), 0.005, {}});
+        made.robot.tubes.back().sections = {{tip - base - curved, 0, 0}, {curved, uniform(-1, 1), uniform(-15, 15)}};
+        made.q.theta.push_back(uniform(-M_PI, M_PI));
+        made.q.l.push_back(base);
+        base -= retracted ? uniform(0.005, 0.006) : uniform(0.006, 0.04);
+        tip += uniform(0, retracted ? 0.002 : 0.04);
+    }
+    auto bend = [&](int i) { return std::hypot(made.robot.tubes[i].sections[1].curvature_x, made.robot.tubes[i].sections[1].curvature_y); };
+    double radius = 5e-4;  // from the innermost tube outwards
+    for (int i = n - 1; i >= 0; --i) {
+        made.robot.tubes[i].inner_radius = radius;
+        made.robot.tubes[i].outer_radius = radius += uniform(1e-4, 2e-4);
+        if (i == 0) break;
+        const double most = std::min(3e-3, 0.02 / std::max(bend(i), bend(i - 1)));
+        const double clearance = std::pow(10.0, uniform(-5, std::log10(most)));
+        made.robot.pairs.insert(made.robot.pairs.begin(), {clearance, uniform(0, 0.5), radius + clearance, radius});
+        radius += clearance;
+    }
+    return made;
+}
+
+inline std::atomic<int> checks = 0, failures = 0;
+
+inline void expect(bool holds, const char* law, int seed) {
+    ++checks;
+    if (holds) return;
+    ++failures;
+    std::printf("seed %d: %s does not hold\n", seed, law);
+}
+
+}  // namespace tests
