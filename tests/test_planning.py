@@ -20,6 +20,7 @@ from ctrplan.planning.motion import Motion, MotionChecker, invalid
 from ctrplan.planning.ompl_space import StateReader, state_space
 from ctrplan.planning.reorder import rotations_first
 from ctrplan.planning.space import JointSpace
+from ctrplan.planning.stage_search import Progress
 from ctrplan.planning.validity import MotionValidity, Validity
 from ctrplan.scenario import Scenario, load_scenario
 from ctrplan.trajectory import verify_limits
@@ -33,8 +34,14 @@ def scenario(name: str, *overrides: str) -> Scenario:
 
 
 @pytest.fixture(scope="module")
-def ribs() -> ctrplan.Plan:
-    return ctrplan.plan(scenario("ribs", "planner.time_s=1"), seed=0)
+def told() -> list[Progress]:
+    """What the planner said while `ribs` was planned."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def ribs(told: list[Progress]) -> ctrplan.Plan:
+    return ctrplan.plan(scenario("ribs", "planner.time_s=1"), seed=0, progress=told.append)
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +88,13 @@ def test_cost_that_weighs_the_error_more_prefers_goals_with_less() -> None:
     lengths, errors = (np.array([getattr(m, key) for m in valid]) for key in ("length_mm", "end_bound_m"))
     caring, blind = (errors[np.argmin(lengths + weight * errors * 1e3)] for weight in (200, 0))
     assert caring < blind
+
+
+def test_progress_of_a_search_only_rises(ribs: ctrplan.Plan, told: list[Progress]) -> None:
+    shares = [progress.fraction for progress in told if progress.stage == "search"]
+    assert np.all(np.diff(shares) >= 0) and shares[0] < 0.5 < shares[-1] <= 1
+    costs = [progress.best_cost_mm for progress in told if progress.best_cost_mm is not None]
+    assert costs[-1] <= costs[0]
 
 
 def test_bound_aware_plan_ends_with_less_error_than_blind_one() -> None:

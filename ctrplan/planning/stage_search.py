@@ -162,7 +162,7 @@ class StageSearch:
             share = 1.0 if checker is self.checker else FALLBACK_SHARE
             problem = SearchProblem(checker, self.goals, self.seed + 1000 * attempt)
             until = now + share * max(until - now, LEAST_SHARE * self.budget)
-            stop = self._stopper(now, until)
+            stop = self._stopper(until)
             if not problem.solve(stop, only_first=self.best is None):
                 if self.best or checker is not self.checker:
                     break
@@ -186,12 +186,11 @@ class StageSearch:
         self.report(Progress("search", min(1.0, self.clock.now() / self.budget), best))
         return self.clock.is_past(until) or self.interrupted.is_set()
 
-    def _stopper(self, began: float, until: float) -> Callable[[float], bool]:
-        """Whether a search that began then is over, told its best cost [mm]."""
+    def _stopper(self, until: float) -> Callable[[float], bool]:
+        """Whether a search that ends then is over, told its best cost [mm]."""
 
         def stop(cost: float) -> bool:
-            share = min(1.0, (self.clock.now() - began) / max(until - began, 1e-9))
-            self.report(Progress("search", share, cost if np.isfinite(cost) else None))
+            self.report(Progress("search", min(1.0, self.clock.now() / until), cost if np.isfinite(cost) else None))
             return self.clock.is_past(until) or self.interrupted.is_set()
 
         return stop
