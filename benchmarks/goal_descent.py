@@ -3,8 +3,8 @@
 python benchmarks/goal_descent.py [--count 16] [--only SCENARIO ...] [--plans FILE]
 
 The long search descends from all configurations found from three seeds. It says what choosing among goals could give at
-best, wherever a path leads. With the results of benchmarks/planning.py, that best over the bound at which blind plans end,
-beside what the aware ones make of it.
+best, wherever a path leads. With the results of benchmarks/planning.py, that best over the bound at which blind plans
+end, beside what the aware ones make of it.
 """
 
 from __future__ import annotations
