@@ -30,7 +30,7 @@ from ctrplan.planning.motion import MotionChecker
 from ctrplan.trajectory import time_parameterise, verify_limits
 
 BLIND = ["cost.error_along=0", "cost.error_goal=0"]
-AWARE = ["cost.error_goal=30"]  # thrice the default: what is left at the target matters most here
+AWARE = ["cost.error_along=10", "cost.error_goal=100"]  # ten times the defaults: errors matter most here
 MODES: dict[str, list[str]] = {"aware": AWARE, "blind": BLIND}
 CHOICE = 1.5  # ratio between bounds of goal configurations from which a query has a choice
 HISTORY_STEPS = 8  # a leg

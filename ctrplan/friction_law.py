@@ -85,7 +85,7 @@ def tip_deviations(corner_tip_m: Array, tip_m: Array, phi: Array) -> Array:
     Exact at the corners, tips (K, 2**P, 3), and at phi = 0, tips (K, 3); multilinear in phi between the corners plus a
     parabola that takes their mean to the frictionless tip.
     """
-    signs = _corner_signs(phi.shape[1])
+    signs = corner_signs(phi.shape[1])
     away = corner_tip_m - tip_m[:, None]
     weights = np.prod(1 + signs * phi[:, None, :], axis=2) / len(signs)
     bow = (np.mean(phi**2, axis=1) if phi.shape[1] else np.zeros(len(phi))) - 1
@@ -96,15 +96,15 @@ def tip_deviations(corner_tip_m: Array, tip_m: Array, phi: Array) -> Array:
 def largest_deviation(corner_tip_m: Array, tip_m: Array, load: Array) -> Array:
     """(K,) [m] largest deviation of the tip with every |phi| at `load` (K, P), over all signs."""
     sizes = [
-        np.linalg.norm(tip_deviations(corner_tip_m, tip_m, sign * load), axis=1)
-        for sign in _corner_signs(load.shape[1])
+        np.linalg.norm(tip_deviations(corner_tip_m, tip_m, sign * load), axis=1) for sign in corner_signs(load.shape[1])
     ]
     largest: Array = np.max(sizes, axis=0)
     return largest
 
 
 @cache
-def _corner_signs(pairs: int) -> NDArray[np.float64]:
+def corner_signs(pairs: int) -> NDArray[np.float64]:
+    """(2**pairs, pairs) friction states in which every pair is fully loaded, one way or the other."""
     return np.array(list(itertools.product((1.0, -1.0), repeat=pairs))).reshape(2**pairs, pairs)
 
 

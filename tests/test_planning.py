@@ -20,6 +20,7 @@ from ctrplan.planning.motion import Motion, MotionChecker, invalid
 from ctrplan.planning.ompl_space import StateReader, state_space
 from ctrplan.planning.reorder import rotations_first
 from ctrplan.planning.space import JointSpace
+from ctrplan.planning.stage_search import Progress
 from ctrplan.planning.validity import MotionValidity, Validity
 from ctrplan.scenario import Scenario, load_scenario
 from ctrplan.trajectory import verify_limits
@@ -33,8 +34,14 @@ def scenario(name: str, *overrides: str) -> Scenario:
 
 
 @pytest.fixture(scope="module")
-def ribs() -> ctrplan.Plan:
-    return ctrplan.plan(scenario("ribs", "planner.time_s=1"), seed=0)
+def told() -> list[Progress]:
+    """What the planner said while `ribs` was planned."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def ribs(told: list[Progress]) -> ctrplan.Plan:
+    return ctrplan.plan(scenario("ribs", "planner.time_s=1"), seed=0, progress=told.append)
 
 
 @pytest.fixture(scope="module")
@@ -83,9 +90,17 @@ def test_cost_that_weighs_the_error_more_prefers_goals_with_less() -> None:
     assert caring < blind
 
 
-def test_bound_aware_plan_ends_with_less_error_than_blind_one(ribs: ctrplan.Plan) -> None:
-    blind = ctrplan.plan(scenario("ribs", "planner.time_s=1", *BLIND), seed=0)
-    assert ribs.certificate.goal_bound_m < 0.5 * blind.certificate.goal_bound_m
+def test_progress_of_a_search_only_rises(ribs: ctrplan.Plan, told: list[Progress]) -> None:
+    shares = [progress.fraction for progress in told if progress.stage == "search"]
+    assert np.all(np.diff(shares) >= 0) and shares[0] < 0.5 < shares[-1] <= 1
+    costs = [progress.best_cost_mm for progress in told if progress.best_cost_mm is not None]
+    assert costs[-1] <= costs[0]
+
+
+def test_bound_aware_plan_ends_with_less_error_than_blind_one() -> None:
+    weights = (["cost.error_goal=100"], BLIND)  # how much less is the user's choice: here the target matters most
+    aware, blind = (ctrplan.plan(scenario("ribs", "planner.time_s=1", *w), seed=0) for w in weights)
+    assert aware.certificate.goal_bound_m < 0.5 * blind.certificate.goal_bound_m
 
 
 def test_bound_aware_plan_in_the_vessel_ends_with_less_error_than_blind_one() -> None:

@@ -12,6 +12,7 @@ import pytest
 from ctrplan.drive import Array
 from ctrplan.mechanics import PathSamples
 from ctrplan.planning.bound_field import BoundField
+from ctrplan.planning.goal_descent import descended
 from ctrplan.planning.goals import goal_states
 from ctrplan.planning.motion import MotionChecker, anatomy_grid
 from ctrplan.planning.retreat import Roadmap
@@ -38,30 +39,52 @@ def search(vessel: MotionChecker) -> RoadmapSearch:
 
 
 def test_the_path_found_is_the_cheapest_of_all(vessel: MotionChecker, search: RoadmapSearch) -> None:
-    path = search.path(lambda: False, eager=False)
+    path = search.cheap_path(lambda: False, doubt=0)
     assert path is not None
 
-    def cost(a: int, b: int) -> float:
+    def cost(a: int, b: int, ends_at_goal: bool) -> float:
         motion = vessel.motion(search.joints[a], search.joints[b])
-        return vessel.cost_mm(motion, ends_at_goal=b in search.goals) if motion.valid else np.inf
+        return vessel.cost_mm(motion, ends_at_goal=ends_at_goal) if motion.valid else np.inf
 
-    prices = {(int(a), int(b)): cost(a, b) for a, b in search.edges}
+    prices = {(int(a), int(b)): cost(a, b, False) for a, b in search.edges}
     least = np.where(np.arange(len(search.joints)) == 0, 0.0, np.inf)
     for _ in range(len(least)):
         for (a, b), price in prices.items():
             least[b] = min(least[b], least[a] + price)
+    cheapest = min(least[a] + cost(a, b, True) for a, b in prices if b in search.goals)
     nodes = [int(np.argmin(np.abs(search.joints - q).max(axis=1))) for q in path]
-    total = sum(prices[pair] for pair in zip(nodes[:-1], nodes[1:], strict=True))
-    assert total == pytest.approx(least[search.goals].min(), abs=1e-4)
+    pairs = list(zip(nodes[:-1], nodes[1:], strict=True))
+    total = sum(prices[pair] for pair in pairs[:-1]) + cost(*pairs[-1], True)
+    assert total == pytest.approx(cheapest, abs=1e-4)
     assert nodes[0] == 0 and nodes[-1] in search.goals
+    likely = search.cheap_path(lambda: False, doubt=1)
+    assert likely is not None and vessel.state(likely[-1]).valid
+
+
+def test_a_goal_that_is_passed_is_not_paid_for() -> None:
+    target = "goal={tip_mm=[16.1, -30.3, 144.9], tolerance_mm=1.0}"
+    dear = MotionChecker(load_scenario(SCENARIOS / "deploy.toml", [target, "cost.error_goal=1000"]))
+    trails = descended(dear, goal_states(dear, np.random.default_rng(0))[:1])
+    start = dear.scenario.start
+    search = RoadmapSearch(dear, Roadmap(start[None], np.empty((0, 2), dtype=int), np.empty(0, dtype=int)), [])
+    search.add_trails(trails)
+    first, last = 1, len(trails[0])
+    np.testing.assert_array_equal(search.joints[[first, last]], [trails[0][0].joints, trails[0][-1].joints])
+    search.cost[:] = np.where(search.edges[:, 0] == 0, np.inf, search.cost)  # no other way down than along the trail
+    search.extend(np.empty((0, len(start))), np.array([[0, first]]))
+    search.cost[-1], search.known[-1] = 1.0, True
+    path = search.cheap_path(lambda: False, doubt=0)
+    assert path is not None and len(path) > 2
+    np.testing.assert_array_equal(path[1], search.joints[first])
+    assert search.left_m[int(np.argmin(np.abs(search.joints - path[-1]).max(axis=1)))] < search.left_m[first]
 
 
 def test_a_forbidden_path_is_not_found_again(vessel: MotionChecker, search: RoadmapSearch) -> None:
-    path = search.path(lambda: False, eager=True)
+    path = search.any_path(lambda: False)
     assert path is not None
     assert all(vessel.motion(a, b).valid for a, b in zip(path[:-1], path[1:], strict=True))
     search.forbid(path, "refused")
-    other = search.path(lambda: False, eager=True)
+    other = search.any_path(lambda: False)
     assert other is None or not np.array_equal(other, path)
 
 

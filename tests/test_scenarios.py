@@ -54,12 +54,12 @@ def test_withdrawing_goes_back_along_the_body() -> None:
     off = [np.linalg.norm(body - tip, axis=1).min() for tip in tips]
     assert max(off) < 3.5e-3 and np.all(np.diff(tips[:, 2]) < 0) and tips[-1, 2] < 0.03
     search = RoadmapSearch(checker, roadmap, goals)
-    states = search.path(lambda: False, eager=True)
+    states = search.any_path(lambda: False)
     assert states is not None and np.array_equal(states[0], scenario.start)
     assert any(np.array_equal(states[-1], goal.joints) for goal in goals)
     assert all(checker.motion(a, b).valid for a, b in zip(states[:-1], states[1:], strict=True))
     search.forbid(states, "the test says so")
-    other = search.path(lambda: False, eager=True)
+    other = search.any_path(lambda: False)
     assert other is None or not np.array_equal(other, states)
 
 

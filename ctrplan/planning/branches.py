@@ -27,6 +27,7 @@ from ctrplan.planning.inverse_kinematics import (
     angle_to,
 )
 from ctrplan.planning.motion import MotionChecker, anatomy_grid
+from ctrplan.planning.tip_slopes import tips_by_joints
 
 SAMPLES = 1500  # random configurations whose tips are looked at
 STARTS = 300  # of them, the nearest ones after a common rotation: solves
@@ -93,14 +94,14 @@ def reach(
     order = np.argsort(q.error_m)
     near = order[q.error_m[order] <= tolerance_m + GAP_M]
     near = near[np.argsort(-_room(checker, q.joints[near]), kind="stable")] if len(near) else order[:1]
-    chosen = _distinct(checker, q.joints, near)[:MOST_REFINED]
+    chosen = distinct_rows(checker, q.joints, near)[:MOST_REFINED]
     joints = _refined(checker, aim, q.joints[chosen], tolerance_m)
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         found = list(pool.map(lambda joint: configuration(checker, target, joint), joints))
     nearest = min(found, key=lambda c: c.tip_error_m)
     reached = [c for c in found if c.tip_error_m <= tolerance_m and c.turned_rad <= target.direction_tolerance_rad]
     reached.sort(key=lambda c: c.bound_m)
-    kept = _distinct(checker, np.array([c.joints for c in reached]), np.arange(len(reached)))
+    kept = distinct_rows(checker, np.array([c.joints for c in reached]), np.arange(len(reached)))
     return Reach(tuple(reached[k] for k in kept), nearest, tolerance_m, target.direction_tolerance_rad, solver, target)
 
 
@@ -132,7 +133,7 @@ def _room(checker: MotionChecker, q: Array) -> Array:
     return room
 
 
-def _distinct(checker: MotionChecker, q: Array, order: NDArray[np.int_]) -> NDArray[np.int_]:
+def distinct_rows(checker: MotionChecker, q: Array, order: NDArray[np.int_]) -> NDArray[np.int_]:
     """Those of `order` that are not within DISTINCT_MM of one before them."""
     kept: list[int] = []
     for k in order.tolist():
@@ -168,12 +169,8 @@ def _miss(checker: MotionChecker, target: TipTarget, q: Array) -> tuple[Array, A
 
     NaN where the solve failed; a joint at a limit of the tubes' nesting has no derivative and counts as fixed.
     """
-    drive, n = checker.space.drive, checker.mechanics.n
-    names = [f"theta_b.{i + 1}" for i in range(n)] + [f"l_b.{i + 1}" for i in range(n)]
-    tips = checker.mechanics.tips_with_friction(*drive.collars(q), np.zeros((len(q), n - 1)), parameters=names)
-    failed = tips.status == Status.FAILED
-    moves = np.vstack([drive.matrix_theta, drive.matrix_l])
-    slope = np.nan_to_num(np.concatenate([tips.position_by, tips.tangent_by], axis=1)) @ moves
+    tips = tips_by_joints(checker, q, np.zeros((len(q), checker.mechanics.n - 1)))
+    failed, slope = tips.status == Status.FAILED, np.concatenate([tips.position_by, tips.tangent_by], axis=1)
     miss = np.zeros((len(q), 6))
     miss[:, :3] = np.where(failed[:, None], np.nan, target.tip_m - tips.position_m)
     if target.direction is None:

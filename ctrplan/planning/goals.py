@@ -10,7 +10,7 @@ import numpy as np
 
 from ctrplan.drive import Array
 from ctrplan.errors import NoAnswerError
-from ctrplan.planning.branches import Reach, reach
+from ctrplan.planning.branches import Reach, distinct_rows, reach
 from ctrplan.planning.inverse_kinematics import TipTarget
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.room import refuse_blocked_target
@@ -44,7 +44,8 @@ def goal_states(checker: MotionChecker, rng: np.random.Generator) -> list[GoalSt
     if limit is not None and not kept:
         from ctrplan.planning.goal_descent import descended  # which knows about goals
 
-        found = sorted(found + descended(checker, found, rng), key=lambda state: state.bound_m)
+        lowest = [trail[-1] for trail in descended(checker, _choice(checker, found))]
+        found = sorted(found + lowest, key=lambda state: state.bound_m)
         kept = [state for state in found if state.bound_m <= limit]
     if not kept:
         required, best = (limit or 0) * MM_PER_M, found[0].bound_m * MM_PER_M
@@ -53,6 +54,12 @@ def goal_states(checker: MotionChecker, rng: np.random.Generator) -> list[GoalSt
             f"no goal state keeps the required worst-case error of {required:g} mm, the best has {best:.2f} mm",
         )
     return _choice(checker, kept)
+
+
+def distinct(checker: MotionChecker, states: list[GoalState]) -> list[GoalState]:
+    """The states, lowest bound first, without those close to one before."""
+    ordered = sorted(states, key=lambda state: state.bound_m)
+    return [ordered[k] for k in distinct_rows(checker, np.array([s.joints for s in ordered]), np.arange(len(ordered)))]
 
 
 def _choice(checker: MotionChecker, states: list[GoalState]) -> list[GoalState]:

@@ -14,10 +14,11 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from ctrplan.drive import Array
+from ctrplan.planning.goal_descent import Trail
 from ctrplan.planning.goals import GoalState
 from ctrplan.planning.inverse_kinematics import TipSolver, TipTarget
 from ctrplan.planning.motion import HOPELESS_M, MM_PER_M, MotionChecker
-from ctrplan.planning.retreat import Roadmap
+from ctrplan.planning.retreat import SKIPS, Roadmap
 from ctrplan.planning.search_clock import ROOM_NS
 
 AT_ONCE = 2  # motions checked in parallel; the same everywhere, as it decides what is checked
@@ -42,6 +43,8 @@ class RoadmapSearch:
         self.joints = np.empty((0, len(checker.space.weights_mm)))
         self.edges = np.empty((0, 2), dtype=int)
         self.length, self.cost, self.hope = np.empty(0), np.empty(0), np.empty(0)
+        self.least, self.least_left = np.empty(0), np.empty(0)  # length and stops alone; bound at the goal alone
+        self.left = np.empty(0)  # cost of the error left if the path ends with that motion; inf but at goals
         self.known, self.probed = np.empty(0, dtype=bool), np.empty(0, dtype=bool)
         self.refused = np.empty(0, dtype=int)  # states that are not valid
         self.row: dict[tuple[int, int], int] = {}
@@ -55,11 +58,14 @@ class RoadmapSearch:
         a, b = edges.T
         delta = space.difference(self.joints[a], self.joints[b])
         length = space.lengths_mm(delta)
-        left = np.array([self.left_m.get(int(node), 0.0) for node in b])
-        least = weights.path * length + weights.stop * space.legs(delta) + weights.error_goal * left * MM_PER_M + 1e-6
+        least = weights.path * length + weights.stop * space.legs(delta) + 1e-6
+        left_m = np.array([self.left_m.get(int(node), np.inf) for node in b])
+        left = np.where(np.isfinite(left_m), weights.error_goal * np.nan_to_num(left_m, posinf=0.0) * MM_PER_M, np.inf)
         self.row |= {(int(i), int(j)): k for k, (i, j) in enumerate(edges, len(self.edges))}
         self.edges, self.length = np.concatenate([self.edges, edges]), np.concatenate([self.length, length])
-        self.cost = np.concatenate([self.cost, least])  # at least; what it costs where known
+        # at least; what they are where known
+        self.cost, self.left = np.concatenate([self.cost, least]), np.concatenate([self.left, left])
+        self.least, self.least_left = np.concatenate([self.least, least]), np.concatenate([self.least_left, left])
         self.known = np.concatenate([self.known, np.zeros(len(edges), dtype=bool)])
         self.hope = np.concatenate([self.hope, np.full(len(edges), np.nan)])  # share; NaN before a look
 
@@ -80,19 +86,44 @@ class RoadmapSearch:
             edges |= {(0, i)} | {(i, j) for j in others} | {(j, i) for j in others}
         self.extend(added, np.array(sorted(edges), dtype=int).reshape(-1, 2))
 
-    def add_goals(self, goals: list[GoalState]) -> None:
-        """Adds goal states, joined to the start and to the states nearest to them."""
-        first = len(self.joints)
-        added = np.array([goal.joints for goal in goals]).reshape(-1, self.joints.shape[1])
+    def add_trails(self, trails: list[Trail]) -> None:
+        """Adds goal states a step apart, joined to those ahead in their trail; the last ones also to others."""
         edges = set()
-        for k, goal in enumerate(goals, first):
-            apart = np.linalg.norm(
-                self.checker.space.difference(self.joints, goal.joints) * self.checker.space.weights_mm, axis=1
-            )
-            edges |= {(0, k)} | {(int(i), k) for i in np.argsort(apart)[:NEIGHBOURS]}
-            self.left_m[k] = goal.bound_m
-        self.goals = np.append(self.goals, np.arange(first, first + len(goals)))
-        self.extend(added, np.array(sorted(edges), dtype=int).reshape(-1, 2))
+        for trail in trails:
+            nodes = [self._node(state) for state in trail]
+            edges |= {(nodes[i], nodes[i + skip]) for skip in SKIPS for i in range(len(nodes) - skip)}
+            edges |= {(i, nodes[-1]) for i in self._nearest(trail[-1].joints, NEIGHBOURS)}
+            edges.add((0, nodes[-1]))
+        self._join(edges)
+
+    def add_chains(self, chains: Roadmap) -> None:
+        """Adds the chains of another roadmap from the same start, whose goals are known here."""
+        known = {q.tobytes(): node for node, q in enumerate(self.joints)}
+        new = [q for q in chains.joints if q.tobytes() not in known]
+        known |= {q.tobytes(): node for node, q in enumerate(new, len(self.joints))}
+        place = np.array([known[q.tobytes()] for q in chains.joints])
+        self.extend(np.array(new).reshape(-1, self.joints.shape[1]), np.empty((0, 2), dtype=int))
+        self._join({(int(a), int(b)) for a, b in place[chains.edges]})
+
+    def _node(self, goal: GoalState) -> int:
+        """The number of a goal state, which is added if it is new."""
+        same = np.flatnonzero((self.joints == goal.joints).all(axis=1))
+        if len(same):
+            return int(same[0])
+        node = len(self.joints)
+        self.goals, self.left_m[node] = np.append(self.goals, node), goal.bound_m
+        self.extend(goal.joints[None], np.empty((0, 2), dtype=int))
+        return node
+
+    def _nearest(self, q: Array, count: int) -> list[int]:
+        """The states nearest to q (m,), not itself."""
+        apart = np.linalg.norm(self.checker.space.difference(self.joints, q) * self.checker.space.weights_mm, axis=1)
+        return [int(i) for i in np.argsort(apart) if apart[i] > 0][:count]
+
+    def _join(self, edges: set[tuple[int, int]]) -> None:
+        """Adds those motions that there were not."""
+        new = sorted((a, b) for a, b in edges if (a, b) not in self.row and a != b)
+        self.extend(np.empty((0, self.joints.shape[1])), np.array(new, dtype=int).reshape(-1, 2))
 
     def _troubled(self, rng: np.random.Generator, count: int) -> NDArray[np.int_]:
         """`count` random states, by how many motions from and to them were refused."""
@@ -113,15 +144,26 @@ class RoadmapSearch:
     def _with_room(self, q: Array, most: int) -> Array:
         return q[self.checker.rooms([row[None] for row in q]) > ROOM_M][:most]
 
-    def path(self, stop: Callable[[], bool], *, eager: bool) -> Array | None:
-        """(K, m) states from the start to a goal; None without a way, or if `stop` came first.
+    def any_path(self, stop: Callable[[], bool]) -> Array | None:
+        """(K, m) states of some good path from the start to a goal; None without a way, or if `stop` came first.
 
-        A motion not checked yet counts its length alone, which is never too dear, so that the path is the cheapest.
-        Where `eager`, motions count what it takes to check them, little where they are known to be valid: a path is
-        found sooner.
+        Motions count what it takes to check them, little where they are known to be valid.
         """
+        return self._path(stop, self._effort)
+
+    def cheap_path(self, stop: Callable[[], bool], doubt: float) -> Array | None:
+        """(K, m) states of the path that is likely the cheapest; likewise.
+
+        With `doubt` 0 motions not checked count their length and stops alone, which is never too dear, so that the path
+        is the cheapest there is, found when all that might be cheaper were checked. With doubt 1 they count what such
+        motions cost on average, over the share of them that are valid: a path is found soon. In between, in between.
+        """
+        return self._path(stop, lambda: self._likely_cost(doubt))
+
+    def _path(self, stop: Callable[[], bool], price: Callable[[], tuple[Array, Array]]) -> Array | None:
+        """Checks the motions of the cheapest path, given what they cost and what is left, until one holds."""
         while len(self.cost) and not stop():
-            nodes = self._shortest(self._eager_cost() if eager else self.cost)
+            nodes = self._shortest(*price())
             if nodes is None:
                 return None
             if self._refuses_a_state(nodes):
@@ -139,7 +181,7 @@ class RoadmapSearch:
 
     def known_path(self) -> Array | None:
         """(K, m) the cheapest path of motions known to be valid; None without one."""
-        nodes = self._shortest(np.where(self.known, self.cost, np.inf))
+        nodes = self._shortest(np.where(self.known, self.cost, np.inf), self.left)
         return None if nodes is None else self.joints[nodes]
 
     def forbid(self, path: Array, reason: str) -> None:
@@ -149,10 +191,18 @@ class RoadmapSearch:
             self.checker.forbid(self.joints[a], self.joints[b], reason)
             self.cost[self.row[a, b]] = np.inf
 
-    def _eager_cost(self) -> Array:
-        """What it takes to check them: the length by the share of such motions that are valid."""
+    def _effort(self) -> tuple[Array, Array]:
+        """What it takes to check motions: the length by the share of such motions that are valid; whatever is left."""
         cost = np.where(self.known, SURE, 1 / np.nan_to_num(self.hope, nan=1.0)) * self.length + 1e-6
-        return np.where(np.isfinite(self.cost), cost, np.inf)
+        return np.where(np.isfinite(self.cost), cost, np.inf), np.where(np.isfinite(self.left), 0.0, np.inf)
+
+    def _likely_cost(self, doubt: float) -> tuple[Array, Array]:
+        """What motions cost and leave; not checked, as far above the least as others on average, and by their hope."""
+        valid, ends = self.known & np.isfinite(self.cost), self.known & np.isfinite(self.cost + self.left)
+        dearer = self.cost[valid].sum() / self.least[valid].sum() if valid.any() else 1.0
+        worse = self.left[ends].sum() / self.least_left[ends].sum() if self.least_left[ends].any() else 1.0
+        cost = self.cost * (dearer / np.nan_to_num(self.hope, nan=1.0)) ** doubt
+        return np.where(self.known, self.cost, cost), np.where(self.known, self.left, self.left * worse**doubt)
 
     def _refuses_a_state(self, nodes: list[int]) -> bool:
         """Looks at the states themselves; whether any of them is not valid, with all motions from and to it."""
@@ -177,21 +227,27 @@ class RoadmapSearch:
     def _check(self, k: int) -> None:
         a, b = self.edges[k]
         motion = self.checker.motion(self.joints[a], self.joints[b])
-        self.cost[k] = (
-            self.checker.cost_mm(motion, ends_at_goal=bool(np.isin(b, self.goals))) if motion.valid else np.inf
-        )
+        self.cost[k] = self.checker.cost_mm(motion, ends_at_goal=False) if motion.valid else np.inf
+        if motion.valid and np.isfinite(self.left[k]):
+            self.left[k] = self.checker.cost_mm(motion, ends_at_goal=True) - self.cost[k]
         self.known[k] = True
 
-    def _shortest(self, cost: Array) -> list[int] | None:
-        """Nodes of the cheapest path from node 0 to a goal."""
+    def _shortest(self, cost: Array, left: Array) -> list[int] | None:
+        """Nodes of the cheapest path from node 0 to a goal, given what motions cost and, as the last one, leave.
+
+        A goal is two nodes, one to pass and one to end at.
+        """
         is_open, count = np.isfinite(cost), len(self.joints)
-        a, b = self.edges[is_open].T
-        graph = csr_array((cost[is_open], (a, b)), shape=(count, count))
+        last = is_open & np.isfinite(left)
+        (a, b), (a_last, b_last) = self.edges[is_open].T, self.edges[last].T
+        costs = np.concatenate([cost[is_open], cost[last] + left[last]])
+        ways = np.concatenate([a, a_last]), np.concatenate([b, b_last + count])
+        graph = csr_array((costs, ways), shape=(2 * count, 2 * count))
         distance, before = dijkstra(graph, indices=0, return_predecessors=True)
-        goal = int(self.goals[np.argmin(distance[self.goals])])
-        if not np.isfinite(distance[goal]):
+        goal = int(self.goals[np.argmin(distance[self.goals + count])])
+        if not np.isfinite(distance[goal + count]):
             return None
-        nodes = [goal]
+        nodes = [goal, int(before[goal + count])]
         while nodes[-1] != 0:
             nodes.append(int(before[nodes[-1]]))
         return nodes[::-1]

@@ -14,7 +14,7 @@ from ctrplan.errors import NoAnswerError
 from ctrplan.legs import merge_legs
 from ctrplan.planning.certify import finished, walk_legs
 from ctrplan.planning.goal_descent import descended
-from ctrplan.planning.goals import GoalState
+from ctrplan.planning.goals import GoalState, distinct
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.plan import Certificate
 from ctrplan.planning.reorder import Reordered, as_given, least_error
@@ -28,6 +28,7 @@ LEAST_SHARE = 0.25  # of the time for sampling, however long the roadmap took
 FALLBACK_SHARE = 0.3  # of the time, for simultaneous motions when no L-shaped path was found
 FIRST_STATES, FIRST_ROUND_S = 100, 0.4  # random states a roadmap first grows by, and after how long; then twice as many
 MOST_STATES = 3000  # of a roadmap
+DOUBT_KEPT = 0.5  # from round to round, of the doubt about motions that are not checked
 ATTEMPTS = 8  # searches after a path failed its certificate
 LATEST = 2.0  # times the budget: no further attempt begins after it
 
@@ -107,7 +108,7 @@ class StageSearch:
         search = RoadmapSearch(self.checker, retreat_roadmap(self.checker, goals), goals)
         states, until = FIRST_STATES, self.clock.now() + FIRST_ROUND_S
         while self.best is None and not self._is_over(FIRST_SHARE * self.budget):
-            path = search.path(lambda until=until: self._is_over(until), eager=True)  # type: ignore[misc]
+            path = search.any_path(lambda until=until: self._is_over(until))  # type: ignore[misc]
             if path is None:
                 search.grow(rng, states)
                 states, until = 2 * states, self.clock.now() + states / FIRST_STATES * FIRST_ROUND_S
@@ -117,32 +118,31 @@ class StageSearch:
         return search
 
     def _cheapest_of(self, search: RoadmapSearch) -> None:
-        """The cheapest path of a roadmap that grows further, put in order and certified."""
-        rng, states, cheapest = np.random.default_rng(self.seed), FIRST_STATES, np.empty((0, 0))
+        """The cheapest path found on a roadmap that grows further, put in order and certified."""
+        rng, states, doubt = np.random.default_rng(self.seed), FIRST_STATES, 1.0
         if self.best is not None and self.checker.scenario.cost.error_goal > 0:
-            better = descended(self.checker, self.goals, rng)
-            search.add_goals(better)
-            self.goals = better + self.goals
+            self._descend(search)
         until = ROADMAP_SHARE * self.budget
-        while not self._is_over(until):
-            path = search.path(lambda: self._is_over(until), eager=False)
-            if path is None and not self._is_over(until):
+        while not self._is_over(until) and len(search.joints) <= MOST_STATES:
+            if search.cheap_path(lambda: self._is_over(until), doubt) is None and not self._is_over(until):
                 break  # not even a way
-            if path is not None and not np.array_equal(path, cheapest):
-                cheapest = path
-            if len(search.joints) > MOST_STATES:
-                break
             search.grow(rng, states)
-            states *= 2
-        if not len(cheapest) and (known := search.known_path()) is not None:
-            cheapest = known  # out of time before it could be told which is the cheapest
-        while len(cheapest):
+            states, doubt = 2 * states, DOUBT_KEPT * doubt
+        while (cheapest := search.known_path()) is not None:
             failed = self._tidied(self.checker, self._expanded(cheapest), ROADMAP)
             if not failed:
                 break
             search.forbid(cheapest, failed)
-            path = search.known_path()
-            cheapest = np.empty((0, 0)) if path is None else path
+
+    def _descend(self, search: RoadmapSearch) -> None:
+        """Adds goal states with less error, the way down to them, and chains that withdraw from them."""
+        trails = descended(self.checker, self.goals)
+        if not trails:
+            return
+        search.add_trails(trails)
+        lowest = distinct(self.checker, [trail[-1] for trail in trails])
+        search.add_chains(retreat_roadmap(self.checker, promising(self.checker, lowest)))
+        self.goals = lowest + self.goals
 
     def _expanded(self, states: Array) -> Array:
         """(K, m) corners of the motions through states, with the start's own winding."""
@@ -162,7 +162,7 @@ class StageSearch:
             share = 1.0 if checker is self.checker else FALLBACK_SHARE
             problem = SearchProblem(checker, self.goals, self.seed + 1000 * attempt)
             until = now + share * max(until - now, LEAST_SHARE * self.budget)
-            stop = self._stopper(now, until)
+            stop = self._stopper(until)
             if not problem.solve(stop, only_first=self.best is None):
                 if self.best or checker is not self.checker:
                     break
@@ -186,12 +186,11 @@ class StageSearch:
         self.report(Progress("search", min(1.0, self.clock.now() / self.budget), best))
         return self.clock.is_past(until) or self.interrupted.is_set()
 
-    def _stopper(self, began: float, until: float) -> Callable[[float], bool]:
-        """Whether a search that began then is over, told its best cost [mm]."""
+    def _stopper(self, until: float) -> Callable[[float], bool]:
+        """Whether a search that ends then is over, told its best cost [mm]."""
 
         def stop(cost: float) -> bool:
-            share = min(1.0, (self.clock.now() - began) / max(until - began, 1e-9))
-            self.report(Progress("search", share, cost if np.isfinite(cost) else None))
+            self.report(Progress("search", min(1.0, self.clock.now() / until), cost if np.isfinite(cost) else None))
             return self.clock.is_past(until) or self.interrupted.is_set()
 
         return stop
