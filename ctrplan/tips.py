@@ -34,12 +34,20 @@ def tip_table(
     """Tips at (K, n) [rad], (K, n) [m] in friction states (K, n - 1); names as in `parameters`, or theta_b.1, l_b.1."""
     nested = _nested(robot, l_b)
     sound = np.abs(nested - l_b).max(axis=1, initial=0.0) < NESTED_M
+    phi = phi * _rubbing(robot, names)
     rows = np.hstack([theta_b, nested, phi])
     _, first, back = np.unique(np.round(rows / SAME) * SAME, axis=0, return_index=True, return_inverse=True)
     table = _solved(robot, theta_b[first], nested[first], phi[first], names, accuracy)
     back = back.ravel()
     found = TipTable(*(getattr(table, key)[back] for key in TipTable.__dataclass_fields__))
     return replace(found, sound=found.sound & sound)
+
+
+def _rubbing(robot: Robot, names: Sequence[str]) -> NDArray[np.bool_]:
+    """(n - 1,) pairs whose friction state matters: those with friction, or whose friction is differentiated by."""
+    asked = [f"contact.{i}.friction_coefficient" in names for i in range(1, robot.n)]
+    rubbing: NDArray[np.bool_] = (robot.friction[:, 1] > 0) | np.array(asked, dtype=bool)
+    return rubbing
 
 
 def _nested(robot: Robot, l_b: Array) -> Array:
