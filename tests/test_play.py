@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from conftest import SCENARIOS
 
+from ctrplan.cli import main
 from ctrplan.drive import Array
 from ctrplan.planning.certify import certify
 from ctrplan.planning.motion import search_limits
@@ -61,6 +63,16 @@ def test_the_shift_is_in_proportion_to_small_play_and_adds_up_over_actuators() -
         shift = play_shift(whole, *q)
         assert play_shift(half, *q) == pytest.approx(shift / 2, rel=0.05)
         assert sum(play_shift(robot, *q) for robot in single) == pytest.approx(shift, rel=1e-6)
+
+
+def test_the_command_says_what_play_adds(capsys: pytest.CaptureFixture[str]) -> None:
+    where = ["--theta-deg", "0", "90", "180", "--l-mm", "0", "-17", "-62.8"]
+    call = ["bound", str(SCENARIOS / "robots" / "three_tube.toml"), *where, "--accuracy", "search"]
+    assert main([*call, "--json"]) == 0 and json.loads(capsys.readouterr().out)["play_mm"] == 0.0
+    assert main(call) == 0 and "play" not in capsys.readouterr().out
+    given = ["--set", "effects.backlash.theta_3_deg=4"]
+    assert main([*call, *given]) == 0 and "play of the drive may move it by" in capsys.readouterr().out
+    assert main([*call, *given, "--json"]) == 0 and json.loads(capsys.readouterr().out)["play_mm"] > 0.5
 
 
 def certified(robot: Robot) -> tuple[Scenario, Certificate]:
