@@ -61,6 +61,7 @@ class Drive:
     home_theta_rad: Array  # (n,)
     home_l_m: Array  # (n,)
     terms: tuple[DriveTerm, ...] = ()  # what the drive does to collars (K, n), (K, n) besides, from [effects.*]
+    play: tuple[Array, Array] | None = None  # (n,) [rad], (n,) [m]: how far collars may be off either way, likewise
 
     def collars(self, q: ArrayLike) -> tuple[Array, Array]:
         """theta_b [rad] and l_b [m], each (n,) or (K, n), for joint values `q` (m,) or (K, m).

@@ -61,7 +61,17 @@ def with_effects(robot: Robot) -> Robot:
             robot = with_values(robot, effect.mechanics(values, robot))
         elif effect.stage == "drive" and effect.acts_at_rest:
             robot = replace(robot, drive=replace(robot.drive, terms=(*robot.drive.terms, _drive_term(effect, values))))
+        elif effect.stage == "drive":
+            robot = replace(robot, drive=replace(robot.drive, play=_play(effect, values, robot.n)))
     return robot
+
+
+def _play(effect: Effect, values: Mapping[str, float], n: int) -> tuple[Array, Array]:
+    """(n,) [rad], (n,) [m] how far an effect that depends on directions moves the collars, every way the same."""
+    from ctrplan.diagnosis.effect import Collars
+
+    moved = effect.drive(values, Collars(np.zeros((1, n)), np.zeros((1, n))), np.ones((1, 2 * n)))
+    return np.abs(moved.theta[0]), np.abs(moved.l[0])
 
 
 def _drive_term(effect: Effect, values: Mapping[str, float]) -> Callable[[Array, Array], tuple[Array, Array]]:

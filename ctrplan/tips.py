@@ -32,17 +32,25 @@ def tip_table(
     robot: Robot, theta_b: Array, l_b: Array, phi: Array, names: Sequence[str] = (), accuracy: Accuracy = "search"
 ) -> TipTable:
     """Tips at (K, n) [rad], (K, n) [m] in friction states (K, n - 1); names as in `parameters`, or theta_b.1, l_b.1."""
-    nested = _nested(robot, l_b)
-    sound = np.abs(nested - l_b).max(axis=1, initial=0.0) < NESTED_M
-    rows = np.hstack([theta_b, nested, phi])
+    inside = nested(robot, l_b)
+    sound = np.abs(inside - l_b).max(axis=1, initial=0.0) < NESTED_M
+    phi = phi * _rubbing(robot, names)
+    rows = np.hstack([theta_b, inside, phi])
     _, first, back = np.unique(np.round(rows / SAME) * SAME, axis=0, return_index=True, return_inverse=True)
-    table = _solved(robot, theta_b[first], nested[first], phi[first], names, accuracy)
+    table = _solved(robot, theta_b[first], inside[first], phi[first], names, accuracy)
     back = back.ravel()
     found = TipTable(*(getattr(table, key)[back] for key in TipTable.__dataclass_fields__))
     return replace(found, sound=found.sound & sound)
 
 
-def _nested(robot: Robot, l_b: Array) -> Array:
+def _rubbing(robot: Robot, names: Sequence[str]) -> NDArray[np.bool_]:
+    """(n - 1,) pairs whose friction state matters: those with friction, or whose friction is differentiated by."""
+    asked = [f"contact.{i}.friction_coefficient" in names for i in range(1, robot.n)]
+    rubbing: NDArray[np.bool_] = (robot.friction[:, 1] > 0) | np.array(asked, dtype=bool)
+    return rubbing
+
+
+def nested(robot: Robot, l_b: Array) -> Array:
     """Base translations (K, n) with those that do not nest moved to where they do."""
     l = l_b.copy()  # noqa: E741 (as in the equations)
     l[:, 0] = np.minimum(l[:, 0], 0.0)

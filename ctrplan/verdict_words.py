@@ -20,7 +20,14 @@ if TYPE_CHECKING:
 def certificate_in_words(plan: Plan) -> list[str]:
     """Paragraphs that say what the certificate's figures say."""
     times = sample_time_s(plan)
-    texts = [_checked(plan), _errors(plan, times), _reached(plan), _room(plan, times), _elastic(plan, times)]
+    texts = [
+        _checked(plan),
+        _errors(plan, times),
+        _play(plan),
+        _reached(plan),
+        _room(plan, times),
+        _elastic(plan, times),
+    ]
     return [text for text in (*texts, _insertion(plan)) if text]
 
 
@@ -45,6 +52,16 @@ def _errors(plan: Plan, times: Array) -> str:
     )
 
 
+def _play(plan: Plan) -> str:
+    certificate = plan.certificate
+    if not certificate.worst_play_m:
+        return ""
+    return (
+        f"Play of the drive may move the robot by up to {millimetres(certificate.worst_play_m)} on the way and "
+        f"{millimetres(certificate.goal_play_m)} at the goal; this is taken off every clearance."
+    )
+
+
 def _reached(plan: Plan) -> str:
     """What adds up at each target in space."""
     sentences = []
@@ -54,11 +71,12 @@ def _reached(plan: Plan) -> str:
         if goal.tip_m is None:
             continue
         name = f"Target {number}{f' ({goal.name})' if goal.name else ''}" if plan.scenario.via else "The target"
-        total, model = target.tip_error_m + target.bound_m, plan.scenario.robot.model_error_m
+        total, model = target.tip_error_m + target.bound_m + target.play_m, plan.scenario.robot.model_error_m
+        causes = "it and the drive's play" if target.play_m else "it"
         extra = f", the model's own error of {millimetres(model)} not counted" if model else ""
         sentence = (
             f"{name} is missed by {millimetres(target.tip_error_m)} without friction and by at most "
-            f"{millimetres(total)} with it{extra}."
+            f"{millimetres(total)} with {causes}{extra}."
         )
         if target.line_error_m is not None:
             sentence += f" On its line the tip without friction strays by at most {millimetres(target.line_error_m)}."

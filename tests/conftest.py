@@ -94,6 +94,7 @@ def _samples(scenario: Scenario, legs: tuple[Leg, ...]) -> CertificateSamples:
         tip_m=bounds.tip_m,
         released_m=bounds.position_m * 0.8,
         predicted_m=bounds.position_m / 2,
+        play_m=np.zeros(len(joints)),
     )
 
 

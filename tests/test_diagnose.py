@@ -91,6 +91,25 @@ def test_an_effect_taken_out_is_not_replaced_by_another_name() -> None:
     assert not any(step.effect == "backlash" for step in found.path)
 
 
+def distorted(values: dict[str, dict[str, float]]) -> Diagnosis:
+    """What is said where the catalogue has a distortion of the tracker and nothing else of the sensor."""
+    catalogue = {name: CATALOGUE[name] for name in ("sensor_distortion", "tip_load")}
+    return diagnose(ROBOT, measured(ROBOT, PLAN, BASE | values), catalogue=catalogue)
+
+
+def test_what_a_turned_base_does_as_well_is_no_evidence_for_a_distortion() -> None:
+    turned = distorted({"base_misalignment": {"rotation_x_deg": 2.0, "rotation_y_deg": -1.5, "shift_z_mm": 1.0}})
+    assert any(step.effect == "sensor_distortion" and step.taken for step in turned.path)
+    assert turned.verdict == "unexplained" and not turned.listed
+    assert any("other causes" in note for note in turned.notes)
+
+
+def test_a_distortion_that_bends_the_field_is_named() -> None:
+    bent = {"x_zz_mm": 3.0, "y_xz_mm": -2.0, "x_y_mm": 2.0, "tangent_share": 1.0}
+    found = distorted({"sensor_distortion": bent})
+    assert found.verdict == "named" and names(found) == [{"sensor_distortion"}]
+
+
 def test_only_effects_of_the_catalogue_can_be_taken_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(InputError, match="'sticktion': must be an effect of the catalogue: .*tip_load"):
         diagnose(ROBOT, PLAN, without=["tip_load", "sticktion"])

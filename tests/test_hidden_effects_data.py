@@ -171,7 +171,7 @@ def test_bank_of_folders_is_drawn_from_its_seed_and_resumes(tmp_path: Path) -> N
     todo = cases(3)
     assert len(todo) >= 200 and len({case.name for case in todo}) == len(todo) and todo == cases(3) != cases(4)
     case = Case("tiny", "pair", 4, (("tip_load", 1.0), ("backlash", 1.0)), count=2)
-    make(tmp_path, [case])
+    make(tmp_path, [case], jobs=2)
     written = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "tiny").iterdir()}
     assert set(written) == {"robot.toml", "measurements.csv", "truth.json"}
     make(tmp_path, [case])

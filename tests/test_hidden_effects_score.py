@@ -116,7 +116,7 @@ def test_runner_keeps_what_it_has_and_scoring_reads_it(tmp_path: Path) -> None:
         "if '--without' in sys.argv: sys.exit('no such thing')\n"
         "(out / 'diagnosis.json').write_text(json.dumps({'verdict': 'no_missing_effect', 'effects': []}))\n"
     )
-    diagnose_all(tmp_path / "bank", tmp_path / "out", [sys.executable, str(fake)])
+    diagnose_all(tmp_path / "bank", tmp_path / "out", [sys.executable, str(fake)], jobs=2)
     first = {p: p.stat().st_mtime_ns for p in (tmp_path / "out").rglob("run.json")}
     diagnose_all(tmp_path / "bank", tmp_path / "out", [sys.executable, str(fake)])
     assert {p: p.stat().st_mtime_ns for p in (tmp_path / "out").rglob("run.json")} == first and len(first) == 2

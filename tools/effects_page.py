@@ -19,9 +19,10 @@ in [diagnosis.md](diagnosis.md). Every effect is a term of one stage of the chai
 
 and is switched on by a table `[effects.NAME]` of a robot file with the parameters below (of the three-tube robot of
 Table II), each in the unit that its name ends with. *Prior* is the standard deviation of what is plausible. Effects
-of mechanics and drive act in `Robot.bound`, `ctrplan plan` and `ctrplan simulate` too; backlash needs to know the way
-there and acts on paths only. Those of clock and sensor move no tube: `ctrplan simulate` writes what would be measured
-(`measured_x_m` ...) beside where the tip is.
+of mechanics and drive act in `ctrplan bound`, `ctrplan plan` and `ctrplan simulate` too. On which side of its play an
+actuator rests depends on the way there: `ctrplan simulate` follows backlash along its path, `ctrplan bound` and plans
+say how far it may move the robot, and plans take that off every clearance. Those of clock and sensor move no tube:
+`ctrplan simulate` writes what would be measured (`measured_x_m` ...) beside where the tip is.
 """
 
 

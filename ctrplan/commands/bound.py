@@ -67,6 +67,7 @@ def add_parser(commands: Any) -> None:
 def run_bound(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is no bound to print."""
     from ctrplan.mechanics import Status
+    from ctrplan.planning.play import play_shift
     from ctrplan.robot import load_robot, nesting_violation
 
     if arguments.sweep:
@@ -82,7 +83,11 @@ def run_bound(arguments: argparse.Namespace) -> int:
     for warning in robot.warnings:
         print(f"ctrplan: warning: {warning}", file=sys.stderr)
     found = robot.bound(theta_b, l_b, accuracy=arguments.accuracy or "certificate")
-    print(json.dumps(_bound_json(robot.n, found), indent=1) if arguments.json else _bound_text(robot.n, found))
+    play_mm = play_shift(robot, theta_b, l_b) * 1e3
+    if arguments.json:
+        print(json.dumps(_bound_json(robot.n, found, play_mm), indent=1))
+    else:
+        print(_bound_text(robot.n, found, play_mm))
     if not math.isfinite(found.position_m):
         raise SolverError("a solve did not reach its residual: no bound is promised at this configuration.")
     if found.frictionless.status is Status.UNSTABLE:
@@ -107,11 +112,12 @@ def _corners(n: int, found: Bound) -> Iterator[tuple[tuple[int, ...], Shape]]:
     return zip(itertools.product((1, -1), repeat=n - 1), found.corners, strict=True)
 
 
-def _bound_json(n: int, found: Bound) -> dict[str, Any]:
+def _bound_json(n: int, found: Bound, play_mm: float) -> dict[str, Any]:
     finite = math.isfinite(found.position_m)
     return {
         "bound_position_mm": found.position_m * 1e3 if finite else None,
         "bound_tangent_deg": math.degrees(found.tangent_rad) if finite else None,
+        "play_mm": play_mm if math.isfinite(play_mm) else None,
         "frictionless": _shape_json(found.frictionless),
         "corners": [{"phi": list(phi), **_shape_json(shape)} for phi, shape in _corners(n, found)],
     }
@@ -128,7 +134,7 @@ def _shape_json(shape: Shape) -> dict[str, Any]:
     }
 
 
-def _bound_text(n: int, found: Bound) -> str:
+def _bound_text(n: int, found: Bound, play_mm: float) -> str:
     free, position_mm, tangent_deg = found.frictionless, found.position_m * 1e3, math.degrees(found.tangent_rad)
     lines = [
         f"worst-case friction error of the tip: {position_mm:.3f} mm, {tangent_deg:.3f} deg",
@@ -138,6 +144,8 @@ def _bound_text(n: int, found: Bound) -> str:
         signs = " ".join("+" if sign > 0 else "-" for sign in phi) or "none"
         apart_mm = math.dist(shape.tip_m, free.tip_m) * 1e3
         lines.append(f"  phi = {signs:9} {_tip(shape)}, {apart_mm:.3f} mm from the frictionless tip")
+    if play_mm:
+        lines.append(f"  play of the drive may move it by {play_mm:.3f} mm besides")
     if not math.isfinite(found.position_m):
         lines.append("  a solve did not reach its residual: no bound is promised here")
     return "\n".join(lines)

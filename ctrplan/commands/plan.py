@@ -165,7 +165,10 @@ def _extras(plan: Plan) -> dict[str, str]:
     """Lines about what was asked for beyond the path."""
     from ctrplan.plan_timing import settling_duration_s
 
-    lines, settling, compensation = {}, plan.certificate.settling, plan.compensation
+    lines, settling, compensation = dict[str, str](), plan.certificate.settling, plan.compensation
+    if plan.certificate.worst_play_m:
+        play_mm, way_mm = plan.certificate.goal_play_m * 1e3, plan.certificate.worst_play_m * 1e3
+        lines["play of the drive"] = f"{play_mm:.2f} mm at the goal, {way_mm:.2f} mm on the way"
     if settling:
         before_mm, after_mm = settling.goal_predicted_before_m * 1e3, settling.goal_predicted_after_m * 1e3
         turn = f"{math.degrees(settling.amplitude_rad):.0f} deg in {settling_duration_s(plan):.0f} s"

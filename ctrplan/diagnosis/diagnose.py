@@ -119,6 +119,7 @@ def diagnose(
             *_left_out(without),
             *([about_noise] if about_noise else []),
             *notes,
+            *judgement.notes,
             *note,
             *symptoms(chosen.fit),
             *_coverage(usable),

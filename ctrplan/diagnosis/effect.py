@@ -79,6 +79,10 @@ class Effect(ABC):
         """Values, in the units of the names, that a fit should start from besides the parameters' own."""
         return [{}]
 
+    def shared(self, names: Sequence[str]) -> Sequence[str]:
+        """Those of the parameters by which other causes act as well: what they explain alone names nothing."""
+        return []
+
     def clock(self, values: Values, data: Measurements, collars: Collars) -> Collars:
         """The commanded collars that the poses really belong to."""
         return collars

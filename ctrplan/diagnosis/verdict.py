@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from ctrplan.chain import Term
+from ctrplan.chain import Term, term
 from ctrplan.diagnosis.guards import Adequacy, remains
 from ctrplan.diagnosis.selection import Selection, Selector
 from ctrplan.diagnosis.symptoms import is_strained
@@ -51,6 +51,7 @@ class Judgement:
     findings: tuple[Finding, ...]
     adequacy: Adequacy
     compared: tuple[Alternative, ...]  # everything that was tried in the place of something chosen
+    notes: tuple[str, ...] = ()
 
 
 def judge(selector: Selector, found: Selection) -> Judgement:
@@ -67,6 +68,10 @@ def judge(selector: Selector, found: Selection) -> Judgement:
     clear = tuple(f for f in findings if len(f.alternatives) <= MOST_RIVALS)
     if len(findings) > 1 and len(clear) < len(findings):  # beside others, what anything can stand in for is nothing
         return Judgement("unexplained", clear, left, tuple(compared))
+    shared = [f for f in findings if not f.alternatives and _is_shared(bench, chosen, f.term)]
+    if shared:
+        rest = tuple(f for f in findings if f not in shared)
+        return Judgement("unexplained", rest, left, tuple(compared), tuple(_disbelieved(f.term) for f in shared))
     verdict: Verdict = "ambiguous" if any(f.alternatives for f in findings) else "named"
     return Judgement(verdict, findings, left, tuple(compared))
 
@@ -101,6 +106,25 @@ def _is_close(a: Alternative, chosen: Scored) -> bool:
     """Whether it predicts or fits as well; badly determined parameters predict badly, true or not."""
     worse_fit = (a.scored.fit.residuals.loss - chosen.fit.residuals.loss) / 2
     return min(a.behind, worse_fit) < max(CLOSE, CLOSE_ERRORS * a.error)
+
+
+def _is_shared(bench: Workbench, chosen: Scored, t: Term) -> bool:
+    """Whether a part of the effect by which other causes act as well explains as much as all of it."""
+    names = t.effect.shared([parameter.name for parameter in t.parameters])
+    if not names:
+        return False
+    part = term(t.effect, names, bench.robot)
+    scored = bench.scored([part if other is t else other for other in chosen.terms], chosen.fit)
+    alone = Alternative(part, scored, *bench.difference(chosen, scored))
+    return _is_close(alone, chosen) and remains(bench, scored).is_adequate
+
+
+def _disbelieved(t: Term) -> str:
+    parameters = len(t.effect.shared([parameter.name for parameter in t.parameters]))
+    return (
+        f"{t.name} would explain the measurements, but {parameters} of its {len(t.parameters)} parameters do so alone, "
+        f"and by these other causes act as well: it is not named."
+    )
 
 
 def specific(bench: Workbench, found: Selection, findings: Sequence[Finding], left: Adequacy) -> tuple[Finding, ...]:

@@ -18,6 +18,7 @@ from ctrplan.mechanics import Accuracy, PathDensity, PathLimits, PathSamples
 from ctrplan.planning.goals import target_in_robot_frame
 from ctrplan.planning.motion import MM_PER_M, anatomy_grid, breach, path_limits, released_error
 from ctrplan.planning.plan import Certificate, CertificateSamples, TargetReached
+from ctrplan.planning.play import play_shift
 from ctrplan.planning.prediction import Prediction, predict, rows_to_simulate
 from ctrplan.planning.space import JointSpace
 
@@ -51,7 +52,8 @@ class _Piece:
     end: Array
     samples: PathSamples
     accuracy: Accuracy
-    clearance_m: Array  # (K,) exact, less half the motion between samples and the discretisation error
+    clearance_m: Array  # (K,) exact, less half the motion between samples, the discretisation error and the play
+    play_m: float  # how far play of the drive may move the robot, the largest of both ends and the middle
 
 
 def frictionless_arrives(scenario: Scenario, samples: CertificateSamples, prediction: Prediction) -> list[str]:
@@ -78,8 +80,9 @@ def certify(
     """Walks the polyline `corners` (K, m) of actuated joints so that no body point moves more than 0.5 mm a sample.
 
     Clearances are exact distances of points of the frictionless and every corner shape, less the outer radius, half the
-    motion between samples and the discretisation error; nothing of the search's field is used. Pieces that only the
-    coarse mesh's allowance for that error would refuse are walked again on the fine mesh.
+    motion between samples, the discretisation error and what play of the drive may move the robot by; nothing of the
+    search's field is used. Pieces that only the coarse mesh's allowance for its error would refuse are walked again on
+    the fine mesh.
 
     Friction errors are the bound, whatever the history; the same less what the friction law says translations released,
     which the cost counts as the search does; and the prediction by simulated histories. `arrival` says what misses the
@@ -153,6 +156,8 @@ def finished(walk: WalkedLegs, arrival: Arrival = frictionless_arrives) -> Certi
         stops=max(legs - 1, 0),
         cost_mm=cost,
         spacing_m=float(samples.motion_m.max()),
+        worst_play_m=float(samples.play_m.max()),
+        goal_play_m=float(samples.play_m[-1]),
         targets=(_target(scenario, samples),),
     )
 
@@ -167,6 +172,7 @@ def _target(scenario: Scenario, samples: CertificateSamples) -> TargetReached:
         released_m=float(samples.released_m[-1]),
         predicted_m=float(samples.predicted_m[-1]),
         tip_error_m=_goal_miss(scenario, samples.tip_m[-1]),
+        play_m=float(samples.play_m[-1]),
         line_error_m=_line_error(scenario, samples.tip_m),
     )
 
@@ -206,8 +212,10 @@ def _walked(scenario: Scenario, space: JointSpace, leg: int, start: Array, end: 
     samples = scenario.robot.mechanics.check_path(
         theta_b, l_b, density=density, accuracy=accuracy, bodies=bool(scenario.anatomy)
     )
-    clearance = _exact(scenario, samples) - samples.motion_m / 2 - DISCRETISATION_M[accuracy]
-    return _Piece(leg, start, end, replace(samples, bodies=()), accuracy, clearance)
+    places = [start] if np.array_equal(start, end) else [start, (start + end) / 2, end]
+    play = max(play_shift(scenario.robot, *space.drive.collars(q)) for q in places)
+    clearance = _exact(scenario, samples) - samples.motion_m / 2 - DISCRETISATION_M[accuracy] - play
+    return _Piece(leg, start, end, replace(samples, bodies=()), accuracy, clearance, play)
 
 
 def _join(robot: Robot, space: JointSpace, corners: Array, pieces: list[_Piece]) -> CertificateSamples:
@@ -236,6 +244,7 @@ def _join(robot: Robot, space: JointSpace, corners: Array, pieces: list[_Piece])
             "tip_m": s.tip_m,
             "released_m": released_error(s, loads),
             "predicted_m": s.position_m,  # until it is simulated
+            "play_m": np.full(len(s.fraction), piece.play_m),
         }
         for name, values in rows.items():
             columns[name].append(values[keep])

@@ -13,6 +13,7 @@ from ctrplan.drive import Array
 from ctrplan.friction_law import largest_deviation
 from ctrplan.mechanics import Field, PathDensity, PathLimits, PathSamples, Status
 from ctrplan.planning.plan import MotionStyle
+from ctrplan.planning.play import usual_play_shift
 from ctrplan.planning.search_clock import ASKED_NS, LOOKED_UP_NS, ROOM_NS, SHAPE_NS, WorkMeter
 from ctrplan.planning.space import JointSpace
 
@@ -229,7 +230,8 @@ def path_limits(scenario: Scenario) -> PathLimits:
 def search_limits(scenario: Scenario) -> PathLimits:
     """Likewise for the search, which keeps a little more clearance so that its paths pass the certificate."""
     limits = path_limits(scenario)
-    return replace(limits, clearance_m=limits.clearance_m + SEARCH_ROOM_M)
+    room = SEARCH_ROOM_M + usual_play_shift(scenario.robot, JointSpace.of(scenario))
+    return replace(limits, clearance_m=limits.clearance_m + room)
 
 
 def breach(samples: PathSamples, limits: PathLimits) -> str:

@@ -52,6 +52,7 @@ class CertificateSamples:
     tip_m: Array  # (K, 3) frictionless tip, robot frame
     released_m: Array  # (K,) as bound_m, less what translations released by the friction law; fully loaded at the start
     predicted_m: Array  # (K,) friction error by simulated history, the largest over the states it may start in
+    play_m: Array  # (K,) how far play of the drive may move the robot
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +79,7 @@ class TargetReached:
     released_m: float  # the bound less what the friction law says translations released
     predicted_m: float  # by simulated history
     tip_error_m: float  # frictionless tip to the target; 0 for joint goals
+    play_m: float = 0.0  # how far play of the drive may move the tip
     line_error_m: float | None = (
         None  # largest distance of the frictionless tip from the line on the way, if it has one
     )
@@ -109,6 +111,8 @@ class Certificate:
     stops: int  # interior changes of direction
     cost_mm: float
     spacing_m: float  # largest motion of a body point between samples
+    worst_play_m: float = 0.0  # how far play of the drive may move the robot
+    goal_play_m: float = 0.0
     targets: tuple[TargetReached, ...] = ()  # in the order reached, the goal last
     settling: Settling | None = None
 

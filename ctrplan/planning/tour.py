@@ -35,6 +35,7 @@ def joined_certificates(stages: list[Certificate]) -> Certificate:
         stops=sum(stage.stops for stage in stages) + len(stages) - 1,
         cost_mm=sum(stage.cost_mm for stage in stages),
         spacing_m=max(stage.spacing_m for stage in stages),
+        worst_play_m=max(stage.worst_play_m for stage in stages),
         targets=targets,
         settling=last.settling and replace(last.settling, first_leg=last.settling.first_leg + before),
     )

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import os
 import time
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: its threads only fight over small matrices here
@@ -88,21 +90,27 @@ def _pair(rng: np.random.Generator) -> tuple[tuple[str, float], ...]:
             return first, second
 
 
-def make(folder: Path, todo: list[Case]) -> None:
-    """Writes what is not there yet. A robot that has no equilibrium in some pose is drawn again."""
-    for case in todo:
-        if (folder / case.name / "truth.json").exists():
-            continue
-        began = time.perf_counter()
-        for attempt in range(RETRIES):
-            try:
-                write(
-                    Case(case.name, case.row, case.seed + attempt, *(getattr(case, f) for f in CASE_FIELDS[2:])), folder
-                )
-                break
-            except (NoEquilibrium, np.linalg.LinAlgError) as refusal:
-                print(f"{case.name}: drawn again, {refusal}", flush=True)
-        print(f"{case.name}  {time.perf_counter() - began:5.1f} s  {case.row}: {case.hidden}", flush=True)
+def make(folder: Path, todo: list[Case], jobs: int = 1) -> None:
+    """Writes what is not there yet, `jobs` cases at a time."""
+    missing = [case for case in todo if not (folder / case.name / "truth.json").exists()]
+    if jobs == 1:
+        for case in missing:
+            make_one(folder, case)
+    else:
+        with ProcessPoolExecutor(jobs) as pool:
+            list(pool.map(partial(make_one, folder), missing))
+
+
+def make_one(folder: Path, case: Case) -> None:
+    """Writes a case. A robot that has no equilibrium in some pose is drawn again."""
+    began = time.process_time()
+    for attempt in range(RETRIES):
+        try:
+            write(Case(case.name, case.row, case.seed + attempt, *(getattr(case, f) for f in CASE_FIELDS[2:])), folder)
+            break
+        except (NoEquilibrium, np.linalg.LinAlgError) as refusal:
+            print(f"{case.name}: drawn again, {refusal}", flush=True)
+    print(f"{case.name}  {time.process_time() - began:5.1f} s of a processor  {case.row}: {case.hidden}", flush=True)
 
 
 def main() -> None:
@@ -112,13 +120,14 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--repeats", type=int, default=1)
     parser.add_argument("--first", type=int, help="only so many")
+    parser.add_argument("--jobs", type=int, default=1, help="cases at a time")
     given = parser.parse_args()
     todo = cases(given.seed, given.repeats)[: given.first]
     if given.action == "list":
         for case in todo:
             print(case)
     else:
-        make(given.folder, todo)
+        make(given.folder, todo, given.jobs)
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ class Solver:
     def pose(self, theta: Array, l_b: Array, phi: Array, time_s: float = 0.0) -> tuple[Array, Array]:
         """Tip (3,) [m] and tip frame (3, 3) at collar joints (n,) and friction states (n - 1,)."""
         world = self.world
-        phi = phi * [pair.friction > 0 for pair in world.pairs]
+        phi = phi * [pair.friction > 0 for pair in world.pairs] + 0.0  # no -0.0, whose bytes are others
         asked = np.concatenate([theta, l_b, phi]).tobytes(), time_s if world.warming else 0.0
         if self._known is None or self._known[0] != asked:
             self._known = asked, self._solve(theta, l_b, phi, time_s)

@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -30,24 +31,28 @@ def diagnose(folder: Path, out: Path, left_out: str, command: list[str]) -> dict
     return report
 
 
-def diagnose_all(bank: Path, out: Path, command: list[str], *, again: bool = False) -> None:
-    """Every complete folder of the bank that has no run.json yet, or with `again` no diagnosis."""
-    for truth in sorted(bank.glob("*/truth.json")):
-        folder, target = truth.parent, out / truth.parent.name
-        if (target / ("diagnosis.json" if again else "run.json")).exists():
-            continue
-        left_out = json.loads(truth.read_text(encoding="utf-8")).get("case", {}).get("left_out", "")
-        report = diagnose(folder, target, left_out, command)
+def diagnose_all(bank: Path, out: Path, command: list[str], *, again: bool = False, jobs: int = 1) -> None:
+    """Every complete folder of the bank that has no run.json yet, or with `again` no diagnosis; `jobs` at a time."""
+
+    def run(folder: Path) -> None:
+        truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+        report = diagnose(folder, out / folder.name, truth.get("case", {}).get("left_out", ""), command)
         print(f"{folder.name}  {report['seconds']:6.1f} s  exit {report['exit_code']}", flush=True)
+
+    done = "diagnosis.json" if again else "run.json"
+    complete = [truth.parent for truth in sorted(bank.glob("*/truth.json"))]
+    with ThreadPoolExecutor(jobs) as pool:
+        list(pool.map(run, [folder for folder in complete if not (out / folder.name / done).exists()]))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("bank", type=Path)
     parser.add_argument("out", type=Path)
+    parser.add_argument("--jobs", type=int, default=1, help="sets at a time")
     parser.add_argument("--again", action="store_true", help="run again what gave no diagnosis")
     given = parser.parse_args()
-    diagnose_all(given.bank, given.out, COMMAND, again=given.again)
+    diagnose_all(given.bank, given.out, COMMAND, again=given.again, jobs=given.jobs)
 
 
 if __name__ == "__main__":

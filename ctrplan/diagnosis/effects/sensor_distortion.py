@@ -46,6 +46,10 @@ class SensorDistortion(Effect):
         by_degree = [[name for name in field if len(name.split("_")[1]) <= degree] for degree in (2, 3)]
         return [[*names, *turned] for names in by_degree for turned in ((), (share,))]
 
+    def shared(self, names: Sequence[str]) -> Sequence[str]:
+        """The part linear in position: turned and shifted bases act by it, and trackers of a wrong scale."""
+        return [name for name in names if name == "tangent_share" or len(name.split("_")[1]) == 1]
+
     def sensor(self, values: Values, poses: Poses, data: Measurements) -> Poses:
         amounts = np.zeros((len(MONOMIALS), 3))
         for name, amount in values.items():

@@ -1,0 +1,60 @@
+"""Play of the drive: how far it may let the robot stand from where the joints say it is.
+
+Nobody knows on which side of its play an actuator rests, so that a plan allows for both at every actuator. Each is
+moved to both ends of its play by itself, and the larger shifts of the frictionless robot are added up.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ctrplan.drive import Array
+from ctrplan.errors import CtrplanError
+from ctrplan.legs import distance_from_polyline
+from ctrplan.tips import nested
+
+if TYPE_CHECKING:
+    from ctrplan.planning.space import JointSpace
+    from ctrplan.robot import Robot
+
+SAMPLES, SEED = 15, 5  # configurations that say what a search has to allow for
+
+
+def play_shift(robot: Robot, theta_b: Array, l_b: Array) -> float:
+    """How far [m] play may move the tip or any point of the body sideways, at (n,) [rad], (n,) [m].
+
+    0 without play; inf where the robot has no equilibrium at an end of its play.
+    """
+    if robot.drive.play is None:
+        return 0.0
+    here, shift = robot.mechanics.body(theta_b, l_b)[0][0], 0.0
+    for theta_off, l_off in _single_actuators(*robot.drive.play):
+        ends = [(theta_b + side * theta_off, nested(robot, (l_b + side * l_off)[None])[0]) for side in (1, -1)]
+        shift += max(_apart(robot, here, *end) for end in ends)
+    return shift
+
+
+def usual_play_shift(robot: Robot, space: JointSpace) -> float:
+    """The median [m] of `play_shift` over configurations in reach: for searches, whose paths are certified after."""
+    if robot.drive.play is None:
+        return 0.0
+    joints = space.sample(np.random.default_rng(SEED), SAMPLES)
+    return float(np.median([play_shift(robot, *robot.drive.collars(q)) for q in joints]))
+
+
+def _single_actuators(theta: Array, l: Array) -> list[tuple[Array, Array]]:  # noqa: E741 (as in the equations)
+    """Half widths (n,), (n,) as displacements of one collar each."""
+    rows = np.diag(np.concatenate([theta, l]))
+    return [(row[: len(theta)], row[len(theta) :]) for row in rows if row.any()]
+
+
+def _apart(robot: Robot, here: Array, theta_b: Array, l_b: Array) -> float:
+    """Between centrelines: of their tips, or of any point of the one from the other."""
+    try:
+        there = robot.mechanics.body(theta_b, l_b)[0][0]
+    except CtrplanError:
+        return np.inf
+    apart = max(float(np.linalg.norm(there[-1] - here[-1])), float(distance_from_polyline(there, here).max()))
+    return apart if np.isfinite(apart) else np.inf
