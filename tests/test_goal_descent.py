@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ctrplan.planning.goal_descent import descended
-from ctrplan.planning.goals import goal_states
+from ctrplan.planning.goals import GoalState, goal_states
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.tip_slopes import bound_slopes
 from ctrplan.scenario import load_scenario
@@ -21,6 +21,12 @@ STEEP = "goal={tip_mm=[16.1, -30.3, 144.9], tolerance_mm=1.0}"  # where descent 
 
 def checker_of(name: str, *overrides: str) -> MotionChecker:
     return MotionChecker(load_scenario(SCENARIOS / f"{name}.toml", list(overrides)))
+
+
+@pytest.fixture(scope="module")
+def steep() -> tuple[MotionChecker, list[GoalState]]:
+    checker = checker_of("deploy", STEEP)
+    return checker, goal_states(checker, np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("name", ["vessel", "deploy"])
@@ -45,9 +51,9 @@ def test_slopes_are_those_of_the_bound(name: str) -> None:
     assert compared > 12
 
 
-def test_trails_lead_down_and_stay_on_the_target() -> None:
-    checker = checker_of("deploy", STEEP)
-    goals, target_m = goal_states(checker, np.random.default_rng(0)), checker.scenario.goal.tip_m
+def test_trails_lead_down_and_stay_on_the_target(steep: tuple[MotionChecker, list[GoalState]]) -> None:
+    checker, goals = steep
+    target_m = checker.scenario.goal.tip_m
     trails = descended(checker, goals)
     assert len(trails) > len(goals) / 2
     assert min(trail[-1].bound_m for trail in trails) < 0.5 * goals[0].bound_m
@@ -63,9 +69,8 @@ def test_trails_lead_down_and_stay_on_the_target() -> None:
             assert checker.state(state.joints).valid
 
 
-def test_a_direction_asked_for_is_kept() -> None:
-    free = checker_of("deploy", STEEP)
-    goal = goal_states(free, np.random.default_rng(0))[0]
+def test_a_direction_asked_for_is_kept(steep: tuple[MotionChecker, list[GoalState]]) -> None:
+    free, goal = steep[0], steep[1][0]
     samples = free.probe(goal.joints)[1]
     assert samples is not None
     direction = [round(float(x), 6) for x in free.scenario.base_R @ samples.tip_tangent[-1]]
