@@ -1,4 +1,4 @@
-"""Results -> files. Every file is written under a temporary name and renamed: whole, or not at all."""
+"""A trajectory -> files, and back."""
 
 from __future__ import annotations
 
@@ -7,30 +7,15 @@ import io
 import json
 import os
 from collections.abc import Iterable
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.errors import CtrplanError, InputError
-from ctrplan.temporary import temporary
+from ctrplan.atomic_write import write_atomically
+from ctrplan.errors import InputError
 from ctrplan.trajectory import Trajectory
 
 FloatArray = NDArray[np.float64]
-
-
-def write_atomically(path: str | os.PathLike[str], content: str | bytes) -> None:
-    """Write content (text as UTF-8) to path; a reader sees the old file or the new one, never a part.
-
-    Raises CtrplanError where the system refuses (no such folder, no permission, disk full); the old file stays.
-    """
-    target = Path(os.path.realpath(path))  # a link is written through, not replaced
-    try:
-        with temporary(target.parent, Path.touch) as made:
-            _write_through(made, content.encode() if isinstance(content, str) else content)
-            os.replace(made, target)
-    except OSError as error:
-        raise CtrplanError(f"{path}: could not be written, nothing was changed: {error.strerror or error}.") from error
 
 
 def write_trajectory_csv(path: str | os.PathLike[str], trajectory: Trajectory) -> None:
@@ -82,13 +67,6 @@ def trajectory_as_ros2_yaml(trajectory: Trajectory) -> str:
         lines.append(f"  accelerations: {_yaml_list(trajectory.acceleration[k].tolist())}")
         lines.append(f"  effort: []\n  time_from_start: {{sec: {sec}, nanosec: {nanosec}}}")
     return "\n".join(lines) + "\n"
-
-
-def _write_through(path: Path, content: bytes) -> None:
-    with open(path, "wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())  # before the rename, or a crash may leave an empty file under the final name
 
 
 def _numbers(row: list[str], file: str, number: int) -> list[float]:

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ctrplan import field_cache
+from ctrplan.atomic_write import write_atomically
 from ctrplan.errors import CtrplanError, InputError, SolverError
-from ctrplan.export import write_atomically
 from ctrplan.friction_law import FrictionLaw, tip_deviations
 from ctrplan.mechanics import PathDensity, PathLimits
 from ctrplan.nesting import nesting_inequalities

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import ctrplan
+from ctrplan.atomic_write import write_atomically
 from ctrplan.drive import Array, Drive
-from ctrplan.export import write_atomically
 from ctrplan.insertion import follow_the_leader_m
 from ctrplan.plan_timing import settling_duration_s
 

@@ -11,8 +11,8 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from ctrplan import palette
+from ctrplan.atomic_write import write_atomically
 from ctrplan.drive import UNITS
-from ctrplan.export import write_atomically
 from ctrplan.plots_curves import draw_bound, draw_margins, draw_positions, draw_velocities
 from ctrplan.plots_scene import draw_scene
 from ctrplan.verdict import is_acceptable, verdict

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import ctrplan
-from ctrplan.export import write_atomically
+from ctrplan.atomic_write import write_atomically
 from ctrplan.html_page import Markup, escaped, facts, lines, page, plot, section, table, tag
 from ctrplan.plan_timing import leg_end_s
 from ctrplan.report_curves import CURSOR, joints_figure, margins_figure

@@ -14,10 +14,10 @@ import numpy as np
 import tomli_w
 
 import ctrplan
+from ctrplan.atomic_write import write_atomically
 from ctrplan.chain import Chain, Term
 from ctrplan.diagnosis.effect import CATALOGUE, Parameter
 from ctrplan.estimates import estimates
-from ctrplan.export import write_atomically
 from ctrplan.least_squares import Fit, fit
 from ctrplan.measurements import Measurements
 from ctrplan.named_numbers import value_of

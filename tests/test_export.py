@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 import yaml
 
+from ctrplan.atomic_write import write_atomically
 from ctrplan.errors import CtrplanError, InputError
-from ctrplan.export import read_trajectory_csv, trajectory_as_ros2_yaml, write_atomically, write_trajectory_csv
+from ctrplan.export import read_trajectory_csv, trajectory_as_ros2_yaml, write_trajectory_csv
 from ctrplan.trajectory import Trajectory
 
 

@@ -117,7 +117,7 @@ WRITER = """
 import sys
 from pathlib import Path
 from ctrplan.commands.output_folder import written_together
-from ctrplan.export import write_atomically
+from ctrplan.atomic_write import write_atomically
 names = ["a", "b", "c"]
 for version in range(10**6):
     with written_together(Path(sys.argv[1]), names) as made:

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from ctrplan.atomic_write import write_atomically
 from ctrplan.commands.output_folder import unmatched, written_together
-from ctrplan.export import write_atomically
 from ctrplan.temporary import NAME, remove_abandoned, temporary
 
 HOLDER = """

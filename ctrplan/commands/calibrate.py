@@ -54,9 +54,9 @@ def add_parser(commands: Any) -> None:
 
 def run_calibrate(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is nothing to write."""
+    from ctrplan.atomic_write import write_atomically
     from ctrplan.calibration import calibrate
     from ctrplan.errors import InputError
-    from ctrplan.export import write_atomically
     from ctrplan.measurement_file import load_measurements
     from ctrplan.robot import load_robot
     from ctrplan.robot_output import write_robot

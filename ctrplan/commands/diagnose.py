@@ -78,8 +78,8 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
 
 def _write(folder: Path, found: Diagnosis) -> None:
     """All files or none."""
+    from ctrplan.atomic_write import write_atomically
     from ctrplan.diagnosis.report import write_report
-    from ctrplan.export import write_atomically
     from ctrplan.robot_output import write_robot
 
     with written_together(folder, OUTPUTS) as made:

@@ -97,7 +97,8 @@ def run_plan(arguments: argparse.Namespace) -> int:
 
 def _write(folder: Path, plan: Plan) -> None:
     """All files or none."""
-    from ctrplan.export import trajectory_as_ros2_yaml, write_atomically, write_trajectory_csv
+    from ctrplan.atomic_write import write_atomically
+    from ctrplan.export import trajectory_as_ros2_yaml, write_trajectory_csv
     from ctrplan.plan_json import write_plan_json
     from ctrplan.plots import write_plan_png
     from ctrplan.report import write_report

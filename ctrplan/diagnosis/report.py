@@ -8,12 +8,12 @@ from collections.abc import Iterator
 import numpy as np
 
 import ctrplan
+from ctrplan.atomic_write import write_atomically
 from ctrplan.diagnosis.gap import Errors
 from ctrplan.diagnosis.report_figures import gap_figure, path_figure, where_figure
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.words import verdict_sentence
 from ctrplan.estimates import estimates
-from ctrplan.export import write_atomically
 from ctrplan.html_page import Markup, escaped, facts, page, plot, section, table, tag
 
 MEANING = (
