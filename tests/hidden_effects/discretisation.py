@@ -21,13 +21,15 @@ from hidden_effects.world import World, believed
 FRICTIONS = {"largest of the bank": (0.08, 0.08), "of Table VII": (0.22, 0.12)}
 
 
-def halving_errors(world: World, theta: Array, l_b: Array, phis: list[tuple[float, ...]]) -> list[float]:
+def halving_errors(
+    world: World, theta: Array, l_b: Array, phis: list[tuple[float, ...]], mesh: Fineness | None = None
+) -> list[float]:
     """Distances [m] of the tips in friction states phi from those with links of half the length."""
-    tips = []
+    tips, links = [], mesh or Fineness()
     released = corner([0.0] * (world.n - 1))
     rough = System(world.tubes, world.pairs, theta, l_b, world.loads, Fineness.searching())
     places = rough.contact_places(rough.solve(rough.cold(), released))
-    for fineness in (Fineness(), Fineness().halved()):
+    for fineness in (links, links.halved()):
         system = System(world.tubes, world.pairs, theta, l_b, world.loads, fineness, places)
         middle = system.solve(system.cold(), released, CORNER_BARRIER)
         tips.append([tip_pose(system, system.solve(middle, corner(phi)))[0] for phi in phis])
@@ -37,7 +39,9 @@ def halving_errors(world: World, theta: Array, l_b: Array, phis: list[tuple[floa
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=10)
-    count = parser.parse_args().count
+    parser.add_argument("--finest-mm", type=float, default=1e3 * Fineness.finest_m, help="links where forces are")
+    given = parser.parse_args()
+    count, mesh = given.count, replace(Fineness(), finest_m=1e-3 * given.finest_mm)
     thetas, ls = draw_configurations(believed(), count, np.random.default_rng(3))
     loaded = list(product((1.0, -1.0), repeat=believed().n - 1))
     print(
@@ -46,7 +50,9 @@ def main() -> None:
     for name, friction in FRICTIONS.items():
         pairs = tuple(replace(p, friction=mu) for p, mu in zip(believed().pairs, friction, strict=True))
         world = replace(believed(), pairs=pairs)
-        found = [halving_errors(world, *q, [(0.0,) * (world.n - 1), *loaded]) for q in zip(thetas, ls, strict=True)]
+        found = [
+            halving_errors(world, *q, [(0.0,) * (world.n - 1), *loaded], mesh) for q in zip(thetas, ls, strict=True)
+        ]
         _print("released", np.array(found)[:, :1])
         _print(f"friction {name}", np.array(found)[:, 1:])
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import resource
 import subprocess
 import sys
 import time
@@ -53,6 +54,7 @@ def main() -> None:
     parser.add_argument("--again", action="store_true", help="run again what gave no diagnosis")
     given = parser.parse_args()
     diagnose_all(given.bank, given.out, COMMAND, again=given.again, jobs=given.jobs)
+    print(f"{resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime:.0f} s of processors in all")
 
 
 if __name__ == "__main__":
