@@ -145,3 +145,16 @@ def test_a_search_without_a_valid_goal_ends_at_once(vessel: MotionChecker) -> No
     assert not vessel.state(inside_the_wall.joints).valid
     problem = SearchProblem(vessel, [inside_the_wall], seed=0)
     assert not problem.solve(lambda cost: pytest.fail("it waits for another goal"), only_first=True)
+
+
+def test_motions_that_snap_are_suspected_beforehand_and_others_are_not() -> None:
+    checker = MotionChecker(load_scenario(SCENARIOS / "snap.toml"))
+    joints, found = checker.space.sample(np.random.default_rng(0), 40), list[tuple[bool, bool]]()
+    start, goal = checker.scenario.start, goal_states(checker, np.random.default_rng(0))[0].joints
+    for a, b in [(start, goal), (goal, start), *zip(joints[:-1], joints[1:], strict=True)]:
+        if checker.state(a).valid and checker.state(b).valid:
+            way = checker.space.corners(a, b, checker.style)
+            found.append((bool(checker.jumps([way])[0]), checker.motion(a, b).valid))
+    assert found[:2] == [(True, False), (True, False)]  # what the scenario was made for
+    assert np.mean([suspected != valid for suspected, valid in found]) > 0.95
+    assert sum(valid for _, valid in found) > 20

@@ -31,6 +31,7 @@ ROOM_M = 1e-3  # that a random state must have around its zero-clearance shape
 # Share of motions that are valid, by the room [m] around their zero-clearance shapes, a line through
 # `benchmarks/zero_clearance_rooms.py`
 VALID_AT_M, VALID_SHARE = (-0.5e-3, 3e-3), (0.02, 1.0)
+VALID_JUMPS = 0.05  # of motions along which the zero-clearance tip jumps
 
 
 class RoadmapSearch:
@@ -220,7 +221,8 @@ class RoadmapSearch:
         joints, space = self.joints, self.checker.space
         ways = [space.corners(joints[a], joints[b], self.checker.style) for a, b in self.edges[rows]]
         rooms = self.checker.rooms(ways)
-        self.hope[rows] = np.interp(rooms, VALID_AT_M, VALID_SHARE)
+        hope = np.interp(rooms, VALID_AT_M, VALID_SHARE)
+        self.hope[rows] = np.where(self.checker.jumps(ways), np.minimum(hope, VALID_JUMPS), hope)
         self.cost[np.array(rows, dtype=int)[rooms < HOPELESS_M]] = np.inf
         return bool(np.any(self.hope[rows] < 1))
 
