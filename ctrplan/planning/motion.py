@@ -15,7 +15,7 @@ from ctrplan.friction_law import largest_deviation
 from ctrplan.mechanics import Field, PathDensity, PathLimits, PathSamples, Status
 from ctrplan.planning.plan import MotionStyle
 from ctrplan.planning.play import usual_play_shift
-from ctrplan.planning.search_clock import ASKED_NS, LOOKED_UP_NS, ROOM_NS, SHAPE_NS, SNAP_SHAPES, WorkMeter
+from ctrplan.planning.search_clock import ASKED_NS, LOOKED_UP_NS, ROOM_NS, SHAPE_NS, WorkMeter
 from ctrplan.planning.space import JointSpace
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ SEARCH_ROOM_M = 0.5e-3
 # Motions and states whose zero-clearance shapes have less room than this are not solved: none of 214 in three scenarios
 # was valid (`benchmarks/zero_clearance_rooms.py`).
 HOPELESS_M = -1e-3
-JUMP, JUMP_M = 3.0, 5e-3  # times the larger of the steps before and after, and more than that by
+JUMP, JUMP_M = 3.0, 5e-3  # times the steps of the tip beside, and more than that and the translation by
 FEW = 100  # shapes, which are not worth a thread
 HOPELESS = "a corner shape comes too close to the anatomy: so does the zero-clearance shape"
 
@@ -133,8 +133,7 @@ class MotionChecker:
         theta_b, l_b = self.space.drive.collars(corners)
         self.calls += 1
         samples = self.mechanics.check_path(theta_b, l_b, self.field, density=density, limits=limits)
-        snaps = SNAP_SHAPES if samples.status[-1] == Status.UNSTABLE else 1
-        self.meter.add(snaps * self.solved_ns * int(samples.solves.sum()))
+        self.meter.add(self.solved_ns * int(samples.solves.sum()))
         return samples
 
     def look_up(self, corners: Array) -> PathSamples:
@@ -169,10 +168,11 @@ class MotionChecker:
         precurvature changes from one to the other.
         """
         points = [self._stations(way) for way in ways]
-        self.meter.add(ROOM_NS * sum(map(len, points)))
         theta_b, l_b = self.space.drive.collars(np.concatenate(points))
         tips = self.mechanics.tips(theta_b, l_b, threads=0 if len(l_b) > FEW else 1)[0]
-        return np.array([_jumps(row) for row in np.split(tips, np.cumsum([len(row) for row in points[:-1]]))])
+        lasts = np.cumsum([len(row) for row in points[:-1]])
+        parts = (np.split(values, lasts) for values in (tips, l_b))
+        return np.array([_jumps(*rows) for rows in zip(*parts, strict=True)])
 
     def _stations(self, corners: Array) -> Array:
         """(S, m) points on a polyline no farther apart than the density's steps."""
@@ -300,10 +300,11 @@ def anatomy_grid(scenario: Scenario) -> SignedDistanceField | None:
     return grids[key]
 
 
-def _jumps(tips: Array) -> bool:
-    """Whether one of the steps between tips (S, 3) [m] is much longer than its neighbours."""
+def _jumps(tips: Array, l_b: Array) -> bool:
+    """Whether a step between tips (S, 3) [m] is much longer than those beside it and than l_b (S, n) [m] moves."""
     steps = np.linalg.norm(np.diff(tips, axis=0), axis=1)
     if len(steps) < 2:
         return False
     around = np.maximum(np.append(0.0, steps[:-1]), np.append(steps[1:], 0.0))
-    return bool(np.any(steps > JUMP * around + JUMP_M))
+    driven = np.abs(np.diff(l_b, axis=0)).max(axis=1)
+    return bool(np.any(steps > JUMP * around + driven + JUMP_M))

@@ -10,7 +10,6 @@ from typing import Literal
 SearchEnd = Literal["count", "time", "interruption", "completion"]
 # Nanoseconds counted for what a search does, about what it takes on one core of 3 GHz.
 SHAPE_NS = 200_000  # a shape in equilibrium with clearance and friction; a state takes one and one for every corner
-SNAP_SHAPES = 7  # such shapes that each one takes on a motion that ends in a snap: most slide to another equilibrium
 ROOM_NS = 40_000  # a zero-clearance shape and its clearance
 LOOKED_UP_NS = 20_000  # a state looked up in a bound field
 HEURISTIC_NS = 4_000  # a lower bound of a motion's cost

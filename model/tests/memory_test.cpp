@@ -74,7 +74,7 @@ long asked_again(Work work) {
 }  // namespace
 
 int main() {
-    constexpr int kSolves = 20, kSteps = 30;
+    constexpr int kSolves = 6, kSteps = 12;
     long failures = 0;
     std::printf("tubes  kB per workspace  asked for memory again by %d solves: search, certificate, %d steps on, tips, derivatives\n", kSolves, kSteps);
     for (int tubes = 1; tubes <= 5; ++tubes) {
@@ -92,7 +92,7 @@ int main() {
         };
         ctr::Configuration q = all[0];
         auto walk = [&] {
-            for (int k = 0; k < 4; ++k) {
+            for (int k = 0; k < 3; ++k) {
                 q = all[k];
                 solver.solve(q, ctr::Accuracy::search());
                 for (int step = 0; step < kSteps; ++step) {
