@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import tomli_w
+from own_cache import use_own_cache
 
 import ctrplan
 from ctrplan.diagnosis.result import Diagnosis
@@ -110,6 +111,7 @@ def describe(label: str, plan: Plan, true: Robot | None) -> str:
 
 
 def main() -> None:
+    use_own_cache()
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenario", type=Path, default=ROOT / "scenarios" / "ribs.toml")
     parser.add_argument("--robot", type=Path)

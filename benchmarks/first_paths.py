@@ -12,6 +12,8 @@ import threading
 import time
 from pathlib import Path
 
+from own_cache import use_own_cache
+
 import ctrplan
 from ctrplan.errors import CtrplanError
 from ctrplan.planning.stage_search import Progress
@@ -36,6 +38,7 @@ def first_path(scenario: Scenario, seed: int) -> tuple[float, float, float]:
 
 
 def main() -> None:
+    use_own_cache()
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scenarios", nargs="*", help="names of scenarios; default: all")
     parser.add_argument("--seeds", type=int, default=1)

@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from own_cache import use_own_cache
 from planning import in_turn, paired
 from planning_queries import Query, queries
 
@@ -61,6 +62,7 @@ def planned(file: Path) -> dict[str, tuple[float, float]]:
 
 
 def main() -> None:
+    use_own_cache()
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=16, help="queries, of all scenarios by turns")
     parser.add_argument("--only", nargs="+", metavar="SCENARIO", help="these scenarios' queries")

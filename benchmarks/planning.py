@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from own_cache import use_own_cache
 from planning_queries import Query, queries
 
 import ctrplan
@@ -185,6 +186,7 @@ def ratio(pairs: list[tuple[dict[str, Any], dict[str, Any]]], key: str) -> str:
 
 
 def main() -> None:
+    use_own_cache()
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=5)
     limit = parser.add_mutually_exclusive_group()

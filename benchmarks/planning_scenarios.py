@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from own_cache import use_own_cache
 from page_table import put_into_page
 
 import ctrplan
@@ -62,6 +63,7 @@ def table(seed: int) -> str:
 
 
 def main() -> None:
+    use_own_cache()
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--write", action="store_true", help="put the table into README.md")

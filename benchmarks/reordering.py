@@ -16,6 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from own_cache import use_own_cache
 from page_table import put_into_page
 
 import ctrplan
@@ -67,6 +68,7 @@ def _short(problem: str) -> str:
 
 
 def main() -> None:
+    use_own_cache()
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scenarios", nargs="*", help="names of scenarios; default: all")
     parser.add_argument("--seed", type=int, default=0)

@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from own_cache import use_own_cache
 
 from ctrplan.planning.goals import goal_states
 from ctrplan.planning.motion import MotionChecker
@@ -31,6 +32,7 @@ def choice(path: Path) -> tuple[int, float, float] | None:
 
 
 def main() -> None:
+    use_own_cache()
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--write", action="store_true", help="put the ratios into docs/scenarios.md")
     arguments = parser.parse_args()

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from own_cache import use_own_cache
 
 from ctrplan.planning.goals import goal_states
 from ctrplan.planning.motion import MotionChecker
@@ -38,6 +39,7 @@ def found(name: str) -> tuple[list[float], list[bool]]:
 
 
 def main() -> None:
+    use_own_cache()
     rooms: list[float] = []
     valid: list[bool] = []
     for name in sys.argv[1:] or ["sinus", "deploy", "ventricle"]:

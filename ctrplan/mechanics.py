@@ -191,18 +191,20 @@ class Mechanics:
 
     def zero_clearance_rooms(
         self, theta_b: ArrayLike, l_b: ArrayLike, field: Field, *, spacing_m: float = 4e-3, threads: int = 0
-    ) -> Array:
-        """(K,) [m] clearances of zero-clearance shapes at points `spacing_m` apart; -inf without a stable solution.
+    ) -> tuple[Array, Array]:
+        """Clearances (K,) [m] of zero-clearance shapes at points `spacing_m` apart, and tips (K, 3) [m].
 
-        The outer radius of what is there is taken off. A hint, some 30 times cheaper than a bound: friction and
-        clearance between tubes move a shape by millimetres.
+        The outer radius of what is there is taken off; -inf without a stable solution. A hint, some 30 times cheaper
+        than a bound: friction and clearance between tubes move a shape by millimetres. Raises InputError.
         """
         if not spacing_m >= SHORTEST_STEP:
             raise InputError(f"must be at least {SHORTEST_STEP:g} m", key="spacing_m", value=spacing_m, unit="m")
         grid = walk_arguments(field, PathDensity(), PathLimits())[:5]
         with input_errors():
-            found = self._model.rooms(self._rows(theta_b), self._rows(l_b), *grid, spacing_m, _checked(threads))
-        return np.asarray(found)
+            table: Array = np.asarray(
+                self._model.rooms(self._rows(theta_b), self._rows(l_b), *grid, spacing_m, _checked(threads))
+            )
+        return table[:, 0], table[:, 1:]
 
     def tips_with_friction(
         self,

@@ -6,7 +6,7 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: its threads only fight over small matrices here
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,14 @@ WAYPOINTS_DEG_MM = [[0, 0, 0, -80], [0, 60, 110, -80], [0, 60, 110, -20]]
 SAMPLES_PER_LEG = 12
 
 PlanMaker = Callable[..., Plan]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def cache_of_this_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """What the user has tabulated, a bound field above all, would change what is planned."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CTRPLAN_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -93,15 +93,16 @@ def test_rooms_of_zero_clearance_shapes_are_those_of_their_centrelines(vessel: M
     assert grid is not None and vessel.field is not None
     joints = vessel.space.sample(np.random.default_rng(3), 12)
     theta_b, l_b = vessel.space.drive.collars(joints)
-    found = vessel.mechanics.zero_clearance_rooms(theta_b, l_b, vessel.field, spacing_m=1e-3)
+    found, _ = vessel.mechanics.zero_clearance_rooms(theta_b, l_b, vessel.field, spacing_m=1e-3)
     for k in np.flatnonzero(np.isfinite(found)):
         shape = vessel.mechanics.zero_clearance(theta_b[k], l_b[k])
         ahead = shape.s_m >= 0
         points = shape.centreline_m[ahead] @ scenario.base_R.T + scenario.base_position_m
         expected = float((grid.sample(points) - shape.radius_m[ahead]).min())
         assert found[k] == pytest.approx(expected, abs=1e-3)  # other points of the same line, at most 1 mm apart
-    coarse = vessel.mechanics.zero_clearance_rooms(theta_b, l_b, vessel.field, spacing_m=4e-3)
+    coarse, tips = vessel.mechanics.zero_clearance_rooms(theta_b, l_b, vessel.field, spacing_m=4e-3)
     np.testing.assert_allclose(coarse, found, atol=4e-3)
+    np.testing.assert_allclose(tips, vessel.mechanics.tips(theta_b, l_b)[0], atol=1e-6)  # of other steps along the line
 
 
 def test_every_leg_is_charged_for_its_stop(vessel: MotionChecker) -> None:
@@ -154,7 +155,7 @@ def test_motions_that_snap_are_suspected_beforehand_and_others_are_not() -> None
     for a, b in [(start, goal), (goal, start), *zip(joints[:-1], joints[1:], strict=True)]:
         if checker.state(a).valid and checker.state(b).valid:
             way = checker.space.corners(a, b, checker.style)
-            found.append((bool(checker.jumps([way])[0]), checker.motion(a, b).valid))
+            found.append((bool(checker.look([way])[1][0]), checker.motion(a, b).valid))
     assert found[:2] == [(True, False), (True, False)]  # what the scenario was made for
     assert np.mean([suspected != valid for suspected, valid in found]) > 0.95
     assert sum(valid for _, valid in found) > 20

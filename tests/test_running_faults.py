@@ -184,19 +184,36 @@ def test_a_set_is_whole_or_does_not_match_its_checksums(
 def in_a_small_world(
     tmp_path: Path, options: str, arguments: str, after: str = "true"
 ) -> subprocess.CompletedProcess[str]:
-    """A command with a small disk at tmp_path / disk, in a mount namespace of its own; skipped where there is none."""
+    """A command with a small disk at tmp_path / disk, in a mount namespace of its own."""
     disk = tmp_path / "disk"
     disk.mkdir()
     mount = f"mount -t tmpfs -o size=200k none '{disk}' && echo old > '{disk}/plan.json'"
-    if subprocess.run(["unshare", "-rm", "sh", "-c", mount], capture_output=True).returncode:
-        pytest.skip("this machine does not let users mount a small disk")
     script = f"{mount} && mount -o remount,{options} '{disk}' && '{sys.executable}' -m ctrplan.cli {arguments}; "
     script += f"echo exit $?; ls -A '{disk}'; cat '{disk}/plan.json'; {after}"
     environment = {**os.environ, "CTRPLAN_CACHE_DIR": str(disk / "cache"), "MPLCONFIGDIR": str(tmp_path / "matplotlib")}
     return subprocess.run(["unshare", "-rm", "sh", "-c", script], capture_output=True, text=True, env=environment)
 
 
-needs_namespaces = pytest.mark.skipif(shutil.which("unshare") is None, reason="has no unshare")
+def lets_users_mount() -> bool:
+    """Whether this machine, a container perhaps, lets a process mount a disk that only it sees."""
+    command = ["unshare", "-rm", "sh", "-c", "mount -t tmpfs none /mnt"]
+    return shutil.which("unshare") is not None and subprocess.run(command, capture_output=True).returncode == 0
+
+
+needs_namespaces = pytest.mark.skipif(not lets_users_mount(), reason="users may not mount a small disk here")
+
+
+def test_files_that_may_not_grow_leave_the_old_plan_and_nothing_else(tmp_path: Path) -> None:
+    """As a full disk, but wherever there is a shell: no file may be longer than 200 blocks."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    (folder / "plan.json").write_text("old")
+    plan = f"'{sys.executable}' -m ctrplan.cli plan '{SCENARIOS / 'pair_free.toml'}' --time 1 -o '{folder}'"
+    done = subprocess.run(["sh", "-c", f"ulimit -f 200; {plan}"], capture_output=True, text=True)
+    assert done.returncode == 1, done.stderr
+    assert "File too large" in done.stderr and "Traceback" not in done.stderr
+    assert [path.name for path in folder.iterdir()] == ["plan.json"]
+    assert (folder / "plan.json").read_text() == "old"
 
 
 @needs_namespaces

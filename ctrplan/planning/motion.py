@@ -154,25 +154,25 @@ class MotionChecker:
         """
         if self.field is None or not ways:
             return np.full(len(ways), np.inf)
+        return self.look(ways)[0]
+
+    def look(self, ways: list[Array]) -> tuple[Array, NDArray[np.bool_]]:
+        """`rooms` of polylines, and (E,) whether the tips of their zero-clearance shapes jump on the way.
+
+        A jump is a cheap hint that the robot snaps there: past two stable shapes, the solution along the branch of
+        vanishing precurvature changes from one to the other.
+        """
         points = [self._stations(way) for way in ways]
         self.meter.add(ROOM_NS * sum(map(len, points)))
         theta_b, l_b = self.space.drive.collars(np.concatenate(points))
-        rooms = self.mechanics.zero_clearance_rooms(theta_b, l_b, self.field, threads=0 if len(l_b) > FEW else 1)
+        threads = 0 if len(l_b) > FEW else 1
+        if self.field is None:
+            tips, rooms = self.mechanics.tips(theta_b, l_b, threads=threads)[0], np.full(len(l_b), np.inf)
+        else:
+            rooms, tips = self.mechanics.zero_clearance_rooms(theta_b, l_b, self.field, threads=threads)
         firsts = np.cumsum([0, *map(len, points[:-1])])
-        return np.asarray(np.minimum.reduceat(rooms, firsts) - self.limits.clearance_m)
-
-    def jumps(self, ways: list[Array]) -> NDArray[np.bool_]:
-        """(E,) whether zero-clearance tips jump between neighbouring points of polylines (K, m) each.
-
-        A cheap hint that the robot snaps there: past two stable shapes, the solution along the branch of vanishing
-        precurvature changes from one to the other.
-        """
-        points = [self._stations(way) for way in ways]
-        theta_b, l_b = self.space.drive.collars(np.concatenate(points))
-        tips = self.mechanics.tips(theta_b, l_b, threads=0 if len(l_b) > FEW else 1)[0]
-        lasts = np.cumsum([len(row) for row in points[:-1]])
-        parts = (np.split(values, lasts) for values in (tips, l_b))
-        return np.array([_jumps(*rows) for rows in zip(*parts, strict=True)])
+        ends = zip(np.split(tips, firsts[1:]), np.split(l_b, firsts[1:]), strict=True)
+        return np.minimum.reduceat(rooms, firsts) - self.limits.clearance_m, np.array([_jumps(*rows) for rows in ends])
 
     def _stations(self, corners: Array) -> Array:
         """(S, m) points on a polyline no farther apart than the density's steps."""

@@ -220,9 +220,8 @@ class RoadmapSearch:
         """Looks at the zero-clearance shapes along motions; whether there is any new doubt about them."""
         joints, space = self.joints, self.checker.space
         ways = [space.corners(joints[a], joints[b], self.checker.style) for a, b in self.edges[rows]]
-        rooms = self.checker.rooms(ways)
-        hope = np.interp(rooms, VALID_AT_M, VALID_SHARE)
-        self.hope[rows] = np.where(self.checker.jumps(ways), np.minimum(hope, VALID_JUMPS), hope)
+        rooms, jumps = self.checker.look(ways)
+        self.hope[rows] = np.minimum(np.interp(rooms, VALID_AT_M, VALID_SHARE), np.where(jumps, VALID_JUMPS, 1.0))
         self.cost[np.array(rows, dtype=int)[rooms < HOPELESS_M]] = np.inf
         return bool(np.any(self.hope[rows] < 1))
 

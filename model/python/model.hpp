@@ -158,23 +158,25 @@ class Model {
         return array(std::move(out), {all.size(), 7});
     }
 
-    // Clearances (K,) of zero-clearance shapes in front of the plate, at points `step` apart; -inf without a stable solution.
+    // Zero-clearance shapes in front of the plate: clearance at points `step` apart, -inf without a stable solution, tip (3).
     nb::object rooms(Matrix theta, Matrix l, nb::object field, Vector origin, double spacing, Matrix R_AB, Vector p_AB, double step,
                      int threads) {
         const std::vector<ctr::Configuration> all = read_many(theta, l);
         Field values;
         const ctr::SignedDistanceField sdf = distance_field(field, values, origin, spacing, R_AB, p_AB);
-        std::vector<double> out(all.size());
+        std::vector<double> out(all.size() * 4);
         {
             nb::gil_scoped_release release;
             parallel(all.size(), threads, [&](ctr::BoundSolver& solver, std::size_t k) {
                 ctr::ZeroClearance& solution = solver.zero_clearance();
                 const bool stable = solution.solve(robot_, all[k]) && !solution.negative_pivots();
-                out[k] = stable ? solution.clearance(robot_, sdf, step) : -std::numeric_limits<double>::infinity();
+                ctr::Frame tip;
+                const double clearance = solution.clearance(robot_, sdf, step, tip);
+                out[4 * k] = stable ? clearance : -std::numeric_limits<double>::infinity();
+                for (int i = 0; i < 3; ++i) out[4 * k + 1 + i] = tip.p[i];
             });
         }
-        const std::size_t count = out.size();
-        return array(std::move(out), {count});
+        return array(std::move(out), {all.size(), 4});
     }
 
     std::unique_ptr<PathHistory> history(int level, double breakaway, double rotation, double translation, double state_change) const {

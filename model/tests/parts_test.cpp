@@ -88,8 +88,9 @@ void check_zero_clearance(int seed, const Case& made) {
         expect(distance(turned(first.tip().p, 0.7), second.tip().p) < 1e-9, "zero clearance: a common rotation turns the tip", seed);
         expect(first.search_other(made.robot, made.q, 0, other) < 0, "zero clearance: where one is known to be all, no other is found", seed);
         const PlaneField wall(2, 2, 9, 0.05, {0, 0, -0.1}, {0, 0, 1});
-        const double room = first.clearance(made.robot, wall.field, 1e-3);
-        expect(std::fabs(room - second.clearance(made.robot, wall.field, 1e-3)) < 1e-6, "zero clearance: a common rotation leaves the room", seed);
+        ctr::Frame tip;
+        const double room = first.clearance(made.robot, wall.field, 1e-3, tip);
+        expect(std::fabs(room - second.clearance(made.robot, wall.field, 1e-3, tip)) < 1e-6, "zero clearance: a common rotation leaves the room", seed);
         expect(room < 1e-3, "zero clearance: the robot begins at the plate", seed);
     } else if (first.search_other(made.robot, made.q, 0, other) >= 0) {
         expect(other.residual() < 1e-9 && !other.negative_pivots(), "zero clearance: another equilibrium is one, and stable", seed);
