@@ -17,8 +17,9 @@ Direction = tuple[list[int], list[float], float]  # numbers of the core, derivat
 STEPS = {  # small against what the number usually is; differences across it are exact to about its square
     "outer_radius": 1e-8,
     "softening_strain": 1e-8,
-    "length": 1e-7,
-    "l_b": 1e-7,
+    "length": 1e-9,
+    "l_b": 1e-9,
+    "clearance": 1e-11,  # against the gap that is left in contact
     "mass_per_length": 1e-6,
     "outer_inner_radius": 1e-8,
     "inner_outer_radius": 1e-8,
@@ -82,4 +83,4 @@ def _step(number: str) -> float:
     for part in number.split("."):
         if part in STEPS:
             return STEPS[part]
-    return 1e-9 if number.endswith("clearance") else 1e-5
+    return 1e-5

@@ -44,7 +44,7 @@ bool Mesh::laid_out_like(const Mesh& other) const {
                       [](const Break& a, const Break& b) { return a.members == b.members; });
 }
 
-bool Mesh::move(const Mesh& from, const Robot& robot, const Configuration& q) {
+bool Mesh::move_elements(const Mesh& from, const Robot& robot, const Configuration& q) {
     find_breaks(robot, q);
     if (!std::equal(breaks_.begin(), breaks_.end(), from.breaks_.begin(), from.breaks_.end(),
                     [](const Break& a, const Break& b) { return a.members == b.members; }))
@@ -60,7 +60,15 @@ bool Mesh::move(const Mesh& from, const Robot& robot, const Configuration& q) {
         s_[k] = break_s_[b] + (s - breaks[b]) / (breaks[b + 1] - breaks[b]) * (break_s_[b + 1] - break_s_[b]);
     }
     fill_elements(robot, q);
-    if (node_unknowns_ != from.node_unknowns_) return false;
+    fill_pairs(robot);
+    fill_regimes(robot);
+    fill_laws(robot);
+    publish();
+    return node_unknowns_ == from.node_unknowns_;
+}
+
+bool Mesh::move(const Mesh& from, const Robot& robot, const Configuration& q) {
+    if (!move_elements(from, robot, q)) return false;
     contact_begin_ = from.contact_begin_;
     contact_pair_ = from.contact_pair_;
     contact_xi_ = from.contact_xi_;
@@ -72,9 +80,6 @@ bool Mesh::move(const Mesh& from, const Robot& robot, const Configuration& q) {
             contact_s_[k] = s_[e] + contact_xi_[k] * length_[e];
             fill_contact_shape(contact_xi_[k], length_[e], &contact_shape_[4 * k]);
         }
-    fill_pairs(robot);
-    fill_regimes(robot);
-    fill_laws(robot);
     publish();
     return true;
 }

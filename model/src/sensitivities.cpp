@@ -11,6 +11,8 @@ namespace {
 constexpr int kMaxLoadSteps = 60;
 constexpr double kLoadTolerance = 1e-6;  // of the largest change
 constexpr double kMomentNoise = 1e-13;    // of EI * precurvature, from rounding
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+constexpr TipDerivative kNowhere{{kNaN, kNaN, kNaN}, {kNaN, kNaN, kNaN}};
 
 }  // namespace
 
@@ -65,13 +67,17 @@ void Sensitivities::set(const FrictionSolver& solver, const Configuration& q, co
     for (const auto& [index, weight] : direction.weights) *side.values[index] += amount * weight;
 }
 
+// Whether only base rotations change along a direction; joints are the last numbers.
+bool Sensitivities::only_turns(const FrictionSolver& solver, const Direction& direction) const {
+    const int count = static_cast<int>(plus_.values.size()), n = solver.robot().count();
+    return std::all_of(direction.weights.begin(), direction.weights.end(),
+                       [&](const auto& w) { return w.first >= count - 2 * n && w.first < count - n; });
+}
+
 bool Sensitivities::shift(FrictionSolver& solver, const Configuration& q, const Direction& direction, double amount, Side& side) const {
     set(solver, q, direction, amount, side);
-    const int count = static_cast<int>(side.values.size()), n = solver.robot().count();
-    const bool only_turns = std::all_of(direction.weights.begin(), direction.weights.end(),
-                                        [&](const auto& w) { return w.first >= count - 2 * n && w.first < count - n; }) &&
-                            std::all_of(side.robot.tubes.begin(), side.robot.tubes.end(), [](const Tube& t) { return t.shaft_compliance == 0; });
-    if (only_turns) {
+    if (only_turns(solver, direction) &&
+        std::all_of(side.robot.tubes.begin(), side.robot.tubes.end(), [](const Tube& t) { return t.shaft_compliance == 0; })) {
         side.solver = &solver;
         return true;
     }
@@ -128,6 +134,7 @@ void Sensitivities::measure_gaps(const LaneState& state, Side& side) const {
 // their own changes.
 void Sensitivities::measure_imbalance(LaneState& state, const std::vector<double>& phi, double amount, Side& side) {
     const KernelProblem& pb = side.solver->mesh().problem();
+    move_state(state, 0);
     state.set_phi(side.robot, pb, 0, phi.data());
     side.solver->set_base(state, side.q);
     for (int k = 0; k < pb.contacts; ++k) state.multiplier(k, 0) = multiplier_[k] + amount * multiplier_change_[k];
@@ -204,40 +211,102 @@ bool Sensitivities::follow_loads(FrictionSolver& solver, LaneState& state, const
     return false;
 }
 
-void Sensitivities::compute(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi,
-                            const std::vector<Direction>& directions, std::vector<TipDerivative>& out) {
+// Where the directions lead, unless that is known already: friction states of one configuration follow one another.
+void Sensitivities::prepare(const FrictionSolver& solver, const Configuration& q, const std::vector<Direction>& directions) {
+    if (directions == directions_ && q.theta == q_.theta && q.l == q_.l && solver.mesh().s() == s_) return;
+    directions_ = directions;
+    q_ = q;
+    s_ = solver.mesh().s();
+    changes_.resize(directions.size());
+    ways_.resize(directions.size());
+    for (std::size_t j = 0; j < directions.size(); ++j) ways_[j] = read_change(solver, q, directions[j], changes_[j]);
+}
+
+Sensitivities::Way Sensitivities::read_change(const FrictionSolver& solver, const Configuration& q, const Direction& direction,
+                                              NumberChange& change) {
+    const KernelProblem& pb = solver.mesh().problem();
+    const NumberLayout at(pb.tubes, pb.elements);
+    change.clear();
+    set(solver, q, direction, direction.step, plus_);
+    if (only_turns(solver, direction)) {
+        const int first = static_cast<int>(plus_.values.size()) - 2 * pb.tubes;
+        for (const auto& [index, weight] : direction.weights)
+            for (int place : {at.base, at.shaft_angle}) change.push_back({place + pb.tubes - 1 - (index - first), weight});
+        return Way::gradient;
+    }
+    set(solver, q, direction, -direction.step, minus_);
+    for (const Side* side : {&plus_, &minus_})
+        if (side->robot.loaded() || !side->robot.linear_round()) return Way::alone;
+    for (auto [side, row] : {std::pair{&plus_, &upper_}, {&minus_, &lower_}}) {
+        if (!moved_.move_elements(solver.mesh(), side->robot, side->q)) return Way::none;
+        read_numbers(moved_, side->robot, side->q, *row);
+    }
+    for (int i = 0; i < at.count; ++i)
+        if (upper_[i] != lower_[i]) change.push_back({i, (upper_[i] - lower_[i]) / (2 * direction.step)});
+    return Way::gradient;
+}
+
+void Sensitivities::start(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<Direction>& directions) {
     const KernelProblem& pb = solver.mesh().problem();
     const std::size_t count = static_cast<std::size_t>(pb.nodes) * pb.stride;
-    solver.factorise(state);
     unknowns_.resize(count);
+    change_.resize(count);
     multiplier_.resize(pb.contacts);
     multiplier_change_.resize(pb.contacts);
     std::copy_n(state.unknowns(), count, unknowns_.begin());
     for (int k = 0; k < pb.contacts; ++k) multiplier_[k] = state.multiplier(k, 0);
     moments_.clear();
     if (loads(solver, q, directions)) moments_.assign(state.load_moments(), state.load_moments() + state.load_moment_count());
-    const double nan = std::numeric_limits<double>::quiet_NaN();
-    out.assign(directions.size(), {{nan, nan, nan}, {nan, nan, nan}});
-    for (std::size_t j = 0; j < directions.size(); ++j) {
-        const double step = directions[j].step;
-        if (!shift(solver, q, directions[j], step, plus_) || !shift(solver, q, directions[j], -step, minus_)) continue;
-        measure_multiplier_change(state, step);
-        change_.assign(count, 0.0);
-        moments_change_.assign(moments_.size(), 0.0);
-        solve_change(solver, state, q, phi, step);
-        const bool settled = moments_.empty() || follow_loads(solver, state, q, phi, step);
-        move_to(state, step, plus_);
-        const Frame upper = tip(*plus_.solver, state);
-        move_to(state, -step, minus_);
-        const Frame lower = tip(*minus_.solver, state);
-        rest(solver, state, q, phi);
-        if (!settled) continue;
-        const Vec3 u = upper.tangent(), v = lower.tangent();
-        for (int i = 0; i < 3; ++i) {
-            out[j].position[i] = (upper.p[i] - lower.p[i]) / (2 * step);
-            out[j].tangent[i] = (u[i] - v[i]) / (2 * step);
-        }
+    moments_change_.resize(moments_.size());
+}
+
+TipDerivative Sensitivities::follow(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi,
+                                    const Direction& direction) {
+    const double step = direction.step;
+    if (!shift(solver, q, direction, step, plus_) || !shift(solver, q, direction, -step, minus_)) return kNowhere;
+    measure_multiplier_change(state, step);
+    std::fill(change_.begin(), change_.end(), 0.0);
+    std::fill(moments_change_.begin(), moments_change_.end(), 0.0);
+    solve_change(solver, state, q, phi, step);
+    const bool settled = moments_.empty() || follow_loads(solver, state, q, phi, step);
+    move_to(state, step, plus_);
+    const Frame upper = tip(*plus_.solver, state);
+    move_to(state, -step, minus_);
+    const Frame lower = tip(*minus_.solver, state);
+    rest(solver, state, q, phi);
+    if (!settled) return kNowhere;
+    TipDerivative by;
+    const Vec3 u = upper.tangent(), v = lower.tangent();
+    for (int i = 0; i < 3; ++i) {
+        by.position[i] = (upper.p[i] - lower.p[i]) / (2 * step);
+        by.tangent[i] = (u[i] - v[i]) / (2 * step);
     }
+    return by;
+}
+
+void Sensitivities::compute(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi,
+                            const std::vector<Direction>& directions, std::vector<TipDerivative>& out) {
+    if (!TipGradient::applies(solver, state)) return compute_each(solver, state, q, phi, directions, out);
+    solver.factorise(state);
+    prepare(solver, q, directions);
+    if (std::find(ways_.begin(), ways_.end(), Way::gradient) != ways_.end()) gradient_.compute(solver, state, phi);
+    if (std::find(ways_.begin(), ways_.end(), Way::alone) != ways_.end()) start(solver, state, q, directions);
+    out.assign(directions.size(), kNowhere);
+    for (std::size_t j = 0; j < directions.size(); ++j) {
+        if (ways_[j] == Way::alone) out[j] = follow(solver, state, q, phi, directions[j]);
+        if (ways_[j] != Way::gradient) continue;
+        const TipValues by = gradient_.along(changes_[j]);
+        std::copy_n(by.value.begin(), 3, out[j].position.begin());
+        std::copy_n(by.value.begin() + 3, 3, out[j].tangent.begin());
+    }
+}
+
+void Sensitivities::compute_each(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi,
+                                 const std::vector<Direction>& directions, std::vector<TipDerivative>& out) {
+    solver.factorise(state);
+    start(solver, state, q, directions);
+    out.clear();
+    for (const Direction& direction : directions) out.push_back(follow(solver, state, q, phi, direction));
 }
 
 }  // namespace ctr

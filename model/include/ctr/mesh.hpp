@@ -74,6 +74,7 @@ class Mesh : private MeshArrays {
     // Another mesh's nodes and contact points carried along to a robot or configuration a little way off, in the same number:
     // what derivatives are taken along. False where collars, joints or tips meet in another order or a shaft becomes compliant.
     bool move(const Mesh& from, const Robot& robot, const Configuration& q);
+    bool move_elements(const Mesh& from, const Robot& robot, const Configuration& q);  // without contact points
 
     // Whether both have the same elements and contact points between the same collars, joints and tips.
     bool laid_out_like(const Mesh& other) const;

@@ -1,4 +1,4 @@
-// Derivatives of a solution by joints and by the robot's numbers, from the last factorisation: one right-hand side each.
+// Derivatives of a solution by joints and by the robot's numbers, from the last factorisation.
 #pragma once
 
 #include <string>
@@ -7,6 +7,7 @@
 
 #include "ctr/friction.hpp"
 #include "ctr/shape.hpp"
+#include "ctr/tip_gradient.hpp"
 
 namespace ctr {
 
@@ -20,6 +21,7 @@ void numbers(Robot& robot, Configuration& q, std::vector<double*>& all);
 struct Direction {
     std::vector<std::pair<int, double>> weights;  // index into numbers(), derivative of the number by the parameter
     double step;
+    bool operator==(const Direction&) const = default;
 };
 
 struct TipDerivative {
@@ -28,7 +30,8 @@ struct TipDerivative {
 };
 
 // Differentiates the converged equations (d)-(e) of docs/model.md at constant barrier level. With F(x, lambda, w; p) = 0,
-// contact multipliers and gaps eliminated as in a Newton step, H dx/dp = -dF/dp; the tip follows along dx and dp.
+// contact multipliers and gaps eliminated as in a Newton step, H dx/dp = -dF/dp; the tip follows along dx and dp. Where tubes
+// are linear and round and carry nothing, one gradient of the tip serves all directions (tip_gradient.hpp).
 class Sensitivities {
   public:
     // state: one lane, converged on the solver's mesh for the friction states phi. out: one entry per direction, NaN
@@ -36,7 +39,12 @@ class Sensitivities {
     void compute(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi,
                  const std::vector<Direction>& directions, std::vector<TipDerivative>& out);
 
+    // The same with a right-hand side and two backbones for every direction, whatever the tubes are.
+    void compute_each(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi,
+                      const std::vector<Direction>& directions, std::vector<TipDerivative>& out);
+
   private:
+    enum class Way { gradient, alone, none };  // how a direction is taken; none: it leads nowhere
     struct Side {  // the problem at parameter +- step
         FrictionSolver* solver = nullptr;      // the one asked about where only base rotations change, else its own
         std::unique_ptr<FrictionSolver> own;
@@ -47,6 +55,12 @@ class Sensitivities {
     };
     void set(const FrictionSolver& solver, const Configuration& q, const Direction& direction, double amount, Side& side) const;
     bool shift(FrictionSolver& solver, const Configuration& q, const Direction& direction, double amount, Side& side) const;
+    void prepare(const FrictionSolver& solver, const Configuration& q, const std::vector<Direction>& directions);
+    Way read_change(const FrictionSolver& solver, const Configuration& q, const Direction& direction, NumberChange& change);
+    bool only_turns(const FrictionSolver& solver, const Direction& direction) const;
+    void start(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<Direction>& directions);
+    TipDerivative follow(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi,
+                         const Direction& direction);
     bool loads(const FrictionSolver& solver, const Configuration& q, const std::vector<Direction>& directions);
     void measure_multiplier_change(const LaneState& state, double step);
     void measure_gaps(const LaneState& state, Side& side) const;
@@ -63,6 +77,15 @@ class Sensitivities {
     std::vector<double> unknowns_, change_, multiplier_, multiplier_change_, moments_, moments_change_, upper_moments_;
     Backbone backbone_;
     BackboneTracer tracer_;
+    TipGradient gradient_;
+    // What the directions change in a row of numbers, for the configuration and the mesh that were asked about last.
+    std::vector<Direction> directions_;
+    Configuration q_;
+    std::vector<double> s_;
+    std::vector<NumberChange> changes_;
+    std::vector<Way> ways_;
+    Mesh moved_;
+    std::vector<double> upper_, lower_;
 };
 
 }  // namespace ctr

@@ -23,6 +23,11 @@ class TipSolver {
         sensitivities_.compute(solver_, state_, q_, phi_, directions, out);
     }
 
+    // The same by another formulation, for tests: a right-hand side and two backbones a direction.
+    void differentiate_each(const std::vector<Direction>& directions, std::vector<TipDerivative>& out) {
+        sensitivities_.compute_each(solver_, state_, q_, phi_, directions, out);
+    }
+
     const Convergence& convergence() const { return convergence_; }
     const Frame& tip() const { return backbone_.frame.back(); }
     const LaneState& state() const { return state_; }
