@@ -51,7 +51,7 @@ def read_trajectory_csv(path: str | os.PathLike[str]) -> dict[str, FloatArray]:
         raise InputError("must be a readable CSV file with a header", file=str(path)) from error
     for number, row in enumerate(rows, start=1):
         if len(row) != len(header):
-            raise InputError(f"must have {len(header)} values", file=str(path), key=f"row.{number}", value=len(row))
+            raise InputError(f"must have {len(header)} values", file=str(path), key=f"row {number}", value=len(row))
     table = np.array([_numbers(row, str(path), k) for k, row in enumerate(rows, start=1)]).reshape(-1, len(header))
     return dict(zip(header, table.T, strict=True))
 
@@ -73,7 +73,7 @@ def _numbers(row: list[str], file: str, number: int) -> list[float]:
     try:
         return [float(value) for value in row]
     except ValueError as error:
-        raise InputError("must hold numbers only", file=file, key=f"row.{number}", value=",".join(row)) from error
+        raise InputError("must hold numbers only", file=file, key=f"row {number}", value=",".join(row)) from error
 
 
 def _yaml_list(values: Iterable[float]) -> str:

@@ -88,7 +88,7 @@ class _Table:
 
     def fault(self, rule: str, row: int | None = None, column: str | None = None, value: Any = ...) -> InputError:
         """The error that a cell breaks `rule`; rows count from 0 here."""
-        place = ".".join(part for part in (None if row is None else f"row.{row + 1}", column) if part)
+        place = ", ".join(part for part in (None if row is None else f"row {row + 1}", column) if part)
         return InputError(rule, file=self.file, key=place or None, value=value)
 
     def _check_rows(self) -> None:

@@ -104,11 +104,11 @@ REFUSED = {
     "doubled column": (_double_column, "the header has this column 2 times"),
     "tube count": (_third_tube, "has joints of 3 tubes, the robot file has 2"),
     "still": (_stand_still, "all joints are constant"),
-    "not a number": (_set(4, "theta_2_rad", "left"), "row.4.theta_2_rad = 'left': must be a number"),
+    "not a number": (_set(4, "theta_2_rad", "left"), "row 4, theta_2_rad = 'left': must be a number"),
     "infinite": (_set(4, "theta_2_rad", "inf"), "must be a finite number"),
-    "half a pose": (_set(2, "tz", ""), "row.2.tz: is empty, a pose needs all of"),
+    "half a pose": (_set(2, "tz", ""), "row 2, tz: is empty, a pose needs all of"),
     "no pose": (_no_pose, "holds no pose"),
-    "not nested": (_set(2, "l_2_m", "0.01"), "row.2: "),
+    "not nested": (_set(2, "l_2_m", "0.01"), "row 2: "),
     "run comes back": (_set(30, "sequence", "0"), "this run was over"),
 }
 

@@ -68,8 +68,11 @@ def output_folder(name: str, outputs: Sequence[str]) -> Path:
     existing = next(place for place in (folder, *folder.absolute().parents) if place.exists())
     if not name or not existing.is_dir():
         raise InputError("must be a folder, or a place to make one", key="--output", value=name)
-    if not os.access(existing, os.W_OK):
-        raise InputError("is not writable", key="--output", value=name)
+    try:
+        with temporary(existing, Path.touch):  # permissions alone do not say: nobody writes into /proc
+            pass
+    except OSError:
+        raise InputError("is not writable", key="--output", value=name) from None
     for output in (*outputs, CHECKSUMS):
         if (folder / output).is_dir():
             rule = f"holds a folder of the name {output}, where a file is to be written"

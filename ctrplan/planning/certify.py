@@ -107,6 +107,28 @@ class WalkedLegs:
         """The first reason not to certify the legs, or that the frictionless tip misses the goal; empty if none."""
         return next(iter(self.problems + _frictionless_miss(self.scenario, self.samples)), "")
 
+    @property
+    def length_mm(self) -> float:
+        """Joint length."""
+        return float(self.samples.path_mm[-1])
+
+    @property
+    def legs(self) -> int:
+        """Pieces driven without a stop."""
+        return len(merge_legs(self.corners)) - 1
+
+    @property
+    def cost_mm(self) -> float:
+        """By the scenario's weights."""
+        weights, samples = self.scenario.cost, self.samples
+        goal_error_mm = float(samples.bound_m[-1] + samples.released_m[-1]) * MM_PER_M
+        cost = weights.path * self.length_mm + weights.stop * self.legs
+        return cost + weights.error_along * self.integral_mm(samples.released_m) + weights.error_goal * goal_error_mm
+
+    def integral_mm(self, error_m: Array) -> float:
+        """Of an error [m] at every sample, (K,), along the path: 1 for 1 mm over 1 rad."""
+        return float(np.trapezoid(error_m * MM_PER_M, self.samples.path_mm)) / self.scenario.cost.mm_per_rad
+
 
 def walk_legs(
     scenario: Scenario, corners: Array, *, accuracy: Accuracy = "search", progress: Progress | None = None
@@ -121,18 +143,9 @@ def walk_legs(
 
 def finished(walk: WalkedLegs, arrival: Arrival = frictionless_arrives) -> Certificate:
     """The certificate of walked legs, histories simulated."""
-    scenario, corners = walk.scenario, walk.corners
+    scenario = walk.scenario
     prediction, samples = _predicted(scenario, walk.pieces, walk.samples, walk.accuracy)
     problems = walk.problems + arrival(scenario, samples, prediction)
-    integral, released, predicted = (
-        float(np.trapezoid(error * MM_PER_M, samples.path_mm)) / scenario.cost.mm_per_rad
-        for error in (samples.bound_m, samples.released_m, samples.predicted_m)
-    )
-    weights, goal_error_mm = scenario.cost, float(samples.bound_m[-1] + samples.released_m[-1]) * MM_PER_M
-    length = float(samples.path_mm[-1])
-    legs = len(merge_legs(corners)) - 1
-    cost = weights.path * length + weights.stop * legs
-    cost += weights.error_along * released + weights.error_goal * goal_error_mm
     return Certificate(
         samples=samples,
         valid=not problems,
@@ -141,20 +154,20 @@ def finished(walk: WalkedLegs, arrival: Arrival = frictionless_arrives) -> Certi
         goal_bound_m=float(samples.bound_m[-1]),
         goal_bound_rad=float(samples.bound_rad[-1]),
         goal_tip_error_m=_goal_miss(scenario, samples.tip_m[-1]),
-        error_integral_mm=integral,
+        error_integral_mm=walk.integral_mm(samples.bound_m),
         worst_predicted_m=float(samples.predicted_m.max()),
         goal_predicted_m=float(samples.predicted_m[-1]),
-        released_integral_mm=released,
-        predicted_integral_mm=predicted,
+        released_integral_mm=walk.integral_mm(samples.released_m),
+        predicted_integral_mm=walk.integral_mm(samples.predicted_m),
         goal_predicted_tip_m=prediction.end_middle_m,
         goal_predicted_spread_m=prediction.end_spread_m,
         snaps=prediction.snaps,
         min_clearance_m=float(samples.clearance_m.min()),
         min_stability=float(samples.stability.min()),
         max_strain=float(samples.max_strain.max()),
-        length_mm=length,
-        stops=max(legs - 1, 0),
-        cost_mm=cost,
+        length_mm=walk.length_mm,
+        stops=max(walk.legs - 1, 0),
+        cost_mm=walk.cost_mm,
         spacing_m=float(samples.motion_m.max()),
         worst_play_m=float(samples.play_m.max()),
         goal_play_m=float(samples.play_m[-1]),

@@ -13,7 +13,7 @@ import numpy as np
 from ctrplan.drive import Array
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.interrupts import interrupt_event
-from ctrplan.planning.certify import certify
+from ctrplan.planning.certify import walk_legs
 from ctrplan.planning.compensate import compensate
 from ctrplan.planning.goals import goal_states
 from ctrplan.planning.line import follow_line, line_beginnings
@@ -120,7 +120,7 @@ def _anytime_stages(scenario: Scenario, asked: _Asked) -> tuple[Candidate, Stage
         stages, ended_by = _stages(scenario, asked, StageSearch.run)
     except (KeyboardInterrupt, NoAnswerError):
         return hasty[-1][0], hasty, "completion"
-    kept = min(stages, hasty, key=lambda way: sum(best.certificate.cost_mm for _, best in way))
+    kept = min(stages, hasty, key=lambda way: sum(best.walk.cost_mm for _, best in way))
     return hasty[-1][0], kept, ended_by
 
 
@@ -153,13 +153,13 @@ def _along_line(checker: MotionChecker, began: float) -> tuple[Candidate, Candid
     scenario = checker.scenario
     corners, failed = follow_line(checker, scenario.start, scenario.goal)
     found_s = time.monotonic() - began
-    certificate = None if failed else certify(scenario, corners)
-    if certificate is None or not certificate.valid:
-        why = failed or (certificate.problems[0] if certificate else "")
+    walk = None if failed else walk_legs(scenario, corners)
+    if walk is None or walk.failure:
+        why = failed or (walk.failure if walk else "")
         raise NoAnswerError(f"{scenario.path or scenario.name}: line_mm: {why.rstrip('.')}.")
     motion = checker.along(corners)
     result = Reordered(corners, corners, motion, motion, "simultaneous", on_line=True)
-    candidate = Candidate(result, certificate, found_s, time.monotonic() - began, "line", tidied=True)
+    candidate = Candidate(result, walk, found_s, time.monotonic() - began, "line", tidied=True)
     return candidate, candidate
 
 

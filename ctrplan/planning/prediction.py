@@ -28,8 +28,16 @@ SAME = 1e-3  # difference of friction, of 0.01 mm and of 1 mrad at the tip, belo
 TIP_TOLERANCE_M = 0.05e-3  # of simulated tips (benchmarks/history.py)
 
 
-MOST_REMEMBERED = 100  # errors at the goal
-_GOAL_ERRORS: WeakKeyDictionary[Robot, dict[bytes, float]] = WeakKeyDictionary()
+MOST_REMEMBERED = 100  # ends of paths
+_ENDS: WeakKeyDictionary[Robot, dict[bytes, _End]] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True, eq=False)
+class _End:
+    """Where the histories along a path end."""
+
+    tip_m: Array  # (S, 3); NaN where one failed
+    states: list[HistoryState]  # one for each start, to go on from; empty where one failed
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,39 +80,53 @@ def predict_end(robot: Robot, joints: Array, starts: int | None = None) -> tuple
     """As `predict`, from the first few of the start states, and the states at the end, to go on from."""
     histories = [robot.history(start) for start in start_states(robot)[:starts]]
     prediction = _follow(robot, histories, joints)
-    return prediction, [history.save() for history in histories]
+    return prediction, _saved(histories)
 
 
 def predict_from(robot: Robot, states: Sequence[HistoryState], joints: Array) -> Prediction:
     """As `predict`, from states at the first row of joints (K, m), one for each start."""
-    histories: list[History] = []
-    for state in states:
-        history = robot.history()
-        history.restore(state)
-        histories.append(history)
-    return _follow(robot, histories, joints)
+    return _follow(robot, _restored(robot, states), joints)
 
 
 def goal_error(robot: Robot, joints: Array) -> float:
     """Largest distance [m] of a simulated tip from the frictionless one after the path (K, m); inf if any failed.
 
-    The last few answers of a robot are remembered.
+    Paths that begin alike share that part of their histories; a robot's last few are remembered.
     """
-    known, key = _GOAL_ERRORS.setdefault(robot, {}), joints.tobytes()
-    if key not in known:
+    known = _ENDS.setdefault(robot, {})
+    shared = next((k for k in range(len(joints), 0, -1) if joints[:k].tobytes() in known), 0)
+    for k in range(shared, len(joints)):
+        before = known[joints[:k].tobytes()] if k else None
         while len(known) >= MOST_REMEMBERED:
             known.pop(next(iter(known)))
-        known[key] = _goal_error(robot, joints)
-    return known[key]
-
-
-def _goal_error(robot: Robot, joints: Array) -> float:
-    prediction = predict(robot, joints)
+        known[joints[: k + 1].tobytes()] = _end_after(robot, joints[k], before)
     theta_b, l_b = robot.drive.collars(joints[-1:])
-    pairs = robot.n - 1
-    frictionless = robot.mechanics.tips_with_friction(theta_b, l_b, np.zeros((1, pairs))).position_m
-    error = float(np.linalg.norm(prediction.tip_m[:, -1] - frictionless, axis=1).max())
+    frictionless = robot.mechanics.tips_with_friction(theta_b, l_b, np.zeros((1, robot.n - 1))).position_m
+    error = float(np.linalg.norm(known[joints.tobytes()].tip_m - frictionless, axis=1).max())
     return error if np.isfinite(error) else np.inf
+
+
+def _end_after(robot: Robot, q: Array, before: _End | None) -> _End:
+    """Where histories are after moving on to q (m,) from where others ended, or at a start there."""
+    if before is not None and not before.states:
+        return before
+    histories = _restored(robot, before.states) if before else [robot.history(start) for start in start_states(robot)]
+    tips = _follow(robot, histories, q[None]).tip_m[:, -1]
+    return _End(tips, _saved(histories) if np.all(np.isfinite(tips)) else [])
+
+
+def _saved(histories: Sequence[History]) -> list[HistoryState]:
+    """A state for each history, one and the same where a history stands for several."""
+    states = {history: history.save() for history in histories}
+    return [states[history] for history in histories]
+
+
+def _restored(robot: Robot, states: Sequence[HistoryState]) -> list[History]:
+    """A history for each state, one and the same where a state stands for several."""
+    histories = {id(state): robot.history() for state in states}
+    for state in states:
+        histories[id(state)].restore(state)
+    return [histories[id(state)] for state in states]
 
 
 def rows_to_simulate(robot: Robot, joints: Array, leg: NDArray[np.int_]) -> NDArray[np.int_]:

@@ -35,6 +35,13 @@ class Roadmap:
     goals: NDArray[np.int_]  # nodes that are goal states
 
 
+def direct_roadmap(checker: MotionChecker, goals: list[GoalState]) -> Roadmap:
+    """Start and goals alone."""
+    nodes = np.arange(1, 1 + len(goals))
+    joints = np.vstack([checker.scenario.start, *(goal.joints for goal in goals)])
+    return Roadmap(joints, np.stack([np.zeros_like(nodes), nodes], axis=1), nodes)
+
+
 def retreat_roadmap(checker: MotionChecker, goals: list[GoalState]) -> Roadmap:
     """Chains from the goals back to the plate, joined to each other and to the start.
 
@@ -44,8 +51,7 @@ def retreat_roadmap(checker: MotionChecker, goals: list[GoalState]) -> Roadmap:
     start = checker.scenario.start
     chains, stations = _chains(checker, np.vstack([ends, start]))
     if all(len(chain) < FAR_SHARE * count for chain, count in zip(chains[:-1], stations[:-1], strict=True)):
-        nodes = np.arange(1, 1 + len(ends))
-        return Roadmap(np.vstack([start, ends]), np.stack([np.zeros_like(nodes), nodes], axis=1), nodes)
+        return direct_roadmap(checker, goals)
     joints, owner, station = [start], [-1], [0]
     for k, chain in enumerate(chains):
         for place, q in enumerate(chain):

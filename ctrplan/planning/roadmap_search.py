@@ -145,12 +145,13 @@ class RoadmapSearch:
     def _with_room(self, q: Array, most: int) -> Array:
         return q[self.checker.rooms([row[None] for row in q]) > ROOM_M][:most]
 
-    def any_path(self, stop: Callable[[], bool]) -> Array | None:
+    def any_path(self, stop: Callable[[], bool], least_hope: float = 0.0) -> Array | None:
         """(K, m) states of some good path from the start to a goal; None without a way, or if `stop` came first.
 
-        Motions count what it takes to check them, little where they are known to be valid.
+        Motions count what it takes to check them, little where they are known to be valid; those with less hope than
+        `least_hope` are left out.
         """
-        return self._path(stop, self._effort)
+        return self._path(stop, lambda: self._effort(least_hope))
 
     def cheap_path(self, stop: Callable[[], bool], doubt: float) -> Array | None:
         """(K, m) states of the path that is likely the cheapest; likewise.
@@ -192,10 +193,11 @@ class RoadmapSearch:
             self.checker.forbid(self.joints[a], self.joints[b], reason)
             self.cost[self.row[a, b]] = np.inf
 
-    def _effort(self) -> tuple[Array, Array]:
+    def _effort(self, least_hope: float) -> tuple[Array, Array]:
         """What it takes to check motions: the length by the share of such motions that are valid; whatever is left."""
+        is_open = np.isfinite(self.cost) & (self.known | ~(self.hope < least_hope))
         cost = np.where(self.known, SURE, 1 / np.nan_to_num(self.hope, nan=1.0)) * self.length + 1e-6
-        return np.where(np.isfinite(self.cost), cost, np.inf), np.where(np.isfinite(self.left), 0.0, np.inf)
+        return np.where(is_open, cost, np.inf), np.where(np.isfinite(self.left), 0.0, np.inf)
 
     def _likely_cost(self, doubt: float) -> tuple[Array, Array]:
         """What motions cost and leave; not checked, as far above the least as others on average, and by their hope."""

@@ -6,19 +6,20 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from ctrplan.drive import Array
 from ctrplan.errors import NoAnswerError
 from ctrplan.legs import merge_legs
-from ctrplan.planning.certify import finished, walk_legs
+from ctrplan.planning.certify import WalkedLegs, finished, walk_legs
 from ctrplan.planning.goal_descent import descended
 from ctrplan.planning.goals import GoalState, distinct
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.plan import Certificate
 from ctrplan.planning.reorder import Reordered, as_given, least_error
-from ctrplan.planning.retreat import promising, retreat_roadmap
+from ctrplan.planning.retreat import direct_roadmap, promising, retreat_roadmap
 from ctrplan.planning.roadmap_search import RoadmapSearch
 from ctrplan.planning.search_clock import SearchClock
 from ctrplan.planning.search_problem import SearchProblem
@@ -26,6 +27,7 @@ from ctrplan.planning.search_problem import SearchProblem
 FIRST_SHARE, ROADMAP_SHARE = 0.6, 0.7  # of the time by which a first path, and the cheapest, of the roadmap is sought
 LEAST_SHARE = 0.25  # of the time for sampling, however long the roadmap took
 FALLBACK_SHARE = 0.3  # of the time, for simultaneous motions when no L-shaped path was found
+STRAIGHT_HOPE = 0.5  # of motions from the start to a goal, without which chains are made before any is walked
 FIRST_STATES, FIRST_ROUND_S = 100, 0.4  # random states a roadmap first grows by, and after how long; then twice as many
 MOST_STATES = 3000  # of a roadmap
 DOUBT_KEPT = 0.5  # from round to round, of the doubt about motions that are not checked
@@ -47,11 +49,16 @@ class Candidate:
     """A path that passed its certificate."""
 
     result: Reordered
-    certificate: Certificate
+    walk: WalkedLegs
     found_s: float  # since planning began
     certified_s: float
     found_by: str
     tidied: bool  # in order, and compared with other orders
+
+    @cached_property
+    def certificate(self) -> Certificate:
+        """With histories simulated, which takes longer than walking and is asked of what is driven in the end."""
+        return finished(self.walk)
 
 
 Report = Callable[[Progress], None]
@@ -73,6 +80,7 @@ class StageSearch:
     failure: str = ""  # of the last certificate
     first: Candidate | None = None  # that was certified
     best: Candidate | None = None
+    has_chains: bool = False  # whether the roadmap has those that withdraw from the goals
 
     def run_to_first(self) -> tuple[Candidate, Candidate]:
         """The first certified path, as the first and the best."""
@@ -84,8 +92,9 @@ class StageSearch:
     def run(self) -> tuple[Candidate, Candidate]:
         """The first and the best certified path."""
         roadmap = self._first_path()
-        self._cheapest_of(roadmap)
-        if self.best is not None and not self.best.tidied:
+        if not self._is_enough():
+            self._cheapest_of(roadmap)
+        if self.best is not None and not self.best.tidied and not self._is_enough():
             self._tidied(self.checker, self.best.result.after, self.best.found_by)
         self._sample()
         return self._answer()
@@ -103,13 +112,16 @@ class StageSearch:
         raise NoAnswerError(f"{name}: planner.time_s = {self.budget:g} s: {outcome}.")
 
     def _first_path(self) -> RoadmapSearch:
-        """Any path, soon: on a roadmap that grows while there is none."""
+        """Any path, soon: straight to a goal where that looks free, or on a roadmap that grows while there is none."""
         goals, rng = promising(self.checker, self.goals), np.random.default_rng(self.seed)
-        search = RoadmapSearch(self.checker, retreat_roadmap(self.checker, goals), goals)
-        states, until = FIRST_STATES, self.clock.now() + FIRST_ROUND_S
+        search = RoadmapSearch(self.checker, direct_roadmap(self.checker, goals), goals)
+        states, until, hope = FIRST_STATES, self.clock.now() + FIRST_ROUND_S, STRAIGHT_HOPE
         while self.best is None and not self._is_over(FIRST_SHARE * self.budget):
-            path = search.any_path(lambda until=until: self._is_over(until))  # type: ignore[misc]
-            if path is None:
+            path = search.any_path(lambda until=until: self._is_over(until), hope)  # type: ignore[misc]
+            if path is None and hope > 0:
+                self._add_chains(search)
+                hope = 0.0
+            elif path is None:
                 search.grow(rng, states)
                 states, until = 2 * states, self.clock.now() + states / FIRST_STATES * FIRST_ROUND_S
                 until = min(until, FIRST_SHARE * self.budget)
@@ -117,9 +129,16 @@ class StageSearch:
                 search.forbid(path, failed)
         return search
 
+    def _add_chains(self, search: RoadmapSearch) -> None:
+        """Adds chains that withdraw from the goals."""
+        search.add_chains(retreat_roadmap(self.checker, promising(self.checker, self.goals)))
+        self.has_chains = True
+
     def _cheapest_of(self, search: RoadmapSearch) -> None:
         """The cheapest path found on a roadmap that grows further, put in order and certified."""
         rng, states, doubt = np.random.default_rng(self.seed), FIRST_STATES, 1.0
+        if not self.has_chains:
+            self._add_chains(search)
         if self.best is not None and self.checker.scenario.cost.error_goal > 0:
             self._descend(search)
         until = ROADMAP_SHARE * self.budget
@@ -128,7 +147,7 @@ class StageSearch:
                 break  # not even a way
             search.grow(rng, states)
             states, doubt = 2 * states, DOUBT_KEPT * doubt
-        while (cheapest := search.known_path()) is not None:
+        while not self._is_enough() and (cheapest := search.known_path()) is not None:
             failed = self._tidied(self.checker, self._expanded(cheapest), ROADMAP)
             if not failed:
                 break
@@ -179,10 +198,14 @@ class StageSearch:
 
     def _improves(self, problem: SearchProblem) -> bool:
         """Whether the problem's path may be better than the best certified one."""
-        return self.best is None or problem.cost_mm() < self.best.certificate.cost_mm
+        return self.best is None or problem.cost_mm() < self.best.walk.cost_mm
+
+    def _is_enough(self) -> bool:
+        """Whether someone who waits for an end has a path already."""
+        return self.interrupted.is_set() and self.best is not None
 
     def _is_over(self, until: float) -> bool:
-        best = self.best.certificate.cost_mm if self.best else None
+        best = self.best.walk.cost_mm if self.best else None
         self.report(Progress("search", min(1.0, self.clock.now() / self.budget), best))
         return self.clock.is_past(until) or self.interrupted.is_set()
 
@@ -203,7 +226,7 @@ class StageSearch:
         if self.failure:
             return self.failure
         certified_s = time.monotonic() - self.began
-        self._keep(as_given(checker, way), finished(walk), found_by, found_s, certified_s, tidied=False)
+        self._keep(as_given(checker, way), walk, found_by, found_s, certified_s, tidied=False)
         return ""
 
     def _tidied(self, checker: MotionChecker, corners: Array, found_by: str) -> str:
@@ -218,7 +241,7 @@ class StageSearch:
             self.failure = walk.failure
             return self.failure
         certified_s = time.monotonic() - self.began
-        self._keep(result, finished(walk), found_by, found_s, certified_s, tidied=True)
+        self._keep(result, walk, found_by, found_s, certified_s, tidied=True)
         return ""
 
     def _certifying(self, share: float) -> None:
@@ -227,7 +250,7 @@ class StageSearch:
     def _keep(
         self,
         result: Reordered,
-        certificate: Certificate,
+        walk: WalkedLegs,
         found_by: str,
         found_s: float,
         certified_s: float,
@@ -235,8 +258,8 @@ class StageSearch:
         tidied: bool,
     ) -> None:
         """Remembers a certified path if it is the first or the best."""
-        self.checker.meter.add(self.checker.solved_ns * len(certificate.samples.leg))
-        candidate = Candidate(result, certificate, found_s, certified_s, found_by, tidied)
+        self.checker.meter.add(self.checker.solved_ns * len(walk.samples.leg))
+        candidate = Candidate(result, walk, found_s, certified_s, found_by, tidied)
         self.first = self.first or candidate
-        if self.best is None or certificate.cost_mm < self.best.certificate.cost_mm:
+        if self.best is None or walk.cost_mm < self.best.walk.cost_mm:
             self.best = candidate
