@@ -1,7 +1,7 @@
 """The command line in a process of its own that says when it can be interrupted."""
 
-# What runs in the background ignores Ctrl-C, and so do its children, unless they ask for it again. One that comes before
-# the command line takes care of it waits until then, which is when it imports its first command.
+# What runs in the background ignores Ctrl-C, and so do its children, unless they ask for it again. One that comes
+# before the command line takes care of it waits until then, which is when it imports its first command.
 INTERRUPTIBLE = """
 import signal, sys
 from ctrplan.cli import main
