@@ -26,7 +26,7 @@ from ctrplan.planning.inverse_kinematics import (
     TipTarget,
     angle_to,
 )
-from ctrplan.planning.motion import MotionChecker, anatomy_grid
+from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.tip_slopes import tips_by_joints
 
 SAMPLES = 1500  # random configurations whose tips are looked at
@@ -119,18 +119,11 @@ def _starts(solver: TipSolver, target: TipTarget, rng: np.random.Generator, coun
 
 
 def _room(checker: MotionChecker, q: Array) -> Array:
-    """(K,) smallest clearance to the anatomy of zero-clearance shapes, none counted better than ROOM_ENOUGH_M."""
-    room, grid = np.full(len(q), ROOM_ENOUGH_M), anatomy_grid(checker.scenario)
-    if grid is None:
-        return room
-    scenario = checker.scenario
-    for k, (theta_b, l_b) in enumerate(zip(*checker.space.drive.collars(q), strict=True)):
-        shape = checker.mechanics.zero_clearance(theta_b, l_b)
-        ahead = shape.s_m >= 0
-        points = shape.centreline_m[ahead] @ scenario.base_R.T + scenario.base_position_m
-        if len(points):
-            room[k] = min(ROOM_ENOUGH_M, float((grid.sample(points) - shape.radius_m[ahead]).min()))
-    return room
+    """(K,) clearance to the anatomy of zero-clearance shapes, none counted better than ROOM_ENOUGH_M."""
+    if checker.field is None:
+        return np.full(len(q), ROOM_ENOUGH_M)
+    rooms = checker.mechanics.zero_clearance_rooms(*checker.space.drive.collars(q), checker.field)[0]
+    return np.minimum(rooms, ROOM_ENOUGH_M)
 
 
 def distinct_rows(checker: MotionChecker, q: Array, order: NDArray[np.int_]) -> NDArray[np.int_]:

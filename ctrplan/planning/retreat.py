@@ -70,14 +70,11 @@ def retreat_roadmap(checker: MotionChecker, goals: list[GoalState]) -> Roadmap:
 
 
 def promising(checker: MotionChecker, goals: list[GoalState]) -> list[GoalState]:
-    """The goals that would cost least if the way there were free, at most MOST_GOALS."""
+    """At most MOST_GOALS: those that would cost least if the way there were free, and as many of the nearest others."""
     weights, space, start = checker.scenario.cost, checker.space, checker.scenario.start
-
-    def least(goal: GoalState) -> float:
-        way = space.length_mm(space.difference(start, goal.joints))
-        return weights.path * way + weights.error_goal * goal.bound_m * MM_PER_M
-
-    return sorted(goals, key=least)[:MOST_GOALS]
+    way = {goal: space.length_mm(space.difference(start, goal.joints)) for goal in goals}
+    ranked = sorted(goals, key=lambda g: weights.path * way[g] + weights.error_goal * g.bound_m * MM_PER_M)
+    return ranked[: MOST_GOALS // 2] + sorted(ranked[MOST_GOALS // 2 :], key=lambda g: way[g])[: MOST_GOALS // 2]
 
 
 def _chains(checker: MotionChecker, ends: Array) -> tuple[list[list[Array]], list[int]]:

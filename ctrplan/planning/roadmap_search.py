@@ -32,6 +32,10 @@ ROOM_M = 1e-3  # that a random state must have around its zero-clearance shape
 # `benchmarks/zero_clearance_rooms.py`
 VALID_AT_M, VALID_SHARE = (-0.5e-3, 3e-3), (0.02, 1.0)
 VALID_JUMPS = 0.05  # of motions along which the zero-clearance tip jumps
+WARNING, ALIKE = (
+    0.7,
+    0.8,
+)  # what is left of the trust in others from the same state, of that share of its length or more
 
 
 class RoadmapSearch:
@@ -46,6 +50,7 @@ class RoadmapSearch:
         self.length, self.cost, self.hope = np.empty(0), np.empty(0), np.empty(0)
         self.least, self.least_left = np.empty(0), np.empty(0)  # length and stops alone; bound at the goal alone
         self.left = np.empty(0)  # cost of the error left if the path ends with that motion; inf but at goals
+        self.trust = np.empty(0)  # beside the hope, while any path will do
         self.known, self.probed = np.empty(0, dtype=bool), np.empty(0, dtype=bool)
         self.refused = np.empty(0, dtype=int)  # states that are not valid
         self.row: dict[tuple[int, int], int] = {}
@@ -69,6 +74,7 @@ class RoadmapSearch:
         self.least, self.least_left = np.concatenate([self.least, least]), np.concatenate([self.least_left, left])
         self.known = np.concatenate([self.known, np.zeros(len(edges), dtype=bool)])
         self.hope = np.concatenate([self.hope, np.full(len(edges), np.nan)])  # share; NaN before a look
+        self.trust = np.concatenate([self.trust, np.ones(len(edges))])
 
     def grow(self, rng: np.random.Generator, count: int) -> None:
         """Adds up to `count` random states with room around their zero-clearance shapes.
@@ -179,6 +185,10 @@ class RoadmapSearch:
                 return self.joints[nodes]
             with ThreadPoolExecutor(AT_ONCE) as pool:
                 list(pool.map(self._check, todo[:AT_ONCE]))
+            for k in todo[:AT_ONCE]:  # in their order, whichever was done first
+                if not np.isfinite(self.cost[k]):
+                    alike = (self.edges[:, 0] == self.edges[k, 0]) & (self.length >= ALIKE * self.length[k])
+                    self.trust[alike] *= WARNING
         return None
 
     def known_path(self) -> Array | None:
@@ -196,7 +206,8 @@ class RoadmapSearch:
     def _effort(self, least_hope: float) -> tuple[Array, Array]:
         """What it takes to check motions: the length by the share of such motions that are valid; whatever is left."""
         is_open = np.isfinite(self.cost) & (self.known | ~(self.hope < least_hope))
-        cost = np.where(self.known, SURE, 1 / np.nan_to_num(self.hope, nan=1.0)) * self.length + 1e-6
+        trust = np.nan_to_num(self.hope, nan=1.0) * self.trust
+        cost = np.where(self.known, SURE, 1 / trust) * self.length + 1e-6
         return np.where(is_open, cost, np.inf), np.where(np.isfinite(self.left), 0.0, np.inf)
 
     def _likely_cost(self, doubt: float) -> tuple[Array, Array]:

@@ -24,7 +24,7 @@ from ctrplan.planning.roadmap_search import RoadmapSearch
 from ctrplan.planning.search_clock import SearchClock
 from ctrplan.planning.search_problem import SearchProblem
 
-FIRST_SHARE, ROADMAP_SHARE = 0.6, 0.7  # of the time by which a first path, and the cheapest, of the roadmap is sought
+FIRST_SHARE, ROADMAP_SHARE = 0.9, 0.7  # of the time by which a first path, and the cheapest, of the roadmap is sought
 LEAST_SHARE = 0.25  # of the time for sampling, however long the roadmap took
 FALLBACK_SHARE = 0.3  # of the time, for simultaneous motions when no L-shaped path was found
 STRAIGHT_HOPE = 0.5  # of motions from the start to a goal, without which chains are made before any is walked
