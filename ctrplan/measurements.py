@@ -53,7 +53,7 @@ class Measurements:
         scale = np.repeat([SAME_ROTATION_RAD, SAME_TRANSLATION_M], self.n)
         cells = np.round(np.hstack([self.theta_b, self.l_b])[self.rows] / scale).astype(np.int64)
         _, first, number = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-        return np.argsort(np.argsort(first))[number.ravel()]  # in the order of appearance
+        return np.asarray(np.argsort(np.argsort(first))[number.ravel()])  # in the order of appearance
 
     def subset(self, poses: NDArray[np.int_] | NDArray[np.bool_]) -> Measurements:
         """The same waypoints with some of the poses only, given by their numbers or a mask (K,)."""

@@ -138,7 +138,11 @@ def _legs(path: JointPath, run: slice) -> Iterator[tuple[Array, Array, Array]]:
         theta, l = path.theta_b[k : k + 2], path.l_b[k : k + 2]  # noqa: E741
         longest = max(np.abs(np.diff(theta, axis=0)).max() / SAMPLE_RAD, np.abs(np.diff(l, axis=0)).max() / SAMPLE_M)
         part = np.linspace(0, 1, max(1, int(np.ceil(longest - 1e-9))) + 1)[1:, None]
-        yield k + part[:, 0], theta[:1] + part * np.diff(theta, axis=0), l[:1] + part * np.diff(l, axis=0)
+        yield (
+            np.asarray(k + part[:, 0], dtype=np.float64),
+            theta[:1] + part * np.diff(theta, axis=0),
+            l[:1] + part * np.diff(l, axis=0),
+        )
 
 
 def _driven_legs(robot: Robot, path: JointPath, run: slice) -> Iterator[tuple[Array, ...]]:

@@ -102,7 +102,8 @@ def _correction(checker: MotionChecker, corners: Array, legs: int, target: Array
     robot, is_rotation = checker.scenario.robot, checker.space.drive.is_rotation
     unchanged = _unchanged(corners, legs, is_rotation)
     _, states = predict_end(robot, corners[: unchanged + 1])
-    delta, best = np.zeros(corners.shape[1]), (np.inf, np.zeros(corners.shape[1]))
+    delta: Array = np.zeros(corners.shape[1])
+    best = (np.inf, delta)
     for _ in range(ITERATIONS):
         path = corrected(corners, legs, is_rotation, delta)
         if not checker.space.allowed(path):

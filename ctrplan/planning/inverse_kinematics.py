@@ -246,7 +246,8 @@ def angle_to(tangent: Array, direction: Array | None) -> Array:
     """(K,) angles [rad] between tangents (K, 3) and a direction (3,); 0 without one."""
     if direction is None:
         return np.zeros(len(tangent))
-    return np.asarray(np.arctan2(_length(np.cross(tangent, direction)), tangent @ direction))
+    across = np.asarray(np.cross(tangent, direction), dtype=np.float64)
+    return np.asarray(np.arctan2(_length(across), tangent @ direction))
 
 
 def _about_z(vectors: Array) -> Array:

@@ -166,8 +166,9 @@ class MotionChecker:
         self.meter.add(ROOM_NS * sum(map(len, points)))
         theta_b, l_b = self.space.drive.collars(np.concatenate(points))
         threads = 0 if len(l_b) > FEW else 1
+        rooms: Array = np.full(len(l_b), np.inf)
         if self.field is None:
-            tips, rooms = self.mechanics.tips(theta_b, l_b, threads=threads)[0], np.full(len(l_b), np.inf)
+            tips = self.mechanics.tips(theta_b, l_b, threads=threads)[0]
         else:
             rooms, tips = self.mechanics.zero_clearance_rooms(theta_b, l_b, self.field, threads=threads)
         firsts = np.cumsum([0, *map(len, points[:-1])])

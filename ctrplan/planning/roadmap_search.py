@@ -45,14 +45,18 @@ class RoadmapSearch:
         """goals: those of the roadmap, in its order, with their bounds."""
         self.checker, self.goals = checker, roadmap.goals
         self.left_m = dict(zip(roadmap.goals.tolist(), (goal.bound_m for goal in goals), strict=True))
-        self.joints = np.empty((0, len(checker.space.weights_mm)))
-        self.edges = np.empty((0, 2), dtype=int)
-        self.length, self.cost, self.hope = np.empty(0), np.empty(0), np.empty(0)
-        self.least, self.least_left = np.empty(0), np.empty(0)  # length and stops alone; bound at the goal alone
-        self.left = np.empty(0)  # cost of the error left if the path ends with that motion; inf but at goals
-        self.trust = np.empty(0)  # beside the hope, while any path will do
-        self.known, self.probed = np.empty(0, dtype=bool), np.empty(0, dtype=bool)
-        self.refused = np.empty(0, dtype=int)  # states that are not valid
+        self.joints: Array = np.empty((0, len(checker.space.weights_mm)))
+        self.edges: NDArray[np.int_] = np.empty((0, 2), dtype=int)
+        self.length: Array = np.empty(0)
+        self.cost: Array = np.empty(0)  # at least; what it is where known
+        self.left: Array = np.empty(0)  # cost of the error left if the path ends with that motion; inf but at goals
+        self.least: Array = np.empty(0)  # length and stops alone
+        self.least_left: Array = np.empty(0)  # bound at the goal alone
+        self.hope: Array = np.empty(0)  # share of such motions that are valid; NaN before a look
+        self.trust: Array = np.empty(0)  # beside the hope, while any path will do
+        self.known: NDArray[np.bool_] = np.empty(0, dtype=bool)
+        self.probed: NDArray[np.bool_] = np.empty(0, dtype=bool)
+        self.refused: NDArray[np.int_] = np.empty(0, dtype=int)  # states that are not valid
         self.row: dict[tuple[int, int], int] = {}
         self.extend(roadmap.joints, roadmap.edges)
 
@@ -69,11 +73,10 @@ class RoadmapSearch:
         left = np.where(np.isfinite(left_m), weights.error_goal * np.nan_to_num(left_m, posinf=0.0) * MM_PER_M, np.inf)
         self.row |= {(int(i), int(j)): k for k, (i, j) in enumerate(edges, len(self.edges))}
         self.edges, self.length = np.concatenate([self.edges, edges]), np.concatenate([self.length, length])
-        # at least; what they are where known
         self.cost, self.left = np.concatenate([self.cost, least]), np.concatenate([self.left, left])
         self.least, self.least_left = np.concatenate([self.least, least]), np.concatenate([self.least_left, left])
         self.known = np.concatenate([self.known, np.zeros(len(edges), dtype=bool)])
-        self.hope = np.concatenate([self.hope, np.full(len(edges), np.nan)])  # share; NaN before a look
+        self.hope = np.concatenate([self.hope, np.full(len(edges), np.nan)])
         self.trust = np.concatenate([self.trust, np.ones(len(edges))])
 
     def grow(self, rng: np.random.Generator, count: int) -> None:
