@@ -1,6 +1,7 @@
 // Body of the kernels, included by one translation unit per instruction set inside an anonymous namespace.
 // No std::, no Eigen, no functions shared with other translation units (see kernel.hpp).
 #include "kernel_lanes.hpp"
+#include "element_functions.hpp"
 #include "kernel_elastic.hpp"
 #include "bending_law.hpp"
 #include "kernel_softened.hpp"

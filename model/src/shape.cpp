@@ -8,10 +8,10 @@
 namespace ctr {
 namespace {
 
+#include "element_functions.hpp"
 #include "kernel_lanes.hpp"
 #include "bending_law.hpp"
 
-constexpr double kGauss[2] = {0.21132486540518711775, 0.78867513459481288225};
 constexpr double kOutputStep = 2e-3;  // m, zero-clearance shapes
 
 // Material frame and curvature of a tube from its twist-free frame, its angle and its bending in the twist-free frame.
@@ -48,7 +48,8 @@ void element_curvature(const FrictionSolver& solver, const LaneState& state, int
     const KernelProblem& pb = solver.mesh().problem();
     const int m = pb.element_tubes[e], n = pb.tubes, offsets = pb.element_unknowns[e] == 5 * m ? m : m - 1;
     const double h = pb.length[e];
-    const double b[4] = {(12 * xi - 6) / (h * h), (6 * xi - 4) / h, (6 - 12 * xi) / (h * h), (6 * xi - 2) / h};
+    double b[4];
+    hermite_second(xi, h, b);
     const double part = (xi - kGauss[0]) / (kGauss[1] - kGauss[0]);  // precurvature and load moment are linear in between
     double running[2] = {0, 0}, mean[2] = {0, 0}, total = 0, angle[kMaxTubes], v[kMaxTubes][2];
     for (int t = m - 1; t >= 0; --t) {

@@ -5,21 +5,9 @@
 namespace ctr {
 namespace {
 
-constexpr double kGauss[2] = {0.21132486540518711775, 0.78867513459481288225};
+#include "element_functions.hpp"
+
 constexpr double kTurn = 3e-5;  // rad by which an element is bent for differences, which are then right to 1e-9
-
-constexpr int offset_index(int pair, int plane) { return 1 + 5 * pair + plane; }
-constexpr int slope_index(int pair, int plane) { return 3 + 5 * pair + plane; }
-constexpr double linear(int node, int gauss) { return node ? kGauss[gauss] : 1 - kGauss[gauss]; }
-
-// Second derivatives of the Hermite functions at a Gauss point, for an element of length h.
-void hermite_second(int gauss, double h, double* b) {
-    const double xi = kGauss[gauss];
-    b[0] = (12 * xi - 6) / (h * h);
-    b[1] = (6 * xi - 4) / h;
-    b[2] = (6 - 12 * xi) / (h * h);
-    b[3] = (6 * xi - 2) / h;
-}
 
 int offsets_of(const KernelProblem& pb, int e) {
     const int m = pb.element_tubes[e];
@@ -114,7 +102,7 @@ void TipGradient::measure_bend(const KernelProblem& pb, const LaneState& state, 
     const int M = pb.element_tubes[e], n = pb.tubes, offsets = offsets_of(pb, e);
     for (int g = 0; g < 2; ++g) {
         double b[4], running[2] = {0, 0}, stretched[2] = {0, 0};
-        hermite_second(g, pb.length[e], b);
+        hermite_second(kGauss[g], pb.length[e], b);
         for (int t = M - 1; t >= 0; --t) {
             const double* v = pb.precurvature + ((e * 2 + g) * n + t) * 2;
             const double angle = linear(0, g) * state.unknown(e, 5 * t, 0) + linear(1, g) * state.unknown(e + 1, 5 * t, 0);
@@ -177,7 +165,7 @@ void TipGradient::add_curvature(const KernelProblem& pb, int e, const TipValues 
     for (int t = 0; free && t < M; ++t) share[t] = pb.bending_stiffness[t] / total;
     for (int g = 0; g < 2; ++g) {
         double b[4];
-        hermite_second(g, h, b);
+        hermite_second(kGauss[g], h, b);
         const TipValues* by = by_curvature[g];
         double rest = 1;
         for (int p = 0; p < offsets; ++p) {
@@ -265,7 +253,7 @@ void TipGradient::add_elements(const KernelProblem& pb, const LaneState& state, 
     const double* P = pb.stiffness + regime;
     for (int g = 0; g < 2; ++g) {
         double b[4], against[kMaxTubes][2], moment[kMaxTubes][2], stretched_moment[kMaxTubes][2];
-        hermite_second(g, h, b);
+        hermite_second(kGauss[g], h, b);
         for (int t = 0; t < M; ++t)
             for (int plane = 0; plane < 2; ++plane) against[t][plane] = bend.running[g][t][plane] - bend.turned[g][t][plane];
         for (int t = 0; t < M; ++t)

@@ -1,4 +1,4 @@
-// Gradient of the tip by every number of a discretised robot, from one solve with the transposed factors (docs/model.md).
+// Gradient of the tip by every number of a discretised robot, from solves with the transposed factors (docs/model.md).
 #pragma once
 
 #include <array>
