@@ -148,8 +148,9 @@ class History:
             self._begin(thetas[0], ls[0])
         with input_errors():
             table: Array = np.asarray(self._core.follow(thetas, ls))
-        if len(thetas):
-            self._at = (thetas[-1], ls[-1])
+        reached = np.flatnonzero(table[:, 0] < Status.FAILED)  # not NaN
+        if len(reached):
+            self._at = (thetas[reached[-1]], ls[reached[-1]])
         return HistoryPath(
             position_m=table[:, 2:5],
             tangent=table[:, 5:8],

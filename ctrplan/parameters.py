@@ -15,14 +15,10 @@ from ctrplan.tube import Tube
 Direction = tuple[list[int], list[float], float]  # numbers of the core, derivatives by the parameter, step
 
 STEPS = {  # small against what the number usually is; differences across it are exact to about its square
-    "outer_radius": 1e-8,
     "softening_strain": 1e-8,
     "length": 1e-9,
     "l_b": 1e-9,
     "clearance": 1e-11,  # against the gap that is left in contact
-    "mass_per_length": 1e-6,
-    "outer_inner_radius": 1e-8,
-    "inner_outer_radius": 1e-8,
     "tip_moment": 1e-6,
     "gravity": 1e-3,
 }

@@ -79,3 +79,25 @@ class Field:
     spacing_m: float
     R_AB: Array  # (3, 3)
     p_AB: Array  # (3,)
+
+    def __post_init__(self) -> None:
+        """Takes what can be read as such arrays. Raises InputError for other shapes, or numbers that say nothing."""
+        for key, shape, kind in (
+            ("values_m", (None,) * 3, np.float32),
+            ("origin_m", (3,), np.float64),
+            ("R_AB", (3, 3), np.float64),
+            ("p_AB", (3,), np.float64),
+        ):
+            try:
+                values = np.ascontiguousarray(getattr(self, key), dtype=kind)
+            except (TypeError, ValueError):
+                raise InputError("must be numbers", key=f"field.{key}") from None
+            fits = values.ndim == len(shape) and all(b in (None, a) for a, b in zip(values.shape, shape, strict=True))
+            if not fits or values.size == 0:
+                wanted = "(nx, ny, nz)" if shape[0] is None else str(shape)
+                raise InputError(f"must have shape {wanted}, not {values.shape}", key=f"field.{key}")
+            if kind is np.float64 and not np.all(np.isfinite(values)):
+                raise InputError("must be finite", key=f"field.{key}")
+            object.__setattr__(self, key, values)
+        if not (np.isfinite(self.spacing_m) and self.spacing_m > 0):
+            raise InputError("must be above 0", key="field.spacing_m", value=self.spacing_m)

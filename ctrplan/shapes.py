@@ -83,7 +83,10 @@ class Bound:
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """`Bound` for K configurations, without the shapes. Entries of failed solves are NaN."""
+    """`Bound` for K configurations, without the shapes.
+
+    Bounds are NaN where any of the solves failed, all else but residual and status where the frictionless one did.
+    """
 
     position_m: Array  # (K,)
     tangent_rad: Array  # (K,)

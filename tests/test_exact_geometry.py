@@ -277,3 +277,13 @@ def test_order_of_convergence_in_the_element_length(accuracy: Any) -> None:
 def test_refinement_has_limits(refinement: float) -> None:
     with pytest.raises(InputError, match="refinement"):
         ROBOT.mechanics.solve(THETA, L, refinement=refinement)
+
+
+def test_corners_that_slide_have_the_geometry_of_their_own_solution() -> None:
+    """In this configuration friction leaves two corners no equilibrium near the frictionless one."""
+    model = Mechanics(ROBOT.tubes, ROBOT.clearance_m, np.full(2, 0.4))
+    theta_b, l_b = [0.0, -0.4755, 3.5579], [0.0, -0.017, -0.113]
+    found = model.bound(theta_b, l_b, accuracy="exact")
+    for phi, corner in zip(itertools.product((1.0, -1.0), repeat=2), found.corners, strict=True):
+        alone = exact(model, theta_b, l_b, phi)
+        assert distance(corner.tip_m, alone.tip_m) <= 0.02e-3

@@ -14,7 +14,7 @@ import ctrplan
 from ctrplan.anatomy import AnatomyPart, build_field, field_bounds
 from ctrplan.cli import main
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.mechanics import PathDensity, PathLimits, Status
+from ctrplan.mechanics import Field, PathDensity, PathLimits, Status
 from ctrplan.robot import load_robot, robot_from_dict
 from ctrplan.scenario import load_scenario, scenario_from_dict
 from ctrplan.toml_input import read_document
@@ -217,3 +217,30 @@ def test_a_path_beyond_the_limits_names_row_and_joint() -> None:
 def test_diameters_beyond_a_metre_are_millimetres_gone_wrong(value: str) -> None:
     with pytest.raises(InputError, match=r"tube\.1\.outer_diameter_mm = .* mm: must be <= 1000\."):
         changed(tube__1__outer_diameter_mm=value)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("values_m", np.zeros((2, 2))),
+        ("values_m", "walls"),
+        ("origin_m", np.zeros(2)),
+        ("origin_m", [0.0, math.nan, 0.0]),
+        ("spacing_m", 0.0),
+        ("spacing_m", -1e-3),
+        ("spacing_m", math.nan),
+        ("R_AB", np.eye(2)),
+        ("p_AB", [0.0]),
+    ],
+)
+def test_grids_of_other_shapes_are_refused(key: str, value: Any) -> None:
+    whole = {
+        "values_m": np.zeros((2, 2, 2)),
+        "origin_m": [0, 0, 0],
+        "spacing_m": 0.1,
+        "R_AB": np.eye(3),
+        "p_AB": [0, 0, 0],
+    }
+    assert Field(**whole).values_m.dtype == np.float32  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=key):
+        Field(**whole | {key: value})  # type: ignore[arg-type]

@@ -6,6 +6,7 @@
 #include <limits>
 #include <memory>
 #include <mutex>
+#include <system_error>
 #include <thread>
 
 #include "arrays.hpp"
@@ -47,7 +48,7 @@ class Model {
             ctr::ZeroClearance other;
             if (!done) shape.status = ctr::Status::failed;
             else if (solution.negative_pivots()) shape.status = ctr::Status::unstable;
-            else shape.status = solution.search_other(robot_, q, 0, other) >= 0 ? ctr::Status::multiple : ctr::Status::converged;
+            else shape.status = solution.search_other(0, other) >= 0 ? ctr::Status::multiple : ctr::Status::converged;
         }
         return to_python(shape);
     }
@@ -127,10 +128,12 @@ class Model {
                 row[5] = static_cast<int>(solver.all_converged() ? solver.status() : ctr::Status::failed);
                 const ctr::Frame& tip = solver.backbone.frame.back();
                 const ctr::Vec3 tangent = tip.tangent();
+                const bool found = solver.frictionless().converged;
                 for (int i = 0; i < 3; ++i) {
-                    row[6 + i] = tip.p[i];
-                    row[9 + i] = tangent[i];
+                    row[6 + i] = found ? tip.p[i] : std::numeric_limits<double>::quiet_NaN();
+                    row[9 + i] = found ? tangent[i] : std::numeric_limits<double>::quiet_NaN();
                 }
+                if (!found) row[2] = row[3] = std::numeric_limits<double>::quiet_NaN();
             });
         }
         return array(std::move(out), {all.size(), kColumns});
@@ -244,7 +247,7 @@ class Model {
     }
 
     // See ctr::check_path. Columns: segment, fraction, position bound, tangent bound, stability, max strain, clearance,
-    // motion, status, tip (3), tangent (3). density: the five numbers of ctr::PathDensity; limits: the three of PathLimits.
+    // motion, status, tip (3), tangent (3), solves, tip of each corner (3). density: the five numbers of ctr::PathDensity; limits: the three of PathLimits.
     // With bodies, a second item lists per sample the points (N, 4) of all shapes with their outer radius.
     nb::tuple check_path(Matrix theta, Matrix l, nb::object field, Vector origin, double spacing, Matrix R_AB, Vector p_AB,
                          Vector density_values, Vector limit_values, int level, bool bodies) {
@@ -363,7 +366,11 @@ class Model {
         const int wanted = threads > 0 ? threads : static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
         const int used = static_cast<int>(std::min<std::size_t>(wanted, std::max<std::size_t>(count, 1)));
         std::vector<std::thread> pool;
-        for (int k = 1; k < used; ++k) pool.emplace_back(run);
+        pool.reserve(used);
+        try {
+            for (int k = 1; k < used; ++k) pool.emplace_back(run);
+        } catch (const std::system_error&) {  // no more threads to be had: those there are do the work
+        }
         run();
         for (std::thread& thread : pool) thread.join();
         if (failure) std::rethrow_exception(failure);

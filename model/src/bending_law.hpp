@@ -8,6 +8,7 @@ struct BentSection {
     V curved[2];         // precurvature along the oval axes, 1/m
     V moment[2];         // N m
     V tangent[3];        // d moment / d curvature: xx, xy, yy
+    V share;             // f, of the stiffness that is left of the moment
     V by_angle[2];       // d moment / d theta; also minus the derivative of the torque by the curvature
 };
 
@@ -34,6 +35,7 @@ inline void bend(const BendingLaw& law, const V* kappa, BentSection<V>& section)
     const V f = law.fraction + (1 - law.fraction) * (knee / bent);
     const V drop = (1 - law.fraction) * knee / (bent * bent * bent);
     const V falls = square > knee_square ? drop : zero;  // -f' / |k|_D
+    section.share = f;
     const double EI = law.stiffness;
     const V m0 = EI * (f * n0), m1 = EI * (f * n1);
     section.moment[0] = c * m0 - s * m1;
@@ -47,12 +49,32 @@ inline void bend(const BendingLaw& law, const V* kappa, BentSection<V>& section)
     section.by_angle[1] = section.moment[0] + section.tangent[1] * kappa[1] - section.tangent[2] * kappa[0];
 }
 
-// Curvature `mean` of the outermost tube at which the moments of all M tubes add up to the load's: Newton's method on a
-// convex function, exact after one step where nothing softens. against[t]: curvature of tube t against the outermost.
-// Leaves the sections bent and the inverse of the sum of tangents (xx, xy, yy).
+// What adds to the mean curvature if every tube kept its secant stiffness f EI D: the energies are concave in the square of
+// the curvature, so that this step lowers their sum from wherever it starts.
+template <class V>
+inline void secant_step(int M, const BendingLaw* law, const BentSection<V>* section, const V* missing, V* step) {
+    const V zero = zero_of(V{});
+    V sum[3] = {zero, zero, zero};
+    for (int t = 0; t < M; ++t) {
+        const V c = section[t].cosine, s = section[t].sine, kept = law[t].stiffness * section[t].share;
+        const V stiff = kept * (1 + law[t].ovality), soft = kept * (1 - law[t].ovality);
+        sum[0] += c * c * stiff + s * s * soft;
+        sum[1] += c * s * (stiff - soft);
+        sum[2] += s * s * stiff + c * c * soft;
+    }
+    const V over = 1.0 / (sum[0] * sum[2] - sum[1] * sum[1]);
+    step[0] = over * (sum[2] * missing[0] - sum[1] * missing[1]);
+    step[1] = over * (sum[0] * missing[1] - sum[1] * missing[0]);
+}
+
+// Curvature `mean` of the outermost tube at which the moments of all M tubes add up to the load's, where a convex energy is
+// least: Newton's method, exact after one step where nothing softens, by secant stiffnesses where that does not come nearer.
+// against[t]: curvature of tube t against the outermost. Leaves the sections bent and the inverse of the sum of tangents
+// (xx, xy, yy).
 template <class V>
 inline void free_mean(int M, const BendingLaw* law, const V (*against)[2], const V* load, BentSection<V>* section, V* mean,
                       V* inverse) {
+    constexpr int kMost = 60;
     const V zero = zero_of(V{});
     double total = 0;
     mean[0] = load[0];
@@ -66,6 +88,7 @@ inline void free_mean(int M, const BendingLaw* law, const V (*against)[2], const
     }
     mean[0] *= 1 / total;
     mean[1] *= 1 / total;
+    V least = zero + 1e300;
     for (int step = 0;; ++step) {
         V missing[2] = {load[0], load[1]}, sum[3] = {zero, zero, zero};
         for (int t = 0; t < M; ++t) {
@@ -79,10 +102,20 @@ inline void free_mean(int M, const BendingLaw* law, const V (*against)[2], const
         inverse[1] = -sum[1] * over;
         inverse[2] = sum[0] * over;
         const V worst = larger(magnitude(missing[0]), magnitude(missing[1]));
-        bool settled = true;
-        for (int lane = 0; lane < Lane<V>::count; ++lane) settled = settled && Lane<V>::at(worst, lane) < 1e-13 * total;
-        if (settled || step == 12) return;
-        mean[0] += inverse[0] * missing[0] + inverse[1] * missing[1];
-        mean[1] += inverse[1] * missing[0] + inverse[2] * missing[1];
+        bool settled = true, nearer = true;
+        for (int lane = 0; lane < Lane<V>::count; ++lane) {
+            settled = settled && Lane<V>::at(worst, lane) < 1e-13 * total;
+            nearer = nearer && Lane<V>::at(worst, lane) <= 0.5 * Lane<V>::at(least, lane);
+        }
+        if (settled || step == kMost) return;
+        V by[2] = {inverse[0] * missing[0] + inverse[1] * missing[1], inverse[1] * missing[0] + inverse[2] * missing[1]};
+        if (!nearer) {
+            V safe[2];
+            secant_step(M, law, section, missing, safe);
+            for (int i = 0; i < 2; ++i) by[i] = worst <= 0.5 * least ? by[i] : safe[i];
+        }
+        least = worst < least ? worst : least;
+        mean[0] += by[0];
+        mean[1] += by[1];
     }
 }

@@ -45,7 +45,7 @@ void BoundSolver::solve_frictionless() {
     }
     if (!frictionless_convergence_.converged) {
         solver_.start(frictionless_, q_, zero_, BarrierPath::kFirst);
-        solver_.slide(frictionless_, BarrierPath::kFirst, frictionless_convergence_);
+        solver_.reach(frictionless_, BarrierPath::kFirst, frictionless_convergence_);
     }
     stability_ = solver_.stability(frictionless_, negative_);
 }
@@ -73,12 +73,12 @@ void BoundSolver::solve_corners() {
             solver_.solve(state, BarrierPath::cold(solver_.last_barrier()), result);
         }
         for (int lane = 0; lane < kLanes; ++lane)
-            if (!result[lane].converged) slide_corner(b, lane);
+            if (!result[lane].converged) reach_corner(b, lane);
     }
 }
 
-// Where friction leaves no equilibrium near the frictionless one.
-void BoundSolver::slide_corner(std::size_t batch, int lane) {
+// Where friction leaves no equilibrium near the frictionless one, or Newton's method does not find it.
+void BoundSolver::reach_corner(std::size_t batch, int lane) {
     const int corner = static_cast<int>(batch) * kLanes + lane;
     if (corner >= corners_) {  // spare lanes repeat the last corner
         corner_convergence_[corner] = corner_convergence_[corners_ - 1];
@@ -88,14 +88,14 @@ void BoundSolver::slide_corner(std::size_t batch, int lane) {
     trial_.resize(pb, 1);
     for (int pair = 0; pair < pairs_; ++pair) phi_[pair] = sign(corner, pair);
     trial_.set_phi(solver_.robot(), pb, 0, phi_.data());
-    slide_from_shared(trial_, corner_convergence_[corner]);
+    reach_from_shared(trial_, corner_convergence_[corner]);
     solver_.copy(trial_, *batches_[batch], lane);
 }
 
-void BoundSolver::slide_from_shared(LaneState& state, Convergence& result) {
+void BoundSolver::reach_from_shared(LaneState& state, Convergence& result) {
     if (shared_is_good_) solver_.spread(shared_, state);
     else solver_.start(state, q_, zero_, BarrierPath::kFirst);
-    solver_.slide(state, shared_is_good_ ? BarrierPath::kSoft : BarrierPath::kFirst, result);
+    solver_.reach(state, shared_is_good_ ? BarrierPath::kSoft : BarrierPath::kFirst, result);
 }
 
 void BoundSolver::solve(const Configuration& q, const Accuracy& accuracy) {
@@ -167,7 +167,6 @@ void BoundSolver::follow(const Configuration& q, const Accuracy& accuracy, bool 
     const bool predicted = predictor_.reaches(q, solver_.mesh()) && follow_from(true);
     if (!predicted && !follow_last()) return solve(q, accuracy);
     stability_ = solver_.stability(frictionless_, negative_);
-    ++warm_starts_;
     measure();
 }
 
@@ -183,7 +182,7 @@ void BoundSolver::solve_single(const Configuration& q, const Accuracy& accuracy,
     const BarrierPath path = BarrierPath::cold(solver_.last_barrier());
     solver_.start(frictionless_, q_, zero_, path.first);
     solver_.solve(frictionless_, path, &frictionless_convergence_);
-    if (!frictionless_convergence_.converged) slide_from_shared(frictionless_, frictionless_convergence_);
+    if (!frictionless_convergence_.converged) reach_from_shared(frictionless_, frictionless_convergence_);
 }
 
 void BoundSolver::search_others() {
@@ -191,7 +190,7 @@ void BoundSolver::search_others() {
     if (!frictionless_convergence_.converged) return;
     const KernelProblem& pb = solver_.mesh().problem();
     int attempt = -1;
-    while (!multiple_ && (attempt = zero_.search_other(solver_.robot(), q_, attempt + 1, other_)) >= 0) {
+    while (!multiple_ && (attempt = zero_.search_other(attempt + 1, other_)) >= 0) {
         trial_.resize(pb, 1);
         std::fill(phi_.begin(), phi_.end(), 0.0);
         trial_.set_phi(solver_.robot(), pb, 0, phi_.data());

@@ -127,6 +127,7 @@ void FrictionSolver::copy(const LaneState& from, LaneState& to, int lane) const 
         to.multiplier(k, lane) = from.multiplier(k, 0);
         to.slack(k, lane) = from.slack(k, 0);
     }
+    to.copy_exact(from, pb, lane);
 }
 
 void FrictionSolver::recentre(LaneState& state, double level) {
@@ -261,10 +262,58 @@ bool FrictionSolver::settle(LaneState& state, double level, double damping, int&
     return false;
 }
 
+void FrictionSolver::reach(LaneState& state, double level, Convergence& result) {
+    if (robot_.softens()) {
+        begun_.resize(mesh_.problem(), 1);
+        copy(state, begun_, 0);
+        if (ease(state, level, result)) return;
+        copy(begun_, state, 0);
+        weigh(state);
+    }
+    slide(state, level, result);
+}
+
+// From tubes that bend linearly to those that soften, each solution from the one before, with the softening kept where the
+// next one is not reached. Newton's method alone runs in circles around the knees of many sections.
+bool FrictionSolver::ease(LaneState& state, double level, Convergence& result) {
+    constexpr double kFirst = 0.25, kLeast = 1.0 / 128, kMotion = 10;
+    const KernelProblem& pb = mesh_.problem();
+    kept_.resize(pb, 1);
+    mesh_.soften(robot_, 0);
+    solve(state, BarrierPath{level, last_barrier_}, &result);
+    Convergence reached = result;
+    int steps = result.iterations;
+    double share = 0, ahead = kFirst;
+    while (reached.converged && share < 1 && ahead >= kLeast) {
+        const double next = std::min(1.0, share + ahead);
+        copy(state, kept_, 0);
+        mesh_.soften(robot_, next);
+        const BarrierPath path = BarrierPath::warm(kMotion * ahead / kFirst, last_barrier_);
+        recentre(state, path.first);
+        solve(state, path, &result);
+        steps += result.iterations;
+        if (result.converged) {
+            reached = result;
+            share = next;
+            ahead *= 1.5;
+        } else {
+            copy(kept_, state, 0);
+            ahead *= 0.5;
+        }
+    }
+    mesh_.soften(robot_, 1);
+    result = reached;
+    result.converged = reached.converged && share == 1;
+    result.iterations = steps;
+    return result.converged;
+}
+
 void FrictionSolver::slide(LaneState& state, double level, Convergence& result) {
     const KernelProblem& pb = mesh_.problem();
     double damping = 0;
     int steps = 0, saddles = 0, wait = 0, patience = 1;  // steps in time before equilibrium is asked for again
+    result = {};
+    result.residual = result.complementarity = std::numeric_limits<double>::infinity();  // until equilibrium is reached
     kept_.resize(pb, 1);
     while (steps < kSlidingSteps && damping < kMostDamping) {
         copy(state, kept_, 0);

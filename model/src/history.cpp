@@ -84,10 +84,11 @@ void History::put(const Iterate& at) {
         state_.multiplier(k, 0) = at.multiplier[k];
         state_.slack(k, 0) = at.slack[k];
     }
+    has_factors_ = false;
 }
 
 History::State History::save() const {
-    return {q_, solver_.mesh(), iterate(), phi_, psi_, built_breaks_, pending_slip_, status_};
+    return {q_, solver_.mesh(), iterate(), phi_, psi_, built_breaks_, pending_slip_, status_, convergence_};
 }
 
 void History::restore(const State& saved) {
@@ -97,6 +98,7 @@ void History::restore(const State& saved) {
     psi_ = saved.psi;
     built_breaks_ = saved.built_breaks;
     pending_slip_ = saved.pending_slip;
+    convergence_ = saved.convergence;
     solver_.adopt(saved.mesh, q_, accuracy_);
     state_.resize(solver_.mesh().problem(), 1);
     put(saved.iterate);
@@ -150,7 +152,7 @@ bool History::try_step(const Configuration& q) {
     solver_.recentre(state_, path.first);
     state_.follow_slip(&law_);
     solver_.solve(state_, path, &convergence_);
-    return convergence_.converged;
+    return has_factors_ = convergence_.converged;
 }
 
 // Largest change of a tube's angle at any of its material points.
@@ -303,6 +305,8 @@ Status History::advance(const Configuration& target) {
         step *= std::clamp(1 / std::max(change, 1e-3), 0.5, 2.0);
         step = std::min(step, 1 / length);
     }
+    if (!has_factors_) solver_.factorise(state_);
+    has_factors_ = true;
     return status_ = solver_.turns_away(state_) ? Status::unstable : Status::converged;
 }
 

@@ -85,6 +85,7 @@ bool History::renew_mesh(const Configuration& q) {
         return false;
     }
     convergence_ = renewed;
+    has_factors_ = true;
     phi_.swap(phi);
     psi_.swap(psi);
     built_breaks_ = solver_.mesh().breaks();

@@ -17,13 +17,12 @@ bool History::slide_with(const std::vector<double>& phi) {
     hold(phi);
     solver_.recentre(state_, BarrierPath::kSoft);
     solver_.slide(state_, BarrierPath::kSoft, convergence_);
-    return convergence_.converged;
+    return has_factors_ = convergence_.converged;
 }
 
 bool History::solve_beside(const std::vector<double>& phi, Backbone& backbone) {
     constexpr double kSmallestPart = 0.01;
     const State kept = save();
-    const Convergence convergence = convergence_;
     const KernelProblem& pb = solver_.mesh().problem();
     const int pairs = pb.tubes - 1;
     std::vector<double> now(pb.contacts);
@@ -49,7 +48,6 @@ bool History::solve_beside(const std::vector<double>& phi, Backbone& backbone) {
     if (found) tracer_.trace(solver_, state_, 0, 1, q_.l.back(), &backbone);
     found = found && !solver_.turns_away(state_);
     restore(kept);
-    convergence_ = convergence;
     return found;
 }
 
@@ -82,6 +80,7 @@ bool History::slide(const Configuration& q) {
         phi.assign(solver_.mesh().problem().contacts, 0.0);
         hold(phi);
         solver_.spread(starter_.state(), state_);
+        has_factors_ = false;
         convergence_ = starter_.convergence();
     }
     for (int round = 0; round < kRounds; ++round) {
@@ -90,7 +89,7 @@ bool History::slide(const Configuration& q) {
         state_.follow_slip(&law_);
         solver_.recentre(state_, 1);
         solver_.solve(state_, BarrierPath::warm(10, solver_.last_barrier()), &convergence_);
-        if (convergence_.converged) return true;
+        if (convergence_.converged) return has_factors_ = true;
         put(slid);
         convergence_ = held;
         const std::vector<double> goal = followed_phi(), last = phi;

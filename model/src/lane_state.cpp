@@ -43,6 +43,19 @@ void LaneState::begin_exact(const KernelProblem& problem) {
     is_exact_ = true;
 }
 
+void LaneState::copy_exact(const LaneState& from, const KernelProblem& problem, int lane) {
+    if (!from.is_exact_ && lanes_ == 1) is_exact_ = false;
+    if (!from.is_exact_ && !is_exact_) return;
+    if (!is_exact_) begin_exact(problem);
+    auto copy = [&](const AlignedArray& values, AlignedArray& to, std::size_t count) {
+        for (std::size_t i = 0; i < count; ++i) to[i * lanes_ + lane] = from.is_exact_ ? values[i] : 0.0;
+    };
+    copy(from.shift_, shift_, static_cast<std::size_t>(problem.contacts) * 2);
+    copy(from.load_, load_, static_cast<std::size_t>(problem.nodes) * stride_);
+    copy(from.bend_, bend_, static_cast<std::size_t>(problem.elements) * 4 * tubes_);
+    copy(from.need_, need_, static_cast<std::size_t>(problem.nodes) * tubes_ * 2);
+}
+
 double LaneState::bend(int element, double xi, int tube, int plane, int lane) const {
     if (!is_exact_) return 0;
     constexpr double first = 0.21132486540518711775;

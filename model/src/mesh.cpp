@@ -262,6 +262,10 @@ void Mesh::fill_laws(const Robot& robot) {
     }
 }
 
+void Mesh::soften(const Robot& robot, double share) {
+    for (int t = 0; t < tubes_; ++t) laws_[t].fraction = 1 - share * (1 - robot.tubes[tubes_ - 1 - t].softening_fraction);
+}
+
 // P = diag(EI) - EI EI^T / sum(EI) where the mean bending is free, diag(EI) behind the plate; C and D are its sums over
 // the tubes inside a pair (docs/model.md).
 void Mesh::fill_regimes(const Robot& robot) {

@@ -1,5 +1,6 @@
 #include "ctr/robot.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 
@@ -47,10 +48,14 @@ bool Robot::loaded() const {
     return sum > 0;
 }
 
+bool Robot::softens() const {
+    return std::any_of(tubes.begin(), tubes.end(), [](const Tube& tube) {
+        return tube.softening_fraction < 1 && tube.softening_strain < kNeverSoft;
+    });
+}
+
 bool Robot::linear_round() const {
-    for (const Tube& tube : tubes)
-        if (tube.ovality != 0 || (tube.softening_fraction < 1 && tube.softening_strain < kNeverSoft)) return false;
-    return true;
+    return !softens() && std::all_of(tubes.begin(), tubes.end(), [](const Tube& tube) { return tube.ovality == 0; });
 }
 
 void validate(const Robot& robot) {

@@ -33,7 +33,7 @@ Status TipSolver::solve(const Configuration& q, const Accuracy& accuracy, const 
     if (!convergence_.converged) {
         if (shared_is_good_) solver_.spread(shared_, state_);
         else solver_.start(state_, q_, zero_, BarrierPath::kFirst);
-        solver_.slide(state_, shared_is_good_ ? BarrierPath::kParting : BarrierPath::kFirst, convergence_);
+        solver_.reach(state_, shared_is_good_ ? BarrierPath::kParting : BarrierPath::kFirst, convergence_);
     }
     tracer_.trace(solver_, state_, 0, 1, q_.l.back(), &backbone_);
     if (!convergence_.converged) return Status::failed;

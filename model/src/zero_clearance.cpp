@@ -310,7 +310,7 @@ bool ZeroClearance::turn_and_correct(const std::vector<double>& twist) {
     return done && residual_ < 10 * kTolerance;
 }
 
-int ZeroClearance::search_other(const Robot&, const Configuration&, int from, ZeroClearance& other) const {
+int ZeroClearance::search_other(int from, ZeroClearance& other) const {
     constexpr double kTurns[] = {1.25, 1.0, 1.5, 3.0};
     constexpr int kCount = 4;
     if (unique_) return -1;

@@ -43,7 +43,6 @@ class BoundSolver {
     double stability() const { return stability_; }
     Status status() const;
     int iterations() const;
-    int warm_starts() const { return warm_starts_; }
     const FrictionSolver& solver() const { return solver_; }
     const Configuration& configuration() const { return q_; }
     ZeroClearance& zero_clearance() { return zero_; }  // also a workspace for zero-clearance solutions alone
@@ -61,8 +60,8 @@ class BoundSolver {
     void prepare(const Configuration& q, const Accuracy& accuracy);
     void solve_frictionless();
     void solve_corners();
-    void slide_corner(std::size_t batch, int lane);
-    void slide_from_shared(LaneState& state, Convergence& result);
+    void reach_corner(std::size_t batch, int lane);
+    void reach_from_shared(LaneState& state, Convergence& result);
     void set_corner_phi(std::size_t batch);
     void measure();
     void remember();
@@ -81,7 +80,7 @@ class BoundSolver {
     Convergence frictionless_convergence_;
     std::vector<Convergence> corner_convergence_;
     double stability_ = 0;
-    int negative_ = 0, warm_starts_ = 0;
+    int negative_ = 0;
     bool multiple_ = false;
     ZeroClearance other_;
     LaneState trial_;

@@ -11,7 +11,7 @@ namespace ctr {
 class CarriedState {
   public:
     void take(const Mesh& mesh, const LaneState& state);
-    // Whether the meshes have the same sequence of collars, tips and joints, so that arc lengths correspond.
+    // Whether the meshes have as many collars, tips and joints, so that arc lengths correspond one by one.
     bool fits(const Mesh& mesh) const { return !breaks_.empty() && mesh.breaks().size() == breaks_.size(); }
     // Fills a state on another mesh, by arc length where it does not fit; base angles must be set afterwards.
     void give(const Mesh& mesh, LaneState& state) const;

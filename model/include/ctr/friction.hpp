@@ -63,6 +63,7 @@ class LaneState {
     void begin_exact(const KernelProblem& problem);
     void forget_exact() { is_exact_ = false; }
     bool is_exact() const { return is_exact_; }
+    void copy_exact(const LaneState& from, const KernelProblem& problem, int lane);  // of a one-lane iterate, or that it has none
     double& shift(int contact, int plane, int lane) { return shift_[(static_cast<std::size_t>(contact) * 2 + plane) * lanes_ + lane]; }
     double shift(int contact, int plane, int lane) const { return is_exact_ ? shift_[(static_cast<std::size_t>(contact) * 2 + plane) * lanes_ + lane] : 0.0; }
     double& load(int node, int index, int lane) { return load_[(static_cast<std::size_t>(node) * stride_ + index) * lanes_ + lane]; }
@@ -122,7 +123,7 @@ class FrictionSolver {
     bool move_along(const Configuration& q);
     // Angles from the zero-clearance solution, no offsets, multipliers on the central path at the given level (BarrierPath).
     void start(LaneState& state, const Configuration& q, const ZeroClearance& guess, double level);
-    // Copies a one-lane iterate on the same mesh into every lane, or into one.
+    // Copies a one-lane iterate on the same mesh, its exact geometry included, into every lane, or into one.
     void spread(const LaneState& from, LaneState& to) const;
     void copy(const LaneState& from, LaneState& to, int lane) const;
     // Puts every contact of an earlier solution back on the central path at the given level, for a warm start.
@@ -131,8 +132,11 @@ class FrictionSolver {
     void set_base(LaneState& state, const Configuration& q);
     // Newton steps down the barrier path; every lane ends at path.last. converged is filled per lane.
     void solve(LaneState& state, const BarrierPath& path, Convergence* result);
+    // One lane, for what solve() does not reach from an iterate near the central path at the given level: by easing the
+    // softening of the tubes, where they soften, else by sliding.
+    void reach(LaneState& state, double level, Convergence& result);
     // One lane, from an iterate near the central path at the given level: follows the way the robot would slide, off folds
-    // and onto a stable branch, by implicit steps in time. Slow; for what solve() does not reach.
+    // and onto a stable branch, by implicit steps in time. Slow.
     void slide(LaneState& state, double level, Convergence& result);
     // The frictionless torsional second variation's smallest eigenvalue over GJ / L^2 of the innermost tube; uses the
     // factors left in a one-lane state by solve(). Negative pivots are counted into `negative`.
@@ -156,6 +160,7 @@ class FrictionSolver {
   private:
     void scale(const Configuration& q, const Accuracy& accuracy);
     void lengthen(LaneState& state, double* primal, double* dual);
+    bool ease(LaneState& state, double level, Convergence& result);
     bool settle(LaneState& state, double level, double damping, int& steps);
     double moved(const LaneState& state) const;  // rad, since the anchor
     double largest_twist(const LaneState& state, int lane) const;  // rad, of the last step
@@ -165,7 +170,8 @@ class FrictionSolver {
     double moment_scale_ = 1, barrier_unit_ = 1, last_barrier_ = 0.015;  // N m, N/m, in units
     double base_l_ = 0;
     std::shared_ptr<LoadMoments> loads_;  // null without loads
-    LaneState kept_;  // of slide(): the iterate to go back to, and the anchor
+    LaneState kept_;  // of slide() and ease(): the iterate to go back to, and the anchor
+    LaneState begun_;  // of reach(): where it began
     ExactGeometry exact_;
     bool is_exact_ = false;  // accuracy built for
     std::vector<double> modes_;  // of stability(), [node][tube] each

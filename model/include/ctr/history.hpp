@@ -50,6 +50,7 @@ class History {
         Iterate iterate;
         std::vector<double> phi, psi, built_breaks, pending_slip;
         Status status = Status::failed;
+        Convergence convergence;
     };
     State save() const;
     void restore(const State& state);
@@ -129,6 +130,7 @@ class History {
     CarriedState carried_;
     std::vector<double> built_breaks_;  // of the mesh when it was built
     std::vector<double> pending_slip_;  // [pair] from the innermost, m: axial, not yet in the friction
+    bool has_factors_ = false;     // of the iterate as it is
     bool held_ = false;            // friction did not follow all of the last slide
     std::vector<double> friction_, reference_, across_, last_phi_, next_psi_, inner_arm_, outer_arm_;
     SlipLaw law_{};

@@ -76,6 +76,9 @@ class Mesh : private MeshArrays {
     bool move(const Mesh& from, const Robot& robot, const Configuration& q);
     bool move_elements(const Mesh& from, const Robot& robot, const Configuration& q);  // without contact points
 
+    // Tubes of which only a share of the softening is left, 0: bending linearly. Until the next build() or move().
+    void soften(const Robot& robot, double share);
+
     // Whether both have the same elements and contact points between the same collars, joints and tips.
     bool laid_out_like(const Mesh& other) const;
 

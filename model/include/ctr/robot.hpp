@@ -65,6 +65,7 @@ struct Robot {
     Loads loads;
     int count() const { return static_cast<int>(tubes.size()); }
     bool loaded() const;        // whether any load acts
+    bool softens() const;       // whether the stiffness of any tube drops somewhere
     bool linear_round() const;  // whether all tubes bend linearly and alike in every direction
 };
 

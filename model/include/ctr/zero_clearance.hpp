@@ -21,7 +21,7 @@ class ZeroClearance {
 
     // Looks for other stable equilibria by restarts with the inner tubes of a pair turned across opposed precurvatures. Makes
     // the attempts from number `from` on; returns the number of the first that found one, left in `other`, or -1.
-    int search_other(const Robot& robot, const Configuration& q, int from, ZeroClearance& other) const;
+    int search_other(int from, ZeroClearance& other) const;
 
     // Angle of tube t (innermost first) at arc length s, anywhere between its base and its tip.
     double theta(int t, double s) const;
