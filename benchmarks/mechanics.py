@@ -1,11 +1,14 @@
 """How accurate is the mechanics core, and how long does an answer take?
 
-    python benchmarks/mechanics.py [references] [pairs] [table3] [meshes] [speed]        (all of them if none is named)
+    python benchmarks/mechanics.py [references] [pairs] [table3] [meshes] [speed] [--count N]
+
+All of them if none is named; --count says how many random configurations `meshes` looks at.
 
 References are in tests/reference, each with its own uncertainty. Times are of one core unless a row says otherwise;
 medians, because the machine may be doing other things.
 """
 
+import argparse
 import itertools
 import json
 import os
@@ -178,10 +181,10 @@ def table3() -> None:
     )
 
 
-def meshes() -> None:
+def meshes(count: int) -> None:
     """Search against certificate mesh on random configurations: the worst of the five tips of each."""
     worst = []
-    for theta_b, l_b in zip(*random_joints(1000), strict=True):
+    for theta_b, l_b in zip(*random_joints(count), strict=True):
         coarse, fine = THREE_TUBES.bound(theta_b, l_b), THREE_TUBES.bound(theta_b, l_b, accuracy="certificate")
         if np.isfinite(coarse.position_m + fine.position_m) and coarse.frictionless.stability > 0:
             shapes = zip((coarse.frictionless, *coarse.corners), (fine.frictionless, *fine.corners), strict=True)
@@ -316,6 +319,18 @@ def time_of(work: Callable[[], object]) -> float:
 
 
 if __name__ == "__main__":
-    sections = {"references": references, "pairs": pairs, "table3": table3, "meshes": meshes, "speed": speed}
-    for name in sys.argv[1:] or sections:
+    parser = argparse.ArgumentParser(description="Accuracy and speed of the mechanics core.")
+    parser.add_argument("section", nargs="*", help="references, pairs, table3, meshes, speed (default: all)")
+    parser.add_argument("--count", type=int, default=1000, help="configurations of meshes (default: %(default)s)")
+    given = parser.parse_args()
+    sections: dict[str, Callable[[], None]] = {
+        "references": references,
+        "pairs": pairs,
+        "table3": table3,
+        "meshes": lambda: meshes(given.count),
+        "speed": speed,
+    }
+    if unknown := set(given.section) - set(sections):
+        parser.error(f"no section {', '.join(sorted(unknown))}")
+    for name in given.section or sections:
         sections[name]()

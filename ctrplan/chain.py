@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from ctrplan.approach import friction_state, last_directions
 from ctrplan.diagnosis.effect import Collars, Effect, Parameter
 from ctrplan.drive import Array
+from ctrplan.errors import InputError
 from ctrplan.measurements import Measurements
-from ctrplan.mechanics import Accuracy
 from ctrplan.named_numbers import value_of, with_values
 from ctrplan.robot import Robot
 from ctrplan.robot_effects import effects_of
 from ctrplan.sensor import Poses, frames_along
-from ctrplan.tips import TipTable, tip_table
+from ctrplan.tips import TipTable, nested, tip_table
 
 STEP = 1e-4  # of a parameter's prior, for the stages that are arithmetic
 COARSE_STEP = 0.02  # of a parameter's prior, where the mechanics are differenced
@@ -59,8 +59,13 @@ class Prediction:
     position_m: Array  # (K, 3)
     tangent: Array  # (K, 3)
     sound: NDArray[np.bool_]  # (K,)
+    failed: NDArray[np.bool_]  # (K,) without a solution: position and tangent are those of the last iterate
     position_by: Array  # (K, 3, P)
     tangent_by: Array  # (K, 3, P)
+
+    def subset(self, poses: NDArray[np.bool_]) -> Prediction:
+        """Some of the poses only, given by a mask (K,)."""
+        return Prediction(*(getattr(self, name)[poses] for name in Prediction.__dataclass_fields__))
 
 
 class Chain:
@@ -76,8 +81,15 @@ class Chain:
         self.lower = np.array([p.lower for p in self.parameters]) * self.si
         self.upper = np.array([p.upper for p in self.parameters]) * self.si
         self.correction: tuple[Array, Array] | None = None  # (K, 3) each: what a finer mesh adds to position, tangent
-        self._given = effects_of(robot)  # the mechanics of these are in the robot already
+        self._given = [  # the mechanics of these are in the robot already
+            (effect, values)
+            for effect, values in effects_of(robot)
+            if not effect.missing_columns(data.time_s, data.more)
+        ]
         self._across: Array | None = None
+        for t in self.terms:
+            if missing := t.effect.missing_columns(data.time_s, data.more):
+                raise InputError(f"needs a column {', '.join(missing)}", file=data.file, key=f"effects.{t.name}")
 
     @property
     def start(self) -> Array:
@@ -129,14 +141,14 @@ class Chain:
         release = min((effect.friction_release_m(values) for effect, values in self._at_work(p)), default=np.inf)
         return self._plain_phi if np.isinf(release) else friction_state(self.data, release)
 
-    def predict(self, p: Array, *, derivatives: bool = True, accuracy: Accuracy = "search") -> Prediction:
+    def predict(self, p: Array, *, derivatives: bool = True) -> Prediction:
         """Poses at parameters (P,), in the order of the terms."""
         robot, collars = self.robot_at(p), self.collars(p)
         staged = self._stages()
         names = self._named(p) if derivatives else []
         joints = self._joint_names() if derivatives and (staged["drive"] or staged["clock"]) else []
         phi = self.friction_state(p)
-        table = tip_table(robot, collars.theta, collars.l, phi, [*names, *joints], accuracy)
+        table = tip_table(robot, collars.theta, collars.l, phi, [*names, *joints])
         position, tangent = table.position_m, table.tangent
         if self.correction is not None:
             position, tangent = position + self.correction[0], _unit(tangent + self.correction[1])
@@ -150,7 +162,7 @@ class Chain:
             self._joint_columns(p, len(names), upstream, by)
             self._release_columns(p, robot, collars, table, by)
             self._sensor_columns(p, poses, seen, by)
-        return Prediction(seen.position, seen.frame[:, :, 2], table.sound, by[:, :3], by[:, 3:])
+        return Prediction(seen.position, seen.frame[:, :, 2], table.sound, table.failed, by[:, :3], by[:, 3:])
 
     @cached_property
     def _directions(self) -> Array:
@@ -211,9 +223,9 @@ class Chain:
                     by[:, 3:, j] = (other.tangent - table.tangent) / h
 
     def _sensor_columns(self, p: Array, poses: Poses, seen: Poses, by: Array) -> None:
-        staged = self._stages()
-        if not staged["sensor"]:
+        if not any(effect.stage == "sensor" for effect, _ in self._at_work(p)):
             return
+        staged = self._stages()
         h = 1e-5  # m and rad alike
         for j in range(by.shape[2]):
             if j in staged["sensor"]:
@@ -244,7 +256,7 @@ class Chain:
             across: Array = np.eye(3)[np.argmin(np.abs(tangent), axis=1)]
             return across
         if self._across is None:
-            rows = zip(collars.theta, collars.l, phi, strict=True)
+            rows = zip(collars.theta, nested(robot, collars.l), phi, strict=True)
             self._across = np.array([robot.solve(*row).tubes[-1].frames[-1, :, 0] for row in rows])
         return self._across
 

@@ -42,7 +42,10 @@ class FieldLookup:
         values: NDArray[np.float32],
         margin_m: float,
     ) -> None:
-        """Copies the values. Raises InputError where they do not fit the axes, or the axes the tubes."""
+        """Refers to the values, which must not change.
+
+        Raises InputError where they do not fit the axes, or the axes the tubes.
+        """
         self.n = mechanics.n
         self._core = mechanics.core_lookup(axes, values, margin_m)
 

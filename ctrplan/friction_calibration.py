@@ -21,6 +21,7 @@ from ctrplan.nesting import nesting_inequalities
 from ctrplan.shapes import Array, Status
 
 if TYPE_CHECKING:
+    from ctrplan.drive import Drive
     from ctrplan.robot import Robot
 
 HISTORIES = 8
@@ -31,6 +32,7 @@ STABILITY = 0.1  # least; nearer to a snap there is no law
 ATTEMPTS = 15  # random paths tried per history wanted
 LOADINGS_RAD = np.geomspace(0.03, 6.0, 60)  # looked through for each pair
 ARRAYS, ERRORS = ("loading_rad", "release_m"), ("error_rms_m", "error_p95_m", "deviation_rms_m")  # what is stored
+PROBES = 16  # joint values by which effects of the drive are told apart
 VERSION = 2  # of the law: rises when what is stored means something else
 
 logger = logging.getLogger(__name__)
@@ -138,7 +140,7 @@ def _simulate(robot: Robot, joints: Array) -> SimulatedPath | None:
 def _random_waypoints(robot: Robot, rng: np.random.Generator) -> Array:
     """(LEGS + 1, m) joint values from a random start, nested where limits and luck allow."""
     drive, (G, h) = robot.drive, nesting_inequalities(robot.tubes)
-    low, high = np.where(drive.wraps, -np.pi, drive.lower), np.where(drive.wraps, np.pi, drive.upper)
+    low, high = _ranges(drive)
     points = [_nested(rng.uniform(low, high, (200, len(low))), robot, G, h)]
     for _ in range(LEGS):
         kind = rng.integers(3)  # rotation, translation, both
@@ -148,6 +150,11 @@ def _random_waypoints(robot: Robot, rng: np.random.Generator) -> Array:
         tries = np.clip(points[-1] + rng.uniform(-reach, reach, (200, len(low))), drive.lower, drive.upper)
         points.append(_nested(tries, robot, G, h))
     return np.array(points)
+
+
+def _ranges(drive: Drive) -> tuple[Array, Array]:
+    """(m,), (m,) lowest and highest value of each joint, of unlimited rotations once round."""
+    return np.where(drive.wraps, -np.pi, drive.lower), np.where(drive.wraps, np.pi, drive.upper)
 
 
 def _nested(joints: Array, robot: Robot, G: Array, h: Array) -> Array:
@@ -162,6 +169,9 @@ def _digest(robot: Robot) -> str:
     numbers = (robot.clearance_m, robot.friction, drive.home_theta_rad, drive.home_l_m, drive.lower, drive.upper)
     content = [repr((VERSION, robot.tubes, robot.loads)).encode()]
     content += [np.ascontiguousarray(x).tobytes() for x in (*numbers, drive.matrix_theta, drive.matrix_l)]
+    if drive.terms:  # functions, known by what they do
+        joints = np.random.default_rng(0).uniform(*_ranges(drive), (PROBES, len(drive.joints)))
+        content += [np.ascontiguousarray(x).tobytes() for x in drive.collars(joints)]
     return hashlib.sha256(b"|".join(content)).hexdigest()
 
 

@@ -12,8 +12,9 @@ import numpy as np
 
 from ctrplan.chain import Chain
 from ctrplan.drive import Array
+from ctrplan.errors import SolverError
 from ctrplan.shapes import Status
-from ctrplan.tips import tip_table
+from ctrplan.tips import nested, tip_table
 
 LARGEST_M = 5e-3  # corrections beyond it are a path that snapped, and are left out
 
@@ -42,10 +43,14 @@ def _simulated(chain: Chain, p: Array) -> tuple[Array, Array]:
     every = np.arange(len(data.sequence))
     blank = np.zeros((len(every), 3))
     collars = Chain(chain.robot, replace(data, rows=every, position_m=blank, tangent=blank), chain.terms).collars(p)
+    l_b = nested(robot, collars.l)  # a fit may push collars against each other, and moves on
     position, tangent = np.full((len(every), 3), np.nan), np.full((len(every), 3), np.nan)
     for run in np.unique(data.sequence[data.rows]).tolist():
         rows = np.flatnonzero(data.sequence == run)
-        path = robot.history().follow(collars.theta[rows], collars.l[rows])
+        try:
+            path = robot.history().follow(collars.theta[rows], l_b[rows])
+        except SolverError:  # no equilibrium at its start
+            continue
         sound = path.status <= Status.MULTIPLE
         position[rows[sound]], tangent[rows[sound]] = path.position_m[sound], path.tangent[sound]
     return position[data.rows], tangent[data.rows]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,18 +17,27 @@ if TYPE_CHECKING:
     from ctrplan.robot import Robot
 
 TOLERANCE_M = 1e-9
+# Of the base inside a tube with a compliant shaft, whose collar's angle is an unknown of its own: a node has to fit in
+# between. The core asks for 0.02 mm; a little more stays above it whatever is rounded or differenced.
+SHAFT_ROOM_M = 2.001e-5
+
+
+def least_distance_m(outer: Tube, inner: Tube) -> float:
+    """How far [m] behind the outer tube's base the inner one's has to be."""
+    room = SHAFT_ROOM_M if outer.shaft_compliance_rad_per_Nm > 0 else 0.0
+    return max(inner.collar_length_m, room)
 
 
 def nesting_inequalities(tubes: Sequence[Tube]) -> tuple[Array, Array]:
     """G (2n - 1, n) and h (2n - 1,) [m] such that base translations l_b nest if and only if G @ l_b <= h.
 
-    Rows: l_1b <= 0; then for every pair the bases, l_{i+1,b} <= l_ib - collar_{i+1}; then for every pair the tips,
-    l_ib + length_i <= l_{i+1,b} + length_{i+1}.
+    Rows: l_1b <= 0; then for every pair the bases, l_{i+1,b} <= l_ib - collar_{i+1}, or the room that a compliant shaft
+    needs; then for every pair the tips, l_ib + length_i <= l_{i+1,b} + length_{i+1}.
     """
     behind = np.diff(np.eye(len(tubes)), axis=0)  # row i: l_{i+1} - l_i
-    collars = [-tube.collar_length_m for tube in tubes[1:]]
+    apart = [-least_distance_m(*pair) for pair in pairwise(tubes)]
     longer = np.diff([tube.length_m for tube in tubes])
-    return np.vstack([np.eye(len(tubes))[:1], behind, -behind]), np.concatenate([[0.0], collars, longer])
+    return np.vstack([np.eye(len(tubes))[:1], behind, -behind]), np.concatenate([[0.0], apart, longer])
 
 
 def nesting_violation(robot: Robot, theta_b: ArrayLike, l_b: ArrayLike) -> str | None:
@@ -63,7 +73,10 @@ def _sentence(robot: Robot, row: int, l_b: Array) -> str:
     outer, inner = robot.tubes[i], robot.tubes[i + 1]
     bases = f"{_base(robot, i + 1, l_b)} and {_base(robot, i, l_b)}"
     if row < robot.n:
-        return f"{bases} must be at least {inner.collar_length_m * 1e3:.6g} mm apart, the collar of tube {i + 2}"
+        apart_m = least_distance_m(outer, inner)
+        is_collar = apart_m == inner.collar_length_m
+        needed = f"the collar of tube {i + 2}" if is_collar else f"room for the compliant shaft of tube {i + 1}"
+        return f"{bases} must be at least {apart_m * 1e3:.6g} mm apart, {needed}"
     ends = [f"{(l + tube.length_m) * 1e3:.6g} mm" for l, tube in zip(l_b[i : i + 2], (outer, inner), strict=True)]  # noqa: E741
     return f"{bases} must keep the tips in order, but tube {i + 2} ends at {ends[1]} and tube {i + 1} at {ends[0]}"
 

@@ -36,7 +36,7 @@ def measured_poses(
 ) -> Poses | None:
     """What a tracker reports of tips (S, 3); None where nothing stands between tip and report."""
     terms = [(effect, values) for effect, values in effects_of(robot) if effect.stage in ("clock", "sensor")]
-    if not terms or (path.time_s is None and any(effect.needs_time for effect, _ in terms)):
+    if not terms or any(effect.missing_columns(path.time_s, path.more) for effect, _ in terms):
         return None
     across = np.eye(3)[np.argmin(np.abs(tangent), axis=1)]
     if any(effect.turns_with_tip for effect, _ in terms):  # for others any direction across the tangent will do
@@ -55,16 +55,19 @@ def measured_poses(
 def chain_warnings(robot: Robot, path: JointPath) -> Iterator[str]:
     """One sentence per effect of the robot that the path says too little for."""
     for effect, _ in effects_of(robot):
-        if effect.needs_time and path.time_s is None:
-            yield f"{path.file}: without a column time_s nothing is said of what would be measured: {effect.name}."
+        if missing := effect.missing_columns(path.time_s, path.more):
+            lacking = f"without a column {', '.join(missing)}"
+            yield f"{path.file}: {lacking} nothing is said of what would be measured: {effect.name}."
 
 
 def _samples(path: JointPath, place: Array, theta_b: Array, l_b: Array) -> Measurements:
     """Samples as waypoints that are all measured, in the words of the effects."""
     blank = np.zeros((len(place), 3))
-    time_s = None if path.time_s is None else np.interp(place, np.arange(len(path.time_s)), path.time_s)
+    waypoints = np.arange(len(path.sequence))
+    time_s = None if path.time_s is None else np.interp(place, waypoints, path.time_s)
+    more = {name: np.interp(place, waypoints, values) for name, values in path.more.items()}
     sequence = path.sequence[np.ceil(place).astype(int)]
-    return Measurements(sequence, theta_b, l_b, np.arange(len(place)), blank, blank, time_s)
+    return Measurements(sequence, theta_b, l_b, np.arange(len(place)), blank, blank, time_s, more=more)
 
 
 def _earlier(path: JointPath, place: Array, numbers: Array, delay_s: float) -> Array:

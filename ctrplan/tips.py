@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.drive import Array
 from ctrplan.mechanics import Accuracy
+from ctrplan.nesting import least_distance_m
 from ctrplan.robot import Robot
 from ctrplan.shapes import Status
 
@@ -24,6 +26,7 @@ class TipTable:
     position_m: Array  # (K, 3)
     tangent: Array  # (K, 3)
     sound: NDArray[np.bool_]  # (K,) whether the solve converged on an equilibrium
+    failed: NDArray[np.bool_]  # (K,) whether it did not converge at all: the tip is that of the last iterate
     position_by: Array  # (K, 3, P)
     tangent_by: Array  # (K, 3, P)
 
@@ -33,7 +36,8 @@ def tip_table(
 ) -> TipTable:
     """Tips at (K, n) [rad], (K, n) [m] in friction states (K, n - 1); names as in `parameters`, or theta_b.1, l_b.1."""
     inside = nested(robot, l_b)
-    sound = np.abs(inside - l_b).max(axis=1, initial=0.0) < NESTED_M
+    ordered = _ordered(robot, l_b, [tube.collar_length_m for tube in robot.tubes[1:]])  # room for shafts is no matter
+    sound = np.abs(ordered - l_b).max(axis=1, initial=0.0) < NESTED_M
     phi = phi * _rubbing(robot, names)
     rows = np.hstack([theta_b, inside, phi])
     _, first, back = np.unique(np.round(rows / SAME) * SAME, axis=0, return_index=True, return_inverse=True)
@@ -52,16 +56,22 @@ def _rubbing(robot: Robot, names: Sequence[str]) -> NDArray[np.bool_]:
 
 def nested(robot: Robot, l_b: Array) -> Array:
     """Base translations (K, n) with those that do not nest moved to where they do."""
+    return _ordered(robot, l_b, [least_distance_m(*pair) for pair in pairwise(robot.tubes)])
+
+
+def _ordered(robot: Robot, l_b: Array, apart_m: Sequence[float]) -> Array:
+    """Base translations (K, n) moved to where tips are in order and bases `apart_m`, a distance per pair."""
     l = l_b.copy()  # noqa: E741 (as in the equations)
     l[:, 0] = np.minimum(l[:, 0], 0.0)
-    for i, (outer, inner) in enumerate(zip(robot.tubes[:-1], robot.tubes[1:], strict=True)):
+    for i, (outer, inner) in enumerate(pairwise(robot.tubes)):
         l[:, i + 1] = np.maximum(l[:, i + 1], l[:, i] + outer.length_m - inner.length_m)
-        l[:, i + 1] = np.minimum(l[:, i + 1], l[:, i] - inner.collar_length_m)
+        l[:, i + 1] = np.minimum(l[:, i + 1], l[:, i] - apart_m[i])
     return l
 
 
 def _solved(robot: Robot, theta_b: Array, l_b: Array, phi: Array, names: Sequence[str], accuracy: Accuracy) -> TipTable:
     tips = robot.mechanics.tips_with_friction(theta_b, l_b, phi, parameters=tuple(names), accuracy=accuracy)
-    sound = (tips.status != Status.FAILED) & (tips.status != Status.UNSTABLE)
+    failed = tips.status == Status.FAILED
+    sound = ~failed & (tips.status != Status.UNSTABLE)
     by = np.nan_to_num(tips.position_by), np.nan_to_num(tips.tangent_by)  # NaN where a joint can't be moved by itself
-    return TipTable(tips.position_m, tips.tangent, sound, *by)
+    return TipTable(tips.position_m, tips.tangent, sound, failed, *by)

@@ -13,8 +13,8 @@ from ctrplan.field_lookup import FieldLookup
 from ctrplan.mechanics import Field, PathDensity, PathLimits, Status
 from ctrplan.planning import bound_field as fields
 from ctrplan.planning import plan
-from ctrplan.planning.bound_field import BoundField, bound_field, choose_axes
-from ctrplan.robot import Robot, load_robot
+from ctrplan.planning.bound_field import BoundField, bound_field, choose_axes, known_field
+from ctrplan.robot import Robot, load_robot, robot_from_dict
 from ctrplan.scenario import load_scenario
 
 ROBOTS = Path(__file__).parents[1] / "scenarios" / "robots"
@@ -145,6 +145,30 @@ def test_another_robot_has_another_field(pair: Robot, monkeypatch: pytest.Monkey
     assert fields._key(pair, choose_axes(pair)) != fields._key(other, choose_axes(other))
 
 
+def test_which_tubes_move_together_is_part_of_the_key() -> None:
+    robot = load_robot(ROBOTS / "three_tube.toml")
+    last = robot.drive.joints[-1]
+    assert not np.array_equal(last.moves, [0, 1, 1])
+    joints = (*robot.drive.joints[:-1], replace(last, moves=np.array([0.0, 1.0, 1.0])))
+    other = replace(robot, drive=replace(robot.drive, joints=joints))
+    axes = choose_axes(robot)
+    assert fields._key(robot, axes) != fields._key(other, axes)
+
+
+@pytest.mark.parametrize(
+    ("effect", "sentence"),
+    [
+        ({"tip_load": {"force_x_N": 1.0}}, "loads with a direction of their own"),
+        ({"homing_offset": {"l_2_mm": -1.0}}, "effects of the drive"),
+    ],
+)
+def test_robots_that_such_a_grid_is_wrong_for_have_none(pair: Robot, effect: dict[str, object], sentence: str) -> None:
+    robot = robot_from_dict({**pair.content, "effects": effect})
+    with pytest.raises(InputError, match=f"{sentence}.*no bound field") as refusal:
+        bound_field(robot)
+    assert str(refusal.value).count(".") <= 2 and known_field(robot) is None
+
+
 def test_a_grid_that_would_be_too_large_is_refused_with_its_size() -> None:
     robot = load_robot(ROBOTS / "three_tube.toml")
     loose = robot.drive.joints[-1]
@@ -157,3 +181,9 @@ def test_a_grid_that_would_be_too_large_is_refused_with_its_size() -> None:
 def test_malformed_grids_are_refused(pair: Robot) -> None:
     with pytest.raises(InputError, match="do not fit"):
         FieldLookup(pair.mechanics, [(1, True, -np.pi, 0.1, 63)], np.zeros((5, FieldLookup.NUMBERS), np.float32), 0.0)
+
+
+def test_configurations_of_another_number_of_tubes_are_refused(grid: BoundField) -> None:
+    for joints in (np.zeros((2, 3)), np.zeros(2)):
+        with pytest.raises(InputError, match="must have shape"):
+            grid.lookup.sample(joints, joints)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from measured_data import chain_of, pair_robot, waypoints
@@ -9,8 +11,13 @@ from measured_data import chain_of, pair_robot, waypoints
 from ctrplan.chain import Chain
 from ctrplan.diagnosis.effect import CATALOGUE
 from ctrplan.drive import Array
+from ctrplan.errors import InputError, SolverError
+from ctrplan.friction_path import friction_correction
+from ctrplan.history import History
 from ctrplan.measurements import Measurements
+from ctrplan.nesting import nesting_violation
 from ctrplan.robot import robot_from_dict
+from ctrplan.tips import nested
 
 ROBOT = pair_robot(contact=[{"friction_coefficient": 0.1}])
 DATA = waypoints(ROBOT, 3)
@@ -40,7 +47,16 @@ def test_a_neutral_effect_changes_nothing(name: str) -> None:
 
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_derivatives_are_those_of_the_prediction(name: str) -> None:
-    chain = chain_of(ROBOT, data_for(name), {name: None})
+    agrees(chain_of(ROBOT, data_for(name), {name: None}))
+
+
+@pytest.mark.parametrize("name", ["tip_load", "homing_offset"])
+def test_derivatives_go_through_a_sensor_of_the_robot_file(name: str) -> None:
+    turned = robot_from_dict({**ROBOT.content, "effects": {"base_misalignment": {"rotation_z_deg": 90.0}}})
+    agrees(chain_of(turned, DATA, {name: None}))
+
+
+def agrees(chain: Chain) -> None:
     p = inside(chain)
     found = chain.predict(p)
     for j in range(chain.slices()[1].start, len(p)):
@@ -103,3 +119,65 @@ def test_off_plane_precurvature_is_an_angle_offset_of_a_tube_that_is_curved_all_
     q[[parameter.name for parameter in homing.parameters].index("precurvature_factor_2_2")] = 1 / np.cos(angle)
     a, b = off.predict(p, derivatives=False), homing.predict(q, derivatives=False)
     np.testing.assert_allclose(a.position_m, b.position_m, atol=1e-6)
+
+
+def close_collars() -> Measurements:
+    """A continuous motion that ends with the bases 0.1 mm apart."""
+    data = streamed()
+    data.l_b[:, 1] = np.linspace(-0.01, -0.1e-3, len(data.l_b))
+    return data
+
+
+@pytest.mark.parametrize(("effect", "value"), [("homing_offset", {"l_2_mm": 0.2e-3}), ("lag", {"tau_s": -0.1})])
+def test_a_stream_is_followed_where_a_fit_pushes_collars_together(effect: str, value: dict[str, float]) -> None:
+    chain = chain_of(ROBOT, close_collars(), {effect: list(value), "sensor_offset": None})
+    p = chain.neutral.copy()
+    p[chain.slices()[1]] = list(value.values())
+    assert chain.collars(p).l[-1, 1] > 0
+    assert np.isfinite(chain.predict(p).position_m).all()
+    correction = friction_correction(chain, p)
+    assert correction is not None and np.abs(correction[0]).max() > 1e-5
+
+
+def test_a_stream_without_a_start_is_not_corrected(monkeypatch: pytest.MonkeyPatch) -> None:
+    def follow(*_: object) -> None:
+        raise SolverError("no equilibrium was found at the start of the history")
+
+    chain = chain_of(ROBOT, streamed(), {})
+    monkeypatch.setattr(History, "follow", follow)
+    correction = friction_correction(chain, chain.neutral)
+    assert correction is not None and not np.any(correction)
+
+
+def test_compliant_shafts_find_room_where_bases_touch() -> None:
+    data = waypoints(ROBOT, 2)
+    data.l_b[:] = 0.0
+    chain = chain_of(ROBOT, data, {"shaft_torsion": None})
+    found, plain = (c.predict(c.start, derivatives=False) for c in (chain, chain_of(ROBOT, data, {})))
+    assert found.sound.all()
+    np.testing.assert_allclose(found.position_m, plain.position_m, atol=5e-5)
+    compliant = chain.robot_at(chain.start)
+    violation = nesting_violation(compliant, [0.0, 0.0], [0.0, 0.0])
+    assert violation is not None and "room for the compliant shaft of tube 1" in violation
+    for plate in (0.0, -0.013, -0.051):  # whatever is rounded
+        there = nested(compliant, np.full((1, 2), plate))[0]
+        assert nesting_violation(compliant, [0.0, 0.0], there) is None
+        assert compliant.zero_clearance([0.0, 1.0], there).status == 0
+
+
+def test_shafts_are_not_testable_between_tubes_of_one_length() -> None:
+    content = dict(ROBOT.content)
+    inner = {**content["tube"][1], "section": content["tube"][0]["section"]}
+    robot = robot_from_dict({**content, "tube": [content["tube"][0], inner]})
+    assert "equally long" in CATALOGUE["shaft_torsion"].untestable(robot, DATA)
+    assert not CATALOGUE["shaft_torsion"].untestable(ROBOT, DATA)
+
+
+def test_an_effect_whose_column_is_missing_does_not_act() -> None:
+    timeless = replace(DATA, time_s=None)
+    late = robot_from_dict({**ROBOT.content, "effects": {"lag": {"tau_s": 0.1}}})
+    found, plain = (chain_of(r, timeless, {}) for r in (late, ROBOT))
+    tips, expected = (c.predict(c.neutral, derivatives=False).position_m for c in (found, plain))
+    np.testing.assert_array_equal(tips, expected)
+    with pytest.raises(InputError, match="effects.lag: needs a column time_s"):
+        chain_of(ROBOT, timeless, {"lag": None})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,16 +14,26 @@ from measured_data import SIGMA_M, SIGMA_RAD, measured, pair_robot, waypoints, w
 
 from ctrplan.cli import main
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
+from ctrplan.diagnosis.localise import localise
+from ctrplan.diagnosis.report import report_html
+from ctrplan.diagnosis.split import split
+from ctrplan.drive import Array
 from ctrplan.errors import InputError
+from ctrplan.html_page import escaped
 from ctrplan.measurements import Measurements
+from ctrplan.mechanics import Mechanics
 from ctrplan.robot import load_robot
 from ctrplan.robot_output import write_robot
+from ctrplan.shapes import Status, Tips
 
 ROBOT = pair_robot()
 SILENT = pair_robot(measurement=None)
 PLAN = waypoints(ROBOT, 18)
 BASE = {"calibration": {"precurvature_factor_1_1": 1.05, "stiffness_factor_2": 0.93, "poisson_ratio_1": 0.36}}
 QUICK = {name: CATALOGUE[name] for name in ("backlash", "tip_load", "homing_offset", "off_plane_precurvature", "lag")}
+
+
+FEW = {name: CATALOGUE[name] for name in ("backlash", "tip_load")}
 
 
 def names(found: Diagnosis) -> list[set[str]]:
@@ -164,6 +175,62 @@ def test_an_outlier_is_reported_and_changes_little() -> None:
     found = diagnose(ROBOT, spoilt, catalogue=QUICK)
     assert found.outlier_rows == (row + 1,) and found.verdict == "no_missing_effect"
     np.testing.assert_allclose(found.base.fit.p, chosen.base.fit.p, atol=0.1)
+
+
+def test_a_blank_does_not_hide_what_the_error_goes_along_with() -> None:
+    group, rng = PLAN.configuration, np.random.default_rng(0)
+    warmth = np.linspace(20.0, 30.0, len(PLAN.sequence))
+    warmth[PLAN.rows[[3, 11]]] = np.nan
+    r = rng.standard_normal((PLAN.count, 5)) + np.where(PLAN.rows > np.median(PLAN.rows), 2.0, -2.0)[:, None]
+    place = localise(replace(PLAN, time_s=None, more={"temperature_C": warmth}), r, group, np.ones(len(r)), 0.1)
+    assert place.trends[0].quantity == "temperature_C" and place.trends[0].share > 0.6
+    warmth[:] = np.where(np.arange(len(warmth)) > np.median(PLAN.rows), 20.0, np.nan)  # blank or not says it all
+    place = localise(replace(PLAN, time_s=None, more={"temperature_C": warmth}), r, group, np.ones(len(r)), 0.1)
+    assert place.trends[0].quantity == "temperature_C" and place.trends[0].p < 0.05
+
+
+TIP_LOAD = BASE | {"tip_load": {"force_x_N": 0.15, "force_y_N": -0.12, "force_z_N": 0.0}}
+
+
+def without_solutions(configurations: list[int], patch: pytest.MonkeyPatch) -> set[int]:
+    """The solver fails in some configurations from now on, 3 mm off; rows of the file that are measured there."""
+    lost = np.isin(PLAN.configuration, configurations)
+    theta, solve = PLAN.theta_b[PLAN.rows][lost], Mechanics.tips_with_friction
+
+    def failing(self: Mechanics, theta_b: Array, *arguments: object, **keys: object) -> Tips:
+        tips = solve(self, theta_b, *arguments, **keys)  # type: ignore[arg-type]
+        off = (np.abs(theta_b[:, None] - theta[None]).max(axis=2) < 1e-6).any(axis=1)
+        status, position = tips.status.copy(), tips.position_m.copy()
+        status[off], position[off] = Status.FAILED, position[off] + [3e-3, 0, 0]
+        return replace(tips, status=status, position_m=position)
+
+    patch.setattr(Mechanics, "tips_with_friction", failing)
+    return set((PLAN.rows[lost] + 1).tolist())
+
+
+def test_poses_without_a_solution_are_left_out_and_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the selection and of the vault; an effect that is right stays so."""
+    data = measured(ROBOT, PLAN, TIP_LOAD)
+    parts = split(data, np.ones(data.count, bool))
+    configurations = [int(data.configuration[part[0]]) for part in (parts.selection, parts.vault)]
+    rows = without_solutions(configurations, monkeypatch)
+    found = diagnose(ROBOT, data, catalogue=FEW)
+    assert found.verdict == "named" and names(found) == [{"tip_load"}]
+    assert found.judgement.adequacy.is_adequate and found.gap.after.rms_m < 1.3 * found.gap.floor_m
+    assert found.gap.before.poses == found.gap.after.poses == len(parts.vault) - 3 and found.gap.failed.sum() == 3
+    (note,) = (note for note in found.notes if "no equilibrium" in note)
+    assert note.startswith(f"The solver found no equilibrium at {len(rows)} of {data.count} poses")
+    assert all(f"{row}" in note for row in rows) and "left out" in note
+    assert escaped(note) in report_html(found)
+    assert found.coverage == pytest.approx(1 - len(rows) / data.count) and not found.outlier_rows
+
+
+def test_a_model_that_fails_everywhere_explains_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = measured(ROBOT, PLAN, TIP_LOAD)
+    rows = without_solutions(list(range(0, 18, 2)), monkeypatch)
+    found = diagnose(ROBOT, data, catalogue=FEW)
+    assert found.verdict == "unexplained"
+    assert any(f"no equilibrium at {len(rows)} of" in note and "too many" in note for note in found.notes)
 
 
 def test_too_few_configurations_and_unknown_noise_are_refused() -> None:

@@ -12,6 +12,9 @@ import numpy as np
 from measured_data import chain_of, pair_robot, waypoints
 
 from ctrplan.diagnosis import CATALOGUE
+from ctrplan.diagnosis.experiment import _pool
+from ctrplan.path_file import load_joint_path
+from ctrplan.simulation import simulate
 
 ROOT = Path(__file__).parents[1]
 
@@ -29,7 +32,20 @@ def test_every_look_alike_is_in_the_catalogue() -> None:
         assert set(effect.look_alikes) <= set(CATALOGUE), effect.name
 
 
-def test_the_example_of_a_new_effect_works() -> None:
+def simulated_with_and_without_its_column(folder: Path) -> None:
+    robot = pair_robot(effects={"thermal_scale": {"percent_per_K": 1.0}})
+    rows = ["theta_1_rad,theta_2_rad,l_1_m,l_2_m", "0,0.5,0,-0.02", "0,0.9,0,-0.02"]
+    (folder / "path.csv").write_text("\n".join(rows))
+    result = simulate(robot, load_joint_path(folder / "path.csv", robot))
+    assert result.measured is None and "without a column temperature_C" in result.warnings[0]
+    warm = [f"{row},{cell}" for row, cell in zip(rows, ("temperature_C", 20, 30), strict=True)]
+    (folder / "path.csv").write_text("\n".join(warm))
+    result = simulate(robot, load_joint_path(folder / "path.csv", robot))
+    assert result.measured is not None and not result.warnings
+    np.testing.assert_allclose(result.measured.position[-1], 1.1 * result.position_m[-1])
+
+
+def test_the_example_of_a_new_effect_works(tmp_path: Path) -> None:
     source = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "diagnosis.md").read_text(), re.DOTALL)[0]
     assert len(source.splitlines()) <= 40
     try:
@@ -45,5 +61,9 @@ def test_the_example_of_a_new_effect_works() -> None:
         grown = chain.predict(p, derivatives=False).position_m
         ratio = np.linalg.norm(grown, axis=1) / np.linalg.norm(plain, axis=1)
         np.testing.assert_allclose(ratio, 1 + 0.01 * (warm.more["temperature_C"] - 20)[warm.rows])
+        pool = chain_of(robot, _pool(warm), {"thermal_scale": None})
+        shown, cold = (pool.predict(q, derivatives=False).position_m for q in (p, pool.neutral))
+        assert np.ptp(np.linalg.norm(shown, axis=1) / np.linalg.norm(cold, axis=1)) > 0.02
+        simulated_with_and_without_its_column(tmp_path)
     finally:
         CATALOGUE.pop("thermal_scale", None)

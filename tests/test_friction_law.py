@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import ctrplan
-from ctrplan.friction_calibration import HISTORIES, fit, misses, simulated_paths
+from ctrplan.friction_calibration import HISTORIES, _digest, fit, misses, simulated_paths
 from ctrplan.friction_law import FrictionLaw, largest_deviation, released_share, tip_deviations
+from ctrplan.robot import robot_from_dict
 
 ROBOTS = Path(__file__).resolve().parents[1] / "scenarios" / "robots"
 LAW = FrictionLaw(loading_rad=np.array([0.3, 0.5]), release_m=np.array([0.2e-3, 0.4e-3]))
@@ -98,3 +99,11 @@ def test_single_tube_has_no_pairs_and_no_law() -> None:
     law = FrictionLaw(np.ones(0), np.ones(0))
     assert tip_deviations(np.ones((2, 1, 3)), np.ones((2, 3)), np.ones((2, 0))).shape == (2, 3)
     assert law.load_left(np.ones(0), np.zeros((2, 1)), np.zeros((2, 1)), np.ones(3)).shape == (3, 0)
+
+
+def test_a_law_belongs_to_what_the_drive_makes_of_joints() -> None:
+    robot = ctrplan.load_robot(ROBOTS / "table_5_pair.toml")
+    offsets = [{"homing_offset": {"theta_2_deg": angle}} for angle in (3.0, 4.0)]
+    moved = [robot_from_dict({**robot.content, "effects": effects}) for effects in offsets]
+    assert len({_digest(r) for r in (robot, *moved)}) == 3
+    assert _digest(moved[0]) == _digest(robot_from_dict(moved[0].content))

@@ -12,6 +12,8 @@ import pytest
 
 from ctrplan.bare_scenario import bare_scenario, load_robot_or_scenario
 from ctrplan.cli import main
+from ctrplan.errors import NoAnswerError
+from ctrplan.live_state import LiveState
 from ctrplan.planning.branches import reach
 from ctrplan.planning.inverse_kinematics import REACHED_M, TipSolver, TipTarget, angle_to
 from ctrplan.planning.motion import MotionChecker
@@ -155,3 +157,17 @@ def test_ik_refusals_are_one_sentence(
     sentence = capsys.readouterr().err.strip()
     assert sentence.count("\n") == 0
     assert re.search(words, sentence), sentence
+
+
+def test_the_command_keeps_the_limits_that_the_live_view_shows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not the little more clearance that a search keeps."""
+    asked = []
+
+    def reach(checker: MotionChecker, *_: object) -> None:
+        asked.append(checker.limits)
+        raise NoAnswerError("enough")
+
+    monkeypatch.setattr("ctrplan.planning.branches.reach", reach)
+    file = str(ROBOTS / "three_tube.toml")
+    assert main(["ik", file, "--tip-mm", "34", "-47", "200"]) == 1
+    assert asked == [LiveState(load_robot_or_scenario(file)).checker.limits]

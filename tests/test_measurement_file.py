@@ -11,6 +11,7 @@ from measured_data import measured, pair_robot, waypoints, write_csv
 
 from ctrplan.errors import InputError
 from ctrplan.measurement_file import load_measurements
+from ctrplan.path_file import load_joint_path
 
 ROBOT = pair_robot()
 Table = list[list[str]]
@@ -135,6 +136,25 @@ def test_files_that_are_none(content: bytes, sentence: str, tmp_path: Path) -> N
         load_measurements(tmp_path / "a.csv", ROBOT)
     with pytest.raises(InputError, match="does not exist"):
         load_measurements(tmp_path / "none.csv", ROBOT)
+
+
+def test_blank_rows_are_none_in_measurements_as_in_paths(table: Table, tmp_path: Path) -> None:
+    lines = [",".join(row) for row in table]
+    (tmp_path / "whole.csv").write_text("\n".join(lines))
+    (tmp_path / "gaps.csv").write_text("\n".join([*lines[:5], "", "," * (len(table[0]) - 1), " ,", *lines[5:], ",,"]))
+    for read in (load_measurements, load_joint_path):
+        whole, gaps = (read(tmp_path / name, ROBOT) for name in ("whole.csv", "gaps.csv"))
+        np.testing.assert_array_equal(gaps.theta_b, whole.theta_b)
+
+
+def test_an_effect_of_the_robot_without_its_column_is_warned_about(table: Table, tmp_path: Path) -> None:
+    changed = [list(row) for row in table]
+    _drop("time_s")(changed)
+    (tmp_path / "a.csv").write_text("\n".join(",".join(row) for row in changed))
+    late = pair_robot(effects={"lag": {"tau_s": 0.1}})
+    (warning,) = load_measurements(tmp_path / "a.csv", late).warnings
+    assert warning.endswith("without a column time_s the robot's lag is left out.")
+    assert load_measurements(tmp_path / "a.csv", ROBOT).warnings == ()
 
 
 def test_a_pair_that_never_turns_is_warned_about(table: Table, tmp_path: Path) -> None:

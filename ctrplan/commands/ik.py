@@ -57,14 +57,16 @@ def run_ik(arguments: argparse.Namespace) -> int:
 
     from ctrplan.bare_scenario import load_robot_or_scenario
     from ctrplan.planning.branches import reach
-    from ctrplan.planning.motion import MotionChecker
+    from ctrplan.planning.motion import MotionChecker, path_limits
 
     scenario = load_robot_or_scenario(arguments.file, arguments.overrides, allow_outside=arguments.allow_outside)
     target = _target(arguments, scenario)
     for warning in scenario.warnings:
         print(f"ctrplan: warning: {warning}", file=sys.stderr)
+    checker = MotionChecker(scenario)
+    checker.limits = path_limits(scenario)  # the scenario's own, without what a search adds, as in the live view
     found = reach(
-        MotionChecker(scenario),
+        checker,
         target,
         arguments.tolerance_mm * 1e-3,
         np.random.default_rng(arguments.seed),

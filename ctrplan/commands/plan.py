@@ -64,15 +64,16 @@ def add_parser(commands: Any) -> None:
 
 def run_plan(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is no plan to write."""
-    if arguments.time is not None and not 0 < arguments.time <= 3600:
-        raise InputError("must be above 0 and at most 3600", key="--time", value=arguments.time, unit="s")
-    if not 0 <= arguments.seed < 2**31 - 10**5:
-        raise InputError("must be from 0 to 2147383647", key="--seed", value=arguments.seed)
     with interrupt_event() as interrupted:
         from ctrplan.planning import plan
         from ctrplan.planning.bound_field import known_field
+        from ctrplan.planning.plan import LARGEST_SEED, LONGEST_S
         from ctrplan.scenario import load_scenario
 
+        if arguments.time is not None and not 0 < arguments.time <= LONGEST_S:
+            raise InputError(f"must be above 0 and at most {LONGEST_S:g}", key="--time", value=arguments.time, unit="s")
+        if not 0 <= arguments.seed <= LARGEST_SEED:
+            raise InputError(f"must be from 0 to {LARGEST_SEED}", key="--seed", value=arguments.seed)
         scenario = load_scenario(arguments.scenario, arguments.overrides, allow_outside=arguments.allow_outside)
         folder = output_folder(arguments.output, OUTPUTS)
         for warning in scenario.warnings:

@@ -14,7 +14,7 @@ from ctrplan.diagnosis.candidates import Candidates, candidates, reduced
 from ctrplan.diagnosis.effect import CATALOGUE, Effect
 from ctrplan.diagnosis.experiment import next_experiment
 from ctrplan.diagnosis.gap import Gap, distances, open_vault
-from ctrplan.diagnosis.guards import outliers, remains
+from ctrplan.diagnosis.guards import excused, ignored, remains
 from ctrplan.diagnosis.localise import Place, localise
 from ctrplan.diagnosis.misstated import rescaled_noise, vault_probability
 from ctrplan.diagnosis.noise_floor import noise_floor
@@ -27,7 +27,7 @@ from ctrplan.diagnosis.workbench import Scored, Workbench
 from ctrplan.drive import Array
 from ctrplan.errors import InputError
 from ctrplan.measurements import LONGEST_LAG_S, Measurements
-from ctrplan.residuals import Noise
+from ctrplan.residuals import Noise, Residuals
 from ctrplan.robot import Robot
 from ctrplan.robot_output import within_file
 from ctrplan.shapes import Status
@@ -35,6 +35,7 @@ from ctrplan.shapes import Status
 LEAST_STABILITY = 0.03  # of the believed robot: nearer to snapping no model is asked
 LEAST_GROUPS = 12  # configurations, or blocks of a continuous motion
 VAULT_REJECTED = 1e-4  # probability of the vault's residuals that takes a name back
+MOST_ROWS = 20  # that a note lists
 
 Progress = Callable[[str, float], object]  # name of the step, finished share
 
@@ -100,7 +101,12 @@ def diagnose(
         judgement = replace(judgement, adequacy=remains(selector.bench, written))
         gap = open_vault(base.fit, written.fit, data.subset(parts.vault), group[parts.vault], noise)
     place = _place(selector.bench, gap)
-    far = outliers(chosen.fit.residuals.alone)
+    far = ignored(chosen) & ~excused(chosen.failed)
+    unsolved = np.zeros(data.count, bool)
+    unsolved[parts.selection], unsolved[parts.vault] = base.failed | written.failed, gap.failed
+    left_out = np.zeros(data.count, bool)
+    left_out[parts.selection] = excused(base.failed) | excused(written.failed)
+    left_out[parts.vault] = excused(gap.failed)
     sentence, proposed = next_experiment(chosen, judgement, bench.data, noise, list(known.not_testable))
     return Diagnosis(
         verdict=judgement.verdict,
@@ -123,11 +129,12 @@ def diagnose(
             *note,
             *symptoms(chosen.fit),
             *_coverage(usable),
+            *_unsolved(data, unsolved, left_out),
         ),
         robot=robot,
         data=data,
         noise=noise,
-        coverage=float(usable.mean()),
+        coverage=float((usable & ~left_out).mean()),
         outlier_rows=tuple((data.rows[parts.selection[far]] + 1).tolist()),
         interrupted=stopped,
         time_s=time.monotonic() - began,
@@ -189,7 +196,7 @@ def _after_vault(judgement: Judgement, selector: Selector, gap: Gap, estimated: 
 
     Noise that had to be enlarged may have taken in a misfit: no allowance is made for it.
     """
-    residuals = selector.found.chosen.fit.residuals
+    residuals = _solved(selector.found.chosen)
     p = vault_probability(gap.chi_square, judgement.adequacy.total, residuals, estimated=estimated)
     if judgement.verdict == "unexplained" or p > VAULT_REJECTED:
         return judgement, []
@@ -200,9 +207,14 @@ def _after_vault(judgement: Judgement, selector: Selector, gap: Gap, estimated: 
 
 def _norms(scored: Scored) -> Array:
     """Of the residuals per pose, without outliers."""
-    residuals = scored.fit.residuals
-    norms: Array = residuals.norm[~outliers(residuals.alone)]
+    norms: Array = scored.fit.residuals.norm[~ignored(scored)]
     return norms
+
+
+def _solved(scored: Scored) -> Residuals:
+    """Residuals of the poses that chi-squares are of, outliers among them."""
+    parts, kept = scored.fit.residuals, ~excused(scored.failed)
+    return Residuals(parts.r[kept], parts.J[kept], parts.weight[kept], parts.alone[kept])
 
 
 def _written(bench: Workbench, chosen: Scored, judgement: Judgement) -> Scored:
@@ -215,9 +227,10 @@ def _written(bench: Workbench, chosen: Scored, judgement: Judgement) -> Scored:
 
 
 def _place(bench: Workbench, gap: Gap) -> Place:
-    fit = bench.scored([]).fit
+    base = bench.scored([])
+    fit, kept = base.fit, ~excused(base.failed)
     error = distances(fit.chain, fit.p)
-    return localise(bench.data, fit.residuals.r, bench.group, error, gap.floor_m)
+    return localise(bench.data.subset(kept), fit.residuals.r[kept], bench.group[kept], error[kept], gap.floor_m)
 
 
 def _left_out(without: Sequence[str]) -> list[str]:
@@ -229,3 +242,17 @@ def _coverage(usable: NDArray[np.bool_]) -> list[str]:
     if not masked:
         return []
     return [f"{masked} of {len(usable)} poses were left out for all candidates alike: near snapping, or a run's start."]
+
+
+def _unsolved(data: Measurements, failed: NDArray[np.bool_], left_out: NDArray[np.bool_]) -> list[str]:
+    """A sentence about the poses (K,) at which the model that is handed over, or the one without effects, failed."""
+    if not failed.any():
+        return []
+    rows = (data.rows[failed] + 1).tolist()
+    shown = ", ".join(map(str, rows[:MOST_ROWS])) + (" ..." if len(rows) > MOST_ROWS else "")
+    kept = int((failed & ~left_out).sum())
+    which = f"{kept} of them, too many to be left out, count as wrong" if kept else "they are left out for both alike"
+    return [
+        f"The solver found no equilibrium at {len(rows)} of {data.count} poses, calibrated or with the effects (row "
+        f"{shown}): in chi-squares and errors {which}."
+    ]

@@ -61,6 +61,7 @@ class Effect(ABC):
     depends_on_history: ClassVar[bool] = False  # acts on differences between approaches of one configuration
 
     needs_time: ClassVar[bool] = False  # whether it does nothing without time_s
+    needs_columns: ClassVar[tuple[str, ...]] = ()  # others (`Measurements.more`) that it does nothing without
     turns_with_tip: ClassVar[bool] = False  # of the sensor: whether the tangent alone says too little
 
     @abstractmethod
@@ -69,7 +70,13 @@ class Effect(ABC):
 
     def untestable(self, robot: Robot, data: Measurements) -> str:
         """Why these data say nothing about the effect; empty if they do."""
-        return ""
+        missing = self.missing_columns(data.time_s, data.more)
+        return f"there is no column {', '.join(missing)}" if missing else ""
+
+    def missing_columns(self, time_s: Array | None, more: Mapping[str, Array]) -> list[str]:
+        """What the effect needs and data with these columns do not have: it does not act on them."""
+        missing = ["time_s"] if self.needs_time and time_s is None else []
+        return [*missing, *(name for name in self.needs_columns if name not in more)]
 
     def variants(self, robot: Robot, data: Measurements) -> Sequence[Sequence[str]]:
         """Sets of parameters worth fitting, the others staying neutral."""

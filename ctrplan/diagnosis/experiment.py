@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,9 +37,7 @@ def proposals(chosen: Scored, other: Alternative, data: Measurements, noise: Noi
     predictions = [
         chain.predict(f.p, derivatives=False) for chain, f in zip(chains, (chosen.fit, other.scored.fit), strict=True)
     ]
-    seen = Measurements(
-        pool.sequence, pool.theta_b, pool.l_b, pool.rows, predictions[0].position_m, predictions[0].tangent, pool.time_s
-    )
+    seen = replace(pool, position_m=predictions[0].position_m, tangent=predictions[0].tangent)
     apart = residuals(seen, predictions[1], noise, np.arange(seen.count)).norm ** 2 / 2
     sound = predictions[0].sound & predictions[1].sound
     odds = np.bincount(pool.configuration, weights=np.where(sound, apart, 0.0))
@@ -119,4 +117,7 @@ def _pool(data: Measurements) -> Measurements:
     table, rows = np.array(waypoints), np.arange(1, len(waypoints), 2)
     nothing = np.zeros((len(rows), 3))
     time_s = None if data.time_s is None else np.arange(len(table), dtype=float)
-    return Measurements(np.array(sequence), table[:, : data.n], table[:, data.n :], rows, nothing, nothing, time_s)
+    of = np.repeat(rng.integers(0, len(theta), len(rows)), 2)  # other columns are as at some pose
+    more = {name: values[data.rows][of] for name, values in data.more.items()}
+    joints = table[:, : data.n], table[:, data.n :]
+    return Measurements(np.array(sequence), *joints, rows, nothing, nothing, time_s, more=more)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.chain import Chain
-from ctrplan.diagnosis.guards import ChiSquare, outliers
+from ctrplan.chain import Chain, Prediction
+from ctrplan.diagnosis.guards import ChiSquare, excused, outliers
 from ctrplan.drive import Array
 from ctrplan.friction_path import friction_correction
 from ctrplan.least_squares import Fit
@@ -41,33 +41,42 @@ class Gap:
     after: Errors
     floor_m: float
     regions: Mapping[str, tuple[Errors, Errors]]
-    before_m: Array  # (V,) distances of the vault's poses
+    before_m: Array  # (V,) distances of the vault's poses, without those that are left out
     after_m: Array
     chi_square: ChiSquare  # of the vault's poses under the predictive distribution of the fit with the effects
+    failed: NDArray[np.bool_]  # of all poses of the vault: without a solution, before or after
 
 
 def distances(chain: Chain, p: Array) -> Array:
     """(K,) distance [m] of measured from predicted tips; from the base where the model has no solution."""
-    measured = chain.data.position_m
-    distance = np.linalg.norm(chain.predict(p, derivatives=False).position_m - measured, axis=1)
+    return _distances(chain.predict(p, derivatives=False), chain.data)
+
+
+def _distances(prediction: Prediction, data: Measurements) -> Array:
+    measured = data.position_m
+    distance = np.linalg.norm(prediction.position_m - measured, axis=1)
     wrong: Array = np.where(np.isfinite(distance), distance, np.linalg.norm(measured, axis=1))
     return wrong
 
 
 def open_vault(before: Fit, after: Fit, vault: Measurements, group: NDArray[np.int_], noise: Noise) -> Gap:
-    """Predicts the vault's poses with fits that have not seen them."""
+    """Predicts the vault's poses with fits that have not seen them; where one has no solution, none is asked."""
     chains = [Chain(f.chain.robot, vault, f.chain.terms) for f in (before, before, after)]
     values = (before.chain.neutral, before.p, after.p)
     for chain, p in zip(chains[1:], values[1:], strict=True):
         chain.correction = friction_correction(chain, p)
-    errors = [distances(chain, p) for chain, p in zip(chains, values, strict=True)]
+    predictions = [chain.predict(p, derivatives=False) for chain, p in zip(chains, values, strict=True)]
+    failed = predictions[1].failed | predictions[2].failed
+    kept = ~excused(failed)
+    vault, group = vault.subset(kept), group[kept]
+    errors = [_distances(prediction.subset(kept), vault) for prediction in predictions]
     regions = {
         name: (summary(errors[1][inside], group[inside]), summary(errors[2][inside], group[inside]))
         for name, inside in _regions(vault).items()
     }
     nominal, calibrated, effective = (summary(e, group) for e in errors)
-    chi_square = _predictive(chains[2], after, group, noise)
-    return Gap(nominal, calibrated, effective, noise.floor_m, regions, errors[1], errors[2], chi_square)
+    chi_square = _predictive(chains[2].predict(after.p).subset(kept), vault, after, group, noise)
+    return Gap(nominal, calibrated, effective, noise.floor_m, regions, errors[1], errors[2], chi_square, failed)
 
 
 def summary(error: Array, group: NDArray[np.int_]) -> Errors:
@@ -96,10 +105,12 @@ def _regions(vault: Measurements) -> dict[str, NDArray[np.bool_]]:
     return {word: third == k for k, word in enumerate(words) if np.any(third == k)}
 
 
-def _predictive(chain: Chain, after: Fit, group: NDArray[np.int_], noise: Noise) -> ChiSquare:
+def _predictive(
+    prediction: Prediction, vault: Measurements, after: Fit, group: NDArray[np.int_], noise: Noise
+) -> ChiSquare:
     """Residuals over noise and the parameters' own uncertainty together."""
-    whitening: Sequence[int] | NDArray[np.int_] = np.arange(len(group)) if chain.data.is_stream else group
-    found = residuals(chain.data, chain.predict(after.p), noise, whitening)
+    whitening: Sequence[int] | NDArray[np.int_] = np.arange(len(group)) if vault.is_stream else group
+    found = residuals(vault, prediction, noise, whitening)
     ignored = outliers(found.alone)
     r, J = found.r[~ignored].ravel(), found.J[~ignored].reshape(-1, found.J.shape[2])
     spread = np.eye(len(r)) + J @ after.covariance @ J.T

@@ -17,6 +17,7 @@ from ctrplan.residuals import PER_POSE, information_inverse
 REJECTED = 1e-3  # probability below which a chi-square is no chance
 OUTLIER = 5.6  # norm of a pose's five numbers: once in 10^5
 MOST_OUTLIERS = 0.03  # of the poses, and one in any case; more are no outliers but a misfit
+MOST_FAILED = 1 / 3  # of the poses; a model without a solution at more of them explains nothing
 
 
 @dataclass(frozen=True)
@@ -64,8 +65,20 @@ def outliers(norm: Array) -> NDArray[np.bool_]:
     return far if far.sum() <= math.ceil(MOST_OUTLIERS * len(far)) else np.zeros_like(far)
 
 
+def excused(failed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(K,) poses without a solution that are left out of chi-squares and errors: all, unless they are too many."""
+    return failed if failed.mean() <= MOST_FAILED else np.zeros_like(failed)
+
+
+def ignored(scored: Scored) -> NDArray[np.bool_]:
+    """(K,) poses of a fit that its chi-squares leave out: without a solution, or outliers of the others."""
+    left = excused(scored.failed).copy()
+    left[~left] = outliers(scored.fit.residuals.alone[~left])
+    return left
+
+
 def adequacy(fit: Linear, group: NDArray[np.int_], ignored: NDArray[np.bool_]) -> Adequacy:
-    """Of a linearised fit's residuals; `group` (K,) numbers configurations; outliers are left out."""
+    """Of a linearised fit's residuals; `group` (K,) numbers configurations; some poses (K,) are left out."""
     r, J, group = fit.r[~ignored], fit.J[~ignored], group[~ignored]
     root = information_inverse(fit.J, fit.weight, fit.precision)
     hat = J @ root  # (K, 5, P): hat hat^T is the share of noise that the fit took
@@ -82,7 +95,7 @@ def adequacy(fit: Linear, group: NDArray[np.int_], ignored: NDArray[np.bool_]) -
 
 def remains(bench: Workbench, scored: Scored) -> Adequacy:
     """What is left of the selection's poses after a fit."""
-    return adequacy(linear(scored.fit), bench.group, outliers(scored.fit.residuals.alone))
+    return adequacy(linear(scored.fit), bench.group, ignored(scored))
 
 
 def _group_means(values: Array, group: NDArray[np.int_]) -> Array:

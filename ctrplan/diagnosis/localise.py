@@ -55,7 +55,7 @@ def quantities(data: Measurements) -> Mapping[str, Array]:
     if data.time_s is not None:
         found["time"] = data.time_s[rows]
     found |= {name: values[rows] for name, values in data.more.items()}
-    return {name: values for name, values in found.items() if np.ptp(np.nan_to_num(values)) > 1e-6}
+    return {name: values for name, values in found.items() if _differs(values)}
 
 
 def localise(data: Measurements, r: Array, group: NDArray[np.int_], error_m: Array, floor_m: float) -> Place:
@@ -94,13 +94,25 @@ def _sentence(
     return f"{start}; the error goes along with {' and '.join(parts)} and mostly {kind}."
 
 
+def _differs(values: Array) -> bool:
+    """Whether a quantity (K,), blank where NaN, tells poses apart."""
+    given = values[np.isfinite(values)]
+    return len(given) > 0 and (len(given) < len(values) or bool(np.ptp(given) > 1e-6))
+
+
 def _quarters(values: Array) -> NDArray[np.int_]:
-    """(K,) quarter of its range, by rank, that each value falls into; few distinct values are their own classes."""
-    distinct = np.unique(np.round(values, 3))
+    """(K,) quarter of its range, by rank, that each value falls into; few distinct values are their own classes.
+
+    Blanks (NaN) are a class of their own, the last.
+    """
+    given = np.isfinite(values)
+    distinct = np.unique(np.round(values[given], 3))
     if len(distinct) <= BINS:
-        return np.searchsorted(distinct, np.round(values, 3))
-    edges = np.quantile(values, np.arange(1, BINS) / BINS)
-    return np.searchsorted(edges, values, side="right")
+        part = np.searchsorted(distinct, np.round(values, 3))
+    else:
+        edges = np.quantile(values[given], np.arange(1, BINS) / BINS)
+        part = np.searchsorted(edges, values, side="right")
+    return np.where(given, part, BINS)
 
 
 def _share(r: Array, part: NDArray[np.int_]) -> float:

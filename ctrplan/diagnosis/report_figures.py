@@ -10,6 +10,7 @@ from plotly.subplots import make_subplots
 
 from ctrplan import palette
 from ctrplan.diagnosis.gap import distances
+from ctrplan.diagnosis.guards import excused
 from ctrplan.diagnosis.localise import quantities
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.drive import Array
@@ -25,7 +26,8 @@ def where_figure(found: Diagnosis) -> go.Figure:
     data = found.base.fit.chain.data
     known = quantities(data)
     figure = make_subplots(rows=1, cols=len(names), shared_yaxes=True, horizontal_spacing=0.06)
-    errors = [distances(s.fit.chain, s.fit.p) * 1e3 for s in (found.base, found.chosen)]
+    solved = ~(excused(found.base.failed) | excused(found.chosen.failed))
+    errors = [np.where(solved, distances(s.fit.chain, s.fit.p) * 1e3, np.nan) for s in (found.base, found.chosen)]
     for column, name in enumerate(names, start=1):
         values, unit = _shown(name, known[name])
         shown = zip(("calibrated", "with the effects"), (BEFORE, AFTER), errors, strict=True)

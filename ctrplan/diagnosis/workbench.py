@@ -16,7 +16,7 @@ from ctrplan.drive import Array
 from ctrplan.friction_path import friction_correction
 from ctrplan.least_squares import Fit, fit, fit_at
 from ctrplan.measurements import Measurements
-from ctrplan.residuals import Noise, residuals, robust_square
+from ctrplan.residuals import UNSOUND, Noise, residuals, robust_square
 from ctrplan.robot import Robot
 
 MOST_WIDENINGS = 3
@@ -42,6 +42,12 @@ class Scored:
     def names(self) -> tuple[str, ...]:
         """Of the effects."""
         return tuple(t.name for t in self.terms)
+
+    @cached_property
+    def failed(self) -> NDArray[np.bool_]:
+        """(K,) poses for which the solver found no equilibrium, so that the fit says nothing about them."""
+        unsound: NDArray[np.bool_] = np.isclose(self.fit.residuals.alone, UNSOUND)
+        return self.fit.chain.predict(self.fit.p, derivatives=False).failed if unsound.any() else unsound
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ import json
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,7 @@ MOST_BYTES = 1_000_000_000
 CHUNK = 256
 TRIALS = 400  # random configurations at which the interpolation is compared with the model
 QUANTILE = 0.99  # of the errors found there, added to every bound
+FORMAT = 2  # rises when what is stored means something else
 
 
 @dataclass(frozen=True)
@@ -84,8 +85,10 @@ class BoundField:
 def bound_field(robot: Robot, *, progress: Progress | None = None, build: bool = True) -> BoundField | None:
     """The robot's field: from the cache if it is there, else built, with `progress` told the finished share.
 
-    None where it is not in the cache and `build` is False. Raises InputError where even a coarse grid is too large.
+    None where it is not in the cache and `build` is False. Raises InputError where even a coarse grid is too large, and
+    for robots to which common rotation or the drive does more than such a grid knows of.
     """
+    _check_coordinates(robot)
     axes = choose_axes(robot)
     key = _key(robot, axes)
     points = math.prod(axis.count for axis in axes)
@@ -104,8 +107,19 @@ def known_field(robot: Robot) -> BoundField | None:
     """The robot's field if it has been built before."""
     try:
         return bound_field(robot, build=False)
-    except InputError:  # too large for any grid
+    except InputError:  # no grid answers for it
         return None
+
+
+def _check_coordinates(robot: Robot) -> None:
+    """Raises InputError unless rotations against the outer tube and base translations say all about a shape."""
+    rule = ""
+    if robot.loads != Loads():
+        rule = "has loads with a direction of their own, which common rotation does not turn along"
+    elif robot.drive.terms:
+        rule = "has effects of the drive, after which collars stand elsewhere than a grid over the joints says"
+    if rule:
+        raise InputError(f"{rule}: there is no bound field for it, plan without", **_named(robot))
 
 
 def choose_axes(robot: Robot) -> tuple[Axis, ...]:
@@ -120,7 +134,12 @@ def choose_axes(robot: Robot) -> tuple[Axis, ...]:
     rule = (
         f"its bound field would have {points:,} points ({size / 1e9:.1f} GB) over {len(axes)} coordinates, plan without"
     )
-    raise InputError(rule, file=robot.path, key="robot", value=robot.name)
+    raise InputError(rule, **_named(robot))
+
+
+def _named(robot: Robot) -> dict[str, Any]:
+    """What an InputError calls the robot."""
+    return {"file": robot.path, "key": "robot", "value": robot.name}
 
 
 def _rotations(robot: Robot, step: float) -> list[Axis]:
@@ -189,10 +208,10 @@ def _solve(robot: Robot, axes: tuple[Axis, ...], progress: Progress | None) -> N
 
 
 def _is_planar(robot: Robot) -> bool:
-    """Whether turning all tubes the other way gives the mirrored shape: all curved in one plane, round, unloaded."""
+    """Whether turning all tubes the other way gives the mirrored shape: all curved in one plane, and round."""
     sections = [section for tube in robot.tubes for section in tube.sections]
     round_tubes = all(tube.ovality == 0 for tube in robot.tubes)
-    return round_tubes and robot.loads == Loads() and all(section.curvature_x_per_m == 0 for section in sections)
+    return round_tubes and all(section.curvature_x_per_m == 0 for section in sections)
 
 
 def _mirrors(axes: tuple[Axis, ...]) -> NDArray[np.int_]:
@@ -232,8 +251,9 @@ def _key(robot: Robot, axes: tuple[Axis, ...]) -> str:
         "robot": repr((robot.tubes, robot.clearance_m.tolist(), robot.friction.tolist(), robot.loads)),
         "axes": [_given(axis) for axis in axes],
         "home": [robot.drive.home_theta_rad.tolist(), robot.drive.home_l_m.tolist()],
+        "moves": [robot.drive.matrix_theta.tolist(), robot.drive.matrix_l.tolist()],  # which tubes move together
         "numbers": FieldLookup.NUMBERS,
-        "version": __version__,
+        "version": [__version__, FORMAT],
         "trials": [TRIALS, QUANTILE],
     }
     return "bound-" + hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

@@ -31,9 +31,6 @@ class Drift(Effect):
         turns = (Parameter(f"rotation_{axis}_deg_per_h", 100.0, si=DEGREE / HOUR_S) for axis in "xyz")
         return (*shifts, *turns)
 
-    def untestable(self, robot: Robot, data: Measurements) -> str:
-        return "there is no column time_s" if data.time_s is None else ""
-
     def variants(self, robot: Robot, data: Measurements) -> Sequence[Sequence[str]]:
         names = [parameter.name for parameter in self.parameters(robot)]
         return [names[:3], names]

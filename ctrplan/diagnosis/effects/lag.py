@@ -30,9 +30,8 @@ class Lag(Effect):
         return (Parameter("tau_s", 0.15, lower=-LONGEST_LAG_S, upper=LONGEST_LAG_S, start=0.02),)
 
     def untestable(self, robot: Robot, data: Measurements) -> str:
-        if data.time_s is None:
-            return "there is no column time_s"
-        return "" if data.is_stream else "poses were measured at rest, not on the way"
+        at_rest = "" if data.is_stream else "poses were measured at rest, not on the way"
+        return super().untestable(robot, data) or at_rest
 
     def starts(self, names: Sequence[str]) -> Sequence[Values]:
         return [{"tau_s": 0.02}, {"tau_s": 0.15}]

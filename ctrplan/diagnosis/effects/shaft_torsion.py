@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 
 from ctrplan.diagnosis.effect import Effect, Parameter, Values, register
+from ctrplan.measurements import Measurements
+from ctrplan.nesting import SHAFT_ROOM_M
 from ctrplan.robot import Robot
 
 NEARLY_RIGID = 1e-3  # rad/(N m), which moves a tip by about a micrometre: a rigid shaft has no derivative
@@ -24,6 +27,12 @@ class ShaftTorsion(Effect):
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return tuple(Parameter(f"compliance_{i + 1}_rad_per_Nm", 3.0, lower=0.0, upper=1e3) for i in range(robot.n))
+
+    def untestable(self, robot: Robot, data: Measurements) -> str:
+        for i, (outer, inner) in enumerate(pairwise(robot.tubes), start=1):
+            if inner.length_m - outer.length_m < SHAFT_ROOM_M:
+                return f"tubes {i} and {i + 1} are equally long, which leaves no room between their bases for a shaft"
+        return ""
 
     def mechanics(self, values: Values, robot: Robot) -> Mapping[str, float]:
         return {
