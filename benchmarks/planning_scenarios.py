@@ -10,13 +10,13 @@ import resource
 import sys
 from pathlib import Path
 
-import numpy as np
 from own_cache import use_own_cache
 from page_table import put_into_page
 
 import ctrplan
 from ctrplan.errors import CtrplanError
 from ctrplan.planning import Plan
+from ctrplan.planning.path_cost import path_cost_mm
 from ctrplan.scenario import Cost
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -31,11 +31,14 @@ HEADER = (
 
 def cost_mm(plan: Plan, weights: Cost) -> float:
     """What the plan costs with the scenario's own weights, whatever the planner was told."""
-    c, samples = plan.certificate, plan.certificate.samples
-    along = np.trapezoid(samples.released_m * 1e3, samples.path_mm) / weights.mm_per_rad
-    left_mm = float(samples.bound_m[-1] + samples.released_m[-1]) * 1e3
-    driven = weights.path * c.length_mm + weights.stop * (c.stops + 1)
-    return float(driven + weights.error_along * along + weights.error_goal * left_mm)
+    c = plan.certificate
+    return path_cost_mm(
+        weights,
+        length_mm=c.length_mm,
+        legs=len(plan.trajectory.leg_end_s),
+        integral_mm=c.released_integral_mm,
+        left_m=sum(target.bound_m + target.released_m for target in c.targets),
+    )
 
 
 def row(name: str, label: str, plan: Plan, weights: Cost) -> str:

@@ -75,7 +75,15 @@ def build_drive(
     for j, joint in enumerate(joints):
         if joint.name in [other.name for other in joints[:j]]:
             raise document.fault("must differ from the names of the other joints", "joint", j, "name")
+        if _in_columns(joint.name) in [_in_columns(other.name) for other in joints[:j]]:
+            rule = "must differ from the names of the other joints by more than blanks and underscores"
+            raise document.fault(rule, "joint", j, "name")
     return Drive(joints, read_only(theta), read_only(l))
+
+
+def _in_columns(name: str) -> str:
+    """The name as the columns of trajectory.csv have it."""
+    return "_".join(name.split())
 
 
 def _foremost(tubes: Sequence[Tube]) -> Array:

@@ -11,7 +11,10 @@ import pytest
 import trimesh
 
 from ctrplan.cli import main
+from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.plan import Plan
+from ctrplan.planning.room import start_trouble
+from ctrplan.scenario import scenario_from_dict
 
 SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"
 
@@ -68,6 +71,25 @@ def test_problem_without_an_answer_says_why(
     assert found == code and not out.exists()
 
 
+def test_a_body_in_two_lumens_keeps_the_margin_of_one_of_them_at_each_point() -> None:
+    """As the model has it: what is said of an invalid start is what makes it invalid."""
+    lumen = {"kind": "capsule", "role": "inside", "radius_mm": 20, "margin_mm": 1}
+    anatomy = [
+        {**lumen, "from_mm": [0, 0, -10], "to_mm": [10, 0, 110]},
+        {**lumen, "from_mm": [10, 0, 90], "to_mm": [65, 0, 192]},
+        {"kind": "sphere", "center_mm": [9.8, 8, 99.4], "radius_mm": 4, "margin_mm": 3.5},
+    ]
+    names = ("rotate outer", "rotate inner", "translate inner")
+    content = {"robot": "robots/table_5_pair.toml", "start": dict.fromkeys(names, 0), "goal": {"tip_mm": [0, 0, 150]}}
+    free, tight = (
+        MotionChecker(scenario_from_dict({**content, "anatomy": parts}, file=str(SCENARIOS / "case.toml")))
+        for parts in (anatomy[:2], anatomy)
+    )
+    assert free.state(free.scenario.start).valid and start_trouble(free) == ""
+    assert not tight.state(tight.scenario.start).valid
+    assert "from anatomy.3 (sphere)" in start_trouble(tight)
+
+
 def test_heart_of_80_metres_asks_for_millimetres(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     trimesh.creation.icosphere(radius=40.0).export(tmp_path / "heart.stl")
     (tmp_path / "robots").mkdir()
@@ -115,7 +137,6 @@ def test_nearest_point_is_where_the_sentence_says() -> None:
     from ctrplan.bare_scenario import load_robot_or_scenario
     from ctrplan.planning.branches import reach
     from ctrplan.planning.inverse_kinematics import TipTarget
-    from ctrplan.planning.motion import MotionChecker
 
     scenario = load_robot_or_scenario(SCENARIOS / "robots" / "three_tube.toml")
     checker, target = MotionChecker(scenario), np.array([0.06, 0.02, 0.27])

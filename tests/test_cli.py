@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import signal
@@ -11,8 +12,10 @@ import time
 from pathlib import Path
 
 import pytest
+import tomli_w
 import yaml
 from interruptible import INTERRUPTIBLE
+from jsonschema import Draft202012Validator
 
 from ctrplan.cli import main
 from ctrplan.commands.progress_bar import ProgressBar
@@ -20,7 +23,10 @@ from ctrplan.export import read_trajectory_csv
 from ctrplan.planning.planner import Progress
 
 SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"
+SCHEMA = SCENARIOS.parent / "docs" / "plan.schema.json"
 ROBOT = str(SCENARIOS / "robots" / "three_tube.toml")
+REST = {"rotate outer": 0, "rotate inner": 0, "translate inner": -30}  # where the pair in free space starts
+AWAY = {"rotate outer": 20, "rotate inner": 40, "translate inner": 10}
 
 
 def test_plan_writes_everything_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -41,6 +47,32 @@ def test_plan_writes_everything_whole(tmp_path: Path, capsys: pytest.CaptureFixt
     assert len(message["points"]) == len(columns["time_s"])
     assert (tmp_path / "plan.png").read_bytes()[:4] == b"\x89PNG"
     assert "worst-case friction error" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("targets", [[REST], [REST, AWAY], [AWAY, AWAY, REST]])
+def test_targets_reached_already_are_planned_and_written(targets: list[dict[str, float]], tmp_path: Path) -> None:
+    robot = SCENARIOS / "robots" / "table_5_pair.toml"
+    content = {"robot": str(robot), "start": REST, "target": [{"joints": goal} for goal in targets]}
+    (tmp_path / "case.toml").write_text(tomli_w.dumps({**content, "planner": {"time_s": 0.2}}))
+    assert main(["plan", str(tmp_path / "case.toml"), "-o", str(tmp_path / "out"), "--allow-outside"]) == 0
+    content = json.loads((tmp_path / "out" / "plan.json").read_text())
+    Draft202012Validator(json.loads(SCHEMA.read_text())).validate(content)
+    legs, reached = content["legs"], [target["leg"] for target in content["certificate"]["targets"]]
+    assert reached[-1] == len(legs) - 1 and content["certificate"]["stops"] == content["trajectory"]["stops"]
+    for goal, k in zip(targets, reached, strict=True):
+        end = {name: values.get("deg", values.get("mm")) for name, values in legs[k]["end"].items()}
+        assert end == pytest.approx(goal)
+
+
+def test_the_search_says_how_long_and_which_seeds(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    limits = importlib.import_module("ctrplan.planning.plan")  # of this name is a function, too
+    monkeypatch.setattr(limits, "LONGEST_S", 7.0)
+    monkeypatch.setattr(limits, "LARGEST_SEED", 7)
+    for option, rule in (("--time", "above 0 and at most 7."), ("--seed", "must be from 0 to 7.")):
+        assert main(["plan", str(SCENARIOS / "pair_free.toml"), option, "8"]) == 2
+        assert rule in capsys.readouterr().err
 
 
 def test_bound_prints_the_bound(capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from ctrplan.planning.certify import SPACING_M, certify
 from ctrplan.planning.goals import goal_states
 from ctrplan.planning.motion import Motion, MotionChecker, invalid
 from ctrplan.planning.ompl_space import StateReader, state_space
-from ctrplan.planning.reorder import rotations_first
+from ctrplan.planning.reorder import as_given, assemble, rotations_first
 from ctrplan.planning.space import JointSpace
 from ctrplan.planning.stage_search import Progress
 from ctrplan.planning.validity import MotionValidity, Validity
@@ -163,6 +164,29 @@ def test_reorder_swaps_a_translation_before_a_rotation() -> None:
     np.testing.assert_allclose(result.after[-1], path[-1])
     assert result.motion_after.length_mm == pytest.approx(result.motion_before.length_mm)
     assert result.motion_after.end_error_m < 0.01 * result.motion_before.end_error_m
+
+
+def test_reordering_a_path_that_goes_nowhere_is_a_leg_of_no_length() -> None:
+    case = scenario("pair_free")
+    plan = ctrplan.reorder([case.start, case.start], case)
+    np.testing.assert_array_equal(plan.waypoints, [case.start, case.start])
+    assert plan.certificate.length_mm == plan.trajectory.duration_s == plan.certificate.stops == 0
+
+
+def test_legs_that_go_on_in_one_direction_are_no_stop() -> None:
+    case = scenario("pair_free")
+    corners = case.start + np.array([[0.0, 0, 0], [0, 0.1, 0], [0, 0.3, 0], [0, 0.3, 0.01]])
+    given = as_given(MotionChecker(case), corners)
+    plan = assemble(case, [given], certify(case, corners), planner="given path", seed=0, time_s=0.0)
+    assert len(plan.legs) == 3 and plan.certificate.stops == plan.trajectory.stops == 1
+
+
+def test_progress_of_a_certificate_is_told_by_one_thread() -> None:
+    case, told = scenario("pair_free"), list[tuple[int, float]]()
+    corners = case.start + np.linspace(0, 1, 9)[:, None] * [1.0, 3.0, 0.04]
+    certify(case, corners, progress=lambda share: told.append((threading.get_ident(), share)))
+    assert {thread for thread, _ in told} == {threading.get_ident()}
+    assert [share for _, share in told] == pytest.approx(np.arange(1, len(told) + 1) / len(told)) and len(told) > 4
 
 
 @pytest.mark.parametrize("path", ["abc", [[0, 1], [2]], [[0, 0, 0]], [[0, 0], [1, 1]], [[0, 0, 0], [math.nan, 0, 0]]])

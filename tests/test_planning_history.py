@@ -16,7 +16,7 @@ from ctrplan.planning.compensate import compensate, corrected
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.plan import Plan
 from ctrplan.planning.prediction import predict, predict_end, predict_from
-from ctrplan.planning.reorder import least_error
+from ctrplan.planning.reorder import as_given, assemble, least_error
 from ctrplan.planning.settle import SHAPE, oscillation, settle, turnings
 from ctrplan.scenario import Scenario, load_scenario
 
@@ -136,6 +136,18 @@ def test_compensation_brings_the_predicted_tip_to_the_target(turned_last: Array)
     np.testing.assert_allclose(end, np.broadcast_to(target * 1e-3, end.shape), atol=0.15e-3)
     assert after.goal_tip_error_m <= after.goal_bound_m  # the target stays inside the worst-case envelope
     np.testing.assert_allclose(corners[-1] - turned_last[-1], compensation.correction, atol=1e-12)
+
+
+def test_what_settling_changed_is_what_is_compared(checker: MotionChecker, turned_last: Array) -> None:
+    settled = settle(checker, turned_last, certify(checker.scenario, turned_last))
+    given = as_given(checker, turned_last)
+    plan = assemble(
+        checker.scenario, [given], settled.certificate, planner="given path", seed=0, time_s=0.0, end=settled.corners
+    )
+    ways = {other.name: other for other in plan.reorder.alternatives}
+    assert ways["as driven"].length_mm == pytest.approx(plan.certificate.length_mm)
+    assert ways["as driven"].goal_predicted_m == pytest.approx(plan.certificate.goal_predicted_m, abs=0.05e-3)
+    assert ways["as given"].goal_predicted_m == pytest.approx(settled.certificate.settling.goal_predicted_before_m)
 
 
 def test_correction_keeps_the_kinds_of_legs() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -19,6 +21,7 @@ from ctrplan.planning.retreat import Roadmap
 from ctrplan.planning.roadmap_search import RoadmapSearch
 from ctrplan.planning.search_clock import SearchClock, WorkMeter
 from ctrplan.planning.search_problem import SearchProblem
+from ctrplan.planning.stage_search import StageSearch
 from ctrplan.scenario import load_scenario
 
 SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"
@@ -86,6 +89,40 @@ def test_a_forbidden_path_is_not_found_again(vessel: MotionChecker, search: Road
     search.forbid(path, "refused")
     other = search.any_path(lambda: False)
     assert other is None or not np.array_equal(other, path)
+
+
+def test_a_path_through_one_of_two_equal_states_can_be_forbidden(vessel: MotionChecker) -> None:
+    """By the same motions through the other one it is not found again."""
+    goal = goal_states(vessel, np.random.default_rng(0))[0]
+    start = vessel.scenario.start
+    beside = start + np.where(vessel.space.drive.is_rotation, 0.05, 0.0)
+    roadmap = Roadmap(np.array([start, beside, beside, goal.joints]), np.array([[1, 3], [0, 2], [2, 3]]), np.array([3]))
+    search = RoadmapSearch(vessel, roadmap, [goal])
+    search.cost[:], search.known[:] = 1.0, True
+    path = search.known_path()
+    assert path is not None and len(path) == 3
+    search.forbid(path, "refused")
+    search.extend(np.empty((0, len(start))), np.array([[0, 1]]))
+    search.known[-1] = True
+    assert search.known_path() is None and not vessel.motion(beside, goal.joints).valid
+
+
+def test_no_random_state_is_drawn_twice() -> None:
+    """Where the search for a first path grew the roadmap, and that for the cheapest does so again."""
+    checker = MotionChecker(load_scenario(SCENARIOS / "pair_free.toml"))
+    goals, clock = goal_states(checker, np.random.default_rng(0)), SearchClock(checker.meter, timed=False)
+    search = StageSearch(checker, goals, 0, time.monotonic(), 2.0, clock, lambda _: None, threading.Event())
+    drawn: list[Array] = []
+
+    def grow(_: RoadmapSearch, rng: np.random.Generator, count: int) -> None:
+        drawn.append(rng.random(5))
+        clock.meter.add(count * 10**6)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(RoadmapSearch, "grow", grow)
+        patch.setattr(RoadmapSearch, "any_path", lambda search, *_: search.joints if len(drawn) > 2 else None)
+        search._cheapest_of(search._first_path())
+    assert len(drawn) > 3 and len(np.unique(np.concatenate(drawn))) == sum(map(len, drawn))
 
 
 def test_rooms_of_zero_clearance_shapes_are_those_of_their_centrelines(vessel: MotionChecker) -> None:

@@ -135,6 +135,8 @@ l_mm = [0, -17] -> l_mm = [0, -90]
     2 ends at 110 mm and tube 1 at 150 mm.
 name = "translate inner" -> name = "rotate inner"
     joint.2.name = 'rotate inner': must differ from the names of the other joints.
+name = "translate inner" -> name = "rotate_inner"
+    joint.2.name = 'rotate_inner': must differ from the names of the other joints by more than blanks and underscores.
 name = "translate inner" ->
     joint.2.name: is missing.
 moves = { l = [0, 1] } -> moves = { l = [0, 1], theta = [0, 1] }

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
+import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +15,14 @@ import ctrplan
 from ctrplan.bare_scenario import load_robot_or_scenario
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.legs import distance_from_polyline
+from ctrplan.planning.certify import certify
+from ctrplan.planning.goals import goal_states
 from ctrplan.planning.line import follow_line
 from ctrplan.planning.motion import MotionChecker
+from ctrplan.planning.search_clock import SearchClock
+from ctrplan.planning.search_problem import SearchProblem
+from ctrplan.planning.settle import settle
+from ctrplan.planning.stage_search import Candidate, StageSearch
 from ctrplan.scenario import Goal, Scenario, scenario_from_dict
 from ctrplan.trajectory import time_parameterise
 
@@ -59,7 +69,55 @@ def test_figures_of_a_tour_add_up(tour: ctrplan.Plan) -> None:
     cost = weights.path * certificate.length_mm + weights.error_along * certificate.released_integral_mm
     cost += weights.stop * (certificate.stops + 1)
     assert certificate.cost_mm == pytest.approx(cost + weights.error_goal * left)
+    assert certificate.stops == tour.trajectory.stops
     assert certificate.goal_bound_m == certificate.targets[-1].bound_m
+
+
+def test_the_benchmark_pays_what_the_planner_pays(tour: ctrplan.Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(SCENARIOS.parent / "benchmarks")
+    cost_mm = importlib.import_module("planning_scenarios").cost_mm
+    assert cost_mm(tour, tour.scenario.cost) == pytest.approx(tour.certificate.cost_mm)
+
+
+@pytest.mark.parametrize(("spent_s", "left_s"), [(0.4, 0.2), (0.6, 0.0)])
+def test_first_paths_are_charged_to_the_time_of_a_tour(
+    spent_s: float, left_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Improving gets what they left; nothing is improved where they left nothing."""
+    run_to_first, run, left = StageSearch.run_to_first, StageSearch.run, list[float]()
+
+    def first(search: StageSearch) -> tuple[Candidate, Candidate]:
+        search.clock.meter.add(int(spent_s * 1e9))
+        return run_to_first(search)
+
+    def improved(search: StageSearch) -> tuple[Candidate, Candidate]:
+        left.append(search.budget)
+        return run(search)
+
+    monkeypatch.setattr(StageSearch, "run_to_first", first)
+    monkeypatch.setattr(StageSearch, "run", improved)
+    goals = [{"joints": {**START, "rotate inner": turn}} for turn in (10, 20)]
+    case = pair(target=goals, planner={"time_s": 1.0})
+    plan = ctrplan.plan(case)
+    assert plan.certificate.valid and sum(left) <= left_s
+    assert plan.ended_by == "count" and len(left) == (2 if left_s else 0)
+
+
+def test_a_first_path_is_sampled_for_no_longer_than_it_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the roadmap finds none, with a planner that would go on improving."""
+    solve, to_the_first = SearchProblem.solve, list[bool]()
+
+    def noted(problem: SearchProblem, stop: Callable[[float], bool], *, only_first: bool) -> bool:
+        to_the_first.append(only_first)
+        return solve(problem, stop, only_first=only_first)
+
+    monkeypatch.setattr(SearchProblem, "solve", noted)
+    monkeypatch.setattr(StageSearch, "_first_path", lambda search: None)
+    checker = MotionChecker(pair(goal={"joints": {**START, "rotate inner": 20}}))
+    goals, clock = goal_states(checker, np.random.default_rng(0)), SearchClock(checker.meter, timed=False)
+    search = StageSearch(checker, goals, 0, time.monotonic(), 0.5, clock, lambda _: None, threading.Event())
+    first, best = search.run_to_first()
+    assert first is best and to_the_first and all(to_the_first)
 
 
 def test_the_drive_rests_at_every_target(tour: ctrplan.Plan) -> None:
@@ -106,6 +164,15 @@ def test_tip_stays_by_its_line(tolerance_mm: float) -> None:
     followed = np.array([robot.solve(*robot.drive.collars(q)).tip_m for q in between])
     assert distance_from_polyline(followed, goal.line_m).max() <= tolerance_mm * 1e-3
     assert distance_from_polyline(goal.line_m, followed).max() <= tolerance_mm * 1e-3  # all of it
+
+
+def test_a_line_is_not_left_to_settle() -> None:
+    case = pair(goal={"line_mm": [[50, 10, 200], [50, 12, 200]], "tolerance_mm": 0.5})
+    checker, corners = MotionChecker(case), np.array([case.start, case.start + [0, 0.2, 0]])
+    certificate = certify(case, corners)
+    settled = settle(checker, corners, certificate)
+    assert settled.certificate is certificate and "off the line" in settled.note
+    assert checker.calls == 0  # nothing was tried
 
 
 def _three_tube() -> Scenario:

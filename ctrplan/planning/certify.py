@@ -17,6 +17,7 @@ from ctrplan.legs import distance_from_polyline, merge_legs
 from ctrplan.mechanics import Accuracy, PathDensity, PathLimits, PathSamples
 from ctrplan.planning.goals import target_in_robot_frame
 from ctrplan.planning.motion import MM_PER_M, anatomy_grid, breach, path_limits, released_error
+from ctrplan.planning.path_cost import path_cost_mm
 from ctrplan.planning.plan import Certificate, CertificateSamples, TargetReached
 from ctrplan.planning.play import play_shift
 from ctrplan.planning.prediction import Prediction, predict, rows_to_simulate
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 SPACING_M = 0.5e-3  # largest motion of a body point between samples
 POINT_SPACING_M = 1e-3  # between the points of a shape
 # More than the largest error of a tip seen on 2,500 random configurations, 0.80 mm, 98 % of them below 0.3 mm
-# (`benchmarks/mechanics.py meshes`); 0.13 mm on the certificate mesh. An allowance, not a proven bound.
+# (`benchmarks/mechanics.py meshes --count 2500`); 0.13 mm on the certificate mesh. An allowance, not a proven bound.
 DISCRETISATION_M = {"search": 1.0e-3, "certificate": 0.15e-3}
 BRANCH_TOLERANCE_M = 0.2e-3  # between the ends of neighbouring pieces, the same state reached on two ways
 GRID_SHARE = 0.03  # of a clearance by which the grid may be off far from surfaces (ctrplan.grid_distance)
@@ -120,10 +121,14 @@ class WalkedLegs:
     @property
     def cost_mm(self) -> float:
         """By the scenario's weights."""
-        weights, samples = self.scenario.cost, self.samples
-        goal_error_mm = float(samples.bound_m[-1] + samples.released_m[-1]) * MM_PER_M
-        cost = weights.path * self.length_mm + weights.stop * self.legs
-        return cost + weights.error_along * self.integral_mm(samples.released_m) + weights.error_goal * goal_error_mm
+        samples = self.samples
+        return path_cost_mm(
+            self.scenario.cost,
+            length_mm=self.length_mm,
+            legs=self.legs,
+            integral_mm=self.integral_mm(samples.released_m),
+            left_m=float(samples.bound_m[-1] + samples.released_m[-1]),
+        )
 
     def integral_mm(self, error_m: Array) -> float:
         """Of an error [m] at every sample, (K,), along the path: 1 for 1 mm over 1 rad."""
@@ -201,22 +206,22 @@ def _walk(
         ends += [(leg, points[k], points[k + 1]) for k in range(count)]
     if not ends:
         ends = [(0, corners[0], corners[0])]
-    done = 0
     required = path_limits(scenario).clearance_m
 
     def walk(piece: tuple[int, Array, Array]) -> _Piece:
-        nonlocal done
         found = _walked(scenario, space, *piece, accuracy)
         spare = DISCRETISATION_M[found.accuracy] - DISCRETISATION_M["certificate"]
         if found.clearance_m.min() < required <= found.clearance_m.min() + spare:
             found = _walked(scenario, space, *piece, "certificate")
-        done += 1
-        if progress:
-            progress(done / len(ends))
         return found
 
+    pieces: list[_Piece] = []
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        return list(pool.map(walk, ends))
+        for piece in pool.map(walk, ends):
+            pieces.append(piece)
+            if progress:  # told by this thread alone, so that whoever listens needs no lock
+                progress(len(pieces) / len(ends))
+    return pieces
 
 
 def _walked(scenario: Scenario, space: JointSpace, leg: int, start: Array, end: Array, accuracy: Accuracy) -> _Piece:

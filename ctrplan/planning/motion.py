@@ -13,6 +13,7 @@ from ctrplan.anatomy import SignedDistanceField, build_field, default_spacing_m,
 from ctrplan.drive import Array
 from ctrplan.friction_law import largest_deviation
 from ctrplan.mechanics import Field, PathDensity, PathLimits, PathSamples, Status
+from ctrplan.planning.path_cost import path_cost_mm
 from ctrplan.planning.plan import MotionStyle
 from ctrplan.planning.play import usual_play_shift
 from ctrplan.planning.search_clock import ASKED_NS, LOOKED_UP_NS, ROOM_NS, SHAPE_NS, WorkMeter
@@ -211,12 +212,13 @@ class MotionChecker:
 
     def cost_mm(self, motion: Motion, *, ends_at_goal: bool) -> float:
         """Weighted cost of a motion; at the goal it pays for the worst case there and for what it left loaded."""
-        weights = self.scenario.cost
-        cost = weights.path * motion.length_mm + weights.error_along * motion.error_integral_mm
-        cost += weights.stop * motion.legs
-        if ends_at_goal:
-            cost += weights.error_goal * (motion.end_bound_m + motion.end_error_m) * MM_PER_M
-        return cost
+        return path_cost_mm(
+            self.scenario.cost,
+            length_mm=motion.length_mm,
+            legs=motion.legs,
+            integral_mm=motion.error_integral_mm,
+            left_m=motion.end_bound_m + motion.end_error_m if ends_at_goal else 0.0,
+        )
 
 
 def count_legs(corners: Array) -> int:

@@ -108,7 +108,7 @@ class Certificate:
     min_stability: float
     max_strain: float
     length_mm: float  # weighted joint length
-    stops: int  # interior changes of direction
+    stops: int  # of the drive on the way: changes of direction, and targets but the last
     cost_mm: float
     spacing_m: float  # largest motion of a body point between samples
     worst_play_m: float = 0.0  # how far play of the drive may move the robot

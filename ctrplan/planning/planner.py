@@ -13,6 +13,7 @@ import numpy as np
 from ctrplan.drive import Array
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.interrupts import interrupt_event
+from ctrplan.legs import merge_legs
 from ctrplan.planning.certify import walk_legs
 from ctrplan.planning.compensate import compensate
 from ctrplan.planning.goals import goal_states
@@ -110,27 +111,36 @@ Stages = list[tuple[Candidate, Candidate]]
 def _anytime_stages(scenario: Scenario, asked: _Asked) -> tuple[Candidate, Stages, SearchEnd]:
     """The candidate that first completed the way to all targets, the way to be driven, and what ended the search.
 
-    Of several targets the way to all is completed with the first path to each before any is improved.
+    Of several targets the way to all is completed with the first path to each before any is improved, in what that left
+    of the budget.
     """
     if not scenario.via:
-        stages, ended_by = _stages(scenario, asked, StageSearch.run)
+        stages, ended_by, _ = _stages(scenario, asked, StageSearch.run)
         return stages[-1][0], stages, ended_by
-    hasty, _ = _stages(scenario, asked, StageSearch.run_to_first)
+    hasty, _, spent = _stages(scenario, asked, StageSearch.run_to_first)
+    ran_out: SearchEnd = "time" if asked.timed else "count"
+    if spent >= asked.budget:
+        return hasty[-1][0], hasty, ran_out
     try:
-        stages, ended_by = _stages(scenario, asked, StageSearch.run)
+        stages, ended_by, _ = _stages(scenario, replace(asked, budget=asked.budget - spent), StageSearch.run)
     except (KeyboardInterrupt, NoAnswerError):
-        return hasty[-1][0], hasty, "completion"
+        return hasty[-1][0], hasty, ran_out
     kept = min(stages, hasty, key=lambda way: sum(best.walk.cost_mm for _, best in way))
     return hasty[-1][0], kept, ended_by
 
 
 def _stages(
     scenario: Scenario, asked: _Asked, run: Callable[[StageSearch], tuple[Candidate, Candidate]]
-) -> tuple[Stages, SearchEnd]:
-    """The first and the best certified path to each target, from where the one before ended; and what ended it."""
+) -> tuple[Stages, SearchEnd, float]:
+    """The first and the best certified path to each target, from where the one before ended; what ended it; its time.
+
+    Time [s] is the searches' own, as their clocks count it.
+    """
     found: Stages = []
     ended_by: SearchEnd = "completion"
+    spent = 0.0
     start, targets = scenario.start, scenario.targets
+    share = asked.budget / max(1, sum(goal.line_m is None for goal in targets))  # lines to follow take none
     for k, goal in enumerate(targets):
         stage = replace(scenario, start=start, goal=goal, via=())
         checker = MotionChecker(stage, bound_field=asked.bound_field)
@@ -140,18 +150,20 @@ def _stages(
             goals = goal_states(checker, np.random.default_rng(asked.seed + k))
             if k + 1 < len(targets) and targets[k + 1].line_m is not None:
                 goals = line_beginnings(checker, goals, targets[k + 1])
-            clock, share = SearchClock(checker.meter, asked.timed), asked.budget / len(targets)
+            clock = SearchClock(checker.meter, asked.timed)
             search = StageSearch(checker, goals, asked.seed, asked.began, share, clock, asked.report, asked.interrupted)
             found.append(run(search))
+            spent += clock.now()
             ended_by = clock.name if clock.ran_out else ended_by
         start = found[-1][1].result.after[-1]
-    return found, ended_by
+    return found, ended_by, spent
 
 
 def _along_line(checker: MotionChecker, began: float) -> tuple[Candidate, Candidate]:
     """The line's own path, certified. Raises NoAnswerError where it fails."""
     scenario = checker.scenario
     corners, failed = follow_line(checker, scenario.start, scenario.goal)
+    corners = merge_legs(corners)
     found_s = time.monotonic() - began
     walk = None if failed else walk_legs(scenario, corners)
     if walk is None or walk.failure:

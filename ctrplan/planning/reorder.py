@@ -15,6 +15,7 @@ from ctrplan.legs import merge_legs
 from ctrplan.planning.alternatives import alternative, changes, held_back, straight_line, translations_first
 from ctrplan.planning.certify import certify
 from ctrplan.planning.motion import MM_PER_M, Motion, MotionChecker
+from ctrplan.planning.path_cost import path_cost_mm
 from ctrplan.planning.plan import Certificate, Compensation, Leg, MotionStyle, Plan, ReorderReport, leg_kind
 from ctrplan.planning.prediction import TIP_TOLERANCE_M, goal_error
 from ctrplan.planning.search_clock import SearchEnd
@@ -235,19 +236,24 @@ def assemble(
 ) -> Plan:
     """The plan of reordered corners, stage by stage; the trajectory rests after each stage.
 
-    `end` (K, m) is what settling and compensation made of the last stage.
+    `end` (K, m) is what settling and compensation made of the last stage. Where a target is reached already, its stage
+    is one leg of no length, as certificates count it.
     """
     drive, result = scenario.robot.drive, joined_paths(stages)
     ways = [*(stage.after for stage in stages[:-1]), stages[-1].after if end is None else end]
+    ways = [way if len(way) > 1 else np.repeat(way, 2, axis=0) for way in ways]
     driven = np.concatenate([ways[0][:1], *(way[1:] for way in ways)])
     rests = np.cumsum([len(way) - 1 for way in ways])
     legs = tuple(Leg(a, b, leg_kind(drive, a, b)) for a, b in zip(driven[:-1], driven[1:], strict=True))
-    weights = scenario.cost
 
     def cost(motion: Motion) -> float:
-        left_mm = (motion.end_bound_m + motion.end_error_m) * MM_PER_M
-        errors = weights.error_along * motion.error_integral_mm + weights.error_goal * left_mm
-        return weights.path * motion.length_mm + weights.stop * motion.legs + errors
+        return path_cost_mm(
+            scenario.cost,
+            length_mm=motion.length_mm,
+            legs=motion.legs,
+            integral_mm=motion.error_integral_mm,
+            left_m=motion.end_bound_m + motion.end_error_m,
+        )
 
     a, b = result.motion_before, result.motion_after
     report = ReorderReport(
@@ -257,9 +263,9 @@ def assemble(
         goal_bound_after_m=stages[-1].motion_after.end_bound_m,
         error_integral_before_mm=a.error_integral_mm,
         error_integral_after_mm=b.error_integral_mm,
-        stops_before=max(len(merge_legs(result.before)) - 2, 0),
-        stops_after=max(len(result.after) - 2, 0),
-        **_compared(scenario, stages[-1]),
+        stops_before=max(a.legs - 1, 0),
+        stops_after=max(b.legs - 1, 0),
+        **_compared(scenario, stages[-1], ways[-1]),
     )
     return Plan(
         scenario=scenario,
@@ -267,7 +273,7 @@ def assemble(
         planner=planner,
         style=result.style,
         legs=legs,
-        certificate=replace(certificate, stops=max(len(driven) - 2, 0)),
+        certificate=certificate,
         trajectory=time_parameterise(driven, drive, period_s, rests=rests.tolist()),
         reorder=report,
         search_time_s=time_s,
@@ -279,16 +285,19 @@ def assemble(
     )
 
 
-def _compared(scenario: Scenario, stage: Reordered) -> dict[str, Any]:
-    """What was reordered on the way to the goal, and what other ways would leave there; nothing for a line."""
+def _compared(scenario: Scenario, stage: Reordered, driven: Array) -> dict[str, Any]:
+    """What was reordered on the way to the goal, and what other ways would leave there; nothing for a line.
+
+    driven (K, m): what settling and compensation made of the reordered way.
+    """
     if stage.on_line:
         return {}
     checker = MotionChecker(replace(scenario, start=stage.after[0], via=()))
     ways = {
         "as given": stage.before,
-        "as driven": stage.after,
-        "straight line": straight_line(stage.after),
-        "translations first": translations_first(checker, stage.after),
+        "as driven": driven,
+        "straight line": straight_line(driven),
+        "translations first": translations_first(checker, driven),
     }
     return {
         "changes": changes(checker, stage.before, stage.after),

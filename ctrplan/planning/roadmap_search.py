@@ -200,11 +200,11 @@ class RoadmapSearch:
         return None if nodes is None else self.joints[nodes]
 
     def forbid(self, path: Array, reason: str) -> None:
-        """Forbids the motions of a path (K, m) of states that failed its certificate."""
-        nodes = [int(np.argmin(np.abs(self.joints - q).max(axis=1))) for q in path]
-        for a, b in zip(nodes[:-1], nodes[1:], strict=True):
-            self.checker.forbid(self.joints[a], self.joints[b], reason)
-            self.cost[self.row[a, b]] = np.inf
+        """Forbids the motions of a path (K, m) of states that failed its certificate, between equal states too."""
+        begins, ends = self.joints[self.edges].transpose(1, 0, 2)
+        for a, b in zip(path[:-1], path[1:], strict=True):
+            self.checker.forbid(a, b, reason)
+            self.cost[np.all(begins == a, axis=1) & np.all(ends == b, axis=1)] = np.inf
 
     def _effort(self, least_hope: float) -> tuple[Array, Array]:
         """What it takes to check motions: the length by the share of such motions that are valid; whatever is left."""

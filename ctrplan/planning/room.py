@@ -70,17 +70,19 @@ def start_trouble(checker: MotionChecker) -> str:
 
 def _margin_trouble(scenario: Scenario, located: Array, radius: Array) -> str:
     """The margin that the body, points (N, 3) in the anatomy's frame and radii (N,), breaks most."""
-    short = []
-    for k, part in enumerate(scenario.anatomy):
-        side = 1.0 if part.role == "avoid" else -1.0
-        room = side * surface_distance(part, located) - radius
-        worst = int(np.argmin(room))
-        short.append((room[worst] - part.margin_m, k, room[worst], worst))
-    beyond, k, room, worst = min(short)
-    if beyond >= scenario.robot.model_error_m:
+    sides = np.array([1.0 if part.role == "avoid" else -1.0 for part in scenario.anatomy])
+    margins = np.array([part.margin_m for part in scenario.anatomy])
+    rooms = sides[:, None] * [surface_distance(part, located) for part in scenario.anatomy] - radius
+    beyond = rooms - margins[:, None]
+    lumens = sides < 0
+    if lumens.any():  # one of them is enough, at each point another
+        best = np.argmax(np.where(lumens[:, None], beyond, -np.inf), axis=0)
+        beyond[lumens[:, None] & (np.arange(len(sides))[:, None] != best)] = np.inf
+    k, worst = np.unravel_index(np.argmin(beyond), beyond.shape)
+    if beyond[k, worst] >= scenario.robot.model_error_m:
         return ""
-    margin_mm, where = scenario.anatomy[k].margin_m * MM_PER_M, _at(located[worst])
-    near = f"the robot is {room * MM_PER_M:.2f} mm from {called(scenario, k)} at {where}"
+    margin_mm, where = margins[k] * MM_PER_M, _at(located[worst])
+    near = f"the robot is {rooms[k, worst] * MM_PER_M:.2f} mm from {called(scenario, int(k))} at {where}"
     return f"{near}, less than margin_mm = {margin_mm:g}"
 
 

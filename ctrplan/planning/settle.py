@@ -42,8 +42,11 @@ def settle(
     """The path (K, m) with the largest valid oscillation at its end, if that lowers the predicted error there.
 
     Neighbouring tubes turn against each other by the amplitude to one side and the other; of the ways to share the
-    turns among the joints, the one that leaves the smallest error is taken.
+    turns among the joints, the one that leaves the smallest error is taken. A line is followed to its end without one.
     """
+    if checker.scenario.goal.line_m is not None:
+        reason = "it would take the tip off the line"
+        return Settled(corners, certificate, f"The settling oscillation was left out: {reason}.")
     before = certificate.goal_predicted_m
     for amplitude in np.radians(AMPLITUDES_DEG):
         ways = [turns for turns in turnings(checker.space.drive) if _valid(checker, corners[-1], amplitude * turns)]

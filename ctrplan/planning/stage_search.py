@@ -86,7 +86,7 @@ class StageSearch:
         """The first certified path, as the first and the best."""
         self._first_path()
         if self.best is None:
-            self._sample()
+            self._sample(only_first=True)
         return self._answer()
 
     def run(self) -> tuple[Candidate, Candidate]:
@@ -111,9 +111,14 @@ class StageSearch:
         outcome = f"no valid path to any of {len(self.goals)} goal states was found in time"
         raise NoAnswerError(f"{name}: planner.time_s = {self.budget:g} s: {outcome}.")
 
+    @cached_property
+    def _rng(self) -> np.random.Generator:
+        """Of a roadmap's random states: one for all phases, so that none draws those of another again."""
+        return np.random.default_rng(self.seed)
+
     def _first_path(self) -> RoadmapSearch:
         """Any path, soon: straight to a goal where that looks free, or on a roadmap that grows while there is none."""
-        goals, rng = promising(self.checker, self.goals), np.random.default_rng(self.seed)
+        goals = promising(self.checker, self.goals)
         search = RoadmapSearch(self.checker, direct_roadmap(self.checker, goals), goals)
         states, until, hope = FIRST_STATES, self.clock.now() + FIRST_ROUND_S, STRAIGHT_HOPE
         while self.best is None and not self._is_over(FIRST_SHARE * self.budget):
@@ -122,7 +127,7 @@ class StageSearch:
                 self._add_chains(search)
                 hope = 0.0
             elif path is None:
-                search.grow(rng, states)
+                search.grow(self._rng, states)
                 states, until = 2 * states, self.clock.now() + states / FIRST_STATES * FIRST_ROUND_S
                 until = min(until, FIRST_SHARE * self.budget)
             elif failed := self._certified(self.checker, self._expanded(path), ROADMAP):
@@ -136,7 +141,7 @@ class StageSearch:
 
     def _cheapest_of(self, search: RoadmapSearch) -> None:
         """The cheapest path found on a roadmap that grows further, put in order and certified."""
-        rng, states, doubt = np.random.default_rng(self.seed), FIRST_STATES, 1.0
+        states, doubt = FIRST_STATES, 1.0
         if not self.has_chains:
             self._add_chains(search)
         if self.best is not None and self.checker.scenario.cost.error_goal > 0:
@@ -145,7 +150,7 @@ class StageSearch:
         while not self._is_over(until) and len(search.joints) <= MOST_STATES:
             if search.cheap_path(lambda: self._is_over(until), doubt) is None and not self._is_over(until):
                 break  # not even a way
-            search.grow(rng, states)
+            search.grow(self._rng, states)
             states, doubt = 2 * states, DOUBT_KEPT * doubt
         while not self._is_enough() and (cheapest := search.known_path()) is not None:
             failed = self._tidied(self.checker, self._expanded(cheapest), ROADMAP)
@@ -170,8 +175,8 @@ class StageSearch:
             corners.extend(self.checker.space.corners(corners[-1], target, self.checker.style)[1:])
         return np.array(corners)
 
-    def _sample(self) -> None:
-        """The scenario's planner; simultaneous motions where nothing else led to a path."""
+    def _sample(self, *, only_first: bool = False) -> None:
+        """The scenario's planner, to its first path or to the end; simultaneous motions where no other led to any."""
         checker, name = self.checker, self.checker.scenario.planner.name
         for attempt in range(ATTEMPTS):
             now = self.clock.now()
@@ -191,6 +196,8 @@ class StageSearch:
                 if failed := self._certified(checker, problem.corners(), name):
                     problem.forbid(failed)
                     continue
+                if only_first:
+                    break
                 problem.solve(stop, only_first=False)
             if self._improves(problem) or not (self.best and self.best.tidied):
                 self._tidied(checker, problem.corners(), name)

@@ -16,7 +16,7 @@ def joined_certificates(stages: list[Certificate]) -> Certificate:
     if len(stages) == 1:
         return stages[0]
     samples, targets = _joined_samples(stages)
-    last, before = stages[-1], sum(int(stage.samples.leg[-1]) + 1 for stage in stages[:-1])
+    last, before = stages[-1], sum(map(_legs, stages[:-1]))
     return replace(
         last,
         samples=samples,
@@ -32,13 +32,23 @@ def joined_certificates(stages: list[Certificate]) -> Certificate:
         min_stability=min(stage.min_stability for stage in stages),
         max_strain=max(stage.max_strain for stage in stages),
         length_mm=sum(stage.length_mm for stage in stages),
-        stops=sum(stage.stops for stage in stages) + len(stages) - 1,
+        stops=max(sum(map(_legs_driven, stages)) - 1, 0),
         cost_mm=sum(stage.cost_mm for stage in stages),
         spacing_m=max(stage.spacing_m for stage in stages),
         worst_play_m=max(stage.worst_play_m for stage in stages),
         targets=targets,
         settling=last.settling and replace(last.settling, first_leg=last.settling.first_leg + before),
     )
+
+
+def _legs(stage: Certificate) -> int:
+    """Legs of the plan that are the stage's: one, of no length, where its target is reached already."""
+    return int(stage.samples.leg[-1]) + 1
+
+
+def _legs_driven(stage: Certificate) -> int:
+    """Times that the drive stops in the stage, its end included."""
+    return stage.stops + 1 if stage.length_mm > 0 else 0
 
 
 def _joined_samples(stages: list[Certificate]) -> tuple[CertificateSamples, tuple[TargetReached, ...]]:
@@ -50,6 +60,6 @@ def _joined_samples(stages: list[Certificate]) -> tuple[CertificateSamples, tupl
             offset = {"leg": legs, "path_mm": travelled}.get(name, 0)
             parts.append((getattr(stage.samples, name) + offset)[keep])
         targets += [replace(t, leg=t.leg + legs, path_mm=t.path_mm + travelled) for t in stage.targets]
-        legs += int(stage.samples.leg[-1]) + 1
+        legs += _legs(stage)
         travelled += stage.length_mm
     return CertificateSamples(**{name: np.concatenate(parts) for name, parts in columns.items()}), tuple(targets)
