@@ -52,7 +52,7 @@ def repeats(data: Measurements) -> NDArray[np.int_]:
 
 def spread(vectors: Array, kind: NDArray[np.int_], axes: int) -> float:
     """Standard deviation of each of `axes` coordinates of vectors (K, 3) within kinds (K,); far ones are left out."""
-    count = np.bincount(kind)
+    count: Array = np.bincount(kind).astype(np.float64)
     used = count[kind] > 1
     while True:
         count = np.bincount(kind, weights=used)
