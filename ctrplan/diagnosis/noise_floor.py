@@ -55,7 +55,7 @@ def spread(vectors: Array, kind: NDArray[np.int_], axes: int) -> float:
     count: Array = np.bincount(kind).astype(np.float64)
     used = count[kind] > 1
     while True:
-        count = np.bincount(kind, weights=used)
+        count = np.asarray(np.bincount(kind, weights=used), dtype=np.float64)
         means = np.stack([np.bincount(kind, weights=used * column) for column in vectors.T], axis=1)
         away = vectors - (means / np.maximum(count, 1)[:, None])[kind]
         share = np.maximum(1 - 1 / np.maximum(count, 1), 0.5)[kind]  # of the variance, the rest is the mean's
