@@ -15,6 +15,8 @@ from ctrplan.shapes import Array, Bounds, Shape, Status, TubeShape
 if TYPE_CHECKING:
     from ctrplan.tube import Tube
 
+FREE_SPACE = Field(np.zeros((1, 1, 1), np.float32), np.zeros(3), 1.0, np.eye(3), np.zeros(3))  # where there is none
+
 
 def joint_row(values: ArrayLike, n: int) -> Array:
     """The (n,) joint array in the layout of the core. Raises InputError."""
@@ -69,13 +71,13 @@ def walk_arguments(
     field: Field | None, density: PathDensity, limits: PathLimits
 ) -> tuple[Any, Any, Any, Any, Any, Any, Any]:
     """What the core is told of a walk, in its order."""
-    grid = field or Field(np.zeros((1, 1, 1), np.float32), np.zeros(3), 1.0, np.eye(3), np.zeros(3))
+    grid = field or FREE_SPACE
     return (
         None if field is None else grid.values_m,
         grid.origin_m,
         grid.spacing_m,
-        np.ascontiguousarray(grid.R_AB),
-        np.ascontiguousarray(grid.p_AB),
+        grid.R_AB,
+        grid.p_AB,
         np.array(
             [density.rotation_rad, density.translation_m, density.motion_m, density.near_m, density.point_spacing_m]
         ),

@@ -273,13 +273,7 @@ def robot_field(scenario: Scenario) -> Field | None:
     grid = anatomy_grid(scenario)
     if grid is None:
         return None
-    return Field(
-        np.ascontiguousarray(grid.values_m, dtype=np.float32),
-        np.ascontiguousarray(grid.origin_m, dtype=np.float64),
-        float(grid.spacing_m),
-        np.ascontiguousarray(scenario.base_R),
-        np.ascontiguousarray(scenario.base_position_m),
-    )
+    return Field(grid.values_m, grid.origin_m, float(grid.spacing_m), scenario.base_R, scenario.base_position_m)
 
 
 _GRIDS: WeakKeyDictionary[Robot, dict[bytes, SignedDistanceField]] = WeakKeyDictionary()

@@ -70,10 +70,6 @@ inline ctr::Accuracy accuracy(int level) {
     return level == 2 ? ctr::Accuracy::exact_geometry() : level == 1 ? ctr::Accuracy::certificate() : ctr::Accuracy::search();
 }
 
-inline ctr::Configuration configuration(const double* theta, const double* l, int n) {
-    return {std::vector<double>(theta, theta + n), std::vector<double>(l, l + n)};
-}
-
 // A view of a grid given by Python; `values` keeps it alive.
 inline ctr::SignedDistanceField distance_field(const nb::object& field, Field& values, const Vector& origin, double spacing, const Matrix& R_AB,
                                         const Vector& p_AB) {

@@ -1,7 +1,7 @@
 // Binding of bounds that are looked up.
 #pragma once
 
-#include "arrays.hpp"
+#include "configurations.hpp"
 #include "ctr/bound_field.hpp"
 
 // The bound looked up on a grid (ctr/bound_field.hpp). axes: (tube, is rotation, lower, step, count), last one fastest.
@@ -14,12 +14,7 @@ class FieldLookup {
 
     nb::object check_path(Matrix theta, Matrix l, nb::object field, Vector origin, double spacing, Matrix R_AB, Vector p_AB,
                           Vector density, Vector limit) const {
-        const std::size_t n = robot_.tubes.size();
-        if (theta.shape(1) != n || l.shape(1) != n || l.shape(0) != theta.shape(0))
-            throw ctr::InvalidInput("theta_b and l_b need the same number of rows and one column per tube");
-        std::vector<ctr::Configuration> corners;
-        for (std::size_t k = 0; k < theta.shape(0); ++k)
-            corners.push_back(configuration(theta.data() + k * n, l.data() + k * n, static_cast<int>(n)));
+        const std::vector<ctr::Configuration> corners = configurations(theta, l, robot_.count());
         Field values;
         const ctr::SignedDistanceField sdf = distance_field(field, values, origin, spacing, R_AB, p_AB);
         return table(field_.check_path(corners, sdf, {density(0), density(1), density(2), density(3), density(4)},
@@ -28,14 +23,14 @@ class FieldLookup {
 
     // Rows as FieldEntry.
     nb::object sample(Matrix theta, Matrix l) const {
-        const std::size_t n = robot_.tubes.size(), rows = theta.shape(0);
+        const std::vector<ctr::Configuration> all = configurations(theta, l, robot_.count());
         std::vector<double> out;
-        for (std::size_t k = 0; k < rows; ++k) {
-            const ctr::FieldEntry entry = field_.sample(configuration(theta.data() + k * n, l.data() + k * n, static_cast<int>(n)));
+        for (const ctr::Configuration& q : all) {
+            const ctr::FieldEntry entry = field_.sample(q);
             const float* numbers = reinterpret_cast<const float*>(&entry);
             out.insert(out.end(), numbers, numbers + ctr::kFieldFloats);
         }
-        return array(std::move(out), {rows, static_cast<std::size_t>(ctr::kFieldFloats)});
+        return array(std::move(out), {all.size(), static_cast<std::size_t>(ctr::kFieldFloats)});
     }
 
   private:

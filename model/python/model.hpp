@@ -1,21 +1,17 @@
 // Binding of a robot: its shapes, bounds, tips and motions.
 #pragma once
 
-#include <atomic>
-#include <exception>
 #include <limits>
 #include <memory>
-#include <mutex>
-#include <system_error>
-#include <thread>
 
 #include "arrays.hpp"
-#include "ctr/bound.hpp"
+#include "configurations.hpp"
 #include "ctr/tip_solver.hpp"
 #include "field_lookup.hpp"
 #include "path_history.hpp"
+#include "solver_pool.hpp"
 
-// A robot with a pool of solvers, one per thread that asks at the same time.
+// A robot and its solvers.
 class Model {
   public:
     Model(const std::vector<std::vector<double>>& tubes, const std::vector<std::vector<std::vector<double>>>& sections,
@@ -38,7 +34,7 @@ class Model {
     }
 
     nb::dict zero_clearance(Vector theta, Vector l) {
-        const ctr::Configuration q = read(theta, l);
+        const ctr::Configuration q = valid_configuration(robot_, theta, l);
         ctr::ZeroClearance solution;
         ctr::Shape shape;
         {
@@ -54,13 +50,13 @@ class Model {
     }
 
     nb::dict solve(Vector theta, Vector l, Vector phi, int level, double refinement) {
-        const ctr::Configuration q = read(theta, l);
+        const ctr::Configuration q = valid_configuration(robot_, theta, l);
         if (phi.shape(0) != robot_.pairs.size()) throw ctr::InvalidInput("phi needs one value per neighbouring pair");
         const std::vector<double> friction(phi.data(), phi.data() + phi.shape(0));
         ctr::Shape shape;
         {
             nb::gil_scoped_release release;
-            Loan loan(*this);
+            SolverPool::Loan loan(solvers_);
             loan->solve_single(q, accuracy(level).refined(refinement), friction);
             shape = ctr::make_shape(loan->solver(), loan->frictionless_state(), 0, q);
             shape.status = loan->status();
@@ -71,14 +67,14 @@ class Model {
     }
 
     nb::dict bound(Vector theta, Vector l, int level) {
-        const ctr::Configuration q = read(theta, l);
+        const ctr::Configuration q = valid_configuration(robot_, theta, l);
         std::vector<ctr::Shape> shapes;
         double position = 0, tangent = 0;
         std::vector<double> envelope;
         int worst = 0;
         {
             nb::gil_scoped_release release;
-            Loan loan(*this);
+            SolverPool::Loan loan(solvers_);
             loan->solve(q, accuracy(level));
             loan->search_others();
             position = loan->position;
@@ -110,12 +106,12 @@ class Model {
 
     // Columns of the result: position bound, tangent bound, stability, max strain, residual, status, tip (3), tangent (3).
     nb::object bound_many(Matrix theta, Matrix l, int level, int threads) {
-        const std::vector<ctr::Configuration> all = read_many(theta, l);
+        const std::vector<ctr::Configuration> all = valid_configurations(robot_, theta, l);
         constexpr std::size_t kColumns = 12;
         std::vector<double> out(all.size() * kColumns);
         {
             nb::gil_scoped_release release;
-            parallel(all.size(), threads, [&](ctr::BoundSolver& solver, std::size_t k) {
+            solvers_.parallel(all.size(), threads, [&](ctr::BoundSolver& solver, std::size_t k) {
                 solver.solve(all[k], accuracy(level));
                 solver.search_others();
                 double* row = &out[k * kColumns];
@@ -141,11 +137,11 @@ class Model {
 
     // Zero-clearance tips of many configurations: tip (3), tangent (3), status.
     nb::object tips(Matrix theta, Matrix l, int threads) {
-        const std::vector<ctr::Configuration> all = read_many(theta, l);
+        const std::vector<ctr::Configuration> all = valid_configurations(robot_, theta, l);
         std::vector<double> out(all.size() * 7);
         {
             nb::gil_scoped_release release;
-            parallel(all.size(), threads, [&](ctr::BoundSolver& solver, std::size_t k) {
+            solvers_.parallel(all.size(), threads, [&](ctr::BoundSolver& solver, std::size_t k) {
                 ctr::ZeroClearance& solution = solver.zero_clearance();
                 const bool done = solution.solve(robot_, all[k]);
                 const ctr::Frame tip = solution.tip();
@@ -164,13 +160,13 @@ class Model {
     // Zero-clearance shapes in front of the plate: clearance at points `step` apart, -inf without a stable solution, tip (3).
     nb::object rooms(Matrix theta, Matrix l, nb::object field, Vector origin, double spacing, Matrix R_AB, Vector p_AB, double step,
                      int threads) {
-        const std::vector<ctr::Configuration> all = read_many(theta, l);
+        const std::vector<ctr::Configuration> all = valid_configurations(robot_, theta, l);
         Field values;
         const ctr::SignedDistanceField sdf = distance_field(field, values, origin, spacing, R_AB, p_AB);
         std::vector<double> out(all.size() * 4);
         {
             nb::gil_scoped_release release;
-            parallel(all.size(), threads, [&](ctr::BoundSolver& solver, std::size_t k) {
+            solvers_.parallel(all.size(), threads, [&](ctr::BoundSolver& solver, std::size_t k) {
                 ctr::ZeroClearance& solution = solver.zero_clearance();
                 const bool stable = solution.solve(robot_, all[k]) && !solution.negative_pivots();
                 ctr::Frame tip;
@@ -198,7 +194,7 @@ class Model {
     nb::object tips_with_friction(Matrix theta, Matrix l, Matrix phi,
                                   const std::vector<std::tuple<std::vector<int>, std::vector<double>, double>>& given,
                                   int level, int threads) {
-        const std::vector<ctr::Configuration> all = read_many(theta, l);
+        const std::vector<ctr::Configuration> all = valid_configurations(robot_, theta, l);
         const std::size_t pairs = robot_.pairs.size();
         if (phi.shape(0) != all.size() || phi.shape(1) != pairs) throw ctr::InvalidInput("phi needs one row per configuration, one value per pair");
         const int names = static_cast<int>(ctr::number_names(robot_).size());
@@ -247,11 +243,11 @@ class Model {
     }
 
     // See ctr::check_path. Columns: segment, fraction, position bound, tangent bound, stability, max strain, clearance,
-    // motion, status, tip (3), tangent (3), solves, tip of each corner (3). density: the five numbers of ctr::PathDensity; limits: the three of PathLimits.
-    // With bodies, a second item lists per sample the points (N, 4) of all shapes with their outer radius.
+    // motion, status, tip (3), tangent (3), solves, tip of each corner (3). density: the five numbers of ctr::PathDensity;
+    // limits: the three of PathLimits. With bodies, a second item lists per sample the points (N, 4) of all shapes with their outer radius.
     nb::tuple check_path(Matrix theta, Matrix l, nb::object field, Vector origin, double spacing, Matrix R_AB, Vector p_AB,
                          Vector density_values, Vector limit_values, int level, bool bodies) {
-        const std::vector<ctr::Configuration> corners = read_many(theta, l);
+        const std::vector<ctr::Configuration> corners = valid_configurations(robot_, theta, l);
         Field values;
         const ctr::SignedDistanceField sdf = distance_field(field, values, origin, spacing, R_AB, p_AB);
         const ctr::PathLimits limits{limit_values(0), limit_values(1), limit_values(2)};
@@ -259,7 +255,7 @@ class Model {
         std::vector<ctr::PathSample> samples;
         {
             nb::gil_scoped_release release;
-            Loan loan(*this);
+            SolverPool::Loan loan(solvers_);
             samples = ctr::check_path(*loan, corners, accuracy(level), sdf, path, limits, bodies);
         }
         nb::list points;
@@ -273,11 +269,11 @@ class Model {
 
     // Grid points of a bound field: rows as ctr::FieldEntry.
     nb::object field_entries(Matrix theta, Matrix l, int threads) {
-        const std::vector<ctr::Configuration> all = read_many(theta, l);
+        const std::vector<ctr::Configuration> all = valid_configurations(robot_, theta, l);
         std::vector<double> out(all.size() * ctr::kFieldFloats);
         {
             nb::gil_scoped_release release;
-            parallel(all.size(), threads, [&](ctr::BoundSolver& solver, std::size_t k) {
+            solvers_.parallel(all.size(), threads, [&](ctr::BoundSolver& solver, std::size_t k) {
                 const ctr::FieldEntry entry = ctr::field_entry(solver, all[k], accuracy(0));
                 const float* numbers = reinterpret_cast<const float*>(&entry);
                 std::copy(numbers, numbers + ctr::kFieldFloats, out.begin() + static_cast<long>(k) * ctr::kFieldFloats);
@@ -293,12 +289,12 @@ class Model {
 
     // Body points of the frictionless and all corner shapes in front of the plate: (shapes, N, 4) x, y, z, outer radius.
     nb::object body(Vector theta, Vector l, int level) {
-        const ctr::Configuration q = read(theta, l);
+        const ctr::Configuration q = valid_configuration(robot_, theta, l);
         std::vector<double> out;
         std::size_t shapes = 0, points = 0;
         {
             nb::gil_scoped_release release;
-            Loan loan(*this);
+            SolverPool::Loan loan(solvers_);
             loan->solve(q, accuracy(level));
             const ctr::Mesh& mesh = loan->solver().mesh();
             const ctr::KernelProblem& pb = mesh.problem();
@@ -320,87 +316,6 @@ class Model {
     }
 
   private:
-    // A solver borrowed from the pool for the length of a call.
-    class Loan {
-      public:
-        explicit Loan(Model& model) : model_(model) {
-            const std::lock_guard lock(model.mutex_);
-            if (!model.pool_.empty()) {
-                solver_ = std::move(model.pool_.back());
-                model.pool_.pop_back();
-            }
-            if (!solver_) solver_ = std::make_unique<ctr::BoundSolver>(model.robot_);
-        }
-        ~Loan() {
-            const std::lock_guard lock(model_.mutex_);
-            model_.pool_.push_back(std::move(solver_));
-        }
-        ctr::BoundSolver* operator->() { return solver_.get(); }
-        ctr::BoundSolver& operator*() { return *solver_; }
-
-      private:
-        Model& model_;
-        std::unique_ptr<ctr::BoundSolver> solver_;
-    };
-
-    template <class Work>
-    void parallel(std::size_t count, int threads, const Work& work) {
-        share(count, threads, [&] { return std::make_unique<Loan>(*this); }, [&](Loan& loan, std::size_t k) { work(*loan, k); });
-    }
-
-    // Hands the numbers below count to threads, each with a workspace of its own; the first failure is thrown at the end.
-    template <class Make, class Work>
-    static void share(std::size_t count, int threads, const Make& make, const Work& work) {
-        std::atomic<std::size_t> next{0};
-        std::exception_ptr failure;
-        std::mutex guard;
-        auto run = [&] {
-            try {
-                const auto workspace = make();
-                for (std::size_t k = next++; k < count; k = next++) work(*workspace, k);
-            } catch (...) {
-                const std::lock_guard lock(guard);
-                if (!failure) failure = std::current_exception();
-            }
-        };
-        const int wanted = threads > 0 ? threads : static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
-        const int used = static_cast<int>(std::min<std::size_t>(wanted, std::max<std::size_t>(count, 1)));
-        std::vector<std::thread> pool;
-        pool.reserve(used);
-        try {
-            for (int k = 1; k < used; ++k) pool.emplace_back(run);
-        } catch (const std::system_error&) {  // no more threads to be had: those there are do the work
-        }
-        run();
-        for (std::thread& thread : pool) thread.join();
-        if (failure) std::rethrow_exception(failure);
-    }
-
-    ctr::Configuration read(const Vector& theta, const Vector& l) const {
-        const ctr::Configuration q{std::vector<double>(theta.data(), theta.data() + theta.shape(0)),
-                                   std::vector<double>(l.data(), l.data() + l.shape(0))};
-        ctr::validate(robot_, q);
-        return q;
-    }
-
-    std::vector<ctr::Configuration> read_many(const Matrix& theta, const Matrix& l) const {
-        const int n = robot_.count();
-        if (theta.shape(0) != l.shape(0) || static_cast<int>(theta.shape(1)) != n || static_cast<int>(l.shape(1)) != n)
-            throw ctr::InvalidInput("theta_b and l_b need the same number of rows and one column per tube");
-        std::vector<ctr::Configuration> all;
-        all.reserve(theta.shape(0));
-        for (std::size_t k = 0; k < theta.shape(0); ++k) {
-            all.push_back(configuration(theta.data() + k * n, l.data() + k * n, n));
-            try {
-                ctr::validate(robot_, all.back());
-            } catch (const ctr::InvalidInput& reason) {
-                throw ctr::InvalidInput("row " + std::to_string(k) + ": " + reason.what());
-            }
-        }
-        return all;
-    }
-
     ctr::Robot robot_;
-    std::mutex mutex_;
-    std::vector<std::unique_ptr<ctr::BoundSolver>> pool_;
+    SolverPool solvers_{robot_};
 };

@@ -3,7 +3,7 @@
 
 #include <limits>
 
-#include "arrays.hpp"
+#include "configurations.hpp"
 #include "ctr/history.hpp"
 
 // A simulation of what happens along a joint path (ctr/history.hpp).
@@ -14,7 +14,7 @@ class PathHistory {
 
     int start(Vector theta, Vector l, Vector phi) {
         if (phi.shape(0) != robot_.pairs.size()) throw ctr::InvalidInput("phi needs one value per neighbouring pair");
-        const ctr::Configuration q = read(theta, l);
+        const ctr::Configuration q = valid_configuration(robot_, theta, l);
         std::vector<double> friction(phi.data(), phi.data() + phi.shape(0));
         friction.resize(std::max<std::size_t>(friction.size(), 1));
         nb::gil_scoped_release release;
@@ -23,7 +23,7 @@ class PathHistory {
 
     // status, residual, steps, snaps, work, growth of elastic energy, growth of breakaway energy, loss, smallest loss.
     nb::tuple advance(Vector theta, Vector l) {
-        const ctr::Configuration q = read(theta, l);
+        const ctr::Configuration q = valid_configuration(robot_, theta, l);
         int status;
         {
             nb::gil_scoped_release release;
@@ -37,18 +37,8 @@ class PathHistory {
     // Waypoint after waypoint; columns: status, snaps, tip (3), tangent (3), then per pair phi averaged by normal force.
     // Rows after a failure are NaN.
     nb::object follow(Matrix theta, Matrix l) {
-        const std::size_t rows = theta.shape(0), n = robot_.tubes.size(), columns = 8 + n - 1;
-        if (theta.shape(1) != n || l.shape(0) != rows || l.shape(1) != n)
-            throw ctr::InvalidInput("theta_b and l_b need the same number of rows and one column per tube");
-        std::vector<ctr::Configuration> path;
-        for (std::size_t k = 0; k < rows; ++k) {
-            path.push_back(configuration(theta.data() + k * n, l.data() + k * n, static_cast<int>(n)));
-            try {
-                ctr::validate(robot_, path.back());
-            } catch (const ctr::InvalidInput& reason) {
-                throw ctr::InvalidInput("row " + std::to_string(k) + ": " + reason.what());
-            }
-        }
+        const std::vector<ctr::Configuration> path = valid_configurations(robot_, theta, l);
+        const std::size_t rows = path.size(), columns = 8 + robot_.pairs.size();
         std::vector<double> out(rows * columns, std::numeric_limits<double>::quiet_NaN());
         {
             nb::gil_scoped_release release;
@@ -119,13 +109,6 @@ class PathHistory {
     void restore(const ctr::History::State& state) { history_.restore(state); }
 
   private:
-    ctr::Configuration read(const Vector& theta, const Vector& l) const {
-        const ctr::Configuration q{std::vector<double>(theta.data(), theta.data() + theta.shape(0)),
-                                   std::vector<double>(l.data(), l.data() + l.shape(0))};
-        ctr::validate(robot_, q);
-        return q;
-    }
-
     ctr::Robot robot_;
     ctr::History history_;
 };
