@@ -6,14 +6,9 @@
 namespace ctr {
 namespace {
 
-constexpr double kGauss[2] = {0.21132486540518711775, 0.78867513459481288225};
-constexpr double kSpacing = 0.05;  // of the knots, over the innermost tube's length
+#include "element_functions.hpp"
 
-// Pairs, and behind the outermost collar the offset from the axis.
-int offsets_of(const KernelProblem& pb, int e) {
-    const int m = pb.element_tubes[e];
-    return pb.element_unknowns[e] == 5 * m ? m : m - 1;
-}
+constexpr double kSpacing = 0.05;  // of the knots, over the innermost tube's length
 
 }  // namespace
 

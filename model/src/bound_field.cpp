@@ -7,6 +7,7 @@
 namespace ctr {
 namespace {
 
+#include "element_functions.hpp"
 #include "outer_line.hpp"
 
 constexpr double kTurn = 6.283185307179586477;

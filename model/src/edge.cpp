@@ -11,6 +11,7 @@ constexpr double kMarkerSpacing = 4e-3;       // m
 constexpr double kSurprise = 1.5;              // times the motion expected from the step before
 constexpr double kSnap = 1e-3;                // m; more motion than expected that counts as a jump
 
+#include "element_functions.hpp"
 #include "outer_line.hpp"
 
 double backbone_clearance(const BoundSolver& bound, const Backbone& shape, const SignedDistanceField& field, double spacing) {

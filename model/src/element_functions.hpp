@@ -6,7 +6,22 @@ constexpr int theta_index(int t) { return 5 * t; }
 constexpr int offset_index(int p, int plane) { return 1 + 5 * p + plane; }
 constexpr int slope_index(int p, int plane) { return 3 + 5 * p + plane; }
 
-// Second derivatives of the Hermite functions at xi, for an element of length h.
+// Offsets of an element: one a pair, and behind the outermost collar that of the outermost tube from the axis.
+inline int offsets_of(const KernelProblem& pb, int e) {
+    const int tubes = pb.element_tubes[e];
+    return pb.element_unknowns[e] == 5 * tubes ? tubes : tubes - 1;
+}
+
+// Hermite functions at xi, for an element of length h: values and slopes at its nodes, proximal first.
+inline void hermite(double xi, double h, double* b) {
+    const double xi2 = xi * xi, xi3 = xi2 * xi;
+    b[0] = 1 - 3 * xi2 + 2 * xi3;
+    b[1] = h * (xi - 2 * xi2 + xi3);
+    b[2] = 3 * xi2 - 2 * xi3;
+    b[3] = h * (xi3 - xi2);
+}
+
+// Their second derivatives.
 inline void hermite_second(double xi, double h, double* b) {
     b[0] = (12 * xi - 6) / (h * h);
     b[1] = (6 * xi - 4) / h;

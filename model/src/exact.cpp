@@ -9,22 +9,7 @@
 namespace ctr {
 namespace {
 
-constexpr double kGauss[2] = {0.21132486540518711775, 0.78867513459481288225};
-
-void hermite(double xi, double h, double* value) {
-    const double xi2 = xi * xi, xi3 = xi2 * xi;
-    value[0] = 1 - 3 * xi2 + 2 * xi3;
-    value[1] = h * (xi - 2 * xi2 + xi3);
-    value[2] = 3 * xi2 - 2 * xi3;
-    value[3] = h * (xi3 - xi2);
-}
-
-void hermite_second(double xi, double h, double* value) {
-    value[0] = (12 * xi - 6) / (h * h);
-    value[1] = (6 * xi - 4) / h;
-    value[2] = -value[0];
-    value[3] = (6 * xi - 2) / h;
-}
+#include "element_functions.hpp"
 
 Vec3 minus(const Vec3& a, const Vec3& b) { return {a[0] - b[0], a[1] - b[1], a[2] - b[2]}; }
 void add(Vec3& a, double factor, const Vec3& b) {
@@ -199,7 +184,7 @@ void ExactGeometry::begin_element(const FrictionSolver& solver, const LaneState&
 // the tubes bends all of them; returns the largest of it.
 double ExactGeometry::balance(const FrictionSolver& solver, LaneState& state, int lane, int e) {
     const KernelProblem& pb = solver.mesh().problem();
-    const int m = pb.element_tubes[e], offsets = pb.element_unknowns[e] == 5 * m ? m : m - 1;
+    const int m = pb.element_tubes[e], offsets = offsets_of(pb, e);
     double worst = 0;
     for (int g = 0; g < 2; ++g) {
         const double(*rotated)[2] = rotated_.at(e, g), (*curvature)[2] = curvature_.at(e, g);

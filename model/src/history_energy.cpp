@@ -7,7 +7,7 @@
 namespace ctr {
 namespace {
 
-constexpr double kGauss[2] = {0.21132486540518711775, 0.78867513459481288225};
+#include "element_functions.hpp"
 
 // Energy per length over EI of a cross section that is bent to rho, see (f) in docs/model.md.
 double bending(double rho, double knee, double fraction) {

@@ -236,7 +236,7 @@ void bending(const KernelProblem& pb, const double* unknowns, double* innermost,
     V* out = lanes<V>(innermost);
     V largest = zero_of(V{});
     for (int e = 0; e < pb.elements; ++e) {
-        const int M = pb.element_tubes[e], offsets = pb.element_unknowns[e] == 5 * M ? M : M - 1;
+        const int M = pb.element_tubes[e], offsets = offsets_of(pb, e);
         const double* EI = pb.bending_stiffness;
         double total = 0, b[4];
         for (int t = 0; t < M; ++t) total += EI[t];

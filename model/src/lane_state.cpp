@@ -4,6 +4,9 @@
 #include "ctr/friction.hpp"
 
 namespace ctr {
+namespace {
+#include "element_functions.hpp"
+}  // namespace
 
 void LaneState::resize(const KernelProblem& problem, int lanes) {
     lanes_ = lanes;
@@ -58,9 +61,8 @@ void LaneState::copy_exact(const LaneState& from, const KernelProblem& problem, 
 
 double LaneState::bend(int element, double xi, int tube, int plane, int lane) const {
     if (!is_exact_) return 0;
-    constexpr double first = 0.21132486540518711775;
     const double a = bend_[bend_index(element, 0, tube, plane, lane)], b = bend_[bend_index(element, 1, tube, plane, lane)];
-    return a + (xi - first) / (1 - 2 * first) * (b - a);
+    return a + (xi - kGauss[0]) / (kGauss[1] - kGauss[0]) * (b - a);
 }
 
 void LaneState::set_phi(const Robot& robot, const KernelProblem& problem, int lane, const double* phi) {

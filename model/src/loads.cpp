@@ -6,7 +6,7 @@
 namespace ctr {
 namespace {
 
-constexpr double kGauss[2] = {0.21132486540518711775, 0.78867513459481288225};
+#include "element_functions.hpp"
 
 Vec3 sum(const Vec3& a, const Vec3& b) { return {a[0] + b[0], a[1] + b[1], a[2] + b[2]}; }
 Vec3 difference(const Vec3& a, const Vec3& b) { return {a[0] - b[0], a[1] - b[1], a[2] - b[2]}; }

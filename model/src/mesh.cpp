@@ -6,6 +6,8 @@
 namespace ctr {
 namespace {
 
+#include "element_functions.hpp"
+
 // Breaks closer than this become one: shorter elements would only cost digits (their stiffness goes with 1 / length^3).
 constexpr double kMergeDistance = 1e-5;
 
@@ -78,7 +80,7 @@ bool Mesh::move(const Mesh& from, const Robot& robot, const Configuration& q) {
         for (int k = contact_begin_[e]; k < contact_begin_[e + 1]; ++k) {
             contact_weight_[k] = from.contact_weight_[k] * (length_[e] / from.length_[e]);
             contact_s_[k] = s_[e] + contact_xi_[k] * length_[e];
-            fill_contact_shape(contact_xi_[k], length_[e], &contact_shape_[4 * k]);
+            hermite(contact_xi_[k], length_[e], &contact_shape_[4 * k]);
         }
     publish();
     return true;
@@ -168,7 +170,6 @@ void Mesh::place_nodes(const Robot& robot, const Configuration& q, const Accurac
 
 void Mesh::fill_elements(const Robot& robot, const Configuration& q) {
     const int n = robot.count(), elements = static_cast<int>(s_.size()) - 1;
-    constexpr double kGauss[2] = {0.21132486540518711775, 0.78867513459481288225};
     length_.resize(elements);
     element_regime_.resize(elements);
     element_unknowns_.resize(elements);
@@ -219,20 +220,12 @@ void Mesh::place_contacts() {
                 contact_weight_.push_back(h / count);
                 contact_s_.push_back(s_[e] + xi * h);
                 contact_shape_.resize(contact_shape_.size() + 4);
-                fill_contact_shape(xi, h, &contact_shape_[contact_shape_.size() - 4]);
+                hermite(xi, h, &contact_shape_[contact_shape_.size() - 4]);
             }
         contact_begin_.push_back(static_cast<int>(contact_pair_.size()));
     }
     for (std::vector<double>* values : {&contact_xi_, &contact_weight_}) values->resize(contact_pair_.size() + kLanes - 1);
     contact_shape_.resize(4 * contact_xi_.size());
-}
-
-void Mesh::fill_contact_shape(double xi, double h, double* shape) {
-    const double xi2 = xi * xi, xi3 = xi2 * xi;
-    shape[0] = 1 - 3 * xi2 + 2 * xi3;
-    shape[1] = h * (xi - 2 * xi2 + xi3);
-    shape[2] = 3 * xi2 - 2 * xi3;
-    shape[3] = h * (xi3 - xi2);
 }
 
 void Mesh::fill_pairs(const Robot& robot) {

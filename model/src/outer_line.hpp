@@ -1,11 +1,12 @@
 // The line that touches the world: the centreline of the outermost tube present, in front of the plate.
 // Included inside anonymous namespaces by edge.cpp and bound_field.cpp.
 
-// Cubic Hermite between two nodes; tangents are unit, so that the element length scales them.
+// The cubic between two nodes; tangents are unit, so that the element length scales them.
 inline Vec3 between(const Vec3& a, const Vec3& ta, const Vec3& b, const Vec3& tb, double h, double x) {
-    const double x2 = x * x, x3 = x2 * x, A = 1 - 3 * x2 + 2 * x3, B = h * (x - 2 * x2 + x3), C = 3 * x2 - 2 * x3, D = h * (x3 - x2);
+    double shape[4];
+    hermite(x, h, shape);
     Vec3 p;
-    for (int i = 0; i < 3; ++i) p[i] = A * a[i] + B * ta[i] + C * b[i] + D * tb[i];
+    for (int i = 0; i < 3; ++i) p[i] = shape[0] * a[i] + shape[1] * ta[i] + shape[2] * b[i] + shape[3] * tb[i];
     return p;
 }
 

@@ -46,7 +46,7 @@ double outermost_radius(const Robot& robot, const Configuration& q, double s) {
 void element_curvature(const FrictionSolver& solver, const LaneState& state, int lane, int e, double xi,
                        double (*curvature)[2], double (*rotated)[2]) {
     const KernelProblem& pb = solver.mesh().problem();
-    const int m = pb.element_tubes[e], n = pb.tubes, offsets = pb.element_unknowns[e] == 5 * m ? m : m - 1;
+    const int m = pb.element_tubes[e], n = pb.tubes, offsets = offsets_of(pb, e);
     const double h = pb.length[e];
     double b[4];
     hermite_second(xi, h, b);

@@ -9,11 +9,6 @@ namespace {
 
 constexpr double kTurn = 3e-5;  // rad by which an element is bent for differences, which are then right to 1e-9
 
-int offsets_of(const KernelProblem& pb, int e) {
-    const int m = pb.element_tubes[e];
-    return pb.element_unknowns[e] == 5 * m ? m : m - 1;
-}
-
 // Tip position and tangent in the frame at the start of an element.
 std::array<Vec3, 2> beyond(const double (&kappa)[2][2], double h, const Vec3& position, const Vec3& tangent) {
     Frame frame;

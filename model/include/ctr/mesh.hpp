@@ -96,7 +96,6 @@ class Mesh : private MeshArrays {
     void place_nodes(const Robot& robot, const Configuration& q, const Accuracy& accuracy);
     void fill_elements(const Robot& robot, const Configuration& q);
     void place_contacts();
-    static void fill_contact_shape(double xi, double h, double* shape);
     void fill_pairs(const Robot& robot);
     void fill_regimes(const Robot& robot);
     void fill_laws(const Robot& robot);
