@@ -1,8 +1,8 @@
 """How accurate is the mechanics core, and how long does an answer take?
 
-    python benchmarks/mechanics.py [references] [pairs] [table3] [meshes] [speed] [--count N]
+    python benchmarks/mechanics.py [references] [pairs] [table3] [meshes] [fineness] [speed] [--count N]
 
-All of them if none is named; --count says how many random configurations `meshes` looks at.
+All of them if none is named; --count says how many random configurations `meshes` and `fineness` look at.
 
 References are in tests/reference, each with its own uncertainty. Times are of one core unless a row says otherwise;
 medians, because the machine may be doing other things.
@@ -149,8 +149,7 @@ def table3() -> None:
     """Deviations from the zero-clearance model on the 4 x 4 x 4 grid, and what the search mesh adds."""
     deviation: dict[tuple[Accuracy, bool], tuple[list[float], list[float]]] = {}
     mesh_mm, unstable, failed = list[float](), 0, 0
-    for second, third, l_3 in itertools.product(*[np.deg2rad([0, 90, 180, 270])] * 2, np.linspace(-0.1204, -0.034, 4)):
-        q = np.array([0, second, second + third]), np.array([0, -0.017, l_3])
+    for q in zip(*table_3_grid(), strict=True):
         zero = THREE_TUBES.zero_clearance(*q)
         coarse, fine = both = [THREE_TUBES.bound(*q, accuracy=accuracy) for accuracy in ACCURACIES]
         for accuracy, bound in zip(ACCURACIES, both, strict=True):
@@ -181,6 +180,14 @@ def table3() -> None:
     )
 
 
+def table_3_grid() -> tuple[Array, Array]:
+    """Base angles of tubes 2 and 3 by quarter turns, tube 3 from retracted to extended in four places."""
+    quarters = np.deg2rad([0, 90, 180, 270])
+    joints = itertools.product(quarters, quarters, np.linspace(-0.1204, -0.034, 4))
+    made = [((0, second, second + third), (0, -0.017, l_3)) for second, third, l_3 in joints]
+    return np.array([theta_b for theta_b, _ in made], float), np.array([l_b for _, l_b in made], float)
+
+
 def meshes(count: int) -> None:
     """Search against certificate mesh on random configurations: the worst of the five tips of each."""
     worst = []
@@ -192,6 +199,38 @@ def meshes(count: int) -> None:
     error = np.array(worst)
     row = (len(error), *map(float, np.quantile(error, (0.5, 0.95, 0.99, 1.0))), float(np.mean(error > 0.3)))
     table("search mesh off the grid, mm", ("configurations", "median", "95 %", "99 %", "max", "share > 0.3"), [row])
+
+
+def fineness(count: int) -> None:
+    """Both meshes against one 6 times finer than the certificate's: worst of the five tips of each configuration."""
+    rows = list[Row]()
+    for label, q in (("grid of Table III", table_3_grid()), ("random", random_joints(count))):
+        errors: dict[Accuracy, list[float]] = {accuracy: [] for accuracy in ACCURACIES}
+        for joints in zip(*q, strict=True):
+            fine = five_tips(*joints, "certificate", 6.0)
+            if fine is None:
+                continue
+            for accuracy in ACCURACIES:
+                tips = five_tips(*joints, accuracy, 1.0)
+                errors[accuracy].append(
+                    np.nan if tips is None else 1e3 * float(np.linalg.norm(tips - fine, axis=1).max())
+                )
+        for accuracy in ACCURACIES:
+            known = np.array(errors[accuracy])
+            quantiles = map(float, np.nanquantile(known, (0.5, 0.95, 1.0)))
+            rows.append((f"{label}, {accuracy}", len(known), int(np.isnan(known).sum()), *quantiles))
+    table("discretisation error of tips, mm", ("", "configurations", "failed", "median", "95 %", "max"), rows)
+
+
+def five_tips(theta_b: Array, l_b: Array, accuracy: Accuracy, refinement: float) -> Array | None:
+    """Without friction and at every corner, (5, 3) m; none where one failed or the frictionless shape is unstable."""
+    shapes = [
+        THREE_TUBES.mechanics.solve(theta_b, l_b, state, accuracy=accuracy, refinement=refinement)
+        for state in [(0.0, 0.0), *itertools.product((1.0, -1.0), repeat=2)]
+    ]
+    if any(shape.status is Status.FAILED for shape in shapes) or shapes[0].status is Status.UNSTABLE:
+        return None
+    return np.array([shape.tip_m for shape in shapes])
 
 
 def record(into: tuple[list[float], list[float]], shape: Shape, zero: Shape) -> None:
@@ -320,14 +359,15 @@ def time_of(work: Callable[[], object]) -> float:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Accuracy and speed of the mechanics core.")
-    parser.add_argument("section", nargs="*", help="references, pairs, table3, meshes, speed (default: all)")
-    parser.add_argument("--count", type=int, default=1000, help="configurations of meshes (default: %(default)s)")
+    parser.add_argument("section", nargs="*", help="references, pairs, table3, meshes, fineness, speed (default: all)")
+    parser.add_argument("--count", type=int, default=1000, help="of meshes and fineness (default: %(default)s)")
     given = parser.parse_args()
     sections: dict[str, Callable[[], None]] = {
         "references": references,
         "pairs": pairs,
         "table3": table3,
         "meshes": lambda: meshes(given.count),
+        "fineness": lambda: fineness(given.count),
         "speed": speed,
     }
     if unknown := set(given.section) - set(sections):
