@@ -21,7 +21,8 @@ from planning_queries import Query, queries
 
 from ctrplan.planning.branches import reach
 from ctrplan.planning.goal_descent import descended
-from ctrplan.planning.goals import GoalState, goal_states, tip_target
+from ctrplan.planning.goal_state import GoalState, tip_target
+from ctrplan.planning.goals import goal_states
 from ctrplan.planning.motion import MotionChecker
 
 LONG_SEEDS = (1, 2, 3)

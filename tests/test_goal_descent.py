@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from ctrplan.planning.goal_descent import descended
-from ctrplan.planning.goals import GoalState, goal_states
+from ctrplan.planning.goal_state import GoalState
+from ctrplan.planning.goals import goal_states
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.tip_slopes import bound_slopes
 from ctrplan.scenario import load_scenario

@@ -10,14 +10,12 @@ import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from ctrplan.commands.options import add_set_option
+from ctrplan.commands.options import add_joint_options, add_set_option, configuration
 from ctrplan.commands.output_folder import DEFAULT as DEFAULT_FOLDER
 from ctrplan.errors import InputError, NoAnswerError, SolverError
 
 if TYPE_CHECKING:
-    from ctrplan.drive import Array
     from ctrplan.mechanics import Bound, Shape
-
 
 EXAMPLES = """examples:
   ctrplan bound scenarios/robots/three_tube.toml --theta-deg 0 90 180 --l-mm 0 -17 -62.8
@@ -40,11 +38,7 @@ def add_parser(commands: Any) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("robot", metavar="ROBOT.toml")
-    for option, metavar, what in (
-        ("--theta-deg", "DEG", "base rotations, outermost tube first"),
-        ("--l-mm", "MM", "base translations, outermost tube first, <= 0"),
-    ):
-        parser.add_argument(option, type=float, nargs="+", required=True, metavar=metavar, help=what)
+    add_joint_options(parser)
     parser.add_argument(
         "--sweep",
         action="append",
@@ -93,18 +87,6 @@ def run_bound(arguments: argparse.Namespace) -> int:
     if found.frictionless.status is Status.UNSTABLE:
         raise NoAnswerError("the configuration is elastically unstable: the robot snaps away, no bound is promised.")
     return 0
-
-
-def configuration(arguments: argparse.Namespace, n: int) -> tuple[Array, Array]:
-    """theta_b (n,) [rad] and l_b (n,) [m] of the command line. Raises InputError unless there is a number per tube."""
-    import numpy as np
-
-    for key, values in (("--theta-deg", arguments.theta_deg), ("--l-mm", arguments.l_mm)):
-        if len(values) != n:
-            raise InputError(f"needs {n} values, one per tube, outermost first", key=key, value=values)
-        if not all(map(math.isfinite, values)):
-            raise InputError("must be finite", key=key, value=values)
-    return np.radians(arguments.theta_deg), np.multiply(arguments.l_mm, 1e-3)
 
 
 def _corners(n: int, found: Bound) -> Iterator[tuple[tuple[int, ...], Shape]]:

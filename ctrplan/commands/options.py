@@ -3,6 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import math
+from typing import TYPE_CHECKING
+
+from ctrplan.errors import InputError
+
+if TYPE_CHECKING:
+    from ctrplan.drive import Array
 
 
 def add_set_option(parser: argparse.ArgumentParser, what: str) -> None:
@@ -24,3 +31,24 @@ def add_allow_outside_option(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="read files that the scenario names although they lie outside its folder",
     )
+
+
+def add_joint_options(parser: argparse.ArgumentParser) -> None:
+    """Adds --theta-deg and --l-mm, a number per tube; configuration() reads them."""
+    for option, metavar, what in (
+        ("--theta-deg", "DEG", "base rotations, outermost tube first"),
+        ("--l-mm", "MM", "base translations, outermost tube first, <= 0"),
+    ):
+        parser.add_argument(option, type=float, nargs="+", required=True, metavar=metavar, help=what)
+
+
+def configuration(arguments: argparse.Namespace, n: int) -> tuple[Array, Array]:
+    """theta_b (n,) [rad] and l_b (n,) [m] of the command line. Raises InputError unless there is a number per tube."""
+    import numpy as np
+
+    for key, values in (("--theta-deg", arguments.theta_deg), ("--l-mm", arguments.l_mm)):
+        if len(values) != n:
+            raise InputError(f"needs {n} values, one per tube, outermost first", key=key, value=values)
+        if not all(map(math.isfinite, values)):
+            raise InputError("must be finite", key=key, value=values)
+    return np.radians(arguments.theta_deg), np.multiply(arguments.l_mm, 1e-3)

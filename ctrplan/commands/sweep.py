@@ -8,7 +8,7 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ctrplan.commands.bound import configuration
+from ctrplan.commands.options import configuration
 from ctrplan.commands.output_folder import DEFAULT, output_folder, write_results
 from ctrplan.commands.progress_bar import ProgressBar
 from ctrplan.errors import InputError

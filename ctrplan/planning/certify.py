@@ -15,7 +15,7 @@ from ctrplan.anatomy import exact_clearance
 from ctrplan.drive import Array
 from ctrplan.legs import distance_from_polyline, merge_legs
 from ctrplan.mechanics import Accuracy, PathDensity, PathLimits, PathSamples
-from ctrplan.planning.goals import target_in_robot_frame
+from ctrplan.planning.goal_state import target_in_robot_frame
 from ctrplan.planning.motion import MM_PER_M, anatomy_grid, breach, path_limits, released_error
 from ctrplan.planning.path_cost import path_cost_mm
 from ctrplan.planning.plan import Certificate, CertificateSamples, TargetReached
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
 SPACING_M = 0.5e-3  # largest motion of a body point between samples
 POINT_SPACING_M = 1e-3  # between the points of a shape
-# More than the largest errors of tips seen on random configurations: 0.46 mm on 2,500, 98 % of them below 0.3 mm, and 0.12 mm
-# on 400 for the certificate mesh (`benchmarks/mechanics.py meshes fineness`). An allowance, not a proven bound.
+# More than the largest errors of tips seen on random configurations: 0.46 mm on 2,500, 98 % of them below 0.3 mm, and
+# 0.12 mm on 400 for the certificate mesh (`benchmarks/mechanics.py meshes fineness`). An allowance, not a proven bound.
 DISCRETISATION_M = {"search": 1.0e-3, "certificate": 0.15e-3}
 BRANCH_TOLERANCE_M = 0.2e-3  # between the ends of neighbouring pieces, the same state reached on two ways
 GRID_SHARE = 0.03  # of a clearance by which the grid may be off far from surfaces (ctrplan.grid_distance)

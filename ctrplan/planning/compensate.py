@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ctrplan.drive import Array
 from ctrplan.planning.certify import Progress, certify
-from ctrplan.planning.goals import target_in_robot_frame
+from ctrplan.planning.goal_state import target_in_robot_frame
 from ctrplan.planning.motion import MM_PER_M, MotionChecker
 from ctrplan.planning.plan import Certificate, CertificateSamples, Compensation
 from ctrplan.planning.prediction import Prediction, predict_end, predict_from

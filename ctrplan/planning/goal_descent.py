@@ -9,7 +9,7 @@ import numpy as np
 
 from ctrplan.drive import Array
 from ctrplan.planning.branches import configuration
-from ctrplan.planning.goals import GoalState, tip_target
+from ctrplan.planning.goal_state import GoalState, tip_target
 from ctrplan.planning.inverse_kinematics import TipSolver, TipTarget
 from ctrplan.planning.motion import MM_PER_M, MotionChecker
 from ctrplan.planning.search_clock import ROOM_NS

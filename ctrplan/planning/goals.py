@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +10,8 @@ import numpy as np
 from ctrplan.drive import Array
 from ctrplan.errors import NoAnswerError
 from ctrplan.planning.branches import Reach, distinct_rows, reach
-from ctrplan.planning.inverse_kinematics import TipTarget
+from ctrplan.planning.goal_descent import descended
+from ctrplan.planning.goal_state import GoalState, tip_target
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.room import refuse_blocked_target
 
@@ -20,15 +20,6 @@ if TYPE_CHECKING:
 
 LARGEST_SET = 24
 MM_PER_M = 1e3
-
-
-@dataclass(frozen=True, eq=False)
-class GoalState:
-    """A configuration at the goal and what it is worth."""
-
-    joints: Array  # (m,)
-    bound_m: float  # worst-case friction error of the tip
-    tip_error_m: float  # frictionless tip to the target
 
 
 def goal_states(checker: MotionChecker, rng: np.random.Generator) -> list[GoalState]:
@@ -42,8 +33,6 @@ def goal_states(checker: MotionChecker, rng: np.random.Generator) -> list[GoalSt
     limit = checker.scenario.cost.max_error_goal_m
     kept = [state for state in found if limit is None or state.bound_m <= limit]
     if limit is not None and not kept:
-        from ctrplan.planning.goal_descent import descended  # which knows about goals
-
         lowest = [trail[-1] for trail in descended(checker, _choice(checker, found))]
         found = sorted(found + lowest, key=lambda state: state.bound_m)
         kept = [state for state in found if state.bound_m <= limit]
@@ -103,21 +92,6 @@ def _unreached(scenario: Scenario, found: Reach) -> str:
     return (
         f"out of reach, the nearest tip found is {away_mm:.3g} mm away at {tip_mm}, goal.tolerance_mm = {allowed_mm:g}"
     )
-
-
-def tip_target(scenario: Scenario) -> TipTarget:
-    """The goal's tip and direction in the robot's frame."""
-    goal = scenario.goal
-    direction = None if goal.direction is None else scenario.base_R.T @ goal.direction
-    tolerance = np.inf if goal.direction_tolerance_rad is None else goal.direction_tolerance_rad
-    return TipTarget(target_in_robot_frame(scenario), direction, tolerance)
-
-
-def target_in_robot_frame(scenario: Scenario) -> Array:
-    """(3,) the goal's tip position [m] in the robot's frame."""
-    assert scenario.goal.tip_m is not None
-    target: Array = scenario.base_R.T @ (scenario.goal.tip_m - scenario.base_position_m)
-    return target
 
 
 def _apart_mm(checker: MotionChecker, a: Array, b: Array) -> float:

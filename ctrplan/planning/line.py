@@ -10,7 +10,7 @@ from ctrplan.drive import Array
 from ctrplan.errors import NoAnswerError
 from ctrplan.legs import distance_from_polyline
 from ctrplan.mechanics import Status
-from ctrplan.planning.goals import GoalState
+from ctrplan.planning.goal_state import GoalState
 from ctrplan.planning.inverse_kinematics import TipSolver, TipTarget
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.scenario import Goal

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.drive import Array
-from ctrplan.planning.goals import GoalState
+from ctrplan.planning.goal_state import GoalState
 from ctrplan.planning.inverse_kinematics import TipSolver, TipTarget
 from ctrplan.planning.motion import MM_PER_M, MotionChecker
 

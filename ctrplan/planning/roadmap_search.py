@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from ctrplan.drive import Array
 from ctrplan.planning.goal_descent import Trail
-from ctrplan.planning.goals import GoalState
+from ctrplan.planning.goal_state import GoalState
 from ctrplan.planning.inverse_kinematics import TipSolver, TipTarget
 from ctrplan.planning.motion import HOPELESS_M, MM_PER_M, MotionChecker
 from ctrplan.planning.retreat import SKIPS, Roadmap

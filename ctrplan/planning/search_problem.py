@@ -11,7 +11,7 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from ctrplan.drive import Array
-from ctrplan.planning.goals import GoalState
+from ctrplan.planning.goal_state import GoalState
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.objective import BoundObjective
 from ctrplan.planning.ompl_space import StateReader, state_space

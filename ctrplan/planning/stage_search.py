@@ -15,7 +15,8 @@ from ctrplan.errors import NoAnswerError
 from ctrplan.legs import merge_legs
 from ctrplan.planning.certify import WalkedLegs, finished, walk_legs
 from ctrplan.planning.goal_descent import descended
-from ctrplan.planning.goals import GoalState, distinct
+from ctrplan.planning.goal_state import GoalState
+from ctrplan.planning.goals import distinct
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.plan import Certificate
 from ctrplan.planning.reorder import Reordered, as_given, least_error
