@@ -360,7 +360,8 @@ def time_of(work: Callable[[], object]) -> float:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Accuracy and speed of the mechanics core.")
     parser.add_argument("section", nargs="*", help="references, pairs, table3, meshes, fineness, speed (default: all)")
-    parser.add_argument("--count", type=int, default=1000, help="of meshes and fineness (default: %(default)s)")
+    help_count = "random configurations of meshes and fineness (default: %(default)s)"
+    parser.add_argument("--count", type=int, default=1000, help=help_count)
     given = parser.parse_args()
     sections: dict[str, Callable[[], None]] = {
         "references": references,
