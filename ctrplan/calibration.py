@@ -18,6 +18,7 @@ from ctrplan.base_parameters import ABSOLUTE_STIFFNESS, BaseParameters
 from ctrplan.chain import Chain, Term, term
 from ctrplan.diagnosis.effect import CATALOGUE, Effect, Parameter, Values
 from ctrplan.diagnosis.gap import Errors, distances, summary
+from ctrplan.diagnosis.guards import excused, unsolved_sentence
 from ctrplan.diagnosis.split import groups
 from ctrplan.diagnosis.symptoms import symptoms
 from ctrplan.drive import Array
@@ -233,13 +234,13 @@ def _calibration(
     passes, noticed = [*passes[:-1], within_file(passes[-1])], symptoms(passes[0])
     first, found = passes[0], passes[-1]
     robot, terms = found.chain.robot, found.chain.terms
-    held = None
+    trained = held = _Left.of(found.chain, found.p, group[~aside])
     if aside.any():
         chain = Chain(robot, data.subset(aside), terms)
         chain.correction = friction_correction(chain, found.p)
-        held = distances(chain, found.p)
-    trained = distances(found.chain, found.p)
+        held = _Left.of(chain, found.p, group[aside])
     whole = Chain(robot, data, terms)
+    nominal = _Left.of(whole, whole.neutral, group)
     left = tuple(combinations(first))
     unknown = [
         f"The data can't tell {' and '.join(c.parameters)} apart from the prior: {100 * c.left:.0f} % of it is left."
@@ -249,14 +250,39 @@ def _calibration(
     return Calibration(
         fit=found,
         estimates={n: e for f in reversed(passes) for t in f.chain.terms for n, e in estimates(f, t).items()},
-        training=summary(trained, group[~aside]),
-        held_out=None if held is None else summary(held, group[aside]),
-        nominal=summary(distances(whole, whole.neutral), group),
+        training=trained.errors,
+        held_out=held.errors if aside.any() else None,
+        nominal=nominal.errors,
         combinations=left,
-        model_error_m=model_error_m(trained if held is None else held, found.noise.position_m),
-        notes=(*data.warnings, *unknown, *noticed),
+        model_error_m=model_error_m(held.distance_m, found.noise.position_m),
+        notes=(*data.warnings, *unknown, *_unsolved(data, aside, trained, held), *noticed),
         data=data,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Left:
+    """What a fit leaves of the poses (K,) of a chain."""
+
+    distance_m: Array  # of those that count: not where the model has no solution, unless it has none at too many
+    errors: Errors
+    failed: NDArray[np.bool_]  # (K,)
+    counted: NDArray[np.bool_]  # (K,)
+
+    @classmethod
+    def of(cls, chain: Chain, p: Array, group: NDArray[np.int_]) -> _Left:
+        prediction = chain.predict(p, derivatives=False)
+        counted = ~excused(prediction.failed)
+        distance = distances(prediction, chain.data)[counted]
+        return cls(distance, summary(distance, group[counted]), prediction.failed, counted)
+
+
+def _unsolved(data: Measurements, aside: NDArray[np.bool_], trained: _Left, held: _Left) -> list[str]:
+    failed, counted = np.zeros((2, data.count), bool)
+    failed[~aside], counted[~aside] = trained.failed, trained.counted
+    if aside.any():
+        failed[aside], counted[aside] = held.failed, held.counted
+    return unsolved_sentence(data, failed, counted, "calibrated")
 
 
 def _usual_bounds(name: str) -> tuple[float, float]:

@@ -17,6 +17,7 @@ from ctrplan.drive import Array
 SAME_ROTATION_RAD = 1e-3  # commanded joints that differ by less are the same configuration
 SAME_TRANSLATION_M = 1e-5
 STREAMED_SHARE = 0.5  # of the poses, measured on the way between two others: a log of a continuous motion
+MOST_ROWS = 20  # that a sentence lists
 LONGEST_LAG_S = 0.4  # two clocks that are further apart are no matter of a fit
 
 
@@ -59,6 +60,11 @@ class Measurements:
         """The same waypoints with some of the poses only, given by their numbers or a mask (K,)."""
         chosen = {name: getattr(self, name)[poses] for name in ("rows", "position_m", "tangent")}
         return replace(self, **chosen)
+
+    def rows_in_words(self, poses: NDArray[np.bool_]) -> str:
+        """Rows of the file, from 1, of some of the poses, mask (K,); the first twenty."""
+        rows = (self.rows[poses] + 1).tolist()
+        return ", ".join(map(str, rows[:MOST_ROWS])) + (" ..." if len(rows) > MOST_ROWS else "")
 
     def moves(self, row: int) -> tuple[Array, Array] | None:
         """Rotation and translation (n,) of the motion that led to a waypoint; None if its run starts there."""

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import ctrplan.diagnosis.candidates  # noqa: F401 (fills the catalogue)
 from ctrplan.base_parameters import BaseParameters
 from ctrplan.chain import Chain, Term, term
 from ctrplan.diagnosis.effect import CATALOGUE
+from ctrplan.drive import Array
 from ctrplan.measurements import Measurements, is_streamed
+from ctrplan.mechanics import Mechanics
 from ctrplan.robot import Robot, robot_from_dict
+from ctrplan.shapes import Status, Tips
 
 QUARTER = np.radians(90.0)
 OSCILLATION = np.radians([40.0, -36.0, 32.0, -28.0, 24.0, -20.0, 16.0, -12.0, 8.0, -4.0])
@@ -121,3 +126,19 @@ def write_csv(path: Path, data: Measurements) -> None:
         cells += [repr(float(x)) for x in pose[k]] if k in pose else [""] * 6
         lines.append(",".join(cells))
     path.write_text("\n".join(lines) + "\n")
+
+
+def without_solutions(data: Measurements, configurations: list[int], patch: pytest.MonkeyPatch) -> set[int]:
+    """The solver fails in some configurations from now on, 3 mm off; rows of the file that are measured there."""
+    lost = np.isin(data.configuration, configurations)
+    theta, solve = data.theta_b[data.rows][lost], Mechanics.tips_with_friction
+
+    def failing(self: Mechanics, theta_b: Array, *arguments: object, **keys: object) -> Tips:
+        tips = solve(self, theta_b, *arguments, **keys)  # type: ignore[arg-type]
+        off = (np.abs(theta_b[:, None] - theta[None]).max(axis=2) < 1e-6).any(axis=1)
+        status, position = tips.status.copy(), tips.position_m.copy()
+        status[off], position[off] = Status.FAILED, position[off] + [3e-3, 0, 0]
+        return replace(tips, status=status, position_m=position)
+
+    patch.setattr(Mechanics, "tips_with_friction", failing)
+    return set((data.rows[lost] + 1).tolist())

@@ -10,21 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
-from measured_data import SIGMA_M, SIGMA_RAD, measured, pair_robot, waypoints, write_csv
+from measured_data import SIGMA_M, SIGMA_RAD, measured, pair_robot, waypoints, without_solutions, write_csv
 
 from ctrplan.cli import main
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
 from ctrplan.diagnosis.localise import localise
 from ctrplan.diagnosis.report import report_html
 from ctrplan.diagnosis.split import split
-from ctrplan.drive import Array
 from ctrplan.errors import InputError
 from ctrplan.html_page import escaped
 from ctrplan.measurements import Measurements
-from ctrplan.mechanics import Mechanics
 from ctrplan.robot import load_robot
 from ctrplan.robot_output import write_robot
-from ctrplan.shapes import Status, Tips
 
 ROBOT = pair_robot()
 SILENT = pair_robot(measurement=None)
@@ -192,28 +189,12 @@ def test_a_blank_does_not_hide_what_the_error_goes_along_with() -> None:
 TIP_LOAD = BASE | {"tip_load": {"force_x_N": 0.15, "force_y_N": -0.12, "force_z_N": 0.0}}
 
 
-def without_solutions(configurations: list[int], patch: pytest.MonkeyPatch) -> set[int]:
-    """The solver fails in some configurations from now on, 3 mm off; rows of the file that are measured there."""
-    lost = np.isin(PLAN.configuration, configurations)
-    theta, solve = PLAN.theta_b[PLAN.rows][lost], Mechanics.tips_with_friction
-
-    def failing(self: Mechanics, theta_b: Array, *arguments: object, **keys: object) -> Tips:
-        tips = solve(self, theta_b, *arguments, **keys)  # type: ignore[arg-type]
-        off = (np.abs(theta_b[:, None] - theta[None]).max(axis=2) < 1e-6).any(axis=1)
-        status, position = tips.status.copy(), tips.position_m.copy()
-        status[off], position[off] = Status.FAILED, position[off] + [3e-3, 0, 0]
-        return replace(tips, status=status, position_m=position)
-
-    patch.setattr(Mechanics, "tips_with_friction", failing)
-    return set((PLAN.rows[lost] + 1).tolist())
-
-
 def test_poses_without_a_solution_are_left_out_and_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the selection and of the vault; an effect that is right stays so."""
     data = measured(ROBOT, PLAN, TIP_LOAD)
     parts = split(data, np.ones(data.count, bool))
     configurations = [int(data.configuration[part[0]]) for part in (parts.selection, parts.vault)]
-    rows = without_solutions(configurations, monkeypatch)
+    rows = without_solutions(PLAN, configurations, monkeypatch)
     found = diagnose(ROBOT, data, catalogue=FEW)
     assert found.verdict == "named" and names(found) == [{"tip_load"}]
     assert found.judgement.adequacy.is_adequate and found.gap.after.rms_m < 1.3 * found.gap.floor_m
@@ -227,7 +208,7 @@ def test_poses_without_a_solution_are_left_out_and_told(monkeypatch: pytest.Monk
 
 def test_a_model_that_fails_everywhere_explains_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     data = measured(ROBOT, PLAN, TIP_LOAD)
-    rows = without_solutions(list(range(0, 18, 2)), monkeypatch)
+    rows = without_solutions(PLAN, list(range(0, 18, 2)), monkeypatch)
     found = diagnose(ROBOT, data, catalogue=FEW)
     assert found.verdict == "unexplained"
     assert any(f"no equilibrium at {len(rows)} of" in note and "too many" in note for note in found.notes)

@@ -14,7 +14,7 @@ from ctrplan.diagnosis.candidates import Candidates, candidates, reduced
 from ctrplan.diagnosis.effect import CATALOGUE, Effect
 from ctrplan.diagnosis.experiment import next_experiment
 from ctrplan.diagnosis.gap import Gap, distances, open_vault
-from ctrplan.diagnosis.guards import excused, ignored, remains
+from ctrplan.diagnosis.guards import excused, ignored, remains, unsolved_sentence
 from ctrplan.diagnosis.localise import Place, localise
 from ctrplan.diagnosis.misstated import rescaled_noise, vault_probability
 from ctrplan.diagnosis.noise_floor import noise_floor
@@ -35,7 +35,6 @@ from ctrplan.shapes import Status
 LEAST_STABILITY = 0.03  # of the believed robot: nearer to snapping no model is asked
 LEAST_GROUPS = 12  # configurations, or blocks of a continuous motion
 VAULT_REJECTED = 1e-4  # probability of the vault's residuals that takes a name back
-MOST_ROWS = 20  # that a note lists
 
 Progress = Callable[[str, float], object]  # name of the step, finished share
 
@@ -129,7 +128,7 @@ def diagnose(
             *note,
             *symptoms(chosen.fit),
             *_coverage(usable),
-            *_unsolved(data, unsolved, left_out),
+            *unsolved_sentence(data, unsolved, ~left_out, "calibrated or with the effects"),
         ),
         robot=robot,
         data=data,
@@ -229,7 +228,7 @@ def _written(bench: Workbench, chosen: Scored, judgement: Judgement) -> Scored:
 def _place(bench: Workbench, gap: Gap) -> Place:
     base = bench.scored([])
     fit, kept = base.fit, ~excused(base.failed)
-    error = distances(fit.chain, fit.p)
+    error = distances(fit.chain.predict(fit.p, derivatives=False), fit.chain.data)
     return localise(bench.data.subset(kept), fit.residuals.r[kept], bench.group[kept], error[kept], gap.floor_m)
 
 
@@ -242,17 +241,3 @@ def _coverage(usable: NDArray[np.bool_]) -> list[str]:
     if not masked:
         return []
     return [f"{masked} of {len(usable)} poses were left out for all candidates alike: near snapping, or a run's start."]
-
-
-def _unsolved(data: Measurements, failed: NDArray[np.bool_], left_out: NDArray[np.bool_]) -> list[str]:
-    """A sentence about the poses (K,) at which the model that is handed over, or the one without effects, failed."""
-    if not failed.any():
-        return []
-    rows = (data.rows[failed] + 1).tolist()
-    shown = ", ".join(map(str, rows[:MOST_ROWS])) + (" ..." if len(rows) > MOST_ROWS else "")
-    kept = int((failed & ~left_out).sum())
-    which = f"{kept} of them, too many to be left out, count as wrong" if kept else "they are left out for both alike"
-    return [
-        f"The solver found no equilibrium at {len(rows)} of {data.count} poses, calibrated or with the effects (row "
-        f"{shown}): in chi-squares and errors {which}."
-    ]

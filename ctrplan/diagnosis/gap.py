@@ -47,12 +47,8 @@ class Gap:
     failed: NDArray[np.bool_]  # of all poses of the vault: without a solution, before or after
 
 
-def distances(chain: Chain, p: Array) -> Array:
-    """(K,) distance [m] of measured from predicted tips; from the base where the model has no solution."""
-    return _distances(chain.predict(p, derivatives=False), chain.data)
-
-
-def _distances(prediction: Prediction, data: Measurements) -> Array:
+def distances(prediction: Prediction, data: Measurements) -> Array:
+    """(K,) distance [m] of measured from predicted tips; from the base where the prediction is not finite."""
     measured = data.position_m
     distance = np.linalg.norm(prediction.position_m - measured, axis=1)
     wrong: Array = np.where(np.isfinite(distance), distance, np.linalg.norm(measured, axis=1))
@@ -69,7 +65,7 @@ def open_vault(before: Fit, after: Fit, vault: Measurements, group: NDArray[np.i
     failed = predictions[1].failed | predictions[2].failed
     kept = ~excused(failed)
     vault, group = vault.subset(kept), group[kept]
-    errors = [_distances(prediction.subset(kept), vault) for prediction in predictions]
+    errors = [distances(prediction.subset(kept), vault) for prediction in predictions]
     regions = {
         name: (summary(errors[1][inside], group[inside]), summary(errors[2][inside], group[inside]))
         for name, inside in _regions(vault).items()

@@ -12,6 +12,7 @@ from scipy.stats import chi2
 from ctrplan.diagnosis.crossvalidation import Linear
 from ctrplan.diagnosis.workbench import Scored, Workbench, linear
 from ctrplan.drive import Array
+from ctrplan.measurements import Measurements
 from ctrplan.residuals import PER_POSE, information_inverse
 
 REJECTED = 1e-3  # probability below which a chi-square is no chance
@@ -68,6 +69,18 @@ def outliers(norm: Array) -> NDArray[np.bool_]:
 def excused(failed: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(K,) poses without a solution that are left out of chi-squares and errors: all, unless they are too many."""
     return failed if failed.mean() <= MOST_FAILED else np.zeros_like(failed)
+
+
+def unsolved_sentence(
+    data: Measurements, failed: NDArray[np.bool_], counted: NDArray[np.bool_], models: str
+) -> list[str]:
+    """About the poses (K,) at which a model failed, if any; `counted` are those that chi-squares and errors count."""
+    if not failed.any():
+        return []
+    kept = int((failed & counted).sum())
+    which = f"{kept} of them, too many to be left out, count as wrong" if kept else "they are left out"
+    where = f"{failed.sum()} of {data.count} poses, {models} (row {data.rows_in_words(failed)})"
+    return [f"The solver found no equilibrium at {where}: in chi-squares and errors {which}."]
 
 
 def ignored(scored: Scored) -> NDArray[np.bool_]:

@@ -27,7 +27,8 @@ def where_figure(found: Diagnosis) -> go.Figure:
     known = quantities(data)
     figure = make_subplots(rows=1, cols=len(names), shared_yaxes=True, horizontal_spacing=0.06)
     solved = ~(excused(found.base.failed) | excused(found.chosen.failed))
-    errors = [np.where(solved, distances(s.fit.chain, s.fit.p) * 1e3, np.nan) for s in (found.base, found.chosen)]
+    predictions = [scored.fit.chain.predict(scored.fit.p, derivatives=False) for scored in (found.base, found.chosen)]
+    errors = [np.where(solved, distances(prediction, data) * 1e3, np.nan) for prediction in predictions]
     for column, name in enumerate(names, start=1):
         values, unit = _shown(name, known[name])
         shown = zip(("calibrated", "with the effects"), (BEFORE, AFTER), errors, strict=True)

@@ -58,6 +58,17 @@ void BoundSolver::set_corner_phi(std::size_t batch) {
     }
 }
 
+// From the frictionless iterate where friction states part, or from far where that was not reached; returns the way on.
+BarrierPath BoundSolver::set_out(LaneState& state) {
+    if (shared_is_good_) {
+        solver_.spread(shared_, state);
+        return BarrierPath::parted(solver_.last_barrier());
+    }
+    const BarrierPath path = BarrierPath::cold(solver_.last_barrier());
+    solver_.start(state, q_, zero_, path.first);
+    return path;
+}
+
 void BoundSolver::solve_corners() {
     const KernelProblem& pb = solver_.mesh().problem();
     for (std::size_t b = 0; b < batches_.size(); ++b) {
@@ -65,13 +76,8 @@ void BoundSolver::solve_corners() {
         state.resize(pb, kLanes);
         set_corner_phi(b);
         Convergence* result = &corner_convergence_[b * kLanes];
-        if (shared_is_good_) {
-            solver_.spread(shared_, state);
-            solver_.solve(state, BarrierPath::parted(solver_.last_barrier()), result);
-        } else {
-            solver_.start(state, q_, zero_, BarrierPath::kFirst);
-            solver_.solve(state, BarrierPath::cold(solver_.last_barrier()), result);
-        }
+        const BarrierPath path = set_out(state);
+        solver_.solve(state, path, result);
         for (int lane = 0; lane < kLanes; ++lane)
             if (!result[lane].converged) reach_corner(b, lane);
     }
@@ -88,14 +94,9 @@ void BoundSolver::reach_corner(std::size_t batch, int lane) {
     trial_.resize(pb, 1);
     for (int pair = 0; pair < pairs_; ++pair) phi_[pair] = sign(corner, pair);
     trial_.set_phi(solver_.robot(), pb, 0, phi_.data());
-    reach_from_shared(trial_, corner_convergence_[corner]);
+    const BarrierPath path = set_out(trial_);
+    solver_.reach(trial_, path.first, corner_convergence_[corner]);
     solver_.copy(trial_, *batches_[batch], lane);
-}
-
-void BoundSolver::reach_from_shared(LaneState& state, Convergence& result) {
-    if (shared_is_good_) solver_.spread(shared_, state);
-    else solver_.start(state, q_, zero_, BarrierPath::kFirst);
-    solver_.reach(state, shared_is_good_ ? BarrierPath::kSoft : BarrierPath::kFirst, result);
 }
 
 void BoundSolver::solve(const Configuration& q, const Accuracy& accuracy) {
@@ -179,10 +180,11 @@ void BoundSolver::solve_single(const Configuration& q, const Accuracy& accuracy,
     if (std::all_of(phi.begin(), phi.end(), [](double value) { return value == 0; })) return;
     const KernelProblem& pb = solver_.mesh().problem();
     frictionless_.set_phi(solver_.robot(), pb, 0, phi.data());
-    const BarrierPath path = BarrierPath::cold(solver_.last_barrier());
-    solver_.start(frictionless_, q_, zero_, path.first);
+    const BarrierPath path = set_out(frictionless_);
     solver_.solve(frictionless_, path, &frictionless_convergence_);
-    if (!frictionless_convergence_.converged) reach_from_shared(frictionless_, frictionless_convergence_);
+    if (frictionless_convergence_.converged) return;
+    set_out(frictionless_);
+    solver_.reach(frictionless_, path.first, frictionless_convergence_);
 }
 
 void BoundSolver::search_others() {

@@ -1,5 +1,6 @@
 // Unknowns, interpolation and Gauss points of an element.
-// Included inside anonymous namespaces, by the kernels and by what differentiates or reads them: no std::, no Eigen.
+// Included inside anonymous namespaces, by the kernels and by what differentiates or reads them, after ctr/kernel.hpp: no
+// std::, no Eigen.
 
 // Positions of the unknowns in a node (kernel.hpp).
 constexpr int theta_index(int t) { return 5 * t; }

@@ -61,7 +61,7 @@ class BoundSolver {
     void solve_frictionless();
     void solve_corners();
     void reach_corner(std::size_t batch, int lane);
-    void reach_from_shared(LaneState& state, Convergence& result);
+    BarrierPath set_out(LaneState& state);
     void set_corner_phi(std::size_t batch);
     void measure();
     void remember();

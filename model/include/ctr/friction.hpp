@@ -167,7 +167,7 @@ class FrictionSolver {
 
     Robot robot_;
     Mesh mesh_, left_;  // left_: where move_along() came from
-    double moment_scale_ = 1, barrier_unit_ = 1, last_barrier_ = 0.015;  // N m, N/m, in units
+    double moment_scale_ = 1, barrier_unit_ = 1, last_barrier_ = 1;  // N m, N/m, in units
     double base_l_ = 0;
     std::shared_ptr<LoadMoments> loads_;  // null without loads
     LaneState kept_;  // of slide() and ease(): the iterate to go back to, and the anchor

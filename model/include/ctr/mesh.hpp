@@ -22,7 +22,7 @@ struct Accuracy {
     double refinement = 1;          // of the elements of tubes by themselves
     bool exact = false;             // finish on the exact geometry, exact.hpp
     static Accuracy search() { return {}; }
-    static Accuracy certificate() { return {5e-4, 2.5e-3, 0.2, 1.25e-4, 5e-4, 0.015}; }
+    static Accuracy certificate() { return {5e-4, 2.5e-3, 0.2, 1.25e-4, 5e-4, 0.027}; }
     static Accuracy exact_geometry() {
         Accuracy made = certificate();
         made.exact = true;
