@@ -255,7 +255,13 @@ def _calibration(
         nominal=nominal.errors,
         combinations=left,
         model_error_m=model_error_m(held.distance_m, found.noise.position_m),
-        notes=(*data.warnings, *unknown, *_unsolved(data, aside, trained, held), *noticed),
+        notes=(
+            *data.warnings,
+            *unknown,
+            *unsolved_sentence(data, nominal.failed, nominal.counted, "with the file's values"),
+            *_unsolved(data, aside, trained, held),
+            *noticed,
+        ),
         data=data,
     )
 

@@ -71,8 +71,10 @@ def test_poses_without_a_solution_are_left_out_of_errors_and_told(
     assert found.held_out is not None and max(found.training.rms_m, found.held_out.rms_m) < 1.25 * floor
     assert found.training.poses + found.held_out.poses == found.nominal.poses == data.count - len(rows)
     assert found.model_error_m < floor
-    (note,) = (note for note in found.notes if "no equilibrium" in note)
-    assert f"{len(rows)} of {data.count} poses" in note and all(f"{row}" in note for row in rows)
+    notes = [note for note in found.notes if "no equilibrium" in note]
+    assert len(notes) == 2 and "with the file's values" in notes[0] and "calibrated" in notes[1]
+    assert all(f"{len(rows)} of {data.count} poses" in note for note in notes)
+    assert all(f"{row}" in note for note in notes for row in rows)
 
 
 def test_friction_in_a_second_pass() -> None:
