@@ -1,14 +1,17 @@
 // Random solves of the core as a plain executable: laws with stated tolerances, and something to run under sanitizers.
 //   cmake -S model -B build/core -DCTR_PYTHON=OFF -DCTR_TESTS=ON && cmake --build build/core && build/core/core_test [SOLVES]
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <functional>
 #include <random>
 #include <thread>
 
 #include "ctr/bound.hpp"
 #include "ctr/history.hpp"
+#include "progress.hpp"
 #include "random_robot.hpp"
 
 namespace {
@@ -80,10 +83,16 @@ void check(int seed, Tally& tally) {
 int main(int count, char** arguments) {
     const int solves = count > 1 ? std::atoi(arguments[1]) : 200;
     Tally tallies[2];
-    std::thread other([&] {
-        for (int seed = 1; seed < solves; seed += 2) check(seed, tallies[1]);
-    });
-    for (int seed = 0; seed < solves; seed += 2) check(seed, tallies[0]);
+    tests::Progress progress(solves);
+    std::atomic<int> next = 0;
+    auto work = [&](Tally& tally) {
+        for (int seed = next++; seed < solves; seed = next++) {
+            check(seed, tally);
+            progress.advance();
+        }
+    };
+    std::thread other(work, std::ref(tallies[1]));
+    work(tallies[0]);
     other.join();
     int status[4];
     for (int k = 0; k < 4; ++k) status[k] = tallies[0].status[k] + tallies[1].status[k];

@@ -15,6 +15,7 @@
 #include "ctr/history.hpp"
 #include "ctr/sensitivities.hpp"
 #include "ctr/tip_solver.hpp"
+#include "progress.hpp"
 #include "random_robot.hpp"
 
 namespace {
@@ -325,6 +326,7 @@ void check_field(int seed) {
 
 int main(int count, char** arguments) {
     const int robots = count > 1 ? std::atoi(arguments[1]) : 30;
+    tests::Progress progress(robots);
     for (int seed = 0; seed < robots; ++seed) {
         std::mt19937 random(seed);
         const Case made = tests::random_case(random, 1 + seed % 3);
@@ -336,6 +338,7 @@ int main(int count, char** arguments) {
         check_edges(seed, made);
         check_exact(seed, made);
         if (seed % 5 == 0) check_field(seed);
+        progress.advance();
     }
     for (const int count : {derived, walked}) expect(2 * count >= robots, "most robots have solutions to check", robots);
     expect(10 * softened >= robots, "some are far from snapping", robots);
