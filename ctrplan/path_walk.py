@@ -24,7 +24,7 @@ class PathSamples:
     stability: Array  # (K,)
     max_strain: Array  # (K,)
     clearance_m: Array  # (K,) smallest over frictionless and corner shapes, outer radius taken off; 1e9 in free space
-    motion_m: Array  # (K,) largest displacement of a body point since the sample before
+    motion_m: Array  # (K,) largest displacement of a body point of any of these shapes since the sample before
     status: NDArray[np.int_]  # (K,) values of Status
     tip_m: Array  # (K, 3) frictionless
     tip_tangent: Array  # (K, 3)
@@ -35,7 +35,7 @@ class PathSamples:
 
 @dataclass(frozen=True)
 class PathDensity:
-    """How densely a path is walked: longest joint steps, largest motion of a body point between samples.
+    """How densely a path is walked: longest joint steps, largest motion of a frictionless body point between samples.
 
     Where `near_m` is below `motion_m`, a step may move a body point no farther than the clearance it starts with, or
     `near_m`: clearances are 1-Lipschitz, so that an obstacle is noticed before it is passed.

@@ -48,7 +48,7 @@ class CertificateSamples:
     stability: Array  # (K,)
     max_strain: Array  # (K,)
     clearance_m: Array  # (K,) of every corner shape to the anatomy, beyond its margins; inf in free space
-    motion_m: Array  # (K,) largest displacement of a body point since the sample before
+    motion_m: Array  # (K,) largest displacement of a body point of any shape since the sample before
     tip_m: Array  # (K, 3) frictionless tip, robot frame
     released_m: Array  # (K,) as bound_m, less what translations released by the friction law; fully loaded at the start
     predicted_m: Array  # (K,) friction error by simulated history, the largest over the states it may start in
@@ -110,7 +110,7 @@ class Certificate:
     length_mm: float  # weighted joint length
     stops: int  # of the drive on the way: changes of direction, and targets but the last
     cost_mm: float
-    spacing_m: float  # largest motion of a body point between samples
+    spacing_m: float  # largest motion of a body point of any shape between samples
     worst_play_m: float = 0.0  # how far play of the drive may move the robot
     goal_play_m: float = 0.0
     targets: tuple[TargetReached, ...] = ()  # in the order reached, the goal last

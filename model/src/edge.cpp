@@ -23,11 +23,10 @@ double backbone_clearance(const BoundSolver& bound, const Backbone& shape, const
 // Points that move with the material, per tube where it is the outermost: at fixed distances from the tube's own tip.
 using Markers = std::vector<std::vector<Vec3>>;
 
-Markers material_markers(const BoundSolver& bound) {
+Markers material_markers(const BoundSolver& bound, const Backbone& shape) {
     const Mesh& mesh = bound.solver().mesh();
     const KernelProblem& pb = mesh.problem();
     Markers markers(pb.tubes);
-    const Backbone& shape = bound.backbone;
     std::vector<double> tip(pb.tubes);
     for (int i = 0; i < pb.tubes; ++i) tip[i] = bound.configuration().l[i] + bound.solver().robot().tubes[i].length();
     for_outer_elements(bound, shape, [&](int e, const Vec3& start, const Vec3& end) {
@@ -42,6 +41,13 @@ Markers material_markers(const BoundSolver& bound) {
         }
     });
     return markers;
+}
+
+// Of the frictionless shape, then of the corners'.
+std::vector<Markers> markers_of_shapes(const BoundSolver& bound) {
+    std::vector<Markers> all{material_markers(bound, bound.backbone)};
+    for (const Backbone& shape : bound.corner_backbones) all.push_back(material_markers(bound, shape));
+    return all;
 }
 
 double largest_motion(const Markers& before, const Markers& after) {
@@ -94,7 +100,7 @@ std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Config
                                    const SignedDistanceField& field, const PathDensity& density, const PathLimits& limits,
                                    bool keep_bodies) {
     std::vector<PathSample> samples;
-    Markers before, now;
+    std::vector<Markers> before, now;
     int solves = 0;
     // Solves at q and appends the sample; false if it breaks a limit.
     auto record = [&](int segment, double fraction, double motion) {
@@ -121,7 +127,7 @@ std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Config
     if (corners.empty()) return samples;
     solver.solve(corners.front(), mesh);
     ++solves;
-    before = material_markers(solver);
+    before = markers_of_shapes(solver);
     if (!record(0, 0, 0)) return samples;
     for (std::size_t leg = 0; leg + 1 < corners.size(); ++leg) {
         const Configuration &a = corners[leg], &b = corners[leg + 1];
@@ -137,8 +143,8 @@ std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Config
             if (next < 1 && at + 2 * step > 1) next = 0.5 * (at + 1);  // two even steps rather than a long and a sliver
             solver.follow(between(a, b, next), mesh, retrying);
             ++solves;
-            now = material_markers(solver);
-            const double motion = largest_motion(before, now);
+            now = markers_of_shapes(solver);
+            const double motion = largest_motion(before[0], now[0]);
             // A body that moves much faster than before may have snapped: look closer, until its motion shrinks with the step.
             const bool surprising = rate > 0 && motion > kSurprise * rate * (next - at) + kSnap && motion > 0.75 * rejected;
             if ((motion > allowed || surprising) && next - at > kShortestStep) {
@@ -152,7 +158,9 @@ std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Config
             const bool snapped = jumped || (surprising && next - at <= kShortestStep);
             rejected = 0;
             rate = motion / (next - at);
-            if (!record(static_cast<int>(leg), next, motion)) return samples;
+            double most = motion;  // a corner may move farther; where its friction state loses its equilibrium, in one leap
+            for (std::size_t k = 1; k < now.size(); ++k) most = std::max(most, largest_motion(before[k], now[k]));
+            if (!record(static_cast<int>(leg), next, most)) return samples;
             if (snapped) {
                 samples.back().status = Status::unstable;
                 return samples;

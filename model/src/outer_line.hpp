@@ -18,8 +18,7 @@ void for_outer_elements(const BoundSolver& bound, const Backbone& shape, const V
     const KernelProblem& pb = mesh.problem();
     for (int e = 0; e < pb.elements; ++e) {
         if (mesh.s()[e + 1] <= 0) continue;
-        const bool goes_on = e + 1 < pb.elements && pb.element_tubes[e + 1] == pb.element_tubes[e];
-        visit(e, shape.outer_position[e], goes_on ? shape.outer_position[e + 1] : shape.frame[e + 1].p);
+        visit(e, shape.outer_position[e], shape.outer_end[e + 1]);
     }
 }
 

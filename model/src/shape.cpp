@@ -160,6 +160,7 @@ void BackboneTracer::follow(const FrictionSolver& solver, const LaneState& state
     const KernelProblem& pb = solver.mesh().problem();
     out.frame.resize(pb.nodes);
     out.outer_position.resize(pb.nodes);
+    out.outer_end.resize(pb.nodes);
     Frame frame;
     frame.p = {0, 0, base_l};
     out.frame[0] = frame;
@@ -169,13 +170,19 @@ void BackboneTracer::follow(const FrictionSolver& solver, const LaneState& state
         advance(frame, kappa[0], kappa[1], pb.length[e]);
         out.frame[e + 1] = frame;
     }
-    for (int k = 0; k < pb.nodes; ++k) {
-        const int m = pb.element_tubes[std::min(k, pb.elements - 1)];
+    auto outermost = [&](int k, int tubes) {
         double offset[2] = {0, 0};
-        for (int p = 0; p < m - 1; ++p)
+        for (int p = 0; p < tubes - 1; ++p)
             for (int plane = 0; plane < 2; ++plane) offset[plane] += state.unknown(k, 1 + 5 * p + plane, lane);
         const Frame& f = out.frame[k];
-        for (int i = 0; i < 3; ++i) out.outer_position[k][i] = f.p[i] - offset[0] * f.R[3 * i] - offset[1] * f.R[3 * i + 1];
+        Vec3 position;
+        for (int i = 0; i < 3; ++i) position[i] = f.p[i] - offset[0] * f.R[3 * i] - offset[1] * f.R[3 * i + 1];
+        return position;
+    };
+    for (int k = 0; k < pb.nodes; ++k) {
+        const int after = pb.element_tubes[std::min(k, pb.elements - 1)], before = pb.element_tubes[std::max(k - 1, 0)];
+        out.outer_position[k] = outermost(k, after);
+        out.outer_end[k] = before == after ? out.outer_position[k] : outermost(k, before);
     }
 }
 

@@ -17,7 +17,7 @@ struct PathSample {
     double stability = 0;
     double max_strain = 0;
     double clearance = 0;       // smallest over the frictionless and every corner shape, less the outer radius, m
-    double motion = 0;          // largest displacement of any body point since the previous sample, m
+    double motion = 0;          // largest displacement of any body point in any of these shapes since the previous sample, m
     int solves = 0;             // configurations solved since the previous sample, those not accepted among them
     Vec3 tip{0, 0, 0};          // frictionless
     Vec3 tangent{0, 0, 1};
@@ -33,8 +33,8 @@ struct PathLimits {
     double clearance = -1e300;  // m
 };
 
-// How densely a path is walked. A step is never longer than the joint steps allow, and moves no body point farther than
-// `motion`; where `near` is smaller, it moves none farther than the clearance it starts with, but at least `near`: with
+// How densely a path is walked. A step is never longer than the joint steps allow, and moves no body point of the
+// frictionless shape farther than `motion`; where `near` is smaller, it moves none farther than the clearance it starts with, but at least `near`: with
 // distances being 1-Lipschitz that is enough to notice an obstacle.
 struct PathDensity {
     double rotation = 0.18;     // rad, any tube base

@@ -40,6 +40,7 @@ struct Shape {
 struct Backbone {
     std::vector<Frame> frame;          // (nodes) twist-free frames of the innermost tube
     std::vector<Vec3> outer_position;  // (nodes) centreline of the outermost tube present, distal side of the node
+    std::vector<Vec3> outer_end;       // (nodes) the same of the proximal side: another where a tube ends
     double max_strain = 0;             // over all tubes
 };
 
