@@ -19,8 +19,8 @@ FREE_SPACE = Field(np.zeros((1, 1, 1), np.float32), np.zeros(3), 1.0, np.eye(3),
 
 
 def joint_row(values: ArrayLike, n: int) -> Array:
-    """The (n,) joint array in the layout of the core. Raises InputError."""
-    row = np.ascontiguousarray(numbers(values, "joint array"))
+    """The (n,) joint array in the layout of the core, of its own: the caller's may change. Raises InputError."""
+    row = np.array(numbers(values, "joint array"), order="C")
     if row.shape != (n,):
         raise InputError(f"must have shape ({n},), one value per tube, not {row.shape}", key="joint array")
     return row
@@ -107,7 +107,7 @@ def path_samples(table: Array, bodies: Sequence[Array]) -> PathSamples:
 
 def worst(values: Array) -> float:
     """The value that is none, or else the largest by size, for a message."""
-    return float(values[np.argmax(np.where(np.isnan(values), np.inf, np.abs(values)))])
+    return float(np.ravel(values)[np.argmax(np.where(np.isnan(values), np.inf, np.abs(values)))])
 
 
 def bounds_from_core(table: Array) -> Bounds:

@@ -109,7 +109,10 @@ class HistoryState:
 
 
 class History:
-    """A robot moved along a joint path, waypoint by waypoint. Memory does not grow with the path."""
+    """A robot moved along a joint path, waypoint by waypoint. Memory does not grow with the path.
+
+    It has one state, so that threads that share it move each other's robot: give each a history of its own.
+    """
 
     def __init__(
         self,
@@ -150,7 +153,7 @@ class History:
             table: Array = np.asarray(self._core.follow(thetas, ls))
         reached = np.flatnonzero(table[:, 0] < Status.FAILED)  # not NaN
         if len(reached):
-            self._at = (thetas[reached[-1]], ls[reached[-1]])
+            self._at = (thetas[reached[-1]].copy(), ls[reached[-1]].copy())
         return HistoryPath(
             position_m=table[:, 2:5],
             tangent=table[:, 5:8],
@@ -177,8 +180,11 @@ class History:
         return HistoryState(*self._at, self._core.save())
 
     def restore(self, state: HistoryState) -> None:
-        """Goes back to a saved state of this robot."""
-        self._core.restore(state.core)
+        """Goes back to a saved state of this robot at this accuracy; InputError if it is of another."""
+        if not isinstance(state, HistoryState):
+            raise InputError("must be what History.save returned", key="state", value=state)
+        with input_errors():
+            self._core.restore(state.core)
         self._at = (state.theta_b, state.l_b)
 
     def _begin(self, theta_b: Array, l_b: Array) -> tuple[float, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -245,6 +246,45 @@ def resident_kB() -> int:
     """Of this process, the core's memory included."""
     status = Path("/proc/self/status").read_text(encoding="ascii")
     return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS"))
+
+
+def test_a_state_goes_with_its_robot_and_accuracy() -> None:
+    three, pair = THREE.history(), PAIR.history()
+    three.advance([0, 1, 2], [0, -0.017, -0.07])
+    pair.advance([0, 2], [0, -0.06])
+    other = load_robot(ROBOTS / "table_5_pair.toml", ["contact.1.clearance_mm=0.06"]).history()
+    for history, state in ((pair, three.save()), (three, pair.save()), (other, pair.save())):
+        with pytest.raises(InputError, match="its own robot"):
+            history.restore(state)
+    with pytest.raises(InputError, match="its own robot"):
+        PAIR.history(accuracy="certificate").restore(pair.save())
+    with pytest.raises(InputError, match="History.save"):
+        pair.restore(None)  # type: ignore[arg-type]
+
+
+def test_joints_that_change_afterwards_change_no_step() -> None:
+    """Such as an array that a loop writes into."""
+    history, theta_b = PAIR.history(), np.zeros(2)
+    steps = []
+    for turn in (0.0, 0.5, 1.0):
+        theta_b[1] = turn
+        steps.append(history.advance(theta_b, [0, -0.06]).theta_b[1])
+    saved = history.save()
+    theta_b[1] = 9.0
+    assert steps == [0.0, 0.5, 1.0]
+    assert saved.theta_b[1] == 1.0
+
+
+def test_threads_that_share_a_history_break_nothing() -> None:
+    history = THREE.history()
+    history.advance([0, 1, 2], [0, -0.017, -0.07])
+
+    def turn(k: int) -> bool:
+        step = history.advance([0, 1 + 0.3 * np.sin(k), 2 + 0.5 * np.cos(k)], [0, -0.017, -0.07 - 0.01 * (k % 3)])
+        return bool(np.all(np.isfinite(step.shape.tip_m)))
+
+    with ThreadPoolExecutor(3) as pool:
+        assert all(pool.map(turn, range(60)))
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <limits>
+#include <mutex>
 
 #include "configurations.hpp"
 #include "ctr/history.hpp"
@@ -18,12 +19,14 @@ class PathHistory {
         std::vector<double> friction(phi.data(), phi.data() + phi.shape(0));
         friction.resize(std::max<std::size_t>(friction.size(), 1));
         nb::gil_scoped_release release;
+        const std::lock_guard<std::mutex> lock(mutex_);
         return static_cast<int>(history_.start(q, friction));
     }
 
     // status, residual, steps, snaps, work, growth of elastic energy, growth of breakaway energy, loss, smallest loss.
     nb::tuple advance(Vector theta, Vector l) {
         const ctr::Configuration q = valid_configuration(robot_, theta, l);
+        const std::unique_lock<std::mutex> lock = hold();
         int status;
         {
             nb::gil_scoped_release release;
@@ -42,6 +45,7 @@ class PathHistory {
         std::vector<double> out(rows * columns, std::numeric_limits<double>::quiet_NaN());
         {
             nb::gil_scoped_release release;
+            const std::lock_guard<std::mutex> lock(mutex_);
             ctr::Backbone backbone;
             ctr::BackboneTracer tracer;
             for (std::size_t k = 0; k < rows; ++k) {
@@ -62,6 +66,7 @@ class PathHistory {
     }
 
     nb::dict shape() const {
+        const std::unique_lock<std::mutex> lock = hold();
         ctr::Shape shape = ctr::make_shape(history_.solver(), history_.state(), 0, history_.configuration());
         shape.status = history_.status();
         shape.residual = history_.residual();
@@ -71,6 +76,7 @@ class PathHistory {
 
     // Per pair, outermost first: s, phi, psi, normal force of every contact.
     nb::list friction() const {
+        const std::unique_lock<std::mutex> lock = hold();
         const ctr::KernelProblem& pb = history_.solver().mesh().problem();
         nb::list pairs;
         const ctr::Shape shape = ctr::make_shape(history_.solver(), history_.state(), 0, history_.configuration());
@@ -93,6 +99,7 @@ class PathHistory {
         std::vector<double> out(6, std::numeric_limits<double>::quiet_NaN());
         {
             nb::gil_scoped_release release;
+            const std::lock_guard<std::mutex> lock(mutex_);
             ctr::Backbone backbone;
             if (history_.solve_beside(friction, backbone)) {
                 const ctr::Vec3 tangent = backbone.frame.back().tangent();
@@ -105,10 +112,24 @@ class PathHistory {
         return array(std::move(out), {6});
     }
 
-    ctr::History::State save() const { return history_.save(); }
-    void restore(const ctr::History::State& state) { history_.restore(state); }
+    ctr::History::State save() const {
+        const std::unique_lock<std::mutex> lock = hold();
+        return history_.save();
+    }
+
+    void restore(const ctr::History::State& state) {
+        const std::unique_lock<std::mutex> lock = hold();
+        history_.restore(state);
+    }
 
   private:
+    // One thread at a time. Nobody waits here with the interpreter's lock, so that the holder can always take it.
+    std::unique_lock<std::mutex> hold() const {
+        nb::gil_scoped_release release;
+        return std::unique_lock<std::mutex>(mutex_);
+    }
+
     ctr::Robot robot_;
     ctr::History history_;
+    mutable std::mutex mutex_;
 };

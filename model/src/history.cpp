@@ -30,6 +30,19 @@ Configuration between(const Configuration& a, const Configuration& b, double par
     return part == 1 ? b : q;
 }
 
+// What tells a robot and the accuracy of its mesh from others.
+std::vector<double> identity(Robot robot, const Accuracy& accuracy) {
+    std::vector<double> values{accuracy.finest, accuracy.coarsest, accuracy.growth, accuracy.contact_finest, accuracy.contact_coarsest,
+                               accuracy.barrier, accuracy.refinement, accuracy.exact ? 1.0 : 0.0};
+    for (const Tube& tube : robot.tubes) values.push_back(static_cast<double>(tube.sections.size()));
+    std::vector<double*> all;
+    const std::size_t n = robot.tubes.size();
+    Configuration none{std::vector<double>(n, 0.0), std::vector<double>(n, 0.0)};
+    numbers(robot, none, all);
+    for (const double* value : all) values.push_back(*value);
+    return values;
+}
+
 }  // namespace
 
 History::History(const Robot& robot, const Accuracy& accuracy, const HistoryOptions& options)
@@ -39,6 +52,7 @@ History::History(const Robot& robot, const Accuracy& accuracy, const HistoryOpti
         inner_arm_.push_back(robot.pairs[pairs - 1 - p].inner_outer_radius);
         outer_arm_.push_back(robot.pairs[pairs - 1 - p].outer_inner_radius);
     }
+    identity_ = identity(robot, accuracy);
 }
 
 Status History::start(const Configuration& q, const std::vector<double>& phi) {
@@ -88,10 +102,11 @@ void History::put(const Iterate& at) {
 }
 
 History::State History::save() const {
-    return {q_, solver_.mesh(), iterate(), phi_, psi_, built_breaks_, pending_slip_, status_, convergence_};
+    return {q_, solver_.mesh(), iterate(), phi_, psi_, built_breaks_, pending_slip_, status_, convergence_, identity_};
 }
 
 void History::restore(const State& saved) {
+    if (saved.owner != identity_) throw InvalidInput("a saved state of a history goes with its own robot and accuracy only");
     q_ = saved.q;
     status_ = saved.status;
     phi_ = saved.phi;

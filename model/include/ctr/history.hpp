@@ -51,9 +51,10 @@ class History {
         std::vector<double> phi, psi, built_breaks, pending_slip;
         Status status = Status::failed;
         Convergence convergence;
+        std::vector<double> owner;  // numbers of the robot and mesh it is of
     };
     State save() const;
-    void restore(const State& state);
+    void restore(const State& state);  // throws InvalidInput if it is of another robot or accuracy
 
     // The solution with every contact of a pair at phi on the branch that this history is on: friction goes there by parts, the
     // history stays where it is. False where the branch ends before.
@@ -116,6 +117,7 @@ class History {
 
     HistoryOptions options_;
     Accuracy accuracy_;
+    std::vector<double> identity_;  // State::owner
     static constexpr double kLargestTurn = 0.15;  // rad, of any place in a step: more is another equilibrium, or a step too long
 
     BackboneTracer tracer_;
