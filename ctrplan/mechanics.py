@@ -220,7 +220,8 @@ class Mechanics:
 
         Parameters are named as in `ctrplan.parameters`. Rows of one configuration are solved faster when they follow
         each other. Derivatives are those of the discretised equations; NaN where a solve FAILED, where a collar, joint
-        or tip would pass another one, and by the compliance of a shaft that is rigid.
+        or tip would pass another one, by the compliance of a shaft that is rigid, and where a load is so large that
+        its own change does not settle. Collars, joints and tips that coincide are taken to move together.
         """
         thetas, ls = self._configurations(theta_b, l_b)
         states = np.ascontiguousarray(numbers(phi, "phi"))

@@ -9,9 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from ctrplan.errors import InputError
-from ctrplan.mechanics import Array, Field, Mechanics, PathDensity, Status, kernel_name
+from ctrplan.history import History
+from ctrplan.loads import Loads
+from ctrplan.mechanics import Accuracy, Array, Field, Mechanics, PathDensity, Status, kernel_name
 from ctrplan.robot import load_robot
 from ctrplan.tube import Tube, TubeSection
 
@@ -131,6 +135,105 @@ def test_a_path_finds_what_separate_solves_find(seed: int) -> None:
     np.testing.assert_allclose(path.tip_m, bounds.tip_m, rtol=0, atol=1e-7)
     np.testing.assert_allclose(path.position_m, bounds.position_m, rtol=0, atol=1e-7)
     np.testing.assert_allclose(path.stability, bounds.stability, rtol=1e-2)
+
+
+@pytest.mark.parametrize(
+    "l_b",
+    [
+        *([l_1, -0.0604] for l_1 in (-1e-17, -1e-9, -9e-6)),  # a collar that is taken to stand at the plate
+        [0.0, -9e-6],
+        [-9e-6, -1.8e-5],  # collars that are taken to stand at one place, the plate a third
+    ],
+)
+def test_a_base_turns_with_its_actuator_wherever_the_mesh_puts_its_collar(l_b: list[float]) -> None:
+    section = TubeSection(0.15, 0.0, 1 / 0.15)
+    tubes = [Tube(2.64e-3, 2.39e-3, 0.0507, 0.3, (section,)), Tube(2.305e-3, 1.95e-3, 0.0507, 0.3, (section, section))]
+    model = Mechanics(tubes, [4.25e-5], [0.2])
+    path = model.check_path([[0.0, 2.0], [1.0, 2.0]], [l_b, l_b])
+    bound = model.bound([1.0, 2.0], l_b)
+    np.testing.assert_allclose(path.tip_m[-1], bound.frictionless.tip_m, rtol=0, atol=1e-7)
+    assert path.position_m[-1] == pytest.approx(bound.position_m, abs=1e-7)
+    history = History(model)
+    history.advance([0.0, 2.0], l_b)
+    step = history.advance([1.0, 2.0], l_b)
+    assert step.shape.tubes[0].theta_rad[0] == pytest.approx(1.0, abs=1e-4)
+
+
+def test_a_collar_just_behind_the_plate_and_a_joint_just_in_front_of_it_solve() -> None:
+    tubes = [
+        Tube(2.64e-3, 2.39e-3, 0.0507, 0.3, (TubeSection(0.15, 0.0, 1 / 0.15),)),
+        Tube(2.305e-3, 1.95e-3, 0.0507, 0.3, (TubeSection(0.017, 0.0, 0.0), TubeSection(0.15, 0.0, 1 / 0.15))),
+    ]
+    model = Mechanics(tubes, [4.25e-5], [0.2])
+    bound = model.bound([0.0, 2.0], [-9e-6, -0.017 + 3e-6])
+    assert bound.position_m == pytest.approx(model.bound([0.0, 2.0], [0.0, -0.017]).position_m, abs=1e-5)
+
+
+def test_an_outer_tube_that_ends_at_the_plate_leaves_the_zero_clearance_model_finite() -> None:
+    bent = TubeSection(0.15, 0.0, 1 / 0.265)
+    tubes = [
+        Tube(2.64e-3, 2.39e-3, 0.0507, 0.3, (bent,)),
+        Tube(2.305e-3, 1.95e-3, 0.0507, 0.3, (TubeSection(0.067, 0.0, 0.0), bent)),
+        Tube(1.825e-3, 1.6e-3, 0.0145, 0.3, (TubeSection(0.184, 0.0, 0.0), TubeSection(0.0864, 0.0, 1 / 0.055))),
+    ]
+    model = Mechanics(tubes, [4.25e-5, 6.25e-5], [0.2, 0.2])
+    near, beyond = (
+        model.zero_clearance([0.0, 1.0, 2.0], [-0.15 + inside_m, -0.18, -0.22]) for inside_m in (5e-8, 1e-6)
+    )
+    assert near.status == Status.CONVERGED
+    np.testing.assert_allclose(near.tip_m, beyond.tip_m, rtol=0, atol=1e-5)
+
+
+def test_a_walk_over_the_fold_of_a_corner_mirrors() -> None:
+    """Lanes that repeat a corner go on from where it was found, too."""
+    tubes = [
+        Tube(2.64e-3, 2.39e-3, 0.0507, 0.3, (TubeSection(0.15, 0.0, 10.7),)),
+        Tube(2.305e-3, 1.95e-3, 0.0507, 0.3, (TubeSection(0.03, 0.0, 0.0), TubeSection(0.15, 0.0, 10.7))),
+    ]
+    model = Mechanics(tubes, [4.25e-5], [0.41])
+    walked = []
+    for direction in (1, -1):
+        theta_b = [[0.0, np.pi - 0.4 * direction], [0.0, np.pi + 0.4 * direction]]
+        density = PathDensity(rotation_rad=0.00501, motion_m=1.0, near_m=1.0)
+        walked.append(model.check_path(theta_b, [[0.0, -0.02]] * 2, density=density))
+    np.testing.assert_allclose(walked[0].position_m, walked[1].position_m, rtol=0, atol=1e-5)
+    assert walked[0].position_m.max() > 0.1 > walked[0].position_m[0] > 0
+
+
+def test_the_motion_between_samples_is_that_of_every_shape() -> None:
+    """A certificate takes half of it off a clearance, which is that of corners too."""
+    for seed in range(4):
+        theta_b, l_b = random_joints(seed, 2)
+        l_b[1], theta_b[1] = l_b[0], theta_b[0] + [0.0, 1.0, -2.0]
+        path = THREE_TUBES.check_path(theta_b, l_b, density=PathDensity(motion_m=5e-4, near_m=5e-4))
+        moved = np.linalg.norm(np.diff(path.corner_tip_m, axis=0), axis=2).max(axis=1)
+        assert np.all(moved <= path.motion_m[1:] + 1e-9)
+
+
+@pytest.mark.parametrize("accuracy", ["search", "certificate", "exact"])
+@pytest.mark.parametrize("force_N", [0.3, 1.0, 3.0, -1.0])
+def test_one_tube_under_a_load_is_an_elastica(force_N: float, accuracy: Accuracy) -> None:
+    length_m, curvature, stiffness = 0.15, 10.0, 0.01
+
+    def line(reach_m: float) -> Array:
+        """Angle, x, z at the tip, if the force bends as it does with the tip at z = reach_m."""
+
+        def slopes(_s: float, y: Array) -> list[float]:
+            return [curvature + force_N * (reach_m - y[2]) / stiffness, np.sin(y[0]), np.cos(y[0])]
+
+        return np.asarray(solve_ivp(slopes, (0, length_m), [0.0, 0.0, 0.0], rtol=1e-10, atol=1e-12).y[:, -1])
+
+    reach_m = brentq(lambda z: line(z)[2] - z, 0.0, length_m)
+    model = Mechanics(
+        [Tube(1.2e-3, 0.9e-3, stiffness, 0.3, (TubeSection(length_m, 0.0, curvature),))],
+        [],
+        [],
+        Loads(tip_force_N=(force_N, 0.0, 0.0)),
+    )
+    bound = model.bound([0.0], [0.0], accuracy=accuracy)
+    assert bound.position_m < 1e-9
+    tip_m = [line(reach_m)[1], 0.0, reach_m]
+    np.testing.assert_allclose(bound.frictionless.tip_m, tip_m, rtol=0, atol=1e-4)  # bent by 75 mm at 3 N
 
 
 def test_clearance_along_a_path_is_that_of_the_body() -> None:

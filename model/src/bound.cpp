@@ -97,6 +97,8 @@ void BoundSolver::reach_corner(std::size_t batch, int lane) {
     const BarrierPath path = set_out(trial_);
     solver_.reach(trial_, path.first, corner_convergence_[corner]);
     solver_.copy(trial_, *batches_[batch], lane);
+    if (corner < corners_ - 1) return;
+    for (int spare = lane + 1; spare < kLanes; ++spare) solver_.copy(trial_, *batches_[batch], spare);
 }
 
 void BoundSolver::solve(const Configuration& q, const Accuracy& accuracy) {

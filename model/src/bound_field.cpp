@@ -97,7 +97,7 @@ FieldEntry BoundField::sample(const Configuration& q, int every) const {
         if (axis.rotation) x -= kTurn * std::floor((x - axis.lower) / kTurn);
         x = (x - axis.lower) / axis.step;
         const int cells = axis.rotation ? axis.count : axis.count - 1;
-        if (x < -kOffGrid || x > cells + kOffGrid) return entry;
+        if (!(x >= -kOffGrid && x <= cells + kOffGrid)) return entry;  // NaN neither
         cell[a] = std::clamp(static_cast<int>(x), 0, cells - 1);
         part[a] = x - cell[a];
     }

@@ -19,6 +19,7 @@ constexpr double kKeep = 0.98;            // fraction of the way to the boundary
 constexpr double kNearlyFull = 0.99;      // of a step, below which no residual vanishes
 constexpr double kMaxTwistStep = 0.6;     // rad
 constexpr double kResidual = 1e-8;        // of EI * precurvature
+constexpr double kWeighed = 1e-12;        // of the moments of loads: their last change
 constexpr double kExactLevel = 0.1;       // barrier level, see BarrierPath, below which exact geometry matters
 constexpr double kExactComplementarity = 0.03;  // of a barrier ten to a hundred times lower
 constexpr int kExactSteps = 40;           // more, since convergence is linear
@@ -33,7 +34,7 @@ FrictionSolver::FrictionSolver(const Robot& robot) : robot_(robot) {
 }
 
 void FrictionSolver::weigh(LaneState& state) {
-    if (loads_) loads_->update(*this, state, base_l_);
+    if (loads_) loads_->update(*this, state, base_l_, load_change_.data());
 }
 
 void FrictionSolver::build(const Configuration& q, const Accuracy& accuracy) {
@@ -65,10 +66,32 @@ void FrictionSolver::scale(const Configuration& q, const Accuracy& accuracy) {
     barrier_unit_ = moment_scale_ / (length * length);
 }
 
+// Steps are scaled by what the last two say of the slowest mode (Aitken), per lane: by themselves they go astray where a load
+// bends as much as the tube resists.
 void FrictionSolver::weigh_out(LaneState& state) {
-    constexpr int kMost = 60;
-    for (int k = 0; loads_ && k < kMost; ++k)
-        if (!(loads_->update(*this, state, base_l_) > 1e-12 * moment_scale_)) return;
+    constexpr int kMost = 100;
+    constexpr double kLeast = 0.02, kLongest = 20;
+    const std::size_t lanes = state.lanes(), count = state.load_moment_count();
+    double share[kLanes];
+    std::fill(share, share + kLanes, 1.0);
+    for (int k = 0; loads_ && k < kMost; ++k) {
+        load_begun_.assign(state.load_moments(), state.load_moments() + count);
+        weigh(state);
+        if (std::all_of(load_change_.begin(), load_change_.begin() + lanes, [](double change) { return !(change > kWeighed); })) return;
+        load_step_.swap(load_step_before_);
+        load_step_.resize(count);
+        for (std::size_t i = 0; i < count; ++i) load_step_[i] = state.load_moments()[i] - load_begun_[i];
+        for (std::size_t lane = 0; lane < lanes; ++lane) {
+            double product = 0, square = 0;
+            for (std::size_t i = lane; k > 0 && i < count; i += lanes) {
+                const double differs = load_step_[i] - load_step_before_[i];
+                product += load_step_before_[i] * differs;
+                square += differs * differs;
+            }
+            if (square > 0) share[lane] = std::clamp(-share[lane] * product / square, kLeast, kLongest);
+            for (std::size_t i = lane; i < count; i += lanes) state.load_moments()[i] = load_begun_[i] + share[lane] * load_step_[i];
+        }
+    }
 }
 
 bool FrictionSolver::move(const FrictionSolver& from, const Robot& robot, const Configuration& q) {
@@ -105,7 +128,7 @@ void FrictionSolver::start(LaneState& state, const Configuration& q, const ZeroC
         for (int k = 0; k < pb.nodes; ++k) {
             for (int i = 0; i < pb.stride; ++i) state.unknown(k, i, lane) = 0;
             for (int t = 0; t < n; ++t)
-                state.unknown(k, 5 * t, lane) = mesh_.s()[k] <= q.l[n - 1 - t] ? q.theta[n - 1 - t] : guess.theta(t, mesh_.s()[k]);
+                state.unknown(k, 5 * t, lane) = k <= pb.shaft_node[t] ? q.theta[n - 1 - t] : guess.theta(t, mesh_.s()[k]);
         }
         for (int k = 0; k < pb.contacts; ++k) {
             const int p = pb.contact_pair[k];
@@ -147,9 +170,9 @@ void FrictionSolver::set_base(LaneState& state, const Configuration& q) {
     const KernelProblem& pb = mesh_.problem();
     for (int k = 0; k < pb.nodes; ++k)
         for (int t = 0; t < pb.tubes; ++t) {
-            const int i = pb.tubes - 1 - t;
-            if (mesh_.s()[k] > q.l[i] || 5 * t < pb.node_unknowns[k]) continue;  // an unknown there
-            for (int lane = 0; lane < state.lanes(); ++lane) state.unknown(k, 5 * t, lane) = q.theta[i];
+            // by node: where breaks were merged, a collar and the node it became stand at different arc lengths
+            if (k > pb.shaft_node[t] || 5 * t < pb.node_unknowns[k]) continue;  // an unknown there
+            for (int lane = 0; lane < state.lanes(); ++lane) state.unknown(k, 5 * t, lane) = q.theta[pb.tubes - 1 - t];
         }
 }
 
@@ -188,7 +211,8 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
             primal[lane] = std::min(primal[lane], kMaxTwistStep / std::max(twist, 1e-12));
         }
         run.advance(pb, state.view(), primal, dual);
-        weigh(state);
+        if (pb.tubes > 1) weigh(state);
+        else weigh_out(state);  // no contact whose imbalance would show that a load still changes the shape
         bool check = false;
         for (int lane = 0; lane < lanes; ++lane) {
             if (done[lane]) continue;
@@ -212,7 +236,7 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
         bool all = true;
         for (int lane = 0; lane < lanes; ++lane) {
             if (done[lane]) continue;
-            result[lane].residual = std::max(moment[lane], bend_error[lane]) / moment_scale_;
+            result[lane].residual = std::max(std::max(moment[lane], bend_error[lane]) / moment_scale_, loads_ ? load_change_[lane] : 0.0);
             result[lane].complementarity = gap[lane];
             if (level[lane] <= last && result[lane].residual < kResidual && gap[lane] < centred)
                 done[lane] = result[lane].converged = true;

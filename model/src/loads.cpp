@@ -15,17 +15,19 @@ Vec3 difference(const Vec3& a, const Vec3& b) { return {a[0] - b[0], a[1] - b[1]
 
 // Moment about p(s) of what acts beyond s: m(s) = m_tip + (p_tip - p) x f_tip + int (p(sigma) - p) x q dsigma, summed from
 // the tip for each tube; as a curvature vector (t' = kappa) in the twist-free frame it is (m_y, -m_x).
-double LoadMoments::update(const FrictionSolver& solver, LaneState& state, double base_l) {
+void LoadMoments::update(const FrictionSolver& solver, LaneState& state, double base_l, double* change) {
     const Robot& robot = solver.robot();
-    double change = 0;
     const KernelProblem& pb = solver.mesh().problem();
     const Loads& loads = robot.loads;
     Vec3 force[kMaxTubes], moment[kMaxTubes];  // on each tube beyond the distal node, about it
+    double differs = 0, largest = 0;
     auto keep = [&](double& kept, double value) {
-        change = std::max(change, std::fabs(value - kept));
+        differs = std::max(differs, std::fabs(value - kept));
+        largest = std::max(largest, std::fabs(value));
         kept = value;
     };
     for (int lane = 0; lane < state.lanes(); ++lane) {
+        differs = largest = 0;
         tracer_.trace(solver, state, lane, 1, base_l, &backbone_);
         for (int t = 0; t < pb.tubes; ++t) force[t] = moment[t] = {0, 0, 0};
         for (int i = 0; i < 3; ++i) {
@@ -61,8 +63,8 @@ double LoadMoments::update(const FrictionSolver& solver, LaneState& state, doubl
                 force[t] = sum(force[t], weight);
             }
         }
+        change[lane] = differs / (solver.moment_scale() + largest);
     }
-    return change;
 }
 
 }  // namespace ctr

@@ -95,6 +95,8 @@ void Mesh::find_breaks(const Robot& robot, const Configuration& q) {
         for (const Section& section : robot.tubes[i].sections) breaks_.push_back({s += section.length, member(breaks_.size())});
     }
     breaks_.push_back({0.0, member(breaks_.size())});
+    for (Break& b : breaks_)
+        if (std::fabs(b.s) <= kMergeDistance) b.s = 0;  // the plate draws from both sides, before others are merged
     const double first = q.l[n - 1], last = q.l[n - 1] + robot.tubes[n - 1].length();
     std::sort(breaks_.begin(), breaks_.end(), [](const Break& a, const Break& b) { return a.s < b.s; });
     std::vector<Break>& merged = found_;

@@ -8,7 +8,7 @@ namespace ctr {
 namespace {
 
 constexpr int kMostModes = 10;
-constexpr double kModeError = 0.02;  // of a Ritz vector; the value errs by its square
+constexpr double kModeError = 0.02;  // of a Ritz vector; the value errs by its square, by more where modes lie close
 
 // Consistent mass of the angles, [node][tube]; those that are held have none.
 void weigh_angles(const KernelProblem& pb, const double* x, double* Mx) {

@@ -3,9 +3,9 @@
 namespace ctr {
 
 void TipSolver::begin(const Configuration& q, const Accuracy& accuracy) {
-    if (begun_ && q.theta == q_.theta && q.l == q_.l && accuracy.barrier == barrier_) return;
+    if (begun_ && q.theta == q_.theta && q.l == q_.l && accuracy == accuracy_) return;
     q_ = q;
-    barrier_ = accuracy.barrier;
+    accuracy_ = accuracy;
     zero_.solve(solver_.robot(), q);
     solver_.build(q, accuracy);
     const KernelProblem& pb = solver_.mesh().problem();

@@ -34,6 +34,8 @@ __attribute__((always_inline)) inline auto with_constant(int m, const Work& work
     }
 }
 
+double larger(double most, double value) { return value <= most ? most : value; }  // a NaN stays
+
 }  // namespace
 
 bool ZeroClearance::is_clamped(int t) const { return -base_l_[t] <= kMergeDistance && shaft_[t] == 0; }
@@ -171,10 +173,11 @@ double ZeroClearance::hold_fixed(bool matrix) {
         for (int j = 0; j < ld_; ++j) A_[i * ld_ + j] = A_[j * ld_ + i] = U_[i * ld_ + j] = 0;
         A_[i * ld_ + i] = 1;
     }
+    for (int t = tubes_[0]; matrix && t < n_; ++t) A_[(2 * t + 1) * (ld_ + 1)] = 1;  // ends at the plate: no twist beyond it
     double worst = 0;
     for (int k = 0; k < nodes_; ++k) {
         const double length = s_[std::min(k + 1, nodes_ - 1)] - s_[std::max(k - 1, 0)];
-        for (int i = 0; i < node_unknowns(k); ++i) worst = std::max(worst, std::fabs(r_[k * ld_ + i]) / (i % 2 ? length : 1.0));
+        for (int i = 0; i < node_unknowns(k); ++i) worst = larger(worst, std::fabs(r_[k * ld_ + i]) / (i % 2 ? length : 1.0));
     }
     return worst;
 }
@@ -244,7 +247,7 @@ bool ZeroClearance::correct(double scale, double first_step_limit) {
         ++iterations_;
         double largest = 0;
         for (int node = 0; node < nodes_; ++node)
-            for (int t = 0; t < n_; ++t) largest = std::max(largest, std::fabs(step_[node * ld_ + 2 * t]));
+            for (int t = 0; t < n_; ++t) largest = larger(largest, std::fabs(step_[node * ld_ + 2 * t]));
         if (!std::isfinite(largest)) return false;
         if (k == 0 && largest > first_step_limit) return false;
         if (k > 2 && largest > 0.9 * previous && imbalance > 1e3 * kTolerance) return false;  // not contracting: leave it

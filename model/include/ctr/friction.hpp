@@ -5,6 +5,7 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <memory>
 #include <vector>
 
@@ -21,7 +22,7 @@ class LoadMoments;
 
 struct Convergence {
     bool converged = false;
-    double residual = 0;         // largest imbalance of force * element length, moment, torque over EI * precurvature
+    double residual = 0;         // largest imbalance of force * element length, moment, torque over EI * precurvature; or change of loads
     double complementarity = 0;  // largest |lambda w - eps| / eps
     int iterations = 0;
 };
@@ -146,7 +147,8 @@ class FrictionSolver {
     // Factors the Newton matrix at a converged iterate, for derivatives.
     void factorise(LaneState& state);
 
-    // Brings the moments of the loads up to date with the shape: once, or until both agree for the unknowns as they are.
+    // Brings the moments of the loads up to date with the shape: once, or until both agree for the unknowns as they are or no
+    // way there is found.
     void weigh(LaneState& state);
     void weigh_out(LaneState& state);
 
@@ -170,6 +172,8 @@ class FrictionSolver {
     double moment_scale_ = 1, barrier_unit_ = 1, last_barrier_ = 1;  // N m, N/m, in units
     double base_l_ = 0;
     std::shared_ptr<LoadMoments> loads_;  // null without loads
+    std::array<double, kLanes> load_change_{};  // per lane, the last one of the moments of the loads, over their size
+    std::vector<double> load_begun_, load_step_, load_step_before_;  // of weigh_out()
     LaneState kept_;  // of slide() and ease(): the iterate to go back to, and the anchor
     LaneState begun_;  // of reach(): where it began
     ExactGeometry exact_;

@@ -40,7 +40,7 @@ class TipSolver {
     ZeroClearance zero_;
     LaneState state_, shared_;
     bool begun_ = false, shared_is_good_ = false;
-    double barrier_ = 0;
+    Accuracy accuracy_;
     Configuration q_;
     std::vector<double> phi_;
     Convergence convergence_;
