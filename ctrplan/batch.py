@@ -12,22 +12,39 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ctrplan.drive import Array
+from ctrplan.errors import InputError
 
 if TYPE_CHECKING:
     from ctrplan.mechanics import Accuracy, Bounds, Mechanics
 
-CHUNK = 256  # configurations per call into the core, which spreads them over threads: about half a second
+CHUNK = 256  # configurations of three tubes per call into the core, which spreads them over threads: half a second
+FEWEST = 16  # which still keep every thread busy
 TASK = 64  # configurations per task of an executor: long against sending it, short enough to share out evenly
 
 Progress = Callable[[float], object]  # is told the finished share, 0 to 1
 
 
+def check_helpers(progress: object, executor: object) -> None:
+    """Raises InputError for what can be neither told nor given tasks, before anything is solved."""
+    if progress is not None and not callable(progress):
+        raise InputError("must be a function of the finished share", key="progress", value=progress)
+    if executor is not None and not hasattr(executor, "submit"):
+        raise InputError("must have the interface of concurrent.futures.Executor", key="executor", value=executor)
+
+
+def rows_in_a_chunk(n: int, accuracy: Accuracy) -> int:
+    """Configurations of n tubes between two reports of progress, at which Ctrl-C is noticed as well."""
+    corners = max(1.0, 2.0 ** (n - 3) * n / 3)  # four at a time; a node has 5 n - 4 unknowns
+    finer = {"search": 1, "certificate": 4, "exact": 16}[accuracy]
+    return max(FEWEST, int(CHUNK / (corners * finer)))
+
+
 def bounds_in_chunks(
-    solve: Callable[[Array, Array], Bounds], theta_b: Array, l_b: Array, progress: Progress | None
+    solve: Callable[[Array, Array], Bounds], theta_b: Array, l_b: Array, rows: int, progress: Progress | None
 ) -> Bounds:
-    """`solve` for (K, n), (K, n), chunk after chunk in the calling thread."""
+    """`solve` for (K, n), (K, n), `rows` after `rows` in the calling thread."""
     parts = []
-    for chunk in chunks(len(theta_b), CHUNK):
+    for chunk in chunks(len(theta_b), rows):
         parts.append(solve(theta_b[chunk], l_b[chunk]))
         if progress:
             progress(min(1.0, chunk.stop / max(len(theta_b), 1)))

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ctrplan.core_arrays import joint_row, joint_rows, shape_from_core
+from ctrplan.core_arrays import joint_row, joint_rows, numbers, shape_from_core
 from ctrplan.errors import InputError, SolverError
 from ctrplan.mechanics import Accuracy, Mechanics, input_errors
 from ctrplan.shapes import Array, Shape, Status
@@ -170,7 +170,7 @@ class History:
         """
         if self._at is None:
             raise InputError("a history has no state before its first advance", key="history")
-        pairs = _start_phi(np.asarray(phi, dtype=np.float64).tolist(), self._mechanics.n - 1)
+        pairs = _start_phi(tuple(numbers(phi, "phi").ravel().tolist()), self._mechanics.n - 1)
         return np.asarray(self._core.beside(pairs))[:3]
 
     def save(self) -> HistoryState:
@@ -230,7 +230,7 @@ def _start_phi(start: Start, pairs: int) -> Array:
         if start not in ("released", "oscillated"):
             raise InputError('must be "released", "oscillated" or one sign per pair', key="start", value=start)
         return np.full(pairs, 0.0 if start == "released" else 1.0)
-    phi = np.asarray(start, dtype=np.float64)
+    phi = numbers(start, "start")
     if phi.shape != (pairs,) or not np.all(np.abs(phi) <= 1):
         raise InputError(f"must be {pairs} values in [-1, 1], one per pair", key="start")
     return phi

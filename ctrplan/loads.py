@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, fields
+
+from ctrplan.errors import InputError
 
 Vector = tuple[float, float, float]
 
@@ -19,3 +22,14 @@ class Loads:
     tip_force_N: Vector = ZERO
     tip_moment_Nm: Vector = ZERO
     gravity_m_s2: Vector = ZERO
+
+    def __post_init__(self) -> None:
+        """Raises InputError unless each is three finite numbers."""
+        for entry in fields(self):
+            vector = getattr(self, entry.name)
+            try:
+                sound = len(vector) == 3 and all(map(math.isfinite, vector))
+            except TypeError:
+                sound = False
+            if not sound:
+                raise InputError("must be three finite numbers", key=entry.name, value=vector)

@@ -6,6 +6,7 @@ front plate, z along insertion, s = 0 at the plate.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrplan import _model
-from ctrplan.batch import CHUNK, Progress, bounds_in_chunks, bounds_on_executor
+from ctrplan.batch import Progress, bounds_in_chunks, bounds_on_executor, check_helpers, rows_in_a_chunk
 from ctrplan.core_arrays import (
     bounds_from_core,
     joint_row,
@@ -70,11 +71,17 @@ class Mechanics:
     ) -> None:
         """`clearance_m` (n - 1,) radial [m]; `friction` (n - 1,) Coulomb coefficients. Raises InputError."""
         self.n = len(tubes)
+        if not tubes:
+            raise InputError("must be at least one tube", key="tubes")
         gaps, coefficients = self._pairs(clearance_m, "clearance_m"), self._pairs(friction, "friction")
         loads = loads or Loads()
         self._given = (tuple(tubes), gaps.copy(), coefficients.copy(), loads)
-        if any(not tube.poisson_ratio > -1 for tube in tubes):
-            raise InputError("must be above -1", key="poisson_ratio", value=min(tube.poisson_ratio for tube in tubes))
+        for i, tube in enumerate(tubes, start=1):
+            if not tube.poisson_ratio > -1:
+                raise InputError("must be above -1", key=f"tube.{i}.poisson_ratio", value=tube.poisson_ratio)
+            if not 0 <= tube.inner_diameter_m < tube.outer_diameter_m:
+                rule = f"must be from 0 to below the outer diameter of {tube.outer_diameter_m:g} m"
+                raise InputError(rule, key=f"tube.{i}.inner_diameter_m", value=tube.inner_diameter_m, unit="m")
         with input_errors():
             self._model = _model.Model(
                 [tube_numbers(tube) for tube in tubes],
@@ -154,11 +161,13 @@ class Mechanics:
     ) -> Bounds:
         """Bounds of K configurations, theta_b (K, n), l_b (K, n); threads = 0 uses every core.
 
-        `progress` is told the finished share between chunks of a few hundred. With an `executor`, any that has the
-        interface of concurrent.futures, chunks are its tasks, by default on one thread each; the result is the same.
+        `progress` is told the finished share between chunks of half a second or so. With an `executor`, any that has
+        the interface of concurrent.futures, chunks are its tasks, by default on one thread each. Results are the same.
         """
         (thetas, ls), level, cores = self._configurations(theta_b, l_b), _level(accuracy), _checked(threads)
-        if executor is not None or len(thetas) > CHUNK:  # nothing is solved before all is known to be well-formed
+        check_helpers(progress, executor)
+        rows = rows_in_a_chunk(self.n, accuracy)
+        if executor is not None or len(thetas) > rows:  # nothing is solved before all is known to be well-formed
             self._refuse(thetas, ls)
         if executor is not None:
             return bounds_on_executor(executor, self, thetas, ls, accuracy, threads, progress)
@@ -167,7 +176,7 @@ class Mechanics:
             with input_errors():
                 return bounds_from_core(np.asarray(self._model.bound_many(theta_b, l_b, level, cores)))
 
-        return bounds_in_chunks(solve, thetas, ls, progress)
+        return bounds_in_chunks(solve, thetas, ls, rows, progress)
 
     def first_refused(self, theta_b: ArrayLike, l_b: ArrayLike) -> tuple[int, str] | None:
         """The first of K configurations (K, n), (K, n) that is malformed or does not nest, and why; None if none is."""
@@ -329,9 +338,13 @@ def kernel_name() -> str:
 
 
 def _checked(threads: int) -> int:
-    if not 0 <= threads <= MOST_THREADS:
-        raise InputError(f"must be from 0 (every core) to {MOST_THREADS}", key="threads", value=threads)
-    return threads
+    try:
+        count = operator.index(threads)
+    except TypeError:
+        count = -1
+    if not 0 <= count <= MOST_THREADS:
+        raise InputError(f"must be a whole number from 0 (every core) to {MOST_THREADS}", key="threads", value=threads)
+    return count
 
 
 def _level(accuracy: Accuracy) -> int:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from ctrplan.drive import Array, Drive, Joint, read_only
 from ctrplan.drive_file import HomeEntry, build_drive
+from ctrplan.errors import InputError
 from ctrplan.loads import Loads
 from ctrplan.nesting import nesting_violation, never_nests
 from ctrplan.robot_file import MeasurementEntry, RobotEntry, build_contacts, build_tubes
@@ -43,6 +44,9 @@ __all__ = [
 ]
 
 LARGEST_CLEARANCE_RATIO = 0.02  # of the smallest radius of curvature (Ha et al. 2019, section I)
+SMALLEST_CLEARANCE_M = (
+    5e-6  # below, contact forces concentrate in places that the meshes do not resolve (docs/model.md)
+)
 ROUNDING_M = 0.05e-3  # of diameters in drawings and tables
 
 
@@ -71,6 +75,12 @@ class Robot:
     path: str | None = None
     sha256: str = ""  # of the file's content after overrides
     warnings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Raises InputError unless neighbouring tubes have a contact each."""
+        if len(self.contacts) != max(len(self.tubes) - 1, 0):
+            rule = f"must be {max(len(self.tubes) - 1, 0)}, one for each pair of neighbouring tubes"
+            raise InputError(rule, key="contacts", value=len(self.contacts))
 
     @property
     def n(self) -> int:
@@ -156,7 +166,22 @@ def load_robot(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> R
 
 def robot_from_dict(content: Mapping[str, Any], *, file: str | None = None, overrides: Sequence[str] = ()) -> Robot:
     """The robot of a robot file's content, keys and units as in the file; `file` is what errors call it."""
-    return _build(Document(dict(content), file).with_overrides(overrides))
+    if not isinstance(content, Mapping):
+        raise InputError("must be a mapping with the keys of a robot file", file=file, value=content)
+    try:
+        plain = _plain(content)
+    except RecursionError:
+        raise InputError("is nested too deeply", file=file) from None
+    return _build(Document(plain, file).with_overrides(overrides))
+
+
+def _plain(content: Any) -> Any:
+    """The content with numbers of numpy as Python's, which a file would hold."""
+    if isinstance(content, Mapping):
+        return {key: _plain(value) for key, value in content.items()}
+    if isinstance(content, (list, tuple, np.ndarray)):
+        return [_plain(value) for value in content]
+    return content.item() if isinstance(content, np.generic) else content
 
 
 def _build(document: Document) -> Robot:
@@ -206,6 +231,11 @@ def _clearance_warnings(robot: Robot, document: Document) -> Iterator[str]:
         shown, gap = f"radial clearance {clearance * 1e3:g} mm", _gap_m(robot.tubes, i)
         if abs(clearance - gap) > ROUNDING_M + 1e-9:
             yield str(document.fault(f"{shown} is used, but the diameters leave {gap * 1e3:g} mm", "contact", i))
+        if clearance < SMALLEST_CLEARANCE_M:
+            rule = (
+                f"{shown} is below {SMALLEST_CLEARANCE_M * 1e3:g} mm, the bound may be off by a quarter and more there"
+            )
+            yield str(document.fault(rule, "contact", i))
         curvature = max(section.curvature_per_m for tube in robot.tubes[i : i + 2] for section in tube.sections)
         if clearance * curvature > LARGEST_CLEARANCE_RATIO:
             radius = f"the smallest radius of curvature ({1e3 / curvature:g} mm)"

@@ -5,9 +5,9 @@ Effects of the clock and of the sensor wait for the chain: they change what is m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -60,7 +60,7 @@ def with_effects(robot: Robot) -> Robot:
         if effect.stage == "mechanics":
             robot = with_values(robot, effect.mechanics(values, robot))
         elif effect.stage == "drive" and effect.acts_at_rest:
-            robot = replace(robot, drive=replace(robot.drive, terms=(*robot.drive.terms, _drive_term(effect, values))))
+            robot = replace(robot, drive=replace(robot.drive, terms=(*robot.drive.terms, _DriveTerm(effect, values))))
         elif effect.stage == "drive":
             robot = replace(robot, drive=replace(robot.drive, play=_play(effect, values, robot.n)))
     return robot
@@ -74,12 +74,15 @@ def _play(effect: Effect, values: Mapping[str, float], n: int) -> tuple[Array, A
     return np.abs(moved.theta[0]), np.abs(moved.l[0])
 
 
-def _drive_term(effect: Effect, values: Mapping[str, float]) -> Callable[[Array, Array], tuple[Array, Array]]:
-    """The effect on collars (K, n), (K, n) whose last direction nobody knows."""
-    from ctrplan.diagnosis.effect import Collars
+@dataclass(frozen=True)
+class _DriveTerm:
+    """An effect on collars (K, n), (K, n) whose last direction nobody knows."""
 
-    def moved(theta: Array, l: Array) -> tuple[Array, Array]:  # noqa: E741 (as in the equations)
-        collars: Any = effect.drive(values, Collars(theta, l), np.zeros((len(theta), 2 * theta.shape[1])))
-        return collars.theta, collars.l
+    effect: Effect
+    values: Mapping[str, float]
 
-    return moved
+    def __call__(self, theta: Array, l: Array) -> tuple[Array, Array]:  # noqa: E741 (as in the equations)
+        from ctrplan.diagnosis.effect import Collars
+
+        moved = self.effect.drive(self.values, Collars(theta, l), np.zeros((len(theta), 2 * theta.shape[1])))
+        return moved.theta, moved.l

@@ -23,6 +23,7 @@ from ctrplan.mechanics import Status
 from ctrplan.nesting import nesting_violation
 from ctrplan.robot import Robot, robot_from_dict
 from ctrplan.sweep_axis import MOST_POINTS, Axis
+from ctrplan.toml_input import override_names
 
 if TYPE_CHECKING:
     from ctrplan.mechanics import Accuracy, Bounds
@@ -134,7 +135,7 @@ def check_axes(axes: Sequence[Axis]) -> None:
     """Raises InputError unless there are one or two different axes and not too many points."""
     if not 1 <= len(axes) <= 2:
         raise InputError("takes one axis or two", key="--sweep", value=[axis.key for axis in axes])
-    if len({axis.key for axis in axes}) < len(axes):
+    if len({(axis.kind, *override_names(axis.key)) for axis in axes}) < len(axes):
         raise InputError("names the same axis twice", key="--sweep", value=axes[0].key)
     if (count := math.prod(len(axis.values) for axis in axes)) > MOST_POINTS:
         raise InputError(f"{count:,} points are more than {MOST_POINTS:,}", key="--sweep")

@@ -26,6 +26,7 @@ else:
 LARGEST_FILE_BYTES = 1_000_000
 LARGEST_NUMBER = 1e300  # of any unit; also refuses inf and nan
 DEEPEST_KEY = 20
+LONGEST_POSITION = 9  # digits
 
 T = TypeVar("T", bound=msgspec.Struct)
 Step = str | int  # one step of a key: a name, or a position counted from 0 (people see it counted from 1)
@@ -73,6 +74,10 @@ class Document:
 
     def with_overrides(self, overrides: Sequence[str]) -> Document:
         """A copy after assignments such as "tube.2.poisson_ratio=0.28" (positions from 1, the value in TOML)."""
+        if isinstance(overrides, str) or not all(isinstance(assignment, str) for assignment in overrides):
+            raise InputError(
+                "must be a list of texts such as tube.2.poisson_ratio=0.28", key="overrides", value=overrides
+            )
         content = copy.deepcopy(self.content)
         for assignment in overrides:
             _assign(content, assignment, self.file)
@@ -90,7 +95,10 @@ class Document:
 
 def read_document(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Document:
     """The TOML file at `path` after `overrides`. Raises InputError when it can't be read or is no TOML."""
-    file = os.fspath(path)
+    try:
+        file = os.fspath(path)
+    except TypeError:
+        raise InputError("must be the path of a TOML file", value=path) from None
     data = file_bytes(file, LARGEST_FILE_BYTES, "TOML", "robot or scenario file")
     try:
         return Document(_parse(data, file), file).with_overrides(overrides)
@@ -111,12 +119,18 @@ def _parse(data: bytes, file: str) -> dict[str, Any]:
         raise InputError("holds a number with thousands of digits", file=file) from None
 
 
+def override_names(key: str) -> list[str]:
+    """The steps of an override's key: split at dots, except inside "...", positions without leading zeros."""
+    try:
+        names = next(csv.reader([key], delimiter="."), [])
+    except csv.Error:
+        return []
+    return [str(int(name)) if name.isdecimal() and len(name) <= LONGEST_POSITION else name for name in names]
+
+
 def _assign(content: dict[str, Any], assignment: str, file: str | None) -> None:
     key, equals, text = (part.strip() for part in assignment.partition("="))
-    try:
-        names = next(csv.reader([key], delimiter="."), [])  # splits at dots, except inside "..."
-    except csv.Error:
-        names = []
+    names = override_names(key)
     if not equals or not names or not all(names):
         raise InputError("an override has the form key=value, such as tube.2.poisson_ratio=0.28", value=assignment)
     node: Any = content

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from ctrplan.errors import InputError
+
 
 @dataclass(frozen=True)
 class TubeSection:
@@ -56,3 +58,14 @@ class Contact:
 
     friction_coefficient: tuple[float, float]  # lowest, highest
     clearance_m: float | None = None  # radial; None: what the diameters leave
+
+    def __post_init__(self) -> None:
+        """Raises InputError unless the friction coefficient is an interval."""
+        try:
+            lowest, highest = self.friction_coefficient
+            sound = 0 <= lowest <= highest < math.inf
+        except (TypeError, ValueError):
+            sound = False
+        if not sound:
+            rule = "must be two numbers, lowest and highest, from 0 upwards"
+            raise InputError(rule, key="friction_coefficient", value=self.friction_coefficient)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ctrplan.batch import CHUNK, chunks
+from ctrplan.batch import CHUNK, FEWEST, chunks, rows_in_a_chunk
 from ctrplan.drive import Array
 from ctrplan.errors import InputError
 from ctrplan.mechanics import Bounds
@@ -80,6 +80,13 @@ def test_chunks_change_nothing_but_report() -> None:
 @pytest.mark.parametrize("count", [0, 1, 63, 64, 65, 1000])
 def test_chunks_cover_every_row_once(count: int) -> None:
     assert [k for chunk in chunks(count, 64) for k in range(count)[chunk]] == list(range(count))
+
+
+def test_chunks_shrink_as_bounds_grow_dearer() -> None:
+    assert rows_in_a_chunk(3, "search") == CHUNK
+    sizes = [rows_in_a_chunk(n, "search") for n in (3, 4, 5, 6, 12)]
+    assert sizes == sorted(sizes, reverse=True)
+    assert rows_in_a_chunk(4, "exact") == sizes[-1] == FEWEST
 
 
 def test_nothing_to_do_is_done() -> None:

@@ -104,6 +104,15 @@ def test_set_changes_the_robot(capsys: pytest.CaptureFixture[str]) -> None:
     assert bounds[0] < 1e-3 < bounds[1] < bounds[2]
 
 
+def test_what_a_failed_solve_leaves_is_json_all_the_same(capsys: pytest.CaptureFixture[str]) -> None:
+    """More than the robot resists: no solve converges."""
+    at = ["--theta-deg", "0", "90", "143", "--l-mm", "0", "-17", "-62.8", "--accuracy", "search"]
+    assert main(["bound", ROBOT, *at, "--set", "effects.tip_load.force_x_N=2", "--json"]) == 1
+    content = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert content["bound_position_mm"] is None
+    assert content["frictionless"]["status"] == "FAILED"
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +18,8 @@ from ctrplan.errors import InputError
 from ctrplan.history import History
 from ctrplan.loads import Loads
 from ctrplan.mechanics import Accuracy, Array, Field, Mechanics, PathDensity, Status, kernel_name
-from ctrplan.robot import load_robot
-from ctrplan.tube import Tube, TubeSection
+from ctrplan.robot import load_robot, robot_from_dict
+from ctrplan.tube import Contact, Tube, TubeSection
 
 ROBOT_FILE = Path(__file__).parents[1] / "scenarios" / "robots" / "three_tube.toml"
 ROBOT = load_robot(ROBOT_FILE)
@@ -317,6 +319,37 @@ def test_joints_that_are_refused(theta_b: list[float], l_b: list[float], words: 
     for ask in (THREE_TUBES.bound, THREE_TUBES.solve, THREE_TUBES.zero_clearance, THREE_TUBES.body):
         with pytest.raises(InputError, match=words):
             ask(theta_b, l_b)
+
+
+def test_robots_and_batches_built_wrongly_by_code_are_refused_in_a_sentence() -> None:
+    tubes = ROBOT.tubes
+    refused: list[tuple[str, Callable[[], object]]] = [
+        (
+            r"tube\.2\.inner_diameter_m",
+            lambda: Mechanics([tubes[0], replace(tubes[1], inner_diameter_m=1.0)], [1e-4], [0]),
+        ),
+        (
+            r"tube\.2\.poisson_ratio = nan",
+            lambda: Mechanics([tubes[0], replace(tubes[1], poisson_ratio=np.nan)], [1e-4], [0]),
+        ),
+        ("tubes: must be at least one", lambda: Mechanics([], [], [])),
+        ("tip_force_N", lambda: Loads(tip_force_N=(1.0, 0.0))),  # type: ignore[arg-type]
+        ("gravity_m_s2", lambda: Loads(gravity_m_s2=9.81)),  # type: ignore[arg-type]
+        ("lowest and highest", lambda: Contact((0.3, 0.1))),
+        ("lowest and highest", lambda: Contact(0.2)),  # type: ignore[arg-type]
+        ("contacts = 0: must be 2", lambda: replace(ROBOT, contacts=())),
+        ("threads = 1.5", lambda: THREE_TUBES.bound_many([GOOD[0]], [GOOD[1]], threads=1.5)),  # type: ignore[arg-type]
+        ("progress = 3", lambda: THREE_TUBES.bound_many([GOOD[0]], [GOOD[1]], progress=3)),  # type: ignore[arg-type]
+        ("executor = 3", lambda: THREE_TUBES.bound_many([GOOD[0]], [GOOD[1]], executor=3)),  # type: ignore[arg-type]
+        ("phi = 2", lambda: THREE_TUBES.tips_with_friction([GOOD[0]], [GOOD[1]], [[0.5, 2.0]])),
+        ("start: must be numbers", lambda: ROBOT.history(("a", "b"))),  # type: ignore[arg-type]
+        ("overrides", lambda: load_robot(ROBOT_FILE, "name=x")),
+        ("path of a TOML file", lambda: load_robot(None)),  # type: ignore[arg-type]
+        ("must be a mapping", lambda: robot_from_dict(None)),  # type: ignore[arg-type]
+    ]
+    for words, build in refused:
+        with pytest.raises(InputError, match=words):
+            build()
 
 
 @pytest.mark.parametrize("phi", [1.01, -2.0, np.nan, [0.0, 1.5], [0.0, 0.0, 0.0], "slipping"])

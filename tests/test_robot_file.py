@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -54,6 +55,30 @@ def test_doubtful_clearances_are_warned_about() -> None:
         "a.toml: contact.1: radial clearance 3.5 mm is above 2 % of the smallest radius of curvature (153.846 mm), "
         "the model is less accurate there.",
     )
+
+
+def test_clearances_that_no_mesh_resolves_are_warned_about() -> None:
+    tight = robot_from_dict(pair("= 0.2\n", "= 0.2\nclearance_mm = 0.001\n"), file="a.toml")
+    assert [text for text in tight.warnings if "below 0.005 mm" in text]
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    content = pair()
+    content["tube"][0]["poisson_ratio"] = np.float64(0.25)
+    content["home"] = {"theta_deg": np.array([0.0, 90.0]), "l_mm": [np.int64(0), np.int64(-17)]}
+    robot = robot_from_dict(content)
+    assert robot.tubes[0].poisson_ratio == 0.25
+    assert np.degrees(robot.drive.home_theta_rad) == pytest.approx([0, 90])
+
+
+@pytest.mark.parametrize(
+    "effect", ["homing_offset.theta_2_deg=1", "joint_scale.theta_2=0.02", "eccentricity.sin_2_deg=1"]
+)
+def test_a_robot_with_effects_of_its_drive_is_pickled(effect: str) -> None:
+    robot = robot_from_dict(pair(), overrides=[f"effects.{effect}"])
+    again = pickle.loads(pickle.dumps(robot))
+    joints = np.array([[0.3, -0.02]])
+    np.testing.assert_array_equal(again.drive.collars(joints), robot.drive.collars(joints))
 
 
 def test_one_tube_needs_no_contact_and_thirteen_are_refused() -> None:

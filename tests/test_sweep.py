@@ -125,6 +125,7 @@ def test_progress_reaches_the_end_of_every_stage() -> None:
         (["contact.1.clearence_mm=0.1:1:3"], ["contact.1.clearence_mm", "did you mean clearance_mm"]),
         (["contact.3.clearance_mm=0.1:1:3"], ["contact.3", "from 1 to 2"]),
         (["contact.1.clearance_mm=0.1:-0.1:3"], ["three_tube.toml", "contact.1.clearance_mm = 0.0 mm", "> 0"]),
+        (["contact.1.clearance_mm=0.1:0.2:2", "contact.01.clearance_mm=0.1:0.2:2"], ["same axis twice"]),
         (["name=1:2:2"], ["name = 1.0", "text"]),
         (["l_3=-40:-20:5"], ["l_3 = -30 mm", "17 mm apart"]),
         (["theta_1=0:90:3", "l_3=-40:-140:11"], ["l_3 = -130 mm", "tips in order"]),

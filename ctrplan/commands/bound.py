@@ -79,7 +79,7 @@ def run_bound(arguments: argparse.Namespace) -> int:
     found = robot.bound(theta_b, l_b, accuracy=arguments.accuracy or "certificate")
     play_mm = play_shift(robot, theta_b, l_b) * 1e3
     if arguments.json:
-        print(json.dumps(_bound_json(robot.n, found, play_mm), indent=1))
+        print(json.dumps(_bound_json(robot.n, found, play_mm), indent=1, allow_nan=False))
     else:
         print(_bound_text(robot.n, found, play_mm))
     if not math.isfinite(found.position_m):
@@ -95,11 +95,10 @@ def _corners(n: int, found: Bound) -> Iterator[tuple[tuple[int, ...], Shape]]:
 
 
 def _bound_json(n: int, found: Bound, play_mm: float) -> dict[str, Any]:
-    finite = math.isfinite(found.position_m)
     return {
-        "bound_position_mm": found.position_m * 1e3 if finite else None,
-        "bound_tangent_deg": math.degrees(found.tangent_rad) if finite else None,
-        "play_mm": play_mm if math.isfinite(play_mm) else None,
+        "bound_position_mm": _finite(found.position_m * 1e3),
+        "bound_tangent_deg": _finite(math.degrees(found.tangent_rad)),
+        "play_mm": _finite(play_mm),
         "frictionless": _shape_json(found.frictionless),
         "corners": [{"phi": list(phi), **_shape_json(shape)} for phi, shape in _corners(n, found)],
     }
@@ -107,13 +106,18 @@ def _bound_json(n: int, found: Bound, play_mm: float) -> dict[str, Any]:
 
 def _shape_json(shape: Shape) -> dict[str, Any]:
     return {
-        "tip_mm": [round(x * 1e3, 6) for x in shape.tip_m.tolist()],
-        "tip_tangent": shape.tip_tangent.tolist(),
+        "tip_mm": [_finite(round(x * 1e3, 6)) for x in shape.tip_m.tolist()],
+        "tip_tangent": [_finite(x) for x in shape.tip_tangent.tolist()],
         "status": shape.status.name,
-        "residual": shape.residual,
-        "stability": shape.stability,
-        "max_strain": shape.max_strain,
+        "residual": _finite(shape.residual),
+        "stability": _finite(shape.stability),
+        "max_strain": _finite(shape.max_strain),
     }
+
+
+def _finite(value: float) -> float | None:
+    """JSON has no other numbers: what a FAILED solve leaves may be none."""
+    return value if math.isfinite(value) else None
 
 
 def _bound_text(n: int, found: Bound, play_mm: float) -> str:

@@ -47,7 +47,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the random starts (default: %(default)s)")
     parser.add_argument("--json", action="store_true", help="machine-readable output")
     add_allow_outside_option(parser)
-    add_set_option(parser, "a key of the file")
+    add_set_option(parser, "a key of the file", "robot.tube.2.poisson_ratio=0.28")
     parser.set_defaults(run=run_ik)
 
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from ctrplan.drive import Array
 
 
-def add_set_option(parser: argparse.ArgumentParser, what: str) -> None:
+def add_set_option(parser: argparse.ArgumentParser, what: str, example: str = "tube.2.poisson_ratio=0.28") -> None:
     """Adds --set KEY=VALUE, which changes any key of an input file."""
     parser.add_argument(
         "--set",
@@ -20,7 +20,7 @@ def add_set_option(parser: argparse.ArgumentParser, what: str) -> None:
         default=[],
         metavar="KEY=VALUE",
         dest="overrides",
-        help=f"change {what}, e.g. tube.2.poisson_ratio=0.28",
+        help=f"change {what}, e.g. {example}",
     )
 
 

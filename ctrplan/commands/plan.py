@@ -58,7 +58,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     parser.add_argument("--no-field", action="store_true", help="solve every bound, although `ctrplan field` was run")
     add_allow_outside_option(parser)
-    add_set_option(parser, "the scenario's key, or the robot's after robot.")
+    add_set_option(parser, "the scenario's key, or the robot's after robot.", "robot.tube.2.poisson_ratio=0.28")
     parser.set_defaults(run=run_plan)
 
 

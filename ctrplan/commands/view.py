@@ -30,7 +30,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--port", type=int, default=0, help="of 127.0.0.1 (default: a free one)")
     parser.add_argument("--no-browser", action="store_true", help="only print the page's address")
     add_allow_outside_option(parser)
-    add_set_option(parser, "a key of the file")
+    add_set_option(parser, "a key of the file", "robot.tube.2.poisson_ratio=0.28")
     parser.set_defaults(run=run_view)
 
 
