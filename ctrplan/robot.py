@@ -44,9 +44,7 @@ __all__ = [
 ]
 
 LARGEST_CLEARANCE_RATIO = 0.02  # of the smallest radius of curvature (Ha et al. 2019, section I)
-SMALLEST_CLEARANCE_M = (
-    5e-6  # below, contact forces concentrate in places that the meshes do not resolve (docs/model.md)
-)
+SMALLEST_CLEARANCE_M = 5e-6  # the meshes do not resolve the contact forces of smaller ones (docs/model.md)
 ROUNDING_M = 0.05e-3  # of diameters in drawings and tables
 
 
@@ -232,9 +230,7 @@ def _clearance_warnings(robot: Robot, document: Document) -> Iterator[str]:
         if abs(clearance - gap) > ROUNDING_M + 1e-9:
             yield str(document.fault(f"{shown} is used, but the diameters leave {gap * 1e3:g} mm", "contact", i))
         if clearance < SMALLEST_CLEARANCE_M:
-            rule = (
-                f"{shown} is below {SMALLEST_CLEARANCE_M * 1e3:g} mm, the bound may be off by a quarter and more there"
-            )
+            rule = f"{shown} is below {SMALLEST_CLEARANCE_M * 1e3:g} mm, bounds may be off by a quarter and more"
             yield str(document.fault(rule, "contact", i))
         curvature = max(section.curvature_per_m for tube in robot.tubes[i : i + 2] for section in tube.sections)
         if clearance * curvature > LARGEST_CLEARANCE_RATIO:
