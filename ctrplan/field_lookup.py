@@ -28,6 +28,7 @@ class FieldLookup:
     """A grid of bounds in the core. axes: (tube, is a rotation, lower, step, count), last one fastest.
 
     values (points, NUMBERS) float32 as `Mechanics.field_entries` gives them; margin_m is added to bounds and envelopes.
+    A joint without an axis is taken to stand where it stood for the values, whatever a configuration says of it.
     """
 
     STATIONS = 24

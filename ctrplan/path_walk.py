@@ -35,7 +35,7 @@ class PathSamples:
 
 @dataclass(frozen=True)
 class PathDensity:
-    """How densely a path is walked: longest joint steps, largest motion of a frictionless body point between samples.
+    """How densely a path is walked: longest joint steps, largest motion of a body point between samples.
 
     Where `near_m` is below `motion_m`, a step may move a body point no farther than the clearance it starts with, or
     `near_m`: clearances are 1-Lipschitz, so that an obstacle is noticed before it is passed.

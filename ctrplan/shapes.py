@@ -43,7 +43,8 @@ class Shape:
     contact_angle_rad: tuple[Array, ...]  # per pair: where the inner tube leans, twist-free frame
     status: Status
     residual: float  # largest imbalance of moments over the robot's own, EI * precurvature
-    stability: float  # smallest eigenvalue of the torsional second variation over GJ / L^2 of the innermost tube
+    # smallest eigenvalue of the torsional second variation over GJ / L^2 of the innermost tube; NaN along histories
+    stability: float
     max_strain: float
 
     @property

@@ -86,7 +86,8 @@ class _Task:
             if refused := robot.mechanics.first_refused(theta_b, l_b):
                 k, rule = refused
                 axes = zip(self.axes, self.values[rows][k].tolist(), strict=True)
-                where = " and ".join(axis.at(value) for axis, value in axes if axis.kind != "rotation")
+                turned = rule.startswith("theta_b")
+                where = " and ".join(axis.at(value) for axis, value in axes if turned or axis.kind != "rotation")
                 raise InputError(nesting_violation(robot, theta_b[k], l_b[k]) or rule, key=where or None)
             warnings += robot.warnings
         return tuple(warnings)

@@ -210,6 +210,7 @@ def test_the_motion_between_samples_is_that_of_every_shape() -> None:
         path = THREE_TUBES.check_path(theta_b, l_b, density=PathDensity(motion_m=5e-4, near_m=5e-4))
         moved = np.linalg.norm(np.diff(path.corner_tip_m, axis=0), axis=2).max(axis=1)
         assert np.all(moved <= path.motion_m[1:] + 1e-9)
+        assert path.motion_m.max() <= 5e-4  # no corner leaps here
 
 
 @pytest.mark.parametrize("accuracy", ["search", "certificate", "exact"])

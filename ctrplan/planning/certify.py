@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from ctrplan.robot import Robot
     from ctrplan.scenario import Scenario
 
-SPACING_M = 0.5e-3  # largest motion of a body point of the frictionless shape between samples
+SPACING_M = 0.5e-3  # largest motion of a body point of any shape between samples, but for leaps of a corner
 POINT_SPACING_M = 1e-3  # between the points of a shape
 # More than the largest error of a tip seen on 2,500 random configurations, 0.60 mm, 98 % of them below 0.3 mm
 # (`benchmarks/mechanics.py meshes --count 2500`); 0.14 mm on the certificate mesh, to which its

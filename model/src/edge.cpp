@@ -10,6 +10,7 @@ constexpr double kShortestStep = 1.0 / 1024;  // of a leg
 constexpr double kMarkerSpacing = 4e-3;       // m
 constexpr double kSurprise = 1.5;              // times the motion expected from the step before
 constexpr double kSnap = 1e-3;                // m; more motion than expected that counts as a jump
+constexpr double kLeap = 0.75;                // of the motion of a rejected step; a shorter one that keeps so much of it jumps
 
 #include "element_functions.hpp"
 #include "outer_line.hpp"
@@ -132,34 +133,39 @@ std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Config
     for (std::size_t leg = 0; leg + 1 < corners.size(); ++leg) {
         const Configuration &a = corners[leg], &b = corners[leg + 1];
         const double longest = steps(a, b, density);  // joint steps this leg needs at least
-        double at = 0, step = 1 / std::max(1.0, std::ceil(longest - 1e-9)), rate = 0;
+        double at = 0, step = 1 / std::max(1.0, std::ceil(longest - 1e-9));
+        double rate = 0, pace = 0;  // motion over the last step, of the frictionless shape and of the fastest
         const double largest = step;
         bool retrying = false;
-        double rejected = 0;  // motion of the last step that was not accepted
+        double rejected = 0, rejected_most = 0;  // motion of the last step that was not accepted
         while (at < 1) {
             const double allowed = density.allowed(samples.back().clearance);
-            if (rate > 0) step = std::min(step, 0.85 * allowed / rate);
+            if (pace > 0) step = std::min(step, 0.85 * allowed / pace);
             double next = at + step > 1 - 1e-9 ? 1 : at + step;
             if (next < 1 && at + 2 * step > 1) next = 0.5 * (at + 1);  // two even steps rather than a long and a sliver
             solver.follow(between(a, b, next), mesh, retrying);
             ++solves;
             now = markers_of_shapes(solver);
             const double motion = largest_motion(before[0], now[0]);
+            double most = motion;
+            for (std::size_t k = 1; k < now.size(); ++k) most = std::max(most, largest_motion(before[k], now[k]));
             // A body that moves much faster than before may have snapped: look closer, until its motion shrinks with the step.
-            const bool surprising = rate > 0 && motion > kSurprise * rate * (next - at) + kSnap && motion > 0.75 * rejected;
-            if ((motion > allowed || surprising) && next - at > kShortestStep) {
+            const bool surprising = rate > 0 && motion > kSurprise * rate * (next - at) + kSnap && motion > kLeap * rejected;
+            // A corner leaps where its friction state loses its equilibrium. No step shows what lies between.
+            const bool leaps = motion <= allowed && rejected_most > 0 && most > kLeap * rejected_most;
+            if (((most > allowed && !leaps) || surprising) && next - at > kShortestStep) {
                 step = std::max(0.5 * (next - at), 0.5 * kShortestStep);
                 rejected = motion;
+                rejected_most = most;
                 retrying = true;
                 continue;
             }
             retrying = false;
             const bool jumped = next - at <= kShortestStep && motion > std::max(allowed, kSnap);
             const bool snapped = jumped || (surprising && next - at <= kShortestStep);
-            rejected = 0;
+            rejected = rejected_most = 0;
             rate = motion / (next - at);
-            double most = motion;  // a corner may move farther; where its friction state loses its equilibrium, in one leap
-            for (std::size_t k = 1; k < now.size(); ++k) most = std::max(most, largest_motion(before[k], now[k]));
+            pace = leaps ? rate : most / (next - at);
             if (!record(static_cast<int>(leg), next, most)) return samples;
             if (snapped) {
                 samples.back().status = Status::unstable;

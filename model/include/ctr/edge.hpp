@@ -33,9 +33,10 @@ struct PathLimits {
     double clearance = -1e300;  // m
 };
 
-// How densely a path is walked. A step is never longer than the joint steps allow, and moves no body point of the
-// frictionless shape farther than `motion`; where `near` is smaller, it moves none farther than the clearance it starts with, but at least `near`: with
-// distances being 1-Lipschitz that is enough to notice an obstacle.
+// How densely a path is walked. A step is never longer than the joint steps allow, and moves no body point of any shape
+// farther than `motion`, save a corner that leaps: no step is short enough for that. Where `near` is smaller, it moves
+// none farther than the clearance it starts with, but at least `near`: with distances being 1-Lipschitz that is enough to
+// notice an obstacle.
 struct PathDensity {
     double rotation = 0.18;     // rad, any tube base
     double translation = 5e-3;  // m
