@@ -238,7 +238,8 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
             if (done[lane]) continue;
             result[lane].residual = std::max(std::max(moment[lane], bend_error[lane]) / moment_scale_, loads_ ? load_change_[lane] : 0.0);
             result[lane].complementarity = gap[lane];
-            if (level[lane] <= last && result[lane].residual < kResidual && gap[lane] < centred)
+            const bool weighed = !loads_ || load_change_[lane] < kResidual;  // NaN is not
+            if (level[lane] <= last && result[lane].residual < kResidual && gap[lane] < centred && weighed)
                 done[lane] = result[lane].converged = true;
             all = all && done[lane];
         }

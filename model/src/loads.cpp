@@ -15,14 +15,15 @@ Vec3 difference(const Vec3& a, const Vec3& b) { return {a[0] - b[0], a[1] - b[1]
 
 // Moment about p(s) of what acts beyond s: m(s) = m_tip + (p_tip - p) x f_tip + int (p(sigma) - p) x q dsigma, summed from
 // the tip for each tube; as a curvature vector (t' = kappa) in the twist-free frame it is (m_y, -m_x).
-void LoadMoments::update(const FrictionSolver& solver, LaneState& state, double base_l, double* change) {
+void LoadMoments::update(const FrictionSolver& solver, LaneState& state, double base_l, double* changes) {
     const Robot& robot = solver.robot();
     const KernelProblem& pb = solver.mesh().problem();
     const Loads& loads = robot.loads;
     Vec3 force[kMaxTubes], moment[kMaxTubes];  // on each tube beyond the distal node, about it
     double differs = 0, largest = 0;
     auto keep = [&](double& kept, double value) {
-        differs = std::max(differs, std::fabs(value - kept));
+        const double change = std::fabs(value - kept);
+        differs = change <= differs ? differs : change;  // a NaN stays
         largest = std::max(largest, std::fabs(value));
         kept = value;
     };
@@ -63,7 +64,7 @@ void LoadMoments::update(const FrictionSolver& solver, LaneState& state, double 
                 force[t] = sum(force[t], weight);
             }
         }
-        change[lane] = differs / (solver.moment_scale() + largest);
+        changes[lane] = differs / (solver.moment_scale() + largest);
     }
 }
 
