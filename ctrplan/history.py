@@ -170,8 +170,7 @@ class History:
         """
         if self._at is None:
             raise InputError("a history has no state before its first advance", key="history")
-        pairs = _start_phi(tuple(numbers(phi, "phi").ravel().tolist()), self._mechanics.n - 1)
-        return np.asarray(self._core.beside(pairs))[:3]
+        return np.asarray(self._core.beside(_friction_state(phi, "phi", self._mechanics.n - 1)))[:3]
 
     def save(self) -> HistoryState:
         """A memory of the present state; InputError before the first advance."""
@@ -230,7 +229,11 @@ def _start_phi(start: Start, pairs: int) -> Array:
         if start not in ("released", "oscillated"):
             raise InputError('must be "released", "oscillated" or one sign per pair', key="start", value=start)
         return np.full(pairs, 0.0 if start == "released" else 1.0)
-    phi = numbers(start, "start")
+    return _friction_state(start, "start", pairs)
+
+
+def _friction_state(values: ArrayLike, key: str, pairs: int) -> Array:
+    phi = numbers(values, key)
     if phi.shape != (pairs,) or not np.all(np.abs(phi) <= 1):
-        raise InputError(f"must be {pairs} values in [-1, 1], one per pair", key="start")
+        raise InputError(f"must be {pairs} values in [-1, 1], one per pair", key=key)
     return phi

@@ -183,6 +183,12 @@ def test_malformed_grids_are_refused(pair: Robot) -> None:
         FieldLookup(pair.mechanics, [(1, True, -np.pi, 0.1, 63)], np.zeros((5, FieldLookup.NUMBERS), np.float32), 0.0)
 
 
+@pytest.mark.parametrize("unknown", [np.nan, np.inf])
+def test_joints_that_are_no_numbers_have_no_answer(grid: BoundField, unknown: float) -> None:
+    found = grid.lookup.sample([[0.0, unknown], [0.0, 1.0]], [[0.0, -0.06], [0.0, unknown]])
+    assert not found.valid.any()
+
+
 def test_configurations_of_another_number_of_tubes_are_refused(grid: BoundField) -> None:
     for joints in (np.zeros((2, 3)), np.zeros(2)):
         with pytest.raises(InputError, match="must have shape"):

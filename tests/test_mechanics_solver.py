@@ -213,6 +213,22 @@ def test_the_motion_between_samples_is_that_of_every_shape() -> None:
         assert path.motion_m.max() <= 5e-4  # no corner leaps here
 
 
+def test_the_body_of_a_walk_reaches_the_tip_of_the_outer_tube() -> None:
+    """Which stands beside the inner tube's centreline by up to the clearance."""
+    section = TubeSection(0.15, 0.0, 1 / 0.15)
+    tubes = [
+        Tube(2.64e-3, 2.39e-3, 0.0507, 0.3, (section,)),
+        Tube(1.79e-3, 1.5e-3, 0.0507, 0.3, (TubeSection(0.05, 0.0, 0.0), section), collar_length_m=0.017),
+    ]
+    model = Mechanics(tubes, [0.3e-3], [0.2])
+    joints = [0.0, 2.0], [0.0, -0.017]
+    points = model.check_path(*([row] for row in joints), bodies=True).bodies[0][:, :3]
+    shape = model.bound(*joints).frictionless
+    tip_m, inside_m = shape.tubes[0].centreline_m[-1], shape.tubes[1].centreline_m
+    assert np.linalg.norm(inside_m - tip_m, axis=1).min() > 1e-4
+    assert np.linalg.norm(points - tip_m, axis=1).min() < 3e-5  # each tube of a shape is integrated by itself
+
+
 @pytest.mark.parametrize("accuracy", ["search", "certificate", "exact"])
 @pytest.mark.parametrize("force_N", [0.3, 1.0, 3.0, -1.0])
 def test_one_tube_under_a_load_is_an_elastica(force_N: float, accuracy: Accuracy) -> None:
