@@ -39,7 +39,7 @@ $(VENV)/.installed: $(VENV)/.deps $(SOURCES)
 
 # What CI does a few hundred times, done 10,000 times (files) and 100 times (interruptions): an hour or so.
 fuzz: install
-	CTRPLAN_FUZZ=1 $(BIN)/pytest $(wildcard tests/test_fuzz_*.py) tests/test_running_faults.py
+	CTRPLAN_FUZZ=1 $(BIN)/pytest $(wildcard tests/*/test_fuzz_*.py) tests/system/test_running_faults.py
 
 wheel:
 	tools/check_wheel.sh $(PYTHON)
@@ -75,10 +75,10 @@ BANK_SEED ?= 1
 BANK_FIRST ?= 1000
 BANK_JOBS ?= 2
 bank-diagnosis: install
-	cd tests && ../$(BIN)/python -m hidden_effects.bank make $(abspath $(BANK))/data --seed $(BANK_SEED) \
+	cd tests/oracles && ../../$(BIN)/python -m hidden_effects.bank make $(abspath $(BANK))/data --seed $(BANK_SEED) \
 	  --first $(BANK_FIRST) --jobs $(BANK_JOBS)
-	cd tests && ../$(BIN)/python -m hidden_effects.run $(abspath $(BANK))/data $(abspath $(BANK))/diagnoses --jobs $(BANK_JOBS)
-	cd tests && ../$(BIN)/python -m hidden_effects.score $(abspath $(BANK))/data $(abspath $(BANK))/diagnoses \
+	cd tests/oracles && ../../$(BIN)/python -m hidden_effects.run $(abspath $(BANK))/data $(abspath $(BANK))/diagnoses --jobs $(BANK_JOBS)
+	cd tests/oracles && ../../$(BIN)/python -m hidden_effects.score $(abspath $(BANK))/data $(abspath $(BANK))/diagnoses \
 	  --figure $(abspath $(BANK))/power.png --power $(abspath $(BANK))/power.json | tee $(abspath $(BANK))/table.md
 
 clean:

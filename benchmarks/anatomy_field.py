@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from ctrplan.anatomy import AnatomyPart, SignedDistanceField, build_field, exact_clearance, load_mesh
+from ctrplan.anatomy.clearance_grid import AnatomyPart, SignedDistanceField, build_field, exact_clearance, load_mesh
 
 HALF_M = 0.1
 COLUMNS = ["triangles", "load s", "step mm", "Mnodes", "build s", "CPU s", "cached s"]

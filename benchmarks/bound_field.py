@@ -16,9 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ctrplan.mechanics import Field, PathDensity, PathLimits, Status
-from ctrplan.planning.bound_field import BoundField, bound_field
-from ctrplan.robot import Robot, load_robot
+from ctrplan.files.robot_file import load_robot
+from ctrplan.mechanics.core import Field, PathDensity, PathLimits, Status
+from ctrplan.planning.bound_table import BoundField, bound_field
+from ctrplan.robot.robot import Robot
 
 ROBOT = Path(__file__).parents[1] / "scenarios" / "robots" / "three_tube.toml"
 DENSITY = PathDensity(rotation_rad=0.26, translation_m=8e-3, motion_m=15e-3)

@@ -18,13 +18,14 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from ctrplan.approach import friction_state
-from ctrplan.calibration import calibrate
-from ctrplan.chain import Chain
-from ctrplan.measurements import Measurements
-from ctrplan.named_numbers import value_of, with_values
-from ctrplan.robot import Robot, load_robot
-from ctrplan.tips import tip_table
+from ctrplan.calibration.calibrate import calibrate
+from ctrplan.experiment.friction_states import friction_state
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.files.robot_file import load_robot
+from ctrplan.pipeline.chain import Chain
+from ctrplan.pipeline.tip_table import tip_table
+from ctrplan.robot.named_numbers import value_of, with_values
+from ctrplan.robot.robot import Robot
 
 ROBOTS = Path(__file__).parents[1] / "scenarios" / "robots"
 NOISE_M, NOISE_RAD = 1.4e-3 / np.sqrt(3) / np.sqrt(10), np.radians(0.5) / np.sqrt(10)

@@ -3,8 +3,8 @@ the truth.
 
 python benchmarks/diagnosis_intervals.py [--effects friction ...] [--size 4] [--seed 1] [--draws 40]
 
-The case is made by the tests' own generator, of another formulation than the model (tests/hidden_effects). The true set
-of effects is fitted to all poses, so that neither a selection nor the luck of one draw has a part in it.
+The case is made by the tests' own generator, of another formulation than the model (tests/oracles/hidden_effects).
+The true set of effects is fitted to all poses, so that neither a selection nor the luck of one draw has a part in it.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from ctrplan.chain import term
+from ctrplan.calibration.estimates import estimates
+from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE
 from ctrplan.diagnosis.workbench import Workbench
-from ctrplan.estimates import estimates
-from ctrplan.measurement_file import load_measurements
-from ctrplan.residuals import Noise
-from ctrplan.robot import load_robot
+from ctrplan.files.measurement_file import load_measurements
+from ctrplan.files.robot_file import load_robot
+from ctrplan.pipeline.chain import term
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "oracles"))
 from hidden_effects.case import Case, make
 from hidden_effects.dataset import measurements_csv, robot_toml, write_folder
 from hidden_effects.noise import POSITION_SIGMA_M, TANGENT_SIGMA_RAD, add_noise

@@ -2,9 +2,10 @@
 
 python benchmarks/diagnosis_to_plan.py [--scenario FILE] [--robot ROBOT.toml --measurements MEASUREMENTS.csv] [--seed N]
 
-Without files the measurements are made by the tests' own generator (tests/hidden_effects): the robot of Table II with
-friction that its user does not know of, ordinary parameters off as well. The diagnosed robot takes the drive of the
-scenario's robot; plans are carried out by the true robot, friction followed along the path from eight start states.
+Without files the measurements are made by the tests' own generator (tests/oracles/hidden_effects): the robot of Table
+II with friction that its user does not know of, ordinary parameters off as well. The diagnosed robot takes the drive
+of the scenario's robot; plans are carried out by the true robot, friction followed along the path from eight start
+states.
 """
 
 from __future__ import annotations
@@ -24,14 +25,16 @@ import tomli_w
 from own_cache import use_own_cache
 
 import ctrplan
+from ctrplan.calibration.robot_content import calibrated_content, model_error_m, within_file
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.errors import CtrplanError
-from ctrplan.measurement_file import load_measurements
+from ctrplan.files.measurement_file import load_measurements
+from ctrplan.files.robot_file import load_robot, robot_from_dict
+from ctrplan.files.scenario_file import load_scenario, scenario_from_dict
 from ctrplan.planning import Plan
-from ctrplan.robot import Robot, load_robot, robot_from_dict
-from ctrplan.robot_output import calibrated_content, model_error_m, within_file
-from ctrplan.scenario import Scenario, load_scenario, scenario_from_dict
-from ctrplan.toml_input import read_document
+from ctrplan.planning.scenario import Scenario
+from ctrplan.robot.robot import Robot
+from ctrplan.storage.toml_document import read_document
 
 ROOT = Path(__file__).resolve().parents[1]
 SIZE = 13.0  # of the friction: coefficients of about 0.2, as the paper finds
@@ -42,7 +45,7 @@ Content = dict[str, Any]
 
 def made_up(folder: Path, seed: int) -> tuple[Path, Path, Mapping[str, Any]]:
     """Robot file, measurements and truth of a case of the bank."""
-    sys.path.insert(0, str(ROOT / "tests"))
+    sys.path.insert(0, str(ROOT / "tests" / "oracles"))
     from hidden_effects.case import Case, make, write
 
     case = Case("friction", "single", seed, (("friction", SIZE),), count=24)

@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from ctrplan.mechanics import Mechanics, Status
-from ctrplan.robot import load_robot
-from ctrplan.tube import Tube, TubeSection
+from ctrplan.files.robot_file import load_robot
+from ctrplan.mechanics.core import Mechanics, Status
+from ctrplan.mechanics.tube import Tube, TubeSection
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
+sys.path[:0] = [str(ROOT / "tests" / place) for place in ("oracles", "support")]
 import paper_oracle as paper  # noqa: E402
 from table_1_pair import table_1_pair  # noqa: E402
 

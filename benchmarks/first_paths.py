@@ -20,8 +20,8 @@ from planning_queries import queries
 
 import ctrplan
 from ctrplan.errors import CtrplanError
-from ctrplan.planning.stage_search import Progress
-from ctrplan.scenario import Scenario
+from ctrplan.planning.scenario import Scenario
+from ctrplan.planning.search.stage_search import Progress
 
 SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"
 

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from history_page import PAIR, THREE, norm_mm, present, table
 
-from ctrplan.mechanics import Accuracy, Array, Status
-from ctrplan.robot import Robot
+from ctrplan.base.arrays import Array
+from ctrplan.mechanics.core import Accuracy, Status
+from ctrplan.robot.robot import Robot
 
 HISTORIES = 1000  # of each robot
 LEGS = (3, 10)

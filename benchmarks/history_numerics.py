@@ -10,10 +10,11 @@ from history_bound import ROBOTS, random_path
 from history_page import PAIR, PAIR_L_M, THREE, draw, norm_mm, panels, present, table
 from matplotlib import colormaps
 
-from ctrplan import palette
-from ctrplan.history import HistoryOptions
-from ctrplan.mechanics import Accuracy, Array
-from ctrplan.robot import Robot
+from ctrplan.base.arrays import Array
+from ctrplan.mechanics.core import Accuracy
+from ctrplan.mechanics.history import HistoryOptions
+from ctrplan.reports import palette
+from ctrplan.robot.robot import Robot
 
 PATHS = 20  # of each robot, for the energy
 HALVED_PATHS: dict[Accuracy, int] = {"search": 20, "certificate": 8}

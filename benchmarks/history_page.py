@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from page_table import put_into_page
 from PIL import Image
 
-from ctrplan import palette
-from ctrplan.mechanics import Array
-from ctrplan.robot import load_robot
+from ctrplan.base.arrays import Array
+from ctrplan.files.robot_file import load_robot
+from ctrplan.reports import palette
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE, IMAGES = ROOT / "docs" / "history.md", ROOT / "docs" / "images" / "history"

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from history_page import COLOURS, PAIR, THREE, draw, norm_mm, panels, present, table
 
-from ctrplan.mechanics import Array
-from ctrplan.robot import Robot
+from ctrplan.base.arrays import Array
+from ctrplan.robot.robot import Robot
 
 TURNS_DEG = np.array([2, 5, 10, 15, 20, 30, 45, 60, 90, 120])
 SHIFTS_MM = np.array([0.1, 0.25, 0.5, 1, 2, 3, 5, 10, 15])

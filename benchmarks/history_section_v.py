@@ -8,9 +8,10 @@ import numpy as np
 from history_page import COLOURS, PAIR, PAIR_L_M, draw, norm_mm, panels, present, table
 from matplotlib.figure import Figure
 
-from ctrplan import palette
-from ctrplan.mechanics import Array, Shape
-from ctrplan.shapes import Status
+from ctrplan.base.arrays import Array
+from ctrplan.mechanics.core import Shape
+from ctrplan.mechanics.shapes import Status
+from ctrplan.reports import palette
 
 ANGLES_DEG = np.arange(0, 361, 10)
 OFFSET_DEG, OFFSET_M = 90.0, 10e-3

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ctrplan.planning.inverse_kinematics import REACHED_M, TipSolver, TipTarget
-from ctrplan.planning.space import JointSpace
-from ctrplan.robot import load_robot
+from ctrplan.files.robot_file import load_robot
+from ctrplan.planning.goals.inverse_kinematics import REACHED_M, TipSolver, TipTarget
+from ctrplan.planning.joint_space import JointSpace
 
 ROBOTS = Path(__file__).resolve().parents[1] / "scenarios" / "robots"
 

@@ -21,11 +21,12 @@ from typing import Any
 
 import numpy as np
 
-from ctrplan.mechanics import Accuracy, Array, PathDensity, Shape, Status, kernel_name
-from ctrplan.robot import load_robot
+from ctrplan.base.arrays import Array
+from ctrplan.files.robot_file import load_robot
+from ctrplan.mechanics.core import Accuracy, PathDensity, Shape, Status, kernel_name
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
+sys.path[:0] = [str(ROOT / "tests" / place) for place in ("oracles", "support")]
 from table_1_pair import table_1_pair  # noqa: E402
 
 ROBOTS = ROOT / "scenarios" / "robots"

@@ -3,7 +3,7 @@
     python benchmarks/paper_algorithm.py [--limit SECONDS]
 
 Three-tube robot of Table II, 2.5 mm elements (the paper's density: it has 133 contacts when fully extended), one
-configuration, both relative rotations counterclockwise. The ascent of tests/paper_oracle in numpy runs
+configuration, both relative rotations counterclockwise. The ascent of tests/oracles/paper_oracle in numpy runs
 to the paper's own criterion or to the limit, 1000 inner iterations at most for each linearisation; its tip is compared
 with the solution of the same equations on the same mesh by Newton's method. CPU seconds of one thread; nothing is
 extrapolated. ctrplan places its own elements, as its accuracy demands.
@@ -25,10 +25,10 @@ for library in ("OPENBLAS", "OMP", "MKL"):  # numpy reads them when it is import
 
 import numpy as np  # noqa: E402
 
-from ctrplan.robot import load_robot  # noqa: E402
+from ctrplan.files.robot_file import load_robot  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
+sys.path.insert(0, str(ROOT / "tests" / "oracles"))
 import paper_oracle as paper  # noqa: E402
 
 THETA_B, L_B = np.deg2rad([0, 0, 90]), np.array([0, -0.017, -0.0916])

@@ -23,12 +23,12 @@ from own_cache import use_own_cache
 from planning_queries import Query, queries
 
 import ctrplan
-from ctrplan.anatomy import exact_clearance
+from ctrplan.anatomy.clearance_grid import exact_clearance
+from ctrplan.drive.trajectory import time_parameterise, verify_limits
 from ctrplan.errors import CtrplanError
 from ctrplan.planning import Plan
-from ctrplan.planning.goals import goal_states
+from ctrplan.planning.goals.goal_states import goal_states
 from ctrplan.planning.motion import MotionChecker
-from ctrplan.trajectory import time_parameterise, verify_limits
 
 BLIND = ["cost.error_along=0", "cost.error_goal=0"]
 AWARE = ["cost.error_along=10", "cost.error_goal=100"]  # ten times the defaults: errors matter most here

@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrplan.files.scenario_file import load_scenario
 from ctrplan.planning.motion import MotionChecker
-from ctrplan.scenario import Scenario, load_scenario
+from ctrplan.planning.scenario import Scenario
 
 Array = NDArray[np.float64]
 SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"

@@ -17,7 +17,7 @@ import ctrplan
 from ctrplan.errors import CtrplanError
 from ctrplan.planning import Plan
 from ctrplan.planning.path_cost import path_cost_mm
-from ctrplan.scenario import Cost
+from ctrplan.planning.scenario import Cost
 
 ROOT = Path(__file__).resolve().parents[1]
 BEGIN, END = "<!-- planning table -->\n", "<!-- end of planning table -->"

@@ -22,9 +22,9 @@ from page_table import put_into_page
 import ctrplan
 from ctrplan.errors import CtrplanError
 from ctrplan.planning import MotionChecker, Plan
-from ctrplan.planning.alternatives import translations_first
-from ctrplan.planning.prediction import goal_error
-from ctrplan.planning.settle import AMPLITUDES_DEG, oscillation, turnings
+from ctrplan.planning.certificate.prediction import goal_error
+from ctrplan.planning.finish.alternatives import translations_first
+from ctrplan.planning.finish.oscillate_at_goal import AMPLITUDES_DEG, oscillation, turnings
 
 ROOT = Path(__file__).resolve().parents[1]
 BEGIN, END = "<!-- reordering table -->\n", "<!-- end of reordering table -->"

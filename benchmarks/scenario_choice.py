@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from own_cache import use_own_cache
 
-from ctrplan.planning.goals import goal_states
+from ctrplan.files.scenario_file import load_scenario
+from ctrplan.planning.goals.goal_states import goal_states
 from ctrplan.planning.motion import MotionChecker
-from ctrplan.scenario import load_scenario
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -18,15 +18,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import ctrplan.trajectory
-from ctrplan.drive import Drive, Joint, Kind
-from ctrplan.legs import distance_from_leg, merge_legs
-from ctrplan.trajectory import QUANTITIES, distance_from_legs, time_parameterise, verify_limits
+import ctrplan.drive.trajectory
+from ctrplan.drive.drive import Drive, Joint, Kind
+from ctrplan.drive.legs import distance_from_leg, merge_legs
+from ctrplan.drive.trajectory import QUANTITIES, distance_from_legs, time_parameterise, verify_limits
 
 FloatArray = NDArray[np.float64]
 
-# Only ctrplan.trajectory imports ruckig; here it is compared with its own synchronisation.
-ruckig: Any = ctrplan.trajectory.ruckig  # type: ignore[attr-defined]
+# Only ctrplan.drive.trajectory imports ruckig; here it is compared with its own synchronisation.
+ruckig: Any = ctrplan.drive.trajectory.ruckig  # type: ignore[attr-defined]
 LEGS_PER_PLAN = 10
 FAST_ROTATION, FAST_TRANSLATION = (1.0, 4.0, 40.0), (0.01, 0.05, 0.5)  # per s, s^2, s^3
 

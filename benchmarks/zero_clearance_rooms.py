@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 from own_cache import use_own_cache
 
-from ctrplan.planning.goals import goal_states
+from ctrplan.files.scenario_file import load_scenario
+from ctrplan.planning.goals.goal_states import goal_states
 from ctrplan.planning.motion import MotionChecker
-from ctrplan.planning.retreat import promising, retreat_roadmap
-from ctrplan.planning.roadmap_search import RoadmapSearch
-from ctrplan.scenario import load_scenario
+from ctrplan.planning.search.insertion_chains import promising, retreat_roadmap
+from ctrplan.planning.search.roadmap_search import RoadmapSearch
 
 SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"
 EDGES_MM = (-np.inf, -1.0, 0.0, 1.0, 2.0, 3.0, 5.0, np.inf)

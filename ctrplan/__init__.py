@@ -12,40 +12,42 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from ctrplan import planning
-    from ctrplan.calibration import Calibration, calibrate
+    from ctrplan.calibration.calibrate import Calibration, calibrate
     from ctrplan.diagnosis.diagnose import diagnose as diagnose
     from ctrplan.diagnosis.result import Diagnosis
     from ctrplan.errors import CtrplanError, InputError, NoAnswerError
-    from ctrplan.history import History, HistoryStep
-    from ctrplan.measurement_file import load_measurements
-    from ctrplan.measurements import Measurements
-    from ctrplan.mechanics import Bound, Bounds, Shape, Status
+    from ctrplan.experiment.measurements import Measurements
+    from ctrplan.files.measurement_file import load_measurements
+    from ctrplan.files.robot_file import load_robot
+    from ctrplan.files.scenario_file import load_scenario
+    from ctrplan.mechanics.core import Bound, Bounds, Shape, Status
+    from ctrplan.mechanics.history import History, HistoryStep
+    from ctrplan.planning.finish.reorder import reorder as reorder
     from ctrplan.planning.plan import Plan
     from ctrplan.planning.planner import plan as plan
-    from ctrplan.planning.reorder import reorder as reorder
-    from ctrplan.robot import Robot, load_robot
-    from ctrplan.scenario import Scenario, load_scenario
+    from ctrplan.planning.scenario import Scenario
+    from ctrplan.robot.robot import Robot
 
 _HOMES = {
-    "Calibration": "calibration",
+    "Calibration": "calibration.calibrate",
     "Diagnosis": "diagnosis.result",
-    "calibrate": "calibration",
-    "Measurements": "measurements",
+    "calibrate": "calibration.calibrate",
+    "Measurements": "experiment.measurements",
     "diagnose": "diagnosis.diagnose",
-    "load_measurements": "measurement_file",
-    "Bound": "mechanics",
-    "Bounds": "mechanics",
-    "Shape": "mechanics",
-    "Status": "mechanics",
-    "History": "history",
-    "HistoryStep": "history",
+    "load_measurements": "files.measurement_file",
+    "Bound": "mechanics.shapes",
+    "Bounds": "mechanics.shapes",
+    "Shape": "mechanics.shapes",
+    "Status": "mechanics.shapes",
+    "History": "mechanics.history",
+    "HistoryStep": "mechanics.history",
     "CtrplanError": "errors",
     "InputError": "errors",
     "NoAnswerError": "errors",
-    "Robot": "robot",
-    "load_robot": "robot",
-    "Scenario": "scenario",
-    "load_scenario": "scenario",
+    "Robot": "robot.robot",
+    "load_robot": "files.robot_file",
+    "Scenario": "planning.scenario",
+    "load_scenario": "files.scenario_file",
     "Plan": "planning",
     "plan": "planning",
     "reorder": "planning",

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command; returns its exit code: 0 done, 1 no answer, 2 malformed input, 130 interrupted."""
     try:
+        from ctrplan.base.interrupts import interrupts_noticed
         from ctrplan.commands.program import run
-        from ctrplan.interrupts import interrupts_noticed
 
         with interrupts_noticed():
             return run(arguments)

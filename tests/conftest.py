@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import os
 
+from places import SCENARIOS
+
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: its threads only fight over small matrices here
 
 from collections.abc import Callable, Iterator
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from ctrplan.anatomy import exact_clearance
+from ctrplan.anatomy.clearance_grid import exact_clearance
+from ctrplan.drive.trajectory import time_parameterise
+from ctrplan.files.robot_file import load_robot
+from ctrplan.files.scenario_file import scenario_from_dict
 from ctrplan.planning.plan import Certificate, CertificateSamples, Leg, Plan, ReorderReport, leg_kind
-from ctrplan.robot import load_robot
-from ctrplan.scenario import Scenario, scenario_from_dict
-from ctrplan.trajectory import time_parameterise
+from ctrplan.planning.scenario import Scenario
 
-SCENARIOS = Path(__file__).parents[1] / "scenarios"
 OBSTACLES = [
     {"kind": "sphere", "center_mm": [0, 60, 110], "radius_mm": 15, "margin_mm": 1.0},
     {"kind": "capsule", "from_mm": [-40, -20, 90], "to_mm": [40, -25, 110], "radius_mm": 8},

@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from ctrplan.diagnosis import CATALOGUE, Effect
-from ctrplan.robot import load_robot
+from ctrplan.files.robot_file import load_robot
 
 ROBOT = Path(__file__).parents[1] / "scenarios" / "robots" / "three_tube.toml"
 STAGES = ("clock", "drive", "mechanics", "sensor")
 HEAD = """\
 # Catalogue of effects
 
-Made by `python tools/effects_page.py` from the files under `ctrplan/diagnosis/effects/`; how to write another one is
+Made by `python tools/effects_page.py` from the files under `ctrplan/effects/`; how to write another one is
 in [diagnosis.md](diagnosis.md). Every effect is a term of one stage of the chain
 
     commanded joint path -> clock -> drive -> mechanics -> sensor -> measured pose

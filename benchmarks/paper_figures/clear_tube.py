@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from ctrplan import palette
-from ctrplan.mechanics import Array, Shape
-from ctrplan.robot import load_robot
+from ctrplan.base.arrays import Array
+from ctrplan.files.robot_file import load_robot
+from ctrplan.mechanics.core import Shape
+from ctrplan.reports import palette
 from paper_figures.contact_regions import Region, offset_m, regions
 from paper_figures.drawing import COLOURS, figure, label, legend, save, table
 from paper_figures.pairs import (

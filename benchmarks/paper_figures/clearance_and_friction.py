@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from ctrplan import palette
+from ctrplan.reports import palette
 from paper_figures.drawing import COLOURS, figure, label, legend, points, save, table
 from paper_figures.pairs import (
     CLEARANCES_MM,

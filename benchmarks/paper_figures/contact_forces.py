@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from ctrplan import palette
+from ctrplan.reports import palette
 from paper_figures.contact_regions import Region, couple, regions
 from paper_figures.drawing import COLOURS, figure, label, legend, save, table
 from paper_figures.pairs import (

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from PIL import Image
 
-from ctrplan import palette
+from ctrplan.reports import palette
 
 IMAGES = Path(__file__).resolve().parents[2] / "docs/images/validation"
 COLOURS = (*palette.SERIES, palette.ENVELOPE)

@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from ctrplan.mechanics import Array, Shape
-from ctrplan.robot import Robot, load_robot
+from ctrplan.base.arrays import Array
+from ctrplan.files.robot_file import load_robot
+from ctrplan.mechanics.core import Shape
+from ctrplan.robot.robot import Robot
 
 ROOT = Path(__file__).resolve().parents[2]
 ROBOTS = ROOT / "scenarios" / "robots"

@@ -11,9 +11,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ctrplan import palette
-from ctrplan.mechanics import Array, Bound, Shape, Status
-from ctrplan.robot import load_robot
+from ctrplan.base.arrays import Array
+from ctrplan.files.robot_file import load_robot
+from ctrplan.mechanics.core import Bound, Shape, Status
+from ctrplan.reports import palette
 from paper_figures.drawing import label, prepare, save, table
 from paper_figures.pairs import (
     ROBOTS,
@@ -30,7 +31,7 @@ class GridPoint(NamedTuple):
 
 @cache
 def grid() -> tuple[GridPoint, ...]:
-    """The 4 x 4 x 4 grid as tests/test_mechanics_reference.py reads it: the paper does not give it in full."""
+    """The 4 x 4 x 4 grid as tests/mechanics/test_reference.py reads it: the paper does not give it in full."""
     robot = load_robot(ROBOTS / "three_tube.toml")
     found = []
     for second, third, l_3 in itertools.product((0, 90, 180, 270), (0, 90, 180, 270), np.linspace(-120.4, -34, 4)):

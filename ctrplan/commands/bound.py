@@ -11,11 +11,11 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.commands.options import add_joint_options, add_set_option, configuration
-from ctrplan.commands.output_folder import DEFAULT as DEFAULT_FOLDER
 from ctrplan.errors import InputError, NoAnswerError, SolverError
+from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 
 if TYPE_CHECKING:
-    from ctrplan.mechanics import Bound, Shape
+    from ctrplan.mechanics.core import Bound, Shape
 
 EXAMPLES = """examples:
   ctrplan bound scenarios/robots/three_tube.toml --theta-deg 0 90 180 --l-mm 0 -17 -62.8
@@ -60,9 +60,10 @@ def add_parser(commands: Any) -> None:
 
 def run_bound(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is no bound to print."""
-    from ctrplan.mechanics import Status
+    from ctrplan.files.robot_file import load_robot
+    from ctrplan.mechanics.core import Status
     from ctrplan.planning.play import play_shift
-    from ctrplan.robot import load_robot, nesting_violation
+    from ctrplan.robot.nesting import nesting_violation
 
     if arguments.sweep:
         from ctrplan.commands.sweep import run_sweep

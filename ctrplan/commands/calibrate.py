@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.commands.options import add_set_option
-from ctrplan.commands.output_folder import DEFAULT as DEFAULT_FOLDER
-from ctrplan.commands.output_folder import output_folder, written_together
+from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
+from ctrplan.storage.output_folder import output_folder, written_together
 
 if TYPE_CHECKING:
-    from ctrplan.calibration import Calibration
-    from ctrplan.diagnosis.gap import Errors
+    from ctrplan.calibration.calibrate import Calibration
+    from ctrplan.calibration.pose_errors import Errors
 
 OUTPUTS = ("robot.toml", "calibration.json")
 EXAMPLES = """examples:
@@ -54,12 +54,11 @@ def add_parser(commands: Any) -> None:
 
 def run_calibrate(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is nothing to write."""
-    from ctrplan.atomic_write import write_atomically
-    from ctrplan.calibration import calibrate
+    from ctrplan.calibration.calibrate import calibrate
     from ctrplan.errors import InputError
-    from ctrplan.measurement_file import load_measurements
-    from ctrplan.robot import load_robot
-    from ctrplan.robot_output import write_robot
+    from ctrplan.files.measurement_file import load_measurements
+    from ctrplan.files.robot_file import load_robot, write_robot
+    from ctrplan.storage.atomic_write import write_atomically
 
     if not 1 <= arguments.starts <= 100:
         raise InputError("must be from 1 to 100", key="--starts", value=arguments.starts)

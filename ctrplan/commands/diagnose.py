@@ -8,11 +8,11 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ctrplan.base.interrupts import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_set_option
-from ctrplan.commands.output_folder import DEFAULT as DEFAULT_FOLDER
-from ctrplan.commands.output_folder import output_folder, written_together
 from ctrplan.commands.progress_bar import ProgressBar
-from ctrplan.interrupts import INTERRUPTED, interrupt_event
+from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
+from ctrplan.storage.output_folder import output_folder, written_together
 
 if TYPE_CHECKING:
     from ctrplan.diagnosis import Diagnosis
@@ -59,8 +59,8 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     with interrupt_event() as interrupted:
         from ctrplan.diagnosis import CATALOGUE, diagnose
         from ctrplan.diagnosis.candidates import reduced
-        from ctrplan.measurement_file import load_measurements
-        from ctrplan.robot import load_robot
+        from ctrplan.files.measurement_file import load_measurements
+        from ctrplan.files.robot_file import load_robot
 
         reduced(CATALOGUE, arguments.without, key="--without")
         robot = load_robot(arguments.robot, arguments.overrides)
@@ -78,9 +78,9 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
 
 def _write(folder: Path, found: Diagnosis) -> None:
     """All files or none."""
-    from ctrplan.atomic_write import write_atomically
-    from ctrplan.diagnosis.report import write_report
-    from ctrplan.robot_output import write_robot
+    from ctrplan.files.robot_file import write_robot
+    from ctrplan.reports.diagnosis_page.page import write_report
+    from ctrplan.storage.atomic_write import write_atomically
 
     with written_together(folder, OUTPUTS) as made:
         write_atomically(made / "diagnosis.json", json.dumps(found.to_json(), indent=1, allow_nan=False) + "\n")
@@ -90,7 +90,7 @@ def _write(folder: Path, found: Diagnosis) -> None:
 
 def summary(folder: Path, found: Diagnosis) -> str:
     """What a person wants to know first."""
-    from ctrplan.diagnosis.words import effect_lines, verdict_sentence
+    from ctrplan.diagnosis.sentences import effect_lines, verdict_sentence
 
     gap = found.gap
     lines = [verdict_sentence(found), *(f"  {line}" for line in effect_lines(found))]

@@ -29,8 +29,8 @@ def add_parser(commands: Any) -> None:
 
 def run_field(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError."""
-    from ctrplan.planning.bound_field import bound_field, choose_axes
-    from ctrplan.robot import load_robot
+    from ctrplan.files.robot_file import load_robot
+    from ctrplan.planning.bound_table import bound_field, choose_axes
 
     robot = load_robot(arguments.robot, arguments.overrides)
     points = 1

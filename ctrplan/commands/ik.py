@@ -12,10 +12,10 @@ from ctrplan.commands.options import add_allow_outside_option, add_set_option
 from ctrplan.errors import InputError, NoAnswerError
 
 if TYPE_CHECKING:
-    from ctrplan.drive import Array
-    from ctrplan.planning.branches import Configuration, Reach
-    from ctrplan.planning.inverse_kinematics import TipTarget
-    from ctrplan.scenario import Scenario
+    from ctrplan.base.arrays import Array
+    from ctrplan.planning.goals.branches import Configuration, Reach
+    from ctrplan.planning.goals.inverse_kinematics import TipTarget
+    from ctrplan.planning.scenario import Scenario
 
 DIRECTION_TOLERANCE_DEG = 5.0
 EXAMPLES = """examples:
@@ -55,8 +55,8 @@ def run_ik(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError, NoAnswerError where the point is out of reach."""
     import numpy as np
 
-    from ctrplan.bare_scenario import load_robot_or_scenario
-    from ctrplan.planning.branches import reach
+    from ctrplan.files.bare_scenario import load_robot_or_scenario
+    from ctrplan.planning.goals.branches import reach
     from ctrplan.planning.motion import MotionChecker, path_limits
 
     scenario = load_robot_or_scenario(arguments.file, arguments.overrides, allow_outside=arguments.allow_outside)
@@ -85,7 +85,7 @@ def _target(arguments: argparse.Namespace, scenario: Scenario) -> TipTarget:
     """The point and direction asked for, in the robot's frame."""
     import numpy as np
 
-    from ctrplan.planning.inverse_kinematics import TipTarget
+    from ctrplan.planning.goals.inverse_kinematics import TipTarget
 
     for key, values in (("--tip-mm", arguments.tip_mm), ("--direction", arguments.direction or [])):
         if not all(math.isfinite(value) and abs(value) <= 1e5 for value in values):

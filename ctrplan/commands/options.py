@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from ctrplan.errors import InputError
 
 if TYPE_CHECKING:
-    from ctrplan.drive import Array
+    from ctrplan.base.arrays import Array
 
 
 def add_set_option(parser: argparse.ArgumentParser, what: str, example: str = "tube.2.poisson_ratio=0.28") -> None:

@@ -8,12 +8,12 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ctrplan.base.interrupts import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_allow_outside_option, add_set_option
-from ctrplan.commands.output_folder import DEFAULT as DEFAULT_FOLDER
-from ctrplan.commands.output_folder import output_folder, written_together
 from ctrplan.commands.progress_bar import ProgressBar
 from ctrplan.errors import InputError
-from ctrplan.interrupts import INTERRUPTED, interrupt_event
+from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
+from ctrplan.storage.output_folder import output_folder, written_together
 
 if TYPE_CHECKING:
     from ctrplan.planning.plan import Plan
@@ -65,10 +65,10 @@ def add_parser(commands: Any) -> None:
 def run_plan(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is no plan to write."""
     with interrupt_event() as interrupted:
+        from ctrplan.files.scenario_file import load_scenario
         from ctrplan.planning import plan
-        from ctrplan.planning.bound_field import known_field
+        from ctrplan.planning.bound_table import known_field
         from ctrplan.planning.plan import LARGEST_SEED, LONGEST_S
-        from ctrplan.scenario import load_scenario
 
         if arguments.time is not None and not 0 < arguments.time <= LONGEST_S:
             raise InputError(f"must be above 0 and at most {LONGEST_S:g}", key="--time", value=arguments.time, unit="s")
@@ -98,11 +98,11 @@ def run_plan(arguments: argparse.Namespace) -> int:
 
 def _write(folder: Path, plan: Plan) -> None:
     """All files or none."""
-    from ctrplan.atomic_write import write_atomically
-    from ctrplan.export import trajectory_as_ros2_yaml, write_trajectory_csv
-    from ctrplan.plan_json import write_plan_json
-    from ctrplan.plots import write_plan_png
-    from ctrplan.report import write_report
+    from ctrplan.files.trajectory_file import trajectory_as_ros2_yaml, write_trajectory_csv
+    from ctrplan.planning.plan_json import write_plan_json
+    from ctrplan.reports.plan_page.page import write_report
+    from ctrplan.reports.plan_picture.picture import write_plan_png
+    from ctrplan.storage.atomic_write import write_atomically
 
     with written_together(folder, OUTPUTS) as made:
         write_plan_json(made / "plan.json", plan)
@@ -165,7 +165,7 @@ def _figures(plan: Plan) -> dict[str, str]:
 
 def _extras(plan: Plan) -> dict[str, str]:
     """Lines about what was asked for beyond the path."""
-    from ctrplan.plan_timing import settling_duration_s
+    from ctrplan.planning.plan_timing import settling_duration_s
 
     lines, settling, compensation = dict[str, str](), plan.certificate.settling, plan.compensation
     if plan.certificate.worst_play_m:

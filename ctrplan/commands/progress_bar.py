@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ctrplan.planning.stage_search import Progress
+    from ctrplan.planning.search.stage_search import Progress
 
 
 class ProgressBar:

@@ -7,16 +7,16 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ctrplan.base.interrupts import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_set_option
-from ctrplan.commands.output_folder import DEFAULT as DEFAULT_FOLDER
-from ctrplan.commands.output_folder import output_folder, write_results
 from ctrplan.commands.progress_bar import ProgressBar
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.interrupts import INTERRUPTED, interrupt_event
+from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
+from ctrplan.storage.output_folder import output_folder, write_results
 
 if TYPE_CHECKING:
-    from ctrplan.history import Start
-    from ctrplan.simulation import Simulation
+    from ctrplan.mechanics.history import Start
+    from ctrplan.studies.simulate import Simulation
 
 OUTPUTS = ("poses.csv", "simulate.png")
 PATIENCE_S = 1.0  # before a progress bar shows up
@@ -64,9 +64,9 @@ def add_parser(commands: Any) -> None:
 def run_simulate(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError, also where no equilibrium is found to go on to."""
     with interrupt_event() as interrupted:
-        from ctrplan.path_file import load_joint_path
-        from ctrplan.robot import load_robot
-        from ctrplan.simulation import simulate
+        from ctrplan.files.joint_path_file import load_joint_path
+        from ctrplan.files.robot_file import load_robot
+        from ctrplan.studies.simulate import simulate
 
         robot = load_robot(arguments.robot, arguments.overrides)
         start = start_state(arguments.start, robot.n - 1)
@@ -107,8 +107,8 @@ def start_state(text: str, pairs: int) -> Start:
 
 
 def _write(folder: Path, result: Simulation) -> None:
-    from ctrplan.plots_simulation import simulation_png
-    from ctrplan.simulation import poses_csv
+    from ctrplan.reports.plan_picture.simulation import simulation_png
+    from ctrplan.studies.simulate import poses_csv
 
     write_results(folder, dict(zip(OUTPUTS, (poses_csv(result), simulation_png(result)), strict=True)))
 

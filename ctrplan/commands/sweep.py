@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ctrplan.commands.options import configuration
-from ctrplan.commands.output_folder import DEFAULT, output_folder, write_results
 from ctrplan.commands.progress_bar import ProgressBar
 from ctrplan.errors import InputError
+from ctrplan.storage.output_folder import DEFAULT, output_folder, write_results
 
 if TYPE_CHECKING:
-    from ctrplan.mechanics import Accuracy
-    from ctrplan.sweep import Sweep
+    from ctrplan.mechanics.core import Accuracy
+    from ctrplan.studies.sweep import Sweep
 
 OUTPUTS = ("sweep.csv", "sweep.png")
 PATIENCE_S = 1.0  # before a progress bar shows up
@@ -23,10 +23,10 @@ PATIENCE_S = 1.0  # before a progress bar shows up
 
 def run_sweep(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code, 1 if no point has a bound. Raises CtrplanError."""
-    from ctrplan.robot import robot_from_dict
-    from ctrplan.sweep import check_axes, sweep
-    from ctrplan.sweep_axis import parse_axis
-    from ctrplan.toml_input import read_document
+    from ctrplan.files.robot_file import robot_from_dict
+    from ctrplan.storage.toml_document import read_document
+    from ctrplan.studies.sweep import check_axes, sweep
+    from ctrplan.studies.sweep_axis import parse_axis
 
     if arguments.json:
         raise InputError("goes with one configuration; a sweep writes sweep.csv", key="--json")
@@ -56,14 +56,14 @@ def _warn(result: Sweep) -> None:
 
 
 def _write(folder: Path, result: Sweep) -> None:
-    from ctrplan.plots_sweep import sweep_png
-    from ctrplan.sweep import sweep_csv
+    from ctrplan.reports.plan_picture.sweep import sweep_png
+    from ctrplan.studies.sweep import sweep_csv
 
     write_results(folder, dict(zip(OUTPUTS, (sweep_csv(result), sweep_png(result)), strict=True)))
 
 
 def _summary(folder: Path, result: Sweep) -> str:
-    from ctrplan.mechanics import Status
+    from ctrplan.mechanics.core import Status
 
     count = " x ".join(map(str, result.shape))
     lines = [f"{result.robot.name}: {count} points over {' and '.join(axis.key for axis in result.axes)}"]

@@ -36,9 +36,9 @@ def add_parser(commands: Any) -> None:
 
 def run_view(arguments: argparse.Namespace) -> int:
     """Serves the page until Ctrl-C; returns 0. Raises CtrplanError."""
-    from ctrplan.bare_scenario import load_robot_or_scenario
-    from ctrplan.live_server import LiveServer
-    from ctrplan.live_state import LiveState
+    from ctrplan.files.bare_scenario import load_robot_or_scenario
+    from ctrplan.reports.live.server import LiveServer
+    from ctrplan.reports.live.state import LiveState
 
     if not 0 <= arguments.port <= 65535:
         raise InputError("must be from 0 to 65535", key="--port", value=arguments.port)

@@ -7,16 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ctrplan.diagnosis.diagnose import diagnose as diagnose
-    from ctrplan.diagnosis.effect import CATALOGUE, Effect, Parameter, register
     from ctrplan.diagnosis.result import Diagnosis
+    from ctrplan.effects.catalogue import CATALOGUE
+    from ctrplan.effects.effect import Effect, Parameter, register
 
 _HOMES = {
-    "CATALOGUE": "candidates",  # where it is full
-    "Diagnosis": "result",
-    "Effect": "effect",
-    "Parameter": "effect",
-    "diagnose": "diagnose",
-    "register": "effect",
+    "CATALOGUE": "effects.catalogue",
+    "Diagnosis": "diagnosis.result",
+    "Effect": "effects.effect",
+    "Parameter": "effects.effect",
+    "diagnose": "diagnosis.diagnose",
+    "register": "effects.effect",
 }
 __all__ = ["CATALOGUE", "Diagnosis", "Effect", "Parameter", "diagnose", "register"]
 
@@ -24,6 +25,6 @@ __all__ = ["CATALOGUE", "Diagnosis", "Effect", "Parameter", "diagnose", "registe
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'ctrplan.diagnosis' has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"ctrplan.diagnosis.{_HOMES[name]}"), name)
+    value = getattr(importlib.import_module(f"ctrplan.{_HOMES[name]}"), name)
     globals()[name] = value
     return value

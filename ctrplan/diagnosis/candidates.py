@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import ctrplan.diagnosis.effects  # noqa: F401 (fills the catalogue)
-from ctrplan.chain import Term, term
-from ctrplan.diagnosis.effect import CATALOGUE, Effect
+from ctrplan.effects.catalogue import CATALOGUE
+from ctrplan.effects.effect import Effect
 from ctrplan.errors import InputError
-from ctrplan.measurements import Measurements
-from ctrplan.robot import Robot
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.pipeline.chain import Term, term
+from ctrplan.robot.robot import Robot
 
 __all__ = ["CATALOGUE", "Candidates", "candidates"]
 

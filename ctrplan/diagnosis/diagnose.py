@@ -4,39 +4,41 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrplan.base.arrays import Array
+from ctrplan.base.progress import StageProgress
+from ctrplan.calibration.pose_errors import distances
+from ctrplan.calibration.residuals import Noise, Residuals
+from ctrplan.calibration.robot_content import within_file
+from ctrplan.calibration.symptoms import symptoms
+from ctrplan.calibration.unsolved import excused, unsolved_sentence
 from ctrplan.diagnosis.candidates import Candidates, candidates, reduced
-from ctrplan.diagnosis.effect import CATALOGUE, Effect
-from ctrplan.diagnosis.experiment import next_experiment
-from ctrplan.diagnosis.gap import Gap, distances, open_vault
-from ctrplan.diagnosis.guards import excused, ignored, remains, unsolved_sentence
+from ctrplan.diagnosis.chi_square import ignored, remains
+from ctrplan.diagnosis.gap import Gap, open_vault
 from ctrplan.diagnosis.localise import Place, localise
-from ctrplan.diagnosis.misstated import rescaled_noise, vault_probability
+from ctrplan.diagnosis.next_experiment import next_experiment
 from ctrplan.diagnosis.noise_floor import noise_floor
+from ctrplan.diagnosis.rescaled_noise import rescaled_noise, vault_probability
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.selection import Selector
-from ctrplan.diagnosis.split import Split, groups, split
-from ctrplan.diagnosis.symptoms import symptoms
 from ctrplan.diagnosis.verdict import Finding, Judgement, judge, specific
 from ctrplan.diagnosis.workbench import Scored, Workbench
-from ctrplan.drive import Array
+from ctrplan.effects.catalogue import CATALOGUE
+from ctrplan.effects.effect import Effect
 from ctrplan.errors import InputError
-from ctrplan.measurements import LONGEST_LAG_S, Measurements
-from ctrplan.residuals import Noise, Residuals
-from ctrplan.robot import Robot
-from ctrplan.robot_output import within_file
-from ctrplan.shapes import Status
+from ctrplan.experiment.measurements import LONGEST_LAG_S, Measurements
+from ctrplan.experiment.split import Split, groups, split
+from ctrplan.mechanics.shapes import Status
+from ctrplan.robot.robot import Robot
 
 LEAST_STABILITY = 0.03  # of the believed robot: nearer to snapping no model is asked
 LEAST_GROUPS = 12  # configurations, or blocks of a continuous motion
 VAULT_REJECTED = 1e-4  # probability of the vault's residuals that takes a name back
-
-Progress = Callable[[str, float], object]  # name of the step, finished share
 
 
 class Interrupted(Exception):
@@ -47,7 +49,7 @@ class Interrupted(Exception):
 class _Teller:
     """Names the steps to whoever watches, and stops between them when asked to."""
 
-    progress: Progress | None
+    progress: StageProgress | None
     interrupted: threading.Event | None
     share: float = 0.05
 
@@ -66,7 +68,7 @@ class _Teller:
 def diagnose(
     robot: Robot,
     data: Measurements,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
     *,
     catalogue: Mapping[str, Effect] = CATALOGUE,
     without: Sequence[str] = (),

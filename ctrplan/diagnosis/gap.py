@@ -8,28 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.chain import Chain, Prediction
-from ctrplan.diagnosis.guards import ChiSquare, excused, outliers
-from ctrplan.drive import Array
-from ctrplan.friction_path import friction_correction
-from ctrplan.least_squares import Fit
-from ctrplan.measurements import Measurements
-from ctrplan.residuals import Noise, residuals
-
-RESAMPLES, SEED = 400, 2
-SPAN_PERCENT = (2.5, 97.5)
-
-
-@dataclass(frozen=True)
-class Errors:
-    """3-D distances [m] over poses; the interval of the rms is from resampled configurations."""
-
-    mean_m: float
-    rms_m: float
-    p95_m: float
-    max_m: float
-    rms_ci95_m: tuple[float, float]
-    poses: int
+from ctrplan.base.arrays import Array
+from ctrplan.calibration.least_squares import Fit
+from ctrplan.calibration.pose_errors import Errors, distances, summary
+from ctrplan.calibration.residuals import Noise, residuals
+from ctrplan.calibration.unsolved import excused
+from ctrplan.diagnosis.chi_square import ChiSquare, outliers
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.pipeline.chain import Chain, Prediction
+from ctrplan.pipeline.friction_path import friction_correction
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,14 +32,6 @@ class Gap:
     after_m: Array
     chi_square: ChiSquare  # of the vault's poses under the predictive distribution of the fit with the effects
     failed: NDArray[np.bool_]  # of all poses of the vault: without a solution, before or after
-
-
-def distances(prediction: Prediction, data: Measurements) -> Array:
-    """(K,) distance [m] of measured from predicted tips; from the base where the prediction is not finite."""
-    measured = data.position_m
-    distance = np.linalg.norm(prediction.position_m - measured, axis=1)
-    wrong: Array = np.where(np.isfinite(distance), distance, np.linalg.norm(measured, axis=1))
-    return wrong
 
 
 def open_vault(before: Fit, after: Fit, vault: Measurements, group: NDArray[np.int_], noise: Noise) -> Gap:
@@ -73,20 +52,6 @@ def open_vault(before: Fit, after: Fit, vault: Measurements, group: NDArray[np.i
     nominal, calibrated, effective = (summary(e, group) for e in errors)
     chi_square = _predictive(chains[2].predict(after.p).subset(kept), vault, after, group, noise)
     return Gap(nominal, calibrated, effective, noise.floor_m, regions, errors[1], errors[2], chi_square, failed)
-
-
-def summary(error: Array, group: NDArray[np.int_]) -> Errors:
-    """Of distances (K,), configurations (K,) resampled whole."""
-    numbers = np.unique(group)
-    squares = np.array([np.sum(error[group == number] ** 2) for number in numbers])
-    counts = np.array([np.sum(group == number) for number in numbers])
-    picks = np.random.default_rng(SEED).integers(0, len(numbers), (RESAMPLES, len(numbers)))
-    resampled = np.sqrt(squares[picks].sum(axis=1) / counts[picks].sum(axis=1))
-    low, high = np.percentile(resampled, SPAN_PERCENT).tolist()
-    rms = float(np.sqrt(np.mean(error**2)))
-    return Errors(
-        float(error.mean()), rms, float(np.percentile(error, 95)), float(error.max()), (low, high), len(error)
-    )
 
 
 def _regions(vault: Measurements) -> dict[str, NDArray[np.bool_]]:

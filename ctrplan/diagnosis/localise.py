@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.approach import friction_state
-from ctrplan.drive import Array
-from ctrplan.measurements import Measurements
+from ctrplan.base.arrays import Array
+from ctrplan.experiment.friction_states import friction_state
+from ctrplan.experiment.measurements import Measurements
 
 PERMUTATIONS, SEED = 200, 3
 CHANCE = 0.05

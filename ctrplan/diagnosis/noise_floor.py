@@ -10,12 +10,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.approach import friction_state, last_directions
-from ctrplan.drive import Array
+from ctrplan.base.arrays import Array
+from ctrplan.calibration.residuals import Noise
 from ctrplan.errors import InputError
-from ctrplan.measurements import Measurements
-from ctrplan.residuals import Noise
-from ctrplan.robot import Robot
+from ctrplan.experiment.friction_states import friction_state, last_directions
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.robot.robot import Robot
 
 LEAST_SPARE = 20  # repeats beyond the first of their kind: the noise is then known to about 10 %
 FAR = 4.5  # times the typical distance of a repeat from its mean, beyond which one says nothing about noise

@@ -9,19 +9,20 @@ from typing import Any
 import numpy as np
 
 import ctrplan
-from ctrplan.chain import Term
-from ctrplan.diagnosis.experiment import Proposal
-from ctrplan.diagnosis.gap import Errors, Gap
-from ctrplan.diagnosis.guards import ChiSquare
+from ctrplan.calibration.estimates import estimates
+from ctrplan.calibration.pose_errors import Errors
+from ctrplan.calibration.residuals import Noise
+from ctrplan.calibration.robot_content import calibrated_content, model_error_m
+from ctrplan.diagnosis.chi_square import ChiSquare
+from ctrplan.diagnosis.gap import Gap
 from ctrplan.diagnosis.localise import Place
+from ctrplan.diagnosis.next_experiment import Proposal
 from ctrplan.diagnosis.selection import Step
 from ctrplan.diagnosis.verdict import Judgement, Verdict
 from ctrplan.diagnosis.workbench import Scored
-from ctrplan.estimates import estimates
-from ctrplan.measurements import Measurements
-from ctrplan.residuals import Noise
-from ctrplan.robot import Robot
-from ctrplan.robot_output import calibrated_content, model_error_m
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.pipeline.chain import Term
+from ctrplan.robot.robot import Robot
 
 SCHEMA_VERSION = 1
 

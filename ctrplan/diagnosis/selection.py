@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from ctrplan.chain import Term
+from ctrplan.calibration.least_squares import Fit
 from ctrplan.diagnosis.candidates import Candidates
-from ctrplan.diagnosis.guards import remains
-from ctrplan.diagnosis.nulls import null_threshold
+from ctrplan.diagnosis.chance import null_threshold
+from ctrplan.diagnosis.chi_square import remains
 from ctrplan.diagnosis.workbench import Scored, Screened, Workbench, linear
-from ctrplan.least_squares import Fit
+from ctrplan.pipeline.chain import Term
 
 MOST_EFFECTS = 4
 CAUTION = 2.0  # times the threshold, for an effect that the residuals do not ask for: they look like noise already

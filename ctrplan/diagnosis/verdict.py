@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from ctrplan.chain import Term, term
-from ctrplan.diagnosis.guards import Adequacy, remains
+from ctrplan.calibration.symptoms import is_strained
+from ctrplan.diagnosis.chi_square import Adequacy, remains
 from ctrplan.diagnosis.selection import Selection, Selector
-from ctrplan.diagnosis.symptoms import is_strained
 from ctrplan.diagnosis.workbench import Scored, Workbench
+from ctrplan.pipeline.chain import Term, term
 
 Verdict = Literal["named", "no_missing_effect", "ambiguous", "unexplained"]
 

@@ -9,15 +9,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base_parameters import ABSOLUTE_STIFFNESS, BaseParameters
-from ctrplan.chain import Chain, Term, term
-from ctrplan.diagnosis.crossvalidation import Linear, held_out_loss
-from ctrplan.drive import Array
-from ctrplan.friction_path import friction_correction
-from ctrplan.least_squares import Fit, fit, fit_at
-from ctrplan.measurements import Measurements
-from ctrplan.residuals import UNSOUND, Noise, residuals, robust_square
-from ctrplan.robot import Robot
+from ctrplan.base.arrays import Array
+from ctrplan.calibration.base_parameters import ABSOLUTE_STIFFNESS, BaseParameters
+from ctrplan.calibration.least_squares import Fit, fit, fit_at
+from ctrplan.calibration.residuals import UNSOUND, Noise, residuals, robust_square
+from ctrplan.diagnosis.held_out import Linear, held_out_loss
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.pipeline.chain import Chain, Term, term
+from ctrplan.pipeline.friction_path import friction_correction
+from ctrplan.robot.robot import Robot
 
 MOST_WIDENINGS = 3
 WIDENED_FROM = 1.1  # standard deviations of a prior

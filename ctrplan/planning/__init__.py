@@ -6,14 +6,14 @@ For an OMPL set-up of one's own: `state_space`, `Validity`, `MotionValidity` and
 
 from __future__ import annotations
 
+from ctrplan.planning.finish.reorder import reorder
+from ctrplan.planning.joint_space import JointSpace, l_shaped
 from ctrplan.planning.motion import MotionChecker
-from ctrplan.planning.objective import BoundObjective
-from ctrplan.planning.ompl_space import StateReader, state_space
 from ctrplan.planning.plan import Certificate, CertificateSamples, Leg, Plan, ReorderReport
 from ctrplan.planning.planner import plan
-from ctrplan.planning.reorder import reorder
-from ctrplan.planning.space import JointSpace, l_shaped
-from ctrplan.planning.validity import MotionValidity, Validity
+from ctrplan.planning.search.objective import BoundObjective
+from ctrplan.planning.search.ompl_space import StateReader, state_space
+from ctrplan.planning.search.validity import MotionValidity, Validity
 
 __all__ = [
     "BoundObjective",

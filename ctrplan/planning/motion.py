@@ -9,22 +9,23 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.anatomy import SignedDistanceField, build_field, default_spacing_m, field_bounds
-from ctrplan.drive import Array
-from ctrplan.friction_law import largest_deviation
-from ctrplan.mechanics import Field, PathDensity, PathLimits, PathSamples, Status
+from ctrplan.anatomy.clearance_grid import SignedDistanceField, build_field, default_spacing_m, field_bounds
+from ctrplan.base.arrays import Array
+from ctrplan.mechanics.core import Field, PathDensity, PathLimits, PathSamples, Status
+from ctrplan.mechanics.friction_law import largest_deviation
+from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.path_cost import path_cost_mm
 from ctrplan.planning.plan import MotionStyle
 from ctrplan.planning.play import usual_play_shift
-from ctrplan.planning.search_clock import ASKED_NS, LOOKED_UP_NS, ROOM_NS, SHAPE_NS, WorkMeter
-from ctrplan.planning.space import JointSpace
+from ctrplan.planning.search.search_clock import ASKED_NS, LOOKED_UP_NS, ROOM_NS, SHAPE_NS, WorkMeter
 
 if TYPE_CHECKING:
-    from ctrplan.planning.bound_field import BoundField
-    from ctrplan.robot import Robot
-    from ctrplan.scenario import Scenario
+    from ctrplan.planning.bound_table import BoundField
+    from ctrplan.planning.scenario import Scenario
+    from ctrplan.robot.robot import Robot
 
-MM_PER_M = 1e3
+from ctrplan.base.units import MM_PER_M
+
 # What a certificate on the fine mesh takes off a clearance, half the motion between samples and the discretisation
 # error, and a little for what the search's coarse mesh usually differs.
 SEARCH_ROOM_M = 0.5e-3

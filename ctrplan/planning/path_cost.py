@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ctrplan.planning.space import MM_PER_M
+from ctrplan.base.units import MM_PER_M
 
 if TYPE_CHECKING:
-    from ctrplan.scenario import Cost
+    from ctrplan.planning.scenario import Cost
 
 
 def path_cost_mm(weights: Cost, *, length_mm: float, legs: int, integral_mm: float, left_m: float) -> float:

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.drive import Array, Drive
+from ctrplan.base.arrays import Array
+from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
-from ctrplan.planning.search_clock import SearchEnd
+from ctrplan.planning.search.search_clock import SearchEnd
 
 if TYPE_CHECKING:
-    from ctrplan.scenario import Scenario
-    from ctrplan.trajectory import Trajectory
+    from ctrplan.drive.trajectory import Trajectory
+    from ctrplan.planning.scenario import Scenario
 
 LegKind = Literal["rotation", "translation", "simultaneous"]
 LONGEST_S, LARGEST_SEED = 3600.0, 2**31 - 10**5 - 1  # the search adds to the seed
@@ -180,7 +181,7 @@ class Plan:
 
     def to_json(self) -> dict[str, Any]:
         """The content of plan.json, plain types only; the schema is in docs/plan.schema.json."""
-        from ctrplan.plan_json import plan_to_json
+        from ctrplan.planning.plan_json import plan_to_json
 
         return plan_to_json(self)
 

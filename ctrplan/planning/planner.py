@@ -10,26 +10,26 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ctrplan.drive import Array
+from ctrplan.base.arrays import Array
+from ctrplan.base.interrupts import interrupt_event
+from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.interrupts import interrupt_event
-from ctrplan.legs import merge_legs
-from ctrplan.planning.certify import walk_legs
-from ctrplan.planning.compensate import compensate
-from ctrplan.planning.goals import goal_states
-from ctrplan.planning.line import follow_line, line_beginnings
+from ctrplan.planning.certificate.certify import walk_legs
+from ctrplan.planning.certificate.tour import joined_certificates
+from ctrplan.planning.finish.compensate import compensate
+from ctrplan.planning.finish.oscillate_at_goal import settle
+from ctrplan.planning.finish.reorder import Reordered, assemble
+from ctrplan.planning.goals.clearances import refuse_impossible_margins, start_trouble
+from ctrplan.planning.goals.goal_states import goal_states
+from ctrplan.planning.goals.line import follow_line, line_beginnings
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.plan import ENDED_BY_TIME, Certificate, Compensation, Plan, checked_search
-from ctrplan.planning.reorder import Reordered, assemble
-from ctrplan.planning.room import refuse_impossible_margins, start_trouble
-from ctrplan.planning.search_clock import SearchClock, SearchEnd
-from ctrplan.planning.settle import settle
-from ctrplan.planning.stage_search import Candidate, Progress, Report, StageSearch
-from ctrplan.planning.tour import joined_certificates
+from ctrplan.planning.search.search_clock import SearchClock, SearchEnd
+from ctrplan.planning.search.stage_search import Candidate, Progress, Report, StageSearch
 
 if TYPE_CHECKING:
-    from ctrplan.planning.bound_field import BoundField
-    from ctrplan.scenario import Scenario
+    from ctrplan.planning.bound_table import BoundField
+    from ctrplan.planning.scenario import Scenario
 
 
 def plan(

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ctrplan.drive import Array
+from ctrplan.base.arrays import Array
+from ctrplan.drive.legs import distance_from_polyline
 from ctrplan.errors import CtrplanError
-from ctrplan.legs import distance_from_polyline
-from ctrplan.tips import nested
+from ctrplan.pipeline.tip_table import nested
 
 if TYPE_CHECKING:
-    from ctrplan.planning.space import JointSpace
-    from ctrplan.robot import Robot
+    from ctrplan.planning.joint_space import JointSpace
+    from ctrplan.robot.robot import Robot
 
 SAMPLES, SEED = 15, 5  # configurations that say what a search has to allow for
 

@@ -1,4 +1,4 @@
-// The thin Python face of the core: arrays in, arrays and plain dictionaries out. ctrplan/mechanics.py is its only user.
+// The thin Python face of the core: arrays in, arrays and plain dictionaries out. ctrplan/mechanics/core.py is its only user.
 #include <cstdlib>
 
 #include "ctr/kernel.hpp"

@@ -1,0 +1,145 @@
+"""Obstacles and lumens as one signed-distance field: the clearance available to a point, on a grid.
+
+The core samples the field at every point of every shape; the certificate uses `exact_clearance` instead. What the parts
+mean together stands in `ctrplan.anatomy.parts`.
+"""
+
+import hashlib
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ctrplan.anatomy.distance_field import SignedDistanceField
+from ctrplan.anatomy.grid_distance import COARSEST, grid_distance
+from ctrplan.anatomy.mesh_file import load_mesh
+from ctrplan.anatomy.parts import AnatomyPart, combined_clearance, exact_clearance
+from ctrplan.base.arrays import Array
+from ctrplan.base.progress import Progress
+from ctrplan.errors import InputError
+from ctrplan.storage import cache as field_cache
+
+__all__ = [
+    "AnatomyPart",
+    "SignedDistanceField",
+    "build_field",
+    "default_spacing_m",
+    "exact_clearance",
+    "field_bounds",
+    "load_mesh",
+]
+
+FORMAT = b"ctrplan distance field 1"  # part of the cache key: change it with anything that changes the values
+SPACINGS_M = (1e-6, 1.0)
+DEFAULT_NODES, MAX_DEFAULT_NODES, MAX_NODES = 2e6, 8e6, 5e8
+
+
+def field_bounds(
+    parts: Sequence[AnatomyPart],
+    reach_m: float,
+    base_position_m: ArrayLike = (0.0, 0.0, 0.0),
+    base_R: ArrayLike = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    side_m: float | None = None,
+) -> tuple[Array, Array]:
+    """Lower and upper corner (3,), (3,) [m] of a grid that holds all clear points the robot can reach.
+
+    The robot leaves its base along the base's z axis and stays within reach_m of it, in front of it, and, where given,
+    within side_m of that axis [m]. Lumens bound it further: outside their box nothing is clear.
+    """
+    if not 0 < reach_m < np.inf:
+        raise InputError("must be a finite number above zero", key="reach_m", value=reach_m, unit="m")
+    base, R = np.asarray(base_position_m, dtype=np.float64), np.asarray(base_R, dtype=np.float64)
+    side = reach_m if side_m is None else min(side_m, reach_m)
+    # Extent along each axis of the anatomy's frame of the box side x side x [0, reach] turned by R, within the ball.
+    across, along = np.linalg.norm(R[:, :2], axis=1) * side, R[:, 2] * reach_m
+    upper = base + np.minimum(across + np.maximum(along, 0), reach_m)
+    lower = base - np.minimum(across + np.maximum(-along, 0), reach_m)
+    boxes = [_box(part) for part in parts if part.role == "inside"]
+    if boxes:
+        inside_lower, inside_upper = np.min([b[0] for b in boxes], axis=0), np.max([b[1] for b in boxes], axis=0)
+        lower, upper = np.clip(inside_lower, lower, upper), np.clip(inside_upper, lower, upper)
+    return lower, upper
+
+
+def _box(part: AnatomyPart) -> tuple[Array, Array]:
+    if part.vertices_m is not None:
+        points, radius = part.vertices_m, 0.0
+    else:
+        points = np.array([p for p in (part.center_m, part.from_m, part.to_m) if p is not None])
+        radius = part.radius_m or 0.0
+    return points.min(axis=0) - radius, points.max(axis=0) + radius
+
+
+def default_spacing_m(lower_m: ArrayLike, upper_m: ArrayLike) -> float:
+    """Spacing [m] between 0.5 and 1 mm that gives some 2 million nodes; above 1 mm only beyond 8 million nodes."""
+    extent = np.maximum(np.asarray(upper_m, dtype=np.float64) - np.asarray(lower_m, dtype=np.float64), 1e-3)
+    volume = float(extent.prod())
+    spacing = float(np.clip(np.cbrt(volume / DEFAULT_NODES), 0.5e-3, 1e-3))
+    return max(spacing, float(np.cbrt(volume / MAX_DEFAULT_NODES)))
+
+
+def build_field(
+    parts: Sequence[AnatomyPart],
+    lower_m: ArrayLike,
+    upper_m: ArrayLike,
+    spacing_m: float,
+    progress: Progress | None = None,
+    cache: bool = True,
+) -> SignedDistanceField | None:
+    """Clearance on a grid over the box lower_m (3,) to upper_m (3,) [m], or None when there are no parts.
+
+    The grid starts at lower_m and ends up to 4 nodes beyond upper_m. progress: called with the fraction done, 0 to 1.
+    cache: keep the grid on disk and take it from there (see `ctrplan.storage.cache`).
+    Values are exact within some 11 grid steps of a surface and coarser further away, see
+    `ctrplan.anatomy.grid_distance`.
+    Raises InputError for a box or spacing that makes no grid.
+    """
+    if not parts:
+        return None
+    origin, spacing, shape = _grid(lower_m, upper_m, spacing_m)
+    key = _content_key(parts, origin, spacing, shape)
+    values = field_cache.load(key, shape) if cache else None
+    if values is None:
+        steps = iter(range(len(parts)))
+        values = combined_clearance(
+            parts, lambda part: grid_distance(part, origin, spacing, shape, _share(progress, next(steps), len(parts)))
+        ).astype(np.float32, copy=False)
+        if cache:
+            field_cache.store(key, values)
+    if progress:
+        progress(1.0)
+    return SignedDistanceField(origin, spacing, values, tuple(parts))
+
+
+def _grid(lower_m: ArrayLike, upper_m: ArrayLike, spacing_m: float) -> tuple[Array, float, tuple[int, int, int]]:
+    lower, upper = np.array(lower_m, dtype=np.float64), np.array(upper_m, dtype=np.float64)
+    if not (np.isfinite(spacing_m) and spacing_m > 0):
+        raise InputError("must be a finite number above zero", key="spacing_m", value=spacing_m, unit="m")
+    if not SPACINGS_M[0] <= spacing_m <= SPACINGS_M[1]:
+        rule = f"must be from {SPACINGS_M[0]:g} to {SPACINGS_M[1]:g} m"
+        raise InputError(rule, key="spacing_m", value=spacing_m, unit="m")
+    if lower.shape != (3,) or upper.shape != (3,) or not (np.isfinite(lower) & (lower <= upper)).all():
+        raise InputError("must not exceed upper_m", key="lower_m", value=lower.tolist(), unit="m")
+    cells = np.ceil(np.maximum((upper - lower) / (COARSEST * spacing_m) - 1e-9, 1.0)) * COARSEST
+    if (cells + 1).prod() > MAX_NODES:
+        rule = f"gives {(cells + 1).prod():.3g} grid nodes: must give at most {MAX_NODES:.0e}"
+        raise InputError(rule, key="spacing_m", value=spacing_m, unit="m")
+    nx, ny, nz = (int(c) + 1 for c in cells)
+    return lower, float(spacing_m), (nx, ny, nz)
+
+
+def _content_key(parts: Sequence[AnatomyPart], origin: Array, spacing: float, shape: tuple[int, int, int]) -> str:
+    """SHA-256 of everything that determines the values; where the meshes came from does not."""
+    content = hashlib.sha256(FORMAT)
+    numbers: list[object] = [origin, spacing, shape]
+    for part in parts:
+        content.update(f"{part.kind} {part.role};".encode())
+        numbers += [part.margin_m, part.center_m, part.radius_m, part.from_m, part.to_m, part.vertices_m, part.faces]
+    for number in numbers:
+        array = np.asarray([] if number is None else number, dtype="<f8")
+        content.update(f"{array.shape};".encode() + np.ascontiguousarray(array).tobytes())
+    return content.hexdigest()
+
+
+def _share(progress: Progress | None, part: int, count: int) -> Progress:
+    return lambda fraction: progress((part + fraction) / count) if progress else None

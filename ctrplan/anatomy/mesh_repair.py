@@ -1,0 +1,160 @@
+"""Repairing a triangle mesh: cracks welded, winding made consistent and outward, or refused with the place named."""
+
+import logging
+
+import igl
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from ctrplan.base.arrays import Array
+
+Indices = NDArray[np.int64]
+
+WELD_M = 1e-6  # vertices closer than this are one: a crack that no robot and no scanner can tell from a closed seam
+
+logger = logging.getLogger(__name__)
+
+
+class MeshRefusal(Exception):
+    """A rule that a mesh breaks, as the end of a sentence; whoever reads the mesh says where it was named."""
+
+
+def welded(vertices: Array, faces: Indices) -> tuple[Array, Indices]:
+    """The mesh with coinciding vertices merged, and if that leaves it open, those within WELD_M too."""
+    vertices, faces = _without_strays(vertices, faces)  # whose coordinates may be NaN
+    unique, _, index = igl.remove_duplicate_vertices(vertices, 0.0)
+    exact = np.asarray(unique), _distinct(np.asarray(index)[faces])
+    if not len(_odd_edges(exact[1])):
+        return _without_strays(*exact)
+    pairs = cKDTree(unique).query_pairs(WELD_M, output_type="ndarray")
+    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(unique), len(unique)))
+    _, group = connected_components(graph, directed=False)
+    _, first = np.unique(group, return_index=True)
+    welded = unique[first], _distinct(group[exact[1]].astype(np.int64))
+    odd = _odd_edges(welded[1])
+    if len(odd):
+        # The place is reported in the file's own frame, as the viewer of the mesh shows it (but in mm).
+        x, y, z = welded[0][odd[0]].mean(axis=0) * 1e3
+        count = f"{len(odd)} open edge{'s' if len(odd) > 1 else ''}"
+        raise MeshRefusal(f"is not closed: has {count}, one at ({x:.2f}, {y:.2f}, {z:.2f}) mm, must have none")
+    logger.info("welded vertices less than %g mm apart to close the mesh", WELD_M * 1e3)
+    return _without_strays(*welded)
+
+
+def _without_strays(vertices: Array, faces: Indices) -> tuple[Array, Indices]:
+    used = np.bincount(faces.reshape(-1), minlength=len(vertices)) > 0
+    index = np.cumsum(used) - 1
+    return np.ascontiguousarray(vertices[used]), np.ascontiguousarray(index[faces], dtype=np.int64)
+
+
+def _distinct(faces: Indices) -> Indices:
+    """Triangles with three different corners, each winding of each kept once."""
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    start = np.argmin(faces, axis=1)[:, None]
+    turned = np.take_along_axis(faces, (start + np.arange(3)) % 3, axis=1)
+    leading = np.sort(turned[:, 0] * (faces.max(initial=0) + 1) + turned[:, 1])
+    if (leading[1:] != leading[:-1]).all():  # nearly always, and much faster than looking at whole triangles
+        return faces
+    _, first = np.unique(turned, axis=0, return_index=True)
+    return faces[np.sort(first)]
+
+
+def _edge_keys(faces: Indices) -> tuple[Indices, Array]:
+    """For each side (3F,) of the triangles one number for its edge, and the direction +1 or -1 it takes along it."""
+    start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+    keys = np.minimum(start, end) * (faces.max(initial=0) + 1) + np.maximum(start, end)
+    return keys, np.where(start < end, 1.0, -1.0)
+
+
+def _edges(keys: Indices, faces: Indices) -> Indices:
+    return np.stack(np.divmod(keys, faces.max(initial=0) + 1), axis=1)
+
+
+def _odd_edges(faces: Indices) -> Indices:
+    """Edges (E, 2) at which an odd number of triangles meet: a surface ends there, or one branches off."""
+    keys, count = np.unique(_edge_keys(faces)[0], return_counts=True)
+    return _edges(keys[count % 2 == 1], faces)
+
+
+def _unbalanced_edges(faces: Indices) -> Indices:
+    """Edges (E, 2) that triangles do not run along equally often in both directions: the winding changes there."""
+    keys, direction = _edge_keys(faces)
+    unique, index = np.unique(keys, return_inverse=True)
+    return _edges(unique[np.bincount(index.reshape(-1), weights=direction) != 0], faces)
+
+
+def turned_outward(vertices: Array, faces: Indices) -> Indices:
+    """Faces (F, 3) of a closed mesh, wound consistently with normals outward. Raises MeshRefusal if it is open."""
+    given = faces
+    if not len(faces):
+        raise MeshRefusal("is empty: all its triangles are collapsed to lines")
+    if len(_unbalanced_edges(faces)):
+        faces, body = _consistent(vertices, faces)
+    else:
+        body = _bodies(faces)
+    faces = _outermost_outward(vertices, faces, body)
+    turned = int((faces != given).any(axis=1).sum())
+    if turned:
+        logger.info("turned %d of %d triangles so that the surface faces outward", turned, len(faces))
+    if _volumes(vertices, faces, np.zeros(len(faces), dtype=np.int64))[0] <= 0:
+        raise MeshRefusal("encloses no volume: must be a closed body")
+    return np.ascontiguousarray(faces)
+
+
+def _bodies(faces: Indices) -> Indices:
+    """Body (F,) of each triangle: closed patches where bodies touch along an edge, else what shares vertices."""
+    patch = np.asarray(igl.orientable_patches(faces))
+    _, apart = np.unique(faces + patch[:, None] * (faces.max() + 1), return_inverse=True)
+    return patch if not len(_odd_edges(apart.reshape(-1, 3))) else np.asarray(igl.vertex_components(faces))[faces[:, 0]]
+
+
+def _consistent(vertices: Array, faces: Indices) -> tuple[Indices, Indices]:
+    """Winding made consistent within each patch, following the larger part of the patch's area in the file."""
+    oriented, patch = (np.asarray(a) for a in igl.bfs_orient(faces))
+    bad = _unbalanced_edges(oriented)
+    if len(bad):
+        x, y, z = vertices[bad[0]].mean(axis=0) * 1e3
+        place = f"({x:.2f}, {y:.2f}, {z:.2f}) mm"
+        raise MeshRefusal(f"can't be turned outward: its two sides meet at {place}, must bound a solid")
+    corners = vertices[faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    vote = np.bincount(patch, weights=np.where((oriented == faces).all(axis=1), area, -area))
+    return np.where((vote < 0)[patch][:, None], oriented[:, ::-1], oriented), patch
+
+
+def _volumes(vertices: Array, faces: Indices, body: Indices) -> Array:
+    corners = (vertices - vertices.mean(axis=0))[faces]
+    tetrahedra = np.einsum("ki,ki->k", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
+    return np.asarray(np.bincount(body, weights=tetrahedra), dtype=np.float64)
+
+
+def _outermost_outward(vertices: Array, faces: Indices, body: Indices) -> Indices:
+    """Turn each outermost body outward, and with it all that lies within: cavities stay cavities."""
+    body = np.unique(body, return_inverse=True)[1].reshape(-1)
+    volume = _volumes(vertices, faces, body)
+    if not (volume < 0).any():
+        return faces
+    within = _bodies_within(vertices, faces, body)
+    outermost = ~within.any(axis=0)
+    flip = outermost & (volume < 0)
+    flip |= within[flip].any(axis=0)
+    return np.where(flip[body][:, None], faces[:, ::-1], faces)
+
+
+def _bodies_within(vertices: Array, faces: Indices, body: Indices) -> NDArray[np.bool_]:
+    """(B, B) matrix: entry (a, b) tells that body b lies within body a."""
+    count = int(body.max()) + 1
+    members = np.split(np.argsort(body, kind="stable"), np.cumsum(np.bincount(body))[:-1])
+    corners = [vertices[faces[rows]].reshape(-1, 3) for rows in members]
+    lower, upper = np.array([c.min(axis=0) for c in corners]), np.array([c.max(axis=0) for c in corners])
+    sample = np.array([c[0] for c in corners])
+    within = np.zeros((count, count), dtype=bool)
+    for a in range(count):
+        nested = np.flatnonzero((lower > lower[a]).all(axis=1) & (upper < upper[a]).all(axis=1))
+        if len(nested):
+            winding = igl.fast_winding_number(vertices, np.ascontiguousarray(faces[members[a]]), sample[nested])
+            within[a, nested] = np.abs(winding) > 0.5
+    return within

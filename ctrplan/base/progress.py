@@ -1,0 +1,10 @@
+"""What long work tells whoever waits for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+Progress = Callable[[float], object]
+"""Is told the finished share, 0 to 1."""
+StageProgress = Callable[[str, float], object]
+"""Is told what is being done and its finished share, 0 to 1."""

@@ -1,0 +1,301 @@
+"""Least squares over named parameters, (48), (49): values, intervals, what the data can't tell, held-out error.
+
+Deviation from (49): it squares the sum of the distance and the angle of each pose; here position and tangent are
+squared apart, which is the likelihood of independent Gaussian errors. With weighting "paper" 1 deg weighs as much as
+1 mm, as there; with "stated" both count over the noise of the robot file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+from ctrplan.calibration.base_parameters import ABSOLUTE_STIFFNESS, BaseParameters
+from ctrplan.calibration.estimates import Estimate, estimates
+from ctrplan.calibration.identifiability import Combination, combinations
+from ctrplan.calibration.least_squares import Fit, fit
+from ctrplan.calibration.pose_errors import Errors, distances, summary
+from ctrplan.calibration.residuals import PER_POSE, Noise
+from ctrplan.calibration.robot_content import calibrated_content, model_error_m, within_file
+from ctrplan.calibration.symptoms import symptoms
+from ctrplan.calibration.unsolved import excused, unsolved_sentence
+from ctrplan.effects.catalogue import CATALOGUE
+from ctrplan.effects.effect import Effect, Parameter, Values
+from ctrplan.errors import InputError
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.experiment.split import groups
+from ctrplan.pipeline.chain import Chain, Term, term
+from ctrplan.pipeline.friction_path import friction_correction
+from ctrplan.robot.named_numbers import value_of
+from ctrplan.robot.robot import Robot
+
+Weighting = Literal["stated", "paper"]
+
+PAPER = Noise(1e-3, float(np.radians(1.0)))  # 1 deg of the tangent weighs as much as 1 mm, text at (49)
+RELATIVE_PRIOR, LEAST_PRIOR = 0.2, 0.2  # of a named number whose size is known, and of one that is zero
+IN_FILES = (  # keys that a robot file has
+    "bending_stiffness_Nm2",
+    "poisson_ratio",
+    "curvature_x_per_m",
+    "curvature_y_per_m",
+    "length_m",
+    "clearance_m",
+    "friction_coefficient",
+)
+SPREAD = 0.7  # of the priors that further starts are drawn with
+
+
+class NamedParameters(Effect):
+    """Numbers of the robot by their names, `parameters.py`, as a term of the mechanics."""
+
+    name = "named"
+    stage = "mechanics"
+
+    def __init__(self, names: Sequence[str], priors: Mapping[str, float], bounds: Mapping[str, tuple[float, float]]):
+        """priors: name -> standard deviation; bounds: name -> (lowest, highest); usual ones for names not in them."""
+        self.names, self.priors, self.bounds = tuple(names), priors, bounds
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """The named numbers, with the priors and bounds that were given for them."""
+        return tuple(self._parameter(robot, name) for name in self.names)
+
+    def mechanics(self, values: Values, robot: Robot) -> Mapping[str, float]:
+        """The robot's numbers are the parameters themselves."""
+        return dict(values)
+
+    def _parameter(self, robot: Robot, name: str) -> Parameter:
+        value = value_of(robot, name)
+        low, high = self.bounds.get(name, _usual_bounds(name))
+        prior = self.priors.get(
+            name, 0.15 if name.endswith("poisson_ratio") else RELATIVE_PRIOR * abs(value) or LEAST_PRIOR
+        )
+        return Parameter(name, prior, neutral=value, lower=low, upper=high)
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A fit of named parameters. Estimates are in the units of the names."""
+
+    fit: Fit
+    estimates: Mapping[str, Estimate]
+    training: Errors
+    held_out: Errors | None  # None when no pose was kept aside
+    nominal: Errors  # of all poses, with the file's values
+    combinations: tuple[Combination, ...]  # least known first
+    model_error_m: float
+    notes: tuple[str, ...]
+    data: Measurements
+
+    @property
+    def robot(self) -> Robot:
+        """The calibrated robot."""
+        return self.fit.chain.robot_at(self.fit.p)
+
+    def robot_content(self) -> dict[str, Any]:
+        """The content of the new robot file; the parent is not touched."""
+        effects = [t for t in self.fit.chain.terms if t.name in CATALOGUE]
+        return calibrated_content(self.fit, effects, self.data, self.model_error_m)
+
+
+def calibrate(
+    robot: Robot,
+    measurements: Measurements,
+    parameters: Sequence[str] | None = None,
+    *,
+    second_pass: Sequence[str] = (),
+    weighting: Weighting | None = None,
+    priors: Mapping[str, float] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    held_out: float = 0.25,
+    starts: int = 1,
+    seed: int = 0,
+) -> Calibration:
+    """Fits `parameters`, then with these held `second_pass`, to measured poses.
+
+    Names: a number of the robot such as tube.2.poisson_ratio (SI), effects.friction.mu_1 for one of an effect,
+    or one of the base parameters; None: all of those (precurvature magnitudes, stiffness ratios, Poisson's ratios).
+    `priors` are standard deviations and `bounds` limits, by name. `held_out` is the share of configurations kept aside.
+    Raises InputError for unknown names, for names given twice and for too few poses.
+    """
+    names = _base_names(robot) if parameters is None else list(parameters)
+    for name in names:
+        if [*names, *second_pass].count(name) > 1:
+            raise InputError("is named twice", key=name)
+    if seed < 0:
+        raise InputError("must be zero or more", key="seed", value=seed)
+    noise = _noise(robot, weighting)
+    group = groups(measurements)
+    aside = _aside(group, held_out, seed)
+    data = measurements.subset(~aside)
+    _check_count(data, group[~aside], len(names) + len(second_pass))
+    terms = _terms(robot, names, priors or {}, bounds or {})
+    passes = [_fitted(Chain(robot, data, terms), noise, starts, seed)]
+    if second_pass:
+        passes.append(_second(passes[0], _terms(robot, second_pass, priors or {}, bounds or {})))
+    return _calibration(passes, measurements, group, aside)
+
+
+def _base_names(robot: Robot) -> list[str]:
+    return [p.name for p in BaseParameters().parameters(robot) if p.name != ABSOLUTE_STIFFNESS]
+
+
+def _terms(
+    robot: Robot, names: Sequence[str], priors: Mapping[str, float], bounds: Mapping[str, tuple[float, float]]
+) -> list[Term]:
+    base = {parameter.name for parameter in BaseParameters().parameters(robot)}
+    sorted_names: dict[str, list[str]] = {}
+    for name in names:
+        kind, *rest = name.split(".")
+        if kind == "effects":
+            if len(rest) != 2 or rest[0] not in CATALOGUE:
+                raise InputError(f"unknown effect, known ones are {', '.join(CATALOGUE)}", key=name)
+            if rest[1] not in {parameter.name for parameter in CATALOGUE[rest[0]].parameters(robot)}:
+                raise InputError(f"is not a parameter of {rest[0]}", key=name)
+            sorted_names.setdefault(rest[0], []).append(rest[1])
+        else:
+            if name not in base:
+                _check_named(robot, name)
+            sorted_names.setdefault("base" if name in base else "named", []).append(name)
+    effects: dict[str, Effect] = {"base": BaseParameters()} | dict(CATALOGUE)
+    effects["named"] = NamedParameters(sorted_names.get("named", []), priors, bounds)
+    order = sorted(sorted_names, key=lambda kind: ("base", "named").index(kind) if kind in ("base", "named") else 2)
+    return [term(effects[kind], sorted_names[kind], robot) for kind in order]
+
+
+def _check_named(robot: Robot, name: str) -> None:
+    value_of(robot, name)
+    if name.rsplit(".", 1)[-1] not in IN_FILES:
+        rule = f"has no key in a robot file, use effects.NAME.PARAMETER with NAME of {', '.join(CATALOGUE)}"
+        raise InputError(rule, key=name)
+
+
+def _noise(robot: Robot, weighting: Weighting | None) -> Noise:
+    stated = robot.measurement
+    if weighting == "stated" and stated is None:
+        raise InputError("is missing, needed for weights from the stated noise", file=robot.path, key="measurement")
+    if stated is None or weighting == "paper":
+        return PAPER
+    return Noise(stated.position_sigma_m, stated.tangent_sigma_rad)
+
+
+def _aside(group: NDArray[np.int_], share: float, seed: int) -> NDArray[np.bool_]:
+    if not 0 <= share < 1:
+        raise InputError("must be from 0 to below 1", key="held_out", value=share)
+    numbers = np.random.default_rng(seed).permutation(np.unique(group))
+    aside: NDArray[np.bool_] = np.isin(group, numbers[: int(round(share * len(numbers)))])
+    return aside
+
+
+def _check_count(data: Measurements, group: NDArray[np.int_], parameters: int) -> None:
+    count = len(np.unique(group))
+    if count * PER_POSE < 2 * parameters:
+        least = -(-2 * parameters // PER_POSE)
+        rule = f"has {count} configurations to fit, too few for {parameters} parameters: at least {least}"
+        raise InputError(rule, file=data.file)
+
+
+def _fitted(chain: Chain, noise: Noise, starts: int, seed: int, first: Array | None = None) -> Fit:
+    """The best of several starts; with friction once more with what its states leave out."""
+    group = np.arange(chain.data.count) if chain.data.is_stream else chain.data.configuration
+    rng = np.random.default_rng(seed)
+    begin = chain.start if first is None else first
+    drawn = [begin + SPREAD * chain.prior * rng.standard_normal(len(begin)) for _ in range(starts - 1)]
+    best = min((fit(chain, noise, group, start) for start in (begin, *drawn)), key=lambda found: found.loss)
+    chain.correction = friction_correction(chain, best.p)
+    return best if chain.correction is None else fit(chain, noise, group, best.p)
+
+
+def _second(first: Fit, terms: Sequence[Term]) -> Fit:
+    """The second pass: what the first found is held by priors that leave it no room."""
+    held = tuple(
+        Term(t.effect, tuple(_held(p, v / p.si) for p, v in zip(t.parameters, first.p[s], strict=True)))
+        for t, s in zip(first.chain.terms, first.chain.slices(), strict=True)
+    )
+    chain = Chain(first.chain.robot, first.chain.data, [*held, *terms])
+    return _fitted(chain, first.noise, 1, 0)
+
+
+def _held(parameter: Parameter, value: float) -> Parameter:
+    tight = 1e-6 * parameter.prior
+    return Parameter(
+        parameter.name, tight, neutral=value, lower=parameter.lower, upper=parameter.upper, si=parameter.si
+    )
+
+
+def _calibration(
+    passes: Sequence[Fit], data: Measurements, group: NDArray[np.int_], aside: NDArray[np.bool_]
+) -> Calibration:
+    passes, noticed = [*passes[:-1], within_file(passes[-1])], symptoms(passes[0])
+    first, found = passes[0], passes[-1]
+    robot, terms = found.chain.robot, found.chain.terms
+    trained = held = _Left.of(found.chain, found.p, group[~aside])
+    if aside.any():
+        chain = Chain(robot, data.subset(aside), terms)
+        chain.correction = friction_correction(chain, found.p)
+        held = _Left.of(chain, found.p, group[aside])
+    whole = Chain(robot, data, terms)
+    nominal = _Left.of(whole, whole.neutral, group)
+    left = tuple(combinations(first))
+    unknown = [
+        f"The data can't tell {' and '.join(c.parameters)} apart from the prior: {100 * c.left:.0f} % of it is left."
+        for c in left
+        if not c.is_known
+    ]
+    return Calibration(
+        fit=found,
+        estimates={n: e for f in reversed(passes) for t in f.chain.terms for n, e in estimates(f, t).items()},
+        training=trained.errors,
+        held_out=held.errors if aside.any() else None,
+        nominal=nominal.errors,
+        combinations=left,
+        model_error_m=model_error_m(held.distance_m, found.noise.position_m),
+        notes=(
+            *data.warnings,
+            *unknown,
+            *unsolved_sentence(data, nominal.failed, nominal.counted, "with the file's values"),
+            *_unsolved(data, aside, trained, held),
+            *noticed,
+        ),
+        data=data,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Left:
+    """What a fit leaves of the poses (K,) of a chain."""
+
+    distance_m: Array  # of those that count: not where the model has no solution, unless it has none at too many
+    errors: Errors
+    failed: NDArray[np.bool_]  # (K,)
+    counted: NDArray[np.bool_]  # (K,)
+
+    @classmethod
+    def of(cls, chain: Chain, p: Array, group: NDArray[np.int_]) -> _Left:
+        prediction = chain.predict(p, derivatives=False)
+        counted = ~excused(prediction.failed)
+        distance = distances(prediction, chain.data)[counted]
+        return cls(distance, summary(distance, group[counted]), prediction.failed, counted)
+
+
+def _unsolved(data: Measurements, aside: NDArray[np.bool_], trained: _Left, held: _Left) -> list[str]:
+    failed, counted = np.zeros((2, data.count), bool)
+    failed[~aside], counted[~aside] = trained.failed, trained.counted
+    if aside.any():
+        failed[aside], counted[aside] = held.failed, held.counted
+    return unsolved_sentence(data, failed, counted, "calibrated")
+
+
+def _usual_bounds(name: str) -> tuple[float, float]:
+    key = name.rsplit(".", 1)[-1]
+    if key == "poisson_ratio":
+        return -0.95, 2.0
+    if key in ("bending_stiffness_Nm2", "clearance_m", "length_m"):
+        return 1e-9, float("inf")
+    if key == "friction_coefficient":
+        return 0.0, 2.0
+    return -float("inf"), float("inf")

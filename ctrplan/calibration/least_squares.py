@@ -1,0 +1,125 @@
+"""Maximum a posteriori fit of a chain's parameters: damped Gauss-Newton with priors, bounds and robust weights."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+from ctrplan.calibration.residuals import Noise, Residuals, residuals
+from ctrplan.errors import InputError
+from ctrplan.pipeline.chain import Chain
+
+MOST_STEPS = 25
+ENOUGH = 0.05  # decrease of the loss (twice a log-likelihood) below which a fit has converged
+FIRST_DAMPING, LARGEST_DAMPING = 1.0, 1e6  # of steps in units of the priors: valleys are curved and long in these
+LONGEST_STEP = 2.0  # of a parameter in a step, in standard deviations of its prior
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Parameters (P,), SI, with residuals and derivatives there."""
+
+    chain: Chain
+    noise: Noise
+    group: NDArray[np.int_]
+    p: Array
+    residuals: Residuals
+    converged: bool
+
+    @property
+    def precision(self) -> Array:
+        """(P,) of the priors."""
+        precision: Array = 1 / self.chain.prior**2
+        return precision
+
+    @property
+    def loss(self) -> float:
+        """Loss of the poses and of the priors."""
+        return self.residuals.loss + float((self.precision * (self.p - self.chain.neutral) ** 2).sum())
+
+    @property
+    def information(self) -> Array:
+        """(P, P) J^T W J plus the priors' precision."""
+        return information(self.residuals) + np.diag(self.precision)
+
+    @property
+    def covariance(self) -> Array:
+        """(P, P) of the parameters."""
+        return inverse(self.information)
+
+    @property
+    def at_bound(self) -> NDArray[np.bool_]:
+        """(P,) parameters that would leave their range."""
+        margin = 1e-6 * self.chain.prior
+        held: NDArray[np.bool_] = (self.p <= self.chain.lower + margin) | (self.p >= self.chain.upper - margin)
+        return held
+
+
+def information(parts: Residuals) -> Array:
+    """(P, P) J^T W J."""
+    J = parts.J.reshape(-1, parts.J.shape[2])
+    weighted: Array = J.T @ (np.repeat(parts.weight, parts.J.shape[1])[:, None] * J)
+    return weighted
+
+
+def inverse(matrix: Array) -> Array:
+    """Of a symmetric positive definite matrix whose rows may differ by many orders of magnitude."""
+    scale = 1 / np.sqrt(np.diag(matrix))
+    inverted: Array = np.linalg.pinv(matrix * np.outer(scale, scale), hermitian=True) * np.outer(scale, scale)
+    return inverted
+
+
+def fit(chain: Chain, noise: Noise, group: Sequence[int] | NDArray[np.int_], start: Array | None = None) -> Fit:
+    """The most probable parameters near `start` (P,)."""
+    groups = np.asarray(group)
+    p = np.clip(chain.start if start is None else start, chain.lower, chain.upper)
+    here = fit_at(chain, noise, groups, p)
+    damping = 0.0
+    for _ in range(MOST_STEPS):
+        if not len(p):
+            break
+        target, promised = _step(here, damping)
+        if promised < ENOUGH:
+            return replace(here, converged=True)
+        try:
+            there = fit_at(chain, noise, groups, target)
+        except InputError:  # no robot has these values
+            damping = max(damping * 10, FIRST_DAMPING)
+            continue
+        gain = here.loss - there.loss
+        if gain > 0:
+            here, damping = there, damping / 10 if damping > FIRST_DAMPING else 0.0
+        else:
+            damping = max(damping * 10, FIRST_DAMPING)
+        if abs(gain) < ENOUGH or damping > LARGEST_DAMPING:  # a loss this near is the solver's own noise
+            return replace(here, converged=True)
+    return here
+
+
+def fit_at(chain: Chain, noise: Noise, group: NDArray[np.int_], p: Array) -> Fit:
+    """What a fit would be if `p` (P,) were its result."""
+    return Fit(chain, noise, group, p, residuals(chain.data, chain.predict(p), noise, group), False)
+
+
+def _step(here: Fit, damping: float) -> tuple[Array, float]:
+    """The next parameters, inside their bounds, and the decrease of the loss that the linear model promises.
+
+    Parameters held by a bound stay out of the system.
+    """
+    chain, parts = here.chain, here.residuals
+    gradient = np.einsum("kcp,kc->p", parts.J * parts.weight[:, None, None], parts.r)
+    gradient -= here.precision * (here.p - chain.neutral)
+    held = ((here.p <= chain.lower) & (gradient < 0)) | ((here.p >= chain.upper) & (gradient > 0))
+    free = np.flatnonzero(~held)
+    step = np.zeros_like(here.p)
+    matrix = here.information[np.ix_(free, free)]
+    matrix = matrix + damping * np.diag(here.precision[free])
+    scale = 1 / np.sqrt(np.diag(matrix))
+    step[free] = scale * np.linalg.lstsq(matrix * np.outer(scale, scale), scale * gradient[free], rcond=1e-13)[0]
+    limit = LONGEST_STEP * chain.prior
+    stepped: Array = np.clip(here.p + np.clip(step, -limit, limit), chain.lower, chain.upper)
+    return stepped, float(gradient @ (stepped - here.p))

@@ -1,0 +1,142 @@
+"""Differences of measured and predicted poses over the noise.
+
+A pose has five numbers: three of its position, over the standard deviation of a coordinate, and the two components of
+the measured tangent in the plane normal to the predicted one, over the standard deviation of a small rotation.
+Poses of one configuration share the model's own numerical error; their common part counts for less accordingly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.pipeline.chain import Prediction
+
+PER_POSE = 5
+MODEL_POSITION_M, MODEL_TANGENT_RAD = 0.05e-3, np.radians(0.05)  # of the solver, docs/model.md
+ROBUST_LIMIT = 4.5  # norm of a pose's five numbers beyond which it is down-weighted; 0.1 % of Gaussian ones
+UNSOUND = 20.0  # norm given to a pose that the model could not solve
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations of a coordinate of the position and of a small rotation of the tangent about an axis."""
+
+    position_m: float
+    tangent_rad: float
+
+    @property
+    def floor_m(self) -> float:
+        """Rms distance of measured positions from a perfect model."""
+        return float(self.position_m * np.sqrt(3.0))
+
+    def scaled(self, factor: float) -> Noise:
+        """Noise of another size."""
+        return Noise(self.position_m * factor, self.tangent_rad * factor)
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Whitened differences r (K, 5), measured minus predicted, and derivatives of the prediction J (K, 5, P)."""
+
+    r: Array
+    J: Array
+    weight: Array  # (K,) 1, less for outliers
+    alone: Array  # (K,) norm of each pose's five numbers before those of its configuration took their part
+
+    @property
+    def norm(self) -> Array:
+        """(K,) of each pose."""
+        norm: Array = np.linalg.norm(self.r, axis=1)
+        return norm
+
+    @property
+    def loss(self) -> float:
+        """Sum over poses of squares, linear beyond the robust limit."""
+        return float(robust_square(self.norm).sum())
+
+
+def robust_square(norm: Array) -> Array:
+    """Huber's loss of norms, (K,)."""
+    c = ROBUST_LIMIT
+    square: Array = np.where(norm <= c, norm**2, 2 * c * norm - c * c)
+    return square
+
+
+def residuals(
+    data: Measurements, prediction: Prediction, noise: Noise, group: Sequence[int] | NDArray[np.int_]
+) -> Residuals:
+    """Residuals of all poses; `group` (K,) numbers the configurations."""
+    plane = _normal_plane(prediction.tangent, data.tangent)
+    position = (data.position_m - prediction.position_m) / noise.position_m
+    tangent = _tangent_error(prediction.tangent, data.tangent, plane) / noise.tangent_rad
+    position_by = prediction.position_by / noise.position_m
+    tangent_by = np.einsum("kcx,kxp->kcp", plane, prediction.tangent_by) / noise.tangent_rad
+    r = np.hstack([position, tangent])
+    J = np.concatenate([position_by, tangent_by], axis=1)
+    shares = np.repeat([MODEL_POSITION_M / noise.position_m, MODEL_TANGENT_RAD / noise.tangent_rad], [3, 2])
+    r, J = _unsound(r, J, prediction.sound)
+    alone = np.linalg.norm(r, axis=1)
+    trust = _weight(alone)
+    r, J = _whitened(r, np.asarray(group), shares, trust), _whitened(J, np.asarray(group), shares[:, None], trust)
+    return Residuals(r, J, _weight(np.linalg.norm(r, axis=1)), alone)
+
+
+def _weight(norm: Array) -> Array:
+    """Huber's weights of norms, (K,)."""
+    weight: Array = np.minimum(1.0, ROBUST_LIMIT / np.maximum(norm, 1e-12))
+    return weight
+
+
+def _normal_plane(tangent: Array, measured: Array) -> Array:
+    """(K, 2, 3) axes across the predicted tangents, turned the same way for all predictions of a measured one."""
+    axis = np.eye(3)[np.argmin(np.abs(measured), axis=1)]
+    first = axis - np.sum(axis * tangent, axis=1, keepdims=True) * tangent
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(tangent, first)], axis=1)
+
+
+def _tangent_error(tangent: Array, measured: Array, plane: Array) -> Array:
+    """(K, 2) rotation [rad] from predicted to measured tangent, as a vector across the predicted one."""
+    across = np.einsum("kcx,kx->kc", plane, measured)
+    sine = np.linalg.norm(across, axis=1)
+    angle = np.arctan2(sine, np.sum(tangent * measured, axis=1))
+    error: Array = across * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 1.0)[:, None]
+    return error
+
+
+def _whitened(values: Array, group: NDArray[np.int_], share: Array, trust: Array) -> Array:
+    """Unit covariance after 1 + share^2 within groups: the mean of a group of m shrinks by 1 / sqrt(1 + m share^2).
+
+    `trust` (K,) keeps an outlier out of the mean that its neighbours share.
+    """
+    numbers, number = np.unique(group, return_inverse=True)
+    column = trust.reshape(-1, *[1] * (values.ndim - 1))
+    sums = np.zeros((len(numbers), *values.shape[1:]))
+    np.add.at(sums, number, column * values)
+    m = np.bincount(number, weights=trust).reshape(-1, *[1] * (values.ndim - 1))
+    pull = (1 - 1 / np.sqrt(1 + m * share**2)) * sums / m
+    whitened: Array = values - pull[number]
+    return whitened
+
+
+def _unsound(r: Array, J: Array, sound: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Poses that were not solved carry a large residual that no parameter changes."""
+    r, J = np.nan_to_num(r), np.nan_to_num(J)
+    r[~sound], J[~sound] = UNSOUND / np.sqrt(PER_POSE), 0.0
+    return r, J
+
+
+def information_inverse(J: Array, weight: Array, precision: Array) -> Array:
+    """(P, P) matrix A with A A^T the covariance of parameters with derivatives J (K, 5, P) and priors."""
+    flat = J.reshape(-1, J.shape[2])
+    H = flat.T @ (np.repeat(weight, J.shape[1])[:, None] * flat) + np.diag(precision)
+    scale = 1 / np.sqrt(np.diag(H))
+    values, vectors = np.linalg.eigh(H * np.outer(scale, scale))
+    root: Array = scale[:, None] * vectors / np.sqrt(np.maximum(values, 1e-14 * values.max()))
+    return root

@@ -1,0 +1,23 @@
+"""How large the best gain of all candidates becomes when nothing is missing: simulated, so that looks are paid for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.diagnosis.held_out import Linear, null_scores
+
+DRAWS = 400
+ALARM_RATE = 0.02  # of pure noise that makes some candidate pass
+SEED = 1
+LEAST_THRESHOLD = 3.0  # log-likelihood: what a single pair of odds of 20 to 1 weighs
+
+
+def null_threshold(here: Linear, beside: Sequence[Linear], fold: NDArray[np.int_]) -> float:
+    """Gain in held-out log-likelihood that the best of all candidates exceeds in 2 % of pure noise."""
+    noise = np.random.default_rng(SEED).standard_normal((here.r.size, DRAWS))
+    plain = null_scores(here, fold, noise)
+    best = np.max([null_scores(candidate, fold, noise) for candidate in beside], axis=0) - plain
+    return max(LEAST_THRESHOLD, float(np.quantile(best, 1 - ALARM_RATE)))

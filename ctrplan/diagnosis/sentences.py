@@ -1,0 +1,39 @@
+"""The verdict in sentences."""
+
+from __future__ import annotations
+
+from ctrplan.calibration.estimates import estimates
+from ctrplan.diagnosis.result import Diagnosis
+
+
+def verdict_sentence(found: Diagnosis) -> str:
+    """One sentence a person can repeat."""
+    names = " and ".join(_with_alternatives(found, k) for k in range(len(found.listed)))
+    left = found.judgement.adequacy.total.ratio**0.5
+    if found.verdict == "no_missing_effect":
+        return "No missing effect: calibrated, the model agrees with the measurements to their noise."
+    if found.verdict == "named":
+        return f"Missing: {names}. With it the model agrees with the measurements to their noise."
+    if found.verdict == "ambiguous":
+        return f"Missing: {names}. The data can't tell them apart, both would explain them."
+    rest = f"what remains is {left:.1f} times the noise"
+    if names:
+        return f"Unexplained: {names} is at work, but not alone, {rest}."
+    return f"Unexplained: nothing in the catalogue explains the measurements, {rest}."
+
+
+def effect_lines(found: Diagnosis) -> list[str]:
+    """Per effect its parameters with intervals."""
+    lines = []
+    for t in found.listed:
+        values = (
+            f"{name} = {e.value:.4g} ({e.ci95[0]:.4g} to {e.ci95[1]:.4g})"
+            for name, e in estimates(found.chosen.fit, t).items()
+        )
+        lines.append(f"{t.name} ({t.effect.stage}): {', '.join(values)}")
+    return lines
+
+
+def _with_alternatives(found: Diagnosis, k: int) -> str:
+    finding = found.judgement.findings[k]
+    return " or ".join([finding.term.name, *(a.term.name for a in finding.alternatives)])

@@ -1,0 +1,1 @@
+"""Actuators to collars; legs and time-parameterised trajectories of the joints."""

@@ -1,0 +1,138 @@
+"""The drive: actuated joints -> base rotation and base translation of every tube's collar."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ctrplan.base.arrays import Array, read_only
+from ctrplan.errors import InputError
+
+Kind = Literal["rotation", "translation"]
+DriveTerm = Callable[[Array, Array], tuple[Array, Array]]
+
+# Unit in files and on screens, and its value in SI.
+UNITS: dict[Kind, tuple[str, float]] = {"rotation": ("deg", math.pi / 180), "translation": ("mm", 1e-3)}
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """One actuator; its value in rad or m, zero at home."""
+
+    name: str
+    kind: Kind
+    moves: Array  # (n,) rotation [rad/rad] or translation [m/m] of each tube's collar per unit of the joint
+    lower: float  # -inf when unlimited
+    upper: float
+    max_velocity: float  # per s
+    max_acceleration: float  # per s^2
+    max_jerk: float  # per s^3
+
+    @property
+    def wraps(self) -> bool:
+        """An unlimited rotation, for which q and q + 2 pi are the same place."""
+        return math.isinf(self.lower)
+
+    @property
+    def unit(self) -> str:
+        """Unit in files and on screens: deg or mm."""
+        return UNITS[self.kind][0]
+
+    @property
+    def si_per_unit(self) -> float:
+        """rad per deg, or m per mm."""
+        return UNITS[self.kind][1]
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """m actuators moving the collars of n tubes: collars = home + sum over joints of moves * joint value.
+
+    Arrays over joints are (m,), in rad or m as the joint has it, and read-only.
+    """
+
+    joints: tuple[Joint, ...]
+    home_theta_rad: Array  # (n,)
+    home_l_m: Array  # (n,)
+    terms: tuple[DriveTerm, ...] = ()  # what the drive does to collars (K, n), (K, n) besides, from [effects.*]
+    play: tuple[Array, Array] | None = None  # (n,) [rad], (n,) [m]: how far collars may be off either way, likewise
+
+    def collars(self, q: ArrayLike) -> tuple[Array, Array]:
+        """theta_b [rad] and l_b [m], each (n,) or (K, n), for joint values `q` (m,) or (K, m).
+
+        Raises InputError when `q` has another shape.
+        """
+        values = np.asarray(q, dtype=np.float64)
+        if values.ndim not in (1, 2) or values.shape[-1] != len(self.joints):
+            rule = f"must have shape (m,) or (K, m), m = {len(self.joints)} joints, not {values.shape}"
+            raise InputError(rule, key="joint values")
+        theta, l = self.home_theta_rad + values @ self.matrix_theta.T, self.home_l_m + values @ self.matrix_l.T  # noqa: E741
+        if not self.terms:
+            return theta, l
+        rows = np.atleast_2d(theta), np.atleast_2d(l)
+        for term in self.terms:
+            rows = term(*rows)
+        return rows[0].reshape(theta.shape), rows[1].reshape(l.shape)
+
+    @cached_property
+    def matrix_theta(self) -> Array:
+        """(n, m) collar rotation per unit of each joint."""
+        return self._matrix("rotation")
+
+    @cached_property
+    def matrix_l(self) -> Array:
+        """(n, m) collar translation per unit of each joint."""
+        return self._matrix("translation")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the joints, in the order of the drive."""
+        return tuple(joint.name for joint in self.joints)
+
+    @cached_property
+    def is_rotation(self) -> NDArray[np.bool_]:
+        """Whether each joint rotates; else it translates."""
+        return self._each(lambda joint: joint.kind == "rotation")
+
+    @cached_property
+    def wraps(self) -> NDArray[np.bool_]:
+        """Whether each joint is an unlimited rotation."""
+        return self._each(lambda joint: joint.wraps)
+
+    @cached_property
+    def lower(self) -> Array:
+        """Lower limits, -inf when unlimited."""
+        return self._each(lambda joint: joint.lower)
+
+    @cached_property
+    def upper(self) -> Array:
+        """Upper limits, inf when unlimited."""
+        return self._each(lambda joint: joint.upper)
+
+    @cached_property
+    def max_velocity(self) -> Array:
+        """Largest speeds, per s."""
+        return self._each(lambda joint: joint.max_velocity)
+
+    @cached_property
+    def max_acceleration(self) -> Array:
+        """Largest accelerations, per s^2."""
+        return self._each(lambda joint: joint.max_acceleration)
+
+    @cached_property
+    def max_jerk(self) -> Array:
+        """Largest jerks, per s^3."""
+        return self._each(lambda joint: joint.max_jerk)
+
+    def _each(self, value: Callable[[Joint], float]) -> NDArray[Any]:
+        return read_only([value(joint) for joint in self.joints])
+
+    def _matrix(self, kind: Kind) -> Array:
+        columns = [joint.moves if joint.kind == kind else np.zeros_like(joint.moves) for joint in self.joints]
+        return read_only(np.stack(columns, axis=1))

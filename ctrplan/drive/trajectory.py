@@ -1,0 +1,224 @@
+"""Waypoints of actuated joint values -> jerk-limited joint trajectory. The only module that imports ruckig.
+
+Every leg is driven from rest to rest on the straight line q(s) = A + s (B - A), s from 0 to 1. On that line the limits
+of the joints are limits of the one coordinate s: |s'| <= min_j v_j / |B_j - A_j|, and likewise for s'' and s'''.
+
+Why one path coordinate and not ruckig's Synchronization.Phase: where the limits that bind belong to different joints
+(one is short of velocity, another of jerk), Phase silently falls back to Time synchronisation and leaves the line. The
+profile of s is the shortest of all motions that stay on the line; where Phase does stay on it, the duration is the
+slowest joint's own optimum, below which no motion can go, so that both agree (benchmarks/trajectory_limits.py).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+import ruckig
+from numpy.typing import ArrayLike, NDArray
+
+from ctrplan.base.arrays import Array
+from ctrplan.drive.legs import distance_from_leg, merge_legs, rounding
+from ctrplan.errors import InputError, SolverError
+
+if TYPE_CHECKING:
+    from ctrplan.drive.drive import Drive
+
+
+QUANTITIES = ("velocity", "acceleration", "jerk")
+RATIO_TOLERANCE = 1e-9  # relative excess of a limit that counts as rounding
+RANGE_TOLERANCE = 1e-9  # rad or m by which rounding may carry a waypoint out of its joint's range
+LINE_TOLERANCE = 1e-12  # rad or m by which a sample may leave its leg, rounding apart
+MAX_SAMPLES = 1_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Samples of a motion of the m actuated joints, at rest at its start, at its end and where its legs meet.
+
+    Joint values are continuous (an unlimited rotation keeps its winding), in rad for rotations and m for translations;
+    derivatives are per s, s^2, s^3. Samples stand at k * period_s, k = 0, 1, ..., and at the exact end of the motion;
+    the last interval lasts between a half and one and a half periods (less only if the whole motion does). Stops fall
+    between samples; leg_end_s has their exact instants. Jerk is piecewise constant: a sample has the value that holds
+    from it on, the last one 0.
+    """
+
+    names: tuple[str, ...]
+    time_s: Array  # (T,)
+    position: Array  # (T, m)
+    velocity: Array  # (T, m)
+    acceleration: Array  # (T, m)
+    jerk: Array  # (T, m)
+    leg_end_s: Array  # (L,) instants of rest after each leg; the last is duration_s
+    duration_s: float
+    stops: int  # rests between start and end: L - 1
+    is_rotation: NDArray[np.bool_]  # (m,)
+
+
+def time_parameterise(
+    waypoints: ArrayLike, drive: Drive, period_s: float = 0.01, *, rests: Sequence[int] = ()
+) -> Trajectory:
+    """Fastest motion along the straight legs between waypoints (K, m) [rad, m] within the drive's limits.
+
+    Collinear consecutive legs are merged and passed at speed; the drive stops where the direction changes, and at the
+    waypoints whose numbers are in `rests`. A single waypoint, or several equal ones, give one sample at rest. Raises
+    InputError for malformed waypoints, waypoints out of a joint's range, useless limits or period; SolverError where no
+    profile was found or one failed its check.
+    """
+    _check_drive(drive)
+    corners = _corners(_checked_waypoints(waypoints, drive), rests)
+    knots = [_leg_knots(end - start, drive) for start, end in pairwise(corners)]
+    leg_end_s = np.cumsum([leg[-1, 0] for leg in knots], dtype=np.float64)
+    duration_s = float(leg_end_s[-1]) if knots else 0.0
+    time_s = _sample_times(duration_s, period_s)
+    q, v, a, j = _sample(corners, knots, leg_end_s, time_s)
+    stops = max(len(knots) - 1, 0)
+    trajectory = Trajectory(tuple(drive.names), time_s, q, v, a, j, leg_end_s, duration_s, stops, drive.is_rotation)
+    verify_limits(trajectory, drive)
+    _verify_on_legs(trajectory, corners)
+    return trajectory
+
+
+def verify_limits(trajectory: Trajectory, drive: Drive) -> dict[str, dict[str, float]]:
+    """Worst |value| / limit over the samples, by joint name and then by "velocity", "acceleration" and "jerk".
+
+    Raises SolverError where a ratio exceeds 1 by more than RATIO_TOLERANCE, or a position leaves its joint's range.
+    """
+    samples = (trajectory.velocity, trajectory.acceleration, trajectory.jerk)
+    worst = np.array([np.abs(values).max(axis=0) for values in samples]) / _limits(drive)
+    for i, j in np.argwhere(~(worst <= 1 + RATIO_TOLERANCE)):
+        limit = f"{QUANTITIES[i]} limit of {_limits(drive)[i, j]:g} {_unit(drive, j, i + 1)}"
+        raise SolverError(f"joint {drive.names[j]!r} reaches {worst[i, j]:.9g} times its {limit} in the trajectory.")
+    for k, j in np.argwhere(_out_of_range(trajectory.position, drive)):
+        where = f"{trajectory.position[k, j]:.9g} {_unit(drive, j)} at {trajectory.time_s[k]:.9g} s"
+        raise SolverError(f"joint {drive.names[j]!r} is at {where} of the trajectory: {_range_rule(drive, j)}.")
+    return {n: dict(zip(QUANTITIES, map(float, worst[:, j]), strict=True)) for j, n in enumerate(drive.names)}
+
+
+def distance_from_legs(trajectory: Trajectory, corners: Array) -> float:
+    """Largest distance (1 rad as 1 m) of a sample from the leg driven at its time; corners (L + 1, m) of merge_legs."""
+    if len(corners) == 1:
+        return float(np.linalg.norm(trajectory.position - corners[0], axis=1).max())
+    leg = np.searchsorted(trajectory.leg_end_s[:-1], trajectory.time_s, side="right")
+    return float(distance_from_leg(trajectory.position, corners[leg], corners[leg + 1]).max())
+
+
+def _corners(points: Array, rests: Sequence[int]) -> Array:
+    """Waypoints (K, m) where the drive stops: changes of direction, and those numbered in `rests`."""
+    ends = sorted({0, len(points) - 1, *rests})
+    if not 0 <= ends[0] <= ends[-1] < len(points):
+        raise InputError(f"must be numbers of waypoints, 0 to {len(points) - 1}", key="rests", value=list(rests))
+    parts = [merge_legs(points[a : b + 1]) for a, b in pairwise(ends)]
+    return np.concatenate([points[:1], *(part[1:] for part in parts)])
+
+
+def _leg_knots(delta: Array, drive: Drive) -> Array:
+    """Rows t, s, s', s'', s''' (8, 5) where s of a leg with joint differences delta (m,) changes its jerk."""
+    with np.errstate(divide="ignore", over="ignore"):  # a joint that hardly moves bounds nothing
+        limits = (_limits(drive) / np.abs(delta)).min(axis=1)
+    profile, duration_s = _ruckig_profile(limits)
+    time_s = np.cumsum([0.0, *profile.t])
+    knots = np.column_stack([time_s, profile.p, profile.v, profile.a, [*profile.j, 0.0]])
+    # Speed and acceleration have their extremes at knots, so that this holds between the samples too.
+    within = bool(np.all(np.abs(knots[:, 2:]).max(axis=0) <= limits * (1 + RATIO_TOLERANCE)))
+    if not within or abs(knots[-1, 1] - 1) > LINE_TOLERANCE or not math.isclose(time_s[-1], duration_s):
+        raise SolverError(f"ruckig's profile for the leg {delta.tolist()} misses its end or its limits.")
+    return knots
+
+
+def _ruckig_profile(limits: Array) -> tuple[ruckig.Profile, float]:
+    """Shortest profile from rest at s = 0 to rest at s = 1 within limits (3,) of s', s'' and s''', and its duration."""
+    request, answer = ruckig.InputParameter(1), ruckig.Trajectory(1)
+    request.target_position = [1.0]
+    request.max_velocity, request.max_acceleration, request.max_jerk = ([float(limit)] for limit in limits)
+    try:
+        result = ruckig.Ruckig(1).calculate(request, answer)
+    except (ruckig.RuckigError, ValueError) as error:  # ValueError: a result code that its Python enum lacks
+        raise SolverError(f"ruckig found no profile for a leg: {' '.join(str(error).split()).rstrip('.')}.") from error
+    if result != ruckig.Result.Working:
+        raise SolverError(f"ruckig found no profile for a leg: {result.name}.")
+    return answer.profiles[0][0], answer.duration
+
+
+def _path_coordinate(knots: Array, time_s: Array) -> Array:
+    """s, s', s'', s''' (4, T) at time_s (T,) since the start of the leg: exact, a cubic between knots."""
+    section = np.searchsorted(knots[:, 0], time_s, side="right") - 1
+    begin, s, v, a, j = knots[section].T
+    h = time_s - begin
+    return np.stack([np.clip(s + h * (v + h * (a / 2 + h * j / 6)), 0, 1), v + h * (a + h * j / 2), a + h * j, j])
+
+
+def _sample(corners: Array, knots: Sequence[Array], leg_end_s: Array, time_s: Array) -> Array:
+    """Position, velocity, acceleration and jerk (4, T, m) at time_s (T,)."""
+    motion = np.zeros((4, len(time_s), corners.shape[1]))
+    leg_start_s = np.concatenate([[0.0], leg_end_s])
+    rows = [slice(*pair) for pair in pairwise(np.searchsorted(time_s, leg_start_s))]
+    for leg, row, begin, a, b in zip(knots, rows, leg_start_s, corners, corners[1:], strict=False):
+        s, *derivatives = _path_coordinate(leg, time_s[row] - begin)[:, :, None]
+        motion[0, row] = a + s * (b - a)
+        motion[1:, row] = np.stack(derivatives) * (b - a)
+    motion[0, -1] = corners[-1]  # the end of the last leg is in no half-open interval: at rest
+    return motion
+
+
+def _sample_times(duration_s: float, period_s: float) -> Array:
+    if not (math.isfinite(period_s) and period_s > 0):
+        raise InputError("must be a positive number", key="period_s", value=period_s, unit="s")
+    if duration_s == 0:
+        return np.zeros(1)
+    if duration_s / period_s >= MAX_SAMPLES:
+        rule = f"samples a motion of {duration_s:.6g} s more than {MAX_SAMPLES} times"
+        raise InputError(rule, key="period_s", value=period_s, unit="s")
+    return np.append(np.arange(max(math.floor(duration_s / period_s - 0.5), 0) + 1) * period_s, duration_s)
+
+
+def _verify_on_legs(trajectory: Trajectory, corners: Array) -> None:
+    distance = distance_from_legs(trajectory, corners)
+    if not distance <= LINE_TOLERANCE + rounding(corners):
+        raise SolverError(f"the trajectory leaves its straight legs by {distance:.3g} (rad, m).")
+
+
+def _checked_waypoints(waypoints: ArrayLike, drive: Drive) -> Array:
+    try:
+        points = np.array(waypoints, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError("must be numbers, the same count in every row", key="waypoints") from error
+    if points.ndim != 2 or 0 in points.shape or points.shape[1] != len(drive.names):
+        rule = f"must be (K, {len(drive.names)}), K at least 1, one value per joint: {', '.join(drive.names)}"
+        raise InputError(rule, key="shape of waypoints", value=points.shape)
+    for k, j in np.argwhere(~np.isfinite(points) | _out_of_range(points, drive)):
+        rule = _range_rule(drive, j) if np.isfinite(points[k, j]) else "must be a finite number"
+        key = f"waypoint.{k + 1}.{drive.names[j]}"
+        raise InputError(rule, key=key, value=float(points[k, j]), unit=_unit(drive, j))
+    return points
+
+
+def _check_drive(drive: Drive) -> None:
+    names = ("lower", "upper", *(f"max_{quantity}" for quantity in QUANTITIES))
+    for name in names:
+        if getattr(drive, name).shape != (len(drive.names),):
+            raise InputError("must have one value per joint", key=name, value=getattr(drive, name).tolist())
+    for i, j in np.argwhere(~((_limits(drive) > 0) & np.isfinite(_limits(drive)))):
+        key, value = f"joint.{j + 1}.{names[2 + i]}", float(_limits(drive)[i, j])
+        raise InputError("must be a positive, finite number", key=key, value=value, unit=_unit(drive, j, i + 1))
+
+
+def _limits(drive: Drive) -> Array:
+    return np.stack([drive.max_velocity, drive.max_acceleration, drive.max_jerk])
+
+
+def _out_of_range(points: Array, drive: Drive) -> NDArray[np.bool_]:
+    outside: NDArray[np.bool_] = (points < drive.lower - RANGE_TOLERANCE) | (points > drive.upper + RANGE_TOLERANCE)
+    return outside
+
+
+def _range_rule(drive: Drive, j: int) -> str:
+    return f"must lie between {drive.lower[j]:.9g} and {drive.upper[j]:.9g} {_unit(drive, j)}"
+
+
+def _unit(drive: Drive, j: int, order: int = 0) -> str:
+    return ("rad" if drive.is_rotation[j] else "m") + ("", "/s", "/s^2", "/s^3")[order]

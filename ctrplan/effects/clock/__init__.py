@@ -1,0 +1,1 @@
+"""Effects of the clock: which instant a pose belongs to."""

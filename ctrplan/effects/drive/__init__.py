@@ -1,0 +1,1 @@
+"""Effects of the drive: where collars stand when joints are commanded."""

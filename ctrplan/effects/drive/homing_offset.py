@@ -1,0 +1,54 @@
+"""Zero positions of the drive that are off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ctrplan.base.arrays import Array
+from ctrplan.effects.effect import (
+    DEGREE,
+    MILLIMETRE,
+    Collars,
+    Effect,
+    Parameter,
+    Values,
+    numbered,
+    register,
+    sliding,
+    with_column,
+)
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.robot.robot import Robot
+
+
+@register
+class HomingOffset(Effect):
+    """Constants added to base rotation and base translation of tube I: `theta_I_deg`, `l_I_mm`."""
+
+    name = "homing_offset"
+    stage = "drive"
+    equation = "joint = commanded + offset, rotations and translations"
+    signature = "the robot stands as if a tube were turned or moved along by a constant amount"
+    look_alikes = ("off_plane_precurvature", "base_misalignment", "joint_scale")
+    experiment = "home again and repeat: an offset of homing changes, one of the tube does not"
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        tubes = range(1, robot.n + 1)
+        turns = (Parameter(name, 8.0, lower=-90.0, upper=90.0, si=DEGREE) for name in numbered("theta", tubes, "_deg"))
+        slides = (Parameter(name, 2.0, lower=-20.0, upper=20.0, si=MILLIMETRE) for name in numbered("l", tubes, "_mm"))
+        return (*turns, *slides)
+
+    def variants(self, robot: Robot, data: Measurements) -> Sequence[Sequence[str]]:
+        turns = numbered("theta", range(1, robot.n + 1), "_deg")
+        slides = numbered("l", sliding(data), "_mm")  # a tube that never slides may as well be longer or shorter
+        return [turns, slides, turns + slides] if slides else [turns]
+
+    def drive(self, values: Values, collars: Collars, directions: Array) -> Collars:
+        theta, l = collars.theta, collars.l  # noqa: E741
+        for name, offset in values.items():
+            kind, tube = name.split("_")[0], int(name.split("_")[1])
+            if kind == "theta":
+                theta = with_column(theta, tube, offset)
+            else:
+                l = with_column(l, tube, offset)  # noqa: E741
+        return Collars(theta, l)

@@ -1,0 +1,54 @@
+"""Gear ratios or pitches that are off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ctrplan.base.arrays import Array
+from ctrplan.effects.effect import (
+    Collars,
+    Effect,
+    Parameter,
+    Values,
+    numbered,
+    register,
+    sliding,
+    turning,
+    with_column,
+)
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.robot.robot import Robot
+
+
+@register
+class JointScale(Effect):
+    """Relative errors s of the travel from zero: `theta_I` and `l_I` of tube I, without unit (0.01 is 1 % too far)."""
+
+    name = "joint_scale"
+    stage = "drive"
+    equation = "joint = commanded (1 + s)"
+    signature = "errors grow with the distance of a joint from its zero, turn after turn"
+    look_alikes = ("homing_offset", "varying_precurvature", "drift")
+    experiment = "the same relative angle reached a full turn apart"
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        tubes = range(1, robot.n + 1)
+        names = numbered("theta", tubes) + numbered("l", tubes)
+        return tuple(Parameter(name, 0.03, lower=-0.5, upper=0.5) for name in names)
+
+    def untestable(self, robot: Robot, data: Measurements) -> str:
+        return "" if turning(data) or sliding(data) else "no joint moves enough"
+
+    def variants(self, robot: Robot, data: Measurements) -> Sequence[Sequence[str]]:
+        turns, slides = numbered("theta", turning(data)), numbered("l", sliding(data))
+        return [names for names in (turns, slides, turns + slides if turns and slides else []) if names]
+
+    def drive(self, values: Values, collars: Collars, directions: Array) -> Collars:
+        theta, l = collars.theta, collars.l  # noqa: E741
+        for name, scale in values.items():
+            kind, tube = name.split("_")[0], int(name.split("_")[1])
+            if kind == "theta":
+                theta = with_column(theta, tube, scale * theta[:, tube - 1])
+            else:
+                l = with_column(l, tube, scale * l[:, tube - 1])  # noqa: E741
+        return Collars(theta, l)

@@ -1,0 +1,150 @@
+"""What every effect of the catalogue says about itself, and the catalogue.
+
+An effect belongs to one stage of the chain and changes what passes through that stage; everything else is inherited.
+A new effect is one new file under effects/: docs/diagnosis.md has an example.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Literal, TypeVar
+
+import numpy as np
+
+from ctrplan.base.arrays import Array
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.robot.robot import Robot
+from ctrplan.sensor.poses import Poses
+
+Stage = Literal["clock", "drive", "mechanics", "sensor"]
+Values = Mapping[str, float]  # parameter -> value, SI
+
+DEGREE, MILLIMETRE = float(np.radians(1.0)), 1e-3
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number of an effect; everything but `si` is in the unit that the name ends with."""
+
+    name: str
+    prior: float  # standard deviation of what is plausible, around `neutral`
+    neutral: float = 0.0  # the value at which the effect vanishes
+    lower: float = -np.inf
+    upper: float = np.inf
+    start: float | None = None  # where a fit starts, `neutral` if None
+    si: float = 1.0  # SI value of the name's unit
+
+
+@dataclass(frozen=True, eq=False)
+class Collars:
+    """Where the collars of K poses stand: theta (K, n) [rad], l (K, n) [m]."""
+
+    theta: Array
+    l: Array  # noqa: E741 (as in the equations)
+
+
+class Effect(ABC):
+    """A term of one stage. Subclasses set the class attributes and override what they change."""
+
+    name: ClassVar[str]
+    stage: ClassVar[Stage]
+    equation: ClassVar[str]
+    signature: ClassVar[str]  # what it does to data, in a sentence
+    look_alikes: ClassVar[tuple[str, ...]] = ()
+    experiment: ClassVar[str]  # what separates it from them
+    is_linear: ClassVar[bool] = True  # whether tips change nearly in proportion to its parameters
+    scales_with_stiffness: ClassVar[bool] = False  # its parameters are known only as well as the stiffness of tube 1
+    acts_at_rest: ClassVar[bool] = True  # of the drive: whether it moves collars however they came there
+    needs: ClassVar[str] = ""  # an effect without which it does nothing
+    depends_on_history: ClassVar[bool] = False  # acts on differences between approaches of one configuration
+
+    needs_time: ClassVar[bool] = False  # whether it does nothing without time_s
+    needs_columns: ClassVar[tuple[str, ...]] = ()  # others (`Measurements.more`) that it does nothing without
+    turns_with_tip: ClassVar[bool] = False  # of the sensor: whether the tangent alone says too little
+
+    @abstractmethod
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Everything that a robot file may say about the effect, of tubes numbered from 1, outermost first."""
+
+    def untestable(self, robot: Robot, data: Measurements) -> str:
+        """Why these data say nothing about the effect; empty if they do."""
+        missing = self.missing_columns(data.time_s, data.more)
+        return f"there is no column {', '.join(missing)}" if missing else ""
+
+    def missing_columns(self, time_s: Array | None, more: Mapping[str, Array]) -> list[str]:
+        """What the effect needs and data with these columns do not have: it does not act on them."""
+        missing = ["time_s"] if self.needs_time and time_s is None else []
+        return [*missing, *(name for name in self.needs_columns if name not in more)]
+
+    def variants(self, robot: Robot, data: Measurements) -> Sequence[Sequence[str]]:
+        """Sets of parameters worth fitting, the others staying neutral."""
+        return [[parameter.name for parameter in self.parameters(robot)]]
+
+    def starts(self, names: Sequence[str]) -> Sequence[Values]:
+        """Values, in the units of the names, that a fit should start from besides the parameters' own."""
+        return [{}]
+
+    def shared(self, names: Sequence[str]) -> Sequence[str]:
+        """Those of the parameters by which other causes act as well: what they explain alone names nothing."""
+        return []
+
+    def clock(self, values: Values, data: Measurements, collars: Collars) -> Collars:
+        """The commanded collars that the poses really belong to."""
+        return collars
+
+    def delay_s(self, values: Values) -> float:
+        """How much earlier [s] the joints are that a pose belongs to."""
+        return 0.0
+
+    def drive(self, values: Values, collars: Collars, directions: Array) -> Collars:
+        """Where collars stand when the drive has gone to `collars`; values are SI by name.
+
+        directions (K, 2 n): sign of the last motion of each rotation, then of each translation; 0 before any.
+        """
+        return collars
+
+    def mechanics(self, values: Values, robot: Robot) -> Mapping[str, float]:
+        """Named numbers of the robot (`named_numbers.py`) that differ from what `robot` has."""
+        return {}
+
+    def friction_release_m(self, values: Values) -> float:
+        """Relative translation [m] that leaves 1/e of the circumferential friction; infinite if none does."""
+        return np.inf
+
+    def sensor(self, values: Values, poses: Poses, data: Measurements) -> Poses:
+        """What is measured of `poses`, the K of `data` in the robot's frame."""
+        return poses
+
+
+E_ = TypeVar("E_", bound=type[Effect])
+CATALOGUE: dict[str, Effect] = {}
+
+
+def register(effect: E_) -> E_:
+    """Adds an effect to the catalogue."""
+    CATALOGUE[effect.name] = effect()
+    return effect
+
+
+def numbered(stem: str, numbers: Iterable[int], unit: str = "") -> list[str]:
+    """Names such as theta_2_deg."""
+    return [f"{stem}_{number}{unit}" for number in numbers]
+
+
+def turning(data: Measurements) -> list[int]:
+    """Tubes (from 1) whose base ever turns."""
+    return [i + 1 for i in range(data.n) if np.ptp(data.theta_b[:, i]) > np.radians(1.0)]
+
+
+def sliding(data: Measurements) -> list[int]:
+    """Tubes (from 1) whose base is ever moved along."""
+    return [i + 1 for i in range(data.n) if np.ptp(data.l_b[:, i]) > 0.5e-3]
+
+
+def with_column(matrix: Array, tube: int, change: Array | float) -> Array:
+    """A copy with `change` added to the column of a tube (from 1)."""
+    changed = matrix.copy()
+    changed[:, tube - 1] += change
+    return changed

@@ -1,0 +1,1 @@
+"""Effects of the mechanics: which shape the tubes take."""

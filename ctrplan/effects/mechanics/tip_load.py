@@ -1,0 +1,27 @@
+"""A constant force on the tip, such as a cable or a tool."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from ctrplan.effects.effect import Effect, Parameter, Values, register
+from ctrplan.robot.robot import Robot
+
+
+@register
+class TipLoad(Effect):
+    """A dead load on the innermost tip: `force_x_N` ... [N] in the world frame."""
+
+    name = "tip_load"
+    stage = "mechanics"
+    equation = "constant force on the innermost tip, world frame"
+    signature = "tips are shifted in one world direction, more when the robot is extended"
+    look_alikes = ("gravity", "base_misalignment")
+    experiment = "fully retracted against fully extended, in several directions of bending"
+    scales_with_stiffness = True
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        return tuple(Parameter(f"force_{axis}_N", 0.3) for axis in "xyz")
+
+    def mechanics(self, values: Values, robot: Robot) -> Mapping[str, float]:
+        return {f"loads.tip_force_N.{'xyz'.index(name[6]) + 1}": value for name, value in values.items()}

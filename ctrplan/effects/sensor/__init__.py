@@ -1,0 +1,1 @@
+"""Effects of the sensor: what is measured of a pose."""

@@ -1,0 +1,44 @@
+"""A tracker or a mounting that moves slowly in time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ctrplan.effects.effect import DEGREE, MILLIMETRE, Effect, Parameter, Values, register
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.robot.robot import Robot
+from ctrplan.sensor.poses import Poses, moved_rigidly
+
+HOUR_S = 3600.0
+
+
+@register
+class Drift(Effect):
+    """A rigid motion per hour of time_s: `shift_x_mm_per_h` ... and `rotation_x_deg_per_h` ... (rotation vector)."""
+
+    name = "drift"
+    stage = "sensor"
+    equation = "a rigid motion that grows in proportion to time_s, from none at the first waypoint"
+    signature = "errors grow with the time of the experiment, whatever the joints"
+    look_alikes = ("base_misalignment", "joint_scale")
+    experiment = "repeat the first configurations at the end"
+    needs_time = True
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        shifts = (Parameter(f"shift_{axis}_mm_per_h", 100.0, si=MILLIMETRE / HOUR_S) for axis in "xyz")
+        turns = (Parameter(f"rotation_{axis}_deg_per_h", 100.0, si=DEGREE / HOUR_S) for axis in "xyz")
+        return (*shifts, *turns)
+
+    def variants(self, robot: Robot, data: Measurements) -> Sequence[Sequence[str]]:
+        names = [parameter.name for parameter in self.parameters(robot)]
+        return [names[:3], names]
+
+    def sensor(self, values: Values, poses: Poses, data: Measurements) -> Poses:
+        if data.time_s is None:
+            return poses
+        elapsed = (data.time_s[data.rows] - data.time_s[0])[:, None]
+        shift = np.array([values.get(f"shift_{axis}_mm_per_h", 0.0) for axis in "xyz"])
+        turn = np.array([values.get(f"rotation_{axis}_deg_per_h", 0.0) for axis in "xyz"])
+        return moved_rigidly(poses, elapsed * turn, elapsed * shift)

@@ -1,0 +1,71 @@
+"""A tracker whose field is distorted, by metal nearby for instance."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from ctrplan.base.arrays import Array
+from ctrplan.effects.effect import MILLIMETRE, Effect, Parameter, Values, register
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.robot.robot import Robot
+from ctrplan.sensor.poses import Poses, frames_along
+
+MONOMIALS = tuple("".join(m) or "1" for k in range(4) for m in itertools.combinations_with_replacement("xyz", k))
+CENTRE_M, SPAN_M = np.array([0.0, 0.0, 0.15]), 0.1  # where the polynomials are centred and how far one unit is
+AHEAD_M = 1e-4  # along the tangent, for the slope of the field
+
+
+@register
+class SensorDistortion(Effect):
+    """A distorted field D with coefficients `x_MONOMIAL_mm` ...; `tangent_share` of its slope turns the tangent.
+
+    Monomials are in (p - CENTRE_M) / SPAN_M: `x_1_mm` is constant, `z_xxy_mm` of third degree.
+    """
+
+    name = "sensor_distortion"
+    stage = "sensor"
+    equation = "p = p + D(p), D a polynomial of third degree; t = t + tangent_share dD/dp t"
+    signature = "errors are a smooth function of where the tip is, whatever the joints"
+    look_alikes = ("base_misalignment", "joint_scale")
+    experiment = "move the tracker's field generator and repeat, or probe a known grid"
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        field = (
+            Parameter(f"{axis}_{monomial}_mm", 2.0, lower=-50, upper=50, si=MILLIMETRE)
+            for axis in "xyz"
+            for monomial in MONOMIALS
+        )
+        return (*field, Parameter("tangent_share", 0.5, neutral=1.0, lower=0.0, upper=1.5))
+
+    def variants(self, robot: Robot, data: Measurements) -> Sequence[Sequence[str]]:
+        """Of second and third degree, with tangents unharmed and turned."""
+        *field, share = (parameter.name for parameter in self.parameters(robot))
+        by_degree = [[name for name in field if len(name.split("_")[1]) <= degree] for degree in (2, 3)]
+        return [[*names, *turned] for names in by_degree for turned in ((), (share,))]
+
+    def shared(self, names: Sequence[str]) -> Sequence[str]:
+        """The part linear in position: turned and shifted bases act by it, and trackers of a wrong scale."""
+        return [name for name in names if name == "tangent_share" or len(name.split("_")[1]) == 1]
+
+    def sensor(self, values: Values, poses: Poses, data: Measurements) -> Poses:
+        amounts = np.zeros((len(MONOMIALS), 3))
+        for name, amount in values.items():
+            if name != "tangent_share":
+                axis, monomial, _ = name.split("_")
+                amounts[MONOMIALS.index(monomial), "xyz".index(axis)] = amount
+        shift = _monomials(poses.position) @ amounts
+        share = values.get("tangent_share", 0.0)
+        if not share:
+            return Poses(poses.position + shift, poses.frame)
+        ahead = _monomials(poses.position + AHEAD_M * poses.frame[:, :, 2]) @ amounts
+        tangent = poses.frame[:, :, 2] + share * (ahead - shift) / AHEAD_M
+        tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+        return Poses(poses.position + shift, frames_along(tangent, poses.frame[:, :, 0]))
+
+
+def _monomials(position: Array) -> Array:
+    axes = dict(zip("1xyz", [np.ones(len(position)), *((position - CENTRE_M) / SPAN_M).T], strict=True))
+    return np.column_stack([np.prod([axes[axis] for axis in monomial], axis=0) for monomial in MONOMIALS])

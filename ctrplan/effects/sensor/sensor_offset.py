@@ -1,0 +1,39 @@
+"""A sensor that does not sit exactly at the tip."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ctrplan.effects.effect import DEGREE, MILLIMETRE, Effect, Parameter, Values, register
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.robot.robot import Robot
+from ctrplan.sensor.poses import Poses, rotation
+
+
+@register
+class SensorOffset(Effect):
+    """The sensor in the frame of the tip: moved by `offset_x_mm` ..., tilted by `tilt_x_deg`, `tilt_y_deg`."""
+
+    name = "sensor_offset"
+    stage = "sensor"
+    equation = "p = p_tip + R_tip d, t = R_tip R(tilt) e_z, R_tip the frame of the innermost tube"
+    signature = "a displacement that turns with the tip"
+    look_alikes = ("base_misalignment", "homing_offset")
+    experiment = "turn the innermost tube where nothing bends it: the offset draws a circle"
+    turns_with_tip = True
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        shifts = (Parameter(f"offset_{axis}_mm", 2.0, lower=-50, upper=50, si=MILLIMETRE) for axis in "xyz")
+        tilts = (Parameter(f"tilt_{axis}_deg", 3.0, lower=-45, upper=45, si=DEGREE) for axis in "xy")
+        return (*shifts, *tilts)
+
+    def variants(self, robot: Robot, data: Measurements) -> Sequence[Sequence[str]]:
+        names = [parameter.name for parameter in self.parameters(robot)]
+        return [names[:3], names]
+
+    def sensor(self, values: Values, poses: Poses, data: Measurements) -> Poses:
+        offset = np.array([values.get(f"offset_{axis}_mm", 0.0) for axis in "xyz"])
+        tilt = rotation(np.array([values.get("tilt_x_deg", 0.0), values.get("tilt_y_deg", 0.0), 0.0]))
+        return Poses(poses.position + poses.frame @ offset, poses.frame @ tilt)

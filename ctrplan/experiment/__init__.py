@@ -1,0 +1,1 @@
+"""What was commanded and measured."""

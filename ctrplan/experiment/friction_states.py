@@ -1,0 +1,72 @@
+"""How each measured pose was approached: last direction of every actuator, friction state of every pair.
+
+The rule of Ha et al. 2019, Section V: a relative rotation of 90 degrees saturates friction in its direction, an
+oscillation of decreasing amplitude releases it. In between, a play operator: the state follows the relative rotation
+elastically over `BREAKAWAY_RAD` and slips beyond. For continuous motions a simulated history is better.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ctrplan.base.arrays import Array
+from ctrplan.experiment.measurements import SAME_ROTATION_RAD, SAME_TRANSLATION_M, Measurements
+
+RELEASING_SWINGS = 6  # that many, each smaller than the one before, are a decreasing oscillation
+BREAKAWAY_RAD = np.radians(30.0)  # relative rotation from released to slipping everywhere (docs/diagnosis.md)
+
+
+def friction_state(data: Measurements, release_m: float = np.inf, breakaway_rad: float = BREAKAWAY_RAD) -> Array:
+    """(K, n - 1) circumferential share of the Coulomb limit at every pose, each run starting released.
+
+    A relative translation by `release_m` turns the friction axial and leaves 1/e of the circumferential share.
+    """
+    turns = np.diff(data.theta_b, axis=1)
+    slides = np.diff(data.l_b, axis=1)
+    state = np.zeros_like(turns)
+    for row in range(1, len(turns)):
+        if data.sequence[row] == data.sequence[row - 1]:
+            turn, slide = turns[row] - turns[row - 1], np.abs(slides[row] - slides[row - 1])
+            state[row] = _advanced(state[row - 1], turn / breakaway_rad, slide / release_m)
+    return state[data.rows]
+
+
+def _advanced(state: Array, turn: Array, slide: Array) -> Array:
+    """The state after turning and sliding at constant rates: d state = d turn - state d slide, inside [-1, 1]."""
+    decay = np.exp(-slide)
+    driven = np.where(slide > 1e-9, turn * -np.expm1(-slide) / np.maximum(slide, 1e-9), turn)
+    moved: Array = np.clip(state * decay + driven, -1.0, 1.0)
+    return moved
+
+
+def last_directions(data: Measurements) -> Array:
+    """(K, 2 n) sign of the last motion of each rotation, then of each translation.
+
+    0 where the run has not moved the actuator yet, and after an oscillation of decreasing amplitude, which leaves play
+    and elastic wind-up of a drive in the middle.
+    """
+    joints = np.hstack([data.theta_b, data.l_b])
+    still = np.repeat([SAME_ROTATION_RAD, SAME_TRANSLATION_M], data.n) / 10
+    directions = np.zeros((data.count, joints.shape[1]))
+    for run in np.unique(data.sequence[data.rows]).tolist():
+        waypoints, poses = np.flatnonzero(data.sequence == run), data.sequence[data.rows] == run
+        steps = np.diff(joints[waypoints], axis=0)
+        for j in range(joints.shape[1]):
+            after = _directions_along(steps[:, j], still[j])
+            directions[poses, j] = after[data.rows[poses] - waypoints[0]]
+    return directions
+
+
+def _directions_along(steps: Array, still: float) -> Array:
+    """(R,) direction of an actuator at each waypoint of a run with R - 1 steps."""
+    directions, swings = np.zeros(len(steps) + 1), [0.0]
+    for k, step in enumerate(steps.tolist(), start=1):
+        if abs(step) > still:
+            if step * swings[-1] > 0:
+                swings[-1] += step
+            else:
+                swings.append(step)
+        last = np.abs(swings[-RELEASING_SWINGS:])
+        released = len(swings) > RELEASING_SWINGS and bool(np.all(np.diff(last) < 0))
+        directions[k] = 0.0 if released else np.sign(swings[-1])
+    return directions

@@ -1,0 +1,83 @@
+"""Measured data: the commanded waypoints of a robot in the order visited, and the poses measured at some of them.
+
+Format: one row per joint waypoint, between rows all joints move together linearly. SI units, robot's base frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+
+SAME_ROTATION_RAD = 1e-3  # commanded joints that differ by less are the same configuration
+SAME_TRANSLATION_M = 1e-5
+STREAMED_SHARE = 0.5  # of the poses, measured on the way between two others: a log of a continuous motion
+MOST_ROWS = 20  # that a sentence lists
+LONGEST_LAG_S = 0.4  # two clocks that are further apart are no matter of a fit
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """R waypoints of n tubes, K of them measured; the arrays of poses have K rows, in the order of the waypoints."""
+
+    sequence: NDArray[np.int_]  # (R,) runs, each approached afresh
+    theta_b: Array  # (R, n) commanded base rotations, rad, not wrapped
+    l_b: Array  # (R, n) commanded base translations, m
+    rows: NDArray[np.int_]  # (K,) the measured waypoints
+    position_m: Array  # (K, 3) tip
+    tangent: Array  # (K, 3) unit tip tangent
+    time_s: Array | None = None  # (R,) clock of the whole experiment
+    is_stream: bool = False  # joints and poses logged together on a continuous motion, nothing settles
+    more: Mapping[str, Array] = field(default_factory=dict)  # other columns (R,), for localising only
+    file: str | None = None
+    sha256: str = ""
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def n(self) -> int:
+        """Number of tubes."""
+        return int(self.theta_b.shape[1])
+
+    @property
+    def count(self) -> int:
+        """K, the number of poses."""
+        return len(self.rows)
+
+    @cached_property
+    def configuration(self) -> NDArray[np.int_]:
+        """(K,) number of each pose's commanded configuration, whatever way it was approached."""
+        scale = np.repeat([SAME_ROTATION_RAD, SAME_TRANSLATION_M], self.n)
+        cells = np.round(np.hstack([self.theta_b, self.l_b])[self.rows] / scale).astype(np.int64)
+        _, first, number = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+        return np.asarray(np.argsort(np.argsort(first))[number.ravel()])  # in the order of appearance
+
+    def subset(self, poses: NDArray[np.int_] | NDArray[np.bool_]) -> Measurements:
+        """The same waypoints with some of the poses only, given by their numbers or a mask (K,)."""
+        chosen = {name: getattr(self, name)[poses] for name in ("rows", "position_m", "tangent")}
+        return replace(self, **chosen)
+
+    def rows_in_words(self, poses: NDArray[np.bool_]) -> str:
+        """Rows of the file, from 1, of some of the poses, mask (K,); the first twenty."""
+        rows = (self.rows[poses] + 1).tolist()
+        return ", ".join(map(str, rows[:MOST_ROWS])) + (" ..." if len(rows) > MOST_ROWS else "")
+
+    def moves(self, row: int) -> tuple[Array, Array] | None:
+        """Rotation and translation (n,) of the motion that led to a waypoint; None if its run starts there."""
+        if row == 0 or self.sequence[row] != self.sequence[row - 1]:
+            return None
+        return self.theta_b[row] - self.theta_b[row - 1], self.l_b[row] - self.l_b[row - 1]
+
+
+def is_streamed(sequence: NDArray[np.int_], rows: NDArray[np.int_], joints: Array) -> bool:
+    """Whether poses were logged on a continuous motion of the joints (R, 2 n), rather than after settling."""
+    moves = np.abs(np.diff(joints, axis=0, prepend=joints[:1], append=joints[-1:])).max(axis=1) > 0
+    measured = np.zeros(len(sequence) + 2, bool)
+    measured[rows + 1] = True
+    run = np.concatenate([[-1], sequence, [-1]])
+    inside = measured[rows] & measured[rows + 2] & (run[rows] == run[rows + 1]) & (run[rows + 2] == run[rows + 1])
+    return bool((inside & moves[rows] & moves[rows + 1]).mean() > STREAMED_SHARE)

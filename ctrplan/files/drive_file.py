@@ -1,0 +1,165 @@
+"""The drive's part of a robot file: [home] and [[joint]] in degrees and millimetres -> Drive."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
+from msgspec import Meta, Struct
+
+from ctrplan.base.arrays import Array, read_only
+from ctrplan.drive.drive import UNITS, Drive, Joint, Kind
+from ctrplan.mechanics.tube import Tube
+from ctrplan.storage.toml_document import Document
+
+Name = Annotated[str, Meta(min_length=1, max_length=80)]
+Travel = Annotated[float, Meta(ge=-5000, le=5000)]  # mm; beyond it the value is in another unit
+Positive = Annotated[float, Meta(gt=0)]
+Gear = Annotated[float, Meta(ge=-1000, le=1000)]
+
+# Largest velocity, acceleration and jerk where a joint gives none, in deg or mm and s. A surgical drive moves slowly
+# enough to be watched; it is at speed after a quarter (rotation) or a fifth of a second (translation), and its
+# acceleration rises within a tenth of a second, so that slender tubes are not made to ring.
+DEFAULT_MOTION: dict[Kind, tuple[float, float, float]] = {
+    "rotation": (60.0, 240.0, 2400.0),
+    "translation": (10.0, 50.0, 500.0),
+}
+
+
+class MovesEntry(Struct, forbid_unknown_fields=True):
+    """moves = { theta = [...] } or { l = [...] }: one number per tube, per unit of the joint."""
+
+    theta: list[Gear] | None = None
+    l: list[Gear] | None = None  # noqa: E741 (as in the equations)
+
+
+class JointEntry(Struct, forbid_unknown_fields=True):
+    """[[joint]]: one per actuator, in the order of the drive."""
+
+    name: Name
+    moves: MovesEntry
+    min_deg: float | None = None
+    max_deg: float | None = None
+    min_mm: Travel | None = None
+    max_mm: Travel | None = None
+    max_velocity_deg_s: Positive | None = None
+    max_velocity_mm_s: Positive | None = None
+    max_acceleration_deg_s2: Positive | None = None
+    max_acceleration_mm_s2: Positive | None = None
+    max_jerk_deg_s3: Positive | None = None
+    max_jerk_mm_s3: Positive | None = None
+
+
+class HomeEntry(Struct, forbid_unknown_fields=True):
+    """[home]: the collars when all joints are zero."""
+
+    theta_deg: list[float] | None = None
+    l_mm: list[Travel] | None = None
+
+
+def build_drive(
+    home: HomeEntry, entries: Sequence[JointEntry] | None, tubes: Sequence[Tube], document: Document
+) -> Drive:
+    """Drive of a robot file; without [[joint]], a rotation and a translation per tube. Raises InputError."""
+    n = len(tubes)
+    for key, values in (("theta_deg", home.theta_deg), ("l_mm", home.l_mm)):
+        if values is not None and len(values) != n:
+            raise document.fault(f"must have one value per tube, {n}", "home", key)
+    theta = np.zeros(n) if home.theta_deg is None else np.radians(home.theta_deg)
+    l = _foremost(tubes) if home.l_mm is None else np.array(home.l_mm) * 1e-3  # noqa: E741
+    if entries is None:
+        joints = _joint_per_tube(tubes, l)
+    else:
+        joints = tuple(_joint(entry, j, n, document) for j, entry in enumerate(entries))
+    for j, joint in enumerate(joints):
+        if joint.name in [other.name for other in joints[:j]]:
+            raise document.fault("must differ from the names of the other joints", "joint", j, "name")
+        if _in_columns(joint.name) in [_in_columns(other.name) for other in joints[:j]]:
+            rule = "must differ from the names of the other joints by more than blanks and underscores"
+            raise document.fault(rule, "joint", j, "name")
+    return Drive(joints, read_only(theta), read_only(l))
+
+
+def _in_columns(name: str) -> str:
+    """The name as the columns of trajectory.csv have it."""
+    return "_".join(name.split())
+
+
+def _foremost(tubes: Sequence[Tube]) -> Array:
+    """Base translations [m] (n,) with every base as far in front as the collars allow."""
+    return -np.cumsum([0.0, *(tube.collar_length_m for tube in tubes[1:])])
+
+
+def _joint_per_tube(tubes: Sequence[Tube], home_l_m: Array) -> tuple[Joint, ...]:
+    """Unlimited rotations; translations from the tip at the front plate to the base as far in front as it goes."""
+    unit_moves = np.eye(len(tubes))
+    rotations = [
+        _with_default_motion(f"rotate {i + 1}", "rotation", unit_moves[i], -math.inf, math.inf)
+        for i in range(len(tubes))
+    ]
+    translations = [
+        _with_default_motion(f"translate {i + 1}", "translation", unit_moves[i], -tube.length_m - home, foremost - home)
+        for i, (tube, home, foremost) in enumerate(zip(tubes, home_l_m, _foremost(tubes), strict=True))
+    ]
+    return (*rotations, *translations)
+
+
+def _with_default_motion(name: str, kind: Kind, moves: Array, lower: float, upper: float) -> Joint:
+    si = UNITS[kind][1]
+    velocity, acceleration, jerk = (value * si for value in DEFAULT_MOTION[kind])
+    return Joint(name, kind, read_only(moves), float(lower), float(upper), velocity, acceleration, jerk)
+
+
+def _joint(entry: JointEntry, j: int, n: int, document: Document) -> Joint:
+    if not entry.name.isprintable():
+        raise document.fault("must be one line of printable text", "joint", j, "name")
+    kind, moves = _moves(entry.moves, j, n, document)
+    _refuse_other_units(entry, kind, j, document)
+    unit, si = UNITS[kind]
+    lower, upper = _limits(entry, kind, moves, j, document)
+    rates = (
+        getattr(entry, f"max_{rate}_{unit}_s{power}")
+        for rate, power in (("velocity", ""), ("acceleration", "2"), ("jerk", "3"))
+    )
+    velocity, acceleration, jerk = (
+        (default if rate is None else rate) * si for rate, default in zip(rates, DEFAULT_MOTION[kind], strict=True)
+    )
+    return Joint(entry.name, kind, moves, lower * si, upper * si, velocity, acceleration, jerk)
+
+
+def _moves(entry: MovesEntry, j: int, n: int, document: Document) -> tuple[Kind, Array]:
+    if (entry.theta is None) == (entry.l is None):
+        raise document.fault("must have either theta or l", "joint", j, "moves")
+    kind: Kind = "translation" if entry.theta is None else "rotation"
+    values = entry.l if entry.theta is None else entry.theta
+    if values is None or len(values) != n or not any(values):
+        key = "l" if entry.theta is None else "theta"
+        raise document.fault(f"must have one value per tube, {n}, not all zero", "joint", j, "moves", key)
+    return kind, read_only(values)
+
+
+def _refuse_other_units(entry: JointEntry, kind: Kind, j: int, document: Document) -> None:
+    moved, own, foreign = ("theta", "_deg", "_mm") if kind == "rotation" else ("l", "_mm", "_deg")
+    for key in entry.__struct_fields__:
+        if foreign in key and getattr(entry, key) is not None:
+            rule = f"does not go with a {kind} joint (moves.{moved}), expected {key.replace(foreign, own)}"
+            raise document.fault(rule, "joint", j, key)
+
+
+def _limits(entry: JointEntry, kind: Kind, moves: Array, j: int, document: Document) -> tuple[float, float]:
+    unit = UNITS[kind][0]
+    lower, upper = getattr(entry, f"min_{unit}"), getattr(entry, f"max_{unit}")
+    if lower is None and upper is None and kind == "rotation":
+        if np.any(moves != np.round(moves)):  # a full turn of the joint would not bring the tubes back
+            rule = "must be whole numbers for an unlimited rotation, else give min_deg and max_deg"
+            raise document.fault(rule, "joint", j, "moves", "theta")
+        return -math.inf, math.inf
+    for key, value in (("min", lower), ("max", upper)):
+        if value is None:
+            reason = "a translation is limited" if kind == "translation" else "give both limits or neither"
+            raise document.fault(f"is missing, {reason}", "joint", j, f"{key}_{unit}")
+    if not lower < upper:
+        raise document.fault(f"must be smaller than max_{unit} = {upper:g} {unit}", "joint", j, f"min_{unit}")
+    return lower, upper

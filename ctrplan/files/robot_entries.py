@@ -1,0 +1,142 @@
+"""Tubes and contacts of a robot file: what they may say, and where the values contradict each other."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from msgspec import Meta, Struct
+
+from ctrplan.files.drive_file import HomeEntry, JointEntry, Name, Positive
+from ctrplan.mechanics.tube import Contact, Tube, TubeSection
+from ctrplan.storage.toml_document import Document
+
+NotNegative = Annotated[float, Meta(ge=0)]
+
+MOST_TUBES = 12  # the bound visits 2**(n - 1) corners
+LONGEST_TUBE_MM = 5000.0  # beyond these two a value was most likely given in another unit
+LARGEST_CURVATURE_PER_M = 1000.0
+LARGEST_FRICTION = 2.0
+LENGTH_TOLERANCE_M = 1e-9
+
+
+class SectionEntry(Struct, forbid_unknown_fields=True):
+    """[[tube.section]], from base to tip."""
+
+    length_mm: Positive
+    curvature_x_per_m: float
+    curvature_y_per_m: float
+
+
+class TubeEntry(Struct, forbid_unknown_fields=True):
+    """[[tube]], outermost first."""
+
+    outer_diameter_mm: Annotated[float, Meta(gt=0, le=1000)]
+    inner_diameter_mm: NotNegative
+    bending_stiffness_Nm2: Annotated[float, Meta(gt=0, le=1e6)]
+    poisson_ratio: Annotated[float, Meta(gt=-0.999, le=0.5)]
+    section: Annotated[list[SectionEntry], Meta(min_length=1)]
+    collar_length_mm: NotNegative = 0.0
+    max_strain: Annotated[float, Meta(gt=0, le=1)] = 0.08
+    density_kg_m3: Annotated[float, Meta(ge=0, le=1e5)] = 0.0
+
+
+class ContactEntry(Struct, forbid_unknown_fields=True):
+    """[[contact]], one per neighbouring pair."""
+
+    # Limits are checked by hand: msgspec 0.22 reads stray memory for a union of a constrained number and a tuple.
+    friction_coefficient: float | list[float]
+    clearance_mm: Annotated[float, Meta(gt=0, le=1000)] | None = None
+
+
+class MeasurementEntry(Struct, forbid_unknown_fields=True):
+    """[measurement]: standard deviations of each coordinate and of a rotation of the tangent about each axis."""
+
+    position_sigma_mm: Positive
+    tangent_sigma_deg: Positive
+
+
+class RobotEntry(Struct, forbid_unknown_fields=True):
+    """A robot file."""
+
+    tube: Annotated[list[TubeEntry], Meta(min_length=1, max_length=MOST_TUBES)]
+    name: Name | None = None
+    contact: list[ContactEntry] = []
+    home: HomeEntry | None = None
+    joint: Annotated[list[JointEntry], Meta(min_length=1)] | None = None
+    model_error_mm: NotNegative = 0.0
+    measurement: MeasurementEntry | None = None
+    effects: dict[str, Any] = {}
+    provenance: dict[str, Any] = {}  # where calibrated values come from
+
+
+def build_tubes(entry: RobotEntry, document: Document) -> tuple[Tube, ...]:
+    """Tubes of the file. Raises InputError for values no tube can have and for tubes that don't fit together."""
+    tubes = tuple(_tube(tube, i, document) for i, tube in enumerate(entry.tube))
+    for i in range(1, len(tubes)):
+        _check_fit(tubes[i - 1], tubes[i], i, document)
+    return tubes
+
+
+def build_contacts(entry: RobotEntry, document: Document) -> tuple[Contact, ...]:
+    """Contacts of the file. Raises InputError unless there is one per neighbouring pair of tubes."""
+    pairs, given = len(entry.tube) - 1, len(entry.contact)
+    if given != pairs:
+        rule = f"must be given once per neighbouring pair of tubes, {pairs} in all, not {given}"
+        raise document.fault(rule, "contact")
+    return tuple(_contact(contact, i, document) for i, contact in enumerate(entry.contact))
+
+
+def _tube(entry: TubeEntry, i: int, document: Document) -> Tube:
+    if not entry.inner_diameter_mm < entry.outer_diameter_mm:
+        rule = f"must be smaller than outer_diameter_mm = {entry.outer_diameter_mm:g} mm"
+        raise document.fault(rule, "tube", i, "inner_diameter_mm")
+    sections = tuple(_section(section, i, k, document) for k, section in enumerate(entry.section))
+    tube = Tube(
+        outer_diameter_m=entry.outer_diameter_mm * 1e-3,
+        inner_diameter_m=entry.inner_diameter_mm * 1e-3,
+        bending_stiffness_Nm2=entry.bending_stiffness_Nm2,
+        poisson_ratio=entry.poisson_ratio,
+        sections=sections,
+        collar_length_m=entry.collar_length_mm * 1e-3,
+        max_strain=entry.max_strain,
+        density_kg_m3=entry.density_kg_m3,
+    )
+    if tube.length_m * 1e3 > LONGEST_TUBE_MM:
+        rule = f"sections add up to {tube.length_m * 1e3:g} mm, must be at most 5000 mm, are they in millimetres?"
+        raise document.fault(rule, "tube", i)
+    return tube
+
+
+def _section(entry: SectionEntry, i: int, k: int, document: Document) -> TubeSection:
+    if entry.length_mm > LONGEST_TUBE_MM:
+        rule = "must be at most 5000 mm, is it in millimetres?"
+        raise document.fault(rule, "tube", i, "section", k, "length_mm")
+    for key in ("curvature_x_per_m", "curvature_y_per_m"):
+        if abs(getattr(entry, key)) > LARGEST_CURVATURE_PER_M:
+            rule = "must be within -1000 to 1000 1/m, is it per metre?"
+            raise document.fault(rule, "tube", i, "section", k, key)
+    return TubeSection(entry.length_mm * 1e-3, entry.curvature_x_per_m, entry.curvature_y_per_m)
+
+
+def _check_fit(outer: Tube, inner: Tube, i: int, document: Document) -> None:
+    """`inner` is tube i (from 0)."""
+    if not inner.outer_diameter_m < outer.inner_diameter_m:
+        rule = f"must be smaller than tube.{i}.inner_diameter_mm = {outer.inner_diameter_m * 1e3:g} mm"
+        raise document.fault(rule, "tube", i, "outer_diameter_mm")
+    needed = outer.length_m + inner.collar_length_m
+    if inner.length_m < needed - LENGTH_TOLERANCE_M:
+        rule = (
+            f"sections add up to {inner.length_m * 1e3:g} mm, must be at least {needed * 1e3:g} mm: the length of "
+            f"tube {i} ({outer.length_m * 1e3:g} mm) and this tube's collar ({inner.collar_length_m * 1e3:g} mm)"
+        )
+        raise document.fault(rule, "tube", i)
+
+
+def _contact(entry: ContactEntry, i: int, document: Document) -> Contact:
+    friction = entry.friction_coefficient
+    interval = friction if isinstance(friction, list) else [friction, friction]
+    if len(interval) != 2 or not 0 <= interval[0] <= interval[1] <= LARGEST_FRICTION:
+        rule = "must be a number from 0 to 2, or an interval [low, high] within 0 to 2 with low <= high"
+        raise document.fault(rule, "contact", i, "friction_coefficient")
+    clearance_m = None if entry.clearance_mm is None else entry.clearance_mm * 1e-3
+    return Contact((interval[0], interval[1]), clearance_m)

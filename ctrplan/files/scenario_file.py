@@ -1,0 +1,150 @@
+"""Scenario files (TOML) -> Scenario."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ctrplan.base.arrays import Array, read_only
+from ctrplan.files.robot_file import load_robot
+from ctrplan.files.scenario_entries import (
+    BaseEntry,
+    CostEntry,
+    GoalEntry,
+    ScenarioEntry,
+    Vector,
+    anatomy_part,
+    file_inside,
+    joint_values,
+    metres,
+)
+from ctrplan.planning.scenario import Cost, Goal, Margins, PlannerSettings, Scenario
+from ctrplan.robot.robot import Robot
+from ctrplan.storage.toml_document import Document, Step, read_document
+
+if TYPE_CHECKING:
+    pass
+
+ROBOT_PREFIX = "robot."
+QUATERNION_TOLERANCE = 1e-3
+
+
+def load_scenario(
+    path: str | os.PathLike[str], overrides: Sequence[str] = (), *, allow_outside: bool = False
+) -> Scenario:
+    """The scenario of a TOML file after `overrides`; those that start with "robot." go to the robot's file.
+
+    Files it names must lie in the scenario file's folder or below unless `allow_outside`. Raises InputError, one
+    sentence with file, key, value and rule, for anything malformed or contradictory.
+    """
+    own, for_robot = _by_file(overrides)
+    return _build(read_document(path, own), for_robot, allow_outside)
+
+
+def scenario_from_dict(
+    content: Mapping[str, Any],
+    *,
+    file: str | None = None,
+    overrides: Sequence[str] = (),
+    allow_outside: bool = False,
+) -> Scenario:
+    """The scenario of a scenario file's content; as `load_scenario`, with files relative to the folder of `file`."""
+    own, for_robot = _by_file(overrides)
+    return _build(Document(dict(content), file).with_overrides(own), for_robot, allow_outside)
+
+
+def _by_file(overrides: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Overrides of the scenario's keys, and those of the robot's keys without their prefix."""
+    stripped = [override.lstrip() for override in overrides]
+    own = [override for override in stripped if not override.startswith(ROBOT_PREFIX)]
+    return own, [override[len(ROBOT_PREFIX) :] for override in stripped if override.startswith(ROBOT_PREFIX)]
+
+
+def _build(document: Document, for_robot: Sequence[str], allow_outside: bool) -> Scenario:
+    entry = document.to(ScenarioEntry)
+    if entry.name is not None and not entry.name.isprintable():
+        raise document.fault("must be one line of printable text", "name")
+    robot = load_robot(file_inside(entry.robot, document, allow_outside, "robot"), for_robot)
+    goals = _goals(entry, robot, document)
+    return Scenario(
+        name=entry.name or (Path(document.file).stem if document.file else "scenario"),
+        robot=robot,
+        base_position_m=read_only(np.multiply(entry.base.position_mm, 1e-3)),
+        base_R=_rotation(entry.base, document),
+        start=joint_values(entry.start, robot, document, "start"),
+        goal=goals[-1],
+        via=tuple(goals[:-1]),
+        anatomy=tuple(anatomy_part(part, k, document, allow_outside) for k, part in enumerate(entry.anatomy)),
+        margins=Margins(entry.margins.stability, entry.margins.max_strain),
+        cost=_cost(entry.cost),
+        planner=PlannerSettings(entry.planner.name, entry.planner.time_s, entry.planner.settle),
+        path=document.file,
+        sha256=document.sha256,
+        warnings=robot.warnings,
+    )
+
+
+def _rotation(base: BaseEntry, document: Document) -> Array:
+    w, x, y, z = base.quaternion_wxyz
+    norm = math.hypot(w, x, y, z)
+    if not abs(norm - 1) <= QUATERNION_TOLERANCE:
+        rule = f"must have norm 1 within {QUATERNION_TOLERANCE}, has {norm:g}"
+        raise document.fault(rule, "base", "quaternion_wxyz")
+    return read_only(Rotation.from_quat([x, y, z, w]).as_matrix())
+
+
+def _goals(entry: ScenarioEntry, robot: Robot, document: Document) -> list[Goal]:
+    if (entry.goal is None) == (not entry.target):
+        what = "is missing, or [[target]] in its place" if entry.goal is None else "and [[target]] exclude each other"
+        raise document.fault(what, "goal")
+    if entry.goal is not None:
+        return _goal(entry.goal, robot, document, "goal")
+    return [goal for k, target in enumerate(entry.target) for goal in _goal(target, robot, document, "target", k)]
+
+
+def _goal(entry: GoalEntry, robot: Robot, document: Document, *path: Step) -> list[Goal]:
+    """The goal, and before it the beginning of its line if it has one."""
+    if sum(given is not None for given in (entry.joints, entry.tip_mm, entry.line_mm)) != 1:
+        raise document.fault("must have one of joints, tip_mm and line_mm", *path)
+    if entry.joints is not None and entry.direction is not None:
+        raise document.fault("goes with tip_mm, not with joints", *path, "direction")
+    if (entry.direction is None) != (entry.direction_tolerance_deg is None):
+        missing = "direction" if entry.direction is None else "direction_tolerance_deg"
+        raise document.fault("is missing, direction and direction_tolerance_deg go together", *path, missing)
+    tolerance = entry.direction_tolerance_deg
+    line = None if entry.line_mm is None else read_only(np.multiply(entry.line_mm, 1e-3))
+    if line is not None and not np.any(np.diff(line, axis=0)):
+        raise document.fault("must have a length", *path, "line_mm")
+    name = entry.name or ""
+    goal = Goal(
+        joints=None if entry.joints is None else joint_values(entry.joints, robot, document, *path, "joints"),
+        tip_m=metres(entry.tip_mm) if line is None else read_only(line[-1]),
+        tolerance_m=entry.tolerance_mm * 1e-3,
+        direction=None if entry.direction is None else _unit_vector(entry.direction, document, *path),
+        direction_tolerance_rad=None if tolerance is None else math.radians(tolerance),
+        line_m=line,
+        name=name,
+    )
+    if line is None:
+        return [goal]
+    return [replace(goal, tip_m=read_only(line[0]), line_m=None, name=f"{name or 'line'}, beginning"), goal]
+
+
+def _unit_vector(vector: Vector, document: Document, *path: Step) -> Array:
+    largest = max(map(abs, vector))
+    if largest == 0:
+        raise document.fault("must not be zero", *path, "direction")
+    scaled = np.array(vector) / largest  # so that squares neither overflow nor vanish
+    return read_only(scaled / np.linalg.norm(scaled))
+
+
+def _cost(entry: CostEntry) -> Cost:
+    limit_m = None if entry.max_error_goal_mm is None else entry.max_error_goal_mm * 1e-3
+    return Cost(entry.path, entry.mm_per_rad, entry.error_along, entry.error_goal, limit_m, entry.stop)

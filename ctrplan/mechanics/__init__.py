@@ -1,0 +1,1 @@
+"""The Python face of the compiled model: tubes, shapes, bounds, histories."""

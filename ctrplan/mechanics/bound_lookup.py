@@ -1,0 +1,69 @@
+"""Bounds looked up on a grid in the core; `ctrplan.planning.bound_table` decides what is on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ctrplan.base.arrays import Array
+from ctrplan.mechanics.core import Mechanics, input_errors
+from ctrplan.mechanics.core_arrays import joint_rows, path_samples, walk_arguments
+from ctrplan.mechanics.walk import Field, PathDensity, PathLimits, PathSamples
+
+
+@dataclass(frozen=True, eq=False)
+class FieldEntries:
+    """Bounds and shapes of K configurations as a grid of bounds holds them, tube 1 turned to zero."""
+
+    position_m: Array  # (K,) bound of the tip
+    valid: Array  # (K,) 1 where solved and stable
+    points_m: Array  # (K, S, 3) outermost centreline, evenly from the plate (not counted) to the innermost tip
+    envelope_m: Array  # (K, S) largest deviation of a corner there
+
+
+class FieldLookup:
+    """A grid of bounds in the core. axes: (tube, is a rotation, lower, step, count), last one fastest.
+
+    values (points, NUMBERS) float32 as `Mechanics.field_entries` gives them; margin_m is added to bounds and envelopes.
+    A joint without an axis is taken to stand where it stood for the values, whatever a configuration says of it.
+    """
+
+    STATIONS = 24
+    NUMBERS = 8 + 4 * STATIONS
+    VALID = 4
+    MIRROR = np.array([*[1.0] * 5, *[1.0, -1.0, 1.0] * STATIONS, 1.0, -1.0, 1.0, *[1.0] * STATIONS], np.float32)
+
+    def __init__(
+        self,
+        mechanics: Mechanics,
+        axes: Sequence[tuple[int, bool, float, float, int]],
+        values: NDArray[np.float32],
+        margin_m: float,
+    ) -> None:
+        """Refers to the values, which must not change.
+
+        Raises InputError where they do not fit the axes, or the axes the tubes.
+        """
+        self.n = mechanics.n
+        self._core = mechanics.core_lookup(axes, values, margin_m)
+
+    def sample(self, theta_b: ArrayLike, l_b: ArrayLike) -> FieldEntries:
+        """Interpolated entries at configurations (K, n), (K, n); not valid next to unsolved or unstable ones."""
+        return self.entries(np.asarray(self._core.sample(*joint_rows(theta_b, l_b, self.n))))
+
+    @classmethod
+    def entries(cls, table: Array) -> FieldEntries:
+        """Names for the columns of a table of entries."""
+        points = table[:, 5 : 5 + 3 * cls.STATIONS].reshape(-1, cls.STATIONS, 3)
+        return FieldEntries(table[:, 0], table[:, cls.VALID], points, table[:, -cls.STATIONS :])
+
+    def check_path(
+        self, theta_b: ArrayLike, l_b: ArrayLike, field: Field | None, *, density: PathDensity, limits: PathLimits
+    ) -> PathSamples:
+        """As `Mechanics.check_path`, by lookup; FAILED next to configurations that the grid has no answer for."""
+        given = walk_arguments(field, density, limits)
+        with input_errors():
+            return path_samples(np.asarray(self._core.check_path(*joint_rows(theta_b, l_b, self.n), *given)), ())

@@ -1,0 +1,240 @@
+"""What the robot does along a joint path: equilibria whose friction follows the slip of every contact.
+
+The friction bound says how far a tip can be; a history says where it is, for the path by which it got there. Each
+contact keeps a friction vector (phi, psi) in the unit disc, the circumferential and axial share of the Coulomb limit;
+docs/model.md has the equations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ctrplan.base.arrays import Array
+from ctrplan.errors import InputError, SolverError
+from ctrplan.mechanics.core import Accuracy, Mechanics, input_errors
+from ctrplan.mechanics.core_arrays import joint_row, joint_rows, numbers, shape_from_core
+from ctrplan.mechanics.shapes import Shape, Status
+
+if TYPE_CHECKING:
+    from ctrplan import _model
+
+Start = Literal["released", "oscillated"] | Sequence[float]
+
+OSCILLATION_DEG = tuple(range(40, -1, -2))  # decreasing amplitude, turned one way and the other (Section V-A)
+
+
+@dataclass(frozen=True)
+class HistoryOptions:
+    """How a history is stepped; halving the steps moves no tip by more than 0.05 mm (benchmarks/history.py)."""
+
+    breakaway_m: float = 0.02e-3  # slip over which friction builds up
+    rotation_rad: float = 0.05  # longest step of a tube base
+    translation_m: float = 0.5e-3
+    state_change: float = 0.05  # of phi, mean over the contacts weighted by force, aimed at in a step
+
+
+@dataclass(frozen=True, eq=False)
+class PairFriction:
+    """Friction state of a pair at its N contact points."""
+
+    s_m: Array  # (N,)
+    phi: Array  # (N,) circumferential share of the Coulomb limit; +1: the inner tube slipped counterclockwise
+    psi: Array  # (N,) axial share; +1: the inner tube slipped forward
+    force_N: Array  # (N,) normal force
+
+
+@dataclass(frozen=True)
+class Energy:
+    """Balance of an advance by rotations: work = elastic + breakaway + loss. Loads and translations are left out."""
+
+    work_J: float  # of the actuators
+    elastic_J: float  # growth of elastic energy
+    breakaway_J: float  # growth of what contacts store before they slip
+    loss_J: float  # in contacts that slip
+    smallest_loss_J: float  # of any contact in any step: not below zero but for rounding
+
+
+@dataclass(frozen=True, eq=False)
+class HistoryStep:
+    """Where a history stands after an advance."""
+
+    theta_b: Array  # (n,) rad
+    l_b: Array  # (n,) m
+    shape: Shape
+    friction: tuple[PairFriction, ...]  # per pair, outermost first
+    frictionless: Shape  # the solution with clearance and without friction at the same joints
+    energy: Energy
+    steps: int  # that the advance took
+    snaps: int  # of them without an equilibrium near by, where the robot slid to another one
+
+    @property
+    def phi(self) -> tuple[Array, ...]:
+        """Circumferential friction state per pair and contact point."""
+        return tuple(pair.phi for pair in self.friction)
+
+    @property
+    def deviation_m(self) -> float:
+        """Distance [m] of the tip from that of the frictionless solution."""
+        return float(np.linalg.norm(self.shape.tip_m - self.frictionless.tip_m))
+
+    @property
+    def tangent_deviation_rad(self) -> float:
+        """Angle [rad] between the tip tangent and that of the frictionless solution."""
+        a, b = self.shape.tip_tangent, self.frictionless.tip_tangent
+        return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
+
+
+@dataclass(frozen=True, eq=False)
+class HistoryPath:
+    """Tips along K waypoints."""
+
+    position_m: Array  # (K, 3)
+    tangent: Array  # (K, 3)
+    phi: Array  # (K, n - 1) circumferential friction state of each pair, averaged by normal force
+    snaps: Array  # (K,) times the robot slid to another equilibrium on the way to each
+    status: NDArray[np.int_]  # (K,) Status
+
+
+@dataclass(frozen=True, eq=False)
+class HistoryState:
+    """A memory of a history, to go back to."""
+
+    theta_b: Array
+    l_b: Array
+    core: _model.HistoryState
+
+
+class History:
+    """A robot moved along a joint path, waypoint by waypoint. Memory does not grow with the path.
+
+    It has one state, so that threads that share it move each other's robot: give each a history of its own.
+    """
+
+    def __init__(
+        self,
+        mechanics: Mechanics,
+        start: Start = "released",
+        *,
+        accuracy: Accuracy = "search",
+        options: HistoryOptions | None = None,
+    ) -> None:
+        """`start` is the state at the first waypoint: "released" is free of friction, a sign per pair (or share in
+        [-1, 1]) fully loaded in that corner, "oscillated" fully loaded and then released as in Section V-A.
+        """
+        self._mechanics = mechanics
+        self._accuracy: Accuracy = accuracy
+        self.options = options or HistoryOptions()
+        self._start, self._phi = start, _start_phi(start, mechanics.n - 1)
+        self._core = mechanics.core_history(self.options, accuracy)
+        self._at: tuple[Array, Array] | None = None
+
+    def advance(self, theta_b: ArrayLike, l_b: ArrayLike) -> HistoryStep:
+        """Moves all joints to base rotations (n,) [rad] and translations (n,) [m]; the first call starts there.
+
+        Raises SolverError where no equilibrium is found, with the history left where it got to.
+        """
+        rows = joint_row(theta_b, self._mechanics.n), joint_row(l_b, self._mechanics.n)
+        numbers = self._begin(*rows) if self._at is None else self._move(*rows)
+        return self._step(*rows, numbers)
+
+    def follow(self, theta_b: ArrayLike, l_b: ArrayLike) -> HistoryPath:
+        """Moves along K waypoints (K, n) [rad], (K, n) [m] in one call into the core, with tips only.
+
+        Rows after one that FAILED are NaN.
+        """
+        thetas, ls = joint_rows(theta_b, l_b, self._mechanics.n)
+        if self._at is None and len(thetas):
+            self._begin(thetas[0], ls[0])
+        with input_errors():
+            table: Array = np.asarray(self._core.follow(thetas, ls))
+        reached = np.flatnonzero(table[:, 0] < Status.FAILED)  # not NaN
+        if len(reached):
+            self._at = (thetas[reached[-1]].copy(), ls[reached[-1]].copy())
+        return HistoryPath(
+            position_m=table[:, 2:5],
+            tangent=table[:, 5:8],
+            phi=table[:, 8:],
+            snaps=table[:, 1],
+            status=np.where(np.isnan(table[:, 0]), float(Status.FAILED), table[:, 0]).astype(int),
+        )
+
+    def tip_beside(self, phi: ArrayLike) -> Array:
+        """Tip (3,) [m] with the contacts of each pair at phi (n - 1,), on the branch that the history is on.
+
+        The history stays where it is. NaN where the branch ends before friction is there; InputError before the first
+        advance. Other solvers choose their branch afresh at every configuration.
+        """
+        if self._at is None:
+            raise InputError("a history has no state before its first advance", key="history")
+        return np.asarray(self._core.beside(_friction_state(phi, "phi", self._mechanics.n - 1)))[:3]
+
+    def save(self) -> HistoryState:
+        """A memory of the present state; InputError before the first advance."""
+        if self._at is None:
+            raise InputError("a history has no state before its first advance", key="history")
+        return HistoryState(*self._at, self._core.save())
+
+    def restore(self, state: HistoryState) -> None:
+        """Goes back to a saved state of this robot at this accuracy; InputError if it is of another."""
+        if not isinstance(state, HistoryState):
+            raise InputError("must be what History.save returned", key="state", value=state)
+        with input_errors():
+            self._core.restore(state.core)
+        self._at = (state.theta_b, state.l_b)
+
+    def _begin(self, theta_b: Array, l_b: Array) -> tuple[float, ...]:
+        with input_errors():
+            status = self._core.start(theta_b, l_b, self._phi)
+        if status == Status.FAILED:
+            raise SolverError("no equilibrium was found at the start of the history")
+        self._at = (theta_b, l_b)
+        if self._start != "oscillated":
+            return (0.0,) * 7
+        weights = np.arange(self._mechanics.n)  # every pair turns by the amplitude
+        for k, amplitude in enumerate(np.radians(OSCILLATION_DEG)):
+            self._move(theta_b + (-1) ** k * amplitude * weights, l_b)
+        return self._move(theta_b, l_b)
+
+    def _move(self, theta_b: Array, l_b: Array) -> tuple[float, ...]:
+        status, _residual, *numbers = self._advance(theta_b, l_b)
+        if status == Status.FAILED:
+            raise SolverError("no equilibrium was found along the path")
+        self._at = (theta_b, l_b)
+        return tuple(numbers)
+
+    def _advance(self, theta_b: Array, l_b: Array) -> tuple[float, ...]:
+        with input_errors():
+            return tuple(self._core.advance(theta_b, l_b))
+
+    def _step(self, theta_b: Array, l_b: Array, numbers: tuple[float, ...]) -> HistoryStep:
+        steps, snaps, *energy = numbers
+        return HistoryStep(
+            theta_b=theta_b,
+            l_b=l_b,
+            shape=shape_from_core(self._core.shape()),
+            friction=tuple(PairFriction(*pair) for pair in self._core.friction()),
+            frictionless=self._mechanics.solve(theta_b, l_b, 0.0, accuracy=self._accuracy),
+            energy=Energy(*energy),
+            steps=int(steps),
+            snaps=int(snaps),
+        )
+
+
+def _start_phi(start: Start, pairs: int) -> Array:
+    if isinstance(start, str):
+        if start not in ("released", "oscillated"):
+            raise InputError('must be "released", "oscillated" or one sign per pair', key="start", value=start)
+        return np.full(pairs, 0.0 if start == "released" else 1.0)
+    return _friction_state(start, "start", pairs)
+
+
+def _friction_state(values: ArrayLike, key: str, pairs: int) -> Array:
+    phi = numbers(values, key)
+    if phi.shape != (pairs,) or not np.all(np.abs(phi) <= 1):
+        raise InputError(f"must be {pairs} values in [-1, 1], one per pair", key=key)
+    return phi

@@ -1,0 +1,112 @@
+"""What the mechanics answers: shapes, bounds, and whether they can be relied on. SI units, world frame at the plate."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+
+
+class Status(enum.IntEnum):
+    """What a solve found; nothing else promises a tip."""
+
+    CONVERGED = 0  # residual reached, stable
+    MULTIPLE = 1  # as CONVERGED, and another stable solution is known
+    UNSTABLE = 2  # an equilibrium, but not a minimum of the energy: the robot would snap away from it
+    FAILED = 3  # residual not reached
+
+
+@dataclass(frozen=True, eq=False)
+class TubeShape:
+    """One tube from its collar to its tip, N stations."""
+
+    s_m: Array  # (N,) arc length from the front plate
+    centreline_m: Array  # (N, 3) world frame
+    frames: Array  # (N, 3, 3) material frames, columns are the axes in the world frame
+    theta_rad: Array  # (N,) material angle against the tube's twist-free frame
+    curvature_per_m: Array  # (N, 3) rotation rate u in the material frame
+    strain: Array  # (N,) largest bending strain r_out |u_xy - u_hat_xy|
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """An equilibrium of the robot; the centreline is the innermost tube's."""
+
+    tubes: tuple[TubeShape, ...]  # outermost first
+    radius_m: Array  # (N,) outer radius of what is there, at s_m
+    contact_s_m: tuple[Array, ...]  # per pair: stations of possible contacts
+    contact_force_N: tuple[Array, ...]  # per pair: normal force at each station, a discretised distribution
+    contact_angle_rad: tuple[Array, ...]  # per pair: where the inner tube leans, twist-free frame
+    status: Status
+    residual: float  # largest imbalance of moments over the robot's own, EI * precurvature
+    # smallest eigenvalue of the torsional second variation over GJ / L^2 of the innermost tube; NaN along histories
+    stability: float
+    max_strain: float
+
+    @property
+    def s_m(self) -> Array:
+        """(N,) arc length of the innermost tube from the front plate."""
+        return self.tubes[-1].s_m
+
+    @property
+    def centreline_m(self) -> Array:
+        """(N, 3) innermost tube, world frame."""
+        return self.tubes[-1].centreline_m
+
+    @property
+    def tip_m(self) -> Array:
+        """(3,) tip of the innermost tube, world frame."""
+        tip: Array = self.centreline_m[-1]
+        return tip
+
+    @property
+    def tip_tangent(self) -> Array:
+        """(3,) unit tangent at the tip, world frame."""
+        tangent: Array = self.tubes[-1].frames[-1, :, 2]
+        return tangent
+
+
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """Largest deviations that friction can cause, over all sign corners, from the frictionless clearance solution."""
+
+    position_m: float  # of the tip
+    tangent_rad: float  # of the tip tangent
+    frictionless: Shape  # phi = 0
+    corners: tuple[Shape, ...]  # phi in itertools.product((1, -1), repeat=n - 1)
+    envelope_m: Array  # (N,) of the centreline, at frictionless.s_m
+    worst_corner: int  # index of the corner that gives position_m
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """`Bound` for K configurations, without the shapes.
+
+    Bounds are NaN where any of the solves failed, all else but residual and status where the frictionless one did.
+    """
+
+    position_m: Array  # (K,)
+    tangent_rad: Array  # (K,)
+    stability: Array  # (K,)
+    max_strain: Array  # (K,)
+    residual: Array  # (K,)
+    status: NDArray[np.int_]  # (K,) values of Status
+    tip_m: Array  # (K, 3) frictionless
+    tip_tangent: Array  # (K, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Tips:
+    """Tips of K friction states and their derivatives by P parameters, per unit of each in SI units."""
+
+    position_m: Array  # (K, 3)
+    tangent: Array  # (K, 3)
+    status: NDArray[np.int_]  # (K,) Status; UNSTABLE: the robot would turn away from the solution
+    residual: Array  # (K,)
+    max_strain: Array  # (K,)
+    position_by: Array  # (K, 3, P)
+    tangent_by: Array  # (K, 3, P)

@@ -1,0 +1,1 @@
+"""The chain: commanded joints -> clock -> drive -> mechanics -> sensor."""

@@ -1,0 +1,56 @@
+"""What the friction states of `approach.py` leave out, as a correction of the tips.
+
+At rest after a 90 degree approach the states are right, and a finer mesh gives the rest. On a continuous motion
+friction is spread unevenly along the tubes, and the whole path is simulated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ctrplan.base.arrays import Array
+from ctrplan.errors import SolverError
+from ctrplan.mechanics.shapes import Status
+from ctrplan.pipeline.chain import Chain
+from ctrplan.pipeline.tip_table import nested, tip_table
+
+LARGEST_M = 5e-3  # corrections beyond it are a path that snapped, and are left out
+
+
+def friction_correction(chain: Chain, p: Array) -> tuple[Array, Array] | None:
+    """What to add to positions (K, 3) [m] and tangents (K, 3) at parameters (P,); None without friction."""
+    robot = chain.robot_at(p)
+    if not robot.friction.any():
+        return None
+    collars, phi = chain.collars(p), chain.friction_state(p)
+    coarse = tip_table(robot, collars.theta, collars.l, phi)
+    if chain.data.is_stream:
+        position, tangent = _simulated(chain, p)
+    else:
+        fine = tip_table(robot, collars.theta, collars.l, phi, accuracy="certificate")
+        position, tangent = fine.position_m, fine.tangent
+    shift, turn = position - coarse.position_m, tangent - coarse.tangent
+    wild = ~(np.linalg.norm(shift, axis=1) < LARGEST_M)
+    shift[wild], turn[wild] = 0.0, 0.0
+    return shift, turn
+
+
+def _simulated(chain: Chain, p: Array) -> tuple[Array, Array]:
+    """Tips at the poses when every run's path is followed from its start; NaN where a simulation failed."""
+    data, robot = chain.data, chain.robot_at(p)
+    every = np.arange(len(data.sequence))
+    blank = np.zeros((len(every), 3))
+    collars = Chain(chain.robot, replace(data, rows=every, position_m=blank, tangent=blank), chain.terms).collars(p)
+    l_b = nested(robot, collars.l)  # a fit may push collars against each other, and moves on
+    position, tangent = np.full((len(every), 3), np.nan), np.full((len(every), 3), np.nan)
+    for run in np.unique(data.sequence[data.rows]).tolist():
+        rows = np.flatnonzero(data.sequence == run)
+        try:
+            path = robot.history().follow(collars.theta[rows], l_b[rows])
+        except SolverError:  # no equilibrium at its start
+            continue
+        sound = path.status <= Status.MULTIPLE
+        position[rows[sound]], tangent[rows[sound]] = path.position_m[sound], path.tangent[sound]
+    return position[data.rows], tangent[data.rows]

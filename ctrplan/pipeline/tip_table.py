@@ -1,0 +1,77 @@
+"""Tips of many configurations with clearance and friction, and their derivatives by named parameters and joints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+from ctrplan.mechanics.core import Accuracy
+from ctrplan.mechanics.nesting import least_distance_m
+from ctrplan.mechanics.shapes import Status
+from ctrplan.robot.robot import Robot
+
+NESTED_M = 1e-8  # collars and tips out of order by less do not matter
+SAME = 1e-12  # configurations that differ by less are solved once
+
+
+@dataclass(frozen=True, eq=False)
+class TipTable:
+    """K tips; derivatives for P names."""
+
+    position_m: Array  # (K, 3)
+    tangent: Array  # (K, 3)
+    sound: NDArray[np.bool_]  # (K,) whether the solve converged on an equilibrium
+    failed: NDArray[np.bool_]  # (K,) whether it did not converge at all: the tip is that of the last iterate
+    position_by: Array  # (K, 3, P)
+    tangent_by: Array  # (K, 3, P)
+
+
+def tip_table(
+    robot: Robot, theta_b: Array, l_b: Array, phi: Array, names: Sequence[str] = (), accuracy: Accuracy = "search"
+) -> TipTable:
+    """Tips at (K, n) [rad], (K, n) [m] in friction states (K, n - 1); names as in `parameters`, or theta_b.1, l_b.1."""
+    inside = nested(robot, l_b)
+    ordered = _ordered(robot, l_b, [tube.collar_length_m for tube in robot.tubes[1:]])  # room for shafts is no matter
+    sound = np.abs(ordered - l_b).max(axis=1, initial=0.0) < NESTED_M
+    phi = phi * _rubbing(robot, names)
+    rows = np.hstack([theta_b, inside, phi])
+    _, first, back = np.unique(np.round(rows / SAME) * SAME, axis=0, return_index=True, return_inverse=True)
+    table = _solved(robot, theta_b[first], inside[first], phi[first], names, accuracy)
+    back = back.ravel()
+    found = TipTable(*(getattr(table, key)[back] for key in TipTable.__dataclass_fields__))
+    return replace(found, sound=found.sound & sound)
+
+
+def _rubbing(robot: Robot, names: Sequence[str]) -> NDArray[np.bool_]:
+    """(n - 1,) pairs whose friction state matters: those with friction, or whose friction is differentiated by."""
+    asked = [f"contact.{i}.friction_coefficient" in names for i in range(1, robot.n)]
+    rubbing: NDArray[np.bool_] = (robot.friction[:, 1] > 0) | np.array(asked, dtype=bool)
+    return rubbing
+
+
+def nested(robot: Robot, l_b: Array) -> Array:
+    """Base translations (K, n) with those that do not nest moved to where they do."""
+    return _ordered(robot, l_b, [least_distance_m(*pair) for pair in pairwise(robot.tubes)])
+
+
+def _ordered(robot: Robot, l_b: Array, apart_m: Sequence[float]) -> Array:
+    """Base translations (K, n) moved to where tips are in order and bases `apart_m`, a distance per pair."""
+    l = l_b.copy()  # noqa: E741 (as in the equations)
+    l[:, 0] = np.minimum(l[:, 0], 0.0)
+    for i, (outer, inner) in enumerate(pairwise(robot.tubes)):
+        l[:, i + 1] = np.maximum(l[:, i + 1], l[:, i] + outer.length_m - inner.length_m)
+        l[:, i + 1] = np.minimum(l[:, i + 1], l[:, i] - apart_m[i])
+    return l
+
+
+def _solved(robot: Robot, theta_b: Array, l_b: Array, phi: Array, names: Sequence[str], accuracy: Accuracy) -> TipTable:
+    tips = robot.mechanics.tips_with_friction(theta_b, l_b, phi, parameters=tuple(names), accuracy=accuracy)
+    failed = tips.status == Status.FAILED
+    sound = ~failed & (tips.status != Status.UNSTABLE)
+    by = np.nan_to_num(tips.position_by), np.nan_to_num(tips.tangent_by)  # NaN where a joint can't be moved by itself
+    return TipTable(tips.position_m, tips.tangent, sound, failed, *by)

@@ -1,0 +1,1 @@
+"""The dense recheck of a finished path, and the simulated histories along it."""

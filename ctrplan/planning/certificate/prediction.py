@@ -1,0 +1,177 @@
+"""Where the tip is along a path, by full simulation of its history from every friction state it may start in."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+from ctrplan.errors import SolverError
+
+if TYPE_CHECKING:
+    from ctrplan.mechanics.core import Accuracy
+    from ctrplan.mechanics.history import History, HistoryState, Start
+    from ctrplan.robot.robot import Robot
+
+STEP_RAD, STEP_M = 0.05, 1e-3  # between configurations at which the simulated tips are looked at
+BLOCK = 20  # configurations after which histories are compared
+SAME = 1e-3  # difference of friction, of 0.01 mm and of 1 mrad at the tip, below which they have become one
+TIP_TOLERANCE_M = 0.05e-3  # of simulated tips (benchmarks/history.py)
+
+
+MOST_REMEMBERED = 100  # ends of paths
+_ENDS: WeakKeyDictionary[Robot, dict[bytes, _End]] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True, eq=False)
+class _End:
+    """Where the histories along a path end."""
+
+    tip_m: Array  # (S, 3); NaN where one failed
+    states: list[HistoryState]  # one for each start, to go on from; empty where one failed
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Simulated tips at K configurations from each of S start states, released and every corner."""
+
+    tip_m: Array  # (S, K, 3); NaN after no equilibrium was found
+    snaps: int  # times any of the simulated robots slid to another equilibrium
+
+    def errors(self, frictionless_m: Array) -> Array:
+        """(K,) [m] largest distance of a simulated tip from the frictionless one (K, 3); NaN where any failed."""
+        largest: Array = np.linalg.norm(self.tip_m - frictionless_m, axis=2).max(axis=0)
+        return largest
+
+    @property
+    def end_middle_m(self) -> Array:
+        """(3,) mean of the tips at the last configuration."""
+        middle: Array = self.tip_m[:, -1].mean(axis=0)
+        return middle
+
+    @property
+    def end_spread_m(self) -> float:
+        """How far [m] the start state may take the last tip from that mean: what no correction can know."""
+        return float(np.linalg.norm(self.tip_m[:, -1] - self.end_middle_m, axis=1).max())
+
+
+def start_states(robot: Robot) -> list[Start]:
+    """What the robot's friction may be like before a path: released, or fully loaded in any corner."""
+    corners: list[Start] = list(itertools.product((1.0, -1.0), repeat=robot.n - 1)) if robot.n > 1 else []
+    return ["released", *corners]
+
+
+def predict(robot: Robot, joints: Array, accuracy: Accuracy = "search") -> Prediction:
+    """The histories along configurations (K, m) of actuated joints."""
+    histories = [robot.history(start, accuracy=accuracy) for start in start_states(robot)]
+    return _follow(robot, histories, joints)
+
+
+def predict_end(robot: Robot, joints: Array, starts: int | None = None) -> tuple[Prediction, list[HistoryState]]:
+    """As `predict`, from the first few of the start states, and the states at the end, to go on from."""
+    histories = [robot.history(start) for start in start_states(robot)[:starts]]
+    prediction = _follow(robot, histories, joints)
+    return prediction, _saved(histories)
+
+
+def predict_from(robot: Robot, states: Sequence[HistoryState], joints: Array) -> Prediction:
+    """As `predict`, from states at the first row of joints (K, m), one for each start."""
+    return _follow(robot, _restored(robot, states), joints)
+
+
+def goal_error(robot: Robot, joints: Array) -> float:
+    """Largest distance [m] of a simulated tip from the frictionless one after the path (K, m); inf if any failed.
+
+    Paths that begin alike share that part of their histories; a robot's last few are remembered.
+    """
+    known = _ENDS.setdefault(robot, {})
+    shared = next((k for k in range(len(joints), 0, -1) if joints[:k].tobytes() in known), 0)
+    for k in range(shared, len(joints)):
+        before = known[joints[:k].tobytes()] if k else None
+        while len(known) >= MOST_REMEMBERED:
+            known.pop(next(iter(known)))
+        known[joints[: k + 1].tobytes()] = _end_after(robot, joints[k], before)
+    theta_b, l_b = robot.drive.collars(joints[-1:])
+    frictionless = robot.mechanics.tips_with_friction(theta_b, l_b, np.zeros((1, robot.n - 1))).position_m
+    error = float(np.linalg.norm(known[joints.tobytes()].tip_m - frictionless, axis=1).max())
+    return error if np.isfinite(error) else np.inf
+
+
+def _end_after(robot: Robot, q: Array, before: _End | None) -> _End:
+    """Where histories are after moving on to q (m,) from where others ended, or at a start there."""
+    if before is not None and not before.states:
+        return before
+    histories = _restored(robot, before.states) if before else [robot.history(start) for start in start_states(robot)]
+    tips = _follow(robot, histories, q[None]).tip_m[:, -1]
+    return _End(tips, _saved(histories) if np.all(np.isfinite(tips)) else [])
+
+
+def _saved(histories: Sequence[History]) -> list[HistoryState]:
+    """A state for each history, one and the same where a history stands for several."""
+    states = {history: history.save() for history in histories}
+    return [states[history] for history in histories]
+
+
+def _restored(robot: Robot, states: Sequence[HistoryState]) -> list[History]:
+    """A history for each state, one and the same where a state stands for several."""
+    histories = {id(state): robot.history() for state in states}
+    for state in states:
+        histories[id(state)].restore(state)
+    return [histories[id(state)] for state in states]
+
+
+def rows_to_simulate(robot: Robot, joints: Array, leg: NDArray[np.int_]) -> NDArray[np.int_]:
+    """Indices of configurations (K, m) no farther apart than the steps, the ends of legs (K,) among them."""
+    theta_b, l_b = robot.drive.collars(joints)
+    moved = np.maximum(
+        np.abs(np.diff(theta_b, axis=0)).max(axis=1) / STEP_RAD, np.abs(np.diff(l_b, axis=0)).max(axis=1) / STEP_M
+    )
+    step = np.floor(np.concatenate([[0.0], np.cumsum(moved)]))
+    wanted = np.concatenate([[True], np.diff(step) > 0])
+    wanted[:-1] |= np.diff(leg) > 0
+    wanted[-1] = True
+    return np.flatnonzero(wanted)
+
+
+def _follow(robot: Robot, histories: list[History], joints: Array) -> Prediction:
+    """Tips of the histories along joints (K, m).
+
+    Rotation wipes out where they came from: those that have become the same are followed once from there on, and stand
+    for each other in `histories`.
+    """
+    theta_b, l_b = robot.drive.collars(joints)
+    tips, snaps = np.full((len(histories), len(joints), 3), np.nan), 0
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        for begin in range(0, len(joints), BLOCK):
+            rows = slice(begin, begin + BLOCK)
+            apart = list(dict.fromkeys(histories))
+            ends: list[Array] = []
+            for history, (found, count, end) in zip(
+                apart, pool.map(partial(_block, theta_b[rows], l_b[rows]), apart), strict=True
+            ):
+                alike = [k for k, other in enumerate(histories) if other is history]
+                tips[alike, rows], snaps = found, snaps + count * len(alike)
+                same = [k for k, other in enumerate(ends) if np.all(np.abs(end - other) < SAME)]
+                ends.append(end)
+                for k in alike if same else ():
+                    histories[k] = apart[same[0]]
+    return Prediction(tips, snaps)
+
+
+def _block(theta_b: Array, l_b: Array, history: History) -> tuple[Array, int, Array]:
+    """Tips (K, 3), snaps, and what tells the end state from others: tip [0.01 mm] and friction of each pair."""
+    try:
+        path = history.follow(theta_b, l_b)
+    except SolverError:
+        return np.full((len(theta_b), 3), np.nan), 0, np.array([np.nan])
+    end = np.concatenate([path.position_m[-1] / 1e-5, path.tangent[-1] / 1e-3, path.phi[-1]])
+    return path.position_m, int(np.nansum(path.snaps)), end

@@ -1,0 +1,1 @@
+"""What happens to a path that was found: order, oscillation, compensation."""

@@ -1,0 +1,319 @@
+"""Reordering: merges and reorders the legs of any path so that least friction error is left, never at a higher cost."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ctrplan.base.arrays import Array
+from ctrplan.base.units import MM_PER_M
+from ctrplan.drive.legs import merge_legs
+from ctrplan.drive.trajectory import time_parameterise
+from ctrplan.errors import InputError, NoAnswerError
+from ctrplan.planning.certificate.certify import certify
+from ctrplan.planning.certificate.prediction import TIP_TOLERANCE_M, goal_error
+from ctrplan.planning.finish.alternatives import alternative, changes, held_back, straight_line, translations_first
+from ctrplan.planning.motion import Motion, MotionChecker
+from ctrplan.planning.path_cost import path_cost_mm
+from ctrplan.planning.plan import Certificate, Compensation, Leg, MotionStyle, Plan, ReorderReport, leg_kind
+from ctrplan.planning.search.search_clock import SearchEnd
+
+if TYPE_CHECKING:
+    from ctrplan.planning.scenario import Scenario
+
+LONGEST_SKIP = 12  # waypoints that one L-shaped motion may replace
+MOST_SIMULATED = 3  # of the ways that hold translation back
+EXCESS = 0.01  # of the bound by which a prediction may be above it
+
+
+@dataclass(frozen=True, eq=False)
+class Reordered:
+    """Corners before and after, and what both are worth along the way."""
+
+    before: Array  # (K, m)
+    after: Array  # (L, m)
+    motion_before: Motion
+    motion_after: Motion
+    style: MotionStyle
+    on_line: bool = False  # follows a line with the tip, which takes all joints together
+
+
+def reorder(path: ArrayLike, scenario: Scenario, *, period_s: float = 0.01) -> Plan:
+    """Plan that drives a path (K, m) of actuated joint values, from anyone's planner, at lower or equal cost.
+
+    Consecutive waypoints are joined by straight lines as given; unlimited rotations keep their winding. Raises
+    InputError for a path of the wrong shape, NoAnswerError if the path itself is not valid in the scenario.
+    """
+    began = time.monotonic()
+    m = len(scenario.robot.drive.joints)
+    try:
+        corners = np.array(path, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"must be numbers of shape (K, {m})", key="path") from None
+    if corners.ndim != 2 or corners.shape[1] != m or len(corners) < 2 or not np.all(np.isfinite(corners)):
+        raise InputError(f"must be finite, of shape (K, {m}) with K >= 2, not {corners.shape}", key="path")
+    if scenario.via:
+        rule = "has several targets; give the path of one, with the goal alone, at a time"
+        raise InputError(rule, file=scenario.path, key="target")
+    checker = MotionChecker(scenario)
+    result = least_error(checker, merge_legs(corners))
+    if not result.motion_before.valid:
+        raise NoAnswerError(f"{scenario.path or scenario.name}: path: not valid: {result.motion_before.reason}.")
+    certificate = certify(scenario, result.after)
+    elapsed = time.monotonic() - began
+    return assemble(scenario, [result], certificate, planner="given path", seed=0, time_s=elapsed, period_s=period_s)
+
+
+def least_error(checker: MotionChecker, corners: Array) -> Reordered:
+    """The order of a path (K, m) that leaves the smallest predicted friction error at the goal, by simulated history.
+
+    Candidates are the path itself, rotations before translations (`rotations_first`), and both with some translation
+    held back until after the last rotation; none may cost more than the path does. Among those within the accuracy of
+    the simulation the cheapest is taken. Where the scenario gives the error at the goal no weight, it is not asked for.
+    """
+    given = rotations_first(checker, corners)
+    before = given.motion_before
+    if not before.valid or checker.scenario.cost.error_goal == 0:
+        return given
+    robot, ways = checker.scenario.robot, [corners]
+    if not np.array_equal(given.after, corners):
+        ways.append(given.after)
+    others = [way for base in tuple(ways) for way in held_back(checker, base)]
+    motions = [checker.along(way) for way in others]
+    ranked = [k for k in np.argsort([_way_cost(checker, motion) for motion in motions]) if motions[k].valid]
+    ways += [others[k] for k in ranked[:MOST_SIMULATED]]
+    if len(ways) == 1:
+        return given
+    errors = np.array([goal_error(robot, way) for way in ways])
+    motions = [before, *(checker.along(way) for way in ways[1:])]
+    costs = np.array([_way_cost(checker, motion) for motion in motions])
+    open_to = (costs <= costs[0] + 1e-9) & np.isfinite(errors)
+    if not open_to.any():
+        return given
+    close = open_to & (errors <= errors[open_to].min() + TIP_TOLERANCE_M)
+    best = int(np.argmin(np.where(close, costs, np.inf)))
+    return Reordered(corners, ways[best], before, motions[best], _style(checker, ways[best]))
+
+
+def as_given(checker: MotionChecker, corners: Array) -> Reordered:
+    """A path (K, m) left as it is."""
+    motion = checker.along(corners)
+    return Reordered(corners, corners, motion, motion, _style(checker, corners))
+
+
+def rotations_first(checker: MotionChecker, corners: Array) -> Reordered:
+    """The cheapest way through the corners (K, m), some of them skipped by L-shaped motions; ends are kept.
+
+    A shortest path over the corners whose edges are the given legs and all L-shaped motions between corners at most
+    LONGEST_SKIP apart: the given path is among the candidates, so that the cost cannot rise. Motions count their length
+    and stops, which is never too dear, and are walked only where they may be on it.
+    """
+    before = checker.along(corners)
+    given = Reordered(corners, corners, before, before, _style(checker, corners))
+    steps = [
+        _Step(i, j, piece, _least_mm(checker, piece))
+        for j in range(1, len(corners))
+        for i in range(max(0, j - LONGEST_SKIP), j)
+        for piece in _pieces(checker, corners, i, j)
+    ]
+    while True:
+        chosen = _cheapest(steps, len(corners))
+        if not chosen:
+            return given
+        unknown = [step for step in chosen if not step.known]
+        if not unknown:
+            break
+        for step in unknown:
+            motion = checker.along(step.piece)
+            step.cost_mm = checker.cost_mm(motion, ends_at_goal=False) if motion.valid else np.inf
+            step.known = True
+    after = merge_legs(np.concatenate([corners[:1], *(step.piece[1:] for step in chosen)]))
+    motion = checker.along(after)
+    if not motion.valid or _way_cost(checker, motion) > _way_cost(checker, before) + 1e-9:
+        return given
+    return Reordered(corners, after, before, motion, _style(checker, after))
+
+
+@dataclass(eq=False)
+class _Step:
+    """A way from corner i to corner j."""
+
+    i: int
+    j: int
+    piece: Array  # (2 or 3, m)
+    cost_mm: float  # at least; what it costs once known
+    known: bool = False
+
+
+def _cheapest(steps: list[_Step], count: int) -> list[_Step]:
+    """The steps, sorted by where they end, that lead from the first corner to the last; empty if none do."""
+    cost, came = np.full(count, np.inf), dict[int, _Step]()
+    cost[0] = 0.0
+    for step in steps:
+        total = cost[step.i] + step.cost_mm
+        if total < cost[step.j] - 1e-9:
+            cost[step.j], came[step.j] = total, step
+    if not np.isfinite(cost[-1]):
+        return []
+    chosen, j = [], count - 1
+    while j > 0:
+        chosen.append(came[j])
+        j = came[j].i
+    return chosen[::-1]
+
+
+def _least_mm(checker: MotionChecker, piece: Array) -> float:
+    length = sum(checker.space.length_mm(delta) for delta in np.diff(piece, axis=0))
+    return checker.scenario.cost.path * length + checker.scenario.cost.stop * (len(piece) - 1)
+
+
+def joined_paths(stages: list[Reordered]) -> Reordered:
+    """The corners of all stages one after the other."""
+    simultaneous = any(stage.style == "simultaneous" for stage in stages if not stage.on_line)
+    return Reordered(
+        np.concatenate([stages[0].before[:1], *(stage.before[1:] for stage in stages)]),
+        np.concatenate([stages[0].after[:1], *(stage.after[1:] for stage in stages)]),
+        _summed([stage.motion_before for stage in stages]),
+        _summed([stage.motion_after for stage in stages]),
+        "simultaneous" if simultaneous else "rotations before translations",
+    )
+
+
+def _summed(motions: list[Motion]) -> Motion:
+    """The motions as one, which pays for the error at the end of each."""
+    return Motion(
+        all(motion.valid for motion in motions),
+        next((motion.reason for motion in motions if motion.reason), ""),
+        sum(motion.length_mm for motion in motions),
+        sum(motion.error_integral_mm for motion in motions),
+        sum(motion.end_bound_m for motion in motions),
+        sum(motion.end_error_m for motion in motions),
+        sum(motion.legs for motion in motions),
+    )
+
+
+def _style(checker: MotionChecker, corners: Array) -> MotionStyle:
+    kinds = {leg_kind(checker.space.drive, a, b) for a, b in zip(corners[:-1], corners[1:], strict=True)}
+    return "simultaneous" if "simultaneous" in kinds else "rotations before translations"
+
+
+def _pieces(checker: MotionChecker, corners: Array, i: int, j: int) -> list[Array]:
+    """Ways from corner i to corner j: the L-shaped motion with the path's own winding, and the leg itself."""
+    a, b = corners[i], corners[j]
+    turned = np.where(checker.space.drive.is_rotation, b, a)
+    ways = (
+        [np.array([a, turned, b])]
+        if not (np.array_equal(turned, a) or np.array_equal(turned, b))
+        else [np.array([a, b])]
+    )
+    if j == i + 1 and len(ways[0]) > 2:
+        ways.append(np.array([a, b]))
+    return ways
+
+
+def _way_cost(checker: MotionChecker, motion: Motion) -> float:
+    return checker.cost_mm(motion, ends_at_goal=True) if motion.valid else np.inf
+
+
+def assemble(
+    scenario: Scenario,
+    stages: list[Reordered],
+    certificate: Certificate,
+    *,
+    planner: str,
+    seed: int,
+    time_s: float,
+    first_found_s: float = 0.0,
+    first_certified_s: float = 0.0,
+    period_s: float = 0.01,
+    notes: tuple[str, ...] = (),
+    end: Array | None = None,
+    compensation: Compensation | None = None,
+    ended_by: SearchEnd = "completion",
+) -> Plan:
+    """The plan of reordered corners, stage by stage; the trajectory rests after each stage.
+
+    `end` (K, m) is what settling and compensation made of the last stage. Where a target is reached already, its stage
+    is one leg of no length, as certificates count it.
+    """
+    drive, result = scenario.robot.drive, joined_paths(stages)
+    ways = [*(stage.after for stage in stages[:-1]), stages[-1].after if end is None else end]
+    ways = [way if len(way) > 1 else np.repeat(way, 2, axis=0) for way in ways]
+    driven = np.concatenate([ways[0][:1], *(way[1:] for way in ways)])
+    rests = np.cumsum([len(way) - 1 for way in ways])
+    legs = tuple(Leg(a, b, leg_kind(drive, a, b)) for a, b in zip(driven[:-1], driven[1:], strict=True))
+
+    def cost(motion: Motion) -> float:
+        return path_cost_mm(
+            scenario.cost,
+            length_mm=motion.length_mm,
+            legs=motion.legs,
+            integral_mm=motion.error_integral_mm,
+            left_m=motion.end_bound_m + motion.end_error_m,
+        )
+
+    a, b = result.motion_before, result.motion_after
+    report = ReorderReport(
+        cost_before_mm=cost(a),
+        cost_after_mm=cost(b),
+        goal_bound_before_m=stages[-1].motion_before.end_bound_m,
+        goal_bound_after_m=stages[-1].motion_after.end_bound_m,
+        error_integral_before_mm=a.error_integral_mm,
+        error_integral_after_mm=b.error_integral_mm,
+        stops_before=max(a.legs - 1, 0),
+        stops_after=max(b.legs - 1, 0),
+        **_compared(scenario, stages[-1], ways[-1]),
+    )
+    return Plan(
+        scenario=scenario,
+        seed=seed,
+        planner=planner,
+        style=result.style,
+        legs=legs,
+        certificate=certificate,
+        trajectory=time_parameterise(driven, drive, period_s, rests=rests.tolist()),
+        reorder=report,
+        search_time_s=time_s,
+        first_found_s=first_found_s,
+        first_certified_s=first_certified_s,
+        notes=(*notes, *_remarks(certificate)),
+        compensation=compensation,
+        ended_by=ended_by,
+    )
+
+
+def _compared(scenario: Scenario, stage: Reordered, driven: Array) -> dict[str, Any]:
+    """What was reordered on the way to the goal, and what other ways would leave there; nothing for a line.
+
+    driven (K, m): what settling and compensation made of the reordered way.
+    """
+    if stage.on_line:
+        return {}
+    checker = MotionChecker(replace(scenario, start=stage.after[0], via=()))
+    ways = {
+        "as given": stage.before,
+        "as driven": driven,
+        "straight line": straight_line(driven),
+        "translations first": translations_first(checker, driven),
+    }
+    return {
+        "changes": changes(checker, stage.before, stage.after),
+        "alternatives": tuple(alternative(checker, name, way) for name, way in ways.items()),
+    }
+
+
+def _remarks(certificate: Certificate) -> tuple[str, ...]:
+    """What the simulated histories found beside their errors."""
+    samples, found = certificate.samples, []
+    excess = samples.predicted_m - samples.bound_m * (1 + EXCESS) - TIP_TOLERANCE_M
+    if excess.max() > 0:
+        k = int(np.argmax(excess))
+        beyond, where = (samples.predicted_m - samples.bound_m)[k] * MM_PER_M, samples.leg[k] + 1
+        found.append(f"On leg {where} a simulated history leads {beyond:.2f} mm beyond the worst-case error.")
+    if certificate.snaps:
+        found.append("A simulated history slides to another equilibrium on the way, for a moment out of balance.")
+    return tuple(found)

@@ -1,0 +1,1 @@
+"""Configurations that reach a target, and what they are worth."""

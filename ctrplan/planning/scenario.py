@@ -1,0 +1,82 @@
+"""Scenario: a robot, where it stands, where it starts, where it shall go and past what, read from a TOML file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from ctrplan.base.arrays import Array
+from ctrplan.robot.robot import Robot
+
+if TYPE_CHECKING:
+    from ctrplan.anatomy.clearance_grid import AnatomyPart
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """Either joint values, or a tip position in the anatomy's frame, possibly with a tip direction.
+
+    With a line, the tip comes from the line's first point, within the tolerance of it all the way.
+    """
+
+    joints: Array | None  # (m,) rad or m
+    tip_m: Array | None  # (3,)
+    tolerance_m: float  # on the tip position
+    direction: Array | None = None  # (3,) unit vector, anatomy's frame
+    direction_tolerance_rad: float | None = None
+    line_m: Array | None = None  # (L, 3) corners, the last one tip_m
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class Margins:
+    """What every state of a plan keeps: least stability (dimensionless) and largest strain."""
+
+    stability: float = 0.1
+    max_strain: float = 0.08
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Weights of a plan's cost in mm: length in joint space, stops, friction error along the path and at the goal."""
+
+    path: float = 1.0
+    mm_per_rad: float = 20.0
+    error_along: float = 1.0
+    error_goal: float = 10.0
+    max_error_goal_m: float | None = None  # requirement on the worst-case friction error at the goal
+    stop: float = 2.0  # of each leg, at whose end the drive stops
+
+
+@dataclass(frozen=True)
+class PlannerSettings:
+    """Which search runs for how long, and whether it ends with an oscillation that releases friction."""
+
+    name: Literal["BIT*", "RRT*", "RRTConnect"] = "BIT*"
+    time_s: float = 5.0
+    settle: Literal["none", "oscillate"] = "none"
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """A planning problem; SI units, positions in the anatomy's frame."""
+
+    name: str
+    robot: Robot
+    base_position_m: Array  # (3,) origin of the robot frame
+    base_R: Array  # (3, 3) maps vectors of the robot frame to the anatomy's frame
+    start: Array  # (m,) rad or m
+    goal: Goal
+    anatomy: tuple[AnatomyPart, ...] = ()
+    margins: Margins = Margins()
+    cost: Cost = Cost()
+    planner: PlannerSettings = PlannerSettings()
+    path: str | None = None
+    sha256: str = ""  # of the scenario file's content after overrides; the robot has its own
+    warnings: tuple[str, ...] = ()  # the robot's included
+    via: tuple[Goal, ...] = ()  # goals to reach before `goal`, in this order
+
+    @property
+    def targets(self) -> tuple[Goal, ...]:
+        """All goals in the order in which they are reached."""
+        return (*self.via, self.goal)

@@ -1,0 +1,1 @@
+"""The search for a path. The only room that imports OMPL."""

@@ -1,0 +1,119 @@
+"""Paths that withdraw along the robot's own body: a roadmap for insertions through lumens, where sampling is lost.
+
+The body of a robot at its goal lies in free space. Bringing the tip back along that body, from goal to plate, by small
+steps of inverse kinematics gives configurations that stay near it; driven the other way they are an insertion that
+follows its own leader as well as the drive can. The roadmap joins these configurations of all goals, the start's
+among them, by L-shaped motions, and its cheapest path is found by checking only the motions that matter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+from ctrplan.base.units import MM_PER_M
+from ctrplan.planning.goals.goal_state import GoalState
+from ctrplan.planning.goals.inverse_kinematics import TipSolver, TipTarget
+from ctrplan.planning.motion import MotionChecker
+
+STATION_MM = 6.0  # along the body between neighbours of a chain
+LOST_M = 3e-3  # a tip that can't be brought back any nearer ends its chain
+SKIPS = (1, 2, 4, 8)  # stations along a chain that a motion may go
+NEIGHBOURS = 4  # in other chains, to either side
+MOST_GOALS = 12
+FAR_SHARE = 0.6  # of the stations that some chain must reach
+
+
+@dataclass(frozen=True, eq=False)
+class Roadmap:
+    """Configurations (N, m), the start first, and motions that may join them."""
+
+    joints: Array
+    edges: NDArray[np.int_]  # (E, 2) from, to
+    goals: NDArray[np.int_]  # nodes that are goal states
+
+
+def direct_roadmap(checker: MotionChecker, goals: list[GoalState]) -> Roadmap:
+    """Start and goals alone."""
+    nodes = np.arange(1, 1 + len(goals))
+    joints = np.vstack([checker.scenario.start, *(goal.joints for goal in goals)])
+    return Roadmap(joints, np.stack([np.zeros_like(nodes), nodes], axis=1), nodes)
+
+
+def retreat_roadmap(checker: MotionChecker, goals: list[GoalState]) -> Roadmap:
+    """Chains from the goals back to the plate, joined to each other and to the start.
+
+    Start and goals alone where the drive can't withdraw the robot far along its body.
+    """
+    ends = np.array([goal.joints for goal in goals])
+    start = checker.scenario.start
+    chains, stations = _chains(checker, np.vstack([ends, start]))
+    if all(len(chain) < FAR_SHARE * count for chain, count in zip(chains[:-1], stations[:-1], strict=True)):
+        return direct_roadmap(checker, goals)
+    joints, owner, station = [start], [-1], [0]
+    for k, chain in enumerate(chains):
+        for place, q in enumerate(chain):
+            if k == len(ends) and place == 0:
+                continue  # the start itself
+            joints.append(q)
+            owner.append(k)
+            station.append(place)
+    q = np.array(joints)
+    goal_nodes = [
+        i for i, (k, place) in enumerate(zip(owner, station, strict=True)) if place == 0 and 0 <= k < len(ends)
+    ]
+    return Roadmap(
+        q, _edges(checker, q, np.array(owner), np.array(station), len(ends)), np.array(goal_nodes, dtype=int)
+    )
+
+
+def promising(checker: MotionChecker, goals: list[GoalState]) -> list[GoalState]:
+    """At most MOST_GOALS: those that would cost least if the way there were free, and as many of the nearest others."""
+    weights, space, start = checker.scenario.cost, checker.space, checker.scenario.start
+    way = {goal: space.length_mm(space.difference(start, goal.joints)) for goal in goals}
+    ranked = sorted(goals, key=lambda g: weights.path * way[g] + weights.error_goal * g.bound_m * MM_PER_M)
+    return ranked[: MOST_GOALS // 2] + sorted(ranked[MOST_GOALS // 2 :], key=lambda g: way[g])[: MOST_GOALS // 2]
+
+
+def _chains(checker: MotionChecker, ends: Array) -> tuple[list[list[Array]], list[int]]:
+    """For each configuration (G, m): itself, then those with its tip ever further back; and its number of stations."""
+    solver = TipSolver(checker.space, checker.mechanics)
+    bodies = [_body(checker, q) for q in ends]
+    chains = [[q] for q in ends]
+    active = list(range(len(ends)))
+    for place in range(1, 1 + max(len(body) for body in bodies)):
+        active = [k for k in active if place < len(bodies[k])]
+        if not active:
+            break
+        aim = np.array([bodies[k][place] for k in active])
+        found = solver.solve(TipTarget(aim), np.array([chains[k][-1] for k in active]), turned=False)
+        lost = found.error_m > LOST_M
+        for k, q in zip(np.array(active)[~lost].tolist(), found.joints[~lost], strict=True):
+            chains[k].append(q)
+        active = np.array(active)[~lost].tolist()
+    return chains, [len(body) for body in bodies]
+
+
+def _body(checker: MotionChecker, q: Array) -> Array:
+    """(S, 3) points of the zero-clearance centreline from the tip back to the plate, evenly spaced."""
+    shape = checker.mechanics.zero_clearance(*checker.space.drive.collars(q))
+    s = np.arange(shape.s_m[-1], 0.0, -STATION_MM / MM_PER_M)
+    return np.stack([np.interp(s, shape.s_m, axis) for axis in shape.centreline_m.T], axis=1)
+
+
+def _edges(
+    checker: MotionChecker, q: Array, owner: NDArray[np.int_], station: NDArray[np.int_], starts_chain: int
+) -> NDArray[np.int_]:
+    """Forward along each goal's chain, backward along the start's, to near neighbours in others, and from the start."""
+    found = {(0, i) for i in range(1, len(q))}
+    for i in range(1, len(q)):
+        same = np.flatnonzero((owner == owner[i]) & np.isin(np.abs(station - station[i]), SKIPS))
+        back = owner[i] == starts_chain
+        found |= {(i, int(j)) for j in same if (station[j] > station[i] if back else station[j] < station[i])}
+        others = np.flatnonzero((owner != owner[i]) & (owner != starts_chain) & (owner >= 0))
+        apart = np.linalg.norm(checker.space.difference(q[i], q[others]) * checker.space.weights_mm, axis=1)
+        found |= {(i, int(j)) for j in others[np.argsort(apart)[:NEIGHBOURS]]}
+    return np.array(sorted(found), dtype=int).reshape(-1, 2)

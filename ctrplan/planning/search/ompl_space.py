@@ -1,0 +1,50 @@
+"""The joint space as an OMPL state space."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from ompl import base as ob
+
+from ctrplan.base.arrays import Array
+from ctrplan.planning.joint_space import JointSpace
+
+
+def state_space(space: JointSpace) -> Any:
+    """One subspace a joint: SO(2) where a rotation is unlimited, an interval otherwise; distance in mm."""
+    compound = ob.CompoundStateSpace()
+    for joint, weight in zip(space.drive.joints, space.weights_mm, strict=True):
+        if joint.wraps:
+            subspace: Any = ob.SO2StateSpace()
+        else:
+            subspace = ob.RealVectorStateSpace(1)
+            bounds = ob.RealVectorBounds(1)
+            bounds.setLow(joint.lower)
+            bounds.setHigh(joint.upper)
+            subspace.setBounds(bounds)
+        compound.addSubspace(subspace, float(weight))
+    compound.lock()
+    return compound
+
+
+class StateReader:
+    """Joint values (m,) of an OMPL state."""
+
+    def __init__(self, space: JointSpace) -> None:
+        """space: the one that `state_space` was made of."""
+        self.wraps = [bool(w) for w in space.drive.wraps]
+
+    def __call__(self, state: Any) -> Array:
+        """Joint values (m,) [rad, m] of a state."""
+        return np.array([state[i].value if wraps else state[i][0] for i, wraps in enumerate(self.wraps)])
+
+    def write(self, state: Any, q: Array) -> None:
+        """Puts joint values into a state; unlimited rotations are wrapped into [-pi, pi), OMPL's range."""
+        for i, wraps in enumerate(self.wraps):
+            if wraps:
+                angle = math.remainder(float(q[i]), 2 * math.pi)
+                state[i].value = -math.pi if angle >= math.pi else angle
+            else:
+                state[i][0] = float(q[i])

@@ -1,0 +1,271 @@
+"""A roadmap that grows: the cheapest path of it, checking only motions that may lie on it; or, sooner, some good path.
+
+Zero-clearance shapes, some thirty times cheaper than a bound, tell which states and motions are worth a check.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from ctrplan.base.arrays import Array
+from ctrplan.base.units import MM_PER_M
+from ctrplan.planning.goals.goal_descent import Trail
+from ctrplan.planning.goals.goal_state import GoalState
+from ctrplan.planning.goals.inverse_kinematics import TipSolver, TipTarget
+from ctrplan.planning.motion import HOPELESS_M, MotionChecker
+from ctrplan.planning.search.insertion_chains import SKIPS, Roadmap
+from ctrplan.planning.search.search_clock import ROOM_NS
+
+AT_ONCE = 2  # motions checked in parallel; the same everywhere, as it decides what is checked
+SURE = 0.3  # of its length is what a motion counts that is known to be valid, while any path will do
+NEIGHBOURS = 8
+NEAR_MM = 30.0  # of joint length, standard deviation of random states beside others, before their tips are brought back
+TIP_STEPS, NEAR_TIP_M = 4, 4e-3  # for that, and how near they must come
+TRIES = 4  # random states looked at for each that is added
+ROOM_M = 1e-3  # that a random state must have around its zero-clearance shape
+# Share of motions that are valid, by the room [m] around their zero-clearance shapes, a line through
+# `benchmarks/zero_clearance_rooms.py`
+VALID_AT_M, VALID_SHARE = (-0.5e-3, 3e-3), (0.02, 1.0)
+VALID_JUMPS = 0.05  # of motions along which the zero-clearance tip jumps
+WARNING, ALIKE = (
+    0.7,
+    0.8,
+)  # what is left of the trust in others from the same state, of that share of its length or more
+
+
+class RoadmapSearch:
+    """Checks motions of a roadmap when they are needed, and remembers what they cost."""
+
+    def __init__(self, checker: MotionChecker, roadmap: Roadmap, goals: list[GoalState]) -> None:
+        """goals: those of the roadmap, in its order, with their bounds."""
+        self.checker, self.goals = checker, roadmap.goals
+        self.left_m = dict(zip(roadmap.goals.tolist(), (goal.bound_m for goal in goals), strict=True))
+        self.joints: Array = np.empty((0, len(checker.space.weights_mm)))
+        self.edges: NDArray[np.int_] = np.empty((0, 2), dtype=int)
+        self.length: Array = np.empty(0)
+        self.cost: Array = np.empty(0)  # at least; what it is where known
+        self.left: Array = np.empty(0)  # cost of the error left if the path ends with that motion; inf but at goals
+        self.least: Array = np.empty(0)  # length and stops alone
+        self.least_left: Array = np.empty(0)  # bound at the goal alone
+        self.hope: Array = np.empty(0)  # share of such motions that are valid; NaN before a look
+        self.trust: Array = np.empty(0)  # beside the hope, while any path will do
+        self.known: NDArray[np.bool_] = np.empty(0, dtype=bool)
+        self.probed: NDArray[np.bool_] = np.empty(0, dtype=bool)
+        self.refused: NDArray[np.int_] = np.empty(0, dtype=int)  # states that are not valid
+        self.row: dict[tuple[int, int], int] = {}
+        self.extend(roadmap.joints, roadmap.edges)
+
+    def extend(self, joints: Array, edges: NDArray[np.int_]) -> None:
+        """Adds states (N, m), counted on from the last one, and motions (E, 2) that there were not."""
+        weights, space = self.checker.scenario.cost, self.checker.space
+        self.joints = np.concatenate([self.joints, joints])
+        self.probed = np.concatenate([self.probed, np.zeros(len(joints), dtype=bool)])
+        a, b = edges.T
+        delta = space.difference(self.joints[a], self.joints[b])
+        length = space.lengths_mm(delta)
+        least = weights.path * length + weights.stop * space.legs(delta) + 1e-6
+        left_m = np.array([self.left_m.get(int(node), np.inf) for node in b])
+        left = np.where(np.isfinite(left_m), weights.error_goal * np.nan_to_num(left_m, posinf=0.0) * MM_PER_M, np.inf)
+        self.row |= {(int(i), int(j)): k for k, (i, j) in enumerate(edges, len(self.edges))}
+        self.edges, self.length = np.concatenate([self.edges, edges]), np.concatenate([self.length, length])
+        self.cost, self.left = np.concatenate([self.cost, least]), np.concatenate([self.left, left])
+        self.least, self.least_left = np.concatenate([self.least, least]), np.concatenate([self.least_left, left])
+        self.known = np.concatenate([self.known, np.zeros(len(edges), dtype=bool)])
+        self.hope = np.concatenate([self.hope, np.full(len(edges), np.nan)])
+        self.trust = np.concatenate([self.trust, np.ones(len(edges))])
+
+    def grow(self, rng: np.random.Generator, count: int) -> None:
+        """Adds up to `count` random states with room around their zero-clearance shapes.
+
+        Half of them have the tip where that of another state is, of those first from or to which no motion was valid.
+        """
+        space, q = self.checker.space, self.joints
+        found = [self._with_room(self._beside(q[self._troubled(rng, TRIES * count // 2)], rng), count // 2)]
+        found.append(self._with_room(space.sample(rng, TRIES * count), count - len(found[0])))
+        added = np.concatenate(found)
+        everything, edges = np.concatenate([q, added]), set()
+        for i in range(len(q), len(everything)):
+            apart = np.linalg.norm(space.difference(everything[i], everything) * space.weights_mm, axis=1)
+            apart[[0, i]] = np.inf
+            others = {*np.argsort(apart)[:NEIGHBOURS].tolist(), int(self.goals[np.argmin(apart[self.goals])])}
+            edges |= {(0, i)} | {(i, j) for j in others} | {(j, i) for j in others}
+        self.extend(added, np.array(sorted(edges), dtype=int).reshape(-1, 2))
+
+    def add_trails(self, trails: list[Trail]) -> None:
+        """Adds goal states a step apart, joined to those ahead in their trail; the last ones also to others."""
+        edges = set()
+        for trail in trails:
+            nodes = [self._node(state) for state in trail]
+            edges |= {(nodes[i], nodes[i + skip]) for skip in SKIPS for i in range(len(nodes) - skip)}
+            edges |= {(i, nodes[-1]) for i in self._nearest(trail[-1].joints, NEIGHBOURS)}
+            edges.add((0, nodes[-1]))
+        self._join(edges)
+
+    def add_chains(self, chains: Roadmap) -> None:
+        """Adds the chains of another roadmap from the same start, whose goals are known here."""
+        known = {q.tobytes(): node for node, q in enumerate(self.joints)}
+        new = [q for q in chains.joints if q.tobytes() not in known]
+        known |= {q.tobytes(): node for node, q in enumerate(new, len(self.joints))}
+        place = np.array([known[q.tobytes()] for q in chains.joints])
+        self.extend(np.array(new).reshape(-1, self.joints.shape[1]), np.empty((0, 2), dtype=int))
+        self._join({(int(a), int(b)) for a, b in place[chains.edges]})
+
+    def _node(self, goal: GoalState) -> int:
+        """The number of a goal state, which is added if it is new."""
+        same = np.flatnonzero((self.joints == goal.joints).all(axis=1))
+        if len(same):
+            return int(same[0])
+        node = len(self.joints)
+        self.goals, self.left_m[node] = np.append(self.goals, node), goal.bound_m
+        self.extend(goal.joints[None], np.empty((0, 2), dtype=int))
+        return node
+
+    def _nearest(self, q: Array, count: int) -> list[int]:
+        """The states nearest to q (m,), not itself."""
+        apart = np.linalg.norm(self.checker.space.difference(self.joints, q) * self.checker.space.weights_mm, axis=1)
+        return [int(i) for i in np.argsort(apart) if apart[i] > 0][:count]
+
+    def _join(self, edges: set[tuple[int, int]]) -> None:
+        """Adds those motions that there were not."""
+        new = sorted((a, b) for a, b in edges if (a, b) not in self.row and a != b)
+        self.extend(np.empty((0, self.joints.shape[1])), np.array(new, dtype=int).reshape(-1, 2))
+
+    def _troubled(self, rng: np.random.Generator, count: int) -> NDArray[np.int_]:
+        """`count` random states, by how many motions from and to them were refused."""
+        refused = self.edges[self.known & ~np.isfinite(self.cost)].ravel()
+        weight = 1e-3 + np.bincount(np.concatenate([refused, self.refused]), minlength=len(self.joints))
+        return rng.choice(len(weight), size=count, p=weight / weight.sum())
+
+    def _beside(self, q: Array, rng: np.random.Generator) -> Array:
+        """Other configurations with the tips of q (K, m)."""
+        space = self.checker.space
+        solver = TipSolver(space, self.checker.mechanics)
+        near = space.wound_into_limits(q + rng.normal(size=q.shape) * NEAR_MM / space.weights_mm)
+        allowed = space.allowed_rows(near)
+        found = solver.solve(TipTarget(solver.tips(q[allowed])[0]), near[allowed], TIP_STEPS, turned=False)
+        self.checker.meter.add(ROOM_NS * TIP_STEPS * len(near))
+        return found.joints[found.error_m < NEAR_TIP_M]
+
+    def _with_room(self, q: Array, most: int) -> Array:
+        return q[self.checker.rooms([row[None] for row in q]) > ROOM_M][:most]
+
+    def any_path(self, stop: Callable[[], bool], least_hope: float = 0.0) -> Array | None:
+        """(K, m) states of some good path from the start to a goal; None without a way, or if `stop` came first.
+
+        Motions count what it takes to check them, little where they are known to be valid; those with less hope than
+        `least_hope` are left out.
+        """
+        return self._path(stop, lambda: self._effort(least_hope))
+
+    def cheap_path(self, stop: Callable[[], bool], doubt: float) -> Array | None:
+        """(K, m) states of the path that is likely the cheapest; likewise.
+
+        With `doubt` 0 motions not checked count their length and stops alone, which is never too dear, so that the path
+        is the cheapest there is, found when all that might be cheaper were checked. With doubt 1 they count what such
+        motions cost on average, over the share of them that are valid: a path is found soon. In between, in between.
+        """
+        return self._path(stop, lambda: self._likely_cost(doubt))
+
+    def _path(self, stop: Callable[[], bool], price: Callable[[], tuple[Array, Array]]) -> Array | None:
+        """Checks the motions of the cheapest path, given what they cost and what is left, until one holds."""
+        while len(self.cost) and not stop():
+            nodes = self._shortest(*price())
+            if nodes is None:
+                return None
+            if self._refuses_a_state(nodes):
+                continue
+            edges = [self.row[pair] for pair in zip(nodes[:-1], nodes[1:], strict=True)]
+            unseen = [k for k in edges if np.isnan(self.hope[k]) and not self.known[k]]
+            if unseen and self._finds_doubt(unseen):
+                continue
+            todo = sorted((k for k in edges if not self.known[k]), key=lambda k: self.hope[k])
+            if not todo:
+                return self.joints[nodes]
+            with ThreadPoolExecutor(AT_ONCE) as pool:
+                list(pool.map(self._check, todo[:AT_ONCE]))
+            for k in todo[:AT_ONCE]:  # in their order, whichever was done first
+                if not np.isfinite(self.cost[k]):
+                    alike = (self.edges[:, 0] == self.edges[k, 0]) & (self.length >= ALIKE * self.length[k])
+                    self.trust[alike] *= WARNING
+        return None
+
+    def known_path(self) -> Array | None:
+        """(K, m) the cheapest path of motions known to be valid; None without one."""
+        nodes = self._shortest(np.where(self.known, self.cost, np.inf), self.left)
+        return None if nodes is None else self.joints[nodes]
+
+    def forbid(self, path: Array, reason: str) -> None:
+        """Forbids the motions of a path (K, m) of states that failed its certificate, between equal states too."""
+        begins, ends = self.joints[self.edges].transpose(1, 0, 2)
+        for a, b in zip(path[:-1], path[1:], strict=True):
+            self.checker.forbid(a, b, reason)
+            self.cost[np.all(begins == a, axis=1) & np.all(ends == b, axis=1)] = np.inf
+
+    def _effort(self, least_hope: float) -> tuple[Array, Array]:
+        """What it takes to check motions: the length by the share of such motions that are valid; whatever is left."""
+        is_open = np.isfinite(self.cost) & (self.known | ~(self.hope < least_hope))
+        trust = np.nan_to_num(self.hope, nan=1.0) * self.trust
+        cost = np.where(self.known, SURE, 1 / trust) * self.length + 1e-6
+        return np.where(is_open, cost, np.inf), np.where(np.isfinite(self.left), 0.0, np.inf)
+
+    def _likely_cost(self, doubt: float) -> tuple[Array, Array]:
+        """What motions cost and leave; not checked, as far above the least as others on average, and by their hope."""
+        valid, ends = self.known & np.isfinite(self.cost), self.known & np.isfinite(self.cost + self.left)
+        dearer = self.cost[valid].sum() / self.least[valid].sum() if valid.any() else 1.0
+        worse = self.left[ends].sum() / self.least_left[ends].sum() if self.least_left[ends].any() else 1.0
+        cost = self.cost * (dearer / np.nan_to_num(self.hope, nan=1.0)) ** doubt
+        return np.where(self.known, self.cost, cost), np.where(self.known, self.left, self.left * worse**doubt)
+
+    def _refuses_a_state(self, nodes: list[int]) -> bool:
+        """Looks at the states themselves; whether any of them is not valid, with all motions from and to it."""
+        todo = [node for node in nodes if not self.probed[node]]
+        with ThreadPoolExecutor(AT_ONCE) as pool:
+            motions = list(pool.map(lambda node: self.checker.state(self.joints[node]), todo))
+        refused = [node for node, motion in zip(todo, motions, strict=True) if not motion.valid]
+        self.probed[todo] = True
+        self.refused = np.concatenate([self.refused, np.array(refused, dtype=int)])
+        self.cost[np.isin(self.edges, refused).any(axis=1)] = np.inf
+        return bool(refused)
+
+    def _finds_doubt(self, rows: list[int]) -> bool:
+        """Looks at the zero-clearance shapes along motions; whether there is any new doubt about them."""
+        joints, space = self.joints, self.checker.space
+        ways = [space.corners(joints[a], joints[b], self.checker.style) for a, b in self.edges[rows]]
+        rooms, jumps = self.checker.look(ways)
+        self.hope[rows] = np.minimum(np.interp(rooms, VALID_AT_M, VALID_SHARE), np.where(jumps, VALID_JUMPS, 1.0))
+        self.cost[np.array(rows, dtype=int)[rooms < HOPELESS_M]] = np.inf
+        return bool(np.any(self.hope[rows] < 1))
+
+    def _check(self, k: int) -> None:
+        a, b = self.edges[k]
+        motion = self.checker.motion(self.joints[a], self.joints[b])
+        self.cost[k] = self.checker.cost_mm(motion, ends_at_goal=False) if motion.valid else np.inf
+        if motion.valid and np.isfinite(self.left[k]):
+            self.left[k] = self.checker.cost_mm(motion, ends_at_goal=True) - self.cost[k]
+        self.known[k] = True
+
+    def _shortest(self, cost: Array, left: Array) -> list[int] | None:
+        """Nodes of the cheapest path from node 0 to a goal, given what motions cost and, as the last one, leave.
+
+        A goal is two nodes, one to pass and one to end at.
+        """
+        is_open, count = np.isfinite(cost), len(self.joints)
+        last = is_open & np.isfinite(left)
+        (a, b), (a_last, b_last) = self.edges[is_open].T, self.edges[last].T
+        costs = np.concatenate([cost[is_open], cost[last] + left[last]])
+        ways = np.concatenate([a, a_last]), np.concatenate([b, b_last + count])
+        graph = csr_array((costs, ways), shape=(2 * count, 2 * count))
+        distance, before = dijkstra(graph, indices=0, return_predecessors=True)
+        goal = int(self.goals[np.argmin(distance[self.goals + count])])
+        if not np.isfinite(distance[goal + count]):
+            return None
+        nodes = [goal, int(before[goal + count])]
+        while nodes[-1] != 0:
+            nodes.append(int(before[nodes[-1]]))
+        return nodes[::-1]

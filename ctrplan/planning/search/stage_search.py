@@ -1,0 +1,273 @@
+"""The search for a path to one target: a first one soon, certified at once; then better ones until time is up."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ctrplan.base.arrays import Array
+from ctrplan.drive.legs import merge_legs
+from ctrplan.errors import NoAnswerError
+from ctrplan.planning.certificate.certify import WalkedLegs, finished, walk_legs
+from ctrplan.planning.finish.reorder import Reordered, as_given, least_error
+from ctrplan.planning.goals.goal_descent import descended
+from ctrplan.planning.goals.goal_state import GoalState
+from ctrplan.planning.goals.goal_states import distinct
+from ctrplan.planning.motion import MotionChecker
+from ctrplan.planning.plan import Certificate
+from ctrplan.planning.search.insertion_chains import direct_roadmap, promising, retreat_roadmap
+from ctrplan.planning.search.roadmap_search import RoadmapSearch
+from ctrplan.planning.search.search_clock import SearchClock
+from ctrplan.planning.search.search_problem import SearchProblem
+
+FIRST_SHARE, ROADMAP_SHARE = 0.9, 0.7  # of the time by which a first path, and the cheapest, of the roadmap is sought
+LEAST_SHARE = 0.25  # of the time for sampling, however long the roadmap took
+FALLBACK_SHARE = 0.3  # of the time, for simultaneous motions when no L-shaped path was found
+STRAIGHT_HOPE = 0.5  # of motions from the start to a goal, without which chains are made before any is walked
+FIRST_STATES, FIRST_ROUND_S = 100, 0.4  # random states a roadmap first grows by, and after how long; then twice as many
+MOST_STATES = 3000  # of a roadmap
+DOUBT_KEPT = 0.5  # from round to round, of the doubt about motions that are not checked
+ATTEMPTS = 8  # searches after a path failed its certificate
+LATEST = 2.0  # times the budget: no further attempt begins after it
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What a progress callback is told."""
+
+    stage: str  # "search" or "certificate"
+    fraction: float  # of the stage, by time or by work
+    best_cost_mm: float | None  # of the best path so far
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A path that passed its certificate."""
+
+    result: Reordered
+    walk: WalkedLegs
+    found_s: float  # since planning began
+    certified_s: float
+    found_by: str
+    tidied: bool  # in order, and compared with other orders
+
+    @cached_property
+    def certificate(self) -> Certificate:
+        """With histories simulated, which takes longer than walking and is asked of what is driven in the end."""
+        return finished(self.walk)
+
+
+Report = Callable[[Progress], None]
+ROADMAP = "roadmap"
+
+
+@dataclass(eq=False)
+class StageSearch:
+    """Searches, certifies and searches on, until time is up."""
+
+    checker: MotionChecker
+    goals: list[GoalState]
+    seed: int
+    began: float
+    budget: float
+    clock: SearchClock
+    report: Report
+    interrupted: threading.Event
+    failure: str = ""  # of the last certificate
+    first: Candidate | None = None  # that was certified
+    best: Candidate | None = None
+    has_chains: bool = False  # whether the roadmap has those that withdraw from the goals
+
+    def run_to_first(self) -> tuple[Candidate, Candidate]:
+        """The first certified path, as the first and the best."""
+        self._first_path()
+        if self.best is None:
+            self._sample(only_first=True)
+        return self._answer()
+
+    def run(self) -> tuple[Candidate, Candidate]:
+        """The first and the best certified path."""
+        roadmap = self._first_path()
+        if not self._is_enough():
+            self._cheapest_of(roadmap)
+        if self.best is not None and not self.best.tidied and not self._is_enough():
+            self._tidied(self.checker, self.best.result.after, self.best.found_by)
+        self._sample()
+        return self._answer()
+
+    def _answer(self) -> tuple[Candidate, Candidate]:
+        """The first and the best. Raises NoAnswerError or KeyboardInterrupt without one."""
+        if self.first is not None and self.best is not None:
+            return self.first, self.best
+        if self.interrupted.is_set():
+            raise KeyboardInterrupt
+        name = self.checker.scenario.path or self.checker.scenario.name
+        if self.failure:
+            raise NoAnswerError(f"{name}: no path in time passed its certificate: {self.failure}")
+        outcome = f"no valid path to any of {len(self.goals)} goal states was found in time"
+        raise NoAnswerError(f"{name}: planner.time_s = {self.budget:g} s: {outcome}.")
+
+    @cached_property
+    def _rng(self) -> np.random.Generator:
+        """Of a roadmap's random states: one for all phases, so that none draws those of another again."""
+        return np.random.default_rng(self.seed)
+
+    def _first_path(self) -> RoadmapSearch:
+        """Any path, soon: straight to a goal where that looks free, or on a roadmap that grows while there is none."""
+        goals = promising(self.checker, self.goals)
+        search = RoadmapSearch(self.checker, direct_roadmap(self.checker, goals), goals)
+        states, until, hope = FIRST_STATES, self.clock.now() + FIRST_ROUND_S, STRAIGHT_HOPE
+        while self.best is None and not self._is_over(FIRST_SHARE * self.budget):
+            path = search.any_path(lambda until=until: self._is_over(until), hope)  # type: ignore[misc]
+            if path is None and hope > 0:
+                self._add_chains(search)
+                hope = 0.0
+            elif path is None:
+                search.grow(self._rng, states)
+                states, until = 2 * states, self.clock.now() + states / FIRST_STATES * FIRST_ROUND_S
+                until = min(until, FIRST_SHARE * self.budget)
+            elif failed := self._certified(self.checker, self._expanded(path), ROADMAP):
+                search.forbid(path, failed)
+        return search
+
+    def _add_chains(self, search: RoadmapSearch) -> None:
+        """Adds chains that withdraw from the goals."""
+        search.add_chains(retreat_roadmap(self.checker, promising(self.checker, self.goals)))
+        self.has_chains = True
+
+    def _cheapest_of(self, search: RoadmapSearch) -> None:
+        """The cheapest path found on a roadmap that grows further, put in order and certified."""
+        states, doubt = FIRST_STATES, 1.0
+        if not self.has_chains:
+            self._add_chains(search)
+        if self.best is not None and self.checker.scenario.cost.error_goal > 0:
+            self._descend(search)
+        until = ROADMAP_SHARE * self.budget
+        while not self._is_over(until) and len(search.joints) <= MOST_STATES:
+            if search.cheap_path(lambda: self._is_over(until), doubt) is None and not self._is_over(until):
+                break  # not even a way
+            search.grow(self._rng, states)
+            states, doubt = 2 * states, DOUBT_KEPT * doubt
+        while not self._is_enough() and (cheapest := search.known_path()) is not None:
+            failed = self._tidied(self.checker, self._expanded(cheapest), ROADMAP)
+            if not failed:
+                break
+            search.forbid(cheapest, failed)
+
+    def _descend(self, search: RoadmapSearch) -> None:
+        """Adds goal states with less error, the way down to them, and chains that withdraw from them."""
+        trails = descended(self.checker, self.goals)
+        if not trails:
+            return
+        search.add_trails(trails)
+        lowest = distinct(self.checker, [trail[-1] for trail in trails])
+        search.add_chains(retreat_roadmap(self.checker, promising(self.checker, lowest)))
+        self.goals = lowest + self.goals
+
+    def _expanded(self, states: Array) -> Array:
+        """(K, m) corners of the motions through states, with the start's own winding."""
+        corners = [self.checker.scenario.start]
+        for target in states[1:]:
+            corners.extend(self.checker.space.corners(corners[-1], target, self.checker.style)[1:])
+        return np.array(corners)
+
+    def _sample(self, *, only_first: bool = False) -> None:
+        """The scenario's planner, to its first path or to the end; simultaneous motions where no other led to any."""
+        checker, name = self.checker, self.checker.scenario.planner.name
+        for attempt in range(ATTEMPTS):
+            now = self.clock.now()
+            until = self.budget if attempt == 0 else now + self.budget / 2
+            if self.interrupted.is_set() or (self.best and now >= until) or now > LATEST * self.budget:
+                break
+            share = 1.0 if checker is self.checker else FALLBACK_SHARE
+            problem = SearchProblem(checker, self.goals, self.seed + 1000 * attempt)
+            until = now + share * max(until - now, LEAST_SHARE * self.budget)
+            stop = self._stopper(until)
+            if not problem.solve(stop, only_first=self.best is None):
+                if self.best or checker is not self.checker:
+                    break
+                checker = MotionChecker(checker.scenario, "simultaneous", checker.bound_field, checker.meter)
+                continue
+            if self.best is None:
+                if failed := self._certified(checker, problem.corners(), name):
+                    problem.forbid(failed)
+                    continue
+                if only_first:
+                    break
+                problem.solve(stop, only_first=False)
+            if self._improves(problem) or not (self.best and self.best.tidied):
+                self._tidied(checker, problem.corners(), name)
+            break
+
+    def _improves(self, problem: SearchProblem) -> bool:
+        """Whether the problem's path may be better than the best certified one."""
+        return self.best is None or problem.cost_mm() < self.best.walk.cost_mm
+
+    def _is_enough(self) -> bool:
+        """Whether someone who waits for an end has a path already."""
+        return self.interrupted.is_set() and self.best is not None
+
+    def _is_over(self, until: float) -> bool:
+        best = self.best.walk.cost_mm if self.best else None
+        self.report(Progress("search", min(1.0, self.clock.now() / self.budget), best))
+        return self.clock.is_past(until) or self.interrupted.is_set()
+
+    def _stopper(self, until: float) -> Callable[[float], bool]:
+        """Whether a search that ends then is over, told its best cost [mm]."""
+
+        def stop(cost: float) -> bool:
+            self.report(Progress("search", min(1.0, self.clock.now() / until), cost if np.isfinite(cost) else None))
+            return self.clock.is_past(until) or self.interrupted.is_set()
+
+        return stop
+
+    def _certified(self, checker: MotionChecker, corners: Array, found_by: str) -> str:
+        """Certifies a path (K, m) as it is and keeps it; why it failed, empty if it did not."""
+        found_s, way = time.monotonic() - self.began, merge_legs(corners)
+        walk = walk_legs(checker.scenario, way, progress=self._certifying)
+        self.failure = walk.failure
+        if self.failure:
+            return self.failure
+        certified_s = time.monotonic() - self.began
+        self._keep(as_given(checker, way), walk, found_by, found_s, certified_s, tidied=False)
+        return ""
+
+    def _tidied(self, checker: MotionChecker, corners: Array, found_by: str) -> str:
+        """Reorders and certifies a path (K, m), keeps it if it is the best; why it failed, empty if it did not."""
+        found_s = time.monotonic() - self.began
+        result = least_error(checker, merge_legs(corners))
+        if self.best is not None and np.array_equal(result.after, self.best.result.after):
+            self.best = replace(self.best, result=result, tidied=True)
+            return ""
+        walk = walk_legs(checker.scenario, result.after, progress=self._certifying)
+        if walk.failure:
+            self.failure = walk.failure
+            return self.failure
+        certified_s = time.monotonic() - self.began
+        self._keep(result, walk, found_by, found_s, certified_s, tidied=True)
+        return ""
+
+    def _certifying(self, share: float) -> None:
+        self.report(Progress("certificate", share, None))
+
+    def _keep(
+        self,
+        result: Reordered,
+        walk: WalkedLegs,
+        found_by: str,
+        found_s: float,
+        certified_s: float,
+        *,
+        tidied: bool,
+    ) -> None:
+        """Remembers a certified path if it is the first or the best."""
+        self.checker.meter.add(self.checker.solved_ns * len(walk.samples.leg))
+        candidate = Candidate(result, walk, found_s, certified_s, found_by, tidied)
+        self.first = self.first or candidate
+        if self.best is None or walk.cost_mm < self.best.walk.cost_mm:
+            self.best = candidate

@@ -1,0 +1,113 @@
+"""Figures of a diagnosis report: where the residuals are, the path of the selection, the gap on the vault."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from ctrplan.base.arrays import Array
+from ctrplan.calibration.pose_errors import distances
+from ctrplan.calibration.unsolved import excused
+from ctrplan.diagnosis.localise import quantities
+from ctrplan.diagnosis.result import Diagnosis
+from ctrplan.reports import palette
+from ctrplan.reports.html_page import FONT
+
+BEFORE, AFTER = palette.LIMIT, palette.SERIES[0]
+HEIGHT = 340
+
+
+def where_figure(found: Diagnosis) -> go.Figure:
+    """Distance of every pose of the selection, before and after, against the two quantities it goes along with most."""
+    names = [trend.quantity for trend in found.place.trends[:2]]
+    data = found.base.fit.chain.data
+    known = quantities(data)
+    figure = make_subplots(rows=1, cols=len(names), shared_yaxes=True, horizontal_spacing=0.06)
+    solved = ~(excused(found.base.failed) | excused(found.chosen.failed))
+    predictions = [scored.fit.chain.predict(scored.fit.p, derivatives=False) for scored in (found.base, found.chosen)]
+    errors = [np.where(solved, distances(prediction, data) * 1e3, np.nan) for prediction in predictions]
+    for column, name in enumerate(names, start=1):
+        values, unit = _shown(name, known[name])
+        shown = zip(("calibrated", "with the effects"), (BEFORE, AFTER), errors, strict=True)
+        for label, colour, error in list(shown)[: 2 if found.chosen.terms else 1]:
+            marker = {"size": 5, "color": colour, "opacity": 0.6}
+            figure.add_trace(
+                go.Scatter(
+                    x=values,
+                    y=error,
+                    mode="markers",
+                    name=label,
+                    marker=marker,
+                    showlegend=column == 1,
+                    legendgroup=label,
+                ),
+                row=1,
+                col=column,
+            )
+        figure.update_xaxes(title_text=f"{name}{f' ({unit})' if unit else ''}", row=1, col=column)
+    figure.add_hline(y=found.noise.floor_m * 1e3, line={"color": palette.MUTED, "dash": "dash", "width": 1})
+    figure.update_yaxes(title_text="error of the tip (mm)", rangemode="tozero", col=1)
+    return _styled(figure)
+
+
+def gap_figure(found: Diagnosis) -> go.Figure:
+    """Share of the vault's poses with an error up to a value, before and after."""
+    figure = go.Figure()
+    for label, colour, error in (
+        ("calibrated", BEFORE, found.gap.before_m),
+        ("with the effects", AFTER, found.gap.after_m),
+    ):
+        ordered = np.sort(error) * 1e3
+        share = 100 * np.arange(1, len(ordered) + 1) / len(ordered)
+        figure.add_trace(
+            go.Scatter(x=ordered, y=share, mode="lines", name=label, line={"color": colour, "shape": "hv"})
+        )
+    figure.add_vline(x=found.gap.floor_m * 1e3, line={"color": palette.MUTED, "dash": "dash", "width": 1})
+    figure.update_xaxes(title_text="error of the tip (mm), dashed: rms of the noise", rangemode="tozero")
+    figure.update_yaxes(title_text="poses with at most this error (%)", range=[0, 101])
+    return _styled(figure)
+
+
+def path_figure(found: Diagnosis) -> go.Figure:
+    """Gains of what was tried, step by step."""
+    labels = [f"{k}. {step.action} {step.effect}" for k, step in enumerate(found.path, start=1)]
+    gains = [step.gain for step in found.path]
+    figure = go.Figure(
+        go.Bar(
+            x=gains,
+            y=labels,
+            orientation="h",
+            marker={"color": [AFTER if step.taken else palette.PLATE for step in found.path]},
+            error_x={"array": [step.error for step in found.path], "color": palette.MUTED, "thickness": 1},
+            showlegend=False,
+        )
+    )
+    figure.update_yaxes(autorange="reversed")
+    figure.update_xaxes(title_text="gain in held-out log-likelihood (blue: taken)")
+    return _styled(figure, max(220, 24 * len(labels) + 90))
+
+
+def _shown(name: str, values: Array) -> tuple[Array, str]:
+    if "angle" in name or "rotation" in name:
+        return np.degrees(values), "deg"
+    if "translation" in name or name.endswith("of the tip"):
+        return values * 1e3, "mm"
+    return values, "s" if name == "time" else ""
+
+
+def _styled(figure: Any, height: int = HEIGHT) -> go.Figure:
+    axis = {"gridcolor": palette.GRID, "linecolor": palette.GRID, "zeroline": False}
+    figure.update_layout(
+        height=height,
+        margin={"l": 60, "r": 20, "t": 20, "b": 50},
+        font={"family": FONT, "color": palette.INK, "size": 13},
+        plot_bgcolor="white",
+        paper_bgcolor="white",
+        legend={"orientation": "h", "y": 1.12},
+    )
+    figure.update_xaxes(**axis)
+    figure.update_yaxes(**axis)
+    return figure

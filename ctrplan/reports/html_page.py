@@ -1,0 +1,111 @@
+"""A page that stands alone: everything in one file, nothing loaded from anywhere, every text escaped."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from ctrplan.reports import palette
+
+# The browser itself refuses whatever would reach for the network; plotly.js builds functions from strings.
+POLICY = "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:"
+
+FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
+BUTTONS_2D, BUTTONS_3D = ("toImage", "resetScale2d"), ("toImage", "resetCameraDefault3d")  # none that leaves the page
+STYLE = f"""
+:root {{ color-scheme: light; }}
+body {{ margin: 0; background: #f4f6f8; color: {palette.INK}; line-height: 1.5;
+  font-family: {FONT}; font-size: 16px; }}
+main {{ max-width: 1120px; margin: 0 auto; padding: 28px 20px 60px; }}
+h1 {{ font-size: 1.9rem; line-height: 1.2; margin: 0 0 14px; overflow-wrap: anywhere; }}
+h2 {{ font-size: 1.2rem; margin: 0 0 4px; }}
+p {{ margin: 6px 0 10px; max-width: 75ch; }}
+.kicker {{ color: {palette.MUTED}; margin: 0 0 2px; font-size: 0.95rem; }}
+.verdict {{ border-left: 6px solid; border-radius: 6px; padding: 12px 18px; margin: 0 0 18px; background: #fff;
+  font-size: 1.1rem; font-weight: 600; max-width: none; }}
+.good {{ color: {palette.MET}; }} .bad {{ color: {palette.LIMIT}; }} .quiet {{ color: {palette.MUTED}; }}
+.tiles {{ display: grid; grid-template-columns: repeat(auto-fit, minmax(165px, 1fr)); gap: 12px; margin: 0 0 18px; }}
+.tile {{ background: #fff; border-radius: 8px; padding: 12px 16px; }}
+.tile b {{ display: block; font-size: 1.5rem; line-height: 1.3; }}
+.tile span {{ color: {palette.MUTED}; font-size: 0.9rem; }}
+section {{ background: #fff; border-radius: 8px; padding: 18px 22px; margin: 0 0 18px; }}
+table {{ border-collapse: collapse; width: 100%; font-size: 0.95rem; }}
+th, td {{ text-align: left; vertical-align: top; padding: 6px 14px 6px 0; border-bottom: 1px solid {palette.GRID};
+  overflow-wrap: anywhere; font-variant-numeric: tabular-nums; }}
+th {{ color: {palette.MUTED}; font-weight: 600; overflow-wrap: break-word; }}
+td.key {{ width: 30%; color: {palette.MUTED}; }}
+code {{ font-size: 0.85rem; }}
+.plot {{ margin: 8px -8px 0; }}
+@media print {{ body {{ background: #fff; font-size: 11pt; }} section, .tile {{ padding: 8px 0; }}
+  section, tr {{ break-inside: avoid; }} }}
+"""
+
+
+class Markup(str):
+    """HTML that is finished and not escaped again; plain strings are escaped wherever they enter a page."""
+
+    __slots__ = ()
+
+
+def escaped(text: str) -> Markup:
+    """`text` so that it is read as it stands, whatever its characters."""
+    return text if isinstance(text, Markup) else Markup(html.escape(text))
+
+
+def tag(name: str, *content: str, kind: str = "") -> Markup:
+    """An element around its content, `kind` being its class."""
+    attribute = f' class="{html.escape(kind)}"' if kind else ""
+    return Markup(f"<{name}{attribute}>{''.join(map(escaped, content))}</{name}>")
+
+
+def lines(texts: Iterable[str]) -> Markup:
+    """Texts below each other."""
+    return Markup("<br>".join(map(escaped, texts)))
+
+
+def section(title: str, *content: str) -> Markup:
+    """A part of the page with its heading."""
+    return tag("section", tag("h2", title), *content)
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> Markup:
+    """Rows of cells below a header."""
+    head = tag("thead", tag("tr", *(tag("th", cell) for cell in header)))
+    return tag("table", head, tag("tbody", *(tag("tr", *(tag("td", cell) for cell in row)) for row in rows)))
+
+
+def facts(pairs: Iterable[tuple[str, str]]) -> Markup:
+    """A table of names and what they stand for."""
+    rows = (tag("tr", tag("td", name, kind="key"), tag("td", value)) for name, value in pairs)
+    return tag("table", tag("tbody", *rows))
+
+
+def plot(figure: Any, name: str, *, with_library: bool = False, script: str | None = None) -> Markup:
+    """A plotly figure in an element called `name`; the first one on a page brings plotly.js with it.
+
+    `script` runs once the figure stands. Texts of the figure must be escaped by whoever made it.
+    """
+    buttons = BUTTONS_3D if "scene" in figure.layout else BUTTONS_2D
+    content = figure.to_html(
+        full_html=False,
+        include_plotlyjs=with_library,
+        include_mathjax=False,
+        div_id=name,
+        default_height=f"{figure.layout.height}px",
+        config={"displaylogo": False, "responsive": True, "modeBarButtons": [list(buttons)]},
+        auto_play=False,
+        post_script=script,
+    )
+    return tag("div", Markup(content), kind="plot")
+
+
+def page(title: str, *content: str) -> str:
+    """The whole file."""
+    head = (
+        f'<meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{POLICY}">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"{tag('title', title)}<style>{STYLE}</style>"
+    )
+    body = tag("main", *content)
+    return f'<!DOCTYPE html>\n<html lang="en">\n<head>{head}</head>\n<body>\n{body}\n</body>\n</html>\n'

@@ -1,0 +1,84 @@
+"""The page of the live view: a scene, a slider per joint, and the figures of the pose they make."""
+
+from __future__ import annotations
+
+import html
+import json
+from importlib.resources import files
+from typing import TYPE_CHECKING
+
+from ctrplan.reports import palette
+from ctrplan.reports.html_page import FONT
+
+if TYPE_CHECKING:
+    from ctrplan.reports.live.state import LiveState
+
+# The browser itself refuses everything but this server; plotly.js builds functions from strings.
+POLICY = (
+    "default-src 'none'; script-src 'self' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:; "
+    "connect-src 'self'"
+)
+STYLE = f"""
+:root {{ color-scheme: light; }}
+* {{ box-sizing: border-box; }}
+body {{ margin: 0; height: 100vh; display: grid; grid-template-columns: 340px 1fr; background: #f4f6f8;
+  color: {palette.INK}; font: 15px/1.45 {FONT}; }}
+aside {{ padding: 20px 20px 28px; overflow-y: auto; background: #fff; border-right: 1px solid {palette.GRID}; }}
+h1 {{ font-size: 1.25rem; line-height: 1.25; margin: 0 0 14px; overflow-wrap: anywhere; }}
+.kicker {{ color: {palette.MUTED}; margin: 0; font-size: 0.85rem; }}
+#bound {{ font-size: 2.3rem; font-weight: 700; line-height: 1.1; color: {palette.BOUND};
+  font-variant-numeric: tabular-nums; }}
+#meter {{ height: 8px; border-radius: 4px; background: {palette.GRID}; margin: 8px 0 14px; overflow: hidden; }}
+#meter div {{ height: 100%; width: 0; border-radius: 4px; background: {palette.BOUND}; transition: width 80ms; }}
+#state {{ border-left: 5px solid; border-radius: 5px; padding: 8px 12px; margin: 0 0 14px; background: #f8fafb;
+  font-weight: 600; min-height: 2.9em; }}
+.good {{ color: {palette.MET}; }} .bad {{ color: {palette.LIMIT}; }}
+label {{ display: grid; grid-template-columns: 1fr auto; margin: 0 0 10px; gap: 0 8px; align-items: baseline; }}
+label input[type=range] {{ grid-column: 1 / 3; width: 100%; accent-color: {palette.SERIES[0]}; margin: 2px 0; }}
+label input[type=number] {{ width: 92px; text-align: right; font: inherit; border: 1px solid {palette.GRID};
+  border-radius: 4px; padding: 1px 4px; font-variant-numeric: tabular-nums; }}
+table {{ width: 100%; border-collapse: collapse; margin: 6px 0 14px; }}
+td {{ padding: 4px 0; border-bottom: 1px solid {palette.GRID}; }}
+td + td {{ text-align: right; font-variant-numeric: tabular-nums; }}
+button {{ font: inherit; padding: 5px 12px; border-radius: 6px; border: 1px solid #c9d1d8; background: #fff;
+  cursor: pointer; }}
+button:hover {{ background: #eef2f5; }}
+pre {{ background: #f4f6f8; border-radius: 6px; padding: 10px 12px; overflow-x: auto; font-size: 0.8rem; }}
+#scene {{ width: 100%; height: 100vh; }}
+@media (max-width: 800px) {{ body {{ grid-template-columns: 1fr; height: auto; }} #scene {{ height: 70vh; }} }}
+"""
+ROWS = (
+    ("bound_deg", "error of the direction"),
+    ("stability", "stability"),
+    ("strain_percent", "largest strain"),
+    ("clearance_mm", "clearance beyond margins"),
+    ("tip_mm", "tip without friction"),
+)
+
+
+def live_page(state: LiveState) -> str:
+    """The HTML of the page; its scripts come from the same server."""
+    name, robot = html.escape(state.scenario.name), html.escape(state.scenario.robot.name)
+    rows = "".join(f'<tr><td>{label}</td><td id="{key}"></td></tr>' for key, label in ROWS)
+    return f"""<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{name} - ctrplan view</title><style>{STYLE}</style></head>
+<body><aside><p class="kicker">{robot}</p><h1>{name}</h1>
+<p class="kicker">worst-case friction error of the tip</p><div id="bound">–</div><div id="meter"><div></div></div>
+<div id="state" class="good" role="status"></div><div id="joints"></div>
+<table><tbody>{rows}</tbody></table>
+<button id="reset" type="button">Back to the start</button>
+<p class="kicker" style="margin-top: 14px">these joint values, for a scenario file</p><pre id="toml"></pre></aside>
+<main id="scene"></main>
+<script src="plotly.js"></script><script src="scene.js"></script><script src="live.js"></script></body></html>
+"""
+
+
+def scene_script(state: LiveState) -> str:
+    """JavaScript that holds the figure and the sliders."""
+    return f"const FIGURE = {state.figure().to_json()};\nconst JOINTS = {json.dumps(state.sliders())};\n"
+
+
+def live_script() -> str:
+    """JavaScript that moves the robot."""
+    return (files("ctrplan.reports.live") / "view.js").read_text(encoding="utf-8")

@@ -1,0 +1,121 @@
+"""What the live view shows at joint values: the robot's vertices and the figures beside it, ready for JSON."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ctrplan.base.arrays import Array
+from ctrplan.errors import InputError
+from ctrplan.mechanics.core import Status
+from ctrplan.planning.motion import MotionChecker, path_limits
+from ctrplan.reports import palette
+from ctrplan.reports.scene import plate, pose, to_anatomy, view_box
+from ctrplan.reports.scene_traces import anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces
+from ctrplan.reports.surface import Surface, anatomy_surface
+
+if TYPE_CHECKING:
+    from ctrplan.planning.scenario import Scenario
+
+UNLIMITED = (-180.0, 180.0)  # deg of the slider of a rotation without limits
+REACH_SAMPLES = 300
+AROUND_M = 5e-3  # shown beside lumens
+
+
+class LiveState:
+    """A scenario's robot at any joint values; calls may come from several threads."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Solves the scenario's start, where the sliders begin."""
+        self.scenario = scenario
+        self.checker = MotionChecker(scenario)
+        self.checker.limits = path_limits(scenario)  # the scenario's own, without what a search adds
+        self.start = self._shown(scenario.start)
+
+    def sliders(self) -> list[dict[str, Any]]:
+        """Name, unit, range and first value of each joint, in deg or mm."""
+        rows = []
+        for joint, value in zip(self.scenario.robot.drive.joints, self.start, strict=True):
+            low, high = UNLIMITED
+            if not joint.wraps:
+                low, high = joint.lower / joint.si_per_unit, joint.upper / joint.si_per_unit
+            rows.append({"name": joint.name, "unit": joint.unit, "min": low, "max": high, "value": value})
+        return rows
+
+    def figure(self) -> Any:
+        """The plotly figure at the start: the traces that move first, then plate and anatomy."""
+        import plotly.graph_objects as go
+
+        scenario = self.scenario
+        surfaces = [anatomy_surface(part) for part in scenario.anatomy]
+        still = [mesh_trace(plate(scenario).surface(32), palette.PLATE, 1.0, "front plate")]
+        figure = go.Figure([*robot_traces(pose(scenario, scenario.start)), *still, *anatomy_traces(scenario, surfaces)])
+        reach = self._reach(surfaces)
+        solid = np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface in surfaces)])
+        lay_out(figure, *view_box(reach, solid), reach)
+        return figure
+
+    def at(self, values: list[float]) -> dict[str, Any]:
+        """The answer for joint values in deg or mm, in the order of the drive: vertices [mm] and figures, or a refusal.
+
+        Raises InputError unless there is a finite number per joint.
+        """
+        joints = self._joints(values)
+        motion, samples = self.checker.probe(joints)
+        if samples is None:
+            return {"refusal": self._refusal(motion.reason)}
+        if samples.status[-1] == Status.FAILED:
+            return {"refusal": "the mechanics solver found no equilibrium here"}
+        shown = pose(self.scenario, joints)
+        clearance_mm = float(samples.clearance_m[-1]) * 1e3 if self.checker.field else None
+        return {
+            "traces": [self._vertices(trace) for trace in moved_traces(shown)],
+            "tip_mm": _rounded(shown.tip_m * 1e3, 2),
+            "bound_mm": _finite(float(samples.position_m[-1]) * 1e3),
+            "bound_deg": _finite(math.degrees(float(samples.tangent_rad[-1]))),
+            "stability": _finite(float(samples.stability[-1])),
+            "strain_percent": _finite(100 * float(samples.max_strain[-1])),
+            "clearance_mm": clearance_mm,
+            "status": Status(int(samples.status[-1])).name,
+            "valid": motion.valid,
+            "reason": motion.reason,
+        }
+
+    def _joints(self, values: list[float]) -> Array:
+        joints = self.scenario.robot.drive.joints
+        if len(values) != len(joints) or not all(map(math.isfinite, values)):
+            raise InputError(f"must be {len(joints)} finite numbers, one per joint", key="q", value=values)
+        return np.array([value * joint.si_per_unit for value, joint in zip(values, joints, strict=True)])
+
+    def _shown(self, q: Array) -> list[float]:
+        return [float(x) / joint.si_per_unit for x, joint in zip(q, self.scenario.robot.drive.joints, strict=True)]
+
+    def _refusal(self, reason: str) -> str:
+        """Without the number of the only row there is."""
+        return reason.split(": ", 1)[1] if reason.startswith("row ") else reason
+
+    def _reach(self, surfaces: list[Surface]) -> Array:
+        """(K, 3) what to look at, anatomy's frame: the plate and random tips, near the lumens where there are any."""
+        q = self.checker.space.sample(np.random.default_rng(0), REACH_SAMPLES)
+        tips, _, status = self.checker.mechanics.tips(*self.checker.space.drive.collars(q))
+        points = to_anatomy(self.scenario, np.concatenate([tips[status == Status.CONVERGED], np.zeros((1, 3))]))
+        parts = zip(self.scenario.anatomy, surfaces, strict=True)
+        lumens = [surface.vertices_m for part, surface in parts if part.role == "inside"]
+        if lumens:
+            room = np.concatenate(lumens)
+            points = np.clip(points, room.min(axis=0) - AROUND_M, room.max(axis=0) + AROUND_M)
+        return points
+
+    def _vertices(self, trace: Any) -> dict[str, list[float | None]]:
+        return {axis: _rounded(np.asarray(trace[axis], dtype=np.float64), 3) for axis in "xyz"}
+
+
+def _rounded(values: Array, digits: int) -> list[float | None]:
+    """Plain numbers; gaps of a line become None."""
+    return [None if math.isnan(value) else round(value, digits) for value in values.tolist()]
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,1 @@
+"""plan.png, simulation.png, sweep.png."""

@@ -1,0 +1,115 @@
+"""The 3-D view of plan.png: anatomy, the robot at start and goal, what friction can make of it, and the tip's path."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.colors import LightSource
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from mpl_toolkits.mplot3d import proj3d
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+from ctrplan.base.arrays import Array
+from ctrplan.reports import palette
+from ctrplan.reports.scene import Pose, goal_tip, plate, pose, side_azimuth_rad, tip_path, view_box
+from ctrplan.reports.surface import Surface, anatomy_surface
+
+if TYPE_CHECKING:
+    from mpl_toolkits.mplot3d import Axes3D
+
+    from ctrplan.planning.plan import Plan
+
+TRIANGLES = 6000  # per part of the anatomy: all are sorted and drawn in Python
+THINNEST_PT = 1.3
+ELEVATION_DEG = 18
+
+
+def draw_scene(ax: Axes3D, plan: Plan) -> None:
+    """Draw the plan into 3-D axes made with computed_zorder=False: the robot shows through the anatomy."""
+    start, goal = pose(plan.scenario, plan.legs[0].start), pose(plan.scenario, plan.legs[-1].end)
+    anatomy = [(anatomy_surface(part, TRIANGLES), palette.ANATOMY[part.role]) for part in plan.scenario.anatomy]
+    path_mm, goal_mm = tip_path(plan) * 1e3, goal_tip(plan) * 1e3
+    points = np.concatenate([*(_points(p) for p in (start, goal)), path_mm * 1e-3, goal_mm[None] * 1e-3])
+    _frame(ax, points, np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface, _ in anatomy)]))
+    for surface, colour in anatomy:
+        _draw_surface(ax, surface, colour, 0.22, 1)
+    _draw_surface(ax, plate(plan.scenario).surface(32), palette.PLATE, 0.9, 1)
+    _draw_robot(ax, start, 2, [palette.START] * len(start.tubes))
+    _draw_surface(ax, goal.envelope.surface(14), palette.ENVELOPE, 0.16, 3)
+    for corner in goal.corners_m * 1e3:
+        ax.plot(*corner.T, color=palette.CORNER, linewidth=0.8, zorder=4)
+    _draw_robot(ax, goal, 5, [palette.tube_colour(tube) for tube in range(len(goal.tubes))])
+    ax.plot(*path_mm.T, color=palette.BOUND, linewidth=1.4, zorder=7)
+    ax.plot(*goal_mm[:, None], marker="X", markersize=10, color=palette.GOAL, markeredgecolor="white", zorder=8)
+    _legend(ax, plan)
+
+
+def _points(pose: Pose) -> Array:
+    return np.concatenate([pose.envelope.surface(8).vertices_m, *(rod.centreline_m for rod in pose.tubes)])
+
+
+def _frame(ax: Axes3D, points_m: Array, anatomy_m: Array) -> None:
+    """Equal scales, seen from where the robot spreads widest."""
+    lower, upper = (corner * 1e3 for corner in view_box(points_m, anatomy_m))
+    ax.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), zlim=(lower[2], upper[2]))
+    ax.set_box_aspect(tuple(upper - lower), zoom=1.04)
+    ax.set_proj_type("ortho")
+    ax.view_init(elev=ELEVATION_DEG, azim=float(np.degrees(side_azimuth_rad(points_m))))
+    for axis, name in zip((ax.xaxis, ax.yaxis, ax.zaxis), "xyz", strict=True):
+        axis.set_pane_color((0.975, 0.98, 0.985, 1.0))
+        axis.set_tick_params(labelsize=9, colors=palette.MUTED)
+        axis.set_label_text(f"{name} (mm)")
+    ax.locator_params(nbins=6)
+
+
+def _draw_surface(ax: Axes3D, surface: Surface, colour: str, alpha: float, zorder: int) -> None:
+    triangles = surface.vertices_m[surface.faces] * 1e3
+    light = LightSource(azdeg=225, altdeg=35)
+    ax.add_collection3d(
+        Poly3DCollection(
+            triangles, facecolors=colour, shade=True, lightsource=light, alpha=alpha, linewidths=0, zorder=zorder
+        )
+    )
+
+
+def _draw_robot(ax: Axes3D, pose: Pose, zorder: int, colours: list[str]) -> None:
+    """Tubes as lines of their own width, inner ones first: what an outer tube covers is not seen."""
+    scale = _points_per_mm(ax)
+    for tube in reversed(range(len(pose.tubes))):
+        rod = pose.tubes[tube]
+        width = max(2e3 * float(rod.radius_m.max()) * scale, THINNEST_PT + 0.8 * (len(pose.tubes) - 1 - tube))
+        x, y, z = rod.centreline_m.T * 1e3
+        ax.plot(x, y, z, color=colours[tube], linewidth=width, solid_capstyle="butt", zorder=zorder + 0.1)
+
+
+def _points_per_mm(ax: Axes3D) -> float:
+    """Length on paper of a vertical millimetre, which the view from above foreshortens."""
+    ax.apply_aspect()
+    x, y, z = np.tile(ax.get_xlim()[0], 2), np.tile(ax.get_ylim()[0], 2), np.array(ax.get_zlim())
+    ends = np.stack(proj3d.proj_transform(x, y, z, ax.get_proj())[:2], axis=1)
+    pixels = float(np.linalg.norm(np.diff(ax.transData.transform(ends), axis=0)))
+    foreshortened = (z[1] - z[0]) * np.cos(np.radians(ELEVATION_DEG))
+    return float(pixels / foreshortened * 72 / ax.figure.dpi)
+
+
+def _legend(ax: Axes3D, plan: Plan) -> None:
+    tubes = plan.scenario.robot.tubes
+    entries: list[tuple[Line2D | Patch, str]] = [
+        (Line2D([], [], color=palette.tube_colour(i), linewidth=4), f"tube {i + 1} at the goal")
+        for i in range(len(tubes))
+    ]
+    entries += [
+        (Patch(facecolor=palette.ENVELOPE, alpha=0.35), "envelope of friction"),
+        (Line2D([], [], color=palette.CORNER, linewidth=0.9), "corner shapes"),
+        (Line2D([], [], color=palette.START, linewidth=4), "robot at the start"),
+        (Line2D([], [], color=palette.BOUND, linewidth=1.6), "path of the tip"),
+        (Line2D([], [], color=palette.GOAL, marker="X", markersize=9, linestyle=""), "goal"),
+    ]
+    roles = {part.role for part in plan.scenario.anatomy}
+    names = {"avoid": "anatomy to avoid", "inside": "lumen to stay inside"}
+    entries += [(Patch(facecolor=palette.ANATOMY[role], alpha=0.6), names[role]) for role in names if role in roles]
+    handles, labels = zip(*entries, strict=True)
+    place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (-0.1, 1.02), "ncols": 4}
+    ax.legend(handles, labels, frameon=False, fontsize=10, columnspacing=1.4, **place)

@@ -1,0 +1,155 @@
+"""What the pictures show of a plan: the robot along its path, in the anatomy's frame.
+
+A tube is shown from the front plate to its tip; its part behind the plate is the drive's business.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicHermiteSpline
+
+from ctrplan.base.arrays import Array
+from ctrplan.planning.plan_timing import joints_at
+from ctrplan.reports.surface import Rod
+
+if TYPE_CHECKING:
+    from ctrplan.mechanics.core import Bound, TubeShape
+    from ctrplan.planning.plan import Plan
+    from ctrplan.planning.scenario import Scenario
+
+STATIONS = 40
+STEP_M = 1e-5  # over which the outline drops from one tube's radius to the next one's
+THINNEST_BOX = 0.35  # of its longest side, or the scene is hard to turn
+PLATE_THICKNESS_M = 0.8e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """The robot at one place of its path, anatomy's frame; S stations per line, the same for every pose."""
+
+    time_s: float
+    tubes: tuple[Rod, ...]  # frictionless, outermost first
+    envelope: Rod  # the outline with everything friction, as bounded, and the model error may add
+    corners_m: Array  # (2**(n - 1), S, 3) innermost centreline of the corner shapes
+    bound_m: float
+
+    @property
+    def tip_m(self) -> Array:
+        """(3,) tip without friction."""
+        tip: Array = self.tubes[-1].centreline_m[-1]
+        return tip
+
+
+def poses(plan: Plan, count: int) -> list[Pose]:
+    """The robot at `count` equal steps of the trajectory's time, both ends included; one if it takes no time.
+
+    Left out are places where the model has no solution: a plan that is not certified may have some.
+    """
+    duration_s = plan.trajectory.duration_s
+    time_s = np.asarray(np.linspace(0.0, duration_s, count if duration_s > 0 else 1), dtype=np.float64)
+    bounds = [_bound(plan.scenario, joints) for joints in joints_at(plan, time_s)]
+    solved = [k for k, bound in enumerate(bounds) if np.isfinite(bound.position_m)]
+    return [_posed(plan.scenario, bounds[k], float(time_s[k])) for k in solved]
+
+
+def pose(scenario: Scenario, joints: ArrayLike, time_s: float = 0.0) -> Pose:
+    """The robot at joints (m,) [rad, m]."""
+    return _posed(scenario, _bound(scenario, joints), time_s)
+
+
+def _bound(scenario: Scenario, joints: ArrayLike) -> Bound:
+    return scenario.robot.mechanics.bound(*scenario.robot.drive.collars(joints))
+
+
+def _posed(scenario: Scenario, bound: Bound, time_s: float) -> Pose:
+    robot, tubes = scenario.robot, bound.frictionless.tubes
+    radii = [tube.outer_diameter_m / 2 for tube in robot.tubes]
+    rods = [_rod(tube, _stations(tube), radius) for tube, radius in zip(tubes, radii, strict=True)]
+    return Pose(
+        time_s,
+        tuple(_in_anatomy(scenario, rod) for rod in rods),
+        _in_anatomy(scenario, _envelope(bound, radii, robot.model_error_m)),
+        np.array([to_anatomy(scenario, _line(c.tubes[-1], _stations(c.tubes[-1]))[0]) for c in bound.corners]),
+        bound.position_m,
+    )
+
+
+def tip_path(plan: Plan) -> Array:
+    """(K, 3) [m] the tip without friction at the certificate's samples, anatomy's frame."""
+    return to_anatomy(plan.scenario, plan.certificate.samples.tip_m)
+
+
+def goal_tip(plan: Plan) -> Array:
+    """(3,) [m] the tip that the goal asks for, or that its joint values give, anatomy's frame."""
+    goal = plan.scenario.goal
+    tip: Array = goal.tip_m if goal.tip_m is not None else tip_path(plan)[-1]
+    return tip
+
+
+def plate(scenario: Scenario) -> Rod:
+    """The front plate, a disc that ends where the robot begins."""
+    z = np.array([[0, 0, -PLATE_THICKNESS_M], [0, 0, 0]])
+    radius = 4 * max(tube.outer_diameter_m for tube in scenario.robot.tubes) / 2
+    return _in_anatomy(scenario, Rod(z, np.tile([0.0, 0.0, 1.0], (2, 1)), np.full(2, radius)))
+
+
+def to_anatomy(scenario: Scenario, points_m: Array) -> Array:
+    """Points (..., 3) [m] of the robot's frame in the anatomy's frame."""
+    return points_m @ scenario.base_R.T + scenario.base_position_m
+
+
+def view_box(points_m: Array, anatomy_m: Array) -> tuple[Array, Array]:
+    """Corners (3,), (3,) [m] of what to show: the robot's points (K, 3) and the anatomy (K, 3) around them."""
+    lower, upper = points_m.min(axis=0), points_m.max(axis=0)
+    around = 0.35 * float(np.linalg.norm(upper - lower)) + 5e-3
+    if len(anatomy_m):
+        lower = np.minimum(lower, np.maximum(anatomy_m.min(axis=0), lower - around))
+        upper = np.maximum(upper, np.minimum(anatomy_m.max(axis=0), upper + around))
+    extent = upper - lower
+    rim = 0.03 * extent.max() + 1e-3 + np.maximum(THINNEST_BOX * extent.max() - extent, 0) / 2
+    return lower - rim, upper + rim
+
+
+def side_azimuth_rad(points_m: Array) -> float:
+    """From where points (K, 3) spread widest to left and right; not along an axis, where a scene looks flat."""
+    spread = np.cov((points_m - points_m.mean(axis=0))[:, :2].T)
+    x, y = np.linalg.eigh(spread)[1][:, 0]
+    quarter, rest = divmod(float(np.arctan2(y, x)), np.pi / 2)
+    return float(np.pi / 2 * quarter + np.clip(rest, np.radians(25), np.radians(65)))
+
+
+def _in_anatomy(scenario: Scenario, rod: Rod) -> Rod:
+    return Rod(to_anatomy(scenario, rod.centreline_m), rod.tangent @ scenario.base_R.T, rod.radius_m)
+
+
+def _stations(tube: TubeShape) -> Array:
+    """Arc lengths (S,) from the plate to the tip; all at the tip of a tube that is behind the plate."""
+    return np.linspace(min(0.0, tube.s_m[-1]), tube.s_m[-1], STATIONS)
+
+
+def _rod(tube: TubeShape, s_m: Array, radius_m: float) -> Rod:
+    return Rod(*_line(tube, s_m), np.full(len(s_m), radius_m if tube.s_m[-1] > 0 else 0.0))
+
+
+def _line(tube: TubeShape, s_m: Array) -> tuple[Array, Array]:
+    """Points and unit tangents (S, 3), (S, 3) of a tube at s_m."""
+    line = CubicHermiteSpline(tube.s_m, tube.centreline_m, tube.frames[:, :, 2])
+    tangent = line(s_m, 1)
+    return line(s_m), tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
+
+
+def _envelope(bound: Bound, radii_m: list[float], model_error_m: float) -> Rod:
+    """The outline of all tubes, thicker by the deviation of its station; a ring at each side of a tube's end."""
+    shape = bound.frictionless
+    end = max(float(shape.s_m[-1]), 0.0)
+    tube_ends = np.array([tube.s_m[-1] for tube in shape.tubes])
+    steps = np.concatenate([tube_ends[:-1], tube_ends[:-1] + STEP_M]).clip(0.0, end)
+    s_m = np.sort(np.concatenate([np.linspace(0.0, end, STATIONS), steps]))
+    reaches: NDArray[np.bool_] = s_m[:, None] <= tube_ends + STEP_M / 2
+    outline = np.where(reaches, radii_m, 0.0).max(axis=1)
+    deviation = np.interp(s_m, shape.s_m, bound.envelope_m)
+    return Rod(*_line(shape.tubes[-1], np.minimum(s_m, shape.s_m[-1])), outline + deviation + model_error_m)

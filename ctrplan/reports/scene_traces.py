@@ -1,0 +1,104 @@
+"""Traces of a robot in its anatomy, for the report's scene and the live view."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from ctrplan.base.arrays import Array
+from ctrplan.reports import palette
+from ctrplan.reports.html_page import FONT
+from ctrplan.reports.scene import Pose, side_azimuth_rad
+from ctrplan.reports.surface import Surface
+
+if TYPE_CHECKING:
+    from ctrplan.planning.scenario import Scenario
+
+SIDES, ENVELOPE_SIDES = 10, 12
+TILT = np.radians(16)
+LIGHT = {"ambient": 0.75, "diffuse": 0.5, "specular": 0.15, "roughness": 0.7}
+
+
+def robot_traces(pose: Pose) -> list[Any]:
+    """The traces that move; their faces stay, and only their vertices come with the frames."""
+    tubes = [
+        mesh_trace(rod.surface(SIDES), palette.tube_colour(i), 1.0, f"tube {i + 1}") for i, rod in enumerate(pose.tubes)
+    ]
+    envelope = mesh_trace(pose.envelope.surface(ENVELOPE_SIDES), palette.ENVELOPE, 0.22, "envelope of friction")
+    corners = go.Scatter3d(
+        **_corner_lines(pose),
+        mode="lines",
+        line={"color": palette.CORNER, "width": 2},
+        name="corner shapes",
+        hoverinfo="skip",
+    )
+    return [*tubes, envelope, corners]
+
+
+def moved_traces(pose: Pose) -> list[Any]:
+    """What of `robot_traces` changes with the pose."""
+    rods = [rod.surface(SIDES) for rod in pose.tubes] + [pose.envelope.surface(ENVELOPE_SIDES)]
+    return [*(go.Mesh3d(**xyz(surface.vertices_m)) for surface in rods), go.Scatter3d(**_corner_lines(pose))]
+
+
+def _corner_lines(pose: Pose) -> dict[str, Any]:
+    """All corner shapes as one line with gaps."""
+    gap = np.full((len(pose.corners_m), 1, 3), np.nan)
+    return xyz(np.concatenate([pose.corners_m, gap], axis=1).reshape(-1, 3))
+
+
+def anatomy_traces(scenario: Scenario, surfaces: list[Surface]) -> list[Any]:
+    """What to avoid and what to stay inside, translucent."""
+    names = {"avoid": "anatomy to avoid", "inside": "lumen to stay inside"}
+    roles, traces = [part.role for part in scenario.anatomy], []
+    for k, (role, surface) in enumerate(zip(roles, surfaces, strict=True)):
+        opacity = 0.35 if role == "avoid" else 0.2
+        traces.append(mesh_trace(surface, palette.ANATOMY[role], opacity, names[role], shown=role not in roles[:k]))
+    return traces
+
+
+def mesh_trace(surface: Surface, colour: str, opacity: float, name: str, shown: bool = True) -> Any:
+    """A lit surface that does not get in the way of the mouse."""
+    i, j, k = surface.faces.T.astype(np.int32)
+    return go.Mesh3d(
+        **xyz(surface.vertices_m),
+        i=i,
+        j=j,
+        k=k,
+        color=colour,
+        opacity=opacity,
+        name=name,
+        legendgroup=name,
+        showlegend=shown,
+        lighting=LIGHT,
+        hoverinfo="skip",
+    )
+
+
+def xyz(points_m: Array) -> dict[str, Any]:
+    """Coordinates in mm, in single precision: a third of the size, and more than a screen can show."""
+    x, y, z = (points_m * 1e3).astype(np.float32).T
+    return {"x": x, "y": y, "z": z}
+
+
+def lay_out(figure: go.Figure, lower_m: Array, upper_m: Array, robot_m: Array) -> None:
+    """Equal scales that stay while the robot moves; seen from where it spreads widest."""
+    axis = {"backgroundcolor": "#F8FAFB", "gridcolor": palette.GRID, "zeroline": False, "nticks": 6}
+    ranges = (np.stack([lower_m, upper_m], axis=1) * 1e3).tolist()
+    axes = {f"{n}axis": axis | {"title": {"text": f"{n} (mm)"}, "range": r} for n, r in zip("xyz", ranges, strict=True)}
+    azimuth, extent = side_azimuth_rad(robot_m), upper_m - lower_m
+    toward = np.array([np.cos(TILT) * np.cos(azimuth), np.cos(TILT) * np.sin(azimuth), np.sin(TILT)])
+    eye = (0.6 + 1.45 * extent.max() / np.cbrt(extent.prod())) * toward  # plotly's scenes have unit volume
+    light = dict(zip("xyz", (1e5 * toward).tolist(), strict=True))
+    camera = {"eye": dict(zip("xyz", eye.tolist(), strict=True)), "center": {"x": 0, "y": 0, "z": 0.0}}
+    figure.update_traces(lightposition=light, selector={"type": "mesh3d"})
+    figure.update_layout(
+        height=760,
+        margin={"l": 0, "r": 0, "t": 30, "b": 100},
+        scene={"aspectmode": "data", "domain": {"x": [0.14, 0.92]}, "camera": camera, **axes},
+        legend={"x": 0.0, "y": 1.0, "bgcolor": "rgba(255,255,255,0.7)", "itemsizing": "constant"},
+        uirevision="stays",
+        font={"color": palette.INK, "size": 13, "family": FONT},
+    )

@@ -1,0 +1,1 @@
+"""Tubes, contacts and drive as one object."""

@@ -1,0 +1,128 @@
+"""Robot: tubes, contacts and drive, read from a robot file (TOML)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ctrplan.base.arrays import Array, read_only
+from ctrplan.drive.drive import Drive
+from ctrplan.errors import InputError
+from ctrplan.mechanics.loads import Loads
+from ctrplan.mechanics.tube import Contact, Tube
+from ctrplan.sensor.noise import SensorNoise
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+    from ctrplan.base.progress import Progress
+    from ctrplan.mechanics.core import Accuracy, Bound, Bounds, Mechanics, Shape
+    from ctrplan.mechanics.friction_law import FrictionLaw
+    from ctrplan.mechanics.history import History, HistoryOptions, Start
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """n concentric tubes, outermost first, their n - 1 contacts and the drive; SI units."""
+
+    name: str
+    tubes: tuple[Tube, ...]
+    contacts: tuple[Contact, ...]
+    drive: Drive
+    model_error_m: float = 0.0
+    measurement: SensorNoise | None = None
+    loads: Loads = Loads()  # beyond the paper, set by [effects.*]
+    effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # [effects.*] as in the file
+    provenance: Mapping[str, Any] = field(default_factory=dict)  # as in the file
+    content: Mapping[str, Any] = field(default_factory=dict)  # of the file after overrides
+    path: str | None = None
+    sha256: str = ""  # of the file's content after overrides
+    warnings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Raises InputError unless neighbouring tubes have a contact each."""
+        if len(self.contacts) != max(len(self.tubes) - 1, 0):
+            rule = f"must be {max(len(self.tubes) - 1, 0)}, one for each pair of neighbouring tubes"
+            raise InputError(rule, key="contacts", value=len(self.contacts))
+
+    @property
+    def n(self) -> int:
+        """Number of tubes."""
+        return len(self.tubes)
+
+    @cached_property
+    def clearance_m(self) -> Array:
+        """(n - 1,) radial clearance [m] of each pair: half the difference of diameters unless the contact gives one."""
+        return read_only(np.array([self._clearance(i) for i in range(self.n - 1)], dtype=np.float64))
+
+    @cached_property
+    def friction(self) -> Array:
+        """(n - 1, 2) lowest and highest friction coefficient of each pair."""
+        return read_only(np.array([c.friction_coefficient for c in self.contacts], dtype=np.float64).reshape(-1, 2))
+
+    @cached_property
+    def mechanics(self) -> Mechanics:
+        """The compiled model; where friction is an interval it uses the upper end, whose corners enclose the rest."""
+        from ctrplan.mechanics.core import Mechanics
+
+        return Mechanics(self.tubes, self.clearance_m, self.friction[:, 1], self.loads)
+
+    @cached_property
+    def friction_law(self) -> FrictionLaw:
+        """How rotations load and translations release each pair, calibrated on simulated histories of this robot."""
+        from ctrplan.robot.friction_calibration import friction_law
+
+        return friction_law(self)
+
+    def zero_clearance(self, theta_b: ArrayLike, l_b: ArrayLike) -> Shape:
+        """Zero-clearance, frictionless shape at base rotations (n,) [rad] and translations (n,) [m], (2)-(3)."""
+        return self.mechanics.zero_clearance(theta_b, l_b)
+
+    def solve(
+        self, theta_b: ArrayLike, l_b: ArrayLike, phi: ArrayLike = 0.0, *, accuracy: Accuracy = "search"
+    ) -> Shape:
+        """Shape with clearance and friction; phi in [-1, 1], scalar or (n - 1,). See `Mechanics.solve`."""
+        return self.mechanics.solve(theta_b, l_b, phi, accuracy=accuracy)
+
+    def bound(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> Bound:
+        """Largest friction-induced deviations at (n,) [rad], (n,) [m]. See `Mechanics.bound`."""
+        return self.mechanics.bound(theta_b, l_b, accuracy=accuracy)
+
+    def bound_many(
+        self,
+        theta_b: ArrayLike,
+        l_b: ArrayLike,
+        *,
+        accuracy: Accuracy = "search",
+        threads: int = 0,
+        progress: Progress | None = None,
+        executor: Executor | None = None,
+    ) -> Bounds:
+        """Bounds of K configurations, (K, n) [rad], (K, n) [m], on every core or on an executor's workers.
+
+        `progress` is told the finished share, 0 to 1. See `Mechanics.bound_many`.
+        """
+        return self.mechanics.bound_many(
+            theta_b, l_b, accuracy=accuracy, threads=threads, progress=progress, executor=executor
+        )
+
+    def history(
+        self, start: Start = "released", *, accuracy: Accuracy = "search", options: HistoryOptions | None = None
+    ) -> History:
+        """A simulation along a joint path, friction included: advance it waypoint by waypoint. See `History`."""
+        from ctrplan.mechanics.history import History
+
+        return History(self.mechanics, start, accuracy=accuracy, options=options)
+
+    def _clearance(self, i: int) -> float:
+        given = self.contacts[i].clearance_m
+        return _gap_m(self.tubes, i) if given is None else given
+
+
+def _gap_m(tubes: Sequence[Tube], i: int) -> float:
+    return (tubes[i].inner_diameter_m - tubes[i + 1].outer_diameter_m) / 2

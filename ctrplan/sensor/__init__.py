@@ -1,0 +1,1 @@
+"""Poses of the tip and what a tracker makes of them."""

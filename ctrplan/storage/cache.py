@@ -1,0 +1,88 @@
+"""Grids kept on disk between runs by the hash of all that determines them; a lost or damaged one is rebuilt."""
+
+import contextlib
+import hashlib
+import logging
+import os
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.storage.temporary import temporary
+
+MAX_TOTAL_BYTES = 1_000_000_000
+
+logger = logging.getLogger(__name__)
+
+
+def cache_directory() -> Path | None:
+    """$CTRPLAN_CACHE_DIR, else $XDG_CACHE_HOME/ctrplan, else ~/.cache/ctrplan; None where there is no home."""
+    if named := os.environ.get("CTRPLAN_CACHE_DIR"):
+        return Path(named)
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    if os.path.isabs(base):
+        return Path(base) / "ctrplan"
+    try:
+        return Path.home() / ".cache" / "ctrplan"
+    except RuntimeError:
+        return None
+
+
+def _path(key: str) -> Path | None:
+    directory = cache_directory()
+    return None if directory is None else directory / "fields" / f"{key}.npz"
+
+
+def _digest(key: str, values: NDArray[np.float32]) -> str:
+    return hashlib.sha256(key.encode() + np.ascontiguousarray(values).data).hexdigest()
+
+
+def load(key: str, shape: tuple[int, ...]) -> NDArray[np.float32] | None:
+    """The values stored under `key`, float32 of `shape`, or None when there are none that can be trusted."""
+    path = _path(key)
+    if path is None:
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            values, digest = stored["values_m"], str(stored["sha256"])
+        if values.dtype != np.float32 or values.shape != shape or digest != _digest(key, values):
+            raise ValueError("content does not match its hash")
+    except OSError as error:
+        if not isinstance(error, FileNotFoundError):
+            logger.info("field cache can't be read: %s", error)
+        return None
+    except Exception as error:  # a damaged archive makes its reader raise almost anything
+        logger.warning("cached field %s is damaged and will be rebuilt (%s)", path, error)
+        return None
+    with contextlib.suppress(OSError):
+        os.utime(path)  # recently used ones are pruned last
+    return np.ascontiguousarray(values)
+
+
+def store(key: str, values: NDArray[np.float32]) -> None:
+    """Keep `values` under `key`, written to a temporary name and renamed; not being able to is no error."""
+    path = _path(key)
+    if path is None:
+        return
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary(path.parent, Path.touch) as made:
+            with made.open("wb") as stream:
+                np.savez(stream, values_m=values, sha256=np.array(_digest(key, values)))
+            os.replace(made, path)
+        _prune(path)
+    except OSError as error:
+        logger.info("field not cached: %s", error)
+
+
+def _prune(newest: Path) -> None:
+    """Remove the least recently used grids beyond MAX_TOTAL_BYTES, never `newest`."""
+    found = sorted(newest.parent.glob("*.npz"), key=lambda path: path.stat().st_mtime, reverse=True)
+    total = newest.stat().st_size
+    for path in found:
+        if path == newest:
+            continue
+        total += path.stat().st_size
+        if total > MAX_TOTAL_BYTES:
+            path.unlink(missing_ok=True)

@@ -1,0 +1,80 @@
+"""The folder that a command writes its results into."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from ctrplan.errors import CtrplanError, InputError
+from ctrplan.storage.temporary import temporary
+
+DEFAULT = "ctrplan-output"
+CHECKSUMS = "SHA256SUMS"
+
+
+@contextmanager
+def written_together(folder: Path, outputs: Sequence[str]) -> Iterator[Path]:
+    """A hidden folder to write `outputs` into; they are renamed to their places together, or none is.
+
+    The file SHA256SUMS follows last: a process killed between two renames leaves files that do not match it, so
+    `sha256sum -c SHA256SUMS` and `unmatched` tell a whole set from a mixed one. What a killed process left hidden is
+    removed by the next one. Makes `folder` if need be. Raises CtrplanError where the system refuses.
+    """
+    from ctrplan.storage.atomic_write import write_atomically
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with temporary(folder, Path.mkdir) as made:
+            yield made
+            sums = "".join(f"{_sha256(made / output)}  {output}\n" for output in outputs)
+            write_atomically(made / CHECKSUMS, sums)
+            for output in (*outputs, CHECKSUMS):
+                os.replace(made / output, folder / output)
+    except OSError as error:
+        raise CtrplanError(f"{folder}: could not be written: {error.strerror or error}.") from error
+
+
+def write_results(folder: Path, results: Mapping[str, str | bytes]) -> None:
+    """Writes contents by their file names as `written_together` does."""
+    from ctrplan.storage.atomic_write import write_atomically
+
+    with written_together(folder, tuple(results)) as made:
+        for name, content in results.items():
+            write_atomically(made / name, content)
+
+
+def unmatched(folder: Path) -> tuple[str, ...]:
+    """Names in the folder's SHA256SUMS whose files are missing or are not of the same set. Raises CtrplanError."""
+    try:
+        rows = [row.split("  ", 1) for row in (folder / CHECKSUMS).read_text().splitlines()]
+        return tuple(name for sha256, name in rows if not (folder / name).exists() or _sha256(folder / name) != sha256)
+    except (OSError, ValueError) as error:
+        raise CtrplanError(f"{folder / CHECKSUMS}: could not be read: {error}.") from error
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def output_folder(name: str, outputs: Sequence[str]) -> Path:
+    """The folder that `outputs` will be written into, checked before any time is spent on them.
+
+    It is made when there is something to write. Raises InputError if it can't be used.
+    """
+    folder = Path(name)
+    existing = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    if not name or not existing.is_dir():
+        raise InputError("must be a folder, or a place to make one", key="--output", value=name)
+    try:
+        with temporary(existing, Path.touch):  # permissions alone do not say: nobody writes into /proc
+            pass
+    except OSError:
+        raise InputError("is not writable", key="--output", value=name) from None
+    for output in (*outputs, CHECKSUMS):
+        if (folder / output).is_dir():
+            rule = f"holds a folder of the name {output}, where a file is to be written"
+            raise InputError(rule, key="--output", value=name)
+    return folder

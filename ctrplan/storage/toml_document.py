@@ -1,0 +1,172 @@
+"""Strict reading of the TOML files people write: every fault is one sentence with file, key, value, unit and rule."""
+
+from __future__ import annotations
+
+import copy
+import csv
+import hashlib
+import json
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import msgspec
+
+from ctrplan.errors import InputError
+from ctrplan.storage.file_bytes import file_bytes
+from ctrplan.storage.toml_faults import explain, unit_of
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+LARGEST_FILE_BYTES = 1_000_000
+LARGEST_NUMBER = 1e300  # of any unit; also refuses inf and nan
+DEEPEST_KEY = 20
+LONGEST_POSITION = 9  # digits
+
+T = TypeVar("T", bound=msgspec.Struct)
+Step = str | int  # one step of a key: a name, or a position counted from 0 (people see it counted from 1)
+
+
+@dataclass(frozen=True)
+class Document:
+    """The content of one TOML file and the name under which sentences mention it."""
+
+    content: dict[str, Any]
+    file: str | None = None
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the content alone: layout, comments, order of keys and 1 or 1.0 make no difference."""
+        numbers_as_floats = json.loads(json.dumps(self.content, default=str), parse_int=float)
+        return hashlib.sha256(json.dumps(numbers_as_floats, sort_keys=True).encode()).hexdigest()
+
+    def to(self, schema: type[T]) -> T:
+        """The content as `schema`. Raises InputError for the first thing that does not fit."""
+        try:
+            for path, value in _numbers(self.content):
+                if not abs(value) <= LARGEST_NUMBER:
+                    raise self.fault("must be a finite number", *path)
+            return msgspec.convert(self.content, schema)
+        except RecursionError:
+            raise self.fault("is nested too deeply") from None
+        except msgspec.ValidationError as error:
+            path, rule = explain(str(error), self.content, schema)
+            raise self.fault(rule, *path) from None
+
+    def fault(self, rule: str, *path: Step, unit: str | None = None) -> InputError:
+        """The error that the value at `path` breaks `rule`; its unit comes from the key's suffix unless given."""
+        value = self._value(path)
+        is_table = isinstance(value, dict) or isinstance(value, list) and any(isinstance(v, dict) for v in value)
+        names = [step for step in path if isinstance(step, str)]
+        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        return InputError(
+            rule,
+            file=self.file,
+            key=".".join((step or '""') if isinstance(step, str) else str(step + 1) for step in path) or None,
+            value=... if is_table else value,
+            unit=unit or (unit_of(names[-1]) if names and is_number else None),
+        )
+
+    def with_overrides(self, overrides: Sequence[str]) -> Document:
+        """A copy after assignments such as "tube.2.poisson_ratio=0.28" (positions from 1, the value in TOML)."""
+        if isinstance(overrides, str) or not all(isinstance(assignment, str) for assignment in overrides):
+            raise InputError(
+                "must be a list of texts such as tube.2.poisson_ratio=0.28", key="overrides", value=overrides
+            )
+        content = copy.deepcopy(self.content)
+        for assignment in overrides:
+            _assign(content, assignment, self.file)
+        return Document(content, self.file)
+
+    def _value(self, path: Sequence[Step]) -> Any:
+        value: Any = self.content
+        for step in path:
+            try:
+                value = value[step]
+            except (KeyError, IndexError, TypeError):
+                return ...
+        return value
+
+
+def read_document(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Document:
+    """The TOML file at `path` after `overrides`. Raises InputError when it can't be read or is no TOML."""
+    try:
+        file = os.fspath(path)
+    except TypeError:
+        raise InputError("must be the path of a TOML file", value=path) from None
+    data = file_bytes(file, LARGEST_FILE_BYTES, "TOML", "robot or scenario file")
+    try:
+        return Document(_parse(data, file), file).with_overrides(overrides)
+    except RecursionError:
+        raise InputError("is nested too deeply", file=file) from None
+
+
+def _parse(data: bytes, file: str) -> dict[str, Any]:
+    try:
+        content: dict[str, Any] = tomllib.loads(data.decode("utf-8-sig"))
+        return content
+    except UnicodeDecodeError as error:
+        raise InputError(f"is not UTF-8 text (byte {error.start})", file=file) from None
+    except tomllib.TOMLDecodeError as error:
+        message, _, place = str(error).rstrip(")").partition(" (at ")
+        raise InputError(f"is not valid TOML at {place or 'an unknown place'}: {message}", file=file) from None
+    except ValueError:
+        raise InputError("holds a number with thousands of digits", file=file) from None
+
+
+def override_names(key: str) -> list[str]:
+    """The steps of an override's key: split at dots, except inside "...", positions without leading zeros."""
+    try:
+        names = next(csv.reader([key], delimiter="."), [])
+    except csv.Error:
+        return []
+    return [str(int(name)) if name.isdecimal() and len(name) <= LONGEST_POSITION else name for name in names]
+
+
+def _assign(content: dict[str, Any], assignment: str, file: str | None) -> None:
+    key, equals, text = (part.strip() for part in assignment.partition("="))
+    names = override_names(key)
+    if not equals or not names or not all(names):
+        raise InputError("an override has the form key=value, such as tube.2.poisson_ratio=0.28", value=assignment)
+    node: Any = content
+    for depth, name in enumerate(names):
+        shown = ".".join(names[: depth + 1])
+        step: Step = name
+        if isinstance(node, list):
+            if not (name.isdecimal() and 1 <= int(name) <= len(node)):
+                raise InputError(f"no such entry to override: positions go from 1 to {len(node)}", file=file, key=shown)
+            step = int(name) - 1
+        elif not isinstance(node, dict):
+            parent = ".".join(names[:depth])
+            raise InputError(f"no such key to override: {parent} is a single value", file=file, key=shown)
+        if depth == len(names) - 1:
+            node[step] = _toml_value(text)
+        else:
+            node = node.setdefault(step, {}) if isinstance(node, dict) else node[step]
+
+
+def _toml_value(text: str) -> Any:
+    """`text` as a TOML value; text that is none stands for itself, so that quotes are not needed in a shell."""
+    try:
+        parsed = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):
+        return text
+    return parsed["value"] if list(parsed) == ["value"] else text
+
+
+def _numbers(value: Any, path: tuple[Step, ...] = ()) -> Iterator[tuple[tuple[Step, ...], float]]:
+    if len(path) > DEEPEST_KEY:
+        raise RecursionError
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from _numbers(item, (*path, key))
+    elif isinstance(value, (list, tuple)):
+        for position, item in enumerate(value):
+            yield from _numbers(item, (*path, position))
+    elif isinstance(value, (int, float)) and not isinstance(value, bool):
+        yield path, value

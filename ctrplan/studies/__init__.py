@@ -1,0 +1,1 @@
+"""Many runs: simulations along a path, sweeps."""

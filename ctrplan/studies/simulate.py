@@ -1,0 +1,183 @@
+"""What a robot does along a joint path, beside what it would do without friction and the bound on the difference.
+
+The path is commanded: effects of the robot's drive come before the history, those of clock and sensor after it.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+from ctrplan.effects.effect import Collars
+from ctrplan.errors import InputError
+from ctrplan.experiment.joint_path import JointPath
+from ctrplan.files.joint_path_file import joint_columns
+from ctrplan.mechanics.core import Accuracy, Bounds, Status
+from ctrplan.mechanics.history import History, Start
+from ctrplan.pipeline.simulated_chain import chain_warnings, collars_of, measured_poses
+from ctrplan.robot.nesting import nesting_violation
+from ctrplan.robot.robot import Robot
+from ctrplan.sensor.poses import Poses
+
+SAMPLE_RAD, SAMPLE_M = np.radians(10.0), 3e-3  # between two looks at the tip on a leg
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """S samples along a joint path, waypoints among them, as far as it was walked."""
+
+    robot: Robot
+    path: JointPath
+    place: Array  # (S,) in waypoints: 2.5 is halfway from waypoint 2 to 3, counted from 0
+    theta_b: Array  # (S, n) commanded, rad
+    l_b: Array  # (S, n) commanded, m
+    collars: Collars  # where the drive puts them: as commanded but for effects of the robot's drive
+    position_m: Array  # (S, 3)
+    tangent: Array  # (S, 3)
+    phi: Array  # (S, n - 1) circumferential friction state of each pair, averaged by normal force
+    snaps: NDArray[np.int_]  # (S,) times the robot slid to another equilibrium on the way from the sample before
+    status: NDArray[np.int_]  # (S,) Status; the last may be FAILED
+    bounds: Bounds  # (S,) with the frictionless tips
+    measured: Poses | None  # (S,) what a tracker reports, if effects of clock or sensor stand in between
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def deviation_m(self) -> Array:
+        """(S,) distance of the tip from that of the frictionless solution."""
+        distance: Array = np.linalg.norm(self.position_m - self.bounds.tip_m, axis=1)
+        return distance
+
+    @property
+    def waypoints(self) -> NDArray[np.intp]:
+        """Samples that are waypoints of the path, in order."""
+        return np.flatnonzero(self.place == np.round(self.place))
+
+    @property
+    def failed_waypoint(self) -> int | None:
+        """The waypoint (from 0) on whose way no equilibrium was found."""
+        failed = len(self.status) > 0 and self.status[-1] == Status.FAILED
+        return int(np.ceil(self.place[-1])) if failed else None
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the whole path was walked."""
+        return len(self.place) > 0 and self.place[-1] == len(self.path.theta_b) - 1 and self.failed_waypoint is None
+
+
+def simulate(
+    robot: Robot,
+    path: JointPath,
+    start: Start = "released",
+    *,
+    accuracy: Accuracy = "search",
+    progress: Callable[[str, float], None] | None = None,
+    interrupted: threading.Event | None = None,
+) -> Simulation:
+    """The history of `robot` along `path`; every run of the path starts anew in the state `start`.
+
+    `progress` is told what is being done and its finished share. Raises SolverError where a run has no start.
+    """
+    told, stop = progress or (lambda *_: None), interrupted or threading.Event()
+    rows: list[Array] = []
+    count = len(path.theta_b)
+    for run in path.runs:
+        history = History(robot.mechanics, start, accuracy=accuracy)
+        for place, *commanded, theta, l in _driven_legs(robot, path, run):  # noqa: E741 (as in the equations)
+            found = history.follow(theta, l)
+            tip = found.position_m, found.tangent, found.phi, found.snaps, found.status
+            rows.append(np.column_stack((place, *commanded, theta, l, *tip)))
+            told("simulating", (place[-1] + 1) / count)
+            if stop.is_set() or found.status[-1] == Status.FAILED:
+                return _simulation(robot, path, np.vstack(rows), accuracy, told)
+    return _simulation(robot, path, np.vstack(rows), accuracy, told)
+
+
+def poses_csv(result: Simulation) -> str:
+    """The waypoints as the content of a CSV file, joints and poses in the columns of a measurement."""
+    rotations, translations = joint_columns(result.robot.n)
+    chosen = [k for k in result.waypoints.tolist() if result.status[k] != Status.FAILED]
+    snaps = [int(result.snaps[a + 1 : b + 1].sum()) for a, b in pairwise([-1, *chosen])]
+    place = result.place[chosen].astype(int)
+    columns: dict[str, Array | list[int] | list[str]] = {"sequence": result.path.sequence[place].tolist()}
+    if result.path.time_s is not None:
+        columns["time_s"] = result.path.time_s[place]
+    for names, values in (
+        (rotations, result.theta_b),
+        (translations, result.l_b),
+        (("x_m", "y_m", "z_m"), result.position_m),
+        (("tx", "ty", "tz"), result.tangent),
+        (("frictionless_x_m", "frictionless_y_m", "frictionless_z_m"), result.bounds.tip_m),
+    ):
+        columns |= {name: values[chosen, i] for i, name in enumerate(names)}
+    if result.measured is not None:
+        seen = np.hstack([result.measured.position, result.measured.frame[:, :, 2]])[chosen]
+        columns |= {f"measured_{name}": seen[:, i] for i, name in enumerate(("x_m", "y_m", "z_m", "tx", "ty", "tz"))}
+    columns["deviation_mm"] = result.deviation_m[chosen] * 1e3
+    columns["bound_mm"] = result.bounds.position_m[chosen] * 1e3
+    columns |= {f"phi_{i + 1}": result.phi[chosen, i] for i in range(result.robot.n - 1)}
+    columns["snaps"] = snaps
+    columns["status"] = [Status(status).name for status in result.status[chosen].tolist()]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(zip(*(c.tolist() if isinstance(c, np.ndarray) else c for c in columns.values()), strict=True))
+    return text.getvalue()
+
+
+def _legs(path: JointPath, run: slice) -> Iterator[tuple[Array, Array, Array]]:
+    """Places, rotations and translations: the start of a run, then each of its legs in samples without its first."""
+    yield np.array([float(run.start)]), path.theta_b[run][:1], path.l_b[run][:1]
+    for k in range(run.start, run.stop - 1):
+        theta, l = path.theta_b[k : k + 2], path.l_b[k : k + 2]  # noqa: E741
+        longest = max(np.abs(np.diff(theta, axis=0)).max() / SAMPLE_RAD, np.abs(np.diff(l, axis=0)).max() / SAMPLE_M)
+        part = np.linspace(0, 1, max(1, int(np.ceil(longest - 1e-9))) + 1)[1:, None]
+        yield (
+            np.asarray(k + part[:, 0], dtype=np.float64),
+            theta[:1] + part * np.diff(theta, axis=0),
+            l[:1] + part * np.diff(l, axis=0),
+        )
+
+
+def _driven_legs(robot: Robot, path: JointPath, run: slice) -> Iterator[tuple[Array, ...]]:
+    """Places, commanded rotations and translations, and those that the drive makes of them, leg by leg."""
+    legs = list(_legs(path, run))
+    place, theta_b, l_b = (np.concatenate(parts) for parts in zip(*legs, strict=True))
+    collars = collars_of(robot, path, place, theta_b, l_b)
+    if collars.l is not l_b:
+        _check_collars(robot, path, place, collars)
+    ends = np.cumsum([len(leg[0]) for leg in legs])[:-1]
+    yield from zip(*(np.split(part, ends) for part in (place, theta_b, l_b, collars.theta, collars.l)), strict=True)
+
+
+def _check_collars(robot: Robot, path: JointPath, place: Array, collars: Collars) -> None:
+    for k in range(len(place)):
+        if sentence := nesting_violation(robot, collars.theta[k], collars.l[k]):
+            key = f"row {place[k] + 1:.4g}"
+            raise InputError(f"with the effects of the drive, {sentence}", file=path.file, key=key)
+
+
+def _simulation(
+    robot: Robot, path: JointPath, table: Array, accuracy: Accuracy, told: Callable[[str, float], None]
+) -> Simulation:
+    n = robot.n
+    failed = np.flatnonzero(table[:, -1] == Status.FAILED)
+    table = table[: failed[0] + 1] if len(failed) else table
+    place, theta_b, l_b, theta, l, position_m, tangent, phi, snaps, status = map(  # noqa: E741
+        np.ascontiguousarray, np.split(table, np.cumsum([1, n, n, n, n, 3, 3, n - 1, 1]), axis=1)
+    )
+    collars = Collars(theta, l)
+    bounds = robot.bound_many(theta, l, accuracy=accuracy, progress=lambda share: told("bounds", share))
+    measured = measured_poses(robot, path, place[:, 0], collars, phi, position_m, tangent)
+    return Simulation(
+        robot, path, place[:, 0], theta_b, l_b, collars, position_m, tangent, phi,
+        np.nan_to_num(snaps[:, 0]).astype(int), status[:, 0].astype(int), bounds,
+        measured, tuple(chain_warnings(robot, path)),
+    )  # fmt: skip

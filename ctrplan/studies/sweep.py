@@ -1,0 +1,196 @@
+"""The friction bound over one or two axes: rotations and translations of collars, or numbers of the robot file."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass, fields
+from functools import partial
+from itertools import groupby
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ctrplan.base.arrays import Array
+from ctrplan.base.progress import StageProgress
+from ctrplan.drive.drive import UNITS
+from ctrplan.errors import InputError
+from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.mechanics.batch import TASK, chunks, join, run
+from ctrplan.mechanics.core import Status
+from ctrplan.robot.nesting import nesting_violation
+from ctrplan.robot.robot import Robot
+from ctrplan.storage.toml_document import override_names
+from ctrplan.studies.sweep_axis import MOST_POINTS, Axis
+
+if TYPE_CHECKING:
+    from ctrplan.mechanics.core import Accuracy, Bounds
+
+FEWEST_TASKS = 32  # while there are as many configurations
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """Bounds at every combination of the axes' values, the last axis running fastest."""
+
+    robot: Robot  # as in its file
+    theta_b: Array  # (n,) [rad], of tubes that no axis turns
+    l_b: Array  # (n,) [m], of tubes that no axis translates
+    axes: tuple[Axis, ...]
+    values: Array  # (K, axes) in the axes' units
+    bounds: Bounds  # of the K configurations
+    warnings: tuple[str, ...]  # about the robots at the axes' values
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of values of each axis."""
+        return tuple(len(axis.values) for axis in self.axes)
+
+    @property
+    def usable(self) -> NDArray[np.bool_]:
+        """(K,) whether the bound holds: the solves converged and the robot does not snap."""
+        converged = np.isin(self.bounds.status, (Status.CONVERGED, Status.MULTIPLE))
+        return np.asarray(converged & np.isfinite(self.bounds.position_m), dtype=np.bool_)
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """Some rows of a sweep, those of one robot next to each other; picklable, for executors."""
+
+    content: Mapping[str, Any]  # of the robot file
+    file: str | None
+    axes: tuple[Axis, ...]
+    values: Array  # (k, axes) in the axes' units
+    theta_b: Array  # (k, n) [rad]
+    l_b: Array  # (k, n) [m]
+
+    def robots(self) -> Iterator[tuple[Robot, slice]]:
+        """Each robot and the rows it is asked about. Raises InputError for values that no robot can have."""
+        keys = tuple(axis for axis in self.axes if axis.kind is None)
+        settings = self.values[:, [axis.kind is None for axis in self.axes]].tolist()
+        first = 0
+        for setting, rows in groupby(settings):
+            end = first + sum(1 for _ in rows)
+            yield _robot(self.content, self.file, keys, setting), slice(first, end)
+            first = end
+
+    def check(self) -> tuple[str, ...]:
+        """Warnings about the robots. Raises InputError, which says at which values something does not nest."""
+        warnings: list[str] = []
+        for robot, rows in self.robots():
+            theta_b, l_b = self.theta_b[rows], self.l_b[rows]
+            if refused := robot.mechanics.first_refused(theta_b, l_b):
+                k, rule = refused
+                axes = zip(self.axes, self.values[rows][k].tolist(), strict=True)
+                turned = rule.startswith("theta_b")
+                where = " and ".join(axis.at(value) for axis, value in axes if turned or axis.kind != "rotation")
+                raise InputError(nesting_violation(robot, theta_b[k], l_b[k]) or rule, key=where or None)
+            warnings += robot.warnings
+        return tuple(warnings)
+
+    def solve(self, accuracy: Accuracy) -> Bounds:
+        """Bounds of the rows, on the calling thread."""
+        asked = ((robot, self.theta_b[rows], self.l_b[rows]) for robot, rows in self.robots())
+        return join([robot.bound_many(theta_b, l_b, accuracy=accuracy, threads=1) for robot, theta_b, l_b in asked])
+
+
+def sweep(
+    content: Mapping[str, Any],
+    axes: Sequence[Axis],
+    theta_b: ArrayLike,
+    l_b: ArrayLike,
+    *,
+    file: str | None = None,
+    accuracy: Accuracy = "search",
+    progress: StageProgress | None = None,
+    executor: Executor | None = None,
+) -> Sweep:
+    """Bounds of the robot of a robot file's `content` at base rotations (n,) [rad] and translations (n,) [m].
+
+    One or two axes replace what they name. Nothing is solved before every robot and configuration is known to be
+    well-formed; raises InputError otherwise. Without an executor the tasks run on a thread per core.
+    """
+    check_axes(axes)
+    robot = robot_from_dict(content, file=file)
+    theta, l = np.array(theta_b, dtype=np.float64), np.array(l_b, dtype=np.float64)  # noqa: E741
+    values = np.stack(np.meshgrid(*(axis.values for axis in axes), indexing="ij"), axis=-1).reshape(-1, len(axes))
+    order = _robot_by_robot(axes, values)
+    configurations = _configurations(axes, values, theta, l)
+    size = max(1, min(TASK, len(values) // FEWEST_TASKS))
+    rows = [order[chunk] for chunk in chunks(len(values), size)]
+    tasks = [_Task(content, file, tuple(axes), values[k], *(table[k] for table in configurations)) for k in rows]
+    report: StageProgress = progress or (lambda *_: None)
+    warnings: dict[str, None] = {}
+    for done, task in enumerate(tasks, start=1):
+        warnings |= dict.fromkeys(task.check())
+        report("check", done / len(tasks))
+    bounds = _run(executor, tasks, accuracy, partial(report, "bounds"))
+    return Sweep(robot, theta, l, tuple(axes), values, _reordered(bounds, np.argsort(order)), tuple(warnings))
+
+
+def check_axes(axes: Sequence[Axis]) -> None:
+    """Raises InputError unless there are one or two different axes and not too many points."""
+    if not 1 <= len(axes) <= 2:
+        raise InputError("takes one axis or two", key="--sweep", value=[axis.key for axis in axes])
+    if len({(axis.kind, *override_names(axis.key)) for axis in axes}) < len(axes):
+        raise InputError("names the same axis twice", key="--sweep", value=axes[0].key)
+    if (count := math.prod(len(axis.values) for axis in axes)) > MOST_POINTS:
+        raise InputError(f"{count:,} points are more than {MOST_POINTS:,}", key="--sweep")
+
+
+def sweep_csv(result: Sweep) -> str:
+    """A row per configuration: the axes, bound_mm, bound_deg, stability, max_strain, status; failed solves have nan."""
+    bounds = result.bounds
+    found = [bounds.position_m * 1e3, np.degrees(bounds.tangent_rad), bounds.stability, bounds.max_strain]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    names = [axis.column for axis in result.axes]
+    writer.writerow([*names, "bound_mm", "bound_deg", "stability", "max_strain", "status"])
+    numbers = np.column_stack([result.values, *found]).tolist()
+    writer.writerows([*row, Status(status).name] for row, status in zip(numbers, bounds.status.tolist(), strict=True))
+    return text.getvalue()
+
+
+def _robot(content: Mapping[str, Any], file: str | None, axes: Sequence[Axis], setting: Sequence[float]) -> Robot:
+    overrides = [f"{axis.key}={value!r}" for axis, value in zip(axes, setting, strict=True)]
+    try:
+        return robot_from_dict(content, file=file, overrides=overrides)
+    except InputError as error:
+        others = [axis.at(value) for axis, value in zip(axes, setting, strict=True) if axis.key != error.key]
+        rule = f"{error.rule} (at {' and '.join(others)})" if others else error.rule
+        raise InputError(rule, file=error.file, key=error.key, value=error.value, unit=error.unit) from None
+
+
+def _robot_by_robot(axes: Sequence[Axis], values: Array) -> NDArray[np.intp]:
+    """Order of the rows in which each robot comes up once."""
+    pairs = zip(axes, values.T, strict=True)
+    columns = [column * np.sign(axis.values[1] - axis.values[0]) for axis, column in pairs if axis.kind is None]
+    return np.lexsort(columns[::-1]) if columns else np.arange(len(values))
+
+
+def _configurations(axes: Sequence[Axis], values: Array, theta_b: Array, l_b: Array) -> tuple[Array, Array]:
+    """theta_b (K, n) [rad] and l_b (K, n) [m] of all rows."""
+    tables = {"rotation": np.tile(theta_b, (len(values), 1)), "translation": np.tile(l_b, (len(values), 1))}
+    for axis, column in zip(axes, values.T, strict=True):
+        if axis.kind is not None:
+            tables[axis.kind][:, axis.tube] = column * UNITS[axis.kind][1]
+    return tables["rotation"], tables["translation"]
+
+
+def _run(
+    executor: Executor | None, tasks: Sequence[_Task], accuracy: Accuracy, progress: Callable[[float], object]
+) -> Bounds:
+    calls = [(task, accuracy) for task in tasks]
+    if executor is not None:
+        return join(run(executor, _Task.solve, calls, progress))
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        return join(run(threads, _Task.solve, calls, progress))
+
+
+def _reordered(bounds: Bounds, order: NDArray[np.intp]) -> Bounds:
+    return type(bounds)(*(getattr(bounds, field.name)[order] for field in fields(bounds)))

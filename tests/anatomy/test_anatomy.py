@@ -1,0 +1,277 @@
+"""Laws of the clearance that anatomy leaves to a point, exact and on a grid."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from ctrplan.anatomy.clearance_grid import (
+    AnatomyPart,
+    SignedDistanceField,
+    build_field,
+    default_spacing_m,
+    exact_clearance,
+    field_bounds,
+)
+from ctrplan.errors import InputError
+
+Array = NDArray[np.float64]
+RADIUS_M = 0.03
+ICOSPHERE = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS_M)
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CTRPLAN_CACHE_DIR", str(tmp_path / "cache"))
+
+
+def mesh_part(mesh: trimesh.Trimesh, shift: Any = (0.0, 0.0, 0.0), **options: Any) -> AnatomyPart:
+    return AnatomyPart("mesh", vertices_m=np.asarray(mesh.vertices) + shift, faces=np.asarray(mesh.faces), **options)
+
+
+def sphere(center: Any = (0.0, 0.0, 0.0), radius: float = RADIUS_M, **options: Any) -> AnatomyPart:
+    return AnatomyPart("sphere", center_m=np.array(center), radius_m=radius, **options)
+
+
+def capsule(start: Any, end: Any, radius: float, **options: Any) -> AnatomyPart:
+    return AnatomyPart("capsule", from_m=np.array(start), to_m=np.array(end), radius_m=radius, **options)
+
+
+def mixture() -> list[AnatomyPart]:
+    """Two overlapping lumens with structures in them, one mesh of each role."""
+    return [
+        mesh_part(ICOSPHERE, role="inside", margin_m=0.001),
+        capsule((0.0, 0.0, 0.0), (0.0, 0.02, 0.06), 0.012, role="inside"),
+        mesh_part(trimesh.creation.box((0.01, 0.006, 0.02)), (0.01, 0.0, 0.0), margin_m=0.002),
+        sphere((-0.01, -0.01, 0.0), 0.004, margin_m=0.001),
+    ]
+
+
+def random_points(count: int, seed: int = 0, half_m: float = 0.06) -> Array:
+    return np.random.default_rng(seed).uniform(-half_m, half_m, (count, 3))
+
+
+def built(parts: list[AnatomyPart], half_m: float, spacing_m: float) -> SignedDistanceField:
+    field = build_field(parts, [-half_m] * 3, [half_m] * 3, spacing_m)
+    assert field is not None
+    return field
+
+
+def test_clearance_is_1_lipschitz() -> None:
+    a = random_points(20_000)
+    b = a + np.random.default_rng(1).normal(0, 1, a.shape) * 10 ** np.random.default_rng(2).uniform(-6, -2, (len(a), 1))
+    change = np.abs(exact_clearance(mixture(), a) - exact_clearance(mixture(), b))
+    assert (change <= np.linalg.norm(a - b, axis=1) + 1e-9).all()
+
+
+def test_faceted_sphere_lies_within_the_analytic_one_by_its_sagitta() -> None:
+    points = random_points(5000)
+    corners = ICOSPHERE.triangles
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    heights = np.einsum("ki,ki->k", corners[:, 0], normals) / np.linalg.norm(normals, axis=1)
+    sagitta = RADIUS_M - heights.min()
+    excess = exact_clearance([mesh_part(ICOSPHERE)], points) - exact_clearance([sphere()], points)
+    assert excess.min() > -1e-9
+    assert excess.max() <= sagitta + 1e-9
+    assert sagitta < 1e-4
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda **o: sphere((0.01, 0.0, 0.0), **o),
+        lambda **o: capsule((0.0, 0.0, -0.03), (0.01, 0.0, 0.03), 0.01, **o),
+        lambda **o: capsule((0.0, 0.0, 0.01), (0.0, 0.0, 0.01), 0.01, **o),
+        lambda **o: mesh_part(ICOSPHERE, **o),
+    ],
+)
+def test_roles_mirror_each_other_and_margins_are_subtracted(make: Any) -> None:
+    points = random_points(2000)
+    outside = exact_clearance([make(role="avoid")], points)
+    assert (outside > 0).any() and (outside < 0).any()
+    np.testing.assert_array_equal(exact_clearance([make(role="inside")], points), -outside)
+    np.testing.assert_allclose(exact_clearance([make(margin_m=0.002)], points), outside - 0.002, atol=1e-15)
+    np.testing.assert_allclose(exact_clearance([make(role="inside", margin_m=0.002)], points), -outside - 0.002)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_clearance_is_equivariant(seed: int) -> None:
+    R = Rotation.random(random_state=seed).as_matrix()
+    shift = np.random.default_rng(seed).normal(0, 0.1, 3)
+    points = random_points(2000, seed)
+
+    def moved(p: Any) -> Any:
+        return None if p is None else p @ R.T + shift
+
+    parts = [
+        AnatomyPart(
+            p.kind,
+            p.role,
+            p.margin_m,
+            *(moved(p.center_m), p.radius_m, moved(p.from_m), moved(p.to_m), moved(p.vertices_m), p.faces),
+        )
+        for p in mixture()
+    ]
+    np.testing.assert_allclose(exact_clearance(parts, moved(points)), exact_clearance(mixture(), points), atol=1e-9)
+
+
+def test_lumens_are_one_room_and_structures_are_all_avoided() -> None:
+    lumens = [
+        capsule((0.0, 0.0, 0.0), (0.0, 0.0, 0.05), 0.01, role="inside"),
+        capsule((0.0, 0.0, 0.05), (0.05, 0.0, 0.05), 0.008, role="inside", margin_m=0.001),
+    ]
+    np.testing.assert_allclose(
+        exact_clearance(lumens, [[0, 0, 0.02], [0.03, 0, 0.05], [0.03, 0, 0.02]]),
+        [0.01, 0.007, -0.02],
+        atol=1e-12,
+    )
+    points = random_points(1000)
+    avoided = [sphere((0.0, 0.0, 0.03), 0.003), sphere((0.02, 0.0, 0.05), 0.002, margin_m=0.001)]
+    each = np.array([exact_clearance([part], points) for part in avoided + lumens])
+    together = np.minimum(each[:2].min(axis=0), each[2:].max(axis=0))
+    np.testing.assert_allclose(exact_clearance(avoided + lumens, points), together)
+
+
+def test_overlapping_bodies_of_one_mesh_are_solid() -> None:
+    vertices, faces = np.asarray(ICOSPHERE.vertices), np.asarray(ICOSPHERE.faces)
+    both = trimesh.Trimesh(np.concatenate([vertices, vertices + [0.02, 0, 0]]), [*faces, *(faces + len(vertices))])
+    points = random_points(5000)
+    in_either = (np.linalg.norm(points[:, None] - [[0, 0, 0], [0.02, 0, 0]], axis=2) < 0.0295).any(axis=1)
+    assert (exact_clearance([mesh_part(both)], points[in_either]) < 0).all()
+
+
+def test_no_parts_leave_all_clear_and_points_must_be_finite() -> None:
+    assert (exact_clearance([], random_points(3)) == np.inf).all()
+    assert exact_clearance(mixture(), np.empty((0, 3))).shape == (0,)
+    assert build_field([], [0, 0, 0], [1, 1, 1], 0.1) is None
+    with pytest.raises(InputError, match="finite"):
+        exact_clearance(mixture(), [[0.0, np.nan, 0.0]])
+
+
+def test_trilinear_interpolation_is_of_second_order_away_from_the_medial_axis() -> None:
+    directions = random_points(4000)
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    points = directions * np.random.default_rng(3).uniform(RADIUS_M - 0.004, RADIUS_M + 0.004, (len(directions), 1))
+    exact = exact_clearance([sphere()], points)
+    spacings = np.array([4e-3, 2e-3, 1e-3])
+    errors = [np.abs(built([sphere()], 0.04, h).sample(points) - exact).max() for h in spacings]
+    assert 1.8 < np.polyfit(np.log(spacings), np.log(errors), 1)[0] < 2.2
+    assert errors[-1] < 1e-3**2 / (4 * (RADIUS_M - 0.006)) * 1.5
+
+
+def test_nodes_near_the_surface_are_exact_and_those_far_from_it_nearly() -> None:
+    h, part = 1e-3, mesh_part(trimesh.creation.box((0.01, 0.006, 0.02)))
+    field = built([part], 0.06, h)
+    node = np.argwhere(np.ones(field.values_m.shape, dtype=bool))[::7]
+    exact = exact_clearance([part], field.origin_m + h * node)
+    stored = field.values_m[tuple(node.T)]
+    near = np.abs(exact) < 11 * h
+    np.testing.assert_allclose(stored[near], exact[near], atol=1e-8)
+    assert (stored - exact <= 0.02 * exact)[exact > 0].all()
+    assert (exact - stored <= np.sqrt(3) / 2 * 4 * h).all()
+
+
+def test_sample_agrees_with_exact_clearance() -> None:
+    parts, h = mixture(), 1e-3
+    field = built(parts, 0.06, h)
+    assert field.values_m.dtype == np.float32 and field.values_m.flags.c_contiguous
+    points = random_points(30_000, seed=9)
+    exact, sampled = exact_clearance(parts, points), field.sample(points)
+    near = np.abs(exact) < 0.006  # margins take up to 2 mm of the 11 mm that are exact
+    # A law for any 1-Lipschitz function: its trilinear interpolant is off by at most the way to the corners.
+    assert (np.abs(sampled - exact)[near] <= np.sqrt(3) / 2 * h).all()
+    clear = sampled >= 0
+    error = field.interpolation_error_m()
+    assert 0 < error < np.sqrt(3) / 2 * h
+    assert (sampled - exact)[clear & near].max() <= 1.2 * error + 1e-5
+
+
+def test_outside_the_grid_the_clearance_is_a_lower_bound() -> None:
+    parts = [sphere(), mesh_part(ICOSPHERE, (0.05, 0.0, 0.0))]
+    field = built(parts, 0.04, 2e-3)
+    points = random_points(5000, half_m=0.12)
+    beyond = np.maximum(field.origin_m - points, 0) + np.maximum(points - field.upper_m, 0)
+    away = np.linalg.norm(beyond, axis=1)
+    inner = np.clip(points, field.origin_m, field.upper_m)
+    np.testing.assert_allclose(field.sample(points), field.sample(inner) - away, atol=1e-12)
+    excess = field.sample(points) - exact_clearance(parts, points)
+    assert excess[away > 0].max() <= (field.sample(inner) - exact_clearance(parts, inner)).max() + 1e-9
+
+
+def test_progress_rises_to_one_and_grid_covers_the_box() -> None:
+    seen: list[float] = []
+    field = build_field(mixture(), [-0.03, -0.02, -0.01], [0.03, 0.02, 0.0333], 2e-3, progress=seen.append)
+    assert field is not None
+    assert seen == sorted(seen) and seen[0] > 0 and seen[-1] == 1.0
+    np.testing.assert_allclose(field.origin_m, [-0.03, -0.02, -0.01])
+    assert (field.upper_m >= [0.03, 0.02, 0.0333]).all()
+    assert (field.upper_m < np.array([0.03, 0.02, 0.0333]) + 4 * 2e-3).all()
+
+
+@pytest.mark.parametrize("spacing", [0.0, -1e-3, np.nan, np.inf, 1e-6])
+def test_impossible_spacings_are_refused(spacing: float) -> None:
+    with pytest.raises(InputError, match="spacing_m"):
+        build_field([sphere()], [-0.1] * 3, [0.1] * 3, spacing)
+
+
+def test_impossible_boxes_are_refused() -> None:
+    for lower in ([0.2, 0.0, 0.0], [np.nan, 0.0, 0.0], [0.0, 0.0]):
+        with pytest.raises(InputError, match="lower_m"):
+            build_field([sphere()], lower, [0.1] * 3, 1e-3)
+
+
+def test_bounds_hold_all_reachable_clear_points() -> None:
+    R, base = Rotation.random(random_state=4).as_matrix(), np.array([0.01, -0.02, 0.03])
+    local = random_points(50_000, half_m=0.25)
+    reached = (np.linalg.norm(local, axis=1) < 0.2) & (local[:, 2] >= 0) & (np.hypot(*local[:, :2].T) < 0.08)
+    points = local[reached] @ R.T + base
+    lower, upper = field_bounds([sphere()], 0.2, base, R, side_m=0.08)
+    assert ((points >= lower) & (points <= upper)).all()
+    assert (upper - lower <= 0.4 + 1e-12).all()
+    lumens = [capsule((0.0, 0.0, 0.0), (0.0, 0.02, 0.2), 0.012, role="inside"), mesh_part(ICOSPHERE, role="inside")]
+    narrow_lower, narrow_upper = field_bounds([*lumens, sphere()], 0.2, base, R)
+    clear = points[exact_clearance(lumens, points) >= 0]
+    assert len(clear) and ((clear >= narrow_lower) & (clear <= narrow_upper)).all()
+    assert (narrow_upper - narrow_lower).prod() < (upper - lower).prod()
+
+
+def test_lumen_out_of_reach_leaves_nothing_clear() -> None:
+    parts = [sphere((0.0, 0.0, -0.5), role="inside")]
+    field = build_field(parts, *field_bounds(parts, 0.2), 1e-3)
+    assert field is not None and (field.sample(random_points(1000, half_m=0.2)) < 0).all()
+
+
+def test_default_spacing_is_at_most_a_millimetre_where_memory_allows() -> None:
+    assert default_spacing_m([0, 0, 0], [0.05, 0.02, 0.2]) == 0.5e-3
+    assert default_spacing_m([0, 0, 0], [0.2, 0.2, 0.2]) == pytest.approx(1e-3)
+    assert default_spacing_m([0, 0, 0], [0.4, 0.4, 0.4]) == pytest.approx(2e-3)
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ({"kind": "cube"}, "kind"),
+        ({"role": "around"}, "role"),
+        ({"margin_m": -0.001}, "margin_m"),
+        ({"margin_m": np.nan}, "margin_m"),
+        ({"radius_m": 0.0}, "radius_m"),
+        ({"radius_m": np.inf}, "radius_m"),
+        ({"radius_m": None}, "radius_m"),
+        ({"center_m": (0.0, 0.0)}, "center_m"),
+        ({"center_m": (0.0, 0.0, np.nan)}, "center_m"),
+        ({"kind": "capsule"}, "from_m"),
+        ({"kind": "mesh"}, "vertices_m"),
+        ({"kind": "mesh", "vertices_m": np.zeros((2, 3)), "faces": [[0, 1, 2]]}, "faces"),
+        ({"kind": "mesh", "vertices_m": np.zeros((3, 3)), "faces": np.empty((0, 3))}, "faces"),
+        ({"kind": "mesh", "vertices_m": np.full((3, 3), np.nan), "faces": [[0, 1, 2]]}, "vertices_m"),
+    ],
+)
+def test_malformed_parts_are_refused_by_name(options: dict[str, Any], named: str) -> None:
+    arguments: dict[str, Any] = {"kind": "sphere", "center_m": (0.0, 0.0, 0.0), "radius_m": 0.01, **options}
+    with pytest.raises(InputError) as caught:
+        AnatomyPart(**arguments)
+    assert caught.value.key == named

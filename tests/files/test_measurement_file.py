@@ -1,0 +1,166 @@
+"""measurements.csv: what is read, and one clear sentence for everything that is wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from measured_data import measured, pair_robot, waypoints, write_csv
+
+from ctrplan.errors import InputError
+from ctrplan.files.joint_path_file import load_joint_path
+from ctrplan.files.measurement_file import load_measurements
+
+ROBOT = pair_robot()
+Table = list[list[str]]
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory: pytest.TempPathFactory) -> Table:
+    path = tmp_path_factory.mktemp("data") / "good.csv"
+    write_csv(path, measured(ROBOT, waypoints(ROBOT, 2)))
+    return [line.split(",") for line in path.read_text().splitlines()]
+
+
+def test_what_is_written_is_read(tmp_path: Path) -> None:
+    data = measured(ROBOT, waypoints(ROBOT, 2))
+    write_csv(tmp_path / "a.csv", data)
+    read = load_measurements(tmp_path / "a.csv", ROBOT)
+    assert read.count == data.count == 6
+    np.testing.assert_array_equal(read.position_m, data.position_m)
+    np.testing.assert_allclose(read.tangent, data.tangent, atol=1e-15)
+    np.testing.assert_array_equal(read.rows, data.rows)
+    assert read.configuration.tolist() == [0, 0, 0, 1, 1, 1]
+    assert not read.is_stream and len(read.sha256) == 64
+
+
+def _set(row: int, column: str, text: str) -> Callable[[Table], None]:
+    def change(table: Table) -> None:
+        table[row][table[0].index(column)] = text
+
+    return change
+
+
+def _scale(columns: tuple[str, ...], factor: float) -> Callable[[Table], None]:
+    def change(table: Table) -> None:
+        for row in table[1:]:
+            for column in columns:
+                k = table[0].index(column)
+                row[k] = repr(float(row[k]) * factor) if row[k] else ""
+
+    return change
+
+
+def _rename(old: str, new: str) -> Callable[[Table], None]:
+    return _set(0, old, new)
+
+
+def _drop(column: str) -> Callable[[Table], None]:
+    def change(table: Table) -> None:
+        k = table[0].index(column)
+        for row in table:
+            del row[k]
+
+    return change
+
+
+def _repeat_header(table: Table) -> None:
+    table.insert(5, list(table[0]))
+
+
+def _double_column(table: Table) -> None:
+    for row in table:
+        row.append(row[3])
+
+
+def _third_tube(table: Table) -> None:
+    for k, row in enumerate(table):
+        row += ["theta_3_rad", "l_3_m"] if k == 0 else ["0", "0"]
+
+
+def _stand_still(table: Table) -> None:
+    for name in ("theta_1_rad", "theta_2_rad", "l_1_m", "l_2_m"):
+        for row in table[1:]:
+            row[table[0].index(name)] = table[2][table[0].index(name)]
+
+
+def _no_pose(table: Table) -> None:
+    for row in table[1:]:
+        row[-6:] = [""] * 6
+
+
+REFUSED = {
+    "missing column": (_drop("l_2_m"), "l_2_m: is missing"),
+    "other unit": (_rename("l_2_m", "l_2_mm"), "l_2_m: is missing, found l_2_mm: columns are in rad and m"),
+    "no tangent": (_drop("tz"), "tz: is missing"),
+    "millimetres": (_scale(("x_m", "y_m", "z_m"), 1000.0), "are these millimetres?"),
+    "metres of kilometres": (_scale(("x_m", "y_m", "z_m"), 1e-5), "are these metres?"),
+    "translations in mm": (_scale(("l_2_m",), 1000.0), "are these millimetres?"),
+    "degrees": (_scale(("theta_2_rad",), 180.0), "are these degrees?"),
+    "tangent": (_set(2, "tx", "3.0"), "must be a unit vector"),
+    "time": (_set(3, "time_s", "0.5"), "time runs backwards"),
+    "repeated header": (_repeat_header, "repeats the header, were files joined?"),
+    "doubled column": (_double_column, "the header has this column 2 times"),
+    "tube count": (_third_tube, "has joints of 3 tubes, the robot file has 2"),
+    "still": (_stand_still, "all joints are constant"),
+    "not a number": (_set(4, "theta_2_rad", "left"), "row 4, theta_2_rad = 'left': must be a number"),
+    "infinite": (_set(4, "theta_2_rad", "inf"), "must be a finite number"),
+    "half a pose": (_set(2, "tz", ""), "row 2, tz: is empty, a pose needs all of"),
+    "no pose": (_no_pose, "holds no pose"),
+    "not nested": (_set(2, "l_2_m", "0.01"), "row 2: "),
+    "run comes back": (_set(30, "sequence", "0"), "this run was over"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_faults_are_one_sentence(name: str, table: Table, tmp_path: Path) -> None:
+    change, sentence = REFUSED[name]
+    changed = [list(row) for row in table]
+    change(changed)
+    path = tmp_path / "bad.csv"
+    path.write_text("\n".join(",".join(row) for row in changed) + "\n")
+    with pytest.raises(InputError) as error:
+        load_measurements(path, ROBOT)
+    assert sentence in str(error.value) and str(error.value).startswith(str(path)) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [(b"", "must have a header"), (b"\xff\xfe", "is not UTF-8"), (b"x_m;y_m\n0;0", "by semicolons")],
+)
+def test_files_that_are_none(content: bytes, sentence: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_bytes(content)
+    with pytest.raises(InputError, match=sentence):
+        load_measurements(tmp_path / "a.csv", ROBOT)
+    with pytest.raises(InputError, match="does not exist"):
+        load_measurements(tmp_path / "none.csv", ROBOT)
+
+
+def test_blank_rows_are_none_in_measurements_as_in_paths(table: Table, tmp_path: Path) -> None:
+    lines = [",".join(row) for row in table]
+    (tmp_path / "whole.csv").write_text("\n".join(lines))
+    (tmp_path / "gaps.csv").write_text("\n".join([*lines[:5], "", "," * (len(table[0]) - 1), " ,", *lines[5:], ",,"]))
+    for read in (load_measurements, load_joint_path):
+        whole, gaps = (read(tmp_path / name, ROBOT) for name in ("whole.csv", "gaps.csv"))
+        np.testing.assert_array_equal(gaps.theta_b, whole.theta_b)
+
+
+def test_an_effect_of_the_robot_without_its_column_is_warned_about(table: Table, tmp_path: Path) -> None:
+    changed = [list(row) for row in table]
+    _drop("time_s")(changed)
+    (tmp_path / "a.csv").write_text("\n".join(",".join(row) for row in changed))
+    late = pair_robot(effects={"lag": {"tau_s": 0.1}})
+    (warning,) = load_measurements(tmp_path / "a.csv", late).warnings
+    assert warning.endswith("without a column time_s the robot's lag is left out.")
+    assert load_measurements(tmp_path / "a.csv", ROBOT).warnings == ()
+
+
+def test_a_pair_that_never_turns_is_warned_about(table: Table, tmp_path: Path) -> None:
+    changed = [list(row) for row in table]
+    for row in changed[1:]:
+        row[changed[0].index("theta_2_rad")] = row[changed[0].index("theta_1_rad")] = "0.1"
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(",".join(row) for row in changed) + "\n")
+    assert "never turn against each other" in load_measurements(path, ROBOT).warnings[0]

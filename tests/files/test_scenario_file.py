@@ -1,0 +1,390 @@
+"""A scenario file is read as it stands, in SI units, or refused in one sentence with file, key, value and rule."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import os
+import re
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from places import ROBOTS
+from refusals import refusals
+
+from ctrplan.errors import InputError
+from ctrplan.files.robot_file import load_robot
+from ctrplan.files.scenario_file import load_scenario, scenario_from_dict
+from ctrplan.planning.scenario import Cost, Margins, PlannerSettings, Scenario
+from ctrplan.storage.toml_document import Document
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+
+SCENARIO = """
+name = "past the ribs"
+robot = "robots/three_tube.toml"
+[base]
+position_mm = [1, 2, 3]
+quaternion_wxyz = [0.7071067811865476, 0, 0, 0.7071067811865476]
+[start]
+"rotate outer" = 0
+"rotate middle" = 90
+"rotate inner" = -720
+"translate inner" = -86.4
+[goal]
+tip_mm = [12, 40, 190]
+tolerance_mm = 0.5
+direction = [0, 3, 4]
+direction_tolerance_deg = 10
+[[anatomy]]
+kind = "sphere"
+center_mm = [10, 20, 30]
+radius_mm = 5
+[[anatomy]]
+kind = "capsule"
+from_mm = [0, 0, -10]
+to_mm = [0, 0, 200]
+radius_mm = 60
+role = "inside"
+margin_mm = 1.5
+[[anatomy]]
+kind = "mesh"
+file = "meshes/wedge.stl"
+unit = "cm"
+[margins]
+stability = 0.2
+max_strain = 0.05
+[cost]
+path = 2
+mm_per_rad = 10
+error_along = 3
+error_goal = 4
+max_error_goal_mm = 1.5
+[planner]
+name = "RRT*"
+time_s = 2.5
+settle = "oscillate"
+"""
+JOINT_GOAL = """[goal]
+joints = { "rotate outer" = 0, "rotate middle" = 0, "rotate inner" = 0, "translate inner" = 0 }
+"""
+# A text of SCENARIO, what replaces it, and below it the sentence after the file's name.
+REFUSED = r"""
+name = "past the ribs" -> name = 3
+    scenario.toml: name = 3: must be text.
+robot = "robots/three_tube.toml" ->
+    scenario.toml: robot: is missing.
+robot = "robots/three_tube.toml" -> robot = "../robots/three_tube.toml"
+    scenario.toml: robot = '../robots/three_tube.toml': must lie in the folder of this file or below.
+robot = "robots/three_tube.toml" -> robot = "robots/none.toml"
+    scenario.toml: robot = 'robots/none.toml': is not a file that exists.
+robot = "robots/three_tube.toml" -> robot = "a\u0000b"
+    scenario.toml: robot = 'a\x00b': is not a file that exists.
+position_mm = [1, 2, 3] -> position_mm = [1, nan, 3]
+    scenario.toml: base.position_mm.2 = nan mm: must be a finite number.
+position_mm = [1, 2, 3] -> position_m = [1, 2, 3]
+    scenario.toml: base.position_m = [1, 2, 3]: unknown key, expected position_mm (in mm).
+quaternion_wxyz = [0.7071067811865476, 0, 0, 0.7071067811865476] -> quaternion_wxyz = [1, 0, 0, 0.1]
+    scenario.toml: base.quaternion_wxyz = [1, 0, 0, 0.1]: must have norm 1 within 0.001, has 1.00499.
+"rotate middle" = 90 ->
+    scenario.toml: start.rotate middle: is missing, every joint needs a value (in deg).
+"rotate middle" = 90 -> "rotate middle" = "90"
+    scenario.toml: start.rotate middle = '90': must be a number (in deg).
+"rotate middle" = 90 -> "rotate middle" = true
+    scenario.toml: start.rotate middle = true: must be a number (in deg).
+"rotate middle" = 90 -> "rotate midle" = 90
+    scenario.toml: start.rotate midle = 90: unknown joint, the robot has rotate outer, rotate middle, rotate
+    inner, translate inner.
+"rotate outer" = 0 -> "rotate outer" = 181
+    scenario.toml: start.rotate outer = 181 deg: must be within the joint's limits, -180 to 180 deg.
+"translate inner" = -86.4 -> "translate inner" = 1
+    scenario.toml: start.translate inner = 1 mm: must be within the joint's limits, -86.4 to 0 mm.
+[goal] -> [goals]
+    scenario.toml: goals: unknown key, did you mean goal?
+tip_mm = [12, 40, 190] ->
+    scenario.toml: goal: must have one of joints, tip_mm and line_mm.
+tip_mm = [12, 40, 190] -> joints = { "rotate outer" = 0 }
+    scenario.toml: goal.direction = [0, 3, 4]: goes with tip_mm, not with joints.
+tip_mm = [12, 40, 190] -> tip_cm = [1.2, 4, 19]
+    scenario.toml: goal.tip_cm = [1.2, 4, 19]: unknown key, expected tip_mm (in mm).
+tolerance_mm = 0.5 -> tolerance_mm = 0
+    scenario.toml: goal.tolerance_mm = 0 mm: must be > 0.
+direction = [0, 3, 4] -> direction = [0, 0, 0]
+    scenario.toml: goal.direction = [0, 0, 0]: must not be zero.
+direction = [0, 3, 4] ->
+    scenario.toml: goal.direction: is missing, direction and direction_tolerance_deg go together.
+direction_tolerance_deg = 10 ->
+    scenario.toml: goal.direction_tolerance_deg: is missing, direction and direction_tolerance_deg go together.
+direction_tolerance_deg = 10 -> direction_tolerance_deg = 181
+    scenario.toml: goal.direction_tolerance_deg = 181 deg: must be <= 180.
+kind = "sphere" -> kind = "cube"
+    scenario.toml: anatomy.1.kind = 'cube': must be one of sphere, capsule, mesh.
+kind = "sphere" ->
+    scenario.toml: anatomy.1.kind: is missing.
+kind = "sphere" -> kind = "capsule"
+    scenario.toml: anatomy.1.center_mm = [10, 20, 30]: does not go with kind = 'capsule'.
+center_mm = [10, 20, 30] ->
+    scenario.toml: anatomy.1.center_mm: is missing, a sphere needs center_mm, radius_mm.
+radius_mm = 5 -> radius_mm = 5\nunit = "mm"
+    scenario.toml: anatomy.1.unit = 'mm': does not go with kind = 'sphere'.
+radius_mm = 5 -> radius_mm = 5\nmargin_mm = -1
+    scenario.toml: anatomy.1.margin_mm = -1 mm: must be >= 0.
+file = "meshes/wedge.stl" -> file = "../wedge.stl"
+    scenario.toml: anatomy.3.file = '../wedge.stl': must lie in the folder of this file or below.
+file = "meshes/wedge.stl" -> file = "meshes/none.stl"
+    scenario.toml: anatomy.3.file = 'meshes/none.stl': is not a file that exists.
+unit = "cm" -> unit = "inch"
+    scenario.toml: anatomy.3.unit = 'inch': must be one of mm, cm, m.
+max_strain = 0.05 -> max_strain = 5
+    scenario.toml: margins.max_strain = 5: must be <= 1.
+mm_per_rad = 10 -> mm_per_rad = 0
+    scenario.toml: cost.mm_per_rad = 0 mm/rad: must be > 0.
+name = "RRT*" -> name = "PRM"
+    scenario.toml: planner.name = 'PRM': must be one of BIT*, RRT*, RRTConnect.
+time_s = 2.5 -> time_s = 3601
+    scenario.toml: planner.time_s = 3601 s: must be <= 3600.
+time_s = 2.5 -> time_ms = 2500
+    scenario.toml: planner.time_ms = 2500: unknown key, expected time_s (in s).
+settle = "oscillate" -> settle = true
+    scenario.toml: planner.settle = true: must be one of none, oscillate.
+"""
+
+
+def with_joint_goal(text: str = SCENARIO) -> str:
+    return re.sub(r"\[goal\]\n.*?(?=\[\[)", lambda match: JOINT_GOAL, text, flags=re.DOTALL)
+
+
+def wedge() -> str:
+    """A closed tetrahedron of 1 unit as ASCII STL."""
+    corners = ("0 0 0", "1 0 0", "0 1 0", "0 0 1")
+    facets = [[corners[i] for i in face] for face in ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))]
+    loops = "".join(
+        "facet normal 0 0 0\nouter loop\n" + "".join(f"vertex {c}\n" for c in f) + "endloop\nendfacet\n" for f in facets
+    )
+    return f"solid wedge\n{loops}endsolid wedge\n"
+
+
+def place(folder: Path) -> None:
+    """Everything that SCENARIO names."""
+    for name in ("robots", "meshes"):
+        (folder / name).mkdir(parents=True)
+    shutil.copy(ROBOTS / "three_tube.toml", folder / "robots")
+    (folder / "meshes" / "wedge.stl").write_text(wedge())
+    (folder / "scenario.toml").write_text(SCENARIO)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    place(tmp_path / "case")
+    monkeypatch.chdir(tmp_path / "case")
+    return tmp_path / "case"
+
+
+def refusal(*arguments: Any, **options: Any) -> str:
+    with pytest.raises(InputError) as caught:
+        load_scenario(*arguments, **options)
+    assert caught.value.exit_code == 2
+    return str(caught.value)
+
+
+CASES = refusals(REFUSED, SCENARIO)
+
+
+@pytest.mark.parametrize(("text", "sentence"), CASES, ids=[sentence for _, sentence in CASES])
+def test_every_fault_is_one_sentence_with_file_key_value_and_rule(folder: Path, text: str, sentence: str) -> None:
+    (folder / "scenario.toml").write_text(text)
+    assert refusal("scenario.toml") == sentence
+
+
+def test_values_arrive_in_si_units(folder: Path) -> None:
+    scenario = load_scenario("scenario.toml")
+    assert (scenario.name, scenario.path, scenario.robot.n) == ("past the ribs", "scenario.toml", 3)
+    np.testing.assert_allclose(scenario.base_position_m, [1e-3, 2e-3, 3e-3], rtol=1e-15)
+    np.testing.assert_allclose(scenario.base_R, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-15)  # x of the robot is y
+    np.testing.assert_allclose(scenario.start, [0, np.pi / 2, -4 * np.pi, -0.0864], rtol=1e-15)
+    goal = scenario.goal
+    assert goal.joints is None and goal.tip_m is not None and goal.direction is not None
+    np.testing.assert_allclose(goal.tip_m, [0.012, 0.040, 0.190], rtol=1e-15)
+    np.testing.assert_allclose(goal.direction, [0, 0.6, 0.8], rtol=1e-15)
+    assert goal.tolerance_m == pytest.approx(0.5e-3, rel=1e-15)
+    assert goal.direction_tolerance_rad == pytest.approx(np.pi / 18, rel=1e-15)
+    assert scenario.margins == Margins(0.2, 0.05)
+    assert scenario.cost == Cost(2, 10, 3, 4, 1.5e-3)
+    assert scenario.planner == PlannerSettings("RRT*", 2.5, "oscillate")
+
+
+def test_the_anatomy_arrives_in_si_units(folder: Path) -> None:
+    sphere, capsule, mesh = load_scenario("scenario.toml").anatomy
+    assert (sphere.kind, sphere.role, sphere.margin_m, sphere.radius_m) == ("sphere", "avoid", 0, 5e-3)
+    assert sphere.center_m is not None and capsule.from_m is not None and capsule.to_m is not None
+    assert mesh.vertices_m is not None
+    np.testing.assert_allclose(sphere.center_m, [0.01, 0.02, 0.03], rtol=1e-15)
+    assert (capsule.kind, capsule.role, capsule.margin_m, capsule.radius_m) == ("capsule", "inside", 1.5e-3, 60e-3)
+    np.testing.assert_allclose((capsule.from_m, capsule.to_m), [[0, 0, -0.01], [0, 0, 0.2]], rtol=1e-15)
+    assert (mesh.kind, mesh.file) == ("mesh", str(Path("meshes/wedge.stl")))
+    np.testing.assert_allclose(np.ptp(mesh.vertices_m, axis=0), 0.01, rtol=1e-6)  # unit = "cm"
+
+
+def test_everything_optional_has_the_documented_default(folder: Path) -> None:
+    text = SCENARIO[: SCENARIO.index("direction = ")].replace("tolerance_mm = 0.5", "")
+    text = re.sub(r"\[base\].*?(?=\[start)", "", text.replace('name = "past the ribs"', ""), flags=re.DOTALL)
+    (folder / "plain.toml").write_text(text)
+    scenario = load_scenario("plain.toml")
+    assert scenario.name == "plain"
+    assert (scenario.margins, scenario.cost, scenario.planner) == (Margins(), Cost(), PlannerSettings())
+    assert (scenario.goal.tolerance_m, scenario.goal.direction, scenario.anatomy) == (1e-3, None, ())
+    np.testing.assert_array_equal(scenario.base_position_m, np.zeros(3))
+    np.testing.assert_array_equal(scenario.base_R, np.eye(3))
+
+
+def test_a_joint_goal_has_the_order_of_the_drive(folder: Path) -> None:
+    (folder / "scenario.toml").write_text(with_joint_goal().replace('"rotate inner" = 0,', '"rotate inner" = 45,'))
+    goal = load_scenario("scenario.toml").goal
+    assert goal.tip_m is None and goal.joints is not None
+    np.testing.assert_allclose(goal.joints, [0, 0, np.pi / 4, 0], rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        (
+            *("joints = {", 'joints = { "bend" = 1,'),
+            "goal.joints.bend = 1: unknown joint, the robot has "
+            "rotate outer, rotate middle, rotate inner, translate inner.",
+        ),
+        (
+            *('"rotate inner" = 0, ', ""),
+            "goal.joints.rotate inner: is missing, every joint needs a value (in deg).",
+        ),
+        (
+            *('"translate inner" = 0 }', '"translate inner" = -90 }'),
+            "goal.joints.translate inner = -90 mm: must be within the joint's limits, -86.4 to 0 mm.",
+        ),
+        (
+            *('"translate inner" = 0 }', '"translate inner" = 0 }\ndirection = [0, 0, 1]'),
+            "goal.direction = [0, 0, 1]: goes with tip_mm, not with joints.",
+        ),
+    ],
+)
+def test_a_joint_goal_is_checked_like_the_start(folder: Path, old: str, new: str, sentence: str) -> None:
+    assert old in JOINT_GOAL
+    (folder / "scenario.toml").write_text(with_joint_goal().replace(old, new, 1))
+    assert refusal("scenario.toml") == f"scenario.toml: {sentence}"
+
+
+def test_a_start_whose_tubes_do_not_nest_contradicts_itself(folder: Path) -> None:
+    robot = (folder / "robots" / "three_tube.toml").read_text()
+    (folder / "robots" / "three_tube.toml").write_text(robot.replace("max_mm = 0 ", "max_mm = 5 "))
+    (folder / "scenario.toml").write_text(SCENARIO.replace('"translate inner" = -86.4', '"translate inner" = 4'))
+    assert refusal("scenario.toml") == (
+        "scenario.toml: start: the base of tube 3 (moved by translate inner) at l_3b = -30 mm and the base of tube 2 "
+        "at l_2b = -17 mm must be at least 17 mm apart, the collar of tube 3."
+    )
+
+
+def test_quaternions_are_rotations(folder: Path) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        wxyz = rng.normal(size=4)
+        wxyz *= rng.uniform(0.9991, 1.0009) / np.linalg.norm(wxyz)
+        R = load_scenario("scenario.toml", [f"base.quaternion_wxyz={wxyz.tolist()}"]).base_R
+        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-14)
+        assert np.linalg.det(R) == pytest.approx(1, abs=1e-14)
+        w, axis = wxyz[0] / np.linalg.norm(wxyz), wxyz[1:] / np.linalg.norm(wxyz[1:])
+        np.testing.assert_allclose(R @ axis, axis, atol=1e-14)
+        assert np.trace(R) == pytest.approx(4 * w**2 - 1, abs=1e-13)  # 1 + 2 cos(angle)
+
+
+def test_files_outside_the_folder_need_permission(folder: Path) -> None:
+    shutil.move(folder / "robots", folder.parent)
+    (folder / "scenario.toml").write_text(SCENARIO.replace('"robots/', '"../robots/'))
+    assert refusal("scenario.toml").endswith("must lie in the folder of this file or below.")
+    assert load_scenario("scenario.toml", allow_outside=True).robot.n == 3
+    os.symlink(folder.parent / "robots", folder / "robots")  # a link out of the folder is outside, too
+    (folder / "scenario.toml").write_text(SCENARIO)
+    assert refusal("scenario.toml").endswith("must lie in the folder of this file or below.")
+
+
+def test_the_place_of_the_caller_makes_no_difference(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    here = load_scenario("scenario.toml")
+    monkeypatch.chdir(folder.parent)
+    assert load_scenario(Path("case") / "scenario.toml").sha256 == here.sha256
+
+
+def test_overrides_go_to_the_file_they_name(folder: Path) -> None:
+    overrides = ["goal.tolerance_mm=2", "robot.contact.1.friction_coefficient=0.1", "start.rotate outer=30"]
+    scenario = load_scenario("scenario.toml", overrides)
+    robot = load_robot("robots/three_tube.toml", ["contact.1.friction_coefficient=0.1"])
+    assert scenario.robot.sha256 == robot.sha256
+    assert scenario.goal.tolerance_m == pytest.approx(2e-3, rel=1e-15)
+    assert scenario.start[0] == pytest.approx(np.pi / 6, rel=1e-15)
+    text = SCENARIO.replace("tolerance_mm = 0.5", "tolerance_mm = 2").replace('outer" = 0', 'outer" = 30')
+    assert scenario.sha256 == Document(tomllib.loads(text)).sha256 != load_scenario("scenario.toml").sha256
+    shutil.copy("robots/three_tube.toml", "robots/other.toml")
+    assert load_scenario("scenario.toml", ["robot=robots/other.toml"]).robot.path == str(Path("robots/other.toml"))
+
+
+def test_a_bad_override_names_the_file_it_went_to(folder: Path) -> None:
+    rule = "no such entry to override: positions go from 1 to 3."
+    robot_file = Path("robots/three_tube.toml")
+    assert refusal("scenario.toml", ["anatomy.4.margin_mm=1"]) == f"scenario.toml: anatomy.4: {rule}"
+    assert refusal("scenario.toml", ["robot.tube.9.poisson_ratio=1"]) == f"{robot_file}: tube.9: {rule}"
+
+
+def test_warnings_of_the_robot_are_passed_on(folder: Path) -> None:
+    (warning,) = load_scenario("scenario.toml", ["robot.contact.1.clearance_mm=0.2"]).warnings
+    assert warning.startswith(str(Path("robots/three_tube.toml")) + ": contact.1: radial clearance 0.2 mm is used, but")
+
+
+def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Paths of everything within a document."""
+    yield path
+    for key, item in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
+        yield from places(item, (*path, key))
+
+
+CONTENT = tomllib.loads(SCENARIO)
+VALUES = st.one_of(
+    st.booleans(),
+    st.integers(),
+    st.floats(),
+    st.text(max_size=5),
+    st.lists(st.floats() | st.integers(-9, 9), max_size=4),
+    st.dictionaries(st.text(max_size=3) | st.sampled_from(["rotate outer", "tip_mm", "name"]), st.floats(), max_size=3),
+)
+
+
+@pytest.fixture(scope="module")
+def scenario_path(tmp_path_factory: pytest.TempPathFactory) -> str:
+    folder = tmp_path_factory.mktemp("shared") / "case"
+    place(folder)
+    return str(folder / "scenario.toml")
+
+
+@settings(max_examples=200, deadline=None)
+@given(changes=st.lists(st.tuples(st.sampled_from(list(places(CONTENT))[1:]), VALUES), min_size=1, max_size=3))
+def test_any_content_gives_a_scenario_or_an_input_error(
+    scenario_path: str, changes: list[tuple[tuple[Any, ...], Any]]
+) -> None:
+    content = copy.deepcopy(CONTENT)
+    for path, value in changes:
+        with contextlib.suppress(KeyError, IndexError, TypeError):  # a place that an earlier change removed
+            table = content
+            for key in path[:-1]:
+                table = table[key]
+            table[path[-1]] = value
+    try:
+        assert isinstance(scenario_from_dict(content, file=scenario_path), Scenario)
+    except InputError as error:
+        assert str(error).isprintable()

@@ -1,0 +1,162 @@
+"""Planning with path history: what is predicted, what settles and compensates, and which order leaves least error."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from places import SCENARIOS
+
+import ctrplan
+from ctrplan.base.arrays import Array
+from ctrplan.errors import InputError
+from ctrplan.files.scenario_file import load_scenario
+from ctrplan.planning.certificate.certify import certify
+from ctrplan.planning.certificate.prediction import predict, predict_end, predict_from
+from ctrplan.planning.finish.alternatives import held_back, translations_first
+from ctrplan.planning.finish.compensate import compensate, corrected
+from ctrplan.planning.finish.oscillate_at_goal import SHAPE, oscillation, settle, turnings
+from ctrplan.planning.finish.reorder import as_given, assemble, least_error
+from ctrplan.planning.motion import MotionChecker
+from ctrplan.planning.plan import Plan
+from ctrplan.planning.scenario import Scenario
+
+START = np.array([0.0, 0.0, -0.03])
+GOAL = np.array([1.0, 3.2, 0.02])  # of the pair: friction moves its tip by 5 mm
+TURN_FIRST = np.array([START, [GOAL[0], GOAL[1], START[2]], GOAL])
+
+
+def pair(*overrides: str) -> Scenario:
+    return load_scenario(SCENARIOS / "pair_free.toml", overrides)
+
+
+@pytest.fixture(scope="module")
+def checker() -> MotionChecker:
+    return MotionChecker(pair())
+
+
+@pytest.fixture(scope="module")
+def turned_last(checker: MotionChecker) -> Array:
+    return translations_first(checker, TURN_FIRST)
+
+
+@pytest.fixture(scope="module")
+def reordered(turned_last: Array) -> Plan:
+    return ctrplan.reorder(turned_last, pair())
+
+
+def test_rotations_first_leave_a_fraction_of_what_translations_first_leave(reordered: Plan) -> None:
+    error = {other.name: other.goal_predicted_m for other in reordered.reorder.alternatives}
+    assert error["as given"] == error["translations first"] > 20 * error["as driven"]
+    assert error["as driven"] < error["straight line"]
+    assert [leg.kind for leg in reordered.legs] == ["rotation", "translation"]
+    assert any("became 2 legs (rotation, translation)" in change for change in reordered.reorder.changes)
+    assert reordered.certificate.goal_predicted_m == pytest.approx(error["as driven"], abs=1e-5)
+
+
+def test_predicted_error_stays_below_the_worst_case(reordered: Plan) -> None:
+    samples = reordered.certificate.samples
+    assert np.all(samples.released_m <= samples.bound_m + 1e-12)
+    assert np.all(samples.predicted_m <= samples.bound_m * 1.01 + 0.05e-3)
+    assert samples.predicted_m[-1] < 0.05 * samples.bound_m[-1]  # translation releases what rotation loaded
+    assert samples.predicted_m[samples.leg == 0][-1] > 0.5 * samples.bound_m[samples.leg == 0][-1]
+
+
+def test_prediction_is_the_history_of_every_start() -> None:
+    robot = pair().robot
+    whole = predict(robot, TURN_FIRST)
+    for tips, start in zip(whole.tip_m, ["released", (1.0,), (-1.0,)], strict=True):
+        history = robot.history(start)
+        for q in TURN_FIRST:
+            step = history.advance(*robot.drive.collars(q))
+        np.testing.assert_allclose(tips[-1], step.shape.tip_m, atol=1e-9)
+    _, states = predict_end(robot, TURN_FIRST[:2])
+    np.testing.assert_allclose(predict_from(robot, states, TURN_FIRST[1:]).tip_m[:, -1], whole.tip_m[:, -1], atol=5e-5)
+
+
+def test_search_pays_the_bound_until_a_translation_releases_it(checker: MotionChecker, turned_last: Array) -> None:
+    loaded, released = checker.along(turned_last), checker.along(TURN_FIRST)
+    assert loaded.end_error_m == pytest.approx(loaded.end_bound_m)
+    assert released.end_error_m < 1e-3 * released.end_bound_m
+    assert checker.cost_mm(released, ends_at_goal=True) < checker.cost_mm(loaded, ends_at_goal=True)
+
+
+def test_rotation_alone_is_driven_from_a_retreat(checker: MotionChecker) -> None:
+    path = np.array([GOAL - [0, 2.0, 0], GOAL])
+    ways = held_back(checker, path)
+    assert ways and all(np.array_equal(way[0], path[0]) and np.array_equal(way[-1], path[-1]) for way in ways)
+    assert held_back(checker, TURN_FIRST) == []  # ends with a long translation anyway
+    result = least_error(checker, path)
+    assert result.motion_after.end_error_m < 0.1 * result.motion_before.end_error_m
+    assert len(result.after) == 4 and checker.space.allowed(result.after)
+    blind = MotionChecker(pair("cost.error_goal=0", "cost.error_along=0"))
+    np.testing.assert_array_equal(least_error(blind, path).after, path)
+
+
+def test_oscillation_turns_neighbours_against_each_other_and_comes_back(checker: MotionChecker) -> None:
+    drive = checker.space.drive
+    for turn in turnings(drive):
+        np.testing.assert_allclose(np.abs(np.diff(drive.matrix_theta @ turn)), 1)
+        assert not turn[~drive.is_rotation].any()
+        rows = oscillation(GOAL, 0.7 * turn)
+        np.testing.assert_array_equal(rows[-1], GOAL)
+        np.testing.assert_allclose(rows - GOAL, 0.7 * SHAPE[:, None] * turn, atol=1e-12)
+    np.testing.assert_allclose(SHAPE[:4] * 40, [40, -38, 36, -34])  # Section V-A
+
+
+def test_settling_releases_a_loaded_goal(checker: MotionChecker, turned_last: Array) -> None:
+    before = certify(checker.scenario, turned_last)
+    settled = settle(checker, turned_last, before)
+    settling = settled.certificate.settling
+    assert settling is not None and settled.certificate.valid and not settled.note
+    assert settling.goal_predicted_before_m == before.goal_predicted_m > 4e-3
+    assert settling.goal_predicted_after_m < 0.2 * before.goal_predicted_m
+    assert settling.first_leg == 2 and len(settled.corners) == 3 + len(SHAPE)
+    np.testing.assert_array_equal(settled.corners[-1], turned_last[-1])
+    assert settled.certificate.goal_bound_m == pytest.approx(before.goal_bound_m)  # no history changes the worst case
+
+
+def test_settling_that_would_load_friction_is_left_out(checker: MotionChecker) -> None:
+    released = certify(checker.scenario, TURN_FIRST)
+    settled = settle(checker, TURN_FIRST, released)
+    assert settled.certificate is released and "left out" in settled.note
+    assert settled.corners is TURN_FIRST
+
+
+def test_compensation_brings_the_predicted_tip_to_the_target(turned_last: Array) -> None:
+    robot = pair().robot
+    target = robot.solve(*robot.drive.collars(GOAL)).tip_m * 1e3
+    case = pair(f"goal={{tip_mm={target.round(3).tolist()}, tolerance_mm=1}}")
+    checker = MotionChecker(case)
+    before = certify(case, turned_last)
+    corners, after, compensation = compensate(checker, turned_last, before)
+    assert after.valid and not compensation.note
+    assert compensation.error_without_m > 4e-3 and compensation.error_with_m < 0.1e-3
+    end = predict(robot, corners).tip_m[:, -1]
+    np.testing.assert_allclose(end, np.broadcast_to(target * 1e-3, end.shape), atol=0.15e-3)
+    assert after.goal_tip_error_m <= after.goal_bound_m  # the target stays inside the worst-case envelope
+    np.testing.assert_allclose(corners[-1] - turned_last[-1], compensation.correction, atol=1e-12)
+
+
+def test_what_settling_changed_is_what_is_compared(checker: MotionChecker, turned_last: Array) -> None:
+    settled = settle(checker, turned_last, certify(checker.scenario, turned_last))
+    given = as_given(checker, turned_last)
+    plan = assemble(
+        checker.scenario, [given], settled.certificate, planner="given path", seed=0, time_s=0.0, end=settled.corners
+    )
+    ways = {other.name: other for other in plan.reorder.alternatives}
+    assert ways["as driven"].length_mm == pytest.approx(plan.certificate.length_mm)
+    assert ways["as driven"].goal_predicted_m == pytest.approx(plan.certificate.goal_predicted_m, abs=0.05e-3)
+    assert ways["as given"].goal_predicted_m == pytest.approx(settled.certificate.settling.goal_predicted_before_m)
+
+
+def test_correction_keeps_the_kinds_of_legs() -> None:
+    kind = np.array([True, True, False])
+    moved = corrected(TURN_FIRST, 2, kind, np.array([0.1, -0.2, 0.001]))
+    np.testing.assert_allclose(moved, [START, [1.1, 3.0, START[2]], [1.1, 3.0, 0.021]])
+    alone = corrected(TURN_FIRST[:2], 1, kind, np.array([0.0, 0.0, 0.001]))
+    np.testing.assert_allclose(np.diff(alone, axis=0), [[1.0, 3.2, 0], [0, 0, 0.001]], atol=1e-12)
+
+
+def test_compensation_needs_a_tip_to_bring_somewhere() -> None:
+    with pytest.raises(InputError, match="no single tip position"):
+        ctrplan.plan(pair(), compensated=True)

@@ -1,0 +1,315 @@
+"""Planning as laws: order of motions, validity, costs that fall, answers that say why there is none."""
+
+from __future__ import annotations
+
+import math
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ompl import base as ob
+from ompl import geometric as og
+from places import SCENARIOS
+
+import ctrplan
+from ctrplan.drive.trajectory import verify_limits
+from ctrplan.errors import InputError, NoAnswerError
+from ctrplan.files.scenario_file import load_scenario
+from ctrplan.mechanics.core import Status
+from ctrplan.planning.certificate.certify import SPACING_M, certify
+from ctrplan.planning.finish.reorder import as_given, assemble, rotations_first
+from ctrplan.planning.goals.goal_states import goal_states
+from ctrplan.planning.joint_space import JointSpace
+from ctrplan.planning.motion import Motion, MotionChecker, invalid
+from ctrplan.planning.scenario import Scenario
+from ctrplan.planning.search.ompl_space import StateReader, state_space
+from ctrplan.planning.search.stage_search import Progress
+from ctrplan.planning.search.validity import MotionValidity, Validity
+
+BLIND = ["cost.error_along=0", "cost.error_goal=0"]
+
+
+def scenario(name: str, *overrides: str) -> Scenario:
+    return load_scenario(SCENARIOS / f"{name}.toml", overrides)
+
+
+@pytest.fixture(scope="module")
+def told() -> list[Progress]:
+    """What the planner said while `ribs` was planned."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def ribs(told: list[Progress]) -> ctrplan.Plan:
+    return ctrplan.plan(scenario("ribs", "planner.time_s=1"), seed=0, progress=told.append)
+
+
+@pytest.fixture(scope="module")
+def snap() -> ctrplan.Plan:
+    return ctrplan.plan(scenario("snap", "planner.time_s=2"), seed=0)
+
+
+def check(plan: ctrplan.Plan) -> None:
+    """What every plan keeps."""
+    space, start = JointSpace.of(plan.scenario), plan.scenario.start
+    assert plan.certificate.valid and not plan.certificate.problems
+    np.testing.assert_array_equal(plan.legs[0].start, start)
+    for before, after in zip(plan.legs[:-1], plan.legs[1:], strict=True):
+        np.testing.assert_array_equal(before.end, after.start)
+    assert space.allowed(plan.waypoints)
+    assert plan.style == "rotations before translations"
+    assert all(leg.kind in ("rotation", "translation") for leg in plan.legs)
+    samples = plan.certificate.samples
+    assert samples.motion_m.max() <= SPACING_M
+    assert samples.stability.min() >= plan.scenario.margins.stability
+    assert samples.clearance_m.min() >= plan.scenario.robot.model_error_m
+    assert all(
+        ratio <= 1 + 1e-9
+        for row in verify_limits(plan.trajectory, plan.scenario.robot.drive).values()
+        for ratio in row.values()
+    )
+    np.testing.assert_allclose(plan.trajectory.position[-1], plan.legs[-1].end, atol=1e-9)
+
+
+def test_plan_past_obstacles_reaches_its_target(ribs: ctrplan.Plan) -> None:
+    check(ribs)
+    assert ribs.certificate.goal_tip_error_m <= ribs.scenario.goal.tolerance_m
+    target = ribs.scenario.goal.tip_m
+    reached = ribs.scenario.robot.bound(*ribs.scenario.robot.drive.collars(ribs.legs[-1].end))
+    assert target is not None and np.linalg.norm(reached.frictionless.tip_m - target) <= ribs.scenario.goal.tolerance_m
+    assert reached.position_m == pytest.approx(ribs.certificate.goal_bound_m, abs=1e-6)
+
+
+def test_cost_that_weighs_the_error_more_prefers_goals_with_less() -> None:
+    checker = MotionChecker(scenario("ribs"))
+    goals = goal_states(checker, np.random.default_rng(0))
+    motions = [checker.motion(checker.scenario.start, goal.joints) for goal in goals]
+    valid = [motion for motion in motions if motion.valid]
+    lengths, errors = (np.array([getattr(m, key) for m in valid]) for key in ("length_mm", "end_bound_m"))
+    caring, blind = (errors[np.argmin(lengths + weight * errors * 1e3)] for weight in (200, 0))
+    assert caring < blind
+
+
+def test_progress_of_a_search_only_rises(ribs: ctrplan.Plan, told: list[Progress]) -> None:
+    shares = [progress.fraction for progress in told if progress.stage == "search"]
+    assert np.all(np.diff(shares) >= 0) and shares[0] < 0.5 < shares[-1] <= 1
+    costs = [progress.best_cost_mm for progress in told if progress.best_cost_mm is not None]
+    assert costs[-1] <= costs[0]
+
+
+def test_bound_aware_plan_ends_with_less_error_than_blind_one() -> None:
+    weights = (["cost.error_goal=100"], BLIND)  # how much less is the user's choice: here the target matters most
+    aware, blind = (ctrplan.plan(scenario("ribs", "planner.time_s=1", *w), seed=0) for w in weights)
+    assert aware.certificate.goal_bound_m < 0.5 * blind.certificate.goal_bound_m
+
+
+def test_bound_aware_plan_in_the_vessel_ends_with_less_error_than_blind_one() -> None:
+    aware, blind = (ctrplan.plan(scenario("vessel", "planner.time_s=1", *weights), seed=0) for weights in ([], BLIND))
+    check(aware)
+    assert aware.certificate.goal_bound_m < blind.certificate.goal_bound_m
+
+
+def test_plan_goes_round_where_the_straight_line_snaps(snap: ctrplan.Plan) -> None:
+    checker = MotionChecker(snap.scenario)
+    assert snap.scenario.goal.joints is not None
+    straight = checker.along(np.array([snap.scenario.start, snap.scenario.goal.joints]))
+    assert not straight.valid and "unstable" in straight.reason
+    check(snap)
+
+
+def test_walk_reports_a_snap_it_was_not_told_about(snap: ctrplan.Plan) -> None:
+    """On a coarse walk too, a jump between branches ends as UNSTABLE, never as a long step."""
+    assert snap.scenario.goal.joints is not None
+    corners = np.array([snap.scenario.start, snap.scenario.goal.joints])
+    samples = snap.scenario.robot.mechanics.check_path(*snap.scenario.robot.drive.collars(corners))
+    assert samples.status[-1] == Status.UNSTABLE and samples.fraction[-1] < 1
+
+
+@pytest.mark.parametrize("name", ["RRT*", "RRTConnect"])
+def test_other_planners(name: str) -> None:
+    check(ctrplan.plan(scenario("ribs", "planner.time_s=1", f'planner.name="{name}"'), seed=1))
+
+
+def test_reorder_puts_rotations_first_at_no_higher_cost() -> None:
+    case = scenario("pair_free")
+    rng = np.random.default_rng(2)
+    checker = MotionChecker(case)
+    tried = 0
+    for _ in range(40):
+        if tried == 4:
+            break
+        path = np.concatenate(
+            [[case.start], case.start + np.cumsum(rng.uniform(-1, 1, (4, 3)) * [0.4, 0.6, 8e-3], axis=0)]
+        )
+        if not checker.along(path).valid:
+            continue
+        tried += 1
+        plan = ctrplan.reorder(path, case)
+        assert plan.reorder.cost_after_mm <= plan.reorder.cost_before_mm + 1e-9
+        assert plan.reorder.stops_after == len(plan.legs) - 1
+        np.testing.assert_allclose(plan.waypoints[0], path[0])
+        np.testing.assert_allclose(plan.waypoints[-1], path[-1], atol=1e-12)
+        for kind, following in zip(plan.legs[:-1], plan.legs[1:], strict=True):
+            assert not (kind.kind == following.kind == "translation")
+    assert tried == 4
+
+
+def test_reorder_swaps_a_translation_before_a_rotation() -> None:
+    """Friction loaded by the rotation stays in the pair if it comes last; the L-shaped motion is at least as cheap."""
+    case = scenario("pair_free")
+    start = case.start
+    path = np.array([start, start + [0, 0, 0.01], start + [0, 0.5, 0.01]])
+    result = rotations_first(MotionChecker(case), path)
+    np.testing.assert_allclose(result.after[-1], path[-1])
+    assert result.motion_after.length_mm == pytest.approx(result.motion_before.length_mm)
+    assert result.motion_after.end_error_m < 0.01 * result.motion_before.end_error_m
+
+
+def test_reordering_a_path_that_goes_nowhere_is_a_leg_of_no_length() -> None:
+    case = scenario("pair_free")
+    plan = ctrplan.reorder([case.start, case.start], case)
+    np.testing.assert_array_equal(plan.waypoints, [case.start, case.start])
+    assert plan.certificate.length_mm == plan.trajectory.duration_s == plan.certificate.stops == 0
+
+
+def test_legs_that_go_on_in_one_direction_are_no_stop() -> None:
+    case = scenario("pair_free")
+    corners = case.start + np.array([[0.0, 0, 0], [0, 0.1, 0], [0, 0.3, 0], [0, 0.3, 0.01]])
+    given = as_given(MotionChecker(case), corners)
+    plan = assemble(case, [given], certify(case, corners), planner="given path", seed=0, time_s=0.0)
+    assert len(plan.legs) == 3 and plan.certificate.stops == plan.trajectory.stops == 1
+
+
+def test_progress_of_a_certificate_is_told_by_one_thread() -> None:
+    case, told = scenario("pair_free"), list[tuple[int, float]]()
+    corners = case.start + np.linspace(0, 1, 9)[:, None] * [1.0, 3.0, 0.04]
+    certify(case, corners, progress=lambda share: told.append((threading.get_ident(), share)))
+    assert {thread for thread, _ in told} == {threading.get_ident()}
+    assert [share for _, share in told] == pytest.approx(np.arange(1, len(told) + 1) / len(told)) and len(told) > 4
+
+
+@pytest.mark.parametrize("path", ["abc", [[0, 1], [2]], [[0, 0, 0]], [[0, 0], [1, 1]], [[0, 0, 0], [math.nan, 0, 0]]])
+def test_reorder_refuses_what_is_no_path(path: object) -> None:
+    with pytest.raises(InputError, match="path"):
+        ctrplan.reorder(path, scenario("pair_free"))  # type: ignore[arg-type]
+
+
+def test_joint_space_takes_the_short_way_round_only_where_unlimited() -> None:
+    space = JointSpace.of(scenario("ribs"))
+    a, b = np.radians([170.0, 170.0, 170.0, 0]), np.radians([-170.0, -170.0, -170.0, 0])
+    delta = np.degrees(space.difference(a, b))
+    np.testing.assert_allclose(delta, [-340, 20, 20, 0], atol=1e-9)
+    rng = np.random.default_rng(0)
+    for p, q in zip(space.sample(rng, 20), space.sample(rng, 20), strict=True):
+        corners = space.corners(p, q, "rotations before translations")
+        assert np.array_equal(corners[0], p) and np.allclose(space.difference(corners[-1], q), 0, atol=1e-12)
+        legs = sum(space.length_mm(leg) for leg in np.diff(corners, axis=0))
+        assert legs == pytest.approx(space.length_mm(space.difference(p, q)))  # the L is no longer than the diagonal
+        turned = corners[1] - corners[0]
+        assert not np.any(turned[~space.drive.is_rotation])
+
+
+def test_certificate_sees_an_obstacle_the_search_never_had() -> None:
+    """The certificate measures exact distances: shrinking the margin by hand in the field does not fool it."""
+    blocked = load_scenario(SCENARIOS / "ribs.toml", ["anatomy.1.margin_mm=4"])
+    plan = ctrplan.plan(scenario("ribs", "planner.time_s=1"), seed=0)  # counted: a second by the clock may be none
+    assert not certify(blocked, plan.waypoints).valid
+
+
+def test_simultaneous_motion_is_a_named_fallback(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = MotionChecker.motion
+
+    def refuse_l_shapes(self: MotionChecker, a: np.ndarray, b: np.ndarray) -> Motion:
+        return real(self, a, b) if self.style == "simultaneous" else invalid("refused by the test")
+
+    monkeypatch.setattr(MotionChecker, "motion", refuse_l_shapes)
+    # the package exports a function of the module's name
+    monkeypatch.setattr(
+        sys.modules["ctrplan.planning.finish.reorder"], "_pieces", lambda checker, corners, i, j: [corners[i : j + 1]]
+    )
+    plan = ctrplan.plan(scenario("pair_free", "planner.time_s=1"), seed=0)
+    assert plan.style == "simultaneous" and any("simultaneously" in note for note in plan.notes)
+    assert plan.certificate.valid
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["goal.tip_mm=[300, 0, 50]"], "out of reach, the nearest tip found is"),
+        (["goal.tip_mm=[0, -30, 78]"], r"lies 0\.\d+ mm inside anatomy.1 \(ribs.stl\), which is to be avoided"),
+        (["anatomy.1.margin_mm=60"], "start: the start state is not valid"),
+        (["cost.max_error_goal_mm=0.01"], "no goal state keeps the required worst-case error of 0.01 mm"),
+        (
+            ["goal.direction=[0, 0, -1]", "goal.direction_tolerance_deg=5"],
+            "deg from goal.direction, beyond its tolerance",
+        ),
+    ],
+)
+def test_no_answer_says_why(overrides: list[str], words: str) -> None:
+    with pytest.raises(NoAnswerError, match=words) as caught:
+        ctrplan.plan(scenario("ribs", *overrides), time_s=0.5)
+    assert caught.value.exit_code == 1 and str(caught.value).count("\n") == 0
+
+
+def test_path_outside_limits_is_refused_with_joint_and_row() -> None:
+    case = scenario("pair_free")
+    with pytest.raises(
+        NoAnswerError, match=r"path: not valid: row 1: translate inner = 70 mm: must be within -43 and 43.4"
+    ):
+        ctrplan.reorder([case.start, [0, 0, 0.07]], case)
+
+
+def test_tip_goal_of_a_robot_whose_tubes_all_translate(tmp_path: Path) -> None:
+    """Without [[joint]] every tube has its own translation, and the goal's configurations touch the nesting limits."""
+    robot = (SCENARIOS / "robots" / "table_5_pair.toml").read_text().split("[[joint]]")[0]
+    (tmp_path / "robot.toml").write_text(robot)
+    names = [f"{what} {tube}" for tube in (1, 2) for what in ("rotate", "translate")]
+    start = "\n".join(f'"{name}" = 0' for name in names)
+    goal = "tip_mm = [50, 10, 200]\ntolerance_mm = 2"
+    (tmp_path / "case.toml").write_text(
+        f'robot = "robot.toml"\n[start]\n{start}\n[goal]\n{goal}\n[planner]\ntime_s = 1\n'
+    )
+    check(ctrplan.plan(load_scenario(tmp_path / "case.toml")))
+
+
+def test_unstable_start_is_refused() -> None:
+    case = scenario("snap", 'start={"rotate outer"=0, "rotate middle"=0, "rotate inner"=180, "translate inner"=-86.4}')
+    with pytest.raises(NoAnswerError, match="start: the start state is not valid: elastically unstable"):
+        ctrplan.plan(case, time_s=0.5)
+
+
+def test_objective_in_a_set_up_of_ones_own() -> None:
+    """As a user with an OMPL set-up would: own space information and planner, the bound as objective."""
+    case = scenario("pair_free")
+    checker = MotionChecker(case)
+    space = state_space(checker.space)
+    information = ob.SpaceInformation(space)
+    read = StateReader(checker.space)
+    validity, motions = Validity(information, checker, read), MotionValidity(information, checker, read)
+    information.setStateValidityChecker(validity)
+    information.setMotionValidator(motions)
+    information.setup()
+    start, goal = information.allocState(), information.allocState()
+    assert case.goal.joints is not None
+    read.write(start, case.start)
+    read.write(goal, case.goal.joints)
+    objective = ctrplan.planning.BoundObjective(information, case, goals=[read(goal)])
+    cost = objective.motionCost(start, goal).value()
+    motion = checker.motion(read(start), read(goal))
+    if motion.valid:
+        assert cost == pytest.approx(checker.cost_mm(motion, ends_at_goal=True))
+    assert objective.motionCostHeuristic(start, goal).value() <= cost + 1e-9
+    definition = ob.ProblemDefinition(information)
+    definition.addStartState(start)
+    target = ob.GoalStates(information)
+    target.addState(goal)
+    definition.setGoal(target)
+    definition.setOptimizationObjective(objective)
+    planner = og.RRTstar(information)
+    planner.setProblemDefinition(definition)
+    planner.setup()
+    calls = iter(range(10**6))
+    planner.solve(ob.PlannerTerminationCondition(lambda: next(calls) > 12))
+    assert objective.is_goal(read(goal)) and not objective.is_goal(read(start))

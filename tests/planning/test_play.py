@@ -1,0 +1,103 @@
+"""Play of the drive in plans: what it may move the robot by, the margins it takes, and the certificate that says so."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from places import SCENARIOS
+
+from ctrplan.base.arrays import Array
+from ctrplan.cli import main
+from ctrplan.files.robot_file import load_robot
+from ctrplan.files.scenario_file import load_scenario
+from ctrplan.planning.certificate.certify import certify
+from ctrplan.planning.motion import search_limits
+from ctrplan.planning.plan import Certificate, Plan
+from ctrplan.planning.play import play_shift
+from ctrplan.planning.scenario import Scenario
+from ctrplan.reports.plan_words.verdict_words import certificate_in_words
+from ctrplan.robot.robot import Robot
+
+WIDTHS = {"theta_2_deg": 4.0, "theta_3_deg": 3.0, "l_3_mm": 1.0}
+
+
+def three_tube(scale: float = 1.0, **widths: float) -> Robot:
+    given = [f"effects.backlash.{name}={scale * width}" for name, width in (widths or WIDTHS).items()]
+    return load_robot(SCENARIOS / "robots" / "three_tube.toml", given)
+
+
+def configurations(robot: Robot) -> list[tuple[Array, Array]]:
+    rng = np.random.default_rng(2)
+    thetas = rng.uniform(-1.0, 1.0, (6, 3))  # far from snapping
+    return [
+        (theta, np.array([0.0, -0.017, l_3])) for theta, l_3 in zip(thetas, rng.uniform(-0.1, -0.04, 6), strict=True)
+    ]
+
+
+def test_a_drive_without_play_moves_nothing() -> None:
+    robot = load_robot(SCENARIOS / "robots" / "three_tube.toml")
+    assert robot.drive.play is None
+    assert all(play_shift(robot, *q) == 0.0 for q in configurations(robot))
+
+
+def test_no_place_within_the_play_is_farther_away() -> None:
+    robot = three_tube()
+    theta_off, l_off = robot.drive.play or ((), ())
+    np.testing.assert_allclose(np.degrees(theta_off), [0, 2, 1.5])
+    np.testing.assert_allclose(l_off, [0, 0, 0.5e-3])
+    rng = np.random.default_rng(3)
+    for theta_b, l_b in configurations(robot):
+        shift, here = play_shift(robot, theta_b, l_b), robot.solve(theta_b, l_b).tip_m
+        sides = rng.uniform(-1, 1, (12, 2, 3))
+        sides[:8] = np.sign(sides[:8])
+        tips = [robot.solve(theta_b + a * theta_off, l_b + b * l_off).tip_m for a, b in sides]
+        assert 0 < np.linalg.norm(np.array(tips) - here, axis=1).max() <= 1.02 * shift
+
+
+def test_the_shift_is_in_proportion_to_small_play_and_adds_up_over_actuators() -> None:
+    whole, half = three_tube(0.2), three_tube(0.1)
+    single = [three_tube(0.2, **{name: width}) for name, width in WIDTHS.items()]
+    for q in configurations(whole):
+        shift = play_shift(whole, *q)
+        assert play_shift(half, *q) == pytest.approx(shift / 2, rel=0.05)
+        assert sum(play_shift(robot, *q) for robot in single) == pytest.approx(shift, rel=1e-6)
+
+
+def test_the_command_says_what_play_adds(capsys: pytest.CaptureFixture[str]) -> None:
+    where = ["--theta-deg", "0", "90", "180", "--l-mm", "0", "-17", "-62.8"]
+    call = ["bound", str(SCENARIOS / "robots" / "three_tube.toml"), *where, "--accuracy", "search"]
+    assert main([*call, "--json"]) == 0 and json.loads(capsys.readouterr().out)["play_mm"] == 0.0
+    assert main(call) == 0 and "play" not in capsys.readouterr().out
+    given = ["--set", "effects.backlash.theta_3_deg=4"]
+    assert main([*call, *given]) == 0 and "play of the drive may move it by" in capsys.readouterr().out
+    assert main([*call, *given, "--json"]) == 0 and json.loads(capsys.readouterr().out)["play_mm"] > 0.5
+
+
+def certified(robot: Robot) -> tuple[Scenario, Certificate]:
+    scenario = replace(load_scenario(SCENARIOS / "ribs.toml"), robot=robot)
+    turn = np.radians([0.0, 15.0, -20.0, 0.0])
+    return scenario, certify(scenario, np.array([scenario.start, scenario.start + turn]), accuracy="certificate")
+
+
+def test_a_certificate_takes_the_play_off_every_clearance_and_says_so() -> None:
+    (tight, plain), (loose, found) = certified(three_tube(1e-9)), certified(three_tube())
+    samples, bare = found.samples, plain.samples
+    np.testing.assert_allclose(samples.clearance_m, bare.clearance_m - samples.play_m, atol=1e-6)
+    np.testing.assert_allclose(samples.bound_m, bare.bound_m)  # friction is another matter
+    ends = [play_shift(loose.robot, *loose.robot.drive.collars(q)) for q in samples.joints[[0, -1]]]
+    assert found.worst_play_m >= max(ends) > 0.5e-3
+    assert found.goal_play_m == found.targets[-1].play_m == samples.play_m[-1]
+    assert search_limits(loose).clearance_m > search_limits(tight).clearance_m + 0.5e-3
+    assert not plain.valid or plain.worst_play_m < 1e-8
+
+
+def test_a_plan_tells_what_play_may_do(make_plan: Callable[..., Plan]) -> None:
+    plan = make_plan()
+    without = " ".join(certificate_in_words(plan))
+    certificate = replace(plan.certificate, worst_play_m=2.5e-3, goal_play_m=1.5e-3)
+    said = " ".join(certificate_in_words(replace(plan, certificate=certificate)))
+    assert "Play" not in without and "Play of the drive may move the robot by up to 2.50 mm" in said

@@ -1,0 +1,196 @@
+"""The roadmap's search against plain relaxation over all its motions, and its hint against the shapes it stands for."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from places import SCENARIOS
+
+from ctrplan.base.arrays import Array
+from ctrplan.files.scenario_file import load_scenario
+from ctrplan.mechanics.core import PathSamples
+from ctrplan.planning.bound_table import BoundField
+from ctrplan.planning.goals.goal_descent import descended
+from ctrplan.planning.goals.goal_states import goal_states
+from ctrplan.planning.motion import MotionChecker, anatomy_grid
+from ctrplan.planning.search.insertion_chains import Roadmap
+from ctrplan.planning.search.roadmap_search import RoadmapSearch
+from ctrplan.planning.search.search_clock import SearchClock, WorkMeter
+from ctrplan.planning.search.search_problem import SearchProblem
+from ctrplan.planning.search.stage_search import StageSearch
+
+
+@pytest.fixture(scope="module")
+def vessel() -> MotionChecker:
+    return MotionChecker(load_scenario(SCENARIOS / "vessel.toml"))
+
+
+@pytest.fixture(scope="module")
+def search(vessel: MotionChecker) -> RoadmapSearch:
+    goals = goal_states(vessel, np.random.default_rng(0))[:3]
+    joints = np.vstack([vessel.scenario.start, *(goal.joints for goal in goals)])
+    found = RoadmapSearch(vessel, Roadmap(joints, np.array([[0, 1], [0, 2], [0, 3]]), np.array([1, 2, 3])), goals)
+    found.grow(np.random.default_rng(1), 6)
+    return found
+
+
+def test_the_path_found_is_the_cheapest_of_all(vessel: MotionChecker, search: RoadmapSearch) -> None:
+    path = search.cheap_path(lambda: False, doubt=0)
+    assert path is not None
+
+    def cost(a: int, b: int, ends_at_goal: bool) -> float:
+        motion = vessel.motion(search.joints[a], search.joints[b])
+        return vessel.cost_mm(motion, ends_at_goal=ends_at_goal) if motion.valid else np.inf
+
+    prices = {(int(a), int(b)): cost(a, b, False) for a, b in search.edges}
+    least = np.where(np.arange(len(search.joints)) == 0, 0.0, np.inf)
+    for _ in range(len(least)):
+        for (a, b), price in prices.items():
+            least[b] = min(least[b], least[a] + price)
+    cheapest = min(least[a] + cost(a, b, True) for a, b in prices if b in search.goals)
+    nodes = [int(np.argmin(np.abs(search.joints - q).max(axis=1))) for q in path]
+    pairs = list(zip(nodes[:-1], nodes[1:], strict=True))
+    total = sum(prices[pair] for pair in pairs[:-1]) + cost(*pairs[-1], True)
+    assert total == pytest.approx(cheapest, abs=1e-4)
+    assert nodes[0] == 0 and nodes[-1] in search.goals
+    likely = search.cheap_path(lambda: False, doubt=1)
+    assert likely is not None and vessel.state(likely[-1]).valid
+
+
+def test_a_goal_that_is_passed_is_not_paid_for() -> None:
+    target = "goal={tip_mm=[16.1, -30.3, 144.9], tolerance_mm=1.0}"
+    dear = MotionChecker(load_scenario(SCENARIOS / "deploy.toml", [target, "cost.error_goal=1000"]))
+    trails = descended(dear, goal_states(dear, np.random.default_rng(0))[:1])
+    start = dear.scenario.start
+    search = RoadmapSearch(dear, Roadmap(start[None], np.empty((0, 2), dtype=int), np.empty(0, dtype=int)), [])
+    search.add_trails(trails)
+    first, last = 1, len(trails[0])
+    np.testing.assert_array_equal(search.joints[[first, last]], [trails[0][0].joints, trails[0][-1].joints])
+    search.cost[:] = np.where(search.edges[:, 0] == 0, np.inf, search.cost)  # no other way down than along the trail
+    search.extend(np.empty((0, len(start))), np.array([[0, first]]))
+    search.cost[-1], search.known[-1] = 1.0, True
+    path = search.cheap_path(lambda: False, doubt=0)
+    assert path is not None and len(path) > 2
+    np.testing.assert_array_equal(path[1], search.joints[first])
+    assert search.left_m[int(np.argmin(np.abs(search.joints - path[-1]).max(axis=1)))] < search.left_m[first]
+
+
+def test_a_forbidden_path_is_not_found_again(vessel: MotionChecker, search: RoadmapSearch) -> None:
+    path = search.any_path(lambda: False)
+    assert path is not None
+    assert all(vessel.motion(a, b).valid for a, b in zip(path[:-1], path[1:], strict=True))
+    search.forbid(path, "refused")
+    other = search.any_path(lambda: False)
+    assert other is None or not np.array_equal(other, path)
+
+
+def test_a_path_through_one_of_two_equal_states_can_be_forbidden(vessel: MotionChecker) -> None:
+    """By the same motions through the other one it is not found again."""
+    goal = goal_states(vessel, np.random.default_rng(0))[0]
+    start = vessel.scenario.start
+    beside = start + np.where(vessel.space.drive.is_rotation, 0.05, 0.0)
+    roadmap = Roadmap(np.array([start, beside, beside, goal.joints]), np.array([[1, 3], [0, 2], [2, 3]]), np.array([3]))
+    search = RoadmapSearch(vessel, roadmap, [goal])
+    search.cost[:], search.known[:] = 1.0, True
+    path = search.known_path()
+    assert path is not None and len(path) == 3
+    search.forbid(path, "refused")
+    search.extend(np.empty((0, len(start))), np.array([[0, 1]]))
+    search.known[-1] = True
+    assert search.known_path() is None and not vessel.motion(beside, goal.joints).valid
+
+
+def test_no_random_state_is_drawn_twice() -> None:
+    """Where the search for a first path grew the roadmap, and that for the cheapest does so again."""
+    checker = MotionChecker(load_scenario(SCENARIOS / "pair_free.toml"))
+    goals, clock = goal_states(checker, np.random.default_rng(0)), SearchClock(checker.meter, timed=False)
+    search = StageSearch(checker, goals, 0, time.monotonic(), 2.0, clock, lambda _: None, threading.Event())
+    drawn: list[Array] = []
+
+    def grow(_: RoadmapSearch, rng: np.random.Generator, count: int) -> None:
+        drawn.append(rng.random(5))
+        clock.meter.add(count * 10**6)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(RoadmapSearch, "grow", grow)
+        patch.setattr(RoadmapSearch, "any_path", lambda search, *_: search.joints if len(drawn) > 2 else None)
+        search._cheapest_of(search._first_path())
+    assert len(drawn) > 3 and len(np.unique(np.concatenate(drawn))) == sum(map(len, drawn))
+
+
+def test_rooms_of_zero_clearance_shapes_are_those_of_their_centrelines(vessel: MotionChecker) -> None:
+    scenario, grid = vessel.scenario, anatomy_grid(vessel.scenario)
+    assert grid is not None and vessel.field is not None
+    joints = vessel.space.sample(np.random.default_rng(3), 12)
+    theta_b, l_b = vessel.space.drive.collars(joints)
+    found, _ = vessel.mechanics.zero_clearance_rooms(theta_b, l_b, vessel.field, spacing_m=1e-3)
+    for k in np.flatnonzero(np.isfinite(found)):
+        shape = vessel.mechanics.zero_clearance(theta_b[k], l_b[k])
+        ahead = shape.s_m >= 0
+        points = shape.centreline_m[ahead] @ scenario.base_R.T + scenario.base_position_m
+        expected = float((grid.sample(points) - shape.radius_m[ahead]).min())
+        assert found[k] == pytest.approx(expected, abs=1e-3)  # other points of the same line, at most 1 mm apart
+    coarse, tips = vessel.mechanics.zero_clearance_rooms(theta_b, l_b, vessel.field, spacing_m=4e-3)
+    np.testing.assert_allclose(coarse, found, atol=4e-3)
+    np.testing.assert_allclose(tips, vessel.mechanics.tips(theta_b, l_b)[0], atol=1e-6)  # of other steps along the line
+
+
+def test_every_leg_is_charged_for_its_stop(vessel: MotionChecker) -> None:
+    dear = MotionChecker(load_scenario(SCENARIOS / "vessel.toml", ["cost.stop=7"]))
+    start = vessel.scenario.start
+    turned = start + np.where(vessel.space.drive.is_rotation, 0.1, 0.0)
+    moved = turned + np.where(vessel.space.drive.is_rotation, 0.0, 1e-3)
+    for end, legs in ((start, 0), (turned, 1), (moved, 2)):
+        motion = vessel.motion(start, end)
+        extra = dear.cost_mm(motion, ends_at_goal=False) - vessel.cost_mm(motion, ends_at_goal=False)
+        assert extra == pytest.approx((7 - vessel.scenario.cost.stop) * legs)
+        assert motion.legs == legs
+
+
+def test_counted_time_is_work_alone() -> None:
+    meter = WorkMeter()
+    meter.add(10**9)
+    clock = SearchClock(meter, timed=False)
+    assert clock.now() == 0 and not clock.is_past(1.5)
+    meter.add(2 * 10**9)
+    assert clock.now() == pytest.approx(2.0) and clock.is_past(1.5) and clock.ran_out and clock.name == "count"
+
+
+def test_what_a_bound_field_refuses_is_solved(vessel: MotionChecker) -> None:
+    class Refusing:
+        """A field whose margin is too large for this scenario."""
+
+        def check_path(self, theta_b: Array, l_b: Array, *_: object, **limits: Any) -> PathSamples:
+            samples = vessel.walk(np.array([vessel.scenario.start]), vessel.density, vessel.limits)
+            return replace(samples, clearance_m=np.full(1, limits["limits"].clearance_m - 1e-3))
+
+    looked_up = MotionChecker(vessel.scenario, bound_field=cast(BoundField, Refusing()))
+    asked, solved = looked_up.state(vessel.scenario.start), vessel.state(vessel.scenario.start)
+    assert asked.valid
+    assert asked.end_bound_m == pytest.approx(solved.end_bound_m, abs=1e-9)
+
+
+def test_a_search_without_a_valid_goal_ends_at_once(vessel: MotionChecker) -> None:
+    goal = goal_states(vessel, np.random.default_rng(0))[0]
+    inside_the_wall = replace(goal, joints=goal.joints + [3.0, 3.0, 0, 0])
+    assert not vessel.state(inside_the_wall.joints).valid
+    problem = SearchProblem(vessel, [inside_the_wall], seed=0)
+    assert not problem.solve(lambda cost: pytest.fail("it waits for another goal"), only_first=True)
+
+
+def test_motions_that_snap_are_suspected_beforehand_and_others_are_not() -> None:
+    checker = MotionChecker(load_scenario(SCENARIOS / "snap.toml"))
+    joints, found = checker.space.sample(np.random.default_rng(0), 40), list[tuple[bool, bool]]()
+    start, goal = checker.scenario.start, goal_states(checker, np.random.default_rng(0))[0].joints
+    for a, b in [(start, goal), (goal, start), *zip(joints[:-1], joints[1:], strict=True)]:
+        if checker.state(a).valid and checker.state(b).valid:
+            way = checker.space.corners(a, b, checker.style)
+            found.append((bool(checker.look([way])[1][0]), checker.motion(a, b).valid))
+    assert found[:2] == [(True, False), (True, False)]  # what the scenario was made for
+    assert np.mean([suspected != valid for suspected, valid in found]) > 0.95
+    assert sum(valid for _, valid in found) > 20

@@ -1,0 +1,156 @@
+"""report.html stands alone, says what the plan says, and takes no text for HTML."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ctrplan.planning.plan import Plan
+from ctrplan.reports.html_page import Markup, page, table, tag
+from ctrplan.reports.plan_page.curves import CURSOR, joints_figure, margins_figure
+from ctrplan.reports.plan_page.page import report_html, write_report
+from ctrplan.reports.plan_page.scene import FRAMES, scene_figure
+from ctrplan.reports.plan_words.verdict import findings, verdict
+
+HOSTILE = """<script>alert("x")</script><img src=x onerror=alert(1)>'&</title>"""
+LOADING = ("src", "href", "data", "poster", "srcset", "action", "formaction", "background")
+
+
+class Page(HTMLParser):
+    """Elements, what they load, and the text that a reader sees."""
+
+    def __init__(self, content: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.loaded: list[tuple[str, str]] = []
+        self.attributes: list[str] = []
+        self.scripts, self.text, self._script = "", "", False
+        self.feed(content)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += [name for name, _ in attrs]
+        self.loaded += [(tag, value or "") for name, value in attrs if name in LOADING]
+        self._script = tag in ("script", "style")
+
+    def handle_endtag(self, tag: str) -> None:
+        self._script = False
+
+    def handle_data(self, data: str) -> None:
+        if self._script:
+            self.scripts += data
+        else:
+            self.text += data
+
+
+@pytest.fixture(scope="module")
+def content(plan: Plan) -> str:
+    return report_html(plan)
+
+
+@pytest.fixture(scope="module")
+def hostile(plan: Plan) -> Plan:
+    """A plan in which every text of the user is an attack."""
+    drive = plan.scenario.robot.drive
+    joints = tuple(replace(joint, name=f"{HOSTILE}{k}") for k, joint in enumerate(drive.joints))
+    robot = replace(
+        plan.scenario.robot, name=HOSTILE, path=HOSTILE, sha256=HOSTILE, drive=replace(drive, joints=joints)
+    )
+    scenario = replace(plan.scenario, name=HOSTILE, path=HOSTILE, sha256=HOSTILE, robot=robot, warnings=(HOSTILE,))
+    certificate = replace(plan.certificate, valid=False, problems=(HOSTILE,))
+    return replace(plan, scenario=scenario, certificate=certificate, planner=HOSTILE, notes=(HOSTILE,))
+
+
+def test_nothing_is_loaded(content: str) -> None:
+    parsed = Page(content)
+    assert parsed.loaded == []
+    assert not {"link", "iframe", "object", "embed", "base"} & set(parsed.tags)
+    assert not re.search(r"@import|url\(\s*['\"]?(https?:)?//", content.split("<script", 1)[0])
+    assert "default-src 'none'" in content and "connect-src" not in content
+
+
+def test_plotly_comes_once_and_the_file_is_small(plan: Plan, tmp_path: Path) -> None:
+    write_report(tmp_path / "report.html", plan)
+    assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
+    assert (tmp_path / "report.html").stat().st_size < 9e6
+    assert (tmp_path / "report.html").read_text(encoding="utf-8").count("* plotly.js v") == 1
+
+
+def test_report_is_the_same_every_time(plan: Plan, content: str) -> None:
+    assert report_html(plan) == content
+
+
+def test_report_says_what_the_plan_says(plan: Plan, content: str) -> None:
+    text = Page(content).text
+    assert verdict(plan) in text and plan.scenario.name in text
+    for finding in findings(plan):
+        assert finding.quantity in text and finding.value in text
+    for fact in (plan.scenario.sha256, plan.scenario.robot.sha256, f"seed {plan.seed}", *plan.notes):
+        assert fact in text
+    assert "translate inner: -80.00 mm → -20.00 mm" in text and "rotate inner: 0.00° → 110.00°" in text
+
+
+def test_texts_are_no_html(hostile: Plan, content: str) -> None:
+    attacked, parsed = report_html(hostile), Page(report_html(hostile))
+    assert {"img", "b"} & set(parsed.tags) <= {"b"}
+    assert parsed.tags.count("script") == Page(content).tags.count("script")
+    assert parsed.tags.count("title") == 1
+    assert not any(name.startswith("on") for name in parsed.attributes)
+    assert HOSTILE in parsed.text and HOSTILE not in attacked
+    assert "<img" not in parsed.scripts.split("Plotly.newPlot", 1)[1]
+
+
+def test_names_in_plots_are_shown_not_interpreted(hostile: Plan) -> None:
+    names = [trace.name for trace in joints_figure(hostile).data if trace.name]
+    assert names and all("<" not in name and "&lt;script&gt;" in name for name in names)
+
+
+def test_frames_move_the_robot_and_nothing_else(plan: Plan) -> None:
+    figure = scene_figure(plan)
+    assert len(figure.frames) == FRAMES == len({frame.name for frame in figure.frames})
+    assert float(figure.frames[-1].name) == pytest.approx(plan.trajectory.duration_s, abs=1e-3)
+    for frame in figure.frames:
+        assert list(frame.traces) == list(range(len(frame.data)))
+        for trace, moved in zip(figure.data, frame.data, strict=False):
+            assert trace.type == moved.type and len(trace.x) == len(moved.x)
+    last = figure.frames[-1].data
+    for trace, moved in zip(figure.data, last, strict=False):
+        np.testing.assert_array_equal(np.asarray(trace.z), np.asarray(moved.z))
+    assert [step["args"][0][0] for step in figure.layout.sliders[0].steps] == [frame.name for frame in figure.frames]
+
+
+def test_scene_has_equal_scales_that_stay(plan: Plan) -> None:
+    figure = scene_figure(plan)
+    assert figure.layout.scene.aspectmode == "data"
+    for axis in "xyz":
+        low, high = figure.layout.scene[f"{axis}axis"].range
+        for frame in figure.frames:
+            values = np.concatenate([np.asarray(trace[axis], dtype=float) for trace in frame.data])
+            assert low <= np.nanmin(values) and np.nanmax(values) <= high
+
+
+def test_cursor_is_the_shape_that_the_slider_moves(plan: Plan) -> None:
+    for figure in (margins_figure(plan), joints_figure(plan)):
+        cursor = figure.layout.shapes[CURSOR]
+        assert cursor.type == "line" and cursor.x0 == cursor.x1 == plan.trajectory.duration_s
+
+
+@pytest.mark.parametrize("waypoints", [[[0, 0], [60, -120]], [[0, 0], [0, 0]]])
+def test_free_space_and_rest_are_reported(make_plan: Callable[..., Plan], waypoints: list[list[float]]) -> None:
+    plan = make_plan(waypoints, robot="robots/table_1_pair.toml", cost={"max_error_goal_mm": 2.0})
+    titles = [annotation.text for annotation in margins_figure(plan).layout.annotations]
+    assert not any("Clearance" in title for title in titles) and "allowed at the goal" in titles[0]
+    assert "free space" in Page(report_html(plan)).text
+
+
+@pytest.mark.parametrize("make", [lambda text: tag("p", text, kind=text), lambda text: table([text], [[text]])])
+def test_page_escapes_what_is_not_markup(make: Any) -> None:
+    assert HOSTILE not in page(HOSTILE, make(HOSTILE)) and Page(page("", make(HOSTILE))).text.count(HOSTILE) >= 1
+    assert tag("p", Markup("<b>x</b>")) == "<p><b>x</b></p>"

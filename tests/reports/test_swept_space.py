@@ -1,0 +1,31 @@
+"""The space that the envelope sweeps encloses every pose's envelope; the certificate's words say its figures."""
+
+from __future__ import annotations
+
+import igl
+import numpy as np
+
+from ctrplan.planning.plan import Plan
+from ctrplan.reports.plan_words.verdict import millimetres
+from ctrplan.reports.plan_words.verdict_words import certificate_in_words
+from ctrplan.reports.scene import poses
+from ctrplan.reports.swept_space import swept_surface
+
+
+def test_swept_space_holds_every_envelope_and_little_more(plan: Plan) -> None:
+    path = poses(plan, 6)
+    surface = swept_surface(path)
+    centres = np.concatenate([step.envelope.centreline_m for step in path])
+    radii = np.concatenate([step.envelope.radius_m for step in path])
+    winding = np.abs(igl.fast_winding_number(surface.vertices_m, surface.faces, centres[radii > 0]))
+    assert np.all(winding > 0.5)
+    apart = np.linalg.norm(surface.vertices_m[:, None] - centres, axis=2) - radii
+    assert apart.min(axis=1).max() < 2.5e-3 and apart.min(axis=1).min() > -2e-3  # the union's surface, within a cell
+
+
+def test_words_say_the_figures(plan: Plan) -> None:
+    text = " ".join(certificate_in_words(plan))
+    certificate = plan.certificate
+    for length_m in (certificate.worst_bound_m, certificate.goal_bound_m, certificate.min_clearance_m):
+        assert millimetres(abs(length_m)) in text
+    assert f"{len(certificate.samples.leg)} places" in text and "in all 4 combinations" in text

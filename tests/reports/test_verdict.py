@@ -1,0 +1,67 @@
+"""The words say what the certificate says, and nothing better."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from ctrplan.planning.plan import Plan
+from ctrplan.reports.plan_words.verdict import digits, findings, is_acceptable, millimetres, verdict
+
+
+def changed(plan: Plan, max_error_goal_m: float | None = None, **certificate: Any) -> Plan:
+    cost = replace(plan.scenario.cost, max_error_goal_m=max_error_goal_m)
+    scenario = replace(plan.scenario, cost=cost)
+    return replace(plan, scenario=scenario, certificate=replace(plan.certificate, **certificate))
+
+
+def test_certified_plan_is_said_in_one_sentence(plan: Plan) -> None:
+    figures = {"goal_bound_m": 0.42e-3, "goal_predicted_m": 0.11e-3, "worst_bound_m": 1.3e-3}
+    good = changed(plan, min_clearance_m=1.8e-3, **figures)
+    assert is_acceptable(good)
+    assert verdict(good) == (
+        "Certified: worst-case friction error at the goal 0.42 mm, 0.11 mm predicted by its history, "
+        "worst case at most 1.30 mm along the path, "
+        "smallest clearance 1.80 mm beyond the margins."
+    )
+
+
+def test_free_space_has_no_clearance(plan: Plan) -> None:
+    free = changed(plan, min_clearance_m=math.inf)
+    assert "clearance" not in verdict(free)
+    assert "free space" in {finding.value for finding in findings(free)}
+
+
+def test_what_is_not_certified_says_why(plan: Plan) -> None:
+    problems = ("Leg 2 comes 0.4 mm too close to the anatomy.", "leg 3 snaps.")
+    bad = changed(plan, valid=False, problems=problems)
+    assert verdict(bad) == "Not certified: leg 2 comes 0.4 mm too close to the anatomy (and 1 more)."
+    assert not is_acceptable(bad)
+
+
+@pytest.mark.parametrize("change", [{"min_stability": 0.05}, {"max_strain": 0.09}, {"min_clearance_m": -1e-4},
+                                    {"goal_tip_error_m": 2e-3}, {"goal_bound_m": math.nan}])  # fmt: skip
+def test_missed_requirements_show(plan: Plan, change: dict[str, float]) -> None:
+    missed = changed(plan, max_error_goal_m=1.0, **change)
+    assert [finding.met for finding in findings(missed)].count(False) == 1
+    assert not is_acceptable(missed) and verdict(missed).startswith("Certified, but short of a requirement: ")
+
+
+def test_required_error_is_named(plan: Plan) -> None:
+    assert "(within the required 15.0 mm)" in verdict(changed(plan, max_error_goal_m=15e-3, goal_bound_m=14e-3))
+    assert "(above the required 15.0 mm)" in verdict(changed(plan, max_error_goal_m=15e-3, goal_bound_m=16e-3))
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(0.0, "0.00"), (0.4249, "0.42"), (12.34, "12.3"), (1234.5, "1234"), (0.00042, "0.00042"),
+                        (-62.21, "-62.2")],
+)  # fmt: skip
+def test_digits(value: float, text: str) -> None:
+    assert digits(value) == text
+
+
+def test_unknown_lengths_are_not_numbers() -> None:
+    assert millimetres(math.nan) == millimetres(math.inf) == "? mm"

@@ -1,0 +1,255 @@
+"""The command line as a person meets it: outputs, exit codes, one sentence for every failure."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import tomli_w
+import yaml
+from interruptible import INTERRUPTIBLE
+from jsonschema import Draft202012Validator
+from places import SCENARIOS
+
+from ctrplan.cli import main
+from ctrplan.commands.progress_bar import ProgressBar
+from ctrplan.files.trajectory_file import read_trajectory_csv
+from ctrplan.planning.planner import Progress
+
+SCHEMA = SCENARIOS.parent / "docs" / "plan.schema.json"
+ROBOT = str(SCENARIOS / "robots" / "three_tube.toml")
+REST = {"rotate outer": 0, "rotate inner": 0, "translate inner": -30}  # where the pair in free space starts
+AWAY = {"rotate outer": 20, "rotate inner": 40, "translate inner": 10}
+
+
+def test_plan_writes_everything_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", str(SCENARIOS / "pair_free.toml"), "-o", str(tmp_path), "--time", "1"]) == 0
+    assert {p.name for p in tmp_path.iterdir()} == {
+        "SHA256SUMS",
+        "plan.json",
+        "trajectory.csv",
+        "trajectory.yaml",
+        "report.html",
+        "plan.png",
+    }
+    content = json.loads((tmp_path / "plan.json").read_text())
+    assert content["certificate"]["valid"] is True
+    columns = read_trajectory_csv(tmp_path / "trajectory.csv")
+    assert columns["time_s"][0] == 0
+    message = yaml.safe_load((tmp_path / "trajectory.yaml").read_text())
+    assert len(message["points"]) == len(columns["time_s"])
+    assert (tmp_path / "plan.png").read_bytes()[:4] == b"\x89PNG"
+    assert "worst-case friction error" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("targets", [[REST], [REST, AWAY], [AWAY, AWAY, REST]])
+def test_targets_reached_already_are_planned_and_written(targets: list[dict[str, float]], tmp_path: Path) -> None:
+    robot = SCENARIOS / "robots" / "table_5_pair.toml"
+    content = {"robot": str(robot), "start": REST, "target": [{"joints": goal} for goal in targets]}
+    (tmp_path / "case.toml").write_text(tomli_w.dumps({**content, "planner": {"time_s": 0.2}}))
+    assert main(["plan", str(tmp_path / "case.toml"), "-o", str(tmp_path / "out"), "--allow-outside"]) == 0
+    content = json.loads((tmp_path / "out" / "plan.json").read_text())
+    Draft202012Validator(json.loads(SCHEMA.read_text())).validate(content)
+    legs, reached = content["legs"], [target["leg"] for target in content["certificate"]["targets"]]
+    assert reached[-1] == len(legs) - 1 and content["certificate"]["stops"] == content["trajectory"]["stops"]
+    for goal, k in zip(targets, reached, strict=True):
+        end = {name: values.get("deg", values.get("mm")) for name, values in legs[k]["end"].items()}
+        assert end == pytest.approx(goal)
+
+
+def test_the_search_says_how_long_and_which_seeds(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    limits = importlib.import_module("ctrplan.planning.plan")  # of this name is a function, too
+    monkeypatch.setattr(limits, "LONGEST_S", 7.0)
+    monkeypatch.setattr(limits, "LARGEST_SEED", 7)
+    for option, rule in (("--time", "above 0 and at most 7."), ("--seed", "must be from 0 to 7.")):
+        assert main(["plan", str(SCENARIOS / "pair_free.toml"), option, "8"]) == 2
+        assert rule in capsys.readouterr().err
+
+
+def test_bound_prints_the_bound(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["bound", ROBOT, "--theta-deg", "0", "90", "180", "--l-mm", "0", "-17", "-62.8"]
+    assert main(arguments) == 0
+    assert "worst-case friction error of the tip: 17." in capsys.readouterr().out
+    assert main([*arguments, "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["bound_position_mm"] == pytest.approx(
+        17.81, abs=0.1
+    )  # 17.81 mm from the tips of three_tube_points.json
+    assert [corner["phi"] for corner in content["corners"]] == [[1, 1], [1, -1], [-1, 1], [-1, -1]]
+
+
+def test_set_changes_the_robot(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["bound", ROBOT, "--theta-deg", "0", "90", "180", "--l-mm", "0", "-17", "-62.8", "--json"]
+    bounds = []
+    for mu in ("0.0", "0.1", "0.2"):
+        main(
+            [
+                *arguments,
+                "--set",
+                f"contact.1.friction_coefficient={mu}",
+                "--set",
+                f"contact.2.friction_coefficient={mu}",
+            ]
+        )
+        bounds.append(json.loads(capsys.readouterr().out)["bound_position_mm"])
+    assert bounds[0] < 1e-3 < bounds[1] < bounds[2]
+
+
+def test_what_a_failed_solve_leaves_is_json_all_the_same(capsys: pytest.CaptureFixture[str]) -> None:
+    """More than the robot resists: no solve converges."""
+    at = ["--theta-deg", "0", "90", "143", "--l-mm", "0", "-17", "-62.8", "--accuracy", "search"]
+    assert main(["bound", ROBOT, *at, "--set", "effects.tip_load.force_x_N=2", "--json"]) == 1
+    content = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert content["bound_position_mm"] is None
+    assert content["frictionless"]["status"] == "FAILED"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["plan", "nowhere.toml"], 2, ["nowhere.toml"]),
+        (["plan", str(SCENARIOS / "ribs.toml"), "--time", "-1"], 2, ["--time", "-1", "above 0"]),
+        (
+            ["plan", str(SCENARIOS / "ribs.toml"), "--set", "goal.tip_mm=[900,0,0]", "--time", "0.5"],
+            1,
+            ["goal.tip_mm", "out of reach"],
+        ),
+        (["plan", str(SCENARIOS / "ribs.toml"), "--set", "cost.pth=1"], 2, ["pth", "path"]),
+        (["bound", ROBOT, "--theta-deg", "0", "0", "--l-mm", "0", "-17", "-40"], 2, ["--theta-deg", "3 values"]),
+        (["bound", ROBOT, "--theta-deg", "0", "0", "nan", "--l-mm", "0", "-17", "-40"], 2, ["--theta-deg", "finite"]),
+        (["bound", ROBOT, "--theta-deg", "0", "0", "0", "--l-mm", "0", "-17", "-20"], 2, ["--l-mm", "17 mm apart"]),
+        (["plan", ""], 2, ["'': does not exist"]),
+        (["plan", ROBOT], 2, [ROBOT, "tube: is a key of robot files"]),
+        (["field", str(SCENARIOS / "ribs.toml")], 2, ["ribs.toml: robot = 'robots/three_tube.toml'", "of scenarios"]),
+        (["view", str(SCENARIOS / "ribs.toml"), "--set", "tube.2.poisson_ratio=0"], 2, ["robot.tube after --set"]),
+        (["calibrate", ROBOT, "x.csv", "--seed", "-1"], 2, ["--seed = -1", "zero or more"]),
+        (["calibrate", ROBOT, "x.csv", "--held-out", "1"], 2, ["--held-out = 1.0", "below 1"]),
+        (["diagnose", ROBOT, "x.csv", "--without", "sticktion"], 2, ["--without = 'sticktion'", "friction"]),
+    ],
+)
+def test_failure_is_one_sentence(
+    arguments: list[str], code: int, words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if arguments[0] == "plan":
+        arguments = [*arguments, "-o", str(tmp_path / "out")]
+    assert main(arguments) == code
+    message = capsys.readouterr().err
+    assert message.startswith("ctrplan: ") and message.count("\n") == 1
+    assert all(word in message for word in words), message
+    assert not list(tmp_path.rglob("*.*"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ([], "ctrplan: the following arguments are required: COMMAND (see ctrplan --help).\n"),
+        (["plna"], "ctrplan: COMMAND: invalid choice: 'plna' (choose from "),
+        (["plan"], "ctrplan: the following arguments are required: SCENARIO.toml (see ctrplan plan --help).\n"),
+        (["plan", "x", "--time", "soon"], "ctrplan: --time: must be a number, not 'soon' (see ctrplan plan --help).\n"),
+        (
+            ["plan", "x", "--seed", "1.5"],
+            "ctrplan: --seed: must be a whole number, not '1.5' (see ctrplan plan --help).\n",
+        ),
+        (["plan", "x", "--tiem", "3"], "ctrplan: --tiem 3: is not known here (see ctrplan plan --help).\n"),
+        (["ik", "x", "--tip-mm", "1", "2"], "ctrplan: --tip-mm: expected 3 arguments (see ctrplan ik --help).\n"),
+        (["plan", "x", "-o"], "ctrplan: --output: expected one argument (see ctrplan plan --help).\n"),
+    ],
+)
+def test_a_command_that_is_not_understood_is_one_sentence(
+    arguments: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    message = capsys.readouterr().err
+    assert message.startswith(sentence) and message.count("\n") == 1
+
+
+@pytest.mark.parametrize("translations", ["0 -17 -62.8", "0 -17e0 -6.28e+1", "-0.0 -1.7E1 -62.80"])
+def test_negative_numbers_are_values_however_they_are_written(
+    translations: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["bound", ROBOT, "--theta-deg", "0", "90", "-.18e3", "--l-mm", *translations.split(), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["bound_position_mm"] == pytest.approx(17.81, abs=0.1)  # as above
+    assert main(["bound", ROBOT, "--theta-deg", "0", "90", "-inf", "--l-mm", *translations.split()]) == 2
+    assert "--theta-deg" in capsys.readouterr().err
+
+
+def test_output_that_is_a_file_is_refused_before_planning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "out").write_text("mine")
+    assert main(["plan", str(SCENARIOS / "ribs.toml"), "-o", str(tmp_path / "out")]) == 2
+    assert "--output" in capsys.readouterr().err
+    assert (tmp_path / "out").read_text() == "mine"
+
+
+def test_all_outputs_or_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "report.html").mkdir()
+    assert main(["plan", str(SCENARIOS / "pair_free.toml"), "-o", str(tmp_path), "--time", "0.5"]) == 2
+    assert "report.html" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.01, 0.1, 0.4, 0.9])
+def test_ctrl_c_at_any_moment(tmp_path: Path, seconds: float) -> None:
+    """Never a traceback: 130, and all files or none."""
+    command = [sys.executable, "-c", INTERRUPTIBLE, "plan", str(SCENARIOS / "pair_free.toml"), "--time", "1"]
+    command += ["-o", str(tmp_path / "out")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path, text=True)
+    assert process.stdout is not None and process.stdout.readline() == "up\n"
+    time.sleep(seconds)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130 and "Traceback" not in err, err
+    written = sorted(p.name for p in (tmp_path / "out").iterdir()) if (tmp_path / "out").exists() else []
+    assert written in ([], ["SHA256SUMS", "plan.json", "plan.png", "report.html", "trajectory.csv", "trajectory.yaml"])
+
+
+def test_ctrl_c_that_an_import_makes_another_error_of(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The initialisation of compiled modules may turn KeyboardInterrupt into ImportError: libigl's does."""
+
+    def importing(_: object) -> int:
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(10)
+        except KeyboardInterrupt:
+            raise ImportError("std::bad_cast") from None
+        return 0
+
+    monkeypatch.setattr("ctrplan.commands.bound.run_bound", importing)
+    previous = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        assert main(["bound", ROBOT, "--theta-deg", "0", "--l-mm", "0"]) == 130
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, previous)
+    assert capsys.readouterr().err == "ctrplan: interrupted before there was a result.\n"
+
+
+def test_ctrl_c_keeps_the_best_plan_so_far(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pressed as soon as there is a certified path, in a search that would go on for five minutes."""
+    update, pressed = ProgressBar.update, False
+
+    def pressing(bar: ProgressBar, progress: Progress) -> None:
+        nonlocal pressed
+        update(bar, progress)
+        if progress.stage == "search" and progress.best_cost_mm is not None and not pressed:
+            pressed = True
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(ProgressBar, "update", pressing)
+    previous = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        assert main(["plan", str(SCENARIOS / "pair_free.toml"), "-o", str(tmp_path), "--time", "300"]) == 130
+    finally:
+        signal.signal(signal.SIGINT, previous)
+    content = json.loads((tmp_path / "plan.json").read_text())
+    assert pressed and content["interrupted"] and content["certificate"]["valid"] is True

@@ -1,0 +1,114 @@
+"""The documents: links lead somewhere, commands are understood, code and files shown there work."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+from places import ROOT
+
+from ctrplan.commands.program import parser
+from ctrplan.files.robot_file import load_robot
+from ctrplan.files.scenario_file import load_scenario
+from ctrplan.planning import plan
+
+PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").glob("*.md")])
+TREES = ("benchmarks", "ctrplan", "docs", "examples", "model", "scenarios", "tests", "tools")
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    """Fenced blocks of a language, "" for those without one."""
+    return re.findall(rf"^ *```{language}\n(.*?)^ *```$", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+
+
+def anchors(page: Path) -> set[str]:
+    """What a link into the page may end with, as GitHub makes it from headings."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def commands() -> list[str]:
+    """Every line of a block that calls ctrplan, continued lines joined."""
+    lines = [
+        line.strip()
+        for page in PAGES
+        for block in blocks(page, "") + blocks(page, "sh")
+        for line in block.replace("\\\n", "").splitlines()
+    ]
+    return [line for line in lines if line.startswith("ctrplan ")]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+        if re.match(r"https?://", target):
+            continue
+        name, _, anchor = target.partition("#")
+        file = page.parent / name if name else page
+        assert file.exists(), target
+        assert not anchor or anchor in anchors(file), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_files_of_the_tree_that_are_named_exist(page: Path) -> None:
+    named = re.findall(rf"(?<![\w/.])((?:{'|'.join(TREES)})/[\w./-]*\w)", page.read_text(encoding="utf-8"))
+    missing = [name for name in named if not (ROOT / name).exists()]
+    assert not missing
+
+
+def test_readme_shows_commands() -> None:
+    assert {line.split()[1] for line in commands()} >= {"plan", "view", "field", "ik", "bound", "simulate"}
+
+
+@pytest.mark.parametrize("command", commands())
+def test_commands_are_understood(command: str) -> None:
+    arguments = shlex.split(command, comments=True)[1:]
+    parsed = parser().parse_args(arguments)
+    for name in arguments:
+        if name.startswith("scenarios/"):
+            assert (ROOT / name).exists()
+    assert callable(parsed.run)
+
+
+def test_python_in_the_readme_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a smaller scenario, in order to be quick."""
+    monkeypatch.chdir(ROOT)
+    (code,) = blocks(ROOT / "README.md", "python")
+    assert "scenarios/ribs.toml" in code
+    exec(compile(code.replace("ribs", "pair_free"), "README.md", "exec"), {"__name__": "readme"})
+
+
+@pytest.mark.parametrize("number", range(2))
+def test_python_on_the_page_about_extending_runs(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    found = blocks(ROOT / "docs" / "extending.md", "python")
+    assert len(found) == 2
+    exec(compile(found[number], "extending.md", "exec"), {"__name__": "extending"})
+
+
+def test_robot_and_scenario_on_the_page_about_extending_are_planned(tmp_path: Path) -> None:
+    robot, scenario = blocks(ROOT / "docs" / "extending.md", "toml")
+    (tmp_path / "my_pair.toml").write_text(robot)
+    (tmp_path / "first.toml").write_text(scenario)
+    assert load_robot(tmp_path / "my_pair.toml").n == 2
+    found = plan(load_scenario(tmp_path / "first.toml"), time_s=4.0)
+    assert found.certificate.valid
+
+
+def test_robot_and_scenario_files_as_described_are_read(tmp_path: Path) -> None:
+    """Every key that files.md shows; the scenario with a start for each joint of its robot."""
+    robot, scenario = blocks(ROOT / "docs" / "files.md", "toml")
+    (tmp_path / "pair.toml").write_text(robot)
+    assert load_robot(tmp_path / "pair.toml").n == 2
+    names = load_scenario(ROOT / "scenarios" / "ribs.toml").robot.drive.names
+    starts = "\n".join(f'"{name}" = {-80 if name.startswith("translate") else 0}' for name in names)
+    shutil.copytree(ROOT / "scenarios", tmp_path / "scenarios")
+    described = tmp_path / "scenarios" / "described.toml"
+    scenario = scenario.replace('"rotate inner" = 0\n', starts + "\n")
+    described.write_text(
+        scenario.replace("direction = [0, 0, 1]", "direction_tolerance_deg = 5\ndirection = [0, 0, 1]")
+    )
+    assert load_scenario(described).goal.direction is not None

@@ -1,0 +1,89 @@
+"""Nothing of the core outlives Python, whatever was asked of it, and memory does not grow."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from measured_data import measured, pair_robot, waypoints, write_csv
+from places import ROOT
+
+from ctrplan.files.robot_file import write_robot
+
+SCENARIOS = ROOT / "scenarios"
+PAIR, SCENARIO = str(SCENARIOS / "robots" / "table_5_pair.toml"), str(SCENARIOS / "pair_free.toml")
+COMMANDS = {
+    "bound": ["bound", PAIR, "--theta-deg", "0", "90", "--l-mm", "0", "-30"],
+    "sweep": [
+        "bound",
+        PAIR,
+        "--theta-deg",
+        "0",
+        "90",
+        "--l-mm",
+        "0",
+        "-30",
+        "--sweep",
+        "theta_2=0:360:5",
+        "-o",
+        "sweep",
+    ],
+    "ik": ["ik", str(SCENARIOS / "robots" / "three_tube.toml"), "--tip-mm", "34", "-47", "200"],
+    "simulate": ["simulate", PAIR, "path.csv", "-o", "simulate"],
+    "field": ["field", str(SCENARIOS / "robots" / "table_1_pair.toml")],
+    "plan": ["plan", SCENARIO, "--time", "1", "-o", "plan"],
+    "calibrate": ["calibrate", "robot.toml", "data.csv", "-o", "calibrate", "--parameters", "tube.2.poisson_ratio"],
+    "diagnose": ["diagnose", "robot.toml", "data.csv", "-o", "diagnose"],
+    "refused": ["plan", SCENARIO, "--set", "goal.tip_mm=1"],
+    "no answer": ["plan", str(SCENARIOS / "ribs.toml"), "--set", "goal.tip_mm=[900,0,0]"],
+}
+RUN = "import sys; from ctrplan.cli import main; sys.exit(main(sys.argv[1:]))"
+HELD = """
+import ctypes, ctrplan, sys
+mechanics = ctrplan.load_robot(sys.argv[1]).mechanics
+ctypes.pythonapi.Py_IncRef(ctypes.py_object(mechanics._model))
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """With a robot, measurements of it and a joint path."""
+    place = tmp_path_factory.mktemp("leaks")
+    robot = pair_robot()
+    write_robot(place / "robot.toml", dict(robot.content))
+    write_csv(place / "data.csv", measured(robot, waypoints(robot, 18)))
+    (place / "path.csv").write_text("theta_1_rad,theta_2_rad,l_1_m,l_2_m\n0,0,0,-0.03\n0,0.5,0,-0.03\n")
+    return place
+
+
+def messages(folder: Path, *command: str, asked: bool = True) -> str:
+    """What a Python process says on stderr."""
+    environment = {**os.environ, "CTRPLAN_CACHE_DIR": str(folder / "cache")} | (
+        {"CTRPLAN_LEAK_WARNINGS": "1"} if asked else {}
+    )
+    done = subprocess.run([sys.executable, "-c", *command], capture_output=True, text=True, cwd=folder, env=environment)
+    return done.stderr
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_commands_end_without_leaks(name: str, folder: Path) -> None:
+    found = messages(folder, RUN, *COMMANDS[name])
+    assert "leaked" not in found and "Traceback" not in found
+    if name not in ("refused", "no answer"):
+        assert not found
+
+
+def test_what_is_held_beyond_the_end_is_reported_to_those_who_ask(folder: Path) -> None:
+    told = messages(folder, HELD, PAIR)
+    assert "leaked 1 instances" in told and '"ctrplan._model.Model"' in told  # from 3.12 on no line of its own
+    assert not messages(folder, HELD, PAIR, asked=False)
+
+
+def test_memory_stays_flat(folder: Path) -> None:
+    """The short form of benchmarks/long_runs.py."""
+    command = [sys.executable, str(ROOT / "benchmarks" / "long_runs.py"), "--plans", "12", "--bounds", "2000"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=folder)
+    assert done.returncode == 0, done.stdout + done.stderr
