@@ -22,7 +22,7 @@ from ctrplan.calibration.calibrate import calibrate
 from ctrplan.experiment.friction_states import friction_state
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import load_robot
-from ctrplan.pipeline.chain import Chain
+from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.tip_table import tip_table
 from ctrplan.robot.named_numbers import value_of, with_values
 from ctrplan.robot.robot import Robot
@@ -66,7 +66,9 @@ def approached(theta: np.ndarray, l: np.ndarray) -> Measurements:  # noqa: E741
 def measured(robot: Robot, data: Measurements, rng: np.random.Generator) -> Measurements:
     """Tips of the robot with friction and noise; poses that could not be solved are left out."""
     rows = data.rows
-    tips = tip_table(robot, data.theta_b[rows], data.l_b[rows], friction_state(data), accuracy="certificate")
+    tips = tip_table(
+        robot, data.theta_commanded[rows], data.l_commanded[rows], friction_state(data), accuracy="certificate"
+    )
     position = tips.position_m + NOISE_M * rng.standard_normal(tips.position_m.shape)
     tangent = tips.tangent + np.cross(NOISE_RAD * rng.standard_normal(tips.tangent.shape), tips.tangent)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
@@ -86,7 +88,7 @@ def standard_model(robot: Robot, fitted: Measurements, tested: Measurements) -> 
 
     def tips(p: np.ndarray, data: Measurements) -> tuple[np.ndarray, np.ndarray]:
         moved = with_values(robot, dict(zip(PARAMETERS, p, strict=True)))
-        position, tangent, _ = moved.mechanics.tips(data.theta_b[data.rows], data.l_b[data.rows])
+        position, tangent, _ = moved.mechanics.tips(data.theta_commanded[data.rows], data.l_commanded[data.rows])
         return position, tangent
 
     def residual(p: np.ndarray) -> np.ndarray:
@@ -106,7 +108,7 @@ def clearance_model(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Clearance, and friction in a second pass where its coefficients are named."""
     found = calibrate(robot, fitted, PARAMETERS, second_pass=second, weighting="paper", held_out=0.0)
-    prediction = Chain(found.robot, tested, []).predict(np.zeros(0), derivatives=False)
+    prediction = ParametricChain(found.robot, tested, []).predict(np.zeros(0), derivatives=False)
     return errors(prediction.position_m, prediction.tangent, tested)
 
 

@@ -20,6 +20,7 @@ class BaseParameters(Effect):
 
     name = "calibration"
     stage = "mechanics"
+    of_the_file = True
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Precurvatures, stiffnesses, Poisson's ratios and friction of every tube and pair, with their priors."""

@@ -29,8 +29,8 @@ from ctrplan.effects.effect import Effect, Parameter, Values
 from ctrplan.errors import InputError
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.experiment.split import groups
-from ctrplan.pipeline.chain import Chain, Term, term
 from ctrplan.pipeline.friction_path import friction_correction
+from ctrplan.pipeline.parametric_chain import ParametricChain, Term, term
 from ctrplan.robot.named_numbers import value_of
 from ctrplan.robot.robot import Robot
 
@@ -55,6 +55,7 @@ class NamedParameters(Effect):
 
     name = "named"
     stage = "mechanics"
+    of_the_file = True
 
     def __init__(self, names: Sequence[str], priors: Mapping[str, float], bounds: Mapping[str, tuple[float, float]]):
         """priors: name -> standard deviation; bounds: name -> (lowest, highest); usual ones for names not in them."""
@@ -93,12 +94,12 @@ class Calibration:
 
     @property
     def robot(self) -> Robot:
-        """The calibrated robot."""
-        return self.fit.chain.robot_at(self.fit.p)
+        """The calibrated robot, its effects at work."""
+        return self.fit.chain.installed_at(self.fit.p)
 
     def robot_content(self) -> dict[str, Any]:
         """The content of the new robot file; the parent is not touched."""
-        effects = [t for t in self.fit.chain.terms if t.name in CATALOGUE]
+        effects = [t for t in self.fit.chain.terms if not t.effect.of_the_file]
         return calibrated_content(self.fit, effects, self.data, self.model_error_m)
 
 
@@ -134,7 +135,7 @@ def calibrate(
     data = measurements.subset(~aside)
     _check_count(data, group[~aside], len(names) + len(second_pass))
     terms = _terms(robot, names, priors or {}, bounds or {})
-    passes = [_fitted(Chain(robot, data, terms), noise, starts, seed)]
+    passes = [_fitted(ParametricChain(robot, data, terms), noise, starts, seed)]
     if second_pass:
         passes.append(_second(passes[0], _terms(robot, second_pass, priors or {}, bounds or {})))
     return _calibration(passes, measurements, group, aside)
@@ -199,7 +200,7 @@ def _check_count(data: Measurements, group: NDArray[np.int_], parameters: int) -
         raise InputError(rule, file=data.file)
 
 
-def _fitted(chain: Chain, noise: Noise, starts: int, seed: int, first: Array | None = None) -> Fit:
+def _fitted(chain: ParametricChain, noise: Noise, starts: int, seed: int, first: Array | None = None) -> Fit:
     """The best of several starts; with friction once more with what its states leave out."""
     group = np.arange(chain.data.count) if chain.data.is_stream else chain.data.configuration
     rng = np.random.default_rng(seed)
@@ -216,7 +217,7 @@ def _second(first: Fit, terms: Sequence[Term]) -> Fit:
         Term(t.effect, tuple(_held(p, v / p.si) for p, v in zip(t.parameters, first.p[s], strict=True)))
         for t, s in zip(first.chain.terms, first.chain.slices(), strict=True)
     )
-    chain = Chain(first.chain.robot, first.chain.data, [*held, *terms])
+    chain = ParametricChain(first.chain.robot, first.chain.data, [*held, *terms])
     return _fitted(chain, first.noise, 1, 0)
 
 
@@ -235,10 +236,10 @@ def _calibration(
     robot, terms = found.chain.robot, found.chain.terms
     trained = held = _Left.of(found.chain, found.p, group[~aside])
     if aside.any():
-        chain = Chain(robot, data.subset(aside), terms)
+        chain = ParametricChain(robot, data.subset(aside), terms)
         chain.correction = friction_correction(chain, found.p)
         held = _Left.of(chain, found.p, group[aside])
-    whole = Chain(robot, data, terms)
+    whole = ParametricChain(robot, data, terms)
     nominal = _Left.of(whole, whole.neutral, group)
     left = tuple(combinations(first))
     unknown = [
@@ -275,7 +276,7 @@ class _Left:
     counted: NDArray[np.bool_]  # (K,)
 
     @classmethod
-    def of(cls, chain: Chain, p: Array, group: NDArray[np.int_]) -> _Left:
+    def of(cls, chain: ParametricChain, p: Array, group: NDArray[np.int_]) -> _Left:
         prediction = chain.predict(p, derivatives=False)
         counted = ~excused(prediction.failed)
         distance = distances(prediction, chain.data)[counted]

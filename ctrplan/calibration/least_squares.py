@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import Noise, Residuals, residuals
 from ctrplan.errors import InputError
-from ctrplan.pipeline.chain import Chain
+from ctrplan.pipeline.parametric_chain import ParametricChain
 
 MOST_STEPS = 25
 ENOUGH = 0.05  # decrease of the loss (twice a log-likelihood) below which a fit has converged
@@ -23,7 +23,7 @@ LONGEST_STEP = 2.0  # of a parameter in a step, in standard deviations of its pr
 class Fit:
     """Parameters (P,), SI, with residuals and derivatives there."""
 
-    chain: Chain
+    chain: ParametricChain
     noise: Noise
     group: NDArray[np.int_]
     p: Array
@@ -73,7 +73,9 @@ def inverse(matrix: Array) -> Array:
     return inverted
 
 
-def fit(chain: Chain, noise: Noise, group: Sequence[int] | NDArray[np.int_], start: Array | None = None) -> Fit:
+def fit(
+    chain: ParametricChain, noise: Noise, group: Sequence[int] | NDArray[np.int_], start: Array | None = None
+) -> Fit:
     """The most probable parameters near `start` (P,)."""
     groups = np.asarray(group)
     p = np.clip(chain.start if start is None else start, chain.lower, chain.upper)
@@ -100,7 +102,7 @@ def fit(chain: Chain, noise: Noise, group: Sequence[int] | NDArray[np.int_], sta
     return here
 
 
-def fit_at(chain: Chain, noise: Noise, group: NDArray[np.int_], p: Array) -> Fit:
+def fit_at(chain: ParametricChain, noise: Noise, group: NDArray[np.int_], p: Array) -> Fit:
     """What a fit would be if `p` (P,) were its result."""
     return Fit(chain, noise, group, p, residuals(chain.data, chain.predict(p), noise, group), False)
 

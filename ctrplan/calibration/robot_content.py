@@ -11,15 +11,14 @@ from typing import Any
 
 import numpy as np
 
-import ctrplan
+from ctrplan import __version__
 from ctrplan.calibration.estimates import estimates
 from ctrplan.calibration.least_squares import Fit, fit
-from ctrplan.effects.catalogue import CATALOGUE
 from ctrplan.effects.effect import Parameter
 from ctrplan.experiment.measurements import Measurements
-from ctrplan.pipeline.chain import Chain, Term
-from ctrplan.robot.named_numbers import value_of
-from ctrplan.robot.robot import Robot
+from ctrplan.pipeline.chain import taken_along
+from ctrplan.pipeline.parametric_chain import ParametricChain, Term
+from ctrplan.robot.named_numbers import with_values
 
 DIGITS = 7  # of numbers in the file
 LARGEST_POISSON_RATIO = 0.5  # of a robot file; a fit may go beyond, which is a symptom
@@ -30,7 +29,7 @@ def within_file(found: Fit) -> Fit:
     """`found`; where it has a Poisson's ratio that no tube has, refitted without, for a robot file can't say that."""
     chain = found.chain
     terms = [Term(t.effect, tuple(_possible(p) for p in t.parameters)) for t in chain.terms]
-    inside = Chain(chain.robot, chain.data, terms)
+    inside = ParametricChain(chain.robot, chain.data, terms)
     if np.all(found.p <= inside.upper):
         return found
     inside.correction = chain.correction
@@ -43,18 +42,26 @@ def _possible(parameter: Parameter) -> Parameter:
 
 
 def calibrated_content(found: Fit, effects: Sequence[Term], data: Measurements, model_error_m: float) -> dict[str, Any]:
-    """The content of the new file: the parent's with the fitted numbers in it. The parent is not touched."""
+    """The content of the new file: the parent's with the fitted numbers in it. The parent is not touched.
+
+    Read again it is the robot of the fit: the file's own numbers are those before its effects, and of an effect that
+    the parent has already only what was fitted changes.
+    """
     chain = found.chain
     content: dict[str, Any] = copy.deepcopy(dict(chain.robot.content))
+    ideal, tables = chain.robot.ideal or chain.robot, content.setdefault("effects", {})
     for t, values in zip(chain.terms, chain.values(found.p), strict=True):
-        if t.effect.stage == "mechanics" and t.name not in CATALOGUE:
-            _put(content, chain.robot, t.effect.mechanics(values, chain.robot))
-    table = content.setdefault("effects", {})
+        if t.effect.of_the_file:
+            named = t.effect.mechanics(values, ideal)
+            _put(content, named)
+            for name, table in taken_along(tables, chain.robot, named).items():
+                tables[name] = {key: _rounded(v) if isinstance(v, float) else v for key, v in table.items()}
+            ideal = with_values(ideal, named)
     for t in effects:
-        fitted = estimates(found, t)
-        table[t.name] = {name: e.value for name, e in fitted.items()}
-        table[t.name]["ci95"] = {name: list(e.ci95) for name, e in fitted.items()}
-    if not table:
+        fitted, table = estimates(found, t), tables.setdefault(t.name, {})
+        table |= {name: e.value for name, e in fitted.items()}
+        table["ci95"] = {**table.get("ci95", {}), **{name: list(e.ci95) for name, e in fitted.items()}}
+    if not tables:
         del content["effects"]
     content["model_error_mm"] = _rounded(model_error_m * 1e3)
     content["provenance"] = _provenance(chain, data)
@@ -67,8 +74,8 @@ def model_error_m(error_m: np.ndarray[Any, np.dtype[np.float64]], position_sigma
     return math.sqrt(max(excess, 0.0))
 
 
-def _put(content: dict[str, Any], robot: Robot, named: Mapping[str, float]) -> None:
-    """Named numbers in SI into the file's own keys; sections are scaled, so that effects in the robot stay out."""
+def _put(content: dict[str, Any], named: Mapping[str, float]) -> None:
+    """Named numbers in SI into the file's own keys."""
     for name, value in named.items():
         kind, place, *rest = name.split(".")
         if kind == "contact" and rest[0] == "friction_coefficient":
@@ -77,24 +84,24 @@ def _put(content: dict[str, Any], robot: Robot, named: Mapping[str, float]) -> N
             content["contact"][int(place) - 1]["clearance_mm"] = _rounded(value * 1e3)
         elif rest[0] == "section":
             section = content["tube"][int(place) - 1]["section"][int(rest[1]) - 1]
-            before, key = value_of(robot, name), "length_mm" if rest[2] == "length_m" else rest[2]
-            section[key] = _rounded(section[key] * value / before if before else value)
+            is_length = rest[2] == "length_m"
+            section["length_mm" if is_length else rest[2]] = _rounded(value * 1e3 if is_length else value)
         else:
             content["tube"][int(place) - 1][rest[0]] = _rounded(value)
 
 
-def _provenance(chain: Chain, data: Measurements) -> dict[str, Any]:
-    rows, degrees = data.rows, np.degrees(data.theta_b)
+def _provenance(chain: ParametricChain, data: Measurements) -> dict[str, Any]:
+    rows, degrees = data.rows, np.degrees(data.theta_commanded)
     relative = np.diff(degrees, axis=1)
     return {
-        "made_by": f"ctrplan {ctrplan.__version__}",
+        "made_by": f"ctrplan {__version__}",
         "parent": Path(chain.robot.path).name if chain.robot.path else chain.robot.name,
         "parent_sha256": chain.robot.sha256,
         "data": Path(data.file).name if data.file else "",
         "data_sha256": data.sha256,
         "poses": data.count,
         "relative_rotation_range_deg": _ranges(relative[rows]),
-        "translation_range_mm": _ranges(data.l_b[rows] * 1e3),
+        "translation_range_mm": _ranges(data.l_commanded[rows] * 1e3),
     }
 
 

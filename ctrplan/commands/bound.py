@@ -15,6 +15,7 @@ from ctrplan.errors import InputError, NoAnswerError, SolverError
 from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 
 if TYPE_CHECKING:
+    from ctrplan.base.arrays import Array
     from ctrplan.mechanics.core import Bound, Shape
 
 EXAMPLES = """examples:
@@ -60,6 +61,8 @@ def add_parser(commands: Any) -> None:
 
 def run_bound(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is no bound to print."""
+    import numpy as np
+
     from ctrplan.files.robot_file import load_robot
     from ctrplan.mechanics.core import Status
     from ctrplan.planning.play import play_shift
@@ -72,7 +75,8 @@ def run_bound(arguments: argparse.Namespace) -> int:
     if arguments.output is not None:
         raise InputError("goes with --sweep only", key="--output", value=arguments.output)
     robot = load_robot(arguments.robot, arguments.overrides)
-    theta_b, l_b = configuration(arguments, robot.n)
+    commanded = configuration(arguments, robot.n)
+    theta_b, l_b = robot.collars(*commanded)
     if sentence := nesting_violation(robot, theta_b, l_b):
         raise InputError(sentence, key="--l-mm", value=arguments.l_mm, unit="mm")
     for warning in robot.warnings:
@@ -80,9 +84,13 @@ def run_bound(arguments: argparse.Namespace) -> int:
     found = robot.bound(theta_b, l_b, accuracy=arguments.accuracy or "certificate")
     play_mm = play_shift(robot, theta_b, l_b) * 1e3
     if arguments.json:
-        print(json.dumps(_bound_json(robot.n, found, play_mm), indent=1, allow_nan=False))
+        collars = {"theta_deg": np.degrees(theta_b).tolist(), "l_mm": (l_b * 1e3).tolist()}
+        content = {**_bound_json(robot.n, found, play_mm), "collars": collars}
+        print(json.dumps(content, indent=1, allow_nan=False))
     else:
         print(_bound_text(robot.n, found, play_mm))
+        if robot.drive.terms:
+            print(_collars_text(theta_b, l_b))
     if not math.isfinite(found.position_m):
         raise SolverError("a solve did not reach its residual: no bound is promised at this configuration.")
     if found.frictionless.status is Status.UNSTABLE:
@@ -136,6 +144,12 @@ def _bound_text(n: int, found: Bound, play_mm: float) -> str:
     if not math.isfinite(found.position_m):
         lines.append("  a solve did not reach its residual: no bound is promised here")
     return "\n".join(lines)
+
+
+def _collars_text(theta_b: Array, l_b: Array) -> str:
+    angles = ", ".join(f"{math.degrees(angle):.3f}" for angle in theta_b.tolist())
+    places = ", ".join(f"{place * 1e3:.3f}" for place in l_b.tolist())
+    return f"  effects of the drive put the collars at theta = ({angles}) deg, l = ({places}) mm"
 
 
 def _tip(shape: Shape) -> str:

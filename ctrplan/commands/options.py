@@ -36,14 +36,17 @@ def add_allow_outside_option(parser: argparse.ArgumentParser) -> None:
 def add_joint_options(parser: argparse.ArgumentParser) -> None:
     """Adds --theta-deg and --l-mm, a number per tube; configuration() reads them."""
     for option, metavar, what in (
-        ("--theta-deg", "DEG", "base rotations, outermost tube first"),
-        ("--l-mm", "MM", "base translations, outermost tube first, <= 0"),
+        ("--theta-deg", "DEG", "commanded base rotations, outermost tube first"),
+        ("--l-mm", "MM", "commanded base translations, outermost tube first, <= 0"),
     ):
         parser.add_argument(option, type=float, nargs="+", required=True, metavar=metavar, help=what)
 
 
 def configuration(arguments: argparse.Namespace, n: int) -> tuple[Array, Array]:
-    """theta_b (n,) [rad] and l_b (n,) [m] of the command line. Raises InputError unless there is a number per tube."""
+    """Commanded rotations (n,) [rad] and translations (n,) [m] of the command line.
+
+    Raises InputError unless there is a number per tube.
+    """
     import numpy as np
 
     for key, values in (("--theta-deg", arguments.theta_deg), ("--l-mm", arguments.l_mm)):

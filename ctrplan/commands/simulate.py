@@ -119,7 +119,7 @@ def _summary(folder: Path, result: Simulation) -> str:
     deviation_mm, bound_mm = result.deviation_m * 1e3, result.bounds.position_m * 1e3
     found = np.flatnonzero(np.isfinite(deviation_mm))
     count = int(np.isfinite(deviation_mm[result.waypoints]).sum())
-    lines = [f"{result.robot.name}: {count} of {len(result.path.theta_b)} rows simulated"]
+    lines = [f"{result.robot.name}: {count} of {len(result.path.theta_commanded)} rows simulated"]
     if len(found):
         worst, last = found[np.argmax(deviation_mm[found])], found[-1]
         for label, k in (("largest friction error", worst), ("at the end", last)):

@@ -32,14 +32,14 @@ def run_sweep(arguments: argparse.Namespace) -> int:
         raise InputError("goes with one configuration; a sweep writes sweep.csv", key="--json")
     document = read_document(arguments.robot, arguments.overrides)
     robot = robot_from_dict(document.content, file=document.file)
-    theta_b, l_b = configuration(arguments, robot.n)
+    commanded = configuration(arguments, robot.n)
     axes = [parse_axis(text, robot.n) for text in arguments.sweep]
     check_axes(axes)
     accuracy: Accuracy = arguments.accuracy or "search"
     folder = output_folder(DEFAULT if arguments.output is None else arguments.output, OUTPUTS)
     terminal = sys.stderr is not None and sys.stderr.isatty()
     with ProgressBar(quiet=not terminal, patience_s=PATIENCE_S) as bar:
-        result = sweep(document.content, axes, theta_b, l_b, file=document.file, accuracy=accuracy, progress=bar.show)
+        result = sweep(document.content, axes, *commanded, file=document.file, accuracy=accuracy, progress=bar.show)
     _warn(result)
     _write(folder, result)
     print(_summary(folder, result))

@@ -145,7 +145,7 @@ def diagnose(
 def usable_poses(robot: Robot, data: Measurements) -> NDArray[np.bool_]:
     """(K,) poses that every candidate is asked about: the believed robot is stable there, clocks can be compared."""
     first = np.unique(data.configuration, return_index=True)[1]
-    bounds = robot.bound_many(data.theta_b[data.rows[first]], data.l_b[data.rows[first]])
+    bounds = robot.bound_many(data.theta_commanded[data.rows[first]], data.l_commanded[data.rows[first]])
     sound = (bounds.status <= Status.MULTIPLE) & (bounds.stability > LEAST_STABILITY)
     usable: NDArray[np.bool_] = sound[data.configuration]
     if data.is_stream and data.time_s is not None:

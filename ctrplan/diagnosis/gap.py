@@ -15,8 +15,8 @@ from ctrplan.calibration.residuals import Noise, residuals
 from ctrplan.calibration.unsolved import excused
 from ctrplan.diagnosis.chi_square import ChiSquare, outliers
 from ctrplan.experiment.measurements import Measurements
-from ctrplan.pipeline.chain import Chain, Prediction
 from ctrplan.pipeline.friction_path import friction_correction
+from ctrplan.pipeline.parametric_chain import ParametricChain, Prediction
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class Gap:
 
 def open_vault(before: Fit, after: Fit, vault: Measurements, group: NDArray[np.int_], noise: Noise) -> Gap:
     """Predicts the vault's poses with fits that have not seen them; where one has no solution, none is asked."""
-    chains = [Chain(f.chain.robot, vault, f.chain.terms) for f in (before, before, after)]
+    chains = [ParametricChain(f.chain.robot, vault, f.chain.terms) for f in (before, before, after)]
     values = (before.chain.neutral, before.p, after.p)
     for chain, p in zip(chains[1:], values[1:], strict=True):
         chain.correction = friction_correction(chain, p)
@@ -56,7 +56,7 @@ def open_vault(before: Fit, after: Fit, vault: Measurements, group: NDArray[np.i
 
 def _regions(vault: Measurements) -> dict[str, NDArray[np.bool_]]:
     """Thirds by extension of the innermost tube, or by time where it does not slide."""
-    out = vault.l_b[vault.rows, -1]
+    out = vault.l_commanded[vault.rows, -1]
     if np.ptp(out) < 1e-3:
         out, words = vault.rows.astype(float), ("first third", "second third", "last third")
     else:

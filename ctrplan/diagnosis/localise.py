@@ -44,12 +44,12 @@ def quantities(data: Measurements) -> Mapping[str, Array]:
     rows, n = data.rows, data.n
     found: dict[str, Array] = {}
     for i in range(1, n):
-        turn = data.theta_b[rows, i] - data.theta_b[rows, i - 1]
+        turn = data.theta_commanded[rows, i] - data.theta_commanded[rows, i - 1]
         found[f"angle of tube {i + 1} against tube {i}"] = np.mod(turn, 2 * np.pi)
         found[f"direction of approach of tubes {i} and {i + 1}"] = friction_state(data)[:, i - 1]
     for i in range(n):
-        found[f"translation of tube {i + 1}"] = data.l_b[rows, i]
-        found[f"commanded rotation of tube {i + 1}"] = data.theta_b[rows, i]
+        found[f"translation of tube {i + 1}"] = data.l_commanded[rows, i]
+        found[f"commanded rotation of tube {i + 1}"] = data.theta_commanded[rows, i]
     for k, axis in enumerate("xyz"):
         found[f"{axis} of the tip"] = data.position_m[:, k]
     if data.time_s is not None:

@@ -13,7 +13,7 @@ from ctrplan.calibration.residuals import Noise, residuals
 from ctrplan.diagnosis.verdict import Alternative, Judgement
 from ctrplan.diagnosis.workbench import Scored
 from ctrplan.experiment.measurements import Measurements
-from ctrplan.pipeline.chain import Chain
+from ctrplan.pipeline.parametric_chain import ParametricChain
 
 CONFIGURATIONS, SEED = 24, 4
 OFFSET_RAD = np.radians(90.0)
@@ -24,8 +24,8 @@ WORTH_IT = 1.0  # expected log-odds of a pose below which it separates nothing
 class Proposal:
     """A configuration with the approaches to measure it from, and the log-odds to expect of them together."""
 
-    theta_b: Array  # (n,) rad
-    l_b: Array  # (n,) m
+    theta_commanded: Array  # (n,) rad
+    l_commanded: Array  # (n,) m
     log_odds: float
     between: tuple[str, str]
 
@@ -33,7 +33,7 @@ class Proposal:
 def proposals(chosen: Scored, other: Alternative, data: Measurements, noise: Noise, count: int = 3) -> list[Proposal]:
     """The best of random configurations within the measured range, each approached from all directions."""
     pool = _pool(data)
-    chains = [Chain(f.chain.robot, pool, f.chain.terms) for f in (chosen.fit, other.scored.fit)]
+    chains = [ParametricChain(f.chain.robot, pool, f.chain.terms) for f in (chosen.fit, other.scored.fit)]
     predictions = [
         chain.predict(f.p, derivatives=False) for chain, f in zip(chains, (chosen.fit, other.scored.fit), strict=True)
     ]
@@ -46,7 +46,8 @@ def proposals(chosen: Scored, other: Alternative, data: Measurements, noise: Noi
     names = _name(chosen, other), other.term.name
     rows = [int(pool.rows[first[k]]) for k in best]
     return [
-        Proposal(pool.theta_b[row], pool.l_b[row], float(odds[k]), names) for row, k in zip(rows, best, strict=True)
+        Proposal(pool.theta_commanded[row], pool.l_commanded[row], float(odds[k]), names)
+        for row, k in zip(rows, best, strict=True)
     ]
 
 
@@ -86,8 +87,8 @@ def _separating(name: str, other: Alternative, found: Sequence[Proposal]) -> str
             f"within its range."
         )
     best = found[0]
-    angles = ", ".join(f"{angle:.0f}" for angle in np.degrees(best.theta_b))
-    places = ", ".join(f"{place:.1f}" for place in best.l_b * 1e3)
+    angles = ", ".join(f"{angle:.0f}" for angle in np.degrees(best.theta_commanded))
+    places = ", ".join(f"{place:.1f}" for place in best.l_commanded * 1e3)
     return (
         f"To tell {name} from {other.term.name}, measure theta = ({angles}) deg, l = ({places}) mm from all directions "
         f"of approach: expected log-odds {best.log_odds:.1f}."
@@ -103,7 +104,7 @@ def _name(chosen: Scored, other: Alternative) -> str:
 def _pool(data: Measurements) -> Measurements:
     """Random configurations in the measured range, each reached from every side by 90 degrees and by nothing."""
     rng = np.random.default_rng(SEED)
-    theta, l = data.theta_b[data.rows], data.l_b[data.rows]  # noqa: E741
+    theta, l = data.theta_commanded[data.rows], data.l_commanded[data.rows]  # noqa: E741
     pick = rng.integers(0, len(theta), (CONFIGURATIONS, 2))
     share = rng.random((CONFIGURATIONS, 1))
     thetas = theta.min(axis=0) + rng.random((CONFIGURATIONS, data.n)) * np.ptp(theta, axis=0)

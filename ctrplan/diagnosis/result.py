@@ -21,7 +21,7 @@ from ctrplan.diagnosis.selection import Step
 from ctrplan.diagnosis.verdict import Judgement, Verdict
 from ctrplan.diagnosis.workbench import Scored
 from ctrplan.experiment.measurements import Measurements
-from ctrplan.pipeline.chain import Term
+from ctrplan.pipeline.parametric_chain import Term
 from ctrplan.robot.robot import Robot
 
 SCHEMA_VERSION = 1
@@ -154,8 +154,8 @@ def _chi_square(found: ChiSquare) -> dict[str, float]:
 
 def _proposal(p: Proposal) -> dict[str, Any]:
     return {
-        "theta_deg": [round(x, 2) for x in np.degrees(p.theta_b).tolist()],
-        "l_mm": [round(x, 3) for x in (p.l_b * 1e3).tolist()],
+        "theta_deg": [round(x, 2) for x in np.degrees(p.theta_commanded).tolist()],
+        "l_mm": [round(x, 3) for x in (p.l_commanded * 1e3).tolist()],
         "expected_log_odds": round(p.log_odds, 2),
         "between": list(p.between),
     }

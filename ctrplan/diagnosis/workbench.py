@@ -15,8 +15,8 @@ from ctrplan.calibration.least_squares import Fit, fit, fit_at
 from ctrplan.calibration.residuals import UNSOUND, Noise, residuals, robust_square
 from ctrplan.diagnosis.held_out import Linear, held_out_loss
 from ctrplan.experiment.measurements import Measurements
-from ctrplan.pipeline.chain import Chain, Term, term
 from ctrplan.pipeline.friction_path import friction_correction
+from ctrplan.pipeline.parametric_chain import ParametricChain, Term, term
 from ctrplan.robot.robot import Robot
 
 MOST_WIDENINGS = 3
@@ -104,12 +104,12 @@ class Workbench:
                 self._done[key] = known
         return known
 
-    def _fitted(self, terms: tuple[Term, ...], chain: Chain, start: Array) -> Scored:
+    def _fitted(self, terms: tuple[Term, ...], chain: ParametricChain, start: Array) -> Scored:
         best = fit(chain, self.noise, self.whitening_group, start)
         return Scored(terms, best, held_out_loss(linear(best), self.fold))
 
-    def _chain(self, terms: Sequence[Term]) -> Chain:
-        chain = Chain(self.robot, self.data, terms)
+    def _chain(self, terms: Sequence[Term]) -> ParametricChain:
+        chain = ParametricChain(self.robot, self.data, terms)
         if self._has_friction(terms):
             chain.correction = self._correction
         return chain
@@ -128,7 +128,7 @@ class Workbench:
             scored = self.scored(scored.terms, scored.fit)
         return scored
 
-    def _start(self, chain: Chain, near: Sequence[Fit | None], compared: bool = False) -> tuple[Array, float]:
+    def _start(self, chain: ParametricChain, near: Sequence[Fit | None], compared: bool = False) -> tuple[Array, float]:
         """Of several starts the one whose first step promises most, and the loss that it promises.
 
         Without anything to compare with nothing is promised.
@@ -141,7 +141,7 @@ class Workbench:
         best = int(np.argmin(promised))
         return starts[best], promised[best]
 
-    def _starts(self, chain: Chain, near: Fit | None) -> list[Array]:
+    def _starts(self, chain: ParametricChain, near: Fit | None) -> list[Array]:
         """Known values of the parameters, and the effects' own suggestions for those not known yet."""
         known = values_by_name(near) if near else {}
         keys = [(t.name, p.name) for t in chain.terms for p in t.parameters]
@@ -176,7 +176,7 @@ class Workbench:
             ]
             if all(a is b for a, b in zip(terms, chain.terms, strict=True)):
                 break
-            wide = Chain(self.robot, self.data, terms)
+            wide = ParametricChain(self.robot, self.data, terms)
             wide.correction = chain.correction
             scored = replace(scored, fit=fit(wide, self.noise, self.whitening_group, p))
         return scored

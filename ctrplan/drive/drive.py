@@ -17,6 +17,8 @@ from ctrplan.errors import InputError
 Kind = Literal["rotation", "translation"]
 DriveTerm = Callable[[Array, Array], tuple[Array, Array]]
 
+ANGLE_STEP, LENGTH_STEP = 1e-4, 1e-6  # rad, m: of differences, exact to about their square
+
 # Unit in files and on screens, and its value in SI.
 UNITS: dict[Kind, tuple[str, float]] = {"rotation": ("deg", math.pi / 180), "translation": ("mm", 1e-3)}
 
@@ -52,7 +54,9 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """m actuators moving the collars of n tubes: collars = home + sum over joints of moves * joint value.
+    """m actuators moving the collars of n tubes: commanded = home + sum over joints of moves * joint value.
+
+    Collars stand where they are commanded, but for effects of the drive.
 
     Arrays over joints are (m,), in rad or m as the joint has it, and read-only.
     """
@@ -68,17 +72,43 @@ class Drive:
 
         Raises InputError when `q` has another shape.
         """
+        return self.reached(*self.commanded(q))
+
+    def commanded(self, q: ArrayLike) -> tuple[Array, Array]:
+        """What an ideal drive would make of joint values `q` (m,) or (K, m): [rad] and [m], each (n,) or (K, n)."""
         values = np.asarray(q, dtype=np.float64)
         if values.ndim not in (1, 2) or values.shape[-1] != len(self.joints):
             rule = f"must have shape (m,) or (K, m), m = {len(self.joints)} joints, not {values.shape}"
             raise InputError(rule, key="joint values")
-        theta, l = self.home_theta_rad + values @ self.matrix_theta.T, self.home_l_m + values @ self.matrix_l.T  # noqa: E741
+        return self.home_theta_rad + values @ self.matrix_theta.T, self.home_l_m + values @ self.matrix_l.T
+
+    def reached(self, theta: ArrayLike, l: ArrayLike) -> tuple[Array, Array]:  # noqa: E741 (as in the equations)
+        """theta_b [rad] and l_b [m] where theta, l, each (n,) or (K, n), are commanded: with the drive's effects."""
+        theta_b, l_b = np.asarray(theta, dtype=np.float64), np.asarray(l, dtype=np.float64)
         if not self.terms:
-            return theta, l
-        rows = np.atleast_2d(theta), np.atleast_2d(l)
+            return theta_b, l_b
+        rows = np.atleast_2d(theta_b), np.atleast_2d(l_b)
         for term in self.terms:
             rows = term(*rows)
-        return rows[0].reshape(theta.shape), rows[1].reshape(l.shape)
+        return rows[0].reshape(theta_b.shape), rows[1].reshape(l_b.shape)
+
+    def collars_by_joints(self, q: ArrayLike) -> Array:
+        """(K, 2 n, m) derivatives of theta_b, then of l_b, by joint values `q` (K, m).
+
+        Of an ideal drive those are its gears; effects of the drive are arithmetic, and differenced.
+        """
+        commanded = np.hstack(self.commanded(np.atleast_2d(q)))
+        gears = np.vstack([self.matrix_theta, self.matrix_l])
+        if not self.terms:
+            return np.tile(gears, (len(commanded), 1, 1))
+        count, n = commanded.shape[1], len(self.home_l_m)
+        by = np.empty((len(commanded), count, count))
+        for j, step in enumerate(np.repeat([ANGLE_STEP, LENGTH_STEP], n)):
+            ends = (commanded + side * step * np.eye(count)[j] for side in (1, -1))
+            up, down = (np.hstack(self.reached(end[:, :n], end[:, n:])) for end in ends)
+            by[:, :, j] = (up - down) / (2 * step)
+        slopes: Array = by @ gears
+        return slopes
 
     @cached_property
     def matrix_theta(self) -> Array:

@@ -1,7 +1,7 @@
 """What every effect of the catalogue says about itself, and the catalogue.
 
 An effect belongs to one stage of the chain and changes what passes through that stage; everything else is inherited.
-A new effect is one new file under effects/: docs/diagnosis.md has an example.
+A new effect is one new file in the folder of its stage, here or in that of an extension: docs/extending.md.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import ClassVar, Literal, TypeVar
 import numpy as np
 
 from ctrplan.base.arrays import Array
+from ctrplan.drive.collars import Collars
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.robot.robot import Robot
 from ctrplan.sensor.poses import Poses
@@ -37,14 +38,6 @@ class Parameter:
     si: float = 1.0  # SI value of the name's unit
 
 
-@dataclass(frozen=True, eq=False)
-class Collars:
-    """Where the collars of K poses stand: theta (K, n) [rad], l (K, n) [m]."""
-
-    theta: Array
-    l: Array  # noqa: E741 (as in the equations)
-
-
 class Effect(ABC):
     """A term of one stage. Subclasses set the class attributes and override what they change."""
 
@@ -59,6 +52,9 @@ class Effect(ABC):
     acts_at_rest: ClassVar[bool] = True  # of the drive: whether it moves collars however they came there
     needs: ClassVar[str] = ""  # an effect without which it does nothing
     depends_on_history: ClassVar[bool] = False  # acts on differences between approaches of one configuration
+
+    of_the_file: ClassVar[bool] = False  # its parameters are the robot file's own numbers, not a table [effects.NAME]
+    sets_outright: ClassVar[bool] = False  # of the mechanics: its parameters take the place of the file's own numbers
 
     needs_time: ClassVar[bool] = False  # whether it does nothing without time_s
     needs_columns: ClassVar[tuple[str, ...]] = ()  # others (`Measurements.more`) that it does nothing without
@@ -90,12 +86,8 @@ class Effect(ABC):
         """Those of the parameters by which other causes act as well: what they explain alone names nothing."""
         return []
 
-    def clock(self, values: Values, data: Measurements, collars: Collars) -> Collars:
-        """The commanded collars that the poses really belong to."""
-        return collars
-
     def delay_s(self, values: Values) -> float:
-        """How much earlier [s] the joints are that a pose belongs to."""
+        """Of the clock: how much earlier [s] the joints are that a pose belongs to; several delays add up."""
         return 0.0
 
     def drive(self, values: Values, collars: Collars, directions: Array) -> Collars:
@@ -135,12 +127,12 @@ def numbered(stem: str, numbers: Iterable[int], unit: str = "") -> list[str]:
 
 def turning(data: Measurements) -> list[int]:
     """Tubes (from 1) whose base ever turns."""
-    return [i + 1 for i in range(data.n) if np.ptp(data.theta_b[:, i]) > np.radians(1.0)]
+    return [i + 1 for i in range(data.n) if np.ptp(data.theta_commanded[:, i]) > np.radians(1.0)]
 
 
 def sliding(data: Measurements) -> list[int]:
     """Tubes (from 1) whose base is ever moved along."""
-    return [i + 1 for i in range(data.n) if np.ptp(data.l_b[:, i]) > 0.5e-3]
+    return [i + 1 for i in range(data.n) if np.ptp(data.l_commanded[:, i]) > 0.5e-3]
 
 
 def with_column(matrix: Array, tube: int, change: Array | float) -> Array:

@@ -21,8 +21,8 @@ def friction_state(data: Measurements, release_m: float = np.inf, breakaway_rad:
 
     A relative translation by `release_m` turns the friction axial and leaves 1/e of the circumferential share.
     """
-    turns = np.diff(data.theta_b, axis=1)
-    slides = np.diff(data.l_b, axis=1)
+    turns = np.diff(data.theta_commanded, axis=1)
+    slides = np.diff(data.l_commanded, axis=1)
     state = np.zeros_like(turns)
     for row in range(1, len(turns)):
         if data.sequence[row] == data.sequence[row - 1]:
@@ -45,7 +45,7 @@ def last_directions(data: Measurements) -> Array:
     0 where the run has not moved the actuator yet, and after an oscillation of decreasing amplitude, which leaves play
     and elastic wind-up of a drive in the middle.
     """
-    joints = np.hstack([data.theta_b, data.l_b])
+    joints = np.hstack([data.theta_commanded, data.l_commanded])
     still = np.repeat([SAME_ROTATION_RAD, SAME_TRANSLATION_M], data.n) / 10
     directions = np.zeros((data.count, joints.shape[1]))
     for run in np.unique(data.sequence[data.rows]).tolist():

@@ -15,8 +15,8 @@ from ctrplan.base.arrays import Array
 class JointPath:
     """K waypoints of n tubes in the order visited; between them all joints move together linearly."""
 
-    theta_b: Array  # (K, n) base rotations, rad, not wrapped
-    l_b: Array  # (K, n) base translations, m
+    theta_commanded: Array  # (K, n) base rotations, rad, not wrapped
+    l_commanded: Array  # (K, n) base translations, m
     sequence: NDArray[np.int_]  # (K,) runs, each approached afresh
     time_s: Array | None = None  # (K,)
     file: str | None = None

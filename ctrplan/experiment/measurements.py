@@ -26,8 +26,8 @@ class Measurements:
     """R waypoints of n tubes, K of them measured; the arrays of poses have K rows, in the order of the waypoints."""
 
     sequence: NDArray[np.int_]  # (R,) runs, each approached afresh
-    theta_b: Array  # (R, n) commanded base rotations, rad, not wrapped
-    l_b: Array  # (R, n) commanded base translations, m
+    theta_commanded: Array  # (R, n) commanded base rotations, rad, not wrapped
+    l_commanded: Array  # (R, n) commanded base translations, m
     rows: NDArray[np.int_]  # (K,) the measured waypoints
     position_m: Array  # (K, 3) tip
     tangent: Array  # (K, 3) unit tip tangent
@@ -41,7 +41,7 @@ class Measurements:
     @property
     def n(self) -> int:
         """Number of tubes."""
-        return int(self.theta_b.shape[1])
+        return int(self.theta_commanded.shape[1])
 
     @property
     def count(self) -> int:
@@ -52,7 +52,7 @@ class Measurements:
     def configuration(self) -> NDArray[np.int_]:
         """(K,) number of each pose's commanded configuration, whatever way it was approached."""
         scale = np.repeat([SAME_ROTATION_RAD, SAME_TRANSLATION_M], self.n)
-        cells = np.round(np.hstack([self.theta_b, self.l_b])[self.rows] / scale).astype(np.int64)
+        cells = np.round(np.hstack([self.theta_commanded, self.l_commanded])[self.rows] / scale).astype(np.int64)
         _, first, number = np.unique(cells, axis=0, return_index=True, return_inverse=True)
         return np.asarray(np.argsort(np.argsort(first))[number.ravel()])  # in the order of appearance
 
@@ -70,7 +70,9 @@ class Measurements:
         """Rotation and translation (n,) of the motion that led to a waypoint; None if its run starts there."""
         if row == 0 or self.sequence[row] != self.sequence[row - 1]:
             return None
-        return self.theta_b[row] - self.theta_b[row - 1], self.l_b[row] - self.l_b[row - 1]
+        return self.theta_commanded[row] - self.theta_commanded[row - 1], self.l_commanded[row] - self.l_commanded[
+            row - 1
+        ]
 
 
 def is_streamed(sequence: NDArray[np.int_], rows: NDArray[np.int_], joints: Array) -> bool:

@@ -12,7 +12,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.experiment.joint_path import JointPath
 from ctrplan.experiment.measurements import Measurements, is_streamed
 from ctrplan.files.joint_path_file import CsvTable
-from ctrplan.pipeline.robot_effects import effects_of
+from ctrplan.pipeline.chain import Chain
 from ctrplan.robot.robot import Robot
 
 POSE = ("x_m", "y_m", "z_m", "tx", "ty", "tz")
@@ -29,14 +29,14 @@ def load_measurements(path: str | os.PathLike[str], robot: Robot) -> Measurement
     table = CsvTable(os.fspath(path), "file of measurements")
     joints = table.joint_path(robot, needed=("sequence", *POSE))
     pose, rows = _poses(table)
-    theta_b, l_b = joints.theta_b, joints.l_b
+    theta_b, l_b = joints.theta_commanded, joints.l_commanded
     if np.ptp(theta_b, axis=0).max() < STILL_RAD and np.ptp(l_b, axis=0).max() < STILL_M:
         raise table.fault("all joints are constant: one configuration says nothing about a model")
     _check_poses(table, pose, rows, robot)
     return Measurements(
         sequence=joints.sequence,
-        theta_b=theta_b,
-        l_b=l_b,
+        theta_commanded=theta_b,
+        l_commanded=l_b,
         rows=rows,
         position_m=pose[:, :3],
         tangent=pose[:, 3:] / np.linalg.norm(pose[:, 3:], axis=1, keepdims=True),
@@ -89,7 +89,10 @@ def _still_joints(theta_b: Array, l_b: Array, file: str) -> list[str]:
 
 def _left_out(robot: Robot, joints: JointPath) -> list[str]:
     """One sentence per effect of the robot file that these data say too little for."""
-    lacking = ((effect.name, effect.missing_columns(joints.time_s, joints.more)) for effect, _ in effects_of(robot))
+    lacking = (
+        (given.effect.name, given.effect.missing_columns(joints.time_s, joints.more))
+        for given in Chain.of(robot).acting
+    )
     return [
         f"{joints.file}: without a column {', '.join(missing)} the robot's {name} is left out."
         for name, missing in lacking

@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import tomli_w
@@ -16,13 +16,10 @@ from ctrplan.errors import InputError
 from ctrplan.files.drive_file import HomeEntry, build_drive
 from ctrplan.files.robot_entries import MeasurementEntry, RobotEntry, build_contacts, build_tubes
 from ctrplan.robot.nesting import never_nests
-from ctrplan.robot.robot import Robot, _gap_m
+from ctrplan.robot.robot import Robot, diametral_gap_m
 from ctrplan.sensor.noise import SensorNoise
 from ctrplan.storage.atomic_write import write_atomically
 from ctrplan.storage.toml_document import Document, read_document
-
-if TYPE_CHECKING:
-    pass
 
 LARGEST_CLEARANCE_RATIO = 0.02  # of the smallest radius of curvature (Ha et al. 2019, section I)
 SMALLEST_CLEARANCE_M = 5e-6  # the meshes do not resolve the contact forces of smaller ones (docs/model.md)
@@ -83,10 +80,11 @@ def _build(document: Document) -> Robot:
     robot = replace(robot, warnings=tuple(_clearance_warnings(robot, document)))
     if not robot.effects:
         return robot
-    from ctrplan.pipeline.robot_effects import check_effects, with_effects
+    from ctrplan.pipeline.file_effects import check_effects
+    from ctrplan.pipeline.installed import installed  # slow to import; most robots have no effects
 
     check_effects(robot, document)
-    return with_effects(robot)
+    return installed(robot)
 
 
 def _measurement(entry: MeasurementEntry | None) -> SensorNoise | None:
@@ -97,7 +95,7 @@ def _measurement(entry: MeasurementEntry | None) -> SensorNoise | None:
 
 def _clearance_warnings(robot: Robot, document: Document) -> Iterator[str]:
     for i, clearance in enumerate(robot.clearance_m.tolist()):
-        shown, gap = f"radial clearance {clearance * 1e3:g} mm", _gap_m(robot.tubes, i)
+        shown, gap = f"radial clearance {clearance * 1e3:g} mm", diametral_gap_m(robot.tubes, i)
         if abs(clearance - gap) > ROUNDING_M + 1e-9:
             yield str(document.fault(f"{shown} is used, but the diameters leave {gap * 1e3:g} mm", "contact", i))
         if clearance < SMALLEST_CLEARANCE_M:

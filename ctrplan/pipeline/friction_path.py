@@ -13,15 +13,15 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.errors import SolverError
 from ctrplan.mechanics.shapes import Status
-from ctrplan.pipeline.chain import Chain
+from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.tip_table import nested, tip_table
 
 LARGEST_M = 5e-3  # corrections beyond it are a path that snapped, and are left out
 
 
-def friction_correction(chain: Chain, p: Array) -> tuple[Array, Array] | None:
+def friction_correction(chain: ParametricChain, p: Array) -> tuple[Array, Array] | None:
     """What to add to positions (K, 3) [m] and tangents (K, 3) at parameters (P,); None without friction."""
-    robot = chain.robot_at(p)
+    robot = chain.at(p).mechanics
     if not robot.friction.any():
         return None
     collars, phi = chain.collars(p), chain.friction_state(p)
@@ -37,12 +37,13 @@ def friction_correction(chain: Chain, p: Array) -> tuple[Array, Array] | None:
     return shift, turn
 
 
-def _simulated(chain: Chain, p: Array) -> tuple[Array, Array]:
+def _simulated(chain: ParametricChain, p: Array) -> tuple[Array, Array]:
     """Tips at the poses when every run's path is followed from its start; NaN where a simulation failed."""
-    data, robot = chain.data, chain.robot_at(p)
+    data, robot = chain.data, chain.at(p).mechanics
     every = np.arange(len(data.sequence))
     blank = np.zeros((len(every), 3))
-    collars = Chain(chain.robot, replace(data, rows=every, position_m=blank, tangent=blank), chain.terms).collars(p)
+    waypoints = replace(data, rows=every, position_m=blank, tangent=blank)
+    collars = ParametricChain(chain.robot, waypoints, chain.terms).collars(p)
     l_b = nested(robot, collars.l)  # a fit may push collars against each other, and moves on
     position, tangent = np.full((len(every), 3), np.nan), np.full((len(every), 3), np.nan)
     for run in np.unique(data.sequence[data.rows]).tolist():

@@ -117,10 +117,15 @@ class JointSpace:
         return np.where(self.allowed_rows(moves)[:, None], moves, fallback)
 
     def nesting_rules(self) -> tuple[Array, Array]:
-        """A (r, m) and b (r,): joint values nest the tubes where A @ q <= b; rules that no joint touches left out."""
-        slope = self.nesting_G @ self.drive.matrix_l
+        """A (r, m) and b (r,): joint values nest the tubes where A @ q <= b; rules that no joint touches left out.
+
+        With effects of the drive that are not linear, at joint values near zero.
+        """
+        zero = np.zeros((1, len(self.drive.joints)))
+        l_by_joints = self.drive.collars_by_joints(zero)[0, len(self.drive.home_l_m) :]
+        slope = self.nesting_G @ l_by_joints
         touched = np.any(slope != 0, axis=1)
-        return slope[touched], (self.nesting_h - self.nesting_G @ self.drive.home_l_m)[touched]
+        return slope[touched], (self.nesting_h - self.nesting_G @ self.drive.collars(zero)[1][0])[touched]
 
     def wound_into_limits(self, q: Array) -> Array:
         """q (K, m) with rotations taken by whole turns to where they are nearest to the middle of their range."""

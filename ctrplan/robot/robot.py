@@ -1,4 +1,4 @@
-"""Robot: tubes, contacts and drive, read from a robot file (TOML)."""
+"""Robot: tubes, contacts and drive as one object."""
 
 from __future__ import annotations
 
@@ -38,6 +38,7 @@ class Robot:
     measurement: SensorNoise | None = None
     loads: Loads = Loads()  # beyond the paper, set by [effects.*]
     effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # [effects.*] as in the file
+    ideal: Robot | None = None  # without the effects, where tubes, contacts, loads and drive have them at work
     provenance: Mapping[str, Any] = field(default_factory=dict)  # as in the file
     content: Mapping[str, Any] = field(default_factory=dict)  # of the file after overrides
     path: str | None = None
@@ -79,18 +80,28 @@ class Robot:
 
         return friction_law(self)
 
+    def collars(self, theta_commanded: ArrayLike, l_commanded: ArrayLike) -> tuple[Array, Array]:
+        """Where the drive holds the bases: theta_b [rad], l_b [m], each (n,) or (K, n), of commanded values alike.
+
+        The same unless the robot file has effects of the drive. Everything below asks for collars, theta_b and l_b.
+        """
+        return self.drive.reached(theta_commanded, l_commanded)
+
     def zero_clearance(self, theta_b: ArrayLike, l_b: ArrayLike) -> Shape:
-        """Zero-clearance, frictionless shape at base rotations (n,) [rad] and translations (n,) [m], (2)-(3)."""
+        """Zero-clearance, frictionless shape with collars at theta_b (n,) [rad] and l_b (n,) [m], (2)-(3)."""
         return self.mechanics.zero_clearance(theta_b, l_b)
 
     def solve(
         self, theta_b: ArrayLike, l_b: ArrayLike, phi: ArrayLike = 0.0, *, accuracy: Accuracy = "search"
     ) -> Shape:
-        """Shape with clearance and friction; phi in [-1, 1], scalar or (n - 1,). See `Mechanics.solve`."""
+        """Shape with clearance and friction at collars (n,) [rad], (n,) [m]; phi in [-1, 1], scalar or (n - 1,).
+
+        See `Mechanics.solve`.
+        """
         return self.mechanics.solve(theta_b, l_b, phi, accuracy=accuracy)
 
     def bound(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> Bound:
-        """Largest friction-induced deviations at (n,) [rad], (n,) [m]. See `Mechanics.bound`."""
+        """Largest friction-induced deviations with collars at (n,) [rad], (n,) [m]. See `Mechanics.bound`."""
         return self.mechanics.bound(theta_b, l_b, accuracy=accuracy)
 
     def bound_many(
@@ -103,7 +114,7 @@ class Robot:
         progress: Progress | None = None,
         executor: Executor | None = None,
     ) -> Bounds:
-        """Bounds of K configurations, (K, n) [rad], (K, n) [m], on every core or on an executor's workers.
+        """Bounds of K configurations of the collars, (K, n) [rad], (K, n) [m], on every core or an executor's workers.
 
         `progress` is told the finished share, 0 to 1. See `Mechanics.bound_many`.
         """
@@ -114,15 +125,16 @@ class Robot:
     def history(
         self, start: Start = "released", *, accuracy: Accuracy = "search", options: HistoryOptions | None = None
     ) -> History:
-        """A simulation along a joint path, friction included: advance it waypoint by waypoint. See `History`."""
+        """A simulation along a path of the collars, friction included. See `History`."""
         from ctrplan.mechanics.history import History
 
         return History(self.mechanics, start, accuracy=accuracy, options=options)
 
     def _clearance(self, i: int) -> float:
         given = self.contacts[i].clearance_m
-        return _gap_m(self.tubes, i) if given is None else given
+        return diametral_gap_m(self.tubes, i) if given is None else given
 
 
-def _gap_m(tubes: Sequence[Tube], i: int) -> float:
+def diametral_gap_m(tubes: Sequence[Tube], i: int) -> float:
+    """Radial clearance [m] that the diameters of tubes i and i + 1 (from 0) leave."""
     return (tubes[i].inner_diameter_m - tubes[i + 1].outer_diameter_m) / 2

@@ -1,6 +1,7 @@
 """What a robot does along a joint path, beside what it would do without friction and the bound on the difference.
 
-The path is commanded: effects of the robot's drive come before the history, those of clock and sensor after it.
+The chain of `pipeline/chain.py` with a simulated history as its mechanics. The clock comes last here: what is reported
+is of the instant that the tracker saw, and the history has that instant too.
 """
 
 from __future__ import annotations
@@ -16,16 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.effects.effect import Collars
+from ctrplan.drive.collars import Collars
 from ctrplan.errors import InputError
+from ctrplan.experiment.friction_states import last_directions
 from ctrplan.experiment.joint_path import JointPath
+from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.joint_path_file import joint_columns
 from ctrplan.mechanics.core import Accuracy, Bounds, Status
 from ctrplan.mechanics.history import History, Start
-from ctrplan.pipeline.simulated_chain import chain_warnings, collars_of, measured_poses
+from ctrplan.pipeline.chain import Chain, at_instants
 from ctrplan.robot.nesting import nesting_violation
 from ctrplan.robot.robot import Robot
-from ctrplan.sensor.poses import Poses
+from ctrplan.sensor.poses import Poses, frames_along
 
 SAMPLE_RAD, SAMPLE_M = np.radians(10.0), 3e-3  # between two looks at the tip on a leg
 
@@ -37,8 +40,8 @@ class Simulation:
     robot: Robot
     path: JointPath
     place: Array  # (S,) in waypoints: 2.5 is halfway from waypoint 2 to 3, counted from 0
-    theta_b: Array  # (S, n) commanded, rad
-    l_b: Array  # (S, n) commanded, m
+    theta_commanded: Array  # (S, n) commanded, rad
+    l_commanded: Array  # (S, n) commanded, m
     collars: Collars  # where the drive puts them: as commanded but for effects of the robot's drive
     position_m: Array  # (S, 3)
     tangent: Array  # (S, 3)
@@ -69,7 +72,11 @@ class Simulation:
     @property
     def is_complete(self) -> bool:
         """Whether the whole path was walked."""
-        return len(self.place) > 0 and self.place[-1] == len(self.path.theta_b) - 1 and self.failed_waypoint is None
+        return (
+            len(self.place) > 0
+            and self.place[-1] == len(self.path.theta_commanded) - 1
+            and self.failed_waypoint is None
+        )
 
 
 def simulate(
@@ -87,10 +94,10 @@ def simulate(
     """
     told, stop = progress or (lambda *_: None), interrupted or threading.Event()
     rows: list[Array] = []
-    count = len(path.theta_b)
+    count, chain = len(path.theta_commanded), Chain.of(robot).on(path.time_s, path.more)
     for run in path.runs:
         history = History(robot.mechanics, start, accuracy=accuracy)
-        for place, *commanded, theta, l in _driven_legs(robot, path, run):  # noqa: E741 (as in the equations)
+        for place, *commanded, theta, l in _driven_legs(robot, chain, path, run):  # noqa: E741 (as in the equations)
             found = history.follow(theta, l)
             tip = found.position_m, found.tangent, found.phi, found.snaps, found.status
             rows.append(np.column_stack((place, *commanded, theta, l, *tip)))
@@ -110,8 +117,8 @@ def poses_csv(result: Simulation) -> str:
     if result.path.time_s is not None:
         columns["time_s"] = result.path.time_s[place]
     for names, values in (
-        (rotations, result.theta_b),
-        (translations, result.l_b),
+        (rotations, result.theta_commanded),
+        (translations, result.l_commanded),
         (("x_m", "y_m", "z_m"), result.position_m),
         (("tx", "ty", "tz"), result.tangent),
         (("frictionless_x_m", "frictionless_y_m", "frictionless_z_m"), result.bounds.tip_m),
@@ -134,9 +141,9 @@ def poses_csv(result: Simulation) -> str:
 
 def _legs(path: JointPath, run: slice) -> Iterator[tuple[Array, Array, Array]]:
     """Places, rotations and translations: the start of a run, then each of its legs in samples without its first."""
-    yield np.array([float(run.start)]), path.theta_b[run][:1], path.l_b[run][:1]
+    yield np.array([float(run.start)]), path.theta_commanded[run][:1], path.l_commanded[run][:1]
     for k in range(run.start, run.stop - 1):
-        theta, l = path.theta_b[k : k + 2], path.l_b[k : k + 2]  # noqa: E741
+        theta, l = path.theta_commanded[k : k + 2], path.l_commanded[k : k + 2]  # noqa: E741
         longest = max(np.abs(np.diff(theta, axis=0)).max() / SAMPLE_RAD, np.abs(np.diff(l, axis=0)).max() / SAMPLE_M)
         part = np.linspace(0, 1, max(1, int(np.ceil(longest - 1e-9))) + 1)[1:, None]
         yield (
@@ -146,15 +153,48 @@ def _legs(path: JointPath, run: slice) -> Iterator[tuple[Array, Array, Array]]:
         )
 
 
-def _driven_legs(robot: Robot, path: JointPath, run: slice) -> Iterator[tuple[Array, ...]]:
+def _driven_legs(robot: Robot, chain: Chain, path: JointPath, run: slice) -> Iterator[tuple[Array, ...]]:
     """Places, commanded rotations and translations, and those that the drive makes of them, leg by leg."""
     legs = list(_legs(path, run))
-    place, theta_b, l_b = (np.concatenate(parts) for parts in zip(*legs, strict=True))
-    collars = collars_of(robot, path, place, theta_b, l_b)
-    if collars.l is not l_b:
+    place, theta, l = (np.concatenate(parts) for parts in zip(*legs, strict=True))  # noqa: E741
+    collars = chain.drive(Collars(theta, l), last_directions(_samples(path, place, Collars(theta, l))))
+    if chain.of_stage("drive"):
         _check_collars(robot, path, place, collars)
     ends = np.cumsum([len(leg[0]) for leg in legs])[:-1]
-    yield from zip(*(np.split(part, ends) for part in (place, theta_b, l_b, collars.theta, collars.l)), strict=True)
+    yield from zip(*(np.split(part, ends) for part in (place, theta, l, collars.theta, collars.l)), strict=True)
+
+
+def _samples(path: JointPath, place: Array, commanded: Collars) -> Measurements:
+    """Samples at `place` (S,) as waypoints that are all measured, in the words of the effects."""
+    blank = np.zeros((len(place), 3))
+    waypoints = np.arange(len(path.sequence))
+    time_s = None if path.time_s is None else np.interp(place, waypoints, path.time_s)
+    more = {name: np.interp(place, waypoints, values) for name, values in path.more.items()}
+    sequence = path.sequence[np.ceil(place).astype(int)]
+    every = np.arange(len(place))
+    return Measurements(sequence, commanded.theta, commanded.l, every, blank, blank, time_s, more=more)
+
+
+def _measured(chain: Chain, samples: Measurements, collars: Collars, phi: Array, tips: Array) -> Poses | None:
+    """What a tracker reports of tips and tangents (S, 6); None where nothing stands between tip and report."""
+    if not chain.of_stage("clock") and not chain.of_stage("sensor"):
+        return None
+    across = np.eye(3)[np.argmin(np.abs(tips[:, 3:]), axis=1)]
+    if chain.turns_with_tip:  # for others any direction across the tangent will do
+        robot = chain.mechanics
+        rows = zip(collars.theta, collars.l, np.nan_to_num(phi), strict=True)
+        across = np.array([robot.solve(*row).tubes[-1].frames[-1, :, 0] for row in rows])
+    seen = at_instants(samples, np.hstack([tips, across]), chain.delay_s)
+    tangent = seen[:, 3:6] / np.linalg.norm(seen[:, 3:6], axis=1, keepdims=True)
+    return chain.sensor(Poses(seen[:, :3], frames_along(tangent, seen[:, 6:])), samples)
+
+
+def _left_out(chain: Chain, path: JointPath) -> Iterator[str]:
+    """One sentence per effect of the robot that the path says too little for."""
+    for given in chain.acting:
+        if missing := given.effect.missing_columns(path.time_s, path.more):
+            lacking = f"without a column {', '.join(missing)}"
+            yield f"{path.file}: {lacking} the robot's {given.effect.name} is left out."
 
 
 def _check_collars(robot: Robot, path: JointPath, place: Array, collars: Collars) -> None:
@@ -170,14 +210,29 @@ def _simulation(
     n = robot.n
     failed = np.flatnonzero(table[:, -1] == Status.FAILED)
     table = table[: failed[0] + 1] if len(failed) else table
-    place, theta_b, l_b, theta, l, position_m, tangent, phi, snaps, status = map(  # noqa: E741
+    place, theta_commanded, l_commanded, theta, l, position_m, tangent, phi, snaps, status = map(  # noqa: E741
         np.ascontiguousarray, np.split(table, np.cumsum([1, n, n, n, n, 3, 3, n - 1, 1]), axis=1)
     )
     collars = Collars(theta, l)
     bounds = robot.bound_many(theta, l, accuracy=accuracy, progress=lambda share: told("bounds", share))
-    measured = measured_poses(robot, path, place[:, 0], collars, phi, position_m, tangent)
+    every = Chain.of(robot)
+    chain, samples = (
+        every.on(path.time_s, path.more),
+        _samples(path, place[:, 0], Collars(theta_commanded, l_commanded)),
+    )
     return Simulation(
-        robot, path, place[:, 0], theta_b, l_b, collars, position_m, tangent, phi,
-        np.nan_to_num(snaps[:, 0]).astype(int), status[:, 0].astype(int), bounds,
-        measured, tuple(chain_warnings(robot, path)),
-    )  # fmt: skip
+        robot=robot,
+        path=path,
+        place=place[:, 0],
+        theta_commanded=theta_commanded,
+        l_commanded=l_commanded,
+        collars=collars,
+        position_m=position_m,
+        tangent=tangent,
+        phi=phi,
+        snaps=np.nan_to_num(snaps[:, 0]).astype(int),
+        status=status[:, 0].astype(int),
+        bounds=bounds,
+        measured=_measured(chain, samples, collars, phi, np.hstack([position_m, tangent])),
+        warnings=tuple(_left_out(every, path)),
+    )

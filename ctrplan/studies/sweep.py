@@ -1,4 +1,4 @@
-"""The friction bound over one or two axes: rotations and translations of collars, or numbers of the robot file."""
+"""The friction bound over one or two axes: commanded rotations and translations, or numbers of the robot file."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ class Sweep:
     """Bounds at every combination of the axes' values, the last axis running fastest."""
 
     robot: Robot  # as in its file
-    theta_b: Array  # (n,) [rad], of tubes that no axis turns
-    l_b: Array  # (n,) [m], of tubes that no axis translates
+    theta_commanded: Array  # (n,) [rad], of tubes that no axis turns
+    l_commanded: Array  # (n,) [m], of tubes that no axis translates
     axes: tuple[Axis, ...]
     values: Array  # (K, axes) in the axes' units
     bounds: Bounds  # of the K configurations
@@ -66,8 +66,8 @@ class _Task:
     file: str | None
     axes: tuple[Axis, ...]
     values: Array  # (k, axes) in the axes' units
-    theta_b: Array  # (k, n) [rad]
-    l_b: Array  # (k, n) [m]
+    theta_commanded: Array  # (k, n) [rad]
+    l_commanded: Array  # (k, n) [m]
 
     def robots(self) -> Iterator[tuple[Robot, slice]]:
         """Each robot and the rows it is asked about. Raises InputError for values that no robot can have."""
@@ -83,7 +83,7 @@ class _Task:
         """Warnings about the robots. Raises InputError, which says at which values something does not nest."""
         warnings: list[str] = []
         for robot, rows in self.robots():
-            theta_b, l_b = self.theta_b[rows], self.l_b[rows]
+            theta_b, l_b = self._collars(robot, rows)
             if refused := robot.mechanics.first_refused(theta_b, l_b):
                 k, rule = refused
                 axes = zip(self.axes, self.values[rows][k].tolist(), strict=True)
@@ -95,29 +95,32 @@ class _Task:
 
     def solve(self, accuracy: Accuracy) -> Bounds:
         """Bounds of the rows, on the calling thread."""
-        asked = ((robot, self.theta_b[rows], self.l_b[rows]) for robot, rows in self.robots())
-        return join([robot.bound_many(theta_b, l_b, accuracy=accuracy, threads=1) for robot, theta_b, l_b in asked])
+        asked = ((robot, *self._collars(robot, rows)) for robot, rows in self.robots())
+        return join([robot.bound_many(*collars, accuracy=accuracy, threads=1) for robot, *collars in asked])
+
+    def _collars(self, robot: Robot, rows: slice) -> tuple[Array, Array]:
+        return robot.collars(self.theta_commanded[rows], self.l_commanded[rows])
 
 
 def sweep(
     content: Mapping[str, Any],
     axes: Sequence[Axis],
-    theta_b: ArrayLike,
-    l_b: ArrayLike,
+    theta_commanded: ArrayLike,
+    l_commanded: ArrayLike,
     *,
     file: str | None = None,
     accuracy: Accuracy = "search",
     progress: StageProgress | None = None,
     executor: Executor | None = None,
 ) -> Sweep:
-    """Bounds of the robot of a robot file's `content` at base rotations (n,) [rad] and translations (n,) [m].
+    """Bounds of the robot of a robot file's `content` at commanded rotations (n,) [rad] and translations (n,) [m].
 
     One or two axes replace what they name. Nothing is solved before every robot and configuration is known to be
     well-formed; raises InputError otherwise. Without an executor the tasks run on a thread per core.
     """
     check_axes(axes)
     robot = robot_from_dict(content, file=file)
-    theta, l = np.array(theta_b, dtype=np.float64), np.array(l_b, dtype=np.float64)  # noqa: E741
+    theta, l = np.array(theta_commanded, dtype=np.float64), np.array(l_commanded, dtype=np.float64)  # noqa: E741
     values = np.stack(np.meshgrid(*(axis.values for axis in axes), indexing="ij"), axis=-1).reshape(-1, len(axes))
     order = _robot_by_robot(axes, values)
     configurations = _configurations(axes, values, theta, l)
@@ -173,9 +176,9 @@ def _robot_by_robot(axes: Sequence[Axis], values: Array) -> NDArray[np.intp]:
     return np.lexsort(columns[::-1]) if columns else np.arange(len(values))
 
 
-def _configurations(axes: Sequence[Axis], values: Array, theta_b: Array, l_b: Array) -> tuple[Array, Array]:
-    """theta_b (K, n) [rad] and l_b (K, n) [m] of all rows."""
-    tables = {"rotation": np.tile(theta_b, (len(values), 1)), "translation": np.tile(l_b, (len(values), 1))}
+def _configurations(axes: Sequence[Axis], values: Array, theta: Array, l: Array) -> tuple[Array, Array]:  # noqa: E741
+    """Commanded rotations (K, n) [rad] and translations (K, n) [m] of all rows."""
+    tables = {"rotation": np.tile(theta, (len(values), 1)), "translation": np.tile(l, (len(values), 1))}
     for axis, column in zip(axes, values.T, strict=True):
         if axis.kind is not None:
             tables[axis.kind][:, axis.tube] = column * UNITS[axis.kind][1]

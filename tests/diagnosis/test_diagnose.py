@@ -136,7 +136,10 @@ def test_a_ratio_no_tube_has_is_reported_and_a_robot_file_can_still_be_written(t
     write_robot(tmp_path / "robot.toml", found.robot_content())
     written = load_robot(tmp_path / "robot.toml")
     assert max(tube.poisson_ratio for tube in written.tubes) == 0.5
-    tips = [written.solve(*row).tip_m for row in zip(data.theta_b[data.rows], data.l_b[data.rows], strict=True)]
+    tips = [
+        written.solve(*row).tip_m
+        for row in zip(data.theta_commanded[data.rows], data.l_commanded[data.rows], strict=True)
+    ]
     error_m = np.linalg.norm(np.array(tips) - data.position_m, axis=1)  # the gap is that of the file
     share = np.sqrt(np.mean(error_m**2)) / found.gap.after.rms_m
     assert 0.8 < share < 1.25

@@ -25,7 +25,9 @@ def test_a_quarter_turn_saturates_in_its_direction(sign: int) -> None:
 
 def test_a_common_rotation_loads_nothing() -> None:
     data = along([0, 90])
-    turned = Measurements(data.sequence, data.theta_b[:, [1, 1]], data.l_b, data.rows, data.position_m, data.tangent)
+    turned = Measurements(
+        data.sequence, data.theta_commanded[:, [1, 1]], data.l_commanded, data.rows, data.position_m, data.tangent
+    )
     assert friction_state(turned)[-1] == pytest.approx([0])
 
 

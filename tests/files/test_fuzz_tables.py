@@ -46,7 +46,7 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[list[str
     """A place for files, and the cells of a good one."""
     folder = tmp_path_factory.mktemp("tables")
     data = waypoints(ROBOT, 2)
-    theta, l = data.theta_b[data.rows], data.l_b[data.rows]  # noqa: E741
+    theta, l = data.theta_commanded[data.rows], data.l_commanded[data.rows]  # noqa: E741
     shapes = [ROBOT.zero_clearance(*row) for row in zip(theta, l, strict=True)]
     tips, tangents = (np.array([getattr(shape, name) for shape in shapes]) for name in ("tip_m", "tip_tangent"))
     write_csv(folder / "good.csv", type(data)(**{**vars(data), "position_m": tips, "tangent": tangents}))

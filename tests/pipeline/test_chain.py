@@ -14,8 +14,8 @@ from ctrplan.errors import InputError, SolverError
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.history import History
-from ctrplan.pipeline.chain import Chain
 from ctrplan.pipeline.friction_path import friction_correction
+from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.tip_table import nested
 from ctrplan.robot.nesting import nesting_violation
 
@@ -56,7 +56,7 @@ def test_derivatives_go_through_a_sensor_of_the_robot_file(name: str) -> None:
     agrees(chain_of(turned, DATA, {name: None}))
 
 
-def agrees(chain: Chain) -> None:
+def agrees(chain: ParametricChain) -> None:
     p = inside(chain)
     found = chain.predict(p)
     for j in range(chain.slices()[1].start, len(p)):
@@ -68,7 +68,7 @@ def agrees(chain: Chain) -> None:
         np.testing.assert_allclose(found.position_by[:, :, j], by, atol=0.03 * scale)
 
 
-def inside(chain: Chain) -> Array:
+def inside(chain: ParametricChain) -> Array:
     """Values away from neutral and from bounds, where everything is smooth."""
     rng = np.random.default_rng(4)
     p = chain.neutral + 0.2 * chain.prior * rng.uniform(0.5, 1.0, len(chain.prior))
@@ -124,19 +124,31 @@ def test_off_plane_precurvature_is_an_angle_offset_of_a_tube_that_is_curved_all_
 def close_collars() -> Measurements:
     """A continuous motion that ends with the bases 0.1 mm apart."""
     data = streamed()
-    data.l_b[:, 1] = np.linspace(-0.01, -0.1e-3, len(data.l_b))
+    data.l_commanded[:, 1] = np.linspace(-0.01, -0.1e-3, len(data.l_commanded))
     return data
 
 
-@pytest.mark.parametrize(("effect", "value"), [("homing_offset", {"l_2_mm": 0.2e-3}), ("lag", {"tau_s": -0.1})])
-def test_a_stream_is_followed_where_a_fit_pushes_collars_together(effect: str, value: dict[str, float]) -> None:
-    chain = chain_of(ROBOT, close_collars(), {effect: list(value), "sensor_offset": None})
+def test_a_stream_is_followed_where_a_fit_pushes_collars_together() -> None:
+    chain = chain_of(ROBOT, close_collars(), {"homing_offset": ["l_2_mm"], "sensor_offset": None})
     p = chain.neutral.copy()
-    p[chain.slices()[1]] = list(value.values())
+    p[chain.slices()[1]] = 0.2e-3
     assert chain.collars(p).l[-1, 1] > 0
     assert np.isfinite(chain.predict(p).position_m).all()
     correction = friction_correction(chain, p)
     assert correction is not None and np.abs(correction[0]).max() > 1e-5
+
+
+@pytest.mark.parametrize("tau_s", [-0.25, 0.25])
+def test_the_robot_rests_before_a_run_begins_and_after_it_ends(tau_s: float) -> None:
+    data = streamed()
+    chain = chain_of(ROBOT, data, {"lag": None})
+    p = chain.neutral.copy()
+    p[-1] = tau_s
+    commanded = chain.at(p).clock(data)
+    at = np.clip(data.time_s[data.rows] - tau_s, data.time_s[0], data.time_s[-1])
+    for found, given in ((commanded.theta, data.theta_commanded), (commanded.l, data.l_commanded)):
+        for column, values in zip(found.T, given.T, strict=True):
+            np.testing.assert_allclose(column, np.interp(at, data.time_s, values), atol=1e-12)
 
 
 def test_a_stream_without_a_start_is_not_corrected(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -151,7 +163,7 @@ def test_a_stream_without_a_start_is_not_corrected(monkeypatch: pytest.MonkeyPat
 
 def test_compliant_shafts_find_room_where_bases_touch() -> None:
     data = waypoints(ROBOT, 2)
-    data.l_b[:] = 0.0
+    data.l_commanded[:] = 0.0
     chain = chain_of(ROBOT, data, {"shaft_torsion": None})
     found, plain = (c.predict(c.start, derivatives=False) for c in (chain, chain_of(ROBOT, data, {})))
     assert found.sound.all()

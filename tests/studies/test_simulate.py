@@ -65,7 +65,7 @@ def test_poses_can_be_read_as_a_path_and_every_run_starts_afresh(tmp_path: Path)
     assert result.is_complete
     text = poses_csv(result)
     again = load_joint_path(write_path(tmp_path, *text.splitlines()), load_robot(PAIR))
-    np.testing.assert_array_equal(again.theta_b, path.theta_b)
+    np.testing.assert_array_equal(again.theta_commanded, path.theta_commanded)
     np.testing.assert_array_equal(again.sequence, [3, 3, 3, 5, 5, 5])
     np.testing.assert_array_equal(again.time_s, path.time_s)
     first, second = (result.position_m[(result.place >= a) & (result.place <= a + 2)] for a in (0, 3))
@@ -102,10 +102,12 @@ def test_effects_of_the_drive_move_the_collars(tmp_path: Path) -> None:
     path = load_joint_path(write_path(tmp_path, HEADER, *ROWS), robot)
     found = simulate(robot, path, (-1,))
     at = found.waypoints
-    np.testing.assert_array_equal(found.theta_b[at], path.theta_b)  # the table shows what was commanded
+    np.testing.assert_array_equal(found.theta_commanded[at], path.theta_commanded)  # the table shows what was commanded
     lost = np.radians(2.0) * np.array([0, 1, 1])  # nothing is known before the first turn
-    np.testing.assert_allclose(found.collars.theta[at, 1], path.theta_b[:, 1] + np.radians(5.0) - lost, atol=1e-12)
-    np.testing.assert_allclose(found.collars.l[at, 1], 0.99 * path.l_b[:, 1], atol=1e-12)
+    np.testing.assert_allclose(
+        found.collars.theta[at, 1], path.theta_commanded[:, 1] + np.radians(5.0) - lost, atol=1e-12
+    )
+    np.testing.assert_allclose(found.collars.l[at, 1], 0.99 * path.l_commanded[:, 1], atol=1e-12)
     driven = JointPath(found.collars.theta, found.collars.l, np.zeros(len(found.place), int))
     same = simulate(plain, driven, (-1,))
     np.testing.assert_allclose(found.position_m, same.position_m[same.waypoints], atol=2e-6)

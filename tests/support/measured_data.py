@@ -18,7 +18,7 @@ from ctrplan.experiment.measurements import Measurements, is_streamed
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.core import Mechanics
 from ctrplan.mechanics.shapes import Status, Tips
-from ctrplan.pipeline.chain import Chain, Term, term
+from ctrplan.pipeline.parametric_chain import ParametricChain, Term, term
 from ctrplan.robot.robot import Robot
 
 QUARTER = np.radians(90.0)
@@ -79,7 +79,7 @@ def waypoints(robot: Robot, count: int, seed: int = 0) -> Measurements:
     )
 
 
-def chain_of(robot: Robot, data: Measurements, effects: Mapping[str, list[str] | None]) -> Chain:
+def chain_of(robot: Robot, data: Measurements, effects: Mapping[str, list[str] | None]) -> ParametricChain:
     """A chain with the base and effects, all parameters or the named ones."""
     base = BaseParameters()
     names = [parameter.name for parameter in base.parameters(robot)]
@@ -87,7 +87,7 @@ def chain_of(robot: Robot, data: Measurements, effects: Mapping[str, list[str] |
     for name, chosen in effects.items():
         effect = CATALOGUE[name]
         terms.append(term(effect, chosen or [p.name for p in effect.parameters(robot)], robot))
-    return Chain(robot, data, terms)
+    return ParametricChain(robot, data, terms)
 
 
 def measured(
@@ -111,7 +111,15 @@ def measured(
     tangent = found.tangent + np.cross(turn, found.tangent)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     return Measurements(
-        data.sequence, data.theta_b, data.l_b, data.rows, position, tangent, data.time_s, data.is_stream, file="made up"
+        data.sequence,
+        data.theta_commanded,
+        data.l_commanded,
+        data.rows,
+        position,
+        tangent,
+        data.time_s,
+        data.is_stream,
+        file="made up",
     )
 
 
@@ -123,7 +131,11 @@ def write_csv(path: Path, data: Measurements) -> None:
     pose = {int(row): [*p, *t] for row, p, t in zip(data.rows, data.position_m, data.tangent, strict=True)}
     for k in range(len(data.sequence)):
         time = 0.0 if data.time_s is None else data.time_s[k]
-        cells = [str(data.sequence[k]), repr(float(time)), *map(repr, map(float, [*data.theta_b[k], *data.l_b[k]]))]
+        cells = [
+            str(data.sequence[k]),
+            repr(float(time)),
+            *map(repr, map(float, [*data.theta_commanded[k], *data.l_commanded[k]])),
+        ]
         cells += [repr(float(x)) for x in pose[k]] if k in pose else [""] * 6
         lines.append(",".join(cells))
     path.write_text("\n".join(lines) + "\n")
@@ -132,7 +144,7 @@ def write_csv(path: Path, data: Measurements) -> None:
 def without_solutions(data: Measurements, configurations: list[int], patch: pytest.MonkeyPatch) -> set[int]:
     """The solver fails in some configurations from now on, 3 mm off; rows of the file that are measured there."""
     lost = np.isin(data.configuration, configurations)
-    theta, solve = data.theta_b[data.rows][lost], Mechanics.tips_with_friction
+    theta, solve = data.theta_commanded[data.rows][lost], Mechanics.tips_with_friction
 
     def failing(self: Mechanics, theta_b: Array, *arguments: object, **keys: object) -> Tips:
         tips = solve(self, theta_b, *arguments, **keys)  # type: ignore[arg-type]

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
-from ctrplan.base.arrays import Array
-from ctrplan.effects.effect import Collars, Effect, Parameter, Values, register
+from ctrplan.effects.effect import Effect, Parameter, Values, register
 from ctrplan.experiment.measurements import LONGEST_LAG_S, Measurements
 from ctrplan.robot.robot import Robot
 
@@ -36,23 +33,5 @@ class Lag(Effect):
     def starts(self, names: Sequence[str]) -> Sequence[Values]:
         return [{"tau_s": 0.02}, {"tau_s": 0.15}]
 
-    def clock(self, values: Values, data: Measurements, collars: Collars) -> Collars:
-        tau = values["tau_s"]
-        return Collars(_earlier(data, data.theta_b, tau), _earlier(data, data.l_b, tau))
-
     def delay_s(self, values: Values) -> float:
-        return values["tau_s"]
-
-
-def _earlier(data: Measurements, joints: Array, tau_s: float) -> Array:
-    """Joints (K, n) at the poses' times minus tau, linear between waypoints; a run's ends go on as they began."""
-    assert data.time_s is not None
-    out = np.empty((data.count, data.n))
-    for run in np.unique(data.sequence):
-        waypoints, poses = np.flatnonzero(data.sequence == run), data.sequence[data.rows] == run
-        times, values = data.time_s[waypoints], joints[waypoints]
-        wanted = data.time_s[data.rows[poses]] - tau_s
-        cell = np.clip(np.searchsorted(times, wanted) - 1, 0, len(times) - 2)
-        share = (wanted - times[cell]) / np.maximum(times[cell + 1] - times[cell], 1e-9)
-        out[poses] = values[cell] + share[:, None] * (values[cell + 1] - values[cell])
-    return out
+        return values.get("tau_s", 0.0)

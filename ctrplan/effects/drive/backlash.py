@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from ctrplan.base.arrays import Array
-from ctrplan.effects.effect import DEGREE, MILLIMETRE, Collars, Effect, Parameter, Values, numbered, register
+from ctrplan.drive.collars import Collars
+from ctrplan.effects.effect import DEGREE, MILLIMETRE, Effect, Parameter, Values, numbered, register
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.robot.robot import Robot
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ctrplan.base.arrays import Array
+from ctrplan.drive.collars import Collars
 from ctrplan.effects.effect import (
     DEGREE,
     MILLIMETRE,
-    Collars,
     Effect,
     Parameter,
     Values,

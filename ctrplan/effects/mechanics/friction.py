@@ -20,6 +20,7 @@ class Friction(Effect):
     look_alikes = ("backlash", "lag", "shaft_torsion")
     experiment = "approach strongly opposed curvatures from both sides and after an oscillation, at rest"
     depends_on_history = True
+    sets_outright = True
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         neutral = robot.friction[:, 1].tolist()

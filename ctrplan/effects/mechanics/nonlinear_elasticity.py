@@ -31,7 +31,10 @@ class NonlinearElasticity(Effect):
 
     def mechanics(self, values: Values, robot: Robot) -> Mapping[str, float]:
         return {
-            f"tube.{i + 1}.{key}": values[name]
+            f"tube.{i + 1}.{key}": value
             for i in range(robot.n)
-            for key, name in (("softening_strain", "strain_percent"), ("softening_fraction", "stiffness_fraction"))
+            for key, value in (
+                ("softening_strain", values.get("strain_percent", 0.01)),
+                ("softening_fraction", values.get("stiffness_fraction", 1.0)),
+            )
         }

@@ -27,10 +27,10 @@ class TranslationRelease(Effect):
         return (Parameter("release_per_mm", 1.0, lower=0.0, upper=10.0, start=0.2, si=1 / MILLIMETRE),)
 
     def untestable(self, robot: Robot, data: Measurements) -> str:
-        slides = np.abs(np.diff(np.diff(data.l_b, axis=1), axis=0))[np.diff(data.sequence) == 0]
+        slides = np.abs(np.diff(np.diff(data.l_commanded, axis=1), axis=0))[np.diff(data.sequence) == 0]
         if not sliding(data) or not slides.size or slides.max(initial=0.0) < 1e-5:
             return "no pose was approached by a relative translation"
         return ""
 
     def friction_release_m(self, values: Values) -> float:
-        return 1 / max(values["release_per_mm"], 1e-9)
+        return 1 / max(values.get("release_per_mm", 0.0), 1e-9)

@@ -139,13 +139,12 @@ def _newton_step(checker: MotionChecker, joints: Array, miss: Array) -> Array:
 
 def tip_jacobian(robot: Robot, joints: Array) -> Array:
     """(3, m) derivative of the frictionless tip by actuated joints (m,), m per rad and m per m."""
-    drive = robot.drive
-    theta_b, l_b = drive.collars(joints[None])
-    moved = [("theta_b", drive.matrix_theta), ("l_b", drive.matrix_l)]
-    tubes = [(key, i, matrix[i]) for key, matrix in moved for i in range(robot.n) if matrix[i].any()]
+    names = [f"{key}.{i + 1}" for key in ("theta_b", "l_b") for i in range(robot.n)]
+    collars, moves = robot.drive.collars(joints[None]), robot.drive.collars_by_joints(joints[None])[0]
+    moved = np.flatnonzero(moves.any(axis=1))
     tips = robot.mechanics.tips_with_friction(
-        theta_b, l_b, np.zeros((1, robot.n - 1)), parameters=[f"{key}.{i + 1}" for key, i, _ in tubes]
+        *collars, np.zeros((1, robot.n - 1)), parameters=[names[k] for k in moved.tolist()]
     )
     slopes = np.nan_to_num(tips.position_by[0])  # NaN where a collar or tip would pass another one
-    jacobian: Array = slopes @ np.array([row for _, _, row in tubes])
+    jacobian: Array = slopes @ moves[moved]
     return jacobian

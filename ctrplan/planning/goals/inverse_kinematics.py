@@ -83,7 +83,7 @@ class TipSolver:
 
     @cached_property
     def common_rotation(self) -> Array | None:
-        """(m,) joint velocities that turn all tubes together by 1 rad/s, or None if the drive can't."""
+        """(m,) joint velocities that turn all tubes together by 1 rad/s, the drive being ideal, or None if it can't."""
         drive = self.space.drive
         motions = np.vstack([drive.matrix_theta, drive.matrix_l])
         wanted = np.concatenate([np.ones(len(drive.matrix_theta)), np.zeros(len(drive.matrix_l))])
@@ -93,7 +93,8 @@ class TipSolver:
 
     def jacobian(self, q: Array, tip: Array, tangent: Array) -> Array:
         """(K, 6, m) derivatives of tips and tangents at q (K, m), whose tips are known."""
-        spared = None if self.common_rotation is None else int(np.argmax(np.abs(self.common_rotation)))
+        common = None if self.space.drive.terms else self.common_rotation  # with effects tubes turn unevenly
+        spared = None if common is None else int(np.argmax(np.abs(common)))
         columns = [j for j in range(q.shape[1]) if j != spared]
         moved = np.repeat(q[None], len(columns), axis=0)
         for row, j in zip(moved, columns, strict=True):
@@ -104,9 +105,9 @@ class TipSolver:
             change = row[:, j] - q[:, j]
             change[change == 0] = np.inf  # a joint that can move to neither side contributes nothing
             jacobian[:, :, j] = (near - known) / change[:, None]
-        if spared is not None and self.common_rotation is not None:
-            rest = jacobian[:, :, columns] @ self.common_rotation[columns]
-            jacobian[:, :, spared] = (_about_z(known) - rest) / self.common_rotation[spared]
+        if spared is not None and common is not None:
+            rest = jacobian[:, :, columns] @ common[columns]
+            jacobian[:, :, spared] = (_about_z(known) - rest) / common[spared]
         return np.nan_to_num(jacobian, nan=0.0, posinf=0.0, neginf=0.0)
 
     def _beside(self, q: Array, j: int) -> Array:

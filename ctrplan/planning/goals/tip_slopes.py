@@ -20,7 +20,7 @@ def tips_by_joints(checker: MotionChecker, q: Array, phi: Array) -> Tips:
     drive, n = checker.space.drive, checker.mechanics.n
     names = [f"theta_b.{i + 1}" for i in range(n)] + [f"l_b.{i + 1}" for i in range(n)]
     tips = checker.mechanics.tips_with_friction(*drive.collars(q), phi, parameters=names)
-    moves = np.vstack([drive.matrix_theta, drive.matrix_l])
+    moves = drive.collars_by_joints(q)
     by_joints = (np.nan_to_num(slope) @ moves for slope in (tips.position_by, tips.tangent_by))
     return replace(tips, position_by=next(by_joints), tangent_by=next(by_joints))
 

@@ -123,8 +123,8 @@ def _proposals(found: Diagnosis) -> Markup:
         return Markup()
     rows = (
         (
-            ", ".join(f"{x:.0f}" for x in np.degrees(p.theta_b)),
-            ", ".join(f"{x:.1f}" for x in p.l_b * 1e3),
+            ", ".join(f"{x:.0f}" for x in np.degrees(p.theta_commanded)),
+            ", ".join(f"{x:.1f}" for x in p.l_commanded * 1e3),
             " against ".join(p.between),
             f"{p.log_odds:.1f}",
         )

@@ -121,7 +121,9 @@ def _bound_mm(result: Sweep) -> Array:
 def _caption(result: Sweep) -> str:
     """Where the collars stand that no axis moves."""
     swept = {(axis.kind, axis.tube) for axis in result.axes}
-    theta = [("rotation", f"theta_{i + 1} = {v:.6g} deg") for i, v in enumerate(np.degrees(result.theta_b).tolist())]
-    l = [("translation", f"l_{i + 1} = {v * 1e3:.6g} mm") for i, v in enumerate(result.l_b.tolist())]  # noqa: E741
+    theta = [
+        ("rotation", f"theta_{i + 1} = {v:.6g} deg") for i, v in enumerate(np.degrees(result.theta_commanded).tolist())
+    ]
+    l = [("translation", f"l_{i + 1} = {v * 1e3:.6g} mm") for i, v in enumerate(result.l_commanded.tolist())]  # noqa: E741
     still = [text for row in (theta, l) for i, (kind, text) in enumerate(row) if (kind, i) not in swept]
     return "at " + ", ".join(still) if still else ""

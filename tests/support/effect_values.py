@@ -1,0 +1,40 @@
+"""Values of every effect away from where it vanishes, and data on which it acts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ctrplan.effects.catalogue import CATALOGUE
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.robot.robot import Robot
+
+OF_CONTINUOUS_MOTIONS = ("lag", "translation_release")
+
+
+def table(name: str, robot: Robot, share: float = 0.2) -> dict[str, float]:
+    """[effects.NAME] with every parameter `share` of its prior away from neutral, in the units of the file."""
+    values = {}
+    for k, parameter in enumerate(CATALOGUE[name].parameters(robot)):
+        value = parameter.neutral + share * (1 + 0.1 * (k % 3)) * parameter.prior
+        if parameter.name in ("stiffness_fraction", "strain_percent"):
+            value = 0.6
+        if parameter.name == "l_1_mm":  # the base of tube 1 can't be in front of the plate
+            value = -1.0 if name == "homing_offset" else value
+        values[parameter.name] = float(np.clip(value, parameter.lower, parameter.upper))
+    return values
+
+
+def effects(names: Sequence[str], robot: Robot) -> dict[str, dict[str, float]]:
+    """[effects.*] of a robot file."""
+    return {name: table(name, robot) for name in names}
+
+
+def continuous_motion() -> Measurements:
+    """A motion with every waypoint measured; poses are zero."""
+    time = np.arange(12) * 0.1
+    theta = np.column_stack([0 * time, 0.3 + 1.1 * time + 0.4 * np.sin(4 * time)])
+    nothing = np.zeros((12, 3))
+    l = np.column_stack([0 * time - 2e-3, -0.02 + 0.004 * time])  # noqa: E741 (as in the equations)
+    return Measurements(np.zeros(12, int), theta, l, np.arange(12), nothing, nothing, time, True)
