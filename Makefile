@@ -21,6 +21,7 @@ test: install lint
 lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
 	cd $(VENV) && bin/mypy --config-file ../pyproject.toml  # of the installed package, which has the core's stub
 
 install: $(VENV)/.installed

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ctrplan import __version__
+from ctrplan.base.version import __version__
 from ctrplan.calibration.estimates import estimates
 from ctrplan.calibration.least_squares import Fit, fit
 from ctrplan.effects.effect import Parameter

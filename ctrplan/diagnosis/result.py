@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-import ctrplan
+from ctrplan.base.version import __version__
 from ctrplan.calibration.estimates import estimates
 from ctrplan.calibration.pose_errors import Errors
 from ctrplan.calibration.residuals import Noise
@@ -92,7 +92,7 @@ class Diagnosis:
             "time_s": round(self.time_s, 1),
             "robot_sha256": self.robot.sha256,
             "measurements_sha256": self.data.sha256,
-            "ctrplan_version": ctrplan.__version__,
+            "ctrplan_version": __version__,
             "schema_version": SCHEMA_VERSION,
         }
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ctrplan import _model
+import ctrplan._model as _model
 from ctrplan.base.arrays import Array
 from ctrplan.base.progress import Progress
 from ctrplan.errors import InputError

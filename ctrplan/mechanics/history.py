@@ -21,7 +21,7 @@ from ctrplan.mechanics.core_arrays import joint_row, joint_rows, numbers, shape_
 from ctrplan.mechanics.shapes import Shape, Status
 
 if TYPE_CHECKING:
-    from ctrplan import _model
+    import ctrplan._model as _model
 
 Start = Literal["released", "oscillated"] | Sequence[float]
 

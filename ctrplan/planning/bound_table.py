@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan import __version__
 from ctrplan.base.arrays import Array
+from ctrplan.base.version import __version__
 from ctrplan.errors import InputError
 from ctrplan.mechanics.bound_lookup import FieldLookup
 from ctrplan.mechanics.loads import Loads

@@ -17,7 +17,8 @@ from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.path_cost import path_cost_mm
 from ctrplan.planning.plan import MotionStyle
 from ctrplan.planning.play import usual_play_shift
-from ctrplan.planning.search.search_clock import ASKED_NS, LOOKED_UP_NS, ROOM_NS, SHAPE_NS, WorkMeter
+from ctrplan.planning.search_clock import ASKED_NS, LOOKED_UP_NS, ROOM_NS, SHAPE_NS, WorkMeter
+from ctrplan.robot.friction_calibration import friction_law
 
 if TYPE_CHECKING:
     from ctrplan.planning.bound_table import BoundField
@@ -196,7 +197,7 @@ class MotionChecker:
         for leg in range(samples.segment[-1] + 1):
             share = samples.fraction[samples.segment == leg]
             ends = slice(leg, leg + 2) if len(corners) > 1 else [0, 0]
-            loads.append(self.scenario.robot.friction_law.load_left(load, theta_b[ends], l_b[ends], share))
+            loads.append(friction_law(self.scenario.robot).load_left(load, theta_b[ends], l_b[ends], share))
             load = loads[-1][-1] if len(share) else load
         return released_error(samples, np.concatenate(loads))
 

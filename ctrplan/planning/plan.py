@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
-from ctrplan.planning.search.search_clock import SearchEnd
+from ctrplan.planning.search_clock import SearchEnd
 
 if TYPE_CHECKING:
     from ctrplan.drive.trajectory import Trajectory

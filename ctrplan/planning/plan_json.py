@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import ctrplan
 from ctrplan.base.arrays import Array
+from ctrplan.base.version import __version__
 from ctrplan.drive.drive import Drive
 from ctrplan.planning.certificate.insertion import follow_the_leader_m
 from ctrplan.planning.plan_timing import settling_duration_s
@@ -33,7 +33,7 @@ def plan_to_json(plan: Plan) -> dict[str, Any]:
     scenario, robot, drive = plan.scenario, plan.scenario.robot, plan.scenario.robot.drive
     content = {
         "schema_version": SCHEMA_VERSION,
-        "ctrplan_version": ctrplan.__version__,
+        "ctrplan_version": __version__,
         "scenario": {"name": scenario.name, "path": scenario.path, "sha256": scenario.sha256},
         "robot": {"name": robot.name, "path": robot.path, "sha256": robot.sha256},
         "seed": plan.seed,

@@ -24,8 +24,8 @@ from ctrplan.planning.goals.goal_states import goal_states
 from ctrplan.planning.goals.line import follow_line, line_beginnings
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.plan import ENDED_BY_TIME, Certificate, Compensation, Plan, checked_search
-from ctrplan.planning.search.search_clock import SearchClock, SearchEnd
 from ctrplan.planning.search.stage_search import Candidate, Progress, Report, StageSearch
+from ctrplan.planning.search_clock import SearchClock, SearchEnd
 
 if TYPE_CHECKING:
     from ctrplan.planning.bound_table import BoundField

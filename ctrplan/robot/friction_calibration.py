@@ -9,6 +9,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -37,6 +38,7 @@ PROBES = 16  # joint values by which effects of the drive are told apart
 VERSION = 2  # of the law: rises when what is stored means something else
 
 logger = logging.getLogger(__name__)
+_known: WeakKeyDictionary[Robot, FrictionLaw] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +53,16 @@ class SimulatedPath:
 
 
 def friction_law(robot: Robot) -> FrictionLaw:
-    """The robot's law, from the cache or calibrated now: a second or so."""
+    """How rotations load and translations release each pair of a robot.
+
+    Known since it was asked for before, from the cache, or calibrated on simulated histories now: a second or so.
+    """
+    if robot not in _known:
+        _known[robot] = _stored_or_fitted(robot)
+    return _known[robot]
+
+
+def _stored_or_fitted(robot: Robot) -> FrictionLaw:
     key = _digest(robot)
     stored = _load(key)
     if stored is not None:

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     from ctrplan.base.progress import Progress
     from ctrplan.mechanics.core import Accuracy, Bound, Bounds, Mechanics, Shape
-    from ctrplan.mechanics.friction_law import FrictionLaw
     from ctrplan.mechanics.history import History, HistoryOptions, Start
 
 
@@ -72,13 +71,6 @@ class Robot:
         from ctrplan.mechanics.core import Mechanics
 
         return Mechanics(self.tubes, self.clearance_m, self.friction[:, 1], self.loads)
-
-    @cached_property
-    def friction_law(self) -> FrictionLaw:
-        """How rotations load and translations release each pair, calibrated on simulated histories of this robot."""
-        from ctrplan.robot.friction_calibration import friction_law
-
-        return friction_law(self)
 
     def collars(self, theta_commanded: ArrayLike, l_commanded: ArrayLike) -> tuple[Array, Array]:
         """Where the drive holds the bases: theta_b [rad], l_b [m], each (n,) or (K, n), of commanded values alike.

@@ -169,7 +169,14 @@ def test_an_outlier_is_reported_and_changes_little() -> None:
     row = int(chosen.base.fit.chain.data.rows[0])  # one that the selection sees
     position[int(np.flatnonzero(clean.rows == row)[0])] += [0.02, -0.01, 0.0]
     spoilt = Measurements(
-        clean.sequence, clean.theta_b, clean.l_b, clean.rows, position, clean.tangent, clean.time_s, clean.is_stream
+        clean.sequence,
+        clean.theta_commanded,
+        clean.l_commanded,
+        clean.rows,
+        position,
+        clean.tangent,
+        clean.time_s,
+        clean.is_stream,
     )
     found = diagnose(ROBOT, spoilt, catalogue=QUICK)
     assert found.outlier_rows == (row + 1,) and found.verdict == "no_missing_effect"
@@ -244,8 +251,8 @@ def waypoints_with_repeats(count: int) -> Measurements:
     nothing = np.zeros((len(rows), 3))
     return Measurements(
         PLAN.sequence[again],
-        PLAN.theta_b[again],
-        PLAN.l_b[again],
+        PLAN.theta_commanded[again],
+        PLAN.l_commanded[again],
         rows,
         nothing,
         nothing,

@@ -79,7 +79,7 @@ def damaged(cells: list[list[str]], changes: list[tuple[str, float, float, str]]
 
 @pytest.mark.parametrize("kind", sorted(READERS))
 def test_the_undamaged_table_is_read(kind: str, table: tuple[Path, list[list[str]]]) -> None:
-    assert len(READERS[kind](table[0] / "good.csv", ROBOT).theta_b) == len(table[1]) - 1
+    assert len(READERS[kind](table[0] / "good.csv", ROBOT).theta_commanded) == len(table[1]) - 1
 
 
 @pytest.mark.parametrize("kind", sorted(READERS))
@@ -96,7 +96,7 @@ def test_a_damaged_table_is_read_or_refused_in_one_sentence(kind: str, table: tu
         except InputError as error:
             assert_names_the_fault(error, str(file))
             return
-        assert np.isfinite(read.theta_b).all() and np.isfinite(read.l_b).all()
+        assert np.isfinite(read.theta_commanded).all() and np.isfinite(read.l_commanded).all()
         assert np.all(np.abs(read.sequence) < 2**53)
 
     check()
@@ -143,7 +143,7 @@ def test_reading_takes_time_in_proportion_to_the_rows(kind: str, runs: str, tmp_
         rows = "\n".join(f"{row},0.5,-0.02,-0.03,0,0,0.08,0,0,1" for row in each)
         file.write_text(f"sequence,time_s,theta_1_rad,theta_2_rad,l_1_m,l_2_m,x_m,y_m,z_m,tx,ty,tz\n{rows}\n")
         began = time.process_time()
-        assert len(READERS[kind](file, ROBOT).theta_b) == count
+        assert len(READERS[kind](file, ROBOT).theta_commanded) == count
         seconds.append((time.process_time() - began) / count)
     assert seconds[1] < 3 * seconds[0] and seconds[1] * 1e6 < 2 * HANG_S, f"{seconds} s per row"
 

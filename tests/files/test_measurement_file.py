@@ -144,7 +144,7 @@ def test_blank_rows_are_none_in_measurements_as_in_paths(table: Table, tmp_path:
     (tmp_path / "gaps.csv").write_text("\n".join([*lines[:5], "", "," * (len(table[0]) - 1), " ,", *lines[5:], ",,"]))
     for read in (load_measurements, load_joint_path):
         whole, gaps = (read(tmp_path / name, ROBOT) for name in ("whole.csv", "gaps.csv"))
-        np.testing.assert_array_equal(gaps.theta_b, whole.theta_b)
+        np.testing.assert_array_equal(gaps.theta_commanded, whole.theta_commanded)
 
 
 def test_an_effect_of_the_robot_without_its_column_is_warned_about(table: Table, tmp_path: Path) -> None:

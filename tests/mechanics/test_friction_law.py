@@ -11,7 +11,7 @@ from places import ROBOTS
 import ctrplan
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.friction_law import FrictionLaw, largest_deviation, released_share, tip_deviations
-from ctrplan.robot.friction_calibration import HISTORIES, _digest, fit, misses, simulated_paths
+from ctrplan.robot.friction_calibration import HISTORIES, _digest, fit, friction_law, misses, simulated_paths
 
 LAW = FrictionLaw(loading_rad=np.array([0.3, 0.5]), release_m=np.array([0.2e-3, 0.4e-3]))
 TIMES = np.linspace(0, 1, 60)[:, None]
@@ -86,12 +86,12 @@ def test_calibrated_law_predicts_histories_it_has_not_seen() -> None:
 def test_law_is_kept_on_disk_and_a_damaged_one_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CTRPLAN_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr("ctrplan.robot.friction_calibration.HISTORIES", 1)
-    first = ctrplan.load_robot(ROBOTS / "table_1_pair.toml").friction_law
+    first = friction_law(ctrplan.load_robot(ROBOTS / "table_1_pair.toml"))
     (stored,) = (tmp_path / "friction_laws").glob("*.json")
     content = stored.read_text()
-    assert ctrplan.load_robot(ROBOTS / "table_1_pair.toml").friction_law.loading_rad == first.loading_rad
+    assert friction_law(ctrplan.load_robot(ROBOTS / "table_1_pair.toml")).loading_rad == first.loading_rad
     stored.write_text(content[:20])
-    again = ctrplan.load_robot(ROBOTS / "table_1_pair.toml").friction_law
+    again = friction_law(ctrplan.load_robot(ROBOTS / "table_1_pair.toml"))
     assert again.loading_rad == first.loading_rad and stored.read_text() == content
 
 

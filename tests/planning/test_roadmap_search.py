@@ -20,9 +20,9 @@ from ctrplan.planning.goals.goal_states import goal_states
 from ctrplan.planning.motion import MotionChecker, anatomy_grid
 from ctrplan.planning.search.insertion_chains import Roadmap
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
-from ctrplan.planning.search.search_clock import SearchClock, WorkMeter
 from ctrplan.planning.search.search_problem import SearchProblem
 from ctrplan.planning.search.stage_search import StageSearch
+from ctrplan.planning.search_clock import SearchClock, WorkMeter
 
 
 @pytest.fixture(scope="module")

@@ -23,9 +23,9 @@ from ctrplan.planning.goals.goal_states import goal_states
 from ctrplan.planning.goals.line import follow_line
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.scenario import Goal, Scenario
-from ctrplan.planning.search.search_clock import SearchClock
 from ctrplan.planning.search.search_problem import SearchProblem
 from ctrplan.planning.search.stage_search import Candidate, StageSearch
+from ctrplan.planning.search_clock import SearchClock
 
 START = {"rotate outer": 0, "rotate inner": 0, "translate inner": -30}
 

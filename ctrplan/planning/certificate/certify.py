@@ -23,6 +23,7 @@ from ctrplan.planning.motion import anatomy_grid, breach, path_limits, released_
 from ctrplan.planning.path_cost import path_cost_mm
 from ctrplan.planning.plan import Certificate, CertificateSamples, TargetReached
 from ctrplan.planning.play import play_shift
+from ctrplan.robot.friction_calibration import friction_law
 
 if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario
@@ -248,7 +249,7 @@ def _join(robot: Robot, space: JointSpace, corners: Array, pieces: list[_Piece])
         joints = piece.start + s.fraction[:, None] * (piece.end - piece.start)
         travelled = [space.length_mm(q - corners[piece.leg]) for q in joints]
         ends = space.drive.collars(np.array([piece.start, piece.end]))
-        loads = robot.friction_law.load_left(load, *ends, s.fraction)
+        loads = friction_law(robot).load_left(load, *ends, s.fraction)
         load = loads[-1]
         rows: dict[str, NDArray[Any]] = {
             "leg": np.full(len(s.fraction), piece.leg),

@@ -20,7 +20,7 @@ from ctrplan.planning.finish.alternatives import alternative, changes, held_back
 from ctrplan.planning.motion import Motion, MotionChecker
 from ctrplan.planning.path_cost import path_cost_mm
 from ctrplan.planning.plan import Certificate, Compensation, Leg, MotionStyle, Plan, ReorderReport, leg_kind
-from ctrplan.planning.search.search_clock import SearchEnd
+from ctrplan.planning.search_clock import SearchEnd
 
 if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario

@@ -14,7 +14,7 @@ from ctrplan.planning.goals.goal_state import GoalState, tip_target
 from ctrplan.planning.goals.inverse_kinematics import TipSolver, TipTarget
 from ctrplan.planning.goals.tip_slopes import bound_slopes
 from ctrplan.planning.motion import MotionChecker
-from ctrplan.planning.search.search_clock import ROOM_NS
+from ctrplan.planning.search_clock import ROOM_NS
 
 STEPS = 12
 FIRST_MM, LEAST_MM = 20.0, 0.5  # of joint length: the first step, and where a state is as good as down

@@ -12,7 +12,7 @@ from ompl import base as ob
 from ctrplan.base.arrays import Array
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.search.ompl_space import StateReader
-from ctrplan.planning.search.search_clock import HEURISTIC_NS
+from ctrplan.planning.search_clock import HEURISTIC_NS
 
 if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario

@@ -20,7 +20,7 @@ from ctrplan.planning.goals.goal_state import GoalState
 from ctrplan.planning.goals.inverse_kinematics import TipSolver, TipTarget
 from ctrplan.planning.motion import HOPELESS_M, MotionChecker
 from ctrplan.planning.search.insertion_chains import SKIPS, Roadmap
-from ctrplan.planning.search.search_clock import ROOM_NS
+from ctrplan.planning.search_clock import ROOM_NS
 
 AT_ONCE = 2  # motions checked in parallel; the same everywhere, as it decides what is checked
 SURE = 0.3  # of its length is what a motion counts that is known to be valid, while any path will do

@@ -15,8 +15,8 @@ from ctrplan.planning.goals.goal_state import GoalState
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.search.objective import BoundObjective
 from ctrplan.planning.search.ompl_space import StateReader, state_space
-from ctrplan.planning.search.search_clock import ASKED_NS
 from ctrplan.planning.search.validity import MotionValidity, Validity
+from ctrplan.planning.search_clock import ASKED_NS
 
 # Planners that grow forwards only, or check every motion in the direction it is driven.
 PLANNERS = {"BIT*": og.BITstar, "RRT*": og.RRTstar, "RRTConnect": og.RRTConnect}

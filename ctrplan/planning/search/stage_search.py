@@ -22,8 +22,8 @@ from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.plan import Certificate
 from ctrplan.planning.search.insertion_chains import direct_roadmap, promising, retreat_roadmap
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
-from ctrplan.planning.search.search_clock import SearchClock
 from ctrplan.planning.search.search_problem import SearchProblem
+from ctrplan.planning.search_clock import SearchClock
 
 FIRST_SHARE, ROADMAP_SHARE = 0.9, 0.7  # of the time by which a first path, and the cheapest, of the roadmap is sought
 LEAST_SHARE = 0.25  # of the time for sampling, however long the roadmap took

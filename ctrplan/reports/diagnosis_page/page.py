@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-import ctrplan
+from ctrplan.base.version import __version__
 from ctrplan.calibration.estimates import estimates
 from ctrplan.calibration.pose_errors import Errors
 from ctrplan.diagnosis.result import Diagnosis
@@ -177,7 +177,7 @@ def _provenance(found: Diagnosis) -> Markup:
             ),
             ("SHA-256 of the measurements", tag("code", found.data.sha256)),
             ("Time", f"{found.time_s:.0f} s"),
-            ("ctrplan", ctrplan.__version__),
+            ("ctrplan", __version__),
         ]
     )
 

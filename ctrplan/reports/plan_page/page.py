@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-import ctrplan
+from ctrplan.base.version import __version__
 from ctrplan.planning.plan_timing import leg_end_s
 from ctrplan.reports.html_page import Markup, escaped, facts, lines, page, plot, section, table, tag
 from ctrplan.reports.plan_page.curves import CURSOR, joints_figure, margins_figure
@@ -194,7 +194,7 @@ def _provenance(plan: Plan) -> Markup:
             ("Planner", f"{plan.planner}, {plan.style}, seed {plan.seed}"),
             ("Search", f"{digits(plan.search_time_s)} s, first certified path at {digits(plan.first_certified_s)} s"),
             ("Search ended by", plan.ended_by),
-            ("ctrplan", ctrplan.__version__),
+            ("ctrplan", __version__),
         ]
     )
 
