@@ -234,17 +234,18 @@ def _calibration(
     passes, noticed = [*passes[:-1], within_file(passes[-1])], symptoms(passes[0])
     first, found = passes[0], passes[-1]
     robot, terms = found.chain.robot, found.chain.terms
-    trained = held = _Left.of(found.chain, found.p, group[~aside])
+    trained = held = PoseErrors.of(found.chain, found.p, group[~aside])
     if aside.any():
         chain = ParametricChain(robot, data.subset(aside), terms)
         chain.correction = friction_correction(chain, found.p)
-        held = _Left.of(chain, found.p, group[aside])
+        held = PoseErrors.of(chain, found.p, group[aside])
     whole = ParametricChain(robot, data, terms)
-    nominal = _Left.of(whole, whole.neutral, group)
-    left = tuple(combinations(first))
+    nominal = PoseErrors.of(whole, whole.neutral, group)
+    least_known = tuple(combinations(first))
     unknown = [
-        f"The data can't tell {' and '.join(c.parameters)} apart from the prior: {100 * c.left:.0f} % of it is left."
-        for c in left
+        f"The data can't tell {' and '.join(c.parameters)} apart from the prior: "
+        f"{100 * c.posterior_share:.0f} % of it is left."
+        for c in least_known
         if not c.is_known
     ]
     return Calibration(
@@ -253,7 +254,7 @@ def _calibration(
         training=trained.errors,
         held_out=held.errors if aside.any() else None,
         nominal=nominal.errors,
-        combinations=left,
+        combinations=least_known,
         model_error_m=model_error_m(held.distance_m, found.noise.position_m),
         notes=(
             *data.warnings,
@@ -267,7 +268,7 @@ def _calibration(
 
 
 @dataclass(frozen=True, eq=False)
-class _Left:
+class PoseErrors:
     """What a fit leaves of the poses (K,) of a chain."""
 
     distance_m: Array  # of those that count: not where the model has no solution, unless it has none at too many
@@ -276,14 +277,15 @@ class _Left:
     counted: NDArray[np.bool_]  # (K,)
 
     @classmethod
-    def of(cls, chain: ParametricChain, p: Array, group: NDArray[np.int_]) -> _Left:
+    def of(cls, chain: ParametricChain, p: Array, group: NDArray[np.int_]) -> PoseErrors:
+        """Of a chain at parameters (P,); `group` (K,) numbers the configurations."""
         prediction = chain.predict(p, derivatives=False)
         counted = ~excused(prediction.failed)
         distance = distances(prediction, chain.data)[counted]
         return cls(distance, summary(distance, group[counted]), prediction.failed, counted)
 
 
-def _unsolved(data: Measurements, aside: NDArray[np.bool_], trained: _Left, held: _Left) -> list[str]:
+def _unsolved(data: Measurements, aside: NDArray[np.bool_], trained: PoseErrors, held: PoseErrors) -> list[str]:
     failed, counted = np.zeros((2, data.count), bool)
     failed[~aside], counted[~aside] = trained.failed, trained.counted
     if aside.any():

@@ -17,12 +17,12 @@ class Combination:
     """A direction in the space of parameters over their priors, and what the data leave of its uncertainty."""
 
     parameters: dict[str, float]  # components of a unit vector, the largest ones
-    left: float  # standard deviation after the data over the one before, 0 to 1
+    posterior_share: float  # standard deviation after the data over the one before, 0 to 1
 
     @property
     def is_known(self) -> bool:
         """Whether the data say more of it than the prior did."""
-        return self.left < UNKNOWN
+        return self.posterior_share < UNKNOWN
 
 
 def combinations(fit: Fit) -> list[Combination]:

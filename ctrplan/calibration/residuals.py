@@ -47,7 +47,7 @@ class Residuals:
     r: Array
     J: Array
     weight: Array  # (K,) 1, less for outliers
-    alone: Array  # (K,) norm of each pose's five numbers before those of its configuration took their part
+    raw_norm: Array  # (K,) norm of each pose's five numbers before those of its configuration took their part
 
     @property
     def norm(self) -> Array:
@@ -81,10 +81,10 @@ def residuals(
     J = np.concatenate([position_by, tangent_by], axis=1)
     shares = np.repeat([MODEL_POSITION_M / noise.position_m, MODEL_TANGENT_RAD / noise.tangent_rad], [3, 2])
     r, J = _unsound(r, J, prediction.sound)
-    alone = np.linalg.norm(r, axis=1)
-    trust = _weight(alone)
+    raw_norm = np.linalg.norm(r, axis=1)
+    trust = _weight(raw_norm)
     r, J = _whitened(r, np.asarray(group), shares, trust), _whitened(J, np.asarray(group), shares[:, None], trust)
-    return Residuals(r, J, _weight(np.linalg.norm(r, axis=1)), alone)
+    return Residuals(r, J, _weight(np.linalg.norm(r, axis=1)), raw_norm)
 
 
 def _weight(norm: Array) -> Array:

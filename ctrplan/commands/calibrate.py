@@ -95,7 +95,7 @@ def calibration_json(found: Calibration) -> dict[str, Any]:
         "training": asdict(found.training),
         "held_out": None if found.held_out is None else asdict(found.held_out),
         "before": asdict(found.nominal),
-        "combinations": [asdict(combination) for combination in found.combinations],
+        "combinations": [{"parameters": c.parameters, "left": c.posterior_share} for c in found.combinations],
         "model_error_mm": found.model_error_m * 1e3,
         "converged": found.fit.converged,
         "notes": list(found.notes),

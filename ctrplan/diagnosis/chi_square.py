@@ -68,7 +68,7 @@ def outliers(norm: Array) -> NDArray[np.bool_]:
 def ignored(scored: Scored) -> NDArray[np.bool_]:
     """(K,) poses of a fit that its chi-squares leave out: without a solution, or outliers of the others."""
     left = excused(scored.failed).copy()
-    left[~left] = outliers(scored.fit.residuals.alone[~left])
+    left[~left] = outliers(scored.fit.residuals.raw_norm[~left])
     return left
 
 

@@ -19,11 +19,11 @@ from ctrplan.calibration.symptoms import symptoms
 from ctrplan.calibration.unsolved import excused, unsolved_sentence
 from ctrplan.diagnosis.candidates import Candidates, candidates, reduced
 from ctrplan.diagnosis.chi_square import ignored, remains
-from ctrplan.diagnosis.gap import Gap, open_vault
+from ctrplan.diagnosis.gap import Gap, open_held_out_set
 from ctrplan.diagnosis.localise import Place, localise
 from ctrplan.diagnosis.next_experiment import next_experiment
 from ctrplan.diagnosis.noise_floor import noise_floor
-from ctrplan.diagnosis.rescaled_noise import rescaled_noise, vault_probability
+from ctrplan.diagnosis.rescaled_noise import held_out_probability, rescaled_noise
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.selection import Selector
 from ctrplan.diagnosis.verdict import Finding, Judgement, judge, specific
@@ -38,7 +38,7 @@ from ctrplan.robot.robot import Robot
 
 LEAST_STABILITY = 0.03  # of the believed robot: nearer to snapping no model is asked
 LEAST_GROUPS = 12  # configurations, or blocks of a continuous motion
-VAULT_REJECTED = 1e-4  # probability of the vault's residuals that takes a name back
+HELD_OUT_REJECTED = 1e-4  # probability of the held-out set's residuals that takes a name back
 
 
 class Interrupted(Exception):
@@ -93,21 +93,23 @@ def diagnose(
     chosen, base = selector.found.chosen, selector.bench.scored([])
     noise = selector.bench.noise
     if progress:
-        progress("opening the vault", 0.95)
+        progress("asking the held-out set", 0.95)
     group = groups(data)
-    gap = open_vault(base.fit, chosen.fit, data.subset(parts.vault), group[parts.vault], noise)
-    judgement, note = _after_vault(judgement, selector, gap, noise.position_m < bench.noise.position_m)
+    gap = open_held_out_set(base.fit, chosen.fit, data.subset(parts.held_out_set), group[parts.held_out_set], noise)
+    judgement, note = _after_held_out_set(judgement, selector, gap, noise.position_m < bench.noise.position_m)
     written = _written(selector.bench, chosen, judgement)
     if written is not chosen:  # errors are of the model that is handed over
         judgement = replace(judgement, adequacy=remains(selector.bench, written))
-        gap = open_vault(base.fit, written.fit, data.subset(parts.vault), group[parts.vault], noise)
+        gap = open_held_out_set(
+            base.fit, written.fit, data.subset(parts.held_out_set), group[parts.held_out_set], noise
+        )
     place = _place(selector.bench, gap)
     far = ignored(chosen) & ~excused(chosen.failed)
     unsolved = np.zeros(data.count, bool)
-    unsolved[parts.selection], unsolved[parts.vault] = base.failed | written.failed, gap.failed
+    unsolved[parts.selection], unsolved[parts.held_out_set] = base.failed | written.failed, gap.failed
     left_out = np.zeros(data.count, bool)
     left_out[parts.selection] = excused(base.failed) | excused(written.failed)
-    left_out[parts.vault] = excused(gap.failed)
+    left_out[parts.held_out_set] = excused(gap.failed)
     sentence, proposed = next_experiment(chosen, judgement, bench.data, noise, list(known.not_testable))
     return Diagnosis(
         verdict=judgement.verdict,
@@ -192,17 +194,19 @@ def _searched(bench: Workbench, known: Candidates, teller: _Teller) -> tuple[Sel
     return selector, judgement, notes, False
 
 
-def _after_vault(judgement: Judgement, selector: Selector, gap: Gap, estimated: bool) -> tuple[Judgement, list[str]]:
-    """A verdict that the vault contradicts is taken back; `estimated`: the noise is smaller than stated.
+def _after_held_out_set(
+    judgement: Judgement, selector: Selector, gap: Gap, estimated: bool
+) -> tuple[Judgement, list[str]]:
+    """A verdict that the held-out set contradicts is taken back; `estimated`: the noise is smaller than stated.
 
     Noise that had to be enlarged may have taken in a misfit: no allowance is made for it.
     """
     residuals = _solved(selector.found.chosen)
-    p = vault_probability(gap.chi_square, judgement.adequacy.total, residuals, estimated=estimated)
-    if judgement.verdict == "unexplained" or p > VAULT_REJECTED:
+    p = held_out_probability(gap.chi_square, judgement.adequacy.total, residuals, estimated=estimated)
+    if judgement.verdict == "unexplained" or p > HELD_OUT_REJECTED:
         return judgement, []
     kept = specific(selector.bench, selector.found, judgement.findings, judgement.adequacy)
-    note = f"The vault contradicts it: chi-square per degree of freedom {gap.chi_square.ratio:.2f}."
+    note = f"The held-out set contradicts it: chi-square per degree of freedom {gap.chi_square.ratio:.2f}."
     return replace(judgement, verdict="unexplained", findings=kept), [note]
 
 
@@ -215,7 +219,7 @@ def _norms(scored: Scored) -> Array:
 def _solved(scored: Scored) -> Residuals:
     """Residuals of the poses that chi-squares are of, outliers among them."""
     parts, kept = scored.fit.residuals, ~excused(scored.failed)
-    return Residuals(parts.r[kept], parts.J[kept], parts.weight[kept], parts.alone[kept])
+    return Residuals(parts.r[kept], parts.J[kept], parts.weight[kept], parts.raw_norm[kept])
 
 
 def _written(bench: Workbench, chosen: Scored, judgement: Judgement) -> Scored:

@@ -1,4 +1,4 @@
-"""The vault: poses that nothing has seen, before and after the effects were added, over all and by region."""
+"""The held-out set: poses that nothing has seen, before and after the effects were added, over all and by region."""
 
 from __future__ import annotations
 
@@ -28,37 +28,39 @@ class Gap:
     after: Errors
     floor_m: float
     regions: Mapping[str, tuple[Errors, Errors]]
-    before_m: Array  # (V,) distances of the vault's poses, without those that are left out
+    before_m: Array  # (V,) distances of the held-out set's poses, without those that are left out
     after_m: Array
-    chi_square: ChiSquare  # of the vault's poses under the predictive distribution of the fit with the effects
-    failed: NDArray[np.bool_]  # of all poses of the vault: without a solution, before or after
+    chi_square: ChiSquare  # of the held-out set's poses under the predictive distribution of the fit with the effects
+    failed: NDArray[np.bool_]  # of all poses of the held-out set: without a solution, before or after
 
 
-def open_vault(before: Fit, after: Fit, vault: Measurements, group: NDArray[np.int_], noise: Noise) -> Gap:
-    """Predicts the vault's poses with fits that have not seen them; where one has no solution, none is asked."""
-    chains = [ParametricChain(f.chain.robot, vault, f.chain.terms) for f in (before, before, after)]
+def open_held_out_set(
+    before: Fit, after: Fit, held_out_set: Measurements, group: NDArray[np.int_], noise: Noise
+) -> Gap:
+    """Predicts the held-out set's poses with fits that have not seen them; where one has no solution, none is asked."""
+    chains = [ParametricChain(f.chain.robot, held_out_set, f.chain.terms) for f in (before, before, after)]
     values = (before.chain.neutral, before.p, after.p)
     for chain, p in zip(chains[1:], values[1:], strict=True):
         chain.correction = friction_correction(chain, p)
     predictions = [chain.predict(p, derivatives=False) for chain, p in zip(chains, values, strict=True)]
     failed = predictions[1].failed | predictions[2].failed
     kept = ~excused(failed)
-    vault, group = vault.subset(kept), group[kept]
-    errors = [distances(prediction.subset(kept), vault) for prediction in predictions]
+    held_out_set, group = held_out_set.subset(kept), group[kept]
+    errors = [distances(prediction.subset(kept), held_out_set) for prediction in predictions]
     regions = {
         name: (summary(errors[1][inside], group[inside]), summary(errors[2][inside], group[inside]))
-        for name, inside in _regions(vault).items()
+        for name, inside in _regions(held_out_set).items()
     }
     nominal, calibrated, effective = (summary(e, group) for e in errors)
-    chi_square = _predictive(chains[2].predict(after.p).subset(kept), vault, after, group, noise)
+    chi_square = _predictive(chains[2].predict(after.p).subset(kept), held_out_set, after, group, noise)
     return Gap(nominal, calibrated, effective, noise.floor_m, regions, errors[1], errors[2], chi_square, failed)
 
 
-def _regions(vault: Measurements) -> dict[str, NDArray[np.bool_]]:
+def _regions(held_out_set: Measurements) -> dict[str, NDArray[np.bool_]]:
     """Thirds by extension of the innermost tube, or by time where it does not slide."""
-    out = vault.l_commanded[vault.rows, -1]
+    out = held_out_set.l_commanded[held_out_set.rows, -1]
     if np.ptp(out) < 1e-3:
-        out, words = vault.rows.astype(float), ("first third", "second third", "last third")
+        out, words = held_out_set.rows.astype(float), ("first third", "second third", "last third")
     else:
         words = ("innermost tube retracted", "innermost tube half way", "innermost tube extended")
     edges = np.quantile(out, [1 / 3, 2 / 3])
@@ -67,12 +69,12 @@ def _regions(vault: Measurements) -> dict[str, NDArray[np.bool_]]:
 
 
 def _predictive(
-    prediction: Prediction, vault: Measurements, after: Fit, group: NDArray[np.int_], noise: Noise
+    prediction: Prediction, held_out_set: Measurements, after: Fit, group: NDArray[np.int_], noise: Noise
 ) -> ChiSquare:
     """Residuals over noise and the parameters' own uncertainty together."""
-    whitening: Sequence[int] | NDArray[np.int_] = np.arange(len(group)) if vault.is_stream else group
-    found = residuals(vault, prediction, noise, whitening)
-    ignored = outliers(found.alone)
+    whitening: Sequence[int] | NDArray[np.int_] = np.arange(len(group)) if held_out_set.is_stream else group
+    found = residuals(held_out_set, prediction, noise, whitening)
+    ignored = outliers(found.raw_norm)
     r, J = found.r[~ignored].ravel(), found.J[~ignored].reshape(-1, found.J.shape[2])
     spread = np.eye(len(r)) + J @ after.covariance @ J.T
     return ChiSquare(float(r @ np.linalg.solve(spread, r)), len(r))

@@ -17,7 +17,7 @@ from ctrplan.pipeline.parametric_chain import ParametricChain
 
 CONFIGURATIONS, SEED = 24, 4
 OFFSET_RAD = np.radians(90.0)
-WORTH_IT = 1.0  # expected log-odds of a pose below which it separates nothing
+SEPARATING_LOG_ODDS = 1.0  # expected log-odds of a pose below which it separates nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ def next_experiment(
 
 
 def _separating(name: str, other: Alternative, found: Sequence[Proposal]) -> str:
-    if not found or found[0].log_odds < WORTH_IT:
+    if not found or found[0].log_odds < SEPARATING_LOG_ODDS:
         return (
             f"No pose of the measured kind separates {name} from {other.term.name}: they predict the same everywhere "
             f"within its range."

@@ -14,7 +14,7 @@ from ctrplan.diagnosis.chi_square import REJECTED, Adequacy, ChiSquare, outliers
 UNEVEN = 0.01  # probability of a ratio of between to within below which the excess has structure
 LARGEST_FACTOR = 3.0
 HEAVY = 2.0  # tail weight that 60 poses of Gaussian noise have once in a thousand
-WORTH_IT = 1.05  # factors nearer to 1 change nothing
+LEAST_CHANGE = 1.05  # factors nearer to 1 change nothing
 
 
 def rescaled_noise(left: Adequacy, noise: Noise, norm: Array) -> tuple[Noise | None, str]:
@@ -33,7 +33,7 @@ def rescaled_noise(left: Adequacy, noise: Noise, norm: Array) -> tuple[Noise | N
     if (
         max(factors) > LARGEST_FACTOR
         or min(factors) < 1 / LARGEST_FACTOR
-        or all(abs(x - 1) < WORTH_IT - 1 for x in factors)
+        or all(abs(x - 1) < LEAST_CHANGE - 1 for x in factors)
     ):
         return None, ""
     found = Noise(noise.position_m * factors[0], noise.tangent_rad * factors[1])
@@ -50,20 +50,20 @@ def tail_weight(norm: Array) -> float:
     return float(np.var(square) / np.mean(square) ** 2 * PER_POSE / 2)
 
 
-def vault_probability(vault: ChiSquare, left: ChiSquare, residuals: Residuals, *, estimated: bool) -> float:
-    """Probability of a vault as far off as this, given what is `left` in the selection, whose residuals these are.
+def held_out_probability(held_out_set: ChiSquare, left: ChiSquare, residuals: Residuals, *, estimated: bool) -> float:
+    """Probability of a held-out set as far off as this, given what is `left` of the selection, whose residuals follow.
 
     Where the noise is an estimate from the selection it is F instead of chi-square. Tails heavier than Gaussian make
     sums of squares less certain: degrees of freedom shrink with the kurtosis (Box and Andersen 1955).
     """
-    kept = residuals.norm[~outliers(residuals.alone)]
+    kept = residuals.norm[~outliers(residuals.raw_norm)]
     if estimated:
         excess = max(1.0, tail_weight(kept))
-        return float(f.sf(vault.ratio / left.ratio, vault.dof / excess, left.dof / excess))
+        return float(f.sf(held_out_set.ratio / left.ratio, held_out_set.dof / excess, left.dof / excess))
     if tail_weight(kept) < HEAVY:
-        return vault.p
-    excess = tail_weight(residuals.norm)  # with the far ones, which a small vault can't tell as such
-    return float(chi2.sf(vault.value / excess, vault.dof / excess))
+        return held_out_set.p
+    excess = tail_weight(residuals.norm)  # with the far ones, which a small held-out set can't tell as such
+    return float(chi2.sf(held_out_set.value / excess, held_out_set.dof / excess))
 
 
 def _is_even(left: Adequacy) -> bool:

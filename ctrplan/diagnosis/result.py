@@ -62,7 +62,7 @@ class Diagnosis:
 
     @property
     def model_error_m(self) -> float:
-        """What the vault leaves beyond noise, for margins."""
+        """What the held-out set leaves beyond noise, for margins."""
         return model_error_m(self.gap.after_m, self.noise.position_m)
 
     def to_json(self) -> dict[str, Any]:

@@ -16,7 +16,7 @@ MOST_EFFECTS = 4
 CAUTION = 2.0  # times the threshold, for an effect that the residuals do not ask for: they look like noise already
 CERTAIN = 2.0  # standard errors that a gain must exceed zero by
 REFITTED = 5  # variants of different effects that are fitted for good after the screening
-WORTH_IT = 0.5  # share of the best gain of the screening that makes a variant worth fitting
+LEAST_SHARE_OF_GAIN = 0.5  # share of the best gain of the screening that makes a variant worth fitting
 FIRST_OF_PAIRS, SECOND_OF_PAIRS = 2, 3  # effects that did not pass alone, and variants tried beside each
 PER_EFFECT = 2  # variants of one effect among them
 
@@ -123,7 +123,7 @@ class Selector:
 
     def fitted(self, here: Scored, screened: Sequence[Screened], *near: Fit) -> list[Scored]:
         """The most promising variants fitted beside `here`, from there or from fits in `near`, best first."""
-        worth = here.score + WORTH_IT * max(screened[0].score - here.score, 0.0)
+        worth = here.score + LEAST_SHARE_OF_GAIN * max(screened[0].score - here.score, 0.0)
         tried = [
             self.bench.scored(self.candidates.completed(here.terms, s.term), here.fit, *near)
             for s in promising(screened)

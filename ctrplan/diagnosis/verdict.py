@@ -1,7 +1,7 @@
 """From a selected set of effects to a verdict: named, ambiguous, unexplained, or nothing missing.
 
-A name is given only when what remains looks like noise, on the poses of the selection and in the vault. Where it does
-not, the best of the wrong names would be given with confidence; then only effects stay listed whose evidence lies in a
+A name is given only when what remains looks like noise, on the poses of the selection and in the held-out set. Where it
+does not, the best of the wrong names would be given with confidence; then only effects stay listed whose evidence lies in a
 part of the data that they explain completely.
 """
 
@@ -55,7 +55,7 @@ class Judgement:
 
 
 def judge(selector: Selector, found: Selection) -> Judgement:
-    """The verdict before the vault is opened."""
+    """The verdict before the held-out set is opened."""
     bench, chosen = selector.bench, found.chosen
     left = remains(bench, chosen)
     if not chosen.terms:

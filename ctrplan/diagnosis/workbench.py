@@ -46,7 +46,7 @@ class Scored:
     @cached_property
     def failed(self) -> NDArray[np.bool_]:
         """(K,) poses for which the solver found no equilibrium, so that the fit says nothing about them."""
-        unsound: NDArray[np.bool_] = np.isclose(self.fit.residuals.alone, UNSOUND)
+        unsound: NDArray[np.bool_] = np.isclose(self.fit.residuals.raw_norm, UNSOUND)
         return self.fit.chain.predict(self.fit.p, derivatives=False).failed if unsound.any() else unsound
 
 

@@ -20,7 +20,7 @@ class Split:
     """Numbers of poses, and which fold of the cross-validation each of the selection belongs to."""
 
     selection: NDArray[np.int_]  # (S,)
-    vault: NDArray[np.int_]  # (V,)
+    held_out_set: NDArray[np.int_]  # (V,)
     fold: NDArray[np.int_]  # (S,)
 
 
@@ -32,12 +32,12 @@ def groups(data: Measurements) -> NDArray[np.int_]:
 
 
 def split(data: Measurements, usable: NDArray[np.bool_]) -> Split:
-    """A quarter of the configurations for the vault, folds of whole configurations from the rest."""
+    """A quarter of the configurations for the held-out set, folds of whole configurations from the rest."""
     group = groups(data)
     numbers = np.random.default_rng(SEED).permutation(np.unique(group[usable]))
     sealed = int(round(VAULT_SHARE * len(numbers)))
-    in_vault = np.isin(group, numbers[:sealed]) & usable
-    selection = np.flatnonzero(usable & ~in_vault)
+    held_out = np.isin(group, numbers[:sealed]) & usable
+    selection = np.flatnonzero(usable & ~held_out)
     order = {number: k % FOLDS for k, number in enumerate(numbers[sealed:].tolist())}
     fold = np.array([order[number] for number in group[selection].tolist()])
-    return Split(selection, np.flatnonzero(in_vault), fold)
+    return Split(selection, np.flatnonzero(held_out), fold)

@@ -32,10 +32,10 @@ from ctrplan.base.units import MM_PER_M
 SEARCH_ROOM_M = 0.5e-3
 # Motions and states whose zero-clearance shapes have less room than this are not solved: none of 214 in three scenarios
 # was valid (`benchmarks/zero_clearance_rooms.py`).
-HOPELESS_M = -1e-3
+DEFINITE_COLLISION_M = -1e-3
 JUMP, JUMP_M = 3.0, 5e-3  # times the steps of the tip beside, and more than that and the translation by
 FEW = 100  # shapes, which are not worth a thread
-HOPELESS = "a corner shape comes too close to the anatomy: so does the zero-clearance shape"
+DEFINITE_COLLISION = "a corner shape comes too close to the anatomy: so does the zero-clearance shape"
 
 
 @dataclass(frozen=True)
@@ -83,19 +83,23 @@ class MotionChecker:
         found = self._known.get(key)
         if found is None:
             corners = self.space.corners(a, b, self.style)
-            found = self._known[key] = invalid(HOPELESS) if self.is_hopeless(corners) else self.along(corners)
+            found = self._known[key] = (
+                invalid(DEFINITE_COLLISION) if self.is_definite_collision(corners) else self.along(corners)
+            )
         return found
 
-    def is_hopeless(self, corners: Array) -> bool:
+    def is_definite_collision(self, corners: Array) -> bool:
         """Whether zero-clearance shapes collide by so much that a polyline (K, m) is not worth a walk."""
-        return self.bound_field is None and self.space.allowed(corners) and self.rooms([corners])[0] < HOPELESS_M
+        return (
+            self.bound_field is None and self.space.allowed(corners) and self.rooms([corners])[0] < DEFINITE_COLLISION_M
+        )
 
     def state(self, q: Array) -> Motion:
         """A single state as a motion of no length."""
         if self.bound_field is not None:
             return self.motion(q, q)
-        if q.tobytes() not in self._states and self.is_hopeless(q[None, :]):
-            return invalid(HOPELESS)
+        if q.tobytes() not in self._states and self.is_definite_collision(q[None, :]):
+            return invalid(DEFINITE_COLLISION)
         return self.probe(q)[0]
 
     def probe(self, q: Array) -> tuple[Motion, PathSamples | None]:

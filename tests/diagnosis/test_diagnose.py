@@ -199,15 +199,17 @@ TIP_LOAD = BASE | {"tip_load": {"force_x_N": 0.15, "force_y_N": -0.12, "force_z_
 
 
 def test_poses_without_a_solution_are_left_out_and_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the selection and of the vault; an effect that is right stays so."""
+    """Of the selection and of the held-out set; an effect that is right stays so."""
     data = measured(ROBOT, PLAN, TIP_LOAD)
     parts = split(data, np.ones(data.count, bool))
-    configurations = [int(data.configuration[part[0]]) for part in (parts.selection, parts.vault)]
+    configurations = [int(data.configuration[part[0]]) for part in (parts.selection, parts.held_out_set)]
     rows = without_solutions(PLAN, configurations, monkeypatch)
     found = diagnose(ROBOT, data, catalogue=FEW)
     assert found.verdict == "named" and names(found) == [{"tip_load"}]
     assert found.judgement.adequacy.is_adequate and found.gap.after.rms_m < 1.3 * found.gap.floor_m
-    assert found.gap.before.poses == found.gap.after.poses == len(parts.vault) - 3 and found.gap.failed.sum() == 3
+    assert (
+        found.gap.before.poses == found.gap.after.poses == len(parts.held_out_set) - 3 and found.gap.failed.sum() == 3
+    )
     (note,) = (note for note in found.notes if "no equilibrium" in note)
     assert note.startswith(f"The solver found no equilibrium at {len(rows)} of {data.count} poses")
     assert all(f"{row}" in note for row in rows) and "left out" in note
@@ -271,7 +273,7 @@ def test_an_interrupted_run_keeps_what_it_had() -> None:
 
     found = diagnose(ROBOT, measured(ROBOT, PLAN, BASE), progress, catalogue=QUICK, interrupted=stop)
     assert found.interrupted and found.verdict != "named"
-    assert steps[0] == "calibrating" and steps[-1] == "opening the vault"
+    assert steps[0] == "calibrating" and steps[-1] == "asking the held-out set"
 
 
 def test_the_command_writes_files_that_go_on_working(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,7 +10,7 @@ from ctrplan.calibration.residuals import PER_POSE, Noise, Residuals
 from ctrplan.diagnosis.chance import null_threshold
 from ctrplan.diagnosis.chi_square import ChiSquare, adequacy, outliers
 from ctrplan.diagnosis.held_out import Linear, held_out_loss, null_scores
-from ctrplan.diagnosis.rescaled_noise import rescaled_noise, vault_probability
+from ctrplan.diagnosis.rescaled_noise import held_out_probability, rescaled_noise
 
 POSES, GROUPS = 120, 24
 GROUP = np.repeat(np.arange(GROUPS), POSES // GROUPS)
@@ -119,17 +119,17 @@ def test_a_vault_like_the_selection_agrees_with_it_whatever_the_tails(
     for _ in range(400):
         scale = np.sqrt((freedom - 2) / rng.chisquare(freedom, 80))  # of Student's t, standard deviation 1
         square = ((rng.standard_normal((80, 5)) * scale[:, None]) ** 2).sum(axis=1)
-        left, vault = ChiSquare(float(square[:60].sum()), 300.0), float(square[60:].sum())
+        left, held_out_set = ChiSquare(float(square[:60].sum()), 300.0), float(square[60:].sum())
         size = left.ratio if estimated else 1.0  # the noise as the selection shows it, or as stated
         norm = np.sqrt(square[:60] / size)
         parts = Residuals(np.zeros((60, 5)), np.zeros((60, 5, 0)), np.ones(60), norm)
         parts.r[:, 0] = norm
         left = ChiSquare(left.value / size, 300.0)
         chances = [
-            vault_probability(ChiSquare(factor * vault / size, 100.0), left, parts, estimated=estimated)
+            held_out_probability(ChiSquare(factor * held_out_set / size, 100.0), left, parts, estimated=estimated)
             for factor in (1.0, 6.25)
         ]
         alarms, missed = alarms + (chances[0] < 0.01), missed + (chances[1] > 0.01)
-        believing_in_gauss += ChiSquare(vault / size, 100.0).p < 0.01
+        believing_in_gauss += ChiSquare(held_out_set / size, 100.0).p < 0.01
     assert alarms / 400 <= most and (freedom > 5 or alarms < 0.7 * believing_in_gauss)
     assert missed / 400 < 0.15  # errors 2.5 times as large do not agree

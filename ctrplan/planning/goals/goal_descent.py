@@ -19,7 +19,7 @@ from ctrplan.planning.search_clock import ROOM_NS
 STEPS = 12
 FIRST_MM, LEAST_MM = 20.0, 0.5  # of joint length: the first step, and where a state is as good as down
 LONGER, SHORTER = 1.5, 0.5  # the next step, after one that led lower and after one that did not
-HEADWAY = 0.995  # of the bound, below which a step leads lower
+MIN_PROGRESS = 0.995  # of the bound, below which a step leads lower
 TIP_STEPS = 6  # of inverse kinematics, which bring the tip back after each
 FLAT = 1e-6  # share of the bound's derivatives that joints can follow without moving the tip
 RANK = 1e-4  # smallest singular value of the tip's derivatives, to the largest, that holds a joint
@@ -51,7 +51,7 @@ def descended(checker: MotionChecker, goals: list[GoalState]) -> list[Trail]:
             back = solver.solve(TipTarget(aim[going]), space.projected(further, fallback=q), TIP_STEPS, turned=False)
             checker.meter.add(ROOM_NS * TIP_STEPS * len(going))
             found = list(pool.map(lambda joints: _goal_state(checker, joints), back.joints))
-            least = [HEADWAY * trails[k][-1].bound_m for k in going]
+            least = [MIN_PROGRESS * trails[k][-1].bound_m for k in going]
             lower = np.array([state.bound_m < bound_m for state, bound_m in zip(found, least, strict=True)])
             moved = going[lower]
             for k, i in zip(moved.tolist(), np.flatnonzero(lower).tolist(), strict=True):
@@ -78,7 +78,7 @@ def _downhill(checker: MotionChecker, solver: TipSolver, q: Array) -> tuple[Arra
 def _goal_state(checker: MotionChecker, joints: Array) -> GoalState:
     """Joint values (m,) as a goal state, whose bound is infinite if they are not valid or off the target."""
     goal, target = checker.scenario.goal, tip_target(checker.scenario)
-    if checker.is_hopeless(joints[None]):
+    if checker.is_definite_collision(joints[None]):
         return GoalState(joints, np.inf, np.inf)
     found = configuration(checker, target, joints)
     on_target = found.tip_error_m <= goal.tolerance_m and found.turned_rad <= target.direction_tolerance_rad

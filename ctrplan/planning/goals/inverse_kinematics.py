@@ -21,7 +21,7 @@ from ctrplan.planning.joint_space import JointSpace
 STEP = 1e-5  # rad or m, of the differences
 REACHED_M = 1e-5
 ITERATIONS = 25
-PATIENCE, HEADWAY = 6, 0.8  # steps after which the distance must have fallen to this share
+STALL_STEPS, MIN_PROGRESS = 6, 0.8  # steps after which the distance must have fallen to this share
 PASSES = 3  # each holds the limits that the step before it broke
 LONGEST_STEP_M = 30e-3  # of weighted joint length
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-7, 1e4  # beside the squared singular values, m per m
@@ -173,8 +173,8 @@ class _Batch:
     def _give_up(self, rows: Rows) -> None:
         """Ends solves that make no headway, before the step after this one."""
         self.steps += 1
-        if self.steps % PATIENCE == 0:
-            stuck = self.error[rows] > HEADWAY * self.earlier[rows]
+        if self.steps % STALL_STEPS == 0:
+            stuck = self.error[rows] > MIN_PROGRESS * self.earlier[rows]
             self.damping[rows[stuck]] = MOST_DAMPING
             self.earlier[rows] = self.error[rows]
 

@@ -18,7 +18,7 @@ from ctrplan.base.units import MM_PER_M
 from ctrplan.planning.goals.goal_descent import Trail
 from ctrplan.planning.goals.goal_state import GoalState
 from ctrplan.planning.goals.inverse_kinematics import TipSolver, TipTarget
-from ctrplan.planning.motion import HOPELESS_M, MotionChecker
+from ctrplan.planning.motion import DEFINITE_COLLISION_M, MotionChecker
 from ctrplan.planning.search.insertion_chains import SKIPS, Roadmap
 from ctrplan.planning.search_clock import ROOM_NS
 
@@ -239,7 +239,7 @@ class RoadmapSearch:
         ways = [space.corners(joints[a], joints[b], self.checker.style) for a, b in self.edges[rows]]
         rooms, jumps = self.checker.look(ways)
         self.hope[rows] = np.minimum(np.interp(rooms, VALID_AT_M, VALID_SHARE), np.where(jumps, VALID_JUMPS, 1.0))
-        self.cost[np.array(rows, dtype=int)[rooms < HOPELESS_M]] = np.inf
+        self.cost[np.array(rows, dtype=int)[rooms < DEFINITE_COLLISION_M]] = np.inf
         return bool(np.any(self.hope[rows] < 1))
 
     def _check(self, k: int) -> None:

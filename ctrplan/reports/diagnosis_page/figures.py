@@ -1,4 +1,4 @@
-"""Figures of a diagnosis report: where the residuals are, the path of the selection, the gap on the vault."""
+"""Figures of a diagnosis report: where the residuals are, the path of the selection, the gap on the held-out set."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def where_figure(found: Diagnosis) -> go.Figure:
 
 
 def gap_figure(found: Diagnosis) -> go.Figure:
-    """Share of the vault's poses with an error up to a value, before and after."""
+    """Share of the held-out set's poses with an error up to a value, before and after."""
     figure = go.Figure()
     for label, colour, error in (
         ("calibrated", BEFORE, found.gap.before_m),

@@ -1,4 +1,4 @@
-"""report.html of a diagnosis: where it disagrees, what was tried, the verdict, the gap on the vault, what is next."""
+"""report.html of a diagnosis: where it disagrees, what was tried, the verdict, the held-out gap, what is next."""
 
 from __future__ import annotations
 
