@@ -1,8 +1,8 @@
 """From a selected set of effects to a verdict: named, ambiguous, unexplained, or nothing missing.
 
-A name is given only when what remains looks like noise, on the poses of the selection and in the held-out set. Where it
-does not, the best of the wrong names would be given with confidence; then only effects stay listed whose evidence lies in a
-part of the data that they explain completely.
+A name is given only when what remains looks like noise, on the poses of the selection and in the held-out set. Where
+it does not, the best of the wrong names would be given with confidence; then only effects stay listed whose evidence
+lies in a part of the data that they explain completely.
 """
 
 from __future__ import annotations
