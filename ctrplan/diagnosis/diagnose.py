@@ -34,6 +34,7 @@ from ctrplan.errors import InputError
 from ctrplan.experiment.measurements import LONGEST_LAG_S, Measurements
 from ctrplan.experiment.split import Split, groups, split
 from ctrplan.mechanics.shapes import Status
+from ctrplan.pipeline.tip_table import nested
 from ctrplan.robot.robot import Robot
 
 LEAST_STABILITY = 0.03  # of the believed robot: nearer to snapping no model is asked
@@ -147,7 +148,9 @@ def diagnose(
 def usable_poses(robot: Robot, data: Measurements) -> NDArray[np.bool_]:
     """(K,) poses that every candidate is asked about: the believed robot is stable there, clocks can be compared."""
     first = np.unique(data.configuration, return_index=True)[1]
-    bounds = robot.bound_many(data.theta_commanded[data.rows[first]], data.l_commanded[data.rows[first]])
+    rows = data.rows[first]
+    theta_b, l_b = robot.collars(data.theta_commanded[rows], data.l_commanded[rows])
+    bounds = robot.bound_many(theta_b, nested(robot, l_b))
     sound = (bounds.status <= Status.MULTIPLE) & (bounds.stability > LEAST_STABILITY)
     usable: NDArray[np.bool_] = sound[data.configuration]
     if data.is_stream and data.time_s is not None:

@@ -11,9 +11,10 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.experiment.joint_path import JointPath
 from ctrplan.experiment.measurements import Measurements, is_streamed
-from ctrplan.files.joint_path_file import CsvTable
+from ctrplan.files.joint_path_file import joint_path
 from ctrplan.pipeline.chain import Chain
 from ctrplan.robot.robot import Robot
+from ctrplan.storage.csv_table import CsvTable
 
 POSE = ("x_m", "y_m", "z_m", "tx", "ty", "tz")
 TANGENT_TOLERANCE = 0.01  # of its length: files are rounded
@@ -27,7 +28,7 @@ def load_measurements(path: str | os.PathLike[str], robot: Robot) -> Measurement
     Raises InputError, one sentence with file, row, column, value and rule, for anything malformed or contradictory.
     """
     table = CsvTable(os.fspath(path), "file of measurements")
-    joints = table.joint_path(robot, needed=("sequence", *POSE))
+    joints = joint_path(table, robot, needed=("sequence", *POSE))
     pose, rows = _poses(table)
     theta_b, l_b = joints.theta_commanded, joints.l_commanded
     if np.ptp(theta_b, axis=0).max() < STILL_RAD and np.ptp(l_b, axis=0).max() < STILL_M:

@@ -12,6 +12,7 @@ from measured_data import measured, pair_robot, waypoints, write_csv
 from ctrplan.errors import InputError
 from ctrplan.files.joint_path_file import load_joint_path
 from ctrplan.files.measurement_file import load_measurements
+from ctrplan.files.robot_file import robot_from_dict
 
 ROBOT = pair_robot()
 Table = list[list[str]]
@@ -164,3 +165,13 @@ def test_a_pair_that_never_turns_is_warned_about(table: Table, tmp_path: Path) -
     path = tmp_path / "a.csv"
     path.write_text("\n".join(",".join(row) for row in changed) + "\n")
     assert "never turn against each other" in load_measurements(path, ROBOT).warnings[0]
+
+
+def test_rows_nest_where_the_drive_puts_the_collars(tmp_path: Path) -> None:
+    """What is commanded may look impossible, and be right for the drive that has this offset."""
+    file = tmp_path / "path.csv"
+    file.write_text("theta_1_rad,theta_2_rad,l_1_m,l_2_m\n0,0,0,0.001\n0,1,0,-0.01\n")
+    offset = robot_from_dict({**ROBOT.content, "effects": {"homing_offset": {"l_2_mm": -2.0}}})
+    assert load_joint_path(file, offset).l_commanded[0, 1] == 0.001
+    with pytest.raises(InputError, match="row 1: the base of tube 2"):
+        load_joint_path(file, ROBOT)

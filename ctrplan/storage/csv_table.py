@@ -1,0 +1,96 @@
+"""Tables of numbers in CSV files. Every fault is one sentence with file, row, column, value and rule."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+
+import numpy as np
+
+from ctrplan.base.arrays import Array
+from ctrplan.errors import InputError
+from ctrplan.storage.file_bytes import file_bytes
+
+LARGEST_FILE_BYTES = 200_000_000
+
+
+class CsvTable:
+    """Cells of a CSV file by column name; rows are counted from 1 below the header, as a person would.
+
+    Blank rows, of commas alone too, are none.
+    """
+
+    def __init__(self, file: str, what: str) -> None:
+        """Reads the whole file, which is a `what`.
+
+        Raises InputError unless it is a table: readable, one header, all rows as long.
+        """
+        data = file_bytes(file, LARGEST_FILE_BYTES, "CSV", what)
+        self.file, self.sha256 = file, hashlib.sha256(data).hexdigest()
+        try:
+            lines = csv.reader(data.decode("utf-8-sig").splitlines(), strict=True)
+            filled = [row for row in lines if any(map(str.strip, row))]
+        except UnicodeDecodeError as error:
+            raise InputError(f"is not UTF-8 text (byte {error.start})", file=file) from None
+        except csv.Error as error:
+            raise InputError(f"is no readable CSV file ({error})", file=file) from None
+        if len(filled) < 2:
+            raise InputError("must have a header and at least one row", file=file)
+        self.header = _column_names(filled[0], file)
+        self.rows = filled[1:]
+        for name, count in Counter(self.header).items():
+            if count > 1:
+                raise self.fault(f"the header has this column {count} times", column=name or "(no name)")
+        for row, cells in enumerate(self.rows):
+            if [cell.strip() for cell in cells] == self.header:
+                raise self.fault("repeats the header, were files joined?", row)
+            if len(cells) != len(self.header):
+                raise self.fault(f"has {len(cells)} values, the header has {len(self.header)} columns", row)
+
+    def fault(self, rule: str, row: int | None = None, column: str | None = None, value: object = ...) -> InputError:
+        """The error that a cell, row (from 0) or column breaks `rule`."""
+        place = ", ".join(part for part in (None if row is None else f"row {row + 1}", column) if part)
+        return InputError(rule, file=self.file, key=place or None, value=value)
+
+    def numbers(self, name: str, *, blanks: bool = False) -> Array:
+        """(K,) finite numbers of a column; with `blanks` NaN where nothing stands."""
+        column = self.header.index(name)
+        texts = [cells[column].strip() for cells in self.rows]
+        given = np.array([bool(text) for text in texts])
+        if blanks or given.all():
+            with suppress(ValueError):  # what is wrong is looked for below
+                found = np.array([float(text) if text else np.nan for text in texts])
+                if np.isfinite(found[given]).all():
+                    return found
+        return np.array([self._number(row, name, text, blanks) for row, text in enumerate(texts)])
+
+    def others(self, known: set[str]) -> dict[str, Array]:
+        """Numeric columns besides the known ones; notes and names are none."""
+        found = {}
+        for name in self.header:
+            if name not in known:
+                with suppress(InputError):
+                    found[name] = self.numbers(name, blanks=True)
+        return {name: values for name, values in found.items() if np.isfinite(values).any()}
+
+    def _number(self, row: int, name: str, text: str, blanks: bool) -> float:
+        if blanks and not text:
+            return np.nan
+        try:
+            value = float(text)
+        except ValueError:
+            raise self.fault("must be a number", row, name, text) from None
+        if not np.isfinite(value):
+            raise self.fault("must be a finite number", row, name, text)
+        return value
+
+
+def _column_names(header: Sequence[str], file: str) -> list[str]:
+    """Names of the columns. Raises InputError where something else than a comma stands between them."""
+    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
+        if len(header) == 1 and separator in header[0]:
+            raise InputError(f"has its columns separated by {name}, must be commas", file=file)
+    return [name.strip() for name in header]
