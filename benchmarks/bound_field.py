@@ -18,7 +18,7 @@ import numpy as np
 
 from ctrplan.files.robot_file import load_robot
 from ctrplan.mechanics.core import Field, PathDensity, PathLimits, Status
-from ctrplan.planning.bound_table import BoundField, bound_field
+from ctrplan.planning.bound_table import BoundTable, tabulated_bounds
 from ctrplan.robot.robot import Robot
 
 ROBOT = Path(__file__).parents[1] / "scenarios" / "robots" / "three_tube.toml"
@@ -32,7 +32,7 @@ def main(robot_file: str | Path = ROBOT) -> None:
     began = time.perf_counter()
     with tempfile.TemporaryDirectory() as cache:  # built anew, and not left to change what this user plans
         os.environ["CTRPLAN_CACHE_DIR"] = cache
-        field = bound_field(robot)
+        field = tabulated_bounds(robot)
     assert field is not None
     print(f"{robot.name}: {len(field.values):,} grid points, {field.values.nbytes / 1e6:.0f} MB")
     print(f"built in {time.perf_counter() - began:.1f} s")
@@ -49,7 +49,7 @@ def main(robot_file: str | Path = ROBOT) -> None:
         print(f"| {name} | {rate:,.0f} | {cpu_rate:,.0f} | {samples:.1f} |")
 
 
-def compare(robot: Robot, field: BoundField) -> None:
+def compare(robot: Robot, field: BoundTable) -> None:
     """Looked-up bounds against solved ones."""
     joints = random_joints(robot, 1, 400)
     theta_b, l_b = robot.drive.collars(joints)
@@ -68,7 +68,7 @@ def compare(robot: Robot, field: BoundField) -> None:
     print()
 
 
-def rates(robot: Robot, field: BoundField, anatomy: Field | None) -> tuple[float, float, float]:
+def rates(robot: Robot, field: BoundTable, anatomy: Field | None) -> tuple[float, float, float]:
     """Motions a second by the clock and of CPU time, and samples a motion."""
     starts, ends = random_joints(robot, 2, MOTIONS), random_joints(robot, 3, MOTIONS)
     turns = robot.drive.is_rotation

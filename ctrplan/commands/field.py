@@ -30,7 +30,7 @@ def add_parser(commands: Any) -> None:
 def run_field(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError."""
     from ctrplan.files.robot_file import load_robot
-    from ctrplan.planning.bound_table import bound_field, choose_axes
+    from ctrplan.planning.bound_table import choose_axes, tabulated_bounds
 
     robot = load_robot(arguments.robot, arguments.overrides)
     points = 1
@@ -39,7 +39,7 @@ def run_field(arguments: argparse.Namespace) -> int:
     began = time.monotonic()
     terminal = sys.stderr is not None and sys.stderr.isatty()
     with ProgressBar(quiet=arguments.quiet or not terminal) as bar:
-        field = bound_field(robot, progress=lambda share: bar.show("bound field", share))
+        field = tabulated_bounds(robot, progress=lambda share: bar.show("bound field", share))
     assert field is not None
     print(f"{robot.name}: bound field of {points:,} configurations, {time.monotonic() - began:.1f} s")
     print(f"  {'added to looked-up bounds':27} {field.error.margin_m * 1e3:.2f} mm, enough for 99 % of configurations")

@@ -67,7 +67,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
     with interrupt_event() as interrupted:
         from ctrplan.files.scenario_file import load_scenario
         from ctrplan.planning import plan
-        from ctrplan.planning.bound_table import known_field
+        from ctrplan.planning.bound_table import known_table
         from ctrplan.planning.plan import LARGEST_SEED, LONGEST_S
 
         if arguments.time is not None and not 0 < arguments.time <= LONGEST_S:
@@ -88,7 +88,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
                 time_s=arguments.time,
                 progress=bar.update,
                 interrupted=interrupted,
-                bound_field=None if arguments.no_field else known_field(scenario.robot),
+                bound_table=None if arguments.no_field else known_table(scenario.robot),
                 compensated=arguments.compensate,
             )
         _write(folder, result)

@@ -59,7 +59,7 @@ class FieldError:
 
 
 @dataclass(frozen=True, eq=False)
-class BoundField:
+class BoundTable:
     """A grid of bounds, stabilities and shapes of a robot; answers as `Mechanics.check_path` does."""
 
     robot: Robot
@@ -83,7 +83,7 @@ class BoundField:
         return self.lookup.check_path(theta_b, l_b, field, density=density, limits=limits)
 
 
-def bound_field(robot: Robot, *, progress: Progress | None = None, build: bool = True) -> BoundField | None:
+def tabulated_bounds(robot: Robot, *, progress: Progress | None = None, build: bool = True) -> BoundTable | None:
     """The robot's field: from the cache if it is there, else built, with `progress` told the finished share.
 
     None where it is not in the cache and `build` is False. Raises InputError where even a coarse grid is too large, and
@@ -101,13 +101,13 @@ def bound_field(robot: Robot, *, progress: Progress | None = None, build: bool =
         table = _solve(robot, axes, progress)
         field_cache.store(key, table)
     margin, largest, uncovered = (float(x) for x in table[-1, :3])
-    return BoundField(robot, axes, table[:-1], FieldError(margin, largest, uncovered), key)
+    return BoundTable(robot, axes, table[:-1], FieldError(margin, largest, uncovered), key)
 
 
-def known_field(robot: Robot) -> BoundField | None:
+def known_table(robot: Robot) -> BoundTable | None:
     """The robot's field if it has been built before."""
     try:
-        return bound_field(robot, build=False)
+        return tabulated_bounds(robot, build=False)
     except InputError:  # no grid answers for it
         return None
 

@@ -21,7 +21,7 @@ from ctrplan.planning.search_clock import ASKED_NS, LOOKED_UP_NS, ROOM_NS, SHAPE
 from ctrplan.robot.friction_calibration import friction_law
 
 if TYPE_CHECKING:
-    from ctrplan.planning.bound_table import BoundField
+    from ctrplan.planning.bound_table import BoundTable
     from ctrplan.planning.scenario import Scenario
     from ctrplan.robot.robot import Robot
 
@@ -58,12 +58,12 @@ class MotionChecker:
         self,
         scenario: Scenario,
         style: MotionStyle = "rotations before translations",
-        bound_field: BoundField | None = None,
+        bound_table: BoundTable | None = None,
         meter: WorkMeter | None = None,
     ) -> None:
-        """With a `bound_field` of the robot motions are looked up; where it has no answer they are solved."""
+        """With a `bound_table` of the robot motions are looked up; where it has no answer they are solved."""
         self.scenario = scenario
-        self.bound_field = bound_field
+        self.bound_table = bound_table
         self.style = style
         self.space = JointSpace.of(scenario)
         self.mechanics = scenario.robot.mechanics
@@ -91,12 +91,12 @@ class MotionChecker:
     def is_definite_collision(self, corners: Array) -> bool:
         """Whether zero-clearance shapes collide by so much that a polyline (K, m) is not worth a walk."""
         return (
-            self.bound_field is None and self.space.allowed(corners) and self.rooms([corners])[0] < DEFINITE_COLLISION_M
+            self.bound_table is None and self.space.allowed(corners) and self.rooms([corners])[0] < DEFINITE_COLLISION_M
         )
 
     def state(self, q: Array) -> Motion:
         """A single state as a motion of no length."""
-        if self.bound_field is not None:
+        if self.bound_table is not None:
             return self.motion(q, q)
         if q.tobytes() not in self._states and self.is_definite_collision(q[None, :]):
             return invalid(DEFINITE_COLLISION)
@@ -145,9 +145,9 @@ class MotionChecker:
 
     def look_up(self, corners: Array) -> PathSamples:
         """As `walk`, by lookup where there is a bound field that allows the motion."""
-        if self.bound_field is not None:
+        if self.bound_table is not None:
             theta_b, l_b = self.space.drive.collars(corners)
-            samples = self.bound_field.check_path(theta_b, l_b, self.field, density=self.density, limits=self.limits)
+            samples = self.bound_table.check_path(theta_b, l_b, self.field, density=self.density, limits=self.limits)
             self.meter.add(LOOKED_UP_NS * len(samples.status))
             # A field's bounds are too large by its margin: what it allows is allowed, what it refuses is solved.
             if samples.status[-1] != Status.FAILED and not breach(samples, self.limits):

@@ -28,7 +28,7 @@ from ctrplan.planning.search.stage_search import Candidate, Progress, Report, St
 from ctrplan.planning.search_clock import SearchClock, SearchEnd
 
 if TYPE_CHECKING:
-    from ctrplan.planning.bound_table import BoundField
+    from ctrplan.planning.bound_table import BoundTable
     from ctrplan.planning.scenario import Scenario
 
 
@@ -39,12 +39,12 @@ def plan(
     time_s: float | None = None,
     progress: Report | None = None,
     interrupted: threading.Event | None = None,
-    bound_field: BoundField | None = None,
+    bound_table: BoundTable | None = None,
     compensated: bool = False,
 ) -> Plan:
     """A certified plan from the scenario's start to its goal.
 
-    With the robot's `bound_field` the search looks bounds up instead of solving; certificates never do. With the
+    With the robot's `bound_table` the search looks bounds up instead of solving; certificates never do. With the
     scenario's planner.settle = "oscillate" the plan ends with an oscillation that releases friction; `compensated`
     moves the joints at its end so that the predicted tip arrives, not the frictionless one.
 
@@ -64,12 +64,12 @@ def plan(
         reason = start_trouble(MotionChecker(scenario)) or start.reason
         raise NoAnswerError(f"{scenario.path or scenario.name}: start: the start state is not valid: {reason}.")
     with interrupt_event(interrupted) as interrupted:
-        asked = _Asked(seed, began, budget, time_s is not None, progress or (lambda _: None), interrupted, bound_field)
+        asked = _Asked(seed, began, budget, time_s is not None, progress or (lambda _: None), interrupted, bound_table)
         first, stages, ended_by = _anytime_stages(scenario, asked)
         finish = _finish(scenario, stages[-1][1], compensated, progress or (lambda _: None))
     notes: tuple[str, ...] = (*scenario.warnings, *((ENDED_BY_TIME,) if ended_by == "time" else ()))
-    if bound_field is not None:
-        notes += (f"Searched with the robot's bound field {bound_field.key}.",)
+    if bound_table is not None:
+        notes += (f"Searched with the robot's bound field {bound_table.key}.",)
     paths = [best.result for _, best in stages]
     if any(path.on_line for path in paths):
         notes += ("Along the line, joints move simultaneously.",)
@@ -102,7 +102,7 @@ class _Asked:
     timed: bool
     report: Report
     interrupted: threading.Event
-    bound_field: BoundField | None
+    bound_table: BoundTable | None
 
 
 Stages = list[tuple[Candidate, Candidate]]
@@ -143,7 +143,7 @@ def _stages(
     share = asked.budget / max(1, sum(goal.line_m is None for goal in targets))  # lines to follow take none
     for k, goal in enumerate(targets):
         stage = replace(scenario, start=start, goal=goal, via=())
-        checker = MotionChecker(stage, bound_field=asked.bound_field)
+        checker = MotionChecker(stage, bound_table=asked.bound_table)
         if goal.line_m is not None:
             found.append(_along_line(checker, asked.began))
         else:

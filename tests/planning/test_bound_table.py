@@ -16,7 +16,7 @@ from ctrplan.mechanics.bound_lookup import FieldLookup
 from ctrplan.mechanics.core import Field, PathDensity, PathLimits, Status
 from ctrplan.planning import bound_table as fields
 from ctrplan.planning import plan
-from ctrplan.planning.bound_table import BoundField, bound_field, choose_axes, known_field
+from ctrplan.planning.bound_table import BoundTable, choose_axes, known_table, tabulated_bounds
 from ctrplan.robot.robot import Robot
 
 DENSITY = PathDensity(rotation_rad=0.26, translation_m=8e-3, motion_m=15e-3)
@@ -28,15 +28,15 @@ def pair() -> Robot:
 
 
 @pytest.fixture(scope="module")
-def grid(pair: Robot, tmp_path_factory: pytest.TempPathFactory) -> BoundField:
+def grid(pair: Robot, tmp_path_factory: pytest.TempPathFactory) -> BoundTable:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CTRPLAN_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
         told: list[float] = []
-        built = bound_field(pair, progress=told.append)
+        built = tabulated_bounds(pair, progress=told.append)
         assert built is not None
         assert told == sorted(told)
         assert told[-1] == 1.0
-        again = bound_field(pair, build=False)
+        again = tabulated_bounds(pair, build=False)
         assert again is not None
         np.testing.assert_array_equal(again.values, built.values)
     return built
@@ -49,7 +49,7 @@ def joints(robot: Robot, seed: int, count: int) -> np.ndarray:
     return rng.uniform(low, high, (count, len(drive.joints)))
 
 
-def test_looked_up_bounds_stay_above_the_true_ones_within_the_stated_error(pair: Robot, grid: BoundField) -> None:
+def test_looked_up_bounds_stay_above_the_true_ones_within_the_stated_error(pair: Robot, grid: BoundTable) -> None:
     collars = pair.drive.collars(joints(pair, 1, 120))
     bounds = pair.bound_many(*collars)
     samples = [
@@ -66,7 +66,7 @@ def test_looked_up_bounds_stay_above_the_true_ones_within_the_stated_error(pair:
     assert np.quantile(np.linalg.norm(tips - bounds.tip_m, axis=1)[covered], 0.9) < 0.2e-3
 
 
-def test_common_rotation_turns_the_looked_up_shape(pair: Robot, grid: BoundField) -> None:
+def test_common_rotation_turns_the_looked_up_shape(pair: Robot, grid: BoundTable) -> None:
     theta, l_b = pair.drive.collars(joints(pair, 2, 1))
     angle = 1.1
     c, s = np.cos(angle), np.sin(angle)
@@ -79,7 +79,7 @@ def test_common_rotation_turns_the_looked_up_shape(pair: Robot, grid: BoundField
     assert turned.position_m[0] == pytest.approx(first.position_m[0], rel=1e-6)
 
 
-def test_clearance_to_a_wall_is_that_of_the_model(pair: Robot, grid: BoundField) -> None:
+def test_clearance_to_a_wall_is_that_of_the_model(pair: Robot, grid: BoundTable) -> None:
     """A wall at x = 0.1 m: the field holds distances to it."""
     x = np.arange(-60, 61) * 5e-3
     walls = np.broadcast_to((0.1 - x)[:, None, None], (121, 121, 121)).astype(np.float32)
@@ -100,7 +100,7 @@ def test_the_mirrored_half_is_what_the_model_says(pair: Robot, monkeypatch: pyte
     assert not fields._is_planar(pair)
     pair = load_robot(ROBOTS / "table_1_pair.toml")
     assert fields._is_planar(pair)
-    grid = bound_field(pair)
+    grid = tabulated_bounds(pair)
     assert grid is not None
     axes = grid.axes
     rng = np.random.default_rng(6)
@@ -114,7 +114,7 @@ def test_the_mirrored_half_is_what_the_model_says(pair: Robot, monkeypatch: pyte
     np.testing.assert_allclose(grid.values[rows[nested]][~opposed], solved[~opposed], atol=2e-5)
 
 
-def test_a_walk_is_as_dense_as_asked_for(pair: Robot, grid: BoundField) -> None:
+def test_a_walk_is_as_dense_as_asked_for(pair: Robot, grid: BoundTable) -> None:
     theta, l_b = pair.drive.collars(joints(pair, 4, 2))
     samples = grid.check_path(theta, l_b, None, density=DENSITY, limits=PathLimits())
     assert samples.fraction[0] == 0
@@ -123,16 +123,16 @@ def test_a_walk_is_as_dense_as_asked_for(pair: Robot, grid: BoundField) -> None:
         assert np.all(samples.motion_m <= DENSITY.motion_m)
 
 
-def test_a_walk_ends_at_the_first_broken_limit(pair: Robot, grid: BoundField) -> None:
+def test_a_walk_ends_at_the_first_broken_limit(pair: Robot, grid: BoundTable) -> None:
     theta, l_b = pair.drive.collars(joints(pair, 5, 2))
     samples = grid.check_path(theta, l_b, None, density=DENSITY, limits=PathLimits(stability=1e9))
     assert len(samples.status) == 1
 
 
-def test_a_plan_searched_with_the_field_is_certified_by_the_model(pair: Robot, grid: BoundField) -> None:
+def test_a_plan_searched_with_the_field_is_certified_by_the_model(pair: Robot, grid: BoundTable) -> None:
     free = load_scenario(ROBOTS.parent / "pair_free.toml")
     assert free.robot.path == pair.path
-    found = plan(free, time_s=1.0, bound_field=grid)
+    found = plan(free, time_s=1.0, bound_table=grid)
     assert found.certificate.valid
     assert any(grid.key in note for note in found.notes)
     theta_b, l_b = free.robot.drive.collars(found.legs[-1].end)
@@ -142,7 +142,7 @@ def test_a_plan_searched_with_the_field_is_certified_by_the_model(pair: Robot, g
 def test_another_robot_has_another_field(pair: Robot, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("CTRPLAN_CACHE_DIR", str(tmp_path))
     other = replace(pair, tubes=(replace(pair.tubes[0], poisson_ratio=0.1), *pair.tubes[1:]))
-    assert bound_field(other, build=False) is None
+    assert tabulated_bounds(other, build=False) is None
     assert fields._key(pair, choose_axes(pair)) != fields._key(other, choose_axes(other))
 
 
@@ -166,8 +166,8 @@ def test_which_tubes_move_together_is_part_of_the_key() -> None:
 def test_robots_that_such_a_grid_is_wrong_for_have_none(pair: Robot, effect: dict[str, object], sentence: str) -> None:
     robot = robot_from_dict({**pair.content, "effects": effect})
     with pytest.raises(InputError, match=f"{sentence}.*no bound field") as refusal:
-        bound_field(robot)
-    assert str(refusal.value).count(".") <= 2 and known_field(robot) is None
+        tabulated_bounds(robot)
+    assert str(refusal.value).count(".") <= 2 and known_table(robot) is None
 
 
 def test_a_grid_that_would_be_too_large_is_refused_with_its_size() -> None:
@@ -185,12 +185,12 @@ def test_malformed_grids_are_refused(pair: Robot) -> None:
 
 
 @pytest.mark.parametrize("unknown", [np.nan, np.inf])
-def test_joints_that_are_no_numbers_have_no_answer(grid: BoundField, unknown: float) -> None:
+def test_joints_that_are_no_numbers_have_no_answer(grid: BoundTable, unknown: float) -> None:
     found = grid.lookup.sample([[0.0, unknown], [0.0, 1.0]], [[0.0, -0.06], [0.0, unknown]])
     assert not found.valid.any()
 
 
-def test_configurations_of_another_number_of_tubes_are_refused(grid: BoundField) -> None:
+def test_configurations_of_another_number_of_tubes_are_refused(grid: BoundTable) -> None:
     for joints in (np.zeros((2, 3)), np.zeros(2)):
         with pytest.raises(InputError, match="must have shape"):
             grid.lookup.sample(joints, joints)

@@ -14,7 +14,7 @@ from places import SCENARIOS
 from ctrplan.base.arrays import Array
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.core import PathSamples
-from ctrplan.planning.bound_table import BoundField
+from ctrplan.planning.bound_table import BoundTable
 from ctrplan.planning.goals.goal_descent import descended
 from ctrplan.planning.goals.goal_states import goal_states
 from ctrplan.planning.motion import MotionChecker, anatomy_grid
@@ -169,7 +169,7 @@ def test_what_a_bound_field_refuses_is_solved(vessel: MotionChecker) -> None:
             samples = vessel.walk(np.array([vessel.scenario.start]), vessel.density, vessel.limits)
             return replace(samples, clearance_m=np.full(1, limits["limits"].clearance_m - 1e-3))
 
-    looked_up = MotionChecker(vessel.scenario, bound_field=cast(BoundField, Refusing()))
+    looked_up = MotionChecker(vessel.scenario, bound_table=cast(BoundTable, Refusing()))
     asked, solved = looked_up.state(vessel.scenario.start), vessel.state(vessel.scenario.start)
     assert asked.valid
     assert asked.end_bound_m == pytest.approx(solved.end_bound_m, abs=1e-9)

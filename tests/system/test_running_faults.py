@@ -24,7 +24,7 @@ from ctrplan.cli import main
 from ctrplan.diagnosis import diagnose
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot, write_robot
-from ctrplan.planning.bound_table import bound_field, known_field
+from ctrplan.planning.bound_table import known_table, tabulated_bounds
 from ctrplan.robot.friction_calibration import friction_law
 from ctrplan.storage.output_folder import unmatched, written_together
 
@@ -265,7 +265,7 @@ def test_a_damaged_bound_field_is_rebuilt_with_a_note(
 ) -> None:
     monkeypatch.setenv("CTRPLAN_CACHE_DIR", str(tmp_path))
     robot = load_robot(PAIR)
-    first = bound_field(robot)
+    first = tabulated_bounds(robot)
     (stored,) = (tmp_path / "fields").iterdir()
     content = bytearray(stored.read_bytes())
     if damage == "truncated":
@@ -278,12 +278,12 @@ def test_a_damaged_bound_field_is_rebuilt_with_a_note(
     if damage == "folder":
         stored.unlink()
         stored.mkdir()
-    again = bound_field(robot)
+    again = tabulated_bounds(robot)
     assert first is not None and again is not None
     np.testing.assert_array_equal(first.values, again.values)
     if damage != "folder":
         assert "damaged and will be rebuilt" in caplog.text
-        assert known_field(robot) is not None
+        assert known_table(robot) is not None
 
 
 @pytest.mark.parametrize("damage", ["digit", "truncated", "list", "number", "nan"])

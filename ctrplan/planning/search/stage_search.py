@@ -191,7 +191,7 @@ class StageSearch:
             if not problem.solve(stop, only_first=self.best is None):
                 if self.best or checker is not self.checker:
                     break
-                checker = MotionChecker(checker.scenario, "simultaneous", checker.bound_field, checker.meter)
+                checker = MotionChecker(checker.scenario, "simultaneous", checker.bound_table, checker.meter)
                 continue
             if self.best is None:
                 if failed := self._certified(checker, problem.corners(), name):
