@@ -88,7 +88,7 @@ def draw_tips(ax: Axes, bound: Bound) -> None:
     worst = (bound.corners[bound.worst_corner].tip_m - centre) @ axes.T * 1e3
     arrow = {"arrowstyle": "<|-|>", "color": palette.BOUND, "lw": 1.8, "shrinkA": 5, "shrinkB": 5}
     ax.annotate("", worst, (0, 0), arrowprops=arrow)
-    ax.annotate(f"bound {radius:.1f} mm", worst / 2, (0, 9), textcoords="offset points", ha="center", fontsize=11.5,
+    ax.annotate(f"bound {radius:.1f} mm", worst / 2, (0, 9), textcoords="offset points", ha="center", fontsize=10.5,
                 color=palette.BOUND, fontweight="bold")  # fmt: skip
     ax.set(xlim=(-radius - SIDE_MM, radius + SIDE_MM), ylim=(-radius - 1, radius + 1))
     ax.set_aspect("equal")
