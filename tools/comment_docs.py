@@ -1,4 +1,4 @@
-"""Comments behind the fields of a class become their documentation: that is where units and shapes stand."""
+"""What the site shows of the sources: also comments behind fields, for units and shapes; no constants of modules."""
 
 from __future__ import annotations
 
@@ -8,13 +8,20 @@ from typing import Any
 
 import griffe
 
+KEPT = {"CATALOGUE"}  # constants that are part of the interface
+
 
 class CommentDocs(griffe.Extension):
-    """Gives every attribute without a docstring the comment at the end of its line."""
+    """Gives attributes without a docstring the comment at the end of their line; drops a module's own settings."""
 
     def on_attribute_instance(self, *, attr: griffe.Attribute, **_: Any) -> None:
         if attr.docstring is None and attr.lineno and (comment := end_comment(attr)):
             attr.docstring = griffe.Docstring(comment, parent=attr, lineno=attr.lineno)
+
+    def on_module_members(self, *, mod: griffe.Module, **_: Any) -> None:
+        exported = {str(name) for name in mod.exports or []}
+        for name in [name for name in mod.members if name.isupper() and name not in KEPT | exported]:
+            del mod.members[name]
 
 
 def end_comment(attribute: griffe.Attribute) -> str:

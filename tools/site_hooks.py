@@ -1,13 +1,15 @@
-"""What the site adds to the pages of docs/: the README as first page, a page of the interface for every room, formulas as MathML."""
+"""What the site adds to docs/: the README as first page, pages of the interface by room, formulas as MathML."""
 
 from __future__ import annotations
 
 import html
 import pkgutil
 import re
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+import griffe
 from latex2mathml.converter import convert
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
@@ -74,7 +76,10 @@ def is_page(target: Path) -> bool:
 
 def rooms() -> list[str]:
     """The package itself, then its packages."""
-    return ["", *sorted(info.name for info in pkgutil.iter_modules([str(PACKAGE)]) if info.ispkg and info.name != "commands")]
+    return [
+        "",
+        *sorted(info.name for info in pkgutil.iter_modules([str(PACKAGE)]) if info.ispkg and info.name != "commands"),
+    ]
 
 
 def title(room: str) -> str:
@@ -86,10 +91,33 @@ def page_of(room: str) -> str:
 
 
 def interface(room: str) -> str:
-    """A heading, and what mkdocstrings shows of every public module of the room."""
-    modules = [f"ctrplan.{name}" for name in ("errors",)] if not room else list(modules_below(PACKAGE / room, f"ctrplan.{room}"))
-    first = f"::: {title(room)}\n    options:\n      members: false\n      heading_level: 1\n"
-    return first + "".join(f"\n::: {module}\n" for module in modules)
+    """A heading, the names that the room offers by itself, and what mkdocstrings shows of its public modules."""
+    modules = modules_below(PACKAGE / room, title(room)) if room else ["ctrplan.errors"]
+    heading = f"::: {title(room)}\n    options:\n      members: false\n      heading_level: 1\n"
+    return heading + offered(title(room)) + "".join(f"\n::: {module}\n" for module in modules)
+
+
+def offered(package: str) -> str:
+    """A table of the names in the package's __all__, each linked to where it is described."""
+    found = tree()[package]
+    names = [name for name in found.exports or [] if found[str(name)].is_alias]
+    if not names:
+        return ""
+    rows = (f"| [`{name}`][{found[str(name)].final_target.path}] | {first_line(found[str(name)])} |" for name in names)
+    return f"\n`from {package} import ...`\n\n| name | |\n|---|---|\n" + "\n".join(rows) + "\n"
+
+
+def first_line(described: griffe.Object | griffe.Alias) -> str:
+    return described.docstring.value.splitlines()[0].replace("|", "\\|") if described.docstring else ""
+
+
+@cache
+def tree() -> griffe.ModulesCollection:
+    """The package as its sources say, nothing imported."""
+    loader = griffe.GriffeLoader(search_paths=[str(ROOT)])
+    loader.load("ctrplan")
+    loader.resolve_aliases(implicit=True)
+    return loader.modules_collection
 
 
 def modules_below(folder: Path, name: str) -> list[str]:
