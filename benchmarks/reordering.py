@@ -3,9 +3,9 @@
 python benchmarks/reordering.py [--seed N] [--count S] [--write] [SCENARIO ...]
 
 --write puts the table into docs/log/planning.md. The plan as found is the search's path before reordering. "with
-settling" is the reordered plan with the oscillation at its end, also where `ctrplan plan` would leave it out; "translations
-first, with settling" shows it where friction is loaded. Of several targets the last one counts; where that is a
-line, along which joints have one way to go, the one before it. Searches end by work counted.
+settling" is the reordered plan with the oscillation at its end, also where `ctrplan plan` would leave it out;
+"translations first, with settling" shows it where friction is loaded. Of several targets the last one counts; where
+that is a line, along which joints have one way to go, the one before it. Searches end by work counted.
 """
 
 from __future__ import annotations
