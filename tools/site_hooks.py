@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import logging
 import pkgutil
 import re
 from functools import cache
@@ -16,6 +17,7 @@ from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "ctrplan"
+LOG = logging.getLogger("mkdocs.hooks.site")  # warnings end a strict build
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.S)
 
@@ -42,8 +44,10 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     return links_of(markdown, (ROOT / "docs" / page.file.src_uri).parent)
 
 
-def on_page_content(content: str, **_: Any) -> str:
-    """Turns formulas into MathML, which browsers draw without a script."""
+def on_page_content(content: str, page: Any, **_: Any) -> str:
+    """Turns formulas into MathML, which browsers draw without a script; warns of code that was not understood."""
+    if "<p>```" in content:
+        LOG.warning("%s: a block of code was not understood", page.file.src_uri)
     return FORMULA.sub(lambda match: mathml(html.unescape(match[2]), block=match[1] == "div"), content)
 
 

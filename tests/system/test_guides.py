@@ -14,7 +14,7 @@ from places import ROOT
 
 GUIDES = ROOT / "docs" / "guides"
 BLOCK = re.compile(
-    r'^```(?P<language>\w+)(?: title="(?P<file>[^"]+)")?(?P<append> append)?\n(?P<text>.*?)^```$', re.M | re.S
+    r'^```(?P<language>\w+)(?: title="(?P<file>[^",]+)(?P<append>, appended)?")?\n(?P<text>.*?)^```$', re.M | re.S
 )
 
 
