@@ -73,6 +73,12 @@ def test_files_of_the_tree_that_are_named_exist(page: Path) -> None:
     assert not missing
 
 
+def test_every_page_is_in_the_navigation_of_the_site() -> None:
+    named = re.findall(r"[\w/]+\.md", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
+    pages = {page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md")}
+    assert sorted(named) == sorted([*pages, "index.md"])  # the first page is the README
+
+
 def test_pages_tell_guides_from_logs() -> None:
     """What was measured of the planner, of performance and of the diagnosis has a page of its own."""
     for name in ("planning", "performance", "diagnosis"):
