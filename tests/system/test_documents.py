@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import shlex
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from places import ROOT
 
@@ -91,6 +93,16 @@ def test_numbers_of_the_readme_are_those_of_the_results() -> None:
     readme, results = (between(page, *SUMMARY) for page in (ROOT / "README.md", ROOT / "docs" / "results.md"))
     assert readme == results
     assert len(readme.strip().splitlines()) <= 2 + 8
+
+
+def test_bound_in_the_figure_of_the_readme(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is the largest distance of the corners that the figure's program draws."""
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    figure = importlib.import_module("corner_shapes")
+    bound = load_robot(figure.ROBOT).bound(figure.THETA_RAD, figure.L_M, accuracy="certificate")
+    distances = [np.linalg.norm(corner.tip_m - bound.frictionless.tip_m) for corner in bound.corners]
+    (shown,) = re.findall(r"the bound of ([\d.]+) mm", (ROOT / "README.md").read_text(encoding="utf-8"))
+    assert max(distances) * 1e3 == pytest.approx(float(shown), abs=0.05)
 
 
 def test_benchmarks_find_the_tables_they_write() -> None:
