@@ -1,6 +1,6 @@
 # make demo: plan a motion on a shipped scenario.  make test: lint, types, tests.  Both need Python and a C++ compiler only.
 # make fuzz: 10,000 made-up files per reader, 100 interruptions per command.
-# make wheel: a wheel from the source distribution, run where no compiler is.  make api: the reference of the interface, as HTML.
+# make wheel: a wheel from the source distribution, run where no compiler is.  make api: guides and interface as a site.
 # make sanitize: the core under sanitizers.  make bank: 20,000 random robots, and 216 measured data sets diagnosed.
 PYTHON ?= python3
 VENV := .venv
@@ -45,10 +45,11 @@ fuzz: install
 wheel:
 	tools/check_wheel.sh $(PYTHON)
 
+# Warnings are errors. Nothing on the pages is loaded from the network.
 api: install
-	$(BIN)/pip install --quiet --disable-pip-version-check "pdoc>=15,<17"
-	cd $(VENV) && bin/python ../tools/api_reference.py ../build/api
-	@echo "Open build/api/index.html."
+	$(BIN)/pip install --quiet --disable-pip-version-check "mkdocs-material>=9.7,<10" "mkdocstrings-python>=2,<3" "latex2mathml>=3.77,<4"
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "Open build/site/index.html."
 
 # The core's random solves and the laws of its parts under the address and undefined-behaviour sanitizers.
 sanitize: $(VENV)/.deps

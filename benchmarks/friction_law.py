@@ -1,6 +1,6 @@
 """How far is the friction law from full simulations? Every shipped robot with friction, on histories it has not seen.
 
-python benchmarks/friction_law.py [--histories N] [--write]     --write puts the table into docs/planning.md
+python benchmarks/friction_law.py [--histories N] [--write]     --write puts the table into docs/log/planning.md
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def row(name: str, histories: int) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--histories", type=int, default=30, help="unseen histories of each robot")
-    parser.add_argument("--write", action="store_true", help="put the table into docs/planning.md")
+    parser.add_argument("--write", action="store_true", help="put the table into docs/log/planning.md")
     arguments = parser.parse_args()
     text = HEADER
     for name in ("table_1_pair", "table_5_pair", "three_tube", "three_tube_calibrated"):
@@ -71,7 +71,7 @@ def main() -> None:
         print(text.splitlines()[-1], file=sys.stderr, flush=True)
     print(text)
     if arguments.write:
-        put_into_page(ROOT / "docs" / "planning.md", BEGIN, text, END)
+        put_into_page(ROOT / "docs" / "log" / "planning.md", BEGIN, text, END)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Does the bound pay? Every scenario, the same seed and time, with the bound in the cost and with its weights at zero.
 
-python benchmarks/planning_scenarios.py [--seed N] [--write]     --write puts the table into README.md
+python benchmarks/planning_scenarios.py [--seed N] [--write]     --write puts the table into docs/results.md
 """
 
 from __future__ import annotations
@@ -69,13 +69,13 @@ def main() -> None:
     use_own_cache()
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--write", action="store_true", help="put the table into README.md")
+    parser.add_argument("--write", action="store_true", help="put the table into docs/results.md")
     arguments = parser.parse_args()
     text = table(arguments.seed)
     print(text)
     print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
     if arguments.write:
-        put_into_page(ROOT / "README.md", BEGIN, text, END)
+        put_into_page(ROOT / "docs" / "results.md", BEGIN, text, END)
 
 
 if __name__ == "__main__":

@@ -2,10 +2,10 @@
 
 python benchmarks/reordering.py [--seed N] [--count S] [--write] [SCENARIO ...]
 
---write puts the table into docs/planning.md. The plan as found is the search's path before reordering. "with settling"
-is the reordered plan with the oscillation at its end, also where `ctrplan plan` would leave it out; "translations
-first, with settling" shows it where friction is loaded. Of several targets the last one counts; where that is a
-line, along which joints have one way to go, the one before it. Searches end by work counted.
+--write puts the table into docs/log/planning.md. The plan as found is the search's path before reordering. "with
+settling" is the reordered plan with the oscillation at its end, also where `ctrplan plan` would leave it out;
+"translations first, with settling" shows it where friction is loaded. Of several targets the last one counts; where
+that is a line, along which joints have one way to go, the one before it. Searches end by work counted.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def main() -> None:
     parser.add_argument("scenarios", nargs="*", help="names of scenarios; default: all")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--count", type=float, metavar="S", help="of search, by work counted (default: the scenario's)")
-    parser.add_argument("--write", action="store_true", help="put the table into docs/planning.md")
+    parser.add_argument("--write", action="store_true", help="put the table into docs/log/planning.md")
     arguments = parser.parse_args()
     text = HEADER
     for path in sorted((ROOT / "scenarios").glob("*.toml")):
@@ -91,7 +91,7 @@ def main() -> None:
         print(text.splitlines()[-1], file=sys.stderr, flush=True)
     print(text)
     if arguments.write:
-        page = ROOT / "docs" / "planning.md"
+        page = ROOT / "docs" / "log" / "planning.md"
         table = page.read_text(encoding="utf-8").split(BEGIN)[1].split(END)[0]
         put_into_page(page, BEGIN, merged(table, text), END)
 

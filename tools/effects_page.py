@@ -12,17 +12,23 @@ STAGES = ("clock", "drive", "mechanics", "sensor")
 HEAD = """\
 # Catalogue of effects
 
-Made by `python tools/effects_page.py` from the files under `ctrplan/effects/`; how to write another one is
-in [diagnosis.md](diagnosis.md). Every effect is a term of one stage of the chain
+An effect is something that a real robot has and the ideal model lacks. Each one is a term of one stage of the chain
 
     commanded joint path -> clock -> drive -> mechanics -> sensor -> measured pose
 
-and is switched on by a table `[effects.NAME]` of a robot file with the parameters below (of the three-tube robot of
-Table II), each in the unit that its name ends with. *Prior* is the standard deviation of what is plausible. Effects
-of mechanics and drive act in `ctrplan bound`, `ctrplan plan` and `ctrplan simulate` too. On which side of its play an
-actuator rests depends on the way there: `ctrplan simulate` follows backlash along its path, `ctrplan bound` and plans
-say how far it may move the robot, and plans take that off every clearance. Those of clock and sensor move no tube:
-`ctrplan simulate` writes what would be measured (`measured_x_m` ...) beside where the tip is.
+A table `[effects.NAME]` of a robot file switches it on, with the parameters below. Every parameter has the unit that
+its name ends with. What is left out does nothing. Priors and ranges are those of the three-tube robot of Table II. A
+*prior* is the standard deviation of what is plausible.
+
+A robot file with effects is the same robot to every command. Effects of drive and mechanics act in `ctrplan bound`,
+`ik`, `view`, `plan`, `simulate` and in sweeps. Those of clock and sensor move no tube at rest: `ctrplan simulate`
+writes what would be measured (`measured_x_m` ...) beside where the tip is.
+
+Backlash depends on the way. `ctrplan simulate` follows it along its path. `ctrplan bound` and plans say how far it
+may move the robot, and plans take that off every clearance.
+
+This page is made by `python tools/effects_page.py` from the files under `ctrplan/effects/`. How to write another
+effect: [diagnosis](diagnosis.md#a-new-effect).
 """
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import shlex
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from places import ROOT
 
@@ -14,14 +16,28 @@ from ctrplan.commands.program import parser
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.planning import plan
+from ctrplan.planning.certificate.certify import DISCRETISATION_M
 
-PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").glob("*.md")])
+PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")])
+SUMMARY = "<!-- summary -->\n", "<!-- end of summary -->\n"
 TREES = ("benchmarks", "ctrplan", "docs", "examples", "model", "scenarios", "tests", "tools")
 
 
 def blocks(page: Path, language: str) -> list[str]:
     """Fenced blocks of a language, "" for those without one."""
-    return re.findall(rf"^ *```{language}\n(.*?)^ *```$", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    return re.findall(
+        rf"^ *```{language}(?: title=[^\n]*)?\n(.*?)^ *```$", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+    )
+
+
+def name_of(page: Path) -> str:
+    """Its place in the tree."""
+    return page.relative_to(ROOT).as_posix()
+
+
+def between(page: Path, begin: str, end: str) -> str:
+    """What stands between two markers of a page."""
+    return page.read_text(encoding="utf-8").split(begin)[1].split(end)[0]
 
 
 def anchors(page: Path) -> set[str]:
@@ -41,7 +57,7 @@ def commands() -> list[str]:
     return [line for line in lines if line.startswith("ctrplan ")]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_links_lead_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
         if re.match(r"https?://", target):
@@ -52,11 +68,56 @@ def test_links_lead_somewhere(page: Path) -> None:
         assert not anchor or anchor in anchors(file), target
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_files_of_the_tree_that_are_named_exist(page: Path) -> None:
     named = re.findall(rf"(?<![\w/.])((?:{'|'.join(TREES)})/[\w./-]*\w)", page.read_text(encoding="utf-8"))
     missing = [name for name in named if not (ROOT / name).exists()]
     assert not missing
+
+
+def test_every_page_is_in_the_navigation_of_the_site() -> None:
+    named = re.findall(r"[\w/]+\.md", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
+    pages = {page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md")}
+    assert sorted(named) == sorted([*pages, "index.md"])  # the first page is the README
+
+
+def test_pages_tell_guides_from_logs() -> None:
+    """What was measured of the planner, of performance and of the diagnosis has a page of its own."""
+    for name in ("planning", "performance", "diagnosis"):
+        reference = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
+        assert f"](log/{name}.md" in reference
+        assert f"](../{name}.md" in (ROOT / "docs" / "log" / f"{name}.md").read_text(encoding="utf-8")
+
+
+def test_numbers_of_the_readme_are_those_of_the_results() -> None:
+    readme, results = (between(page, *SUMMARY) for page in (ROOT / "README.md", ROOT / "docs" / "results.md"))
+    assert readme == results
+    assert len(readme.strip().splitlines()) <= 2 + 8
+
+
+def test_bound_in_the_figure_of_the_readme(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is the largest distance of the corners that the figure's program draws."""
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    figure = importlib.import_module("corner_shapes")
+    bound = load_robot(figure.ROBOT).bound(figure.THETA_RAD, figure.L_M, accuracy="certificate")
+    distances = [np.linalg.norm(corner.tip_m - bound.frictionless.tip_m) for corner in bound.corners]
+    (shown,) = re.findall(r"the bound of ([\d.]+) mm", (ROOT / "README.md").read_text(encoding="utf-8"))
+    assert max(distances) * 1e3 == pytest.approx(float(shown), abs=0.05)
+
+
+def test_benchmarks_find_the_tables_they_write() -> None:
+    for page, name in (("results", "planning"), ("log/planning", "friction law"), ("log/planning", "reordering")):
+        table = between(ROOT / "docs" / f"{page}.md", f"<!-- {name} table -->\n", f"<!-- end of {name} table -->\n")
+        assert table.startswith("| ")
+
+
+def test_largest_mesh_error_is_below_what_the_certificate_takes_off() -> None:
+    """The page of results has it, and the allowance in the code is larger."""
+    page = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    rows = [row for row in page.splitlines() if "at most" in row and row.startswith("| ")]
+    for mesh, allowance_m in DISCRETISATION_M.items():
+        found = [re.findall(r"at most ([\d.]+) mm", row) for row in rows if row.startswith(f"| {mesh}")]
+        assert found and max(float(x) for numbers in found for x in numbers) < allowance_m * 1e3
 
 
 def test_readme_shows_commands() -> None:
