@@ -16,7 +16,9 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from ctrplan.anatomy.clearance_grid import AnatomyPart, SignedDistanceField, build_field, exact_clearance, load_mesh
+from ctrplan.anatomy.clearance_grid import AnatomyPart, SignedDistanceField, build_field, exact_clearance
+from ctrplan.anatomy.mesh_file import load_mesh
+from ctrplan.anatomy.shapes.mesh import Mesh
 
 HALF_M = 0.1
 COLUMNS = ["triangles", "load s", "step mm", "Mnodes", "build s", "CPU s", "cached s"]
@@ -43,7 +45,7 @@ def measure(path: Path, spacing_m: float) -> tuple[object, ...]:
     start = time.perf_counter()
     vertices, faces = load_mesh(path, "mm")
     loaded, before = time.perf_counter() - start, peak_mb()
-    part = AnatomyPart("mesh", "avoid", 1e-3, vertices_m=vertices, faces=faces)
+    part = AnatomyPart(Mesh(vertices, faces), "avoid", 1e-3)
     box = ([-HALF_M] * 3, [HALF_M] * 3)
     start, cpu = time.perf_counter(), time.process_time()
     field = build_field([part], *box, spacing_m)  # and stored

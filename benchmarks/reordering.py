@@ -15,6 +15,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from own_cache import use_own_cache
 from page_table import put_into_page
@@ -83,7 +84,7 @@ def main() -> None:
             scenario = ctrplan.load_scenario(path, [f"planner.time_s={arguments.count}"] if arguments.count else [])
             if scenario.goal.line_m is not None:
                 scenario = replace(scenario, goal=scenario.via[-1], via=scenario.via[:-1])
-            scenario = replace(scenario, planner=replace(scenario.planner, settle="none"))
+            scenario = replace(scenario, planner=msgspec.structs.replace(scenario.planner, settle="none"))
             text += row(ctrplan.plan(scenario, seed=arguments.seed))
         except CtrplanError as error:
             print(error, file=sys.stderr)

@@ -4,16 +4,20 @@ The core samples the field at every point of every shape; the certificate uses `
 mean together stands in `ctrplan.anatomy.parts`.
 """
 
+from __future__ import annotations
+
 import hashlib
+import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ctrplan.anatomy.distance_field import SignedDistanceField
 from ctrplan.anatomy.grid_distance import COARSEST, grid_distance
-from ctrplan.anatomy.mesh_file import load_mesh
 from ctrplan.anatomy.parts import AnatomyPart, combined_clearance, exact_clearance
+from ctrplan.anatomy.shape import Shape
 from ctrplan.base.arrays import Array
 from ctrplan.base.progress import Progress
 from ctrplan.errors import InputError
@@ -26,7 +30,6 @@ __all__ = [
     "default_spacing_m",
     "exact_clearance",
     "field_bounds",
-    "load_mesh",
 ]
 
 FORMAT = b"ctrplan distance field 1"  # part of the cache key: change it with anything that changes the values
@@ -54,20 +57,11 @@ def field_bounds(
     across, along = np.linalg.norm(R[:, :2], axis=1) * side, R[:, 2] * reach_m
     upper = base + np.minimum(across + np.maximum(along, 0), reach_m)
     lower = base - np.minimum(across + np.maximum(-along, 0), reach_m)
-    boxes = [_box(part) for part in parts if part.role == "inside"]
+    boxes = [part.shape.box() for part in parts if part.role == "inside"]
     if boxes:
         inside_lower, inside_upper = np.min([b[0] for b in boxes], axis=0), np.max([b[1] for b in boxes], axis=0)
         lower, upper = np.clip(inside_lower, lower, upper), np.clip(inside_upper, lower, upper)
     return lower, upper
-
-
-def _box(part: AnatomyPart) -> tuple[Array, Array]:
-    if part.vertices_m is not None:
-        points, radius = part.vertices_m, 0.0
-    else:
-        points = np.array([p for p in (part.center_m, part.from_m, part.to_m) if p is not None])
-        radius = part.radius_m or 0.0
-    return points.min(axis=0) - radius, points.max(axis=0) + radius
 
 
 def default_spacing_m(lower_m: ArrayLike, upper_m: ArrayLike) -> float:
@@ -129,16 +123,25 @@ def _grid(lower_m: ArrayLike, upper_m: ArrayLike, spacing_m: float) -> tuple[Arr
 
 
 def _content_key(parts: Sequence[AnatomyPart], origin: Array, spacing: float, shape: tuple[int, int, int]) -> str:
-    """SHA-256 of everything that determines the values; where the meshes came from does not."""
+    """SHA-256 of everything that determines the values: numbers, and the files that make distances of them."""
     content = hashlib.sha256(FORMAT)
-    numbers: list[object] = [origin, spacing, shape]
+    _add_numbers(content, [origin, spacing, shape])
     for part in parts:
-        content.update(f"{part.kind} {part.role};".encode())
-        numbers += [part.margin_m, part.center_m, part.radius_m, part.from_m, part.to_m, part.vertices_m, part.faces]
-    for number in numbers:
-        array = np.asarray([] if number is None else number, dtype="<f8")
-        content.update(f"{array.shape};".encode() + np.ascontiguousarray(array).tobytes())
+        content.update(f"{part.shape.kind} {part.role};".encode() + _source(type(part.shape)))
+        _add_numbers(content, [part.margin_m, *part.shape.content()])
     return content.hexdigest()
+
+
+def _add_numbers(content: hashlib._Hash, numbers: Sequence[ArrayLike]) -> None:
+    for number in numbers:
+        array = np.ascontiguousarray(number, dtype="<f8")
+        content.update(f"{np.shape(number)};".encode() + array.tobytes())
+
+
+def _source(shape: type[Shape]) -> bytes:
+    """Hash of the file that defines a kind: who writes one changes its distances now and then."""
+    file = getattr(sys.modules.get(shape.__module__), "__file__", None)
+    return hashlib.sha256(Path(file).read_bytes() if file else b"").digest()
 
 
 def _share(progress: Progress | None, part: int, count: int) -> Progress:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,9 +17,10 @@ from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 from ctrplan.storage.output_folder import output_folder, written_together
 
 if TYPE_CHECKING:
+    from ctrplan.files.trajectory_format import TrajectoryFormat
     from ctrplan.planning.plan import Plan
 
-OUTPUTS = ("plan.json", "trajectory.csv", "trajectory.yaml", "plan.png", "report.html")
+FORMATS = ("csv", "ros2")  # of the trajectory, where --formats says nothing
 
 
 EXAMPLES = """examples:
@@ -35,7 +37,7 @@ def add_parser(commands: Any) -> None:
         "plan",
         help="plan a certified motion and write a trajectory for the drive",
         description="Plan a motion that keeps the worst-case friction error small; "
-        "write plan.json, trajectory.csv, trajectory.yaml (ROS 2), report.html, plan.png.",
+        "write plan.json, the trajectory (trajectory.csv and, for ROS 2, trajectory.yaml), report.html, plan.png.",
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -55,6 +57,13 @@ def add_parser(commands: Any) -> None:
         action="store_true",
         help="command joints so that the tip predicted with friction arrives, not the frictionless one",
     )
+    parser.add_argument(
+        "--formats",
+        nargs="*",
+        default=list(FORMATS),
+        metavar="FORMAT",
+        help=f"formats of the trajectory (default: {' '.join(FORMATS)})",
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     parser.add_argument("--no-field", action="store_true", help="solve every bound, although `ctrplan field` was run")
     add_allow_outside_option(parser)
@@ -66,6 +75,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is no plan to write."""
     with interrupt_event() as interrupted:
         from ctrplan.files.scenario_file import load_scenario
+        from ctrplan.files.trajectory_file import trajectory_formats
         from ctrplan.planning import plan
         from ctrplan.planning.bound_table import known_table
         from ctrplan.planning.plan import LARGEST_SEED, LONGEST_S
@@ -75,7 +85,8 @@ def run_plan(arguments: argparse.Namespace) -> int:
         if not 0 <= arguments.seed <= LARGEST_SEED:
             raise InputError(f"must be from 0 to {LARGEST_SEED}", key="--seed", value=arguments.seed)
         scenario = load_scenario(arguments.scenario, arguments.overrides, allow_outside=arguments.allow_outside)
-        folder = output_folder(arguments.output, OUTPUTS)
+        formats = trajectory_formats(arguments.formats)
+        folder = output_folder(arguments.output, _outputs(formats))
         for warning in scenario.warnings:
             print(f"ctrplan: warning: {warning}", file=sys.stderr)
         if interrupted.is_set():
@@ -91,35 +102,37 @@ def run_plan(arguments: argparse.Namespace) -> int:
                 bound_table=None if arguments.no_field else known_table(scenario.robot),
                 compensated=arguments.compensate,
             )
-        _write(folder, result)
-        print(_summary(folder, result))
+        _write(folder, result, formats)
+        print(_summary(folder, result, formats))
         return INTERRUPTED if interrupted.is_set() else 0
 
 
-def _write(folder: Path, plan: Plan) -> None:
+def _outputs(formats: Sequence[TrajectoryFormat]) -> list[str]:
+    return ["plan.json", *(chosen.file_name for chosen in formats), "report.html", "plan.png"]
+
+
+def _write(folder: Path, plan: Plan, formats: Sequence[TrajectoryFormat]) -> None:
     """All files or none."""
-    from ctrplan.files.trajectory_file import trajectory_as_ros2_yaml, write_trajectory_csv
+    from ctrplan.files.trajectory_file import write_trajectory
     from ctrplan.planning.plan_json import write_plan_json
     from ctrplan.reports.plan_page.page import write_report
     from ctrplan.reports.plan_picture.picture import write_plan_png
-    from ctrplan.storage.atomic_write import write_atomically
 
-    with written_together(folder, OUTPUTS) as made:
+    with written_together(folder, _outputs(formats)) as made:
         write_plan_json(made / "plan.json", plan)
-        write_trajectory_csv(made / "trajectory.csv", plan.trajectory)
-        write_atomically(made / "trajectory.yaml", trajectory_as_ros2_yaml(plan.trajectory))
+        write_trajectory(made, plan.trajectory, formats)
         write_plan_png(made / "plan.png", plan)
         write_report(made / "report.html", plan)
 
 
-def _summary(folder: Path, plan: Plan) -> str:
+def _summary(folder: Path, plan: Plan, formats: Sequence[TrajectoryFormat]) -> str:
     name, duration_s, stops = plan.scenario.name, plan.trajectory.duration_s, plan.certificate.stops
     legs, halts = _counted(len(plan.legs), "leg"), _counted(stops, "stop")
     lines = [f"{name}: {legs}, {plan.style}, the motion takes {duration_s:.1f} s with {halts}"]
     if plan.style == "simultaneous":
         lines.append("  note: no path of rotations before translations was found in time; joints move simultaneously")
     lines += [f"  {label:27} {text}" for label, text in (_targets(plan) | _figures(plan)).items()]
-    lines.append(f"  {'written to':27} {folder}/plan.json, trajectory.csv, trajectory.yaml, report.html, plan.png")
+    lines.append(f"  {'written to':27} {folder}/{', '.join(_outputs(formats))}")
     return "\n".join(lines)
 
 

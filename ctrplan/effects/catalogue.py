@@ -12,4 +12,4 @@ from ctrplan.effects.effect import CATALOGUE
 __all__ = ["CATALOGUE"]
 
 for _stage in (ctrplan.effects.clock, ctrplan.effects.drive, ctrplan.effects.mechanics, ctrplan.effects.sensor):
-    import_modules(_stage)
+    import_modules(_stage, CATALOGUE)

@@ -14,6 +14,7 @@ from typing import ClassVar, Literal, TypeVar
 import numpy as np
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.catalogue import Catalogue
 from ctrplan.drive.collars import Collars
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.robot.robot import Robot
@@ -111,12 +112,14 @@ class Effect(ABC):
 
 
 E_ = TypeVar("E_", bound=type[Effect])
-CATALOGUE: dict[str, Effect] = {}
+CATALOGUE: Catalogue[Effect] = Catalogue("effect")
+STATED = ("name", "stage", "equation", "signature", "experiment")  # what every effect says of itself
 
 
 def register(effect: E_) -> E_:
-    """Adds an effect to the catalogue."""
-    CATALOGUE[effect.name] = effect()
+    """Adds an effect to the catalogue. Raises InputError where it says too little, or has another's name."""
+    CATALOGUE.require(effect, STATED)
+    CATALOGUE.add(effect.name, effect(), effect.__module__)
     return effect
 
 

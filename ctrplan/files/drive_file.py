@@ -12,11 +12,10 @@ from msgspec import Meta, Struct
 from ctrplan.base.arrays import Array, read_only
 from ctrplan.drive.drive import UNITS, Drive, Joint, Kind
 from ctrplan.mechanics.tube import Tube
+from ctrplan.storage.number_ranges import Name, Positive
 from ctrplan.storage.toml_document import Document
 
-Name = Annotated[str, Meta(min_length=1, max_length=80)]
 Travel = Annotated[float, Meta(ge=-5000, le=5000)]  # mm; beyond it the value is in another unit
-Positive = Annotated[float, Meta(gt=0)]
 Gear = Annotated[float, Meta(ge=-1000, le=1000)]
 
 # Largest velocity, acceleration and jerk where a joint gives none, in deg or mm and s. A surgical drive moves slowly

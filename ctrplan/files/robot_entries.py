@@ -6,11 +6,10 @@ from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
-from ctrplan.files.drive_file import HomeEntry, JointEntry, Name, Positive
+from ctrplan.files.drive_file import HomeEntry, JointEntry
 from ctrplan.mechanics.tube import Contact, Tube, TubeSection
+from ctrplan.storage.number_ranges import Name, NotNegative, Positive
 from ctrplan.storage.toml_document import Document
-
-NotNegative = Annotated[float, Meta(ge=0)]
 
 MOST_TUBES = 12  # the bound visits 2**(n - 1) corners
 LONGEST_TUBE_MM = 5000.0  # beyond these two a value was most likely given in another unit

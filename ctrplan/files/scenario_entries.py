@@ -2,31 +2,24 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 from msgspec import Meta, Struct
 
 from ctrplan.base.arrays import Array, read_only
 from ctrplan.drive.drive import Joint
-from ctrplan.files.drive_file import Name, Positive
-from ctrplan.files.robot_entries import NotNegative
+from ctrplan.files.chosen_table import chosen
+from ctrplan.planning.scenario import Cost, Margins, Scenario
+from ctrplan.planning.search.planner_settings import PlannerSettings
 from ctrplan.robot.nesting import nesting_violation
 from ctrplan.robot.robot import Robot
+from ctrplan.storage.number_ranges import Name, NotNegative, Point, Positive, Vector
 from ctrplan.storage.toml_document import Document, Step
+from ctrplan.storage.toml_table import Table
 
 if TYPE_CHECKING:
-    from ctrplan.anatomy.clearance_grid import AnatomyPart
+    from ctrplan.anatomy.parts import AnatomyPart
 
-Vector = tuple[float, float, float]
-Coordinate = Annotated[float, Meta(ge=-1e5, le=1e5)]  # mm; beyond it the value is in another unit
-Point = tuple[Coordinate, Coordinate, Coordinate]
-SHAPE_KEYS = {
-    "sphere": ("center_mm", "radius_mm"),
-    "capsule": ("from_mm", "to_mm", "radius_mm"),
-    "mesh": ("file", "unit"),
-}
 LIMIT_TOLERANCE = 1e-9  # rad or m
 
 
@@ -49,44 +42,22 @@ class GoalEntry(Struct, forbid_unknown_fields=True):
     direction_tolerance_deg: Annotated[float, Meta(gt=0, le=180)] | None = None
 
 
-class AnatomyEntry(Struct, forbid_unknown_fields=True):
-    """[[anatomy]]: one sphere, capsule or mesh."""
-
-    kind: Literal["sphere", "capsule", "mesh"]
-    role: Literal["avoid", "inside"] = "avoid"
-    margin_mm: NotNegative = 0.0
-    center_mm: Point | None = None
-    radius_mm: Positive | None = None
-    from_mm: Point | None = None
-    to_mm: Point | None = None
-    file: str | None = None
-    unit: Literal["mm", "cm", "m"] | None = None
-
-
 class MarginsEntry(Struct, forbid_unknown_fields=True, frozen=True):
     """[margins]."""
 
-    stability: NotNegative = 0.1
-    max_strain: Annotated[float, Meta(gt=0, le=1)] = 0.08
+    stability: NotNegative = Margins.stability
+    max_strain: Annotated[float, Meta(gt=0, le=1)] = Margins.max_strain
 
 
 class CostEntry(Struct, forbid_unknown_fields=True, frozen=True):
     """[cost]: weights of a cost in mm."""
 
-    path: NotNegative = 1.0
-    mm_per_rad: Positive = 20.0
-    error_along: NotNegative = 1.0
-    error_goal: NotNegative = 10.0
+    path: NotNegative = Cost.path
+    mm_per_rad: Positive = Cost.mm_per_rad
+    error_along: NotNegative = Cost.error_along
+    error_goal: NotNegative = Cost.error_goal
     max_error_goal_mm: Positive | None = None
-    stop: NotNegative = 2.0
-
-
-class PlannerEntry(Struct, forbid_unknown_fields=True, frozen=True):
-    """[planner]."""
-
-    name: Literal["BIT*", "RRT*", "RRTConnect"] = "BIT*"
-    time_s: Annotated[float, Meta(gt=0, le=3600)] = 5.0
-    settle: Literal["none", "oscillate"] = "none"
+    stop: NotNegative = Cost.stop
 
 
 class ScenarioEntry(Struct, forbid_unknown_fields=True):
@@ -98,10 +69,10 @@ class ScenarioEntry(Struct, forbid_unknown_fields=True):
     target: list[GoalEntry] = []
     name: Name | None = None
     base: BaseEntry = BaseEntry()
-    anatomy: list[AnatomyEntry] = []
+    anatomy: list[dict[str, Any]] = []  # of the kind that each names, see anatomy_part
     margins: MarginsEntry = MarginsEntry()
     cost: CostEntry = CostEntry()
-    planner: PlannerEntry = PlannerEntry()
+    planner: dict[str, Any] = {}  # of the planner that it names, see planner_settings
 
 
 def joint_values(table: dict[str, Any], robot: Robot, document: Document, *path: Step) -> Array:
@@ -133,52 +104,18 @@ def _joint_value(table: dict[str, Any], joint: Joint, document: Document, *path:
     return q
 
 
-def file_inside(name: str, document: Document, allow_outside: bool, *path: Step) -> Path:
-    """The file that key `path` names, relative to the document's folder.
+def anatomy_part(table: Table) -> AnatomyPart:
+    """One [[anatomy]]. Raises InputError for a kind that there is not, and keys that it lacks or does not have."""
+    from ctrplan.anatomy.parts import AnatomyPart
+    from ctrplan.anatomy.shape import PartEntry
+    from ctrplan.anatomy.shape_catalogue import CATALOGUE
 
-    Raises InputError when it lies outside that folder, unless allowed, or does not exist.
-    """
-    folder = Path(document.file or ".").parent
-    try:
-        inside = (folder / name).resolve().is_relative_to(folder.resolve())
-        exists = (folder / name).is_file()
-    except (OSError, ValueError, RuntimeError):  # a NUL in the name, a loop of links, a closed folder
-        inside, exists = True, False
-    if not (inside or allow_outside):
-        raise document.fault("must lie in the folder of this file or below", *path)
-    if not exists:
-        raise document.fault("is not a file that exists", *path)
-    return folder / name
+    entry = chosen(table, "kind", CATALOGUE, PartEntry)
+    return AnatomyPart(entry.shape(table), entry.role, entry.margin_mm * 1e-3)
 
 
-def anatomy_part(entry: AnatomyEntry, k: int, document: Document, allow_outside: bool) -> AnatomyPart:
-    """Entry `k` (from 0) of the anatomy. Raises InputError for keys that its kind lacks or does not have."""
-    from ctrplan.anatomy.clearance_grid import AnatomyPart, load_mesh  # slow to import; many scenarios need no meshes
+def planner_settings(table: Table) -> PlannerSettings:
+    """[planner]. Raises InputError for a planner that there is not, and for settings that are not its own."""
+    from ctrplan.planning.search.planner_catalogue import CATALOGUE
 
-    needed = SHAPE_KEYS[entry.kind]
-    for key in sorted({key for keys in SHAPE_KEYS.values() for key in keys}):
-        if key in needed and getattr(entry, key) is None:
-            raise document.fault(f"is missing, a {entry.kind} needs {', '.join(needed)}", "anatomy", k, key)
-        if key not in needed and getattr(entry, key) is not None:
-            raise document.fault(f"does not go with kind = '{entry.kind}'", "anatomy", k, key)
-    vertices, faces, file = None, None, None
-    if entry.file is not None and entry.unit is not None:
-        file = str(file_inside(entry.file, document, allow_outside, "anatomy", k, "file"))
-        vertices, faces = load_mesh(file, entry.unit, file=document.file, key=f"anatomy.{k + 1}.file")
-    return AnatomyPart(
-        kind=entry.kind,
-        role=entry.role,
-        margin_m=entry.margin_mm * 1e-3,
-        center_m=metres(entry.center_mm),
-        radius_m=None if entry.radius_mm is None else entry.radius_mm * 1e-3,
-        from_m=metres(entry.from_mm),
-        to_m=metres(entry.to_mm),
-        vertices_m=vertices,
-        faces=faces,
-        file=file,
-    )
-
-
-def metres(vector_mm: Point | None) -> Array | None:
-    """(3,) [m] of a vector in mm."""
-    return None if vector_mm is None else read_only(np.multiply(vector_mm, 1e-3))
+    return chosen(table, "name", CATALOGUE, PlannerSettings, Scenario.planner.name)

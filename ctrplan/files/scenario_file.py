@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,18 +19,15 @@ from ctrplan.files.scenario_entries import (
     CostEntry,
     GoalEntry,
     ScenarioEntry,
-    Vector,
     anatomy_part,
-    file_inside,
     joint_values,
-    metres,
+    planner_settings,
 )
-from ctrplan.planning.scenario import Cost, Goal, Margins, PlannerSettings, Scenario
+from ctrplan.planning.scenario import Cost, Goal, Margins, Scenario
 from ctrplan.robot.robot import Robot
+from ctrplan.storage.number_ranges import Vector, metres
 from ctrplan.storage.toml_document import Document, Step, read_document
-
-if TYPE_CHECKING:
-    pass
+from ctrplan.storage.toml_table import Table, file_inside
 
 ROBOT_PREFIX = "robot."
 QUATERNION_TOLERANCE = 1e-3
@@ -81,10 +78,10 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool) ->
         start=joint_values(entry.start, robot, document, "start"),
         goal=goals[-1],
         via=tuple(goals[:-1]),
-        anatomy=tuple(anatomy_part(part, k, document, allow_outside) for k, part in enumerate(entry.anatomy)),
+        anatomy=tuple(anatomy_part(Table(document, ("anatomy", k), allow_outside)) for k in range(len(entry.anatomy))),
         margins=Margins(entry.margins.stability, entry.margins.max_strain),
         cost=_cost(entry.cost),
-        planner=PlannerSettings(entry.planner.name, entry.planner.time_s, entry.planner.settle),
+        planner=planner_settings(Table(document, ("planner",))),
         path=document.file,
         sha256=document.sha256,
         warnings=robot.warnings,
@@ -122,10 +119,10 @@ def _goal(entry: GoalEntry, robot: Robot, document: Document, *path: Step) -> li
     line = None if entry.line_mm is None else read_only(np.multiply(entry.line_mm, 1e-3))
     if line is not None and not np.any(np.diff(line, axis=0)):
         raise document.fault("must have a length", *path, "line_mm")
-    name = entry.name or ""
+    name, tip_m = entry.name or "", None if entry.tip_mm is None else metres(entry.tip_mm)
     goal = Goal(
         joints=None if entry.joints is None else joint_values(entry.joints, robot, document, *path, "joints"),
-        tip_m=metres(entry.tip_mm) if line is None else read_only(line[-1]),
+        tip_m=tip_m if line is None else read_only(line[-1]),
         tolerance_m=entry.tolerance_mm * 1e-3,
         direction=None if entry.direction is None else _unit_vector(entry.direction, document, *path),
         direction_tolerance_rad=None if tolerance is None else math.radians(tolerance),

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from ctrplan.base.arrays import Array
+from ctrplan.planning.search.planner_settings import PlannerSettings
+from ctrplan.planning.search.planners.bit_star import BITStar
 from ctrplan.robot.robot import Robot
 
 if TYPE_CHECKING:
-    from ctrplan.anatomy.clearance_grid import AnatomyPart
+    from ctrplan.anatomy.parts import AnatomyPart
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,15 +50,6 @@ class Cost:
     stop: float = 2.0  # of each leg, at whose end the drive stops
 
 
-@dataclass(frozen=True)
-class PlannerSettings:
-    """Which search runs for how long, and whether it ends with an oscillation that releases friction."""
-
-    name: Literal["BIT*", "RRT*", "RRTConnect"] = "BIT*"
-    time_s: float = 5.0
-    settle: Literal["none", "oscillate"] = "none"
-
-
 @dataclass(frozen=True, eq=False)
 class Scenario:
     """A planning problem; SI units, positions in the anatomy's frame."""
@@ -70,7 +63,7 @@ class Scenario:
     anatomy: tuple[AnatomyPart, ...] = ()
     margins: Margins = Margins()
     cost: Cost = Cost()
-    planner: PlannerSettings = PlannerSettings()
+    planner: PlannerSettings = BITStar()
     path: str | None = None
     sha256: str = ""  # of the scenario file's content after overrides; the robot has its own
     warnings: tuple[str, ...] = ()  # the robot's included

@@ -1,95 +1,22 @@
-"""Triangle surfaces to look at: circles swept along a centreline, anatomy thinned to what a screen can show."""
+"""Triangle surfaces to look at, thinned to what a screen can show."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.surface import Rod, Surface, capsule
 
 if TYPE_CHECKING:
-    from ctrplan.anatomy.clearance_grid import AnatomyPart
+    from ctrplan.anatomy.parts import AnatomyPart
 
-Z_AXIS = np.array([0.0, 0.0, 1.0])
-
-
-@dataclass(frozen=True, eq=False)
-class Surface:
-    """Triangles, turned outward where they enclose a body."""
-
-    vertices_m: Array  # (V, 3)
-    faces: NDArray[np.int64]  # (F, 3)
-
-
-@dataclass(frozen=True, eq=False)
-class Rod:
-    """A circular body around a centreline of N stations."""
-
-    centreline_m: Array  # (N, 3)
-    tangent: Array  # (N, 3) unit vectors
-    radius_m: Array  # (N,)
-
-    def surface(self, sides: int) -> Surface:
-        """Watertight: a ring of `sides` vertices, at the radius, per station, and a vertex in the middle of each end.
-
-        Vertices are ordered alike for any rod of as many stations, (N * sides + 2, 3), and so are the faces. Rings
-        stand in frames carried along without twist from the x axis, so that rods that move smoothly do not flicker.
-        """
-        normal, binormal = _frames(self.tangent)
-        angle = 2 * np.pi * np.arange(sides) / sides
-        spokes = np.cos(angle)[:, None] * normal[:, None] + np.sin(angle)[:, None] * binormal[:, None]
-        rings = self.centreline_m[:, None] + self.radius_m[:, None, None] * spokes
-        vertices = np.concatenate([rings.reshape(-1, 3), self.centreline_m[[0, -1]]])
-        return Surface(vertices, _rod_faces(len(self.radius_m), sides))
-
-
-def _frames(tangent: Array) -> tuple[Array, Array]:
-    """Normals and binormals (N, 3), (N, 3) that are twisted as little as the tangents allow."""
-    start = np.eye(3)[np.argsort(np.abs(tangent[0]), kind="stable")[0]]
-    normals = []
-    for t in tangent:
-        across = start - (start @ t) * t
-        start = across / np.linalg.norm(across)
-        normals.append(start)
-    normal = np.array(normals)
-    return normal, np.cross(tangent, normal)
-
-
-def _rod_faces(stations: int, sides: int) -> NDArray[np.int64]:
-    ring, side = np.meshgrid(np.arange(stations - 1), np.arange(sides), indexing="ij")
-    a, b = ring * sides + side, ring * sides + (side + 1) % sides
-    wall = np.stack([a, b, b + sides, a, b + sides, a + sides], axis=-1).reshape(-1, 3)
-    around, last = np.arange(sides), (stations - 1) * sides
-    start, end = np.full(sides, stations * sides), np.full(sides, stations * sides + 1)
-    first_cap = np.stack([start, (around + 1) % sides, around], axis=1)
-    last_cap = np.stack([end, last + around, last + (around + 1) % sides], axis=1)
-    return np.asarray(np.concatenate([wall, first_cap, last_cap]), dtype=np.int64)
+__all__ = ["Rod", "Surface", "anatomy_surface", "capsule", "thinned"]
 
 
 def anatomy_surface(part: AnatomyPart, triangles: int = 12_000) -> Surface:
-    """The surface of a sphere, capsule or mesh, in no more than `triangles`; coarser meshes as they are."""
-    if part.vertices_m is not None and part.faces is not None:
-        return thinned(Surface(part.vertices_m, part.faces), triangles)
-    ends = [point for point in (part.center_m, part.from_m, part.to_m) if point is not None]
-    return capsule(ends[0], ends[-1], part.radius_m or 0.0)
-
-
-def capsule(start_m: Array, end_m: Array, radius_m: float, sides: int = 32) -> Surface:
-    """All points within radius_m of the line from start_m to end_m (3,); a sphere where the two are one."""
-    axis = end_m - start_m
-    length = float(np.linalg.norm(axis))
-    direction = axis / length if length > 0 else Z_AXIS
-    latitude = np.linspace(-np.pi / 2, np.pi / 2, sides // 2 + 1)
-    along = radius_m * np.sin(latitude)
-    middle = start_m + np.where(latitude > 0, length, 0.0)[:, None] * direction
-    if length > 0:  # the equator of both ends
-        equator = len(latitude) // 2
-        middle, along = np.insert(middle, equator + 1, end_m, axis=0), np.insert(along, equator + 1, 0.0)
-    radius = np.sqrt(np.maximum(radius_m**2 - along**2, 0.0))
-    return Rod(middle + along[:, None] * direction, np.tile(direction, (len(along), 1)), radius).surface(sides)
+    """The surface of a part in no more than `triangles`; coarser ones as they are."""
+    return thinned(part.shape.surface(), triangles)
 
 
 def thinned(surface: Surface, triangles: int) -> Surface:

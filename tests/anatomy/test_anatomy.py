@@ -1,5 +1,7 @@
 """Laws of the clearance that anatomy leaves to a point, exact and on a grid."""
 
+from collections.abc import Callable
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +19,15 @@ from ctrplan.anatomy.clearance_grid import (
     exact_clearance,
     field_bounds,
 )
-from ctrplan.errors import InputError
+from ctrplan.anatomy.shape import Shape
+from ctrplan.anatomy.shapes.capsule import Capsule
+from ctrplan.anatomy.shapes.mesh import Mesh
+from ctrplan.anatomy.shapes.sphere import Sphere
+from ctrplan.errors import CtrplanError, InputError
 
 Array = NDArray[np.float64]
 RADIUS_M = 0.03
+ORIGIN, BALL = np.zeros(3), Sphere(np.zeros(3), 0.01)
 ICOSPHERE = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS_M)
 
 
@@ -30,15 +37,15 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def mesh_part(mesh: trimesh.Trimesh, shift: Any = (0.0, 0.0, 0.0), **options: Any) -> AnatomyPart:
-    return AnatomyPart("mesh", vertices_m=np.asarray(mesh.vertices) + shift, faces=np.asarray(mesh.faces), **options)
+    return AnatomyPart(Mesh(np.asarray(mesh.vertices) + shift, np.asarray(mesh.faces)), **options)
 
 
 def sphere(center: Any = (0.0, 0.0, 0.0), radius: float = RADIUS_M, **options: Any) -> AnatomyPart:
-    return AnatomyPart("sphere", center_m=np.array(center), radius_m=radius, **options)
+    return AnatomyPart(Sphere(np.array(center), radius), **options)
 
 
 def capsule(start: Any, end: Any, radius: float, **options: Any) -> AnatomyPart:
-    return AnatomyPart("capsule", from_m=np.array(start), to_m=np.array(end), radius_m=radius, **options)
+    return AnatomyPart(Capsule(np.array(start), np.array(end), radius), **options)
 
 
 def mixture() -> list[AnatomyPart]:
@@ -104,18 +111,14 @@ def test_clearance_is_equivariant(seed: int) -> None:
     shift = np.random.default_rng(seed).normal(0, 0.1, 3)
     points = random_points(2000, seed)
 
-    def moved(p: Any) -> Any:
-        return None if p is None else p @ R.T + shift
+    def moved(p: Array) -> Array:
+        return p @ R.T + shift
 
-    parts = [
-        AnatomyPart(
-            p.kind,
-            p.role,
-            p.margin_m,
-            *(moved(p.center_m), p.radius_m, moved(p.from_m), moved(p.to_m), moved(p.vertices_m), p.faces),
-        )
-        for p in mixture()
-    ]
+    def with_moved(shape: Shape) -> Shape:
+        names = {"center_m", "from_m", "to_m", "vertices_m"} & {field.name for field in fields(shape)}
+        return replace(shape, **{name: moved(getattr(shape, name)) for name in names})
+
+    parts = [replace(part, shape=with_moved(part.shape)) for part in mixture()]
     np.testing.assert_allclose(exact_clearance(parts, moved(points)), exact_clearance(mixture(), points), atol=1e-9)
 
 
@@ -252,26 +255,51 @@ def test_default_spacing_is_at_most_a_millimetre_where_memory_allows() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "named"),
+    ("make", "named"),
     [
-        ({"kind": "cube"}, "kind"),
-        ({"role": "around"}, "role"),
-        ({"margin_m": -0.001}, "margin_m"),
-        ({"margin_m": np.nan}, "margin_m"),
-        ({"radius_m": 0.0}, "radius_m"),
-        ({"radius_m": np.inf}, "radius_m"),
-        ({"radius_m": None}, "radius_m"),
-        ({"center_m": (0.0, 0.0)}, "center_m"),
-        ({"center_m": (0.0, 0.0, np.nan)}, "center_m"),
-        ({"kind": "capsule"}, "from_m"),
-        ({"kind": "mesh"}, "vertices_m"),
-        ({"kind": "mesh", "vertices_m": np.zeros((2, 3)), "faces": [[0, 1, 2]]}, "faces"),
-        ({"kind": "mesh", "vertices_m": np.zeros((3, 3)), "faces": np.empty((0, 3))}, "faces"),
-        ({"kind": "mesh", "vertices_m": np.full((3, 3), np.nan), "faces": [[0, 1, 2]]}, "vertices_m"),
+        (lambda: AnatomyPart(BALL, role="around"), "role"),  # type: ignore[arg-type]
+        (lambda: AnatomyPart(BALL, margin_m=-0.001), "margin_m"),
+        (lambda: AnatomyPart(BALL, margin_m=np.nan), "margin_m"),
+        (lambda: Sphere(ORIGIN, 0.0), "radius_m"),
+        (lambda: Sphere(ORIGIN, np.inf), "radius_m"),
+        (lambda: Sphere(ORIGIN, None), "radius_m"),
+        (lambda: Sphere((0.0, 0.0), 0.01), "center_m"),
+        (lambda: Sphere((0.0, 0.0, np.nan), 0.01), "center_m"),
+        (lambda: Sphere(None, 0.01), "center_m"),
+        (lambda: Capsule(None, ORIGIN, 0.01), "from_m"),
+        (lambda: Capsule(ORIGIN, ORIGIN, -0.01), "radius_m"),
+        (lambda: Mesh(None, [[0, 1, 2]]), "vertices_m"),
+        (lambda: Mesh(np.zeros((2, 3)), [[0, 1, 2]]), "faces"),
+        (lambda: Mesh(np.zeros((3, 3)), np.empty((0, 3))), "faces"),
+        (lambda: Mesh(np.full((3, 3), np.nan), [[0, 1, 2]]), "vertices_m"),
     ],
 )
-def test_malformed_parts_are_refused_by_name(options: dict[str, Any], named: str) -> None:
-    arguments: dict[str, Any] = {"kind": "sphere", "center_m": (0.0, 0.0, 0.0), "radius_m": 0.01, **options}
+def test_malformed_parts_are_refused_by_name(make: Callable[[], Any], named: str) -> None:
     with pytest.raises(InputError) as caught:
-        AnatomyPart(**arguments)
+        make()
     assert caught.value.key == named
+
+
+@pytest.mark.parametrize("part", mixture(), ids=lambda part: part.shape.kind)
+def test_boxes_and_surfaces_hold_the_body(part: AnatomyPart) -> None:
+    """No point outside the box is within the body; what is drawn lies on the surface and in the box."""
+    lower, upper = part.shape.box()
+    points = random_points(20_000)
+    outside = ((points < lower) | (points > upper)).any(axis=1)
+    assert outside.any() and (part.shape.distance(points[outside]) > 0).all()
+    drawn = part.shape.surface()
+    assert drawn.vertices_m.min() >= lower.min() - 1e-12 and (drawn.vertices_m <= upper + 1e-12).all()
+    used = drawn.vertices_m[np.unique(drawn.faces)]
+    size = float(np.linalg.norm(upper - lower))
+    assert (part.shape.distance(np.ascontiguousarray(used)) < 1e-9 * size).all()
+
+
+def test_a_kind_that_says_no_number_is_refused() -> None:
+    """NaN compares false with every limit and would pass for clear."""
+
+    class Hollow(Sphere):
+        def distance(self, points_m: Array) -> Array:
+            return super().distance(points_m) * np.nan
+
+    with pytest.raises(CtrplanError, match="must say a distance for every point"):
+        exact_clearance([AnatomyPart(Hollow(ORIGIN, 0.01))], random_points(3))

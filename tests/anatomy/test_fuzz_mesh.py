@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made_up_input import NUMBERS, assert_names_the_fault, cases
 
-from ctrplan.anatomy.clearance_grid import load_mesh
+from ctrplan.anatomy.mesh_file import load_mesh
 from ctrplan.errors import InputError
 
 FORMATS = ("stl", "stl_ascii", "ply", "ply_ascii", "obj")

@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ctrplan.anatomy import mesh_file as mesh_input
-from ctrplan.anatomy.clearance_grid import AnatomyPart, exact_clearance, load_mesh
+from ctrplan.anatomy.mesh_file import load_mesh
+from ctrplan.anatomy.parts import AnatomyPart, exact_clearance
+from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.errors import InputError
 
 Array = NDArray[np.float64]
@@ -43,7 +45,7 @@ def written(directory: Path, mesh: trimesh.Trimesh, suffix: str = ".stl") -> Pat
 
 def clearance_mm(path: Path, points_mm: Any) -> Array:
     vertices, faces = load_mesh(path, "mm")
-    return exact_clearance([AnatomyPart("mesh", vertices_m=vertices, faces=faces)], np.array(points_mm) * 1e-3) * 1e3
+    return exact_clearance([AnatomyPart(Mesh(vertices, faces))], np.array(points_mm) * 1e-3) * 1e3
 
 
 def volume_mm3(path: Path, unit: str = "mm") -> float:

@@ -19,10 +19,15 @@ from hypothesis import strategies as st
 from places import ROBOTS
 from refusals import refusals
 
+from ctrplan.anatomy.shapes.capsule import Capsule
+from ctrplan.anatomy.shapes.mesh import Mesh
+from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario, scenario_from_dict
-from ctrplan.planning.scenario import Cost, Margins, PlannerSettings, Scenario
+from ctrplan.planning.scenario import Cost, Margins, Scenario
+from ctrplan.planning.search.planners.bit_star import BITStar
+from ctrplan.planning.search.planners.rrt_star import RRTStar
 from ctrplan.storage.toml_document import Document
 
 if sys.version_info >= (3, 11):
@@ -75,6 +80,7 @@ max_error_goal_mm = 1.5
 name = "RRT*"
 time_s = 2.5
 settle = "oscillate"
+goal_bias = 0.2
 """
 JOINT_GOAL = """[goal]
 joints = { "rotate outer" = 0, "rotate middle" = 0, "rotate inner" = 0, "translate inner" = 0 }
@@ -129,7 +135,7 @@ direction_tolerance_deg = 10 ->
 direction_tolerance_deg = 10 -> direction_tolerance_deg = 181
     scenario.toml: goal.direction_tolerance_deg = 181 deg: must be <= 180.
 kind = "sphere" -> kind = "cube"
-    scenario.toml: anatomy.1.kind = 'cube': must be one of sphere, capsule, mesh.
+    scenario.toml: anatomy.1.kind = 'cube': must be one of capsule, mesh, sphere.
 kind = "sphere" ->
     scenario.toml: anatomy.1.kind: is missing.
 kind = "sphere" -> kind = "capsule"
@@ -152,6 +158,16 @@ mm_per_rad = 10 -> mm_per_rad = 0
     scenario.toml: cost.mm_per_rad = 0 mm/rad: must be > 0.
 name = "RRT*" -> name = "PRM"
     scenario.toml: planner.name = 'PRM': must be one of BIT*, RRT*, RRTConnect.
+name = "RRT*" ->
+    scenario.toml: planner.goal_bias = 0.2: does not go with name = 'BIT*'.
+goal_bias = 0.2 -> goal_bias = 1.5
+    scenario.toml: planner.goal_bias = 1.5: must be <= 1.
+goal_bias = 0.2 -> goal_bais = 0.2
+    scenario.toml: planner.goal_bais = 0.2: unknown key, did you mean goal_bias?
+goal_bias = 0.2 -> verve = 0.2
+    scenario.toml: planner.verve = 0.2: unknown key, known ones are name, time_s, settle, goal_bias, range_mm.
+goal_bias = 0.2 -> samples_per_batch = 10
+    scenario.toml: planner.samples_per_batch = 10: does not go with name = 'RRT*'.
 time_s = 2.5 -> time_s = 3601
     scenario.toml: planner.time_s = 3601 s: must be <= 3600.
 time_s = 2.5 -> time_ms = 2500
@@ -221,19 +237,18 @@ def test_values_arrive_in_si_units(folder: Path) -> None:
     assert goal.direction_tolerance_rad == pytest.approx(np.pi / 18, rel=1e-15)
     assert scenario.margins == Margins(0.2, 0.05)
     assert scenario.cost == Cost(2, 10, 3, 4, 1.5e-3)
-    assert scenario.planner == PlannerSettings("RRT*", 2.5, "oscillate")
+    assert scenario.planner == RRTStar(time_s=2.5, settle="oscillate", goal_bias=0.2)
 
 
 def test_the_anatomy_arrives_in_si_units(folder: Path) -> None:
     sphere, capsule, mesh = load_scenario("scenario.toml").anatomy
-    assert (sphere.kind, sphere.role, sphere.margin_m, sphere.radius_m) == ("sphere", "avoid", 0, 5e-3)
-    assert sphere.center_m is not None and capsule.from_m is not None and capsule.to_m is not None
-    assert mesh.vertices_m is not None
-    np.testing.assert_allclose(sphere.center_m, [0.01, 0.02, 0.03], rtol=1e-15)
-    assert (capsule.kind, capsule.role, capsule.margin_m, capsule.radius_m) == ("capsule", "inside", 1.5e-3, 60e-3)
-    np.testing.assert_allclose((capsule.from_m, capsule.to_m), [[0, 0, -0.01], [0, 0, 0.2]], rtol=1e-15)
-    assert (mesh.kind, mesh.file) == ("mesh", str(Path("meshes/wedge.stl")))
-    np.testing.assert_allclose(np.ptp(mesh.vertices_m, axis=0), 0.01, rtol=1e-6)  # unit = "cm"
+    assert isinstance(sphere.shape, Sphere) and isinstance(capsule.shape, Capsule) and isinstance(mesh.shape, Mesh)
+    assert (sphere.role, sphere.margin_m, sphere.shape.radius_m) == ("avoid", 0, 5e-3)
+    np.testing.assert_allclose(sphere.shape.center_m, [0.01, 0.02, 0.03], rtol=1e-15)
+    assert (capsule.role, capsule.margin_m, capsule.shape.radius_m) == ("inside", 1.5e-3, 60e-3)
+    np.testing.assert_allclose((capsule.shape.from_m, capsule.shape.to_m), [[0, 0, -0.01], [0, 0, 0.2]], rtol=1e-15)
+    assert (mesh.shape.file, mesh.shape.name) == (str(Path("meshes/wedge.stl")), "wedge.stl")
+    np.testing.assert_allclose(np.ptp(mesh.shape.vertices_m, axis=0), 0.01, rtol=1e-6)  # unit = "cm"
 
 
 def test_everything_optional_has_the_documented_default(folder: Path) -> None:
@@ -242,7 +257,7 @@ def test_everything_optional_has_the_documented_default(folder: Path) -> None:
     (folder / "plain.toml").write_text(text)
     scenario = load_scenario("plain.toml")
     assert scenario.name == "plain"
-    assert (scenario.margins, scenario.cost, scenario.planner) == (Margins(), Cost(), PlannerSettings())
+    assert (scenario.margins, scenario.cost, scenario.planner) == (Margins(), Cost(), BITStar())
     assert (scenario.goal.tolerance_m, scenario.goal.direction, scenario.anatomy) == (1e-3, None, ())
     np.testing.assert_array_equal(scenario.base_position_m, np.zeros(3))
     np.testing.assert_array_equal(scenario.base_R, np.eye(3))

@@ -14,7 +14,8 @@ import yaml
 
 from ctrplan.drive.trajectory import Trajectory
 from ctrplan.errors import CtrplanError, InputError
-from ctrplan.files.trajectory_file import read_trajectory_csv, trajectory_as_ros2_yaml, write_trajectory_csv
+from ctrplan.files.trajectory_file import read_trajectory_csv, trajectory_formats, write_trajectory
+from ctrplan.files.trajectory_formats.ros2_message import trajectory_as_ros2_yaml
 from ctrplan.storage.atomic_write import write_atomically
 
 
@@ -28,7 +29,7 @@ def example() -> Trajectory:
 
 def test_csv_round_trip(tmp_path: Path) -> None:
     trajectory = example()
-    write_trajectory_csv(tmp_path / "trajectory.csv", trajectory)
+    write_trajectory(tmp_path, trajectory, trajectory_formats(["csv"]))
     columns = read_trajectory_csv(tmp_path / "trajectory.csv")
     expected = {"time_s": trajectory.time_s}
     for j, (joint, unit) in enumerate((("rotate_inner", "rad"), ("insert_inner", "m"))):
@@ -43,7 +44,7 @@ def test_csv_round_trip(tmp_path: Path) -> None:
 def test_names_that_coincide_are_refused(tmp_path: Path) -> None:
     trajectory = replace(example(), names=("a b", "a_b"), is_rotation=np.array([True, True]))
     with pytest.raises(InputError, match="same name"):
-        write_trajectory_csv(tmp_path / "trajectory.csv", trajectory)
+        write_trajectory(tmp_path, trajectory, trajectory_formats(["csv"]))
     assert not list(tmp_path.iterdir())
 
 

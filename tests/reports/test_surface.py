@@ -8,7 +8,8 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ctrplan.anatomy.clearance_grid import AnatomyPart
+from ctrplan.anatomy.parts import AnatomyPart
+from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.reports.surface import Rod, Surface, anatomy_surface, capsule, thinned
 
 
@@ -65,7 +66,7 @@ def test_capsule_keeps_its_distance(end: tuple[float, float, float]) -> None:
 
 def test_thinning_keeps_the_surface_where_it_was() -> None:
     sphere = trimesh.creation.icosphere(subdivisions=6, radius=0.03)
-    part = AnatomyPart("mesh", vertices_m=sphere.vertices, faces=sphere.faces)
+    part = AnatomyPart(Mesh(sphere.vertices, sphere.faces))
     few = anatomy_surface(part, triangles=5000)
     assert len(sphere.faces) > 80_000 and 500 < len(few.faces) <= 5000
     np.testing.assert_allclose(np.linalg.norm(few.vertices_m, axis=1), 0.03, rtol=0.01)

@@ -3,11 +3,16 @@
 import logging
 import os
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 
+from ctrplan.anatomy import shapes
 from ctrplan.anatomy.clearance_grid import AnatomyPart, SignedDistanceField, build_field
+from ctrplan.anatomy.shape import Role
+from ctrplan.anatomy.shapes.mesh import Mesh
+from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.storage import cache as field_cache
 
 
@@ -17,9 +22,8 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "cache" / "fields"
 
 
-def built(radius_m: float = 0.02, file: str | None = None, spacing_m: float = 2e-3) -> SignedDistanceField:
-    part = AnatomyPart("sphere", center_m=np.zeros(3), radius_m=radius_m, file=file)
-    field = build_field([part], [-0.03] * 3, [0.03] * 3, spacing_m)
+def built(radius_m: float = 0.02, spacing_m: float = 2e-3) -> SignedDistanceField:
+    field = build_field([AnatomyPart(Sphere(np.zeros(3), radius_m))], [-0.03] * 3, [0.03] * 3, spacing_m)
     assert field is not None
     return field
 
@@ -35,7 +39,7 @@ def test_hit_is_identical_to_a_rebuild(cache: Path, monkeypatch: pytest.MonkeyPa
     (stored,) = cache.iterdir()
     assert stored.suffix == ".npz"
     forbid_building(monkeypatch)
-    again = built(file="elsewhere.stl")  # where a part came from does not matter
+    again = built()
     np.testing.assert_array_equal(first.values_m, again.values_m)
     np.testing.assert_array_equal(first.origin_m, again.origin_m)
     assert first.spacing_m == again.spacing_m and again.parts
@@ -45,12 +49,31 @@ def test_everything_that_determines_the_values_is_in_the_key(cache: Path) -> Non
     built()
     built(radius_m=np.nextafter(0.02, 1))
     built(spacing_m=3e-3)
-    parts = [AnatomyPart("sphere", role, 1e-3, center_m=np.zeros(3), radius_m=0.02) for role in ("avoid", "inside")]
+    parts = [AnatomyPart(Sphere(np.zeros(3), 0.02), role, 1e-3) for role in get_args(Role)]
     for part in parts:
         build_field([part], [-0.03] * 3, [0.03] * 3, 2e-3)
     build_field(parts, [-0.03] * 3, [0.03] * 3, 2e-3)
     build_field(parts, [-0.031] * 3, [0.029] * 3, 2e-3)
     assert len(list(cache.iterdir())) == 7
+
+
+def test_where_a_mesh_came_from_makes_no_difference(cache: Path) -> None:
+    corners, faces = np.vstack([np.zeros(3), 0.01 * np.eye(3)]), [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]
+    for file in (None, "here.stl", "elsewhere.stl"):
+        build_field([AnatomyPart(Mesh(corners, faces, file))], [-0.03] * 3, [0.03] * 3, 8e-3)
+    assert len(list(cache.iterdir())) == 1
+
+
+def test_a_kind_whose_file_changes_is_computed_again(
+    cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who writes a kind corrects its distances now and then; the old ones must not come back."""
+    built()
+    edited = tmp_path / "sphere.py"
+    edited.write_text(Path(shapes.sphere.__file__).read_text() + "# corrected")
+    monkeypatch.setattr(shapes.sphere, "__file__", str(edited))
+    built()
+    assert len(list(cache.iterdir())) == 2
 
 
 def test_no_flipped_bit_goes_unnoticed(cache: Path) -> None:
@@ -97,7 +120,7 @@ def test_unwritable_cache_is_no_error(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_cache_can_be_left_out(cache: Path) -> None:
-    part = AnatomyPart("sphere", center_m=np.zeros(3), radius_m=0.02)
+    part = AnatomyPart(Sphere(np.zeros(3), 0.02))
     build_field([part], [-0.03] * 3, [0.03] * 3, 2e-3, cache=False)
     assert not cache.exists()
 

@@ -9,7 +9,9 @@ import pytest
 import trimesh
 from places import SCENARIOS
 
-from ctrplan.anatomy.clearance_grid import AnatomyPart, exact_clearance, load_mesh
+from ctrplan.anatomy.mesh_file import load_mesh
+from ctrplan.anatomy.parts import AnatomyPart, exact_clearance
+from ctrplan.anatomy.shapes.mesh import Mesh
 
 
 def script() -> ModuleType:
@@ -60,7 +62,7 @@ def test_meshes_are_closed_and_outward(name: str, bodies: int) -> None:
 )
 def test_lumens_have_room_at_the_front_plate(name: str, room_mm: float) -> None:
     vertices, faces = load_mesh(SCENARIOS / "meshes" / f"{name}.stl")
-    clearance = exact_clearance([AnatomyPart("mesh", "inside", vertices_m=vertices, faces=faces)], np.zeros((1, 3)))
+    clearance = exact_clearance([AnatomyPart(Mesh(vertices, faces), "inside")], np.zeros((1, 3)))
     assert clearance[0] > room_mm * 1e-3
 
 
@@ -73,7 +75,7 @@ def test_tube_keeps_its_radius_around_the_centreline() -> None:
     expected = 200 * np.stack([1 - np.cos(arc), np.zeros(61), np.sin(arc)], axis=1)
     np.testing.assert_allclose(curve, expected, atol=1e-3)
     vertices, faces = swept.sweep_tube(curve, np.full(61, 6.0), 48)
-    part = AnatomyPart("mesh", "inside", vertices_m=vertices * 1e-3, faces=faces)
+    part = AnatomyPart(Mesh(vertices * 1e-3, faces), "inside")
     clearance = exact_clearance([part], curve[5:-5] * 1e-3)
     np.testing.assert_allclose(clearance, 6e-3, atol=3e-5)
 

@@ -12,6 +12,7 @@ from places import SCENARIOS
 
 import ctrplan
 from ctrplan.anatomy.clearance_grid import AnatomyPart, build_field, field_bounds
+from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.cli import main
 from ctrplan.drive.trajectory import time_parameterise
 from ctrplan.errors import InputError, NoAnswerError
@@ -112,9 +113,9 @@ def test_a_search_has_a_seed(seed: Any, capsys: pytest.CaptureFixture[str]) -> N
 
 @pytest.mark.parametrize("value", [*NOT_FINITE, 0.0, -1.0])
 def test_sizes_of_the_anatomy_are_positive(value: float) -> None:
-    part = AnatomyPart("sphere", center_m=np.zeros(3), radius_m=0.01)
+    part = AnatomyPart(Sphere(np.zeros(3), 0.01))
     with pytest.raises(InputError):
-        AnatomyPart("sphere", center_m=np.zeros(3), radius_m=value)
+        Sphere(np.zeros(3), value)
     with pytest.raises(InputError):
         field_bounds([part], value)
     for spacing in (value, 1e-300, 1e300):

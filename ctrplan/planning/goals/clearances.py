@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ctrplan.anatomy.clearance_grid import AnatomyPart
-from ctrplan.anatomy.parts import surface_distance
+from ctrplan.anatomy.parts import AnatomyPart, surface_distance
 from ctrplan.base.arrays import Array
 from ctrplan.base.units import MM_PER_M
 from ctrplan.errors import InputError, NoAnswerError
@@ -105,9 +104,7 @@ def refuse_impossible_margins(scenario: Scenario) -> None:
 
 def called(scenario: Scenario, k: int) -> str:
     """Part k (from 0) as a reader of the scenario file knows it."""
-    part = scenario.anatomy[k]
-    name = part.file.replace("\\", "/").rsplit("/", 1)[-1] if part.file else part.kind
-    return f"anatomy.{k + 1} ({name})"
+    return f"anatomy.{k + 1} ({scenario.anatomy[k].shape.name})"
 
 
 def _inside(scenario: Scenario, k: int, outside_m: float) -> str:

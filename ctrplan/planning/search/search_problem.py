@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from ompl import base as ob
-from ompl import geometric as og
 from ompl import util as ou
 
 from ctrplan.base.arrays import Array
@@ -17,12 +16,6 @@ from ctrplan.planning.search.objective import BoundObjective
 from ctrplan.planning.search.ompl_space import StateReader, state_space
 from ctrplan.planning.search.validity import MotionValidity, Validity
 from ctrplan.planning.search_clock import ASKED_NS
-
-# Planners that grow forwards only, or check every motion in the direction it is driven.
-PLANNERS = {"BIT*": og.BITstar, "RRT*": og.RRTstar, "RRTConnect": og.RRTConnect}
-# Longest motion of a tree; two trees meet by steps, a single one reaches for the goal at once.
-RANGE_MM = {"RRTConnect": 30.0}
-GOAL_BIAS = 0.3  # of a tree's samples: each is dear, and the goal is a set of many states
 
 
 class SearchProblem:
@@ -50,11 +43,7 @@ class SearchProblem:
         targets = [self.read(self._state(goal.joints)) for goal in goals]
         self.objective = BoundObjective(self.information, checker.scenario, goals=targets, checker=checker)
         self.definition.setOptimizationObjective(self.objective)
-        self.planner: Any = PLANNERS[checker.scenario.planner.name](self.information)
-        if hasattr(self.planner, "setRange"):
-            self.planner.setRange(RANGE_MM.get(checker.scenario.planner.name, self.space.getMaximumExtent()))
-        if hasattr(self.planner, "setGoalBias"):
-            self.planner.setGoalBias(GOAL_BIAS)
+        self.planner: Any = checker.scenario.planner.ompl_planner(self.information)
         self.planner.setProblemDefinition(self.definition)
         self.planner.setup()
 

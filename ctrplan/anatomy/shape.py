@@ -1,0 +1,102 @@
+"""What a kind of obstacle or lumen says about itself, and the catalogue of kinds.
+
+A kind is one file below anatomy/shapes/: a Shape, in metres, and the entry of a scenario file that describes one, in
+millimetres. The clearance is only as sound as `Shape.distance`: it must never exceed the true distance to the surface,
+and never change by more than a point moves.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import fields, is_dataclass
+from typing import Any, ClassVar, Literal, TypeVar
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import ArrayLike
+
+from ctrplan.base.arrays import Array, read_only
+from ctrplan.base.catalogue import Catalogue
+from ctrplan.base.surface import Surface
+from ctrplan.errors import InputError
+from ctrplan.storage.number_ranges import NotNegative
+from ctrplan.storage.toml_table import Table
+
+Role = Literal["avoid", "inside"]
+
+
+class Shape(ABC):
+    """A closed body in the anatomy's frame. Subclasses are dataclasses, compared by identity."""
+
+    kind: ClassVar[str]  # as a scenario file names it
+
+    @abstractmethod
+    def distance(self, points_m: Array) -> Array:
+        """Distance (K,) [m] of points (K, 3) [m] to the surface, negative within the body."""
+
+    @abstractmethod
+    def box(self) -> tuple[Array, Array]:
+        """Lower and upper corner (3,), (3,) [m] of a box around the body."""
+
+    @abstractmethod
+    def surface(self) -> Surface:
+        """Triangles to draw."""
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return self.kind
+
+    def content(self) -> Sequence[ArrayLike]:
+        """Numbers that determine distances, for the key of cached grids: all fields unless a subclass knows better."""
+        return [getattr(self, field.name) for field in fields(self)]  # type: ignore[arg-type]
+
+
+class PartEntry(Struct, forbid_unknown_fields=True, kw_only=True):
+    """[[anatomy]]: what every kind has. The entry of a kind adds keys of its own and makes the shape."""
+
+    kind: str
+    role: Role = "avoid"
+    margin_mm: NotNegative = 0.0
+
+    def shape(self, table: Table) -> Shape:
+        """The shape that the entry describes; `table` reads files and says faults. Raises InputError."""
+        raise NotImplementedError
+
+
+CATALOGUE: Catalogue[type[PartEntry]] = Catalogue("obstacle kind")
+E_ = TypeVar("E_", bound=type[PartEntry])
+
+
+def register(shape: type[Shape]) -> Callable[[E_], E_]:
+    """Adds a kind to the catalogue: the decorator of the entry that describes a `shape`.
+
+    Raises InputError where the shape or its entry lacks something, or the kind has another's name.
+    """
+
+    def registered(entry: E_) -> E_:
+        CATALOGUE.require(shape, ["kind"])
+        if not is_dataclass(shape):
+            raise InputError(f"{shape.__name__} must be a dataclass: its fields are the key of cached grids")
+        if entry.shape is PartEntry.shape:
+            raise InputError(f"{entry.__name__} lacks shape")
+        CATALOGUE.add(shape.kind, entry, entry.__module__)
+        return entry
+
+    return registered
+
+
+def length(name: str, value: float | None) -> float:
+    """A finite length above zero [m]. Raises InputError otherwise."""
+    if value is None or not (np.isfinite(value) and value > 0):
+        raise InputError("must be a finite number above zero", key=name, value=value, unit="m")
+    return float(value)
+
+
+def point(name: str, value: Any) -> Array:
+    """Three finite coordinates (3,) [m], read-only. Raises InputError otherwise."""
+    array: Array = read_only(np.asarray(value, dtype=np.float64))
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise InputError("must be three finite coordinates", key=name, value=value, unit="m")
+    return array

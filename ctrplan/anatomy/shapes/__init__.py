@@ -1,0 +1,1 @@
+"""The kinds of obstacles and lumens, one file each."""

@@ -1,0 +1,56 @@
+"""All points within a radius of a line segment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ctrplan.anatomy.shape import PartEntry, Shape, length, point, register
+from ctrplan.base.arrays import Array
+from ctrplan.base.surface import Surface, capsule
+from ctrplan.storage.number_ranges import Point, Positive, metres
+from ctrplan.storage.toml_table import Table
+
+
+@dataclass(frozen=True, eq=False)
+class Capsule(Shape):
+    """from_m (3,), to_m (3,), radius_m, in the anatomy's frame; a sphere where the two points are one.
+
+    Raises InputError for what is no capsule.
+    """
+
+    kind = "capsule"
+    from_m: Array
+    to_m: Array
+    radius_m: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "from_m", point("from_m", self.from_m))
+        object.__setattr__(self, "to_m", point("to_m", self.to_m))
+        object.__setattr__(self, "radius_m", length("radius_m", self.radius_m))
+
+    def distance(self, points_m: Array) -> Array:
+        axis, offset = self.to_m - self.from_m, points_m - self.from_m
+        length_squared = float(axis @ axis)
+        along = np.clip(offset @ axis / length_squared, 0.0, 1.0) if length_squared > 0 else np.zeros(len(points_m))
+        return np.asarray(np.linalg.norm(offset - along[:, None] * axis, axis=1) - self.radius_m)
+
+    def box(self) -> tuple[Array, Array]:
+        lower, upper = np.minimum(self.from_m, self.to_m), np.maximum(self.from_m, self.to_m)
+        return lower - self.radius_m, upper + self.radius_m
+
+    def surface(self) -> Surface:
+        return capsule(self.from_m, self.to_m, self.radius_m)
+
+
+@register(Capsule)
+class CapsuleEntry(PartEntry):
+    """kind = "capsule"."""
+
+    from_mm: Point
+    to_mm: Point
+    radius_mm: Positive
+
+    def shape(self, table: Table) -> Capsule:
+        return Capsule(metres(self.from_mm), metres(self.to_mm), self.radius_mm * 1e-3)

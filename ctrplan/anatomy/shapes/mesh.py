@@ -1,0 +1,110 @@
+"""A closed triangle mesh from a file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ctrplan.anatomy.shape import PartEntry, Shape, register
+from ctrplan.base.arrays import Array, read_only
+from ctrplan.base.surface import Surface
+from ctrplan.errors import InputError
+from ctrplan.storage.toml_table import Table
+
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh(Shape):
+    """vertices_m (V, 3), faces (F, 3), closed and turned outward, as `load_mesh` returns them, in the anatomy's frame.
+
+    file: where it came from, for messages. Raises InputError for malformed or non-finite arrays.
+    """
+
+    kind = "mesh"
+    vertices_m: Array
+    faces: Indices
+    file: str | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "vertices_m", _points("vertices_m", self.vertices_m))
+        object.__setattr__(self, "faces", _triangles("faces", self.faces))
+        if self.faces.max() >= len(self.vertices_m):
+            raise InputError(f"must hold vertex indices below {len(self.vertices_m)}", key="faces")
+
+    def distance(self, points_m: Array) -> Array:
+        if self not in _distances:
+            _distances[self] = _MeshDistance(self)
+        return _distances[self](points_m)
+
+    def box(self) -> tuple[Array, Array]:
+        return self.vertices_m.min(axis=0), self.vertices_m.max(axis=0)
+
+    def surface(self) -> Surface:
+        return Surface(self.vertices_m, self.faces)
+
+    @property
+    def name(self) -> str:
+        return self.file.replace("\\", "/").rsplit("/", 1)[-1] if self.file else self.kind
+
+    def content(self) -> Sequence[ArrayLike]:
+        return self.vertices_m, self.faces  # where they came from changes no distance
+
+
+@register(Mesh)
+class MeshEntry(PartEntry):
+    """kind = "mesh"."""
+
+    file: str
+    unit: Literal["mm", "cm", "m"]
+
+    def shape(self, table: Table) -> Mesh:
+        from ctrplan.anatomy.mesh_file import load_mesh  # slow to import; many scenarios need no meshes
+
+        file, key = str(table.file(self.file, "file")), table.key("file")
+        return Mesh(*load_mesh(file, self.unit, file=table.document.file, key=key), file)
+
+
+class _MeshDistance:
+    """Signed distance to a closed mesh: nearest triangle from an AABB tree, sign from the fast winding number.
+
+    Where bodies of one mesh overlap, a point in the overlap has winding number 2 and is inside as it should be.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        import igl
+
+        self.vertices_m, self.faces = mesh.vertices_m, mesh.faces
+        self.tree, self.winding = igl.AABB(), igl.FastWindingNumberBVH()
+        self.tree.init(self.vertices_m, self.faces)
+        self.winding.init(self.vertices_m, self.faces)
+
+    def __call__(self, points_m: Array) -> Array:
+        squared = np.asarray(self.tree.squared_distance(self.vertices_m, self.faces, points_m)[0])
+        inside = np.asarray(self.winding.winding_number(points_m)) > 0.5
+        distance: Array = np.sqrt(squared)
+        np.negative(distance, where=inside, out=distance)
+        return distance
+
+
+# Trees are expensive, so each lives as long as its mesh does; they can't be pickled with it.
+_distances: WeakKeyDictionary[Mesh, _MeshDistance] = WeakKeyDictionary()
+
+
+def _points(name: str, value: Any) -> Array:
+    array = np.array(value, dtype=np.float64, order="C")
+    if array.ndim != 2 or array.shape[1] != 3 or not array.size or not np.isfinite(array).all():
+        raise InputError("must hold points of three finite coordinates", key=name, unit="m")
+    return read_only(array)
+
+
+def _triangles(name: str, value: Any) -> Indices:
+    array = np.array(value, dtype=np.int64, order="C")
+    if array.ndim != 2 or array.shape[1] != 3 or not array.size or array.min() < 0:
+        raise InputError("must hold triangles of three vertex indices", key=name)
+    return read_only(array)

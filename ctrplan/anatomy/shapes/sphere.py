@@ -1,0 +1,46 @@
+"""All points within a radius of a centre."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ctrplan.anatomy.shape import PartEntry, Shape, length, point, register
+from ctrplan.base.arrays import Array
+from ctrplan.base.surface import Surface, capsule
+from ctrplan.storage.number_ranges import Point, Positive, metres
+from ctrplan.storage.toml_table import Table
+
+
+@dataclass(frozen=True, eq=False)
+class Sphere(Shape):
+    """center_m (3,), radius_m, in the anatomy's frame. Raises InputError for what is no sphere."""
+
+    kind = "sphere"
+    center_m: Array
+    radius_m: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "center_m", point("center_m", self.center_m))
+        object.__setattr__(self, "radius_m", length("radius_m", self.radius_m))
+
+    def distance(self, points_m: Array) -> Array:
+        return np.asarray(np.linalg.norm(points_m - self.center_m, axis=1) - self.radius_m)
+
+    def box(self) -> tuple[Array, Array]:
+        return self.center_m - self.radius_m, self.center_m + self.radius_m
+
+    def surface(self) -> Surface:
+        return capsule(self.center_m, self.center_m, self.radius_m)
+
+
+@register(Sphere)
+class SphereEntry(PartEntry):
+    """kind = "sphere"."""
+
+    center_mm: Point
+    radius_mm: Positive
+
+    def shape(self, table: Table) -> Sphere:
+        return Sphere(metres(self.center_mm), self.radius_mm * 1e-3)

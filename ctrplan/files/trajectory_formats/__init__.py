@@ -1,0 +1,1 @@
+"""The formats in which a trajectory is written, one file each."""

@@ -1,0 +1,1 @@
+"""The planners that search over L-shaped motions, one file each."""
