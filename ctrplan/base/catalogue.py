@@ -24,7 +24,7 @@ class Catalogue(dict[str, T]):
         if not isinstance(name, str) or not name:
             raise InputError(f"the name of a {self.thing} must be text", value=name)
         if name in self and self.homes.get(name, home) != home:
-            raise InputError(f"there is a {self.thing} of this name already, in {self.homes[name]}", value=name)
+            raise InputError(f"is the name of another {self.thing} already, in {self.homes[name]}", value=name)
         self[name] = entry
         self.homes[name] = home
 

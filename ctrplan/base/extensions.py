@@ -46,7 +46,7 @@ def _misplaced(folder: Path) -> list[Path]:
 
 
 def import_modules(package: ModuleType, catalogue: Catalogue[Any]) -> list[ModuleType]:
-    """The modules of a package, its own and those of extension folders, in the order of their names.
+    """The modules of a package, its own and then those of extension folders, in the order of their names.
 
     Raises InputError, with the file, where a file of an extension folder can't be imported, registers nothing in
     `catalogue`, or has the name of another file.
@@ -64,7 +64,7 @@ def import_modules(package: ModuleType, catalogue: Catalogue[Any]) -> list[Modul
         if place.is_dir() and str(place) not in package.__path__:
             package.__path__.append(str(place))
     importlib.invalidate_caches()
-    return [_imported(package, name, added.get(name), catalogue) for name in sorted({*own, *added})]
+    return [_imported(package, name, added.get(name), catalogue) for name in [*sorted(own), *sorted(added)]]
 
 
 def _imported(package: ModuleType, name: str, place: Path | None, catalogue: Catalogue[Any]) -> ModuleType:

@@ -75,7 +75,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is no plan to write."""
     with interrupt_event() as interrupted:
         from ctrplan.files.scenario_file import load_scenario
-        from ctrplan.files.trajectory_file import trajectory_formats
+        from ctrplan.files.trajectory_file import left_over, trajectory_formats
         from ctrplan.planning import plan
         from ctrplan.planning.bound_table import known_table
         from ctrplan.planning.plan import LARGEST_SEED, LONGEST_S
@@ -104,6 +104,8 @@ def run_plan(arguments: argparse.Namespace) -> int:
             )
         _write(folder, result, formats)
         print(_summary(folder, result, formats))
+        for name in left_over(folder, formats):
+            print(f"ctrplan: warning: {folder / name} is of an earlier plan.", file=sys.stderr)
         return INTERRUPTED if interrupted.is_set() else 0
 
 

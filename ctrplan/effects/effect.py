@@ -9,13 +9,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal, TypeVar
+from typing import ClassVar, Literal, TypeVar, get_args
 
 import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.base.catalogue import Catalogue
 from ctrplan.drive.collars import Collars
+from ctrplan.errors import InputError
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.robot.robot import Robot
 from ctrplan.sensor.poses import Poses
@@ -119,6 +120,9 @@ STATED = ("name", "stage", "equation", "signature", "experiment")  # what every 
 def register(effect: E_) -> E_:
     """Adds an effect to the catalogue. Raises InputError where it says too little, or has another's name."""
     CATALOGUE.require(effect, STATED)
+    if effect.stage not in get_args(Stage):
+        rule = f"the stage of {effect.__name__} must be one of {', '.join(get_args(Stage))}"
+        raise InputError(rule, value=effect.stage)
     CATALOGUE.add(effect.name, effect(), effect.__module__)
     return effect
 

@@ -28,6 +28,12 @@ def trajectory_formats(names: Sequence[str]) -> list[TrajectoryFormat]:
     return [CATALOGUE[name] for name in dict.fromkeys(names)]
 
 
+def left_over(folder: Path, formats: Sequence[TrajectoryFormat]) -> list[str]:
+    """Names of trajectories in a folder that are in none of these formats: an earlier plan left them there."""
+    others = [other.file_name for other in CATALOGUE.values() if other not in formats]
+    return [name for name in others if (folder / name).exists()]
+
+
 def write_trajectory(folder: Path, trajectory: Trajectory, formats: Sequence[TrajectoryFormat]) -> None:
     """Writes a file per format into a folder. Raises InputError for joints that a format can't tell apart."""
     for chosen in formats:

@@ -14,7 +14,7 @@ import yaml
 
 from ctrplan.drive.trajectory import Trajectory
 from ctrplan.errors import CtrplanError, InputError
-from ctrplan.files.trajectory_file import read_trajectory_csv, trajectory_formats, write_trajectory
+from ctrplan.files.trajectory_file import left_over, read_trajectory_csv, trajectory_formats, write_trajectory
 from ctrplan.files.trajectory_formats.ros2_message import trajectory_as_ros2_yaml
 from ctrplan.storage.atomic_write import write_atomically
 
@@ -39,6 +39,14 @@ def test_csv_round_trip(tmp_path: Path) -> None:
     assert list(columns) == list(expected)
     for name, values in expected.items():
         np.testing.assert_array_equal(columns[name], values)
+
+
+def test_formats_are_written_once_each_and_unknown_ones_are_refused(tmp_path: Path) -> None:
+    write_trajectory(tmp_path, example(), trajectory_formats(["ros2", "csv", "ros2"]))
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["trajectory.csv", "trajectory.yaml"]
+    assert left_over(tmp_path, trajectory_formats(["csv"])) == ["trajectory.yaml"]
+    with pytest.raises(InputError, match=r"--formats = 'xlsx': must be of csv, ros2\."):
+        trajectory_formats(["csv", "xlsx"])
 
 
 def test_names_that_coincide_are_refused(tmp_path: Path) -> None:

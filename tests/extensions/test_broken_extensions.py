@@ -1,0 +1,107 @@
+"""A file of an extension that can't be used ends the command with one sentence that names it, and exit code 2."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from extending_page import PLACES, run, source, write_extension, write_inputs
+
+BOUND = "ctrplan bound my_pair.toml --theta-deg 0 90 --l-mm 0 -15 --set effects.guide_twist.theta_2_deg_per_mm=1"
+COMMANDS = {
+    "An effect": BOUND,
+    "A planner": "ctrplan plan first.toml",
+    "An obstacle": "ctrplan plan boxed.toml",
+    "An output format": "ctrplan plan first.toml",
+}
+THINGS = {
+    "An effect": "effect",
+    "A planner": "planner",
+    "An obstacle": "obstacle kind",
+    "An output format": "trajectory format",
+}
+# What the file of a section says, what a broken one says in its place, and what the sentence is to say.
+BROKEN = [
+    *((heading, "from __future__", "from __future", "can't be imported: ") for heading in PLACES),
+    *((heading, "\n@register", "\n# @register", f"registers no {thing}") for heading, thing in THINGS.items()),
+    ("An effect", '"guide_twist"', '"backlash"', "'backlash': is the name of another effect already, in ctrplan."),
+    ("A planner", '"RRT"', '"RRT*"', "'RRT*': is the name of another planner already, in ctrplan."),
+    ("An obstacle", '"box"', '"mesh"', "'mesh': is the name of another obstacle kind already, in ctrplan."),
+    ("An output format", '"jsonl"', '"csv"', "'csv': is the name of another trajectory format already, in ctrplan."),
+    ("An output format", '".jsonl"', '".csv"', "suffix = '.csv': is the suffix of format csv already"),
+    ("An output format", '".jsonl"', '"/../x"', "suffix = '/../x': must be a dot and letters or digits"),
+    ("An effect", "    equation =", "    formula =", "GuideTwist lacks equation"),
+    (
+        "An effect",
+        '"drive"\n',
+        '"gear"\n',
+        "the stage of GuideTwist must be one of clock, drive, mechanics, sensor",
+    ),
+    ("An effect", "def parameters", "def numbers", "GuideTwist lacks parameters"),
+    ("A planner", "ompl_planner", "planner", "RRT lacks ompl_planner"),
+    ("A planner", ' = "RRT"', "", "RRT lacks a default"),
+    ("An obstacle", "def distance", "def depth", "Box lacks distance"),
+    ("An obstacle", "    kind = ", "    sort = ", "Box lacks kind"),
+    ("An obstacle", "def shape", "def body", "BoxEntry lacks shape"),
+    ("An obstacle", "@dataclass(", "# @dataclass(", "Box must be a dataclass"),
+    ("An output format", ', suffix=".jsonl"', "", "missing 1 required keyword-only argument: 'suffix'"),
+]
+
+
+@pytest.mark.parametrize(("heading", "old", "new", "said"), BROKEN, ids=[f"{case[0]}: {case[3]}" for case in BROKEN])
+def test_a_file_that_can_not_be_used_is_named(heading: str, old: str, new: str, said: str, tmp_path: Path) -> None:
+    assert old in source(heading)
+    file = f"EXTENSIONS/{PLACES[heading]}"
+    write_extension(tmp_path, PLACES[heading], source(heading).replace(old, new))
+    assert said in sentence(tmp_path, COMMANDS[heading]).partition(file)[2]
+
+
+@pytest.mark.parametrize(
+    ("heading", "shipped"),
+    [
+        ("An effect", "backlash.py"),
+        ("A planner", "rrt_star.py"),
+        ("An obstacle", "sphere.py"),
+        ("An output format", "csv_table.py"),
+    ],
+)
+def test_a_file_of_the_name_of_a_shipped_one_is_refused(heading: str, shipped: str, tmp_path: Path) -> None:
+    place = PLACES[heading].rpartition("/")[0] + "/" + shipped
+    write_extension(tmp_path, place, source(heading))
+    assert sentence(tmp_path, COMMANDS[heading]).endswith(f"/{place}: has the name of a file of the package.")
+
+
+@pytest.mark.parametrize("place", ["guide_twist.py", "effects/guide_twist.py", "effects/gear/guide_twist.py"])
+def test_a_file_where_nothing_looks_is_refused(place: str, tmp_path: Path) -> None:
+    write_extension(tmp_path, place, source("An effect"))
+    said = sentence(tmp_path, BOUND)
+    assert f"EXTENSIONS/{place}: is read by nothing: must lie in one of effects/clock, effects/drive" in said
+
+
+def test_a_folder_that_does_not_exist_is_named(tmp_path: Path) -> None:
+    said = sentence(tmp_path, "export CTRPLAN_EXTENSIONS=nowhere", BOUND)
+    assert said == "ctrplan: CTRPLAN_EXTENSIONS = 'nowhere': is not a folder that exists."
+
+
+def test_two_folders_are_read_and_may_not_have_a_file_of_the_same_name(tmp_path: Path) -> None:
+    write_inputs(tmp_path)
+    write_extension(tmp_path, PLACES["An effect"], source("An effect"))
+    second = tmp_path / "second" / "effects" / "drive"
+    second.mkdir(parents=True)
+    both = "export CTRPLAN_EXTENSIONS=$CTRPLAN_EXTENSIONS:second"
+    use = [BOUND, BOUND.replace("twist", "swirl")]
+    (second / "swirl.py").write_text(source("An effect").replace("guide_twist", "guide_swirl"))
+    done = run(tmp_path, both, *use)
+    assert (done.returncode, done.stderr) == (0, "")
+    (second / "swirl.py").rename(second / "guide_twist.py")
+    assert "second/effects/drive/guide_twist.py: has the name of a file in" in sentence(tmp_path, both, *use)
+
+
+def sentence(folder: Path, *commands: str) -> str:
+    """The only line that commands write to standard error; they end with exit code 2 and write no file."""
+    write_inputs(folder)
+    before = sorted(folder.iterdir())
+    done = run(folder, *commands)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stderr
+    assert sorted(folder.iterdir()) == before
+    return done.stderr.rstrip("\n")
