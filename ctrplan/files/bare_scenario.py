@@ -12,6 +12,7 @@ from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.scenario import Goal, Scenario
+from ctrplan.planning.search.planner_catalogue import DEFAULT
 from ctrplan.robot.robot import Robot
 from ctrplan.storage.toml_document import read_document
 
@@ -33,6 +34,7 @@ def bare_scenario(robot: Robot) -> Scenario:
         base_R=np.eye(3),
         start=start,
         goal=Goal(joints=start, tip_m=None, tolerance_m=1e-3),
+        planner=DEFAULT,
         path=robot.path,
         warnings=robot.warnings,
     )

@@ -9,8 +9,8 @@ from msgspec import Meta, Struct
 from ctrplan.base.arrays import Array, read_only
 from ctrplan.drive.drive import Joint
 from ctrplan.files.chosen_table import chosen
-from ctrplan.planning.scenario import Cost, Margins, Scenario
-from ctrplan.planning.search.planner_settings import PlannerSettings
+from ctrplan.planning.planner_settings import PlannerSettings
+from ctrplan.planning.scenario import Cost, Margins
 from ctrplan.robot.nesting import nesting_violation
 from ctrplan.robot.robot import Robot
 from ctrplan.storage.number_ranges import Name, NotNegative, Point, Positive, Vector
@@ -116,6 +116,6 @@ def anatomy_part(table: Table) -> AnatomyPart:
 
 def planner_settings(table: Table) -> PlannerSettings:
     """[planner]. Raises InputError for a planner that there is not, and for settings that are not its own."""
-    from ctrplan.planning.search.planner_catalogue import CATALOGUE
+    from ctrplan.planning.search.planner_catalogue import CATALOGUE, DEFAULT
 
-    return chosen(table, "name", CATALOGUE, PlannerSettings, Scenario.planner.name)
+    return chosen(table, "name", CATALOGUE, PlannerSettings, DEFAULT.name)

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ctrplan.base.arrays import Array
-from ctrplan.planning.search.planner_settings import PlannerSettings
-from ctrplan.planning.search.planners.bit_star import BITStar
+from ctrplan.planning.planner_settings import PlannerSettings
 from ctrplan.robot.robot import Robot
 
 if TYPE_CHECKING:
@@ -60,10 +59,10 @@ class Scenario:
     base_R: Array  # (3, 3) maps vectors of the robot frame to the anatomy's frame
     start: Array  # (m,) rad or m
     goal: Goal
+    planner: PlannerSettings
     anatomy: tuple[AnatomyPart, ...] = ()
     margins: Margins = Margins()
     cost: Cost = Cost()
-    planner: PlannerSettings = BITStar()
     path: str | None = None
     sha256: str = ""  # of the scenario file's content after overrides; the robot has its own
     warnings: tuple[str, ...] = ()  # the robot's included

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import ctrplan.planning.search.planners
 from ctrplan.base.extensions import import_modules
-from ctrplan.planning.search.planner_settings import CATALOGUE
+from ctrplan.planning.planner_settings import CATALOGUE
+from ctrplan.planning.search.planners.bit_star import BITStar
 
-__all__ = ["CATALOGUE"]
+__all__ = ["CATALOGUE", "DEFAULT"]
+
+DEFAULT = BITStar()  # where a scenario names none
 
 import_modules(ctrplan.planning.search.planners, CATALOGUE)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ctrplan.planning.search.planner_settings import PlannerSettings, register
+from ctrplan.planning.planner_settings import PlannerSettings, register
 from ctrplan.storage.number_ranges import Count
 
 
