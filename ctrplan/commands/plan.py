@@ -100,16 +100,18 @@ def _write(folder: Path, plan: Plan) -> None:
     """All files or none."""
     from ctrplan.files.trajectory_file import trajectory_as_ros2_yaml, write_trajectory_csv
     from ctrplan.planning.plan_json import write_plan_json
-    from ctrplan.reports.plan_page.page import write_report
+    from ctrplan.reports.plan_page.page import write_plan_report
     from ctrplan.reports.plan_picture.picture import write_plan_png
+    from ctrplan.reports.plan_scene import plan_scene
     from ctrplan.storage.atomic_write import write_atomically
 
+    scene = plan_scene(plan)  # writers solve nothing
     with written_together(folder, OUTPUTS) as made:
         write_plan_json(made / "plan.json", plan)
         write_trajectory_csv(made / "trajectory.csv", plan.trajectory)
         write_atomically(made / "trajectory.yaml", trajectory_as_ros2_yaml(plan.trajectory))
-        write_plan_png(made / "plan.png", plan)
-        write_report(made / "report.html", plan)
+        write_plan_png(made / "plan.png", scene)
+        write_plan_report(made / "report.html", scene)
 
 
 def _summary(folder: Path, plan: Plan) -> str:

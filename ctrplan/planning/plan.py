@@ -173,6 +173,9 @@ class Plan:
     compensation: Compensation | None = None  # only if asked for
     interrupted: bool = False  # by Ctrl-C: the best path found until then
     ended_by: SearchEnd = "completion"  # what ended the search; "completion": it had nothing left to do
+    follow_the_leader_m: float | None = (
+        None  # largest distance of the inserting body from its tip's track, frictionless
+    )
 
     @property
     def waypoints(self) -> Array:

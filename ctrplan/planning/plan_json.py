@@ -13,7 +13,6 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.base.version import __version__
 from ctrplan.drive.drive import Drive
-from ctrplan.planning.certificate.insertion import follow_the_leader_m
 from ctrplan.planning.plan_timing import settling_duration_s
 from ctrplan.storage.atomic_write import write_atomically
 
@@ -52,7 +51,7 @@ def plan_to_json(plan: Plan) -> dict[str, Any]:
         "joints": [{"name": joint.name, "kind": joint.kind, "unit": joint.unit} for joint in drive.joints],
         "legs": [_leg(leg, drive) for leg in plan.legs],
         "certificate": _certificate(plan.certificate),
-        "follow_the_leader_m": follow_the_leader_m(plan),
+        "follow_the_leader_m": plan.follow_the_leader_m,
         "settling": _settling(plan),
         "compensation": _compensation(plan),
         "reorder": asdict(plan.reorder),

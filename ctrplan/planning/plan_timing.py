@@ -9,6 +9,7 @@ import numpy as np
 from ctrplan.base.arrays import Array
 
 if TYPE_CHECKING:
+    from ctrplan.drive.trajectory import Trajectory
     from ctrplan.planning.plan import Plan
 
 
@@ -33,9 +34,8 @@ def settling_duration_s(plan: Plan) -> float:
     return float(plan.trajectory.duration_s - before)
 
 
-def joints_at(plan: Plan, time_s: Array) -> Array:
+def joints_at(trajectory: Trajectory, time_s: Array) -> Array:
     """(T, m) joint values [rad, m] of the trajectory at time_s (T,) [s], linear between its samples."""
-    trajectory = plan.trajectory
     return np.stack([np.interp(time_s, trajectory.time_s, column) for column in trajectory.position.T], axis=1)
 
 

@@ -19,7 +19,7 @@ from ctrplan.errors import InputError
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.experiment.split import split
 from ctrplan.files.robot_file import load_robot, write_robot
-from ctrplan.reports.diagnosis_page.page import report_html
+from ctrplan.reports.diagnosis_page.page import diagnosis_report_html
 from ctrplan.reports.html_page import escaped
 
 ROBOT = pair_robot()
@@ -213,7 +213,7 @@ def test_poses_without_a_solution_are_left_out_and_told(monkeypatch: pytest.Monk
     (note,) = (note for note in found.notes if "no equilibrium" in note)
     assert note.startswith(f"The solver found no equilibrium at {len(rows)} of {data.count} poses")
     assert all(f"{row}" in note for row in rows) and "left out" in note
-    assert escaped(note) in report_html(found)
+    assert escaped(note) in diagnosis_report_html(found)
     assert found.coverage == pytest.approx(1 - len(rows) / data.count) and not found.outlier_rows
 
 

@@ -26,12 +26,12 @@ MEANING = (
 )
 
 
-def write_report(path: str | os.PathLike[str], found: Diagnosis) -> None:
+def write_diagnosis_report(path: str | os.PathLike[str], found: Diagnosis) -> None:
     """Write report.html, one file that loads nothing, whole or not at all."""
-    write_atomically(path, report_html(found))
+    write_atomically(path, diagnosis_report_html(found))
 
 
-def report_html(found: Diagnosis) -> str:
+def diagnosis_report_html(found: Diagnosis) -> str:
     """The content of report.html."""
     good = found.verdict in ("named", "no_missing_effect") and not found.interrupted
     return page(
