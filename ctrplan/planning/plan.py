@@ -15,6 +15,9 @@ from ctrplan.planning.search_clock import SearchEnd
 
 if TYPE_CHECKING:
     from ctrplan.drive.trajectory import Trajectory
+    from ctrplan.mechanics.core import Accuracy
+    from ctrplan.planning.certificate.certify import Arrival
+    from ctrplan.planning.certificate.recheck import Recheck
     from ctrplan.planning.scenario import Scenario
 
 LegKind = Literal["rotation", "translation", "simultaneous"]
@@ -87,6 +90,16 @@ class TargetReached:
 
 
 @dataclass(frozen=True, eq=False)
+class CertifiedLegs:
+    """Legs to one target as they were walked for a certificate: all that is needed to walk them again."""
+
+    scenario: Scenario  # from where they start, with that target as its goal
+    corners: Array  # (K, m) rad or m; one row where the target is reached already
+    accuracy: Accuracy
+    arrival: Arrival
+
+
+@dataclass(frozen=True, eq=False)
 class Certificate:
     """Dense recheck of the legs, independent of anything the search approximated."""
 
@@ -116,6 +129,16 @@ class Certificate:
     goal_play_m: float = 0.0
     targets: tuple[TargetReached, ...] = ()  # in the order reached, the goal last
     settling: Settling | None = None
+    walked: tuple[CertifiedLegs, ...] = ()  # the legs to each target
+
+    def recheck(self) -> Recheck:
+        """Walks the legs again, on the mesh they were certified on and on the certificate mesh; see `Recheck`.
+
+        Takes seconds. Raises InputError where the certificate does not hold its legs.
+        """
+        from ctrplan.planning.certificate.recheck import recheck_certificate
+
+        return recheck_certificate(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,6 +204,12 @@ class Plan:
     def waypoints(self) -> Array:
         """(L + 1, m) joint values at the ends of the legs."""
         return np.array([self.legs[0].start, *(leg.end for leg in self.legs)])
+
+    def recheck(self) -> Recheck:
+        """`certificate.recheck()`, and whether legs and trajectory are the ones that the certificate walked."""
+        from ctrplan.planning.certificate.recheck import recheck_plan
+
+        return recheck_plan(self)
 
     def to_json(self) -> dict[str, Any]:
         """The content of plan.json, plain types only; the schema is in docs/plan.schema.json."""

@@ -97,7 +97,7 @@ def _joint_values(q: Array, drive: Drive) -> dict[str, dict[str, float]]:
 
 def _certificate(certificate: Certificate) -> dict[str, Any]:
     """The summary, and the samples as columns of equal length."""
-    names = [entry.name for entry in fields(certificate) if entry.name not in ("samples", "settling")]
+    names = [entry.name for entry in fields(certificate) if entry.name not in ("samples", "settling", "walked")]
     columns = {entry.name: getattr(certificate.samples, entry.name) for entry in fields(certificate.samples)}
     summary = {name: getattr(certificate, name) for name in names}
     return {**summary, "targets": [asdict(target) for target in certificate.targets], "samples": columns}

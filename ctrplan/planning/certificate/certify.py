@@ -21,7 +21,7 @@ from ctrplan.planning.goals.goal_state import target_in_robot_frame
 from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.motion import anatomy_grid, breach, path_limits, released_error
 from ctrplan.planning.path_cost import path_cost_mm
-from ctrplan.planning.plan import Certificate, CertificateSamples, TargetReached
+from ctrplan.planning.plan import Certificate, CertificateSamples, CertifiedLegs, TargetReached
 from ctrplan.planning.play import play_shift
 from ctrplan.robot.friction_calibration import friction_law
 
@@ -179,6 +179,7 @@ def finished(walk: WalkedLegs, arrival: Arrival = frictionless_arrives) -> Certi
         worst_play_m=float(samples.play_m.max()),
         goal_play_m=float(samples.play_m[-1]),
         targets=(_target(scenario, samples),),
+        walked=(CertifiedLegs(scenario, walk.corners, walk.accuracy, arrival),),
     )
 
 

@@ -37,6 +37,7 @@ def joined_certificates(stages: list[Certificate]) -> Certificate:
         spacing_m=max(stage.spacing_m for stage in stages),
         worst_play_m=max(stage.worst_play_m for stage in stages),
         targets=targets,
+        walked=tuple(legs for stage in stages for legs in stage.walked),
         settling=last.settling and replace(last.settling, first_leg=last.settling.first_leg + before),
     )
 

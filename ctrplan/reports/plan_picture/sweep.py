@@ -119,7 +119,7 @@ def _bound_mm(result: Sweep) -> Array:
 
 
 def _caption(result: Sweep) -> str:
-    """Where the collars stand that no axis moves."""
+    """What is commanded of the tubes that no axis moves."""
     swept = {(axis.kind, axis.tube) for axis in result.axes}
     theta = [
         ("rotation", f"theta_{i + 1} = {v:.6g} deg") for i, v in enumerate(np.degrees(result.theta_commanded).tolist())
