@@ -152,7 +152,7 @@ class Compensation:
 
 
 @dataclass(frozen=True)
-class Alternative:
+class ComparedWay:
     """A way from the same start to the same goal, for comparison."""
 
     name: str  # "as given", "as driven", "straight line", "translations first"
@@ -174,7 +174,7 @@ class ReorderReport:
     stops_before: int
     stops_after: int
     changes: tuple[str, ...] = ()  # sentences: what was reordered on the way to the goal
-    alternatives: tuple[Alternative, ...] = ()  # other ways to it from the target before, or the start
+    alternatives: tuple[ComparedWay, ...] = ()  # other ways to it from the target before, or the start
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
+from counted_calls import count_calls
 
-from ctrplan.mechanics.core import Mechanics
-from ctrplan.mechanics.history import History
 from ctrplan.planning.plan import Plan
 from ctrplan.planning.plan_json import write_plan_json
 from ctrplan.reports.plan_page.page import write_plan_report
@@ -21,24 +19,6 @@ WRITERS: dict[str, Callable[[Path, Plan, PlanScene], None]] = {
     "plan.png": lambda path, plan, scene: write_plan_png(path, scene),
     "report.html": lambda path, plan, scene: write_plan_report(path, scene),
 }
-
-
-def count_calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Names of the methods of the mechanics and its histories, in the order called from now on."""
-    called: list[str] = []
-
-    def counted(name: str, method: Callable[..., Any]) -> Callable[..., Any]:
-        def call(*arguments: Any, **options: Any) -> Any:
-            called.append(name)
-            return method(*arguments, **options)
-
-        return call
-
-    for kind in (Mechanics, History):
-        for name, method in vars(kind).items():
-            if callable(method) and not name.startswith("_"):
-                monkeypatch.setattr(kind, name, counted(name, method))
-    return called
 
 
 @pytest.mark.parametrize("name", WRITERS)
