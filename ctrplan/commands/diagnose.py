@@ -79,13 +79,15 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
 def _write(folder: Path, found: Diagnosis) -> None:
     """All files or none."""
     from ctrplan.files.robot_file import write_robot
-    from ctrplan.reports.diagnosis_page.page import write_report
+    from ctrplan.reports.diagnosis_page.page import write_diagnosis_report
+    from ctrplan.reports.diagnosis_page.selection_errors import selection_errors
     from ctrplan.storage.atomic_write import write_atomically
 
+    errors = selection_errors(found)  # writers solve nothing
     with written_together(folder, OUTPUTS) as made:
         write_atomically(made / "diagnosis.json", json.dumps(found.to_json(), indent=1, allow_nan=False) + "\n")
         write_robot(made / "robot.toml", found.robot_content())
-        write_report(made / "report.html", found)
+        write_diagnosis_report(made / "report.html", found, errors)
 
 
 def summary(folder: Path, found: Diagnosis) -> str:

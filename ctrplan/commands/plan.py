@@ -117,14 +117,16 @@ def _write(folder: Path, plan: Plan, formats: Sequence[TrajectoryFormat]) -> Non
     """All files or none."""
     from ctrplan.files.trajectory_file import write_trajectory
     from ctrplan.planning.plan_json import write_plan_json
-    from ctrplan.reports.plan_page.page import write_report
+    from ctrplan.reports.plan_page.page import write_plan_report
     from ctrplan.reports.plan_picture.picture import write_plan_png
+    from ctrplan.reports.plan_scene import plan_scene
 
+    scene = plan_scene(plan)  # writers solve nothing
     with written_together(folder, _outputs(formats)) as made:
         write_plan_json(made / "plan.json", plan)
         write_trajectory(made, plan.trajectory, formats)
-        write_plan_png(made / "plan.png", plan)
-        write_report(made / "report.html", plan)
+        write_plan_png(made / "plan.png", scene)
+        write_plan_report(made / "report.html", scene)
 
 
 def _summary(folder: Path, plan: Plan, formats: Sequence[TrajectoryFormat]) -> str:

@@ -13,19 +13,19 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.base.version import __version__
 from ctrplan.drive.drive import Drive
-from ctrplan.planning.certificate.insertion import follow_the_leader_m
 from ctrplan.planning.plan_timing import settling_duration_s
 from ctrplan.storage.atomic_write import write_atomically
 
 if TYPE_CHECKING:
-    from ctrplan.planning.plan import Certificate, Leg, Plan
+    from ctrplan.planning.certified import Certificate
+    from ctrplan.planning.planned_motion import Leg, PlannedMotion
     from ctrplan.planning.scenario import Goal, Scenario
 
 SCHEMA_VERSION = 2  # rises when a key changes its meaning or goes
 SI_UNITS = {"deg": "rad", "mm": "m"}
 
 
-def plan_to_json(plan: Plan) -> dict[str, Any]:
+def plan_to_json(plan: PlannedMotion) -> dict[str, Any]:
     """The content of plan.json; numbers that are not finite (clearance in free space) become None.
 
     Keys are those of the API, SI unless they say otherwise; joint values of goal and legs are in SI and in deg or mm.
@@ -52,7 +52,7 @@ def plan_to_json(plan: Plan) -> dict[str, Any]:
         "joints": [{"name": joint.name, "kind": joint.kind, "unit": joint.unit} for joint in drive.joints],
         "legs": [_leg(leg, drive) for leg in plan.legs],
         "certificate": _certificate(plan.certificate),
-        "follow_the_leader_m": follow_the_leader_m(plan),
+        "follow_the_leader_m": plan.follow_the_leader_m,
         "settling": _settling(plan),
         "compensation": _compensation(plan),
         "reorder": asdict(plan.reorder),
@@ -64,7 +64,7 @@ def plan_to_json(plan: Plan) -> dict[str, Any]:
     return plain
 
 
-def write_plan_json(path: str | os.PathLike[str], plan: Plan) -> None:
+def write_plan_json(path: str | os.PathLike[str], plan: PlannedMotion) -> None:
     """Write plan.json as UTF-8, a line per key, whole or not at all; as `write_atomically`."""
     content = plan_to_json(plan).items()
     rows = (f"  {json.dumps(key)}: {json.dumps(value, ensure_ascii=False, allow_nan=False)}" for key, value in content)
@@ -98,13 +98,13 @@ def _joint_values(q: Array, drive: Drive) -> dict[str, dict[str, float]]:
 
 def _certificate(certificate: Certificate) -> dict[str, Any]:
     """The summary, and the samples as columns of equal length."""
-    names = [entry.name for entry in fields(certificate) if entry.name not in ("samples", "settling")]
+    names = [entry.name for entry in fields(certificate) if entry.name not in ("samples", "settling", "walk_again")]
     columns = {entry.name: getattr(certificate.samples, entry.name) for entry in fields(certificate.samples)}
     summary = {name: getattr(certificate, name) for name in names}
     return {**summary, "targets": [asdict(target) for target in certificate.targets], "samples": columns}
 
 
-def _settling(plan: Plan) -> dict[str, Any] | None:
+def _settling(plan: PlannedMotion) -> dict[str, Any] | None:
     """The oscillation that ends the plan, if there is one."""
     settling = plan.certificate.settling
     if settling is None:
@@ -115,7 +115,7 @@ def _settling(plan: Plan) -> dict[str, Any] | None:
     return {**content, "first_turn": first_turn, "duration_s": settling_duration_s(plan)}
 
 
-def _compensation(plan: Plan) -> dict[str, Any] | None:
+def _compensation(plan: PlannedMotion) -> dict[str, Any] | None:
     """What the joints were moved by for the predicted tip to arrive, if that was asked for."""
     if plan.compensation is None:
         return None
@@ -123,7 +123,7 @@ def _compensation(plan: Plan) -> dict[str, Any] | None:
     return {**content, "correction": _joint_values(plan.compensation.correction, plan.scenario.robot.drive)}
 
 
-def _trajectory(plan: Plan) -> dict[str, Any]:
+def _trajectory(plan: PlannedMotion) -> dict[str, Any]:
     trajectory = plan.trajectory
     period = trajectory.time_s[1] - trajectory.time_s[0] if len(trajectory.time_s) > 2 else None
     return {

@@ -9,22 +9,23 @@ import numpy as np
 from ctrplan.base.arrays import Array
 
 if TYPE_CHECKING:
-    from ctrplan.planning.plan import Plan
+    from ctrplan.drive.trajectory import Trajectory
+    from ctrplan.planning.planned_motion import PlannedMotion
 
 
-def sample_time_s(plan: Plan) -> Array:
+def sample_time_s(plan: PlannedMotion) -> Array:
     """(K,) [s] when the trajectory passes the samples of the certificate."""
     return _time_at(plan, _travelled(plan, plan.certificate.samples.joints))
 
 
-def leg_end_s(plan: Plan) -> Array:
+def leg_end_s(plan: PlannedMotion) -> Array:
     """(L,) [s] when each leg ends; legs that continue in one direction are passed without rest."""
     if len(plan.trajectory.leg_end_s) == len(plan.legs):
         return plan.trajectory.leg_end_s
     return _time_at(plan, _travelled(plan, plan.waypoints)[1:])
 
 
-def settling_duration_s(plan: Plan) -> float:
+def settling_duration_s(plan: PlannedMotion) -> float:
     """How long [s] the oscillation takes that ends the plan; 0 without one."""
     settling = plan.certificate.settling
     if settling is None:
@@ -33,17 +34,16 @@ def settling_duration_s(plan: Plan) -> float:
     return float(plan.trajectory.duration_s - before)
 
 
-def joints_at(plan: Plan, time_s: Array) -> Array:
+def joints_at(trajectory: Trajectory, time_s: Array) -> Array:
     """(T, m) joint values [rad, m] of the trajectory at time_s (T,) [s], linear between its samples."""
-    trajectory = plan.trajectory
     return np.stack([np.interp(time_s, trajectory.time_s, column) for column in trajectory.position.T], axis=1)
 
 
-def _time_at(plan: Plan, travelled_mm: Array) -> Array:
+def _time_at(plan: PlannedMotion, travelled_mm: Array) -> Array:
     return np.interp(travelled_mm, _travelled(plan, plan.trajectory.position), plan.trajectory.time_s)
 
 
-def _travelled(plan: Plan, joints: Array) -> Array:
+def _travelled(plan: PlannedMotion, joints: Array) -> Array:
     """(K,) length [mm] of the polyline through joints (K, m), 1 rad counted as the scenario's mm_per_rad."""
     scale = np.where(plan.scenario.robot.drive.is_rotation, plan.scenario.cost.mm_per_rad, 1e3)
     steps = np.linalg.norm(np.diff(joints * scale, axis=0), axis=1)

@@ -9,8 +9,10 @@ import plotly.graph_objects as go
 
 from ctrplan.base.arrays import Array
 from ctrplan.reports import palette
+from ctrplan.reports import scene_looks as looks
+from ctrplan.reports.framing import side_azimuth_rad
 from ctrplan.reports.html_page import FONT
-from ctrplan.reports.scene import Pose, side_azimuth_rad
+from ctrplan.reports.pose import Pose
 from ctrplan.reports.surface import Surface
 
 if TYPE_CHECKING:
@@ -24,14 +26,15 @@ LIGHT = {"ambient": 0.75, "diffuse": 0.5, "specular": 0.15, "roughness": 0.7}
 def robot_traces(pose: Pose) -> list[Any]:
     """The traces that move; their faces stay, and only their vertices come with the frames."""
     tubes = [
-        mesh_trace(rod.surface(SIDES), palette.tube_colour(i), 1.0, f"tube {i + 1}") for i, rod in enumerate(pose.tubes)
+        mesh_trace(rod.surface(SIDES), looks.tube_look(i).colour, 1.0, looks.tube_look(i).name)
+        for i, rod in enumerate(pose.tubes)
     ]
-    envelope = mesh_trace(pose.envelope.surface(ENVELOPE_SIDES), palette.ENVELOPE, 0.22, "envelope of friction")
+    envelope = mesh_trace(pose.envelope.surface(ENVELOPE_SIDES), looks.ENVELOPE.colour, 0.22, looks.ENVELOPE.name)
     corners = go.Scatter3d(
         **_corner_lines(pose),
         mode="lines",
-        line={"color": palette.CORNER, "width": 2},
-        name="corner shapes",
+        line={"color": looks.CORNERS.colour, "width": 2},
+        name=looks.CORNERS.name,
         hoverinfo="skip",
     )
     return [*tubes, envelope, corners]
@@ -51,11 +54,10 @@ def _corner_lines(pose: Pose) -> dict[str, Any]:
 
 def anatomy_traces(scenario: Scenario, surfaces: list[Surface]) -> list[Any]:
     """What to avoid and what to stay inside, translucent."""
-    names = {"avoid": "anatomy to avoid", "inside": "lumen to stay inside"}
     roles, traces = [part.role for part in scenario.anatomy], []
     for k, (role, surface) in enumerate(zip(roles, surfaces, strict=True)):
-        opacity = 0.35 if role == "avoid" else 0.2
-        traces.append(mesh_trace(surface, palette.ANATOMY[role], opacity, names[role], shown=role not in roles[:k]))
+        look, opacity = looks.ANATOMY[role], 0.35 if role == "avoid" else 0.2
+        traces.append(mesh_trace(surface, look.colour, opacity, look.name, shown=role not in roles[:k]))
     return traces
 
 

@@ -13,7 +13,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.reports.surface import Surface
 
 if TYPE_CHECKING:
-    from ctrplan.reports.scene import Pose
+    from ctrplan.reports.pose import Pose
 
 NODES = 400_000
 FINEST_M = 1.0e-3

@@ -26,7 +26,7 @@ from ctrplan.mechanics.core import Status
 from ctrplan.robot.nesting import nesting_violation
 from ctrplan.robot.robot import Robot
 from ctrplan.storage.toml_document import override_names
-from ctrplan.studies.sweep_axis import MOST_POINTS, Axis
+from ctrplan.studies.sweep_axis import MOST_POINTS, SweepAxis
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.core import Accuracy, Bounds
@@ -41,7 +41,7 @@ class Sweep:
     robot: Robot  # as in its file
     theta_commanded: Array  # (n,) [rad], of tubes that no axis turns
     l_commanded: Array  # (n,) [m], of tubes that no axis translates
-    axes: tuple[Axis, ...]
+    axes: tuple[SweepAxis, ...]
     values: Array  # (K, axes) in the axes' units
     bounds: Bounds  # of the K configurations
     warnings: tuple[str, ...]  # about the robots at the axes' values
@@ -64,7 +64,7 @@ class _Task:
 
     content: Mapping[str, Any]  # of the robot file
     file: str | None
-    axes: tuple[Axis, ...]
+    axes: tuple[SweepAxis, ...]
     values: Array  # (k, axes) in the axes' units
     theta_commanded: Array  # (k, n) [rad]
     l_commanded: Array  # (k, n) [m]
@@ -104,7 +104,7 @@ class _Task:
 
 def sweep(
     content: Mapping[str, Any],
-    axes: Sequence[Axis],
+    axes: Sequence[SweepAxis],
     theta_commanded: ArrayLike,
     l_commanded: ArrayLike,
     *,
@@ -136,7 +136,7 @@ def sweep(
     return Sweep(robot, theta, l, tuple(axes), values, _reordered(bounds, np.argsort(order)), tuple(warnings))
 
 
-def check_axes(axes: Sequence[Axis]) -> None:
+def check_axes(axes: Sequence[SweepAxis]) -> None:
     """Raises InputError unless there are one or two different axes and not too many points."""
     if not 1 <= len(axes) <= 2:
         raise InputError("takes one axis or two", key="--sweep", value=[axis.key for axis in axes])
@@ -159,7 +159,7 @@ def sweep_csv(result: Sweep) -> str:
     return text.getvalue()
 
 
-def _robot(content: Mapping[str, Any], file: str | None, axes: Sequence[Axis], setting: Sequence[float]) -> Robot:
+def _robot(content: Mapping[str, Any], file: str | None, axes: Sequence[SweepAxis], setting: Sequence[float]) -> Robot:
     overrides = [f"{axis.key}={value!r}" for axis, value in zip(axes, setting, strict=True)]
     try:
         return robot_from_dict(content, file=file, overrides=overrides)
@@ -169,14 +169,14 @@ def _robot(content: Mapping[str, Any], file: str | None, axes: Sequence[Axis], s
         raise InputError(rule, file=error.file, key=error.key, value=error.value, unit=error.unit) from None
 
 
-def _robot_by_robot(axes: Sequence[Axis], values: Array) -> NDArray[np.intp]:
+def _robot_by_robot(axes: Sequence[SweepAxis], values: Array) -> NDArray[np.intp]:
     """Order of the rows in which each robot comes up once."""
     pairs = zip(axes, values.T, strict=True)
     columns = [column * np.sign(axis.values[1] - axis.values[0]) for axis, column in pairs if axis.kind is None]
     return np.lexsort(columns[::-1]) if columns else np.arange(len(values))
 
 
-def _configurations(axes: Sequence[Axis], values: Array, theta: Array, l: Array) -> tuple[Array, Array]:  # noqa: E741
+def _configurations(axes: Sequence[SweepAxis], values: Array, theta: Array, l: Array) -> tuple[Array, Array]:  # noqa: E741
     """Commanded rotations (K, n) [rad] and translations (K, n) [m] of all rows."""
     tables = {"rotation": np.tile(theta, (len(values), 1)), "translation": np.tile(l, (len(values), 1))}
     for axis, column in zip(axes, values.T, strict=True):

@@ -19,7 +19,7 @@ _KINDS: dict[str, Kind] = {"theta": "rotation", "l": "translation"}
 
 
 @dataclass(frozen=True, eq=False)
-class Axis:
+class SweepAxis:
     """Evenly spaced values of a collar's rotation or translation, or of a key of the robot file."""
 
     key: str  # theta_I or l_I, I the tube counted from 1, or as in --set
@@ -49,7 +49,7 @@ class Axis:
         return f"{self.key} = {value:.6g} {self.unit}".rstrip()
 
 
-def parse_axis(text: str, n: int) -> Axis:
+def parse_axis(text: str, n: int) -> SweepAxis:
     """The axis of KEY=FROM:TO:COUNT for a robot of n tubes. Raises InputError; a robot file's key is not looked up."""
     key, equals, limits = (part.strip() for part in text.partition("="))
     parts = limits.split(":")
@@ -58,11 +58,11 @@ def parse_axis(text: str, n: int) -> Axis:
     values = _values(parts, text)
     match = _COLLAR.fullmatch(key)
     if not match:
-        return Axis(key, values)
+        return SweepAxis(key, values)
     tube = int(match[2])
     if not 1 <= tube <= n:
         raise InputError(f"no such tube, they are counted from 1 (outermost) to {n}", key="--sweep", value=key)
-    return Axis(f"{match[1]}_{tube}", values, _KINDS[match[1]], tube - 1)
+    return SweepAxis(f"{match[1]}_{tube}", values, _KINDS[match[1]], tube - 1)
 
 
 def _values(parts: list[str], text: str) -> Array:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
+from counted_calls import count_calls
 from measured_data import SIGMA_M, SIGMA_RAD, measured, pair_robot, waypoints, without_solutions, write_csv
 
 from ctrplan.cli import main
@@ -19,7 +20,8 @@ from ctrplan.errors import InputError
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.experiment.split import split
 from ctrplan.files.robot_file import load_robot, write_robot
-from ctrplan.reports.diagnosis_page.page import report_html
+from ctrplan.reports.diagnosis_page.page import diagnosis_report_html
+from ctrplan.reports.diagnosis_page.selection_errors import selection_errors
 from ctrplan.reports.html_page import escaped
 
 ROBOT = pair_robot()
@@ -213,7 +215,9 @@ def test_poses_without_a_solution_are_left_out_and_told(monkeypatch: pytest.Monk
     (note,) = (note for note in found.notes if "no equilibrium" in note)
     assert note.startswith(f"The solver found no equilibrium at {len(rows)} of {data.count} poses")
     assert all(f"{row}" in note for row in rows) and "left out" in note
-    assert escaped(note) in report_html(found)
+    errors, called = selection_errors(found), count_calls(monkeypatch)
+    assert np.isnan(errors.calibrated_m).sum() == np.isnan(errors.with_effects_m).sum() == len(rows) - 3
+    assert escaped(note) in diagnosis_report_html(found, errors) and called == []  # writers solve nothing
     assert found.coverage == pytest.approx(1 - len(rows) / data.count) and not found.outlier_rows
 
 

@@ -14,10 +14,12 @@ import pytest
 
 from ctrplan.planning.plan import Plan
 from ctrplan.reports.html_page import Markup, page, table, tag
-from ctrplan.reports.plan_page.curves import CURSOR, joints_figure, margins_figure
-from ctrplan.reports.plan_page.page import report_html, write_report
-from ctrplan.reports.plan_page.scene import FRAMES, scene_figure
-from ctrplan.reports.plan_words.verdict import findings, verdict
+from ctrplan.reports.plan_page.page import joints_figure, margins_figure, plan_report_html, write_plan_report
+from ctrplan.reports.plan_page.panels import CURSOR
+from ctrplan.reports.plan_page.scene import scene_figure
+from ctrplan.reports.plan_scene import FRAMES, PlanScene, plan_scene
+from ctrplan.reports.plan_words.certificate_rows import certificate_rows
+from ctrplan.reports.plan_words.verdict import verdict
 
 HOSTILE = """<script>alert("x")</script><img src=x onerror=alert(1)>'&</title>"""
 LOADING = ("src", "href", "data", "poster", "srcset", "action", "formaction", "background")
@@ -51,8 +53,8 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def content(plan: Plan) -> str:
-    return report_html(plan)
+def content(scene: PlanScene) -> str:
+    return plan_report_html(scene)
 
 
 @pytest.fixture(scope="module")
@@ -76,29 +78,30 @@ def test_nothing_is_loaded(content: str) -> None:
     assert "default-src 'none'" in content and "connect-src" not in content
 
 
-def test_plotly_comes_once_and_the_file_is_small(plan: Plan, tmp_path: Path) -> None:
-    write_report(tmp_path / "report.html", plan)
+def test_plotly_comes_once_and_the_file_is_small(scene: PlanScene, tmp_path: Path) -> None:
+    write_plan_report(tmp_path / "report.html", scene)
     assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
     assert (tmp_path / "report.html").stat().st_size < 9e6
     assert (tmp_path / "report.html").read_text(encoding="utf-8").count("* plotly.js v") == 1
 
 
 def test_report_is_the_same_every_time(plan: Plan, content: str) -> None:
-    assert report_html(plan) == content
+    assert plan_report_html(plan_scene(plan)) == content
 
 
 def test_report_says_what_the_plan_says(plan: Plan, content: str) -> None:
     text = Page(content).text
     assert verdict(plan) in text and plan.scenario.name in text
-    for finding in findings(plan):
-        assert finding.quantity in text and finding.value in text
+    for row in certificate_rows(plan):
+        assert row.quantity in text and row.value in text
     for fact in (plan.scenario.sha256, plan.scenario.robot.sha256, f"seed {plan.seed}", *plan.notes):
         assert fact in text
     assert "translate inner: -80.00 mm → -20.00 mm" in text and "rotate inner: 0.00° → 110.00°" in text
 
 
-def test_texts_are_no_html(hostile: Plan, content: str) -> None:
-    attacked, parsed = report_html(hostile), Page(report_html(hostile))
+def test_texts_are_no_html(hostile: Plan, scene: PlanScene, content: str) -> None:
+    attacked = plan_report_html(replace(scene, plan=hostile))
+    parsed = Page(attacked)
     assert {"img", "b"} & set(parsed.tags) <= {"b"}
     assert parsed.tags.count("script") == Page(content).tags.count("script")
     assert parsed.tags.count("title") == 1
@@ -112,8 +115,8 @@ def test_names_in_plots_are_shown_not_interpreted(hostile: Plan) -> None:
     assert names and all("<" not in name and "&lt;script&gt;" in name for name in names)
 
 
-def test_frames_move_the_robot_and_nothing_else(plan: Plan) -> None:
-    figure = scene_figure(plan)
+def test_frames_move_the_robot_and_nothing_else(scene: PlanScene) -> None:
+    plan, figure = scene.plan, scene_figure(scene)
     assert len(figure.frames) == FRAMES == len({frame.name for frame in figure.frames})
     assert float(figure.frames[-1].name) == pytest.approx(plan.trajectory.duration_s, abs=1e-3)
     for frame in figure.frames:
@@ -126,8 +129,8 @@ def test_frames_move_the_robot_and_nothing_else(plan: Plan) -> None:
     assert [step["args"][0][0] for step in figure.layout.sliders[0].steps] == [frame.name for frame in figure.frames]
 
 
-def test_scene_has_equal_scales_that_stay(plan: Plan) -> None:
-    figure = scene_figure(plan)
+def test_scene_has_equal_scales_that_stay(scene: PlanScene) -> None:
+    figure = scene_figure(scene)
     assert figure.layout.scene.aspectmode == "data"
     for axis in "xyz":
         low, high = figure.layout.scene[f"{axis}axis"].range
@@ -147,7 +150,7 @@ def test_free_space_and_rest_are_reported(make_plan: Callable[..., Plan], waypoi
     plan = make_plan(waypoints, robot="robots/table_1_pair.toml", cost={"max_error_goal_mm": 2.0})
     titles = [annotation.text for annotation in margins_figure(plan).layout.annotations]
     assert not any("Clearance" in title for title in titles) and "allowed at the goal" in titles[0]
-    assert "free space" in Page(report_html(plan)).text
+    assert "free space" in Page(plan_report_html(plan_scene(plan))).text
 
 
 @pytest.mark.parametrize("make", [lambda text: tag("p", text, kind=text), lambda text: table([text], [[text]])])

@@ -11,7 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from ctrplan.planning.plan import Plan
 from ctrplan.planning.plan_timing import joints_at, leg_end_s, sample_time_s
-from ctrplan.reports.scene import goal_tip, plate, pose, poses, tip_path, view_box
+from ctrplan.reports.framing import view_box
+from ctrplan.reports.plan_scene import goal_tip, plan_scene, tip_path
+from ctrplan.reports.pose import plate, pose
 
 TURN = Rotation.from_euler("xyz", [40, -70, 110], degrees=True)
 SHIFT_M = np.array([0.02, -0.05, 0.11])
@@ -23,7 +25,7 @@ def turned(plan: Plan) -> Plan:
 
 
 def test_turned_base_turns_everything(plan: Plan, turned: Plan) -> None:
-    for here, there in zip(poses(plan, 3), poses(turned, 3), strict=True):
+    for here, there in zip(plan_scene(plan, 3).path, plan_scene(turned, 3).path, strict=True):
         for a, b in zip((*here.tubes, here.envelope), (*there.tubes, there.envelope), strict=True):
             np.testing.assert_allclose(moved(a.centreline_m), b.centreline_m, atol=1e-12)
             np.testing.assert_allclose(TURN.apply(a.tangent), b.tangent, atol=1e-12)
@@ -63,7 +65,7 @@ def test_envelope_holds_every_corner_shape_and_drops_with_the_tubes(plan: Plan) 
 
 
 def test_frames_follow_the_trajectory(plan: Plan) -> None:
-    frames = poses(plan, 5)
+    frames = plan_scene(plan, 5).path
     assert frames[0].time_s == 0 and frames[-1].time_s == pytest.approx(plan.trajectory.duration_s)
     np.testing.assert_allclose(frames[0].tip_m, tip_path(plan)[0], atol=0.3e-3)
     np.testing.assert_allclose(frames[-1].tip_m, tip_path(plan)[-1], atol=0.3e-3)
@@ -72,20 +74,20 @@ def test_frames_follow_the_trajectory(plan: Plan) -> None:
 
 
 def test_a_motion_without_time_is_one_frame(make_plan: Callable[..., Plan]) -> None:
-    assert len(poses(make_plan([[0, 0], [0, 0]], robot="robots/table_1_pair.toml"), 50)) == 1
+    assert len(plan_scene(make_plan([[0, 0], [0, 0]], robot="robots/table_1_pair.toml")).path) == 1
 
 
 def test_samples_are_passed_when_the_trajectory_is_there(plan: Plan) -> None:
     time_s = sample_time_s(plan)
     assert np.all(np.diff(time_s) >= 0) and time_s[0] == 0
-    np.testing.assert_allclose(joints_at(plan, time_s), plan.certificate.samples.joints, atol=2e-3)
-    np.testing.assert_allclose(joints_at(plan, leg_end_s(plan)), plan.waypoints[1:], atol=1e-6)
+    np.testing.assert_allclose(joints_at(plan.trajectory, time_s), plan.certificate.samples.joints, atol=2e-3)
+    np.testing.assert_allclose(joints_at(plan.trajectory, leg_end_s(plan)), plan.waypoints[1:], atol=1e-6)
 
 
 def test_legs_in_one_direction_end_in_passing(make_plan: Callable[..., Plan]) -> None:
     plan = make_plan([[0, 0], [20, -30], [60, -90]], robot="robots/table_1_pair.toml")
     assert plan.trajectory.stops == 0
-    np.testing.assert_allclose(joints_at(plan, leg_end_s(plan)), plan.waypoints[1:], atol=1e-9)
+    np.testing.assert_allclose(joints_at(plan.trajectory, leg_end_s(plan)), plan.waypoints[1:], atol=1e-9)
 
 
 def test_goal_is_the_tip_asked_for_or_the_last_one(plan: Plan, turned: Plan) -> None:

@@ -6,14 +6,14 @@ import igl
 import numpy as np
 
 from ctrplan.planning.plan import Plan
-from ctrplan.reports.plan_words.verdict import millimetres
+from ctrplan.reports.plan_scene import plan_scene
+from ctrplan.reports.plan_words.numbers import millimetres
 from ctrplan.reports.plan_words.verdict_words import certificate_in_words
-from ctrplan.reports.scene import poses
 from ctrplan.reports.swept_space import swept_surface
 
 
 def test_swept_space_holds_every_envelope_and_little_more(plan: Plan) -> None:
-    path = poses(plan, 6)
+    path = plan_scene(plan, 6).path
     surface = swept_surface(path)
     centres = np.concatenate([step.envelope.centreline_m for step in path])
     radii = np.concatenate([step.envelope.radius_m for step in path])

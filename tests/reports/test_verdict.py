@@ -9,7 +9,9 @@ from typing import Any
 import pytest
 
 from ctrplan.planning.plan import Plan
-from ctrplan.reports.plan_words.verdict import digits, findings, is_acceptable, millimetres, verdict
+from ctrplan.reports.plan_words.certificate_rows import certificate_rows
+from ctrplan.reports.plan_words.numbers import digits, millimetres
+from ctrplan.reports.plan_words.verdict import is_acceptable, verdict
 
 
 def changed(plan: Plan, max_error_goal_m: float | None = None, **certificate: Any) -> Plan:
@@ -32,7 +34,7 @@ def test_certified_plan_is_said_in_one_sentence(plan: Plan) -> None:
 def test_free_space_has_no_clearance(plan: Plan) -> None:
     free = changed(plan, min_clearance_m=math.inf)
     assert "clearance" not in verdict(free)
-    assert "free space" in {finding.value for finding in findings(free)}
+    assert "free space" in {row.value for row in certificate_rows(free)}
 
 
 def test_what_is_not_certified_says_why(plan: Plan) -> None:
@@ -46,7 +48,7 @@ def test_what_is_not_certified_says_why(plan: Plan) -> None:
                                     {"goal_tip_error_m": 2e-3}, {"goal_bound_m": math.nan}])  # fmt: skip
 def test_missed_requirements_show(plan: Plan, change: dict[str, float]) -> None:
     missed = changed(plan, max_error_goal_m=1.0, **change)
-    assert [finding.met for finding in findings(missed)].count(False) == 1
+    assert [row.met for row in certificate_rows(missed)].count(False) == 1
     assert not is_acceptable(missed) and verdict(missed).startswith("Certified, but short of a requirement: ")
 
 

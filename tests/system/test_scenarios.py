@@ -11,7 +11,6 @@ from places import ROOT
 
 import ctrplan
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.planning.certificate.insertion import follow_the_leader_m
 from ctrplan.planning.goals.goal_states import goal_states
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.search.insertion_chains import retreat_roadmap
@@ -78,9 +77,9 @@ def test_advancing_a_nearly_straight_robot_follows_its_leader() -> None:
     scenario = load_scenario(ROOT / "scenarios" / "deploy.toml")
     free = replace(scenario, anatomy=())
     out = np.array([*scenario.start[:3], -0.09, scenario.start[4]])
-    off = follow_the_leader_m(ctrplan.reorder(np.array([scenario.start, out]), free))
+    off = ctrplan.reorder(np.array([scenario.start, out]), free).follow_the_leader_m
     ends = [scenario.robot.solve(*scenario.robot.drive.collars(q)).centreline_m for q in (scenario.start, out)]
     aside = np.abs(ends[1][:, :2]).max()
     assert off is not None and off <= aside + 1e-3
     turned = out + np.array([0.2, 0.2, 0.2, 0, 0])
-    assert follow_the_leader_m(ctrplan.reorder(np.array([out, turned]), free)) is None
+    assert ctrplan.reorder(np.array([out, turned]), free).follow_the_leader_m is None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -17,11 +18,11 @@ from ctrplan.base.units import MM_PER_M
 from ctrplan.drive.legs import distance_from_polyline, merge_legs
 from ctrplan.mechanics.core import Accuracy, PathDensity, PathLimits, PathSamples
 from ctrplan.planning.certificate.prediction import Prediction, predict, rows_to_simulate
+from ctrplan.planning.certified import Certificate, CertificateSamples, TargetReached
 from ctrplan.planning.goals.goal_state import target_in_robot_frame
 from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.motion import anatomy_grid, breach, path_limits, released_error
 from ctrplan.planning.path_cost import path_cost_mm
-from ctrplan.planning.plan import Certificate, CertificateSamples, TargetReached
 from ctrplan.planning.play import play_shift
 from ctrplan.robot.friction_calibration import friction_law
 
@@ -179,7 +180,14 @@ def finished(walk: WalkedLegs, arrival: Arrival = frictionless_arrives) -> Certi
         worst_play_m=float(samples.play_m.max()),
         goal_play_m=float(samples.play_m[-1]),
         targets=(_target(scenario, samples),),
+        walk_again=partial(_walked_again, scenario, walk.corners, walk.accuracy, arrival),
     )
+
+
+def _walked_again(
+    scenario: Scenario, corners: Array, first: Accuracy, arrival: Arrival, accuracy: Accuracy | None
+) -> Certificate:
+    return certify(scenario, corners, accuracy=accuracy or first, arrival=arrival)
 
 
 def _target(scenario: Scenario, samples: CertificateSamples) -> TargetReached:

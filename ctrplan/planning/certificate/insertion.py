@@ -12,18 +12,20 @@ from ctrplan.mechanics.core import Status
 from ctrplan.planning.plan_timing import joints_at
 
 if TYPE_CHECKING:
-    from ctrplan.planning.plan import Plan
+    from ctrplan.drive.trajectory import Trajectory
+    from ctrplan.robot.robot import Robot
 
 POSES = 60
 LEAST_SHARE = 0.4  # of the body's length in front of the plate at the end that came out on the way: else no insertion
 
 
-def follow_the_leader_m(plan: Plan) -> float | None:
+def follow_the_leader_m(robot: Robot, trajectory: Trajectory) -> float | None:
     """Largest distance of the body without friction from the track of its tip so far and its shape at the start [m].
 
-    None where the robot does not insert itself, or a pose has no solution.
+    None where the robot does not insert itself, or a pose has no solution. Solves POSES times: asked for once, when a
+    plan is made, and kept in it.
     """
-    bodies = _bodies(plan)
+    bodies = _bodies(robot, trajectory)
     if bodies is None or _length(bodies[0]) > (1 - LEAST_SHARE) * _length(bodies[-1]):
         return None
     track, worst = bodies[0], 0.0
@@ -33,11 +35,10 @@ def follow_the_leader_m(plan: Plan) -> float | None:
     return worst
 
 
-def _bodies(plan: Plan) -> list[Array] | None:
+def _bodies(robot: Robot, trajectory: Trajectory) -> list[Array] | None:
     """Frictionless centrelines (N, 3) in front of the plate, from the plate to the tip."""
-    robot, duration_s = plan.scenario.robot, plan.trajectory.duration_s
     found = []
-    for joints in joints_at(plan, np.asarray(np.linspace(0.0, duration_s, POSES), dtype=np.float64)):
+    for joints in joints_at(trajectory, np.linspace(0.0, trajectory.duration_s, POSES)):
         shape = robot.mechanics.solve(*robot.drive.collars(joints))
         if shape.status == Status.FAILED:
             return None

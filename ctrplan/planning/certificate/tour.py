@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.planning.plan import Certificate, CertificateSamples, TargetReached
+from ctrplan.planning.certified import Certificate, CertificateSamples, TargetReached
+
+if TYPE_CHECKING:
+    from ctrplan.mechanics.core import Accuracy
 
 
 def joined_certificates(stages: list[Certificate]) -> Certificate:
@@ -37,8 +41,17 @@ def joined_certificates(stages: list[Certificate]) -> Certificate:
         spacing_m=max(stage.spacing_m for stage in stages),
         worst_play_m=max(stage.worst_play_m for stage in stages),
         targets=targets,
+        walk_again=_all_again(stages),
         settling=last.settling and replace(last.settling, first_leg=last.settling.first_leg + before),
     )
+
+
+def _all_again(stages: list[Certificate]) -> Callable[[Accuracy | None], Certificate] | None:
+    """Walks every stage again; None where one does not know its legs."""
+    ways = [stage.walk_again for stage in stages if stage.walk_again is not None]
+    if len(ways) < len(stages):
+        return None
+    return lambda accuracy: joined_certificates([again(accuracy) for again in ways])
 
 
 def _legs(stage: Certificate) -> int:

@@ -9,7 +9,7 @@ from ctrplan.base.units import MM_PER_M
 from ctrplan.drive.legs import merge_legs
 from ctrplan.planning.certificate.prediction import goal_error
 from ctrplan.planning.motion import MotionChecker
-from ctrplan.planning.plan import Alternative, leg_kind
+from ctrplan.planning.plan import ComparedWay, leg_kind
 
 HELD_BACK_M = (2e-3, 5e-3, 10e-3)  # of a translation, driven after the last rotation
 RELEASED_M = 10e-3  # of translation after which nothing more is gained (Section V-B)
@@ -51,11 +51,11 @@ def straight_line(corners: Array) -> Array:
     return corners[[0, -1]]
 
 
-def alternative(checker: MotionChecker, name: str, corners: Array) -> Alternative:
+def alternative(checker: MotionChecker, name: str, corners: Array) -> ComparedWay:
     """What a way (K, m) would leave at the goal, and why it must not be driven if so."""
     length = sum(checker.space.length_mm(step) for step in np.diff(corners, axis=0))
     error = goal_error(checker.scenario.robot, corners) if checker.space.allowed(corners) else np.inf
-    return Alternative(name, error, float(length), checker.along(corners).reason)
+    return ComparedWay(name, error, float(length), checker.along(corners).reason)
 
 
 def changes(checker: MotionChecker, before: Array, after: Array) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from ctrplan.drive.legs import merge_legs
 from ctrplan.drive.trajectory import time_parameterise
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.planning.certificate.certify import certify
+from ctrplan.planning.certificate.insertion import follow_the_leader_m
 from ctrplan.planning.certificate.prediction import TIP_TOLERANCE_M, goal_error
 from ctrplan.planning.finish.alternatives import alternative, changes, held_back, straight_line, translations_first
 from ctrplan.planning.motion import Motion, MotionChecker
@@ -268,6 +269,7 @@ def assemble(
         stops_after=max(b.legs - 1, 0),
         **_compared(scenario, stages[-1], ways[-1]),
     )
+    trajectory = time_parameterise(driven, drive, period_s, rests=rests.tolist())
     return Plan(
         scenario=scenario,
         seed=seed,
@@ -275,7 +277,7 @@ def assemble(
         style=result.style,
         legs=legs,
         certificate=certificate,
-        trajectory=time_parameterise(driven, drive, period_s, rests=rests.tolist()),
+        trajectory=trajectory,
         reorder=report,
         search_time_s=time_s,
         first_found_s=first_found_s,
@@ -283,6 +285,7 @@ def assemble(
         notes=(*notes, *_remarks(certificate)),
         compensation=compensation,
         ended_by=ended_by,
+        follow_the_leader_m=follow_the_leader_m(scenario.robot, trajectory),
     )
 
 

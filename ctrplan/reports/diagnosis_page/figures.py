@@ -9,46 +9,30 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.pose_errors import distances
-from ctrplan.calibration.unsolved import excused
+from ctrplan.base.units import MM_PER_M
 from ctrplan.diagnosis.localise import quantities
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.reports import palette
+from ctrplan.reports.diagnosis_page.selection_errors import SelectionErrors
 from ctrplan.reports.html_page import FONT
 
 BEFORE, AFTER = palette.LIMIT, palette.SERIES[0]
 HEIGHT = 340
 
 
-def where_figure(found: Diagnosis) -> go.Figure:
+def where_figure(found: Diagnosis, errors: SelectionErrors) -> go.Figure:
     """Distance of every pose of the selection, before and after, against the two quantities it goes along with most."""
     names = [trend.quantity for trend in found.place.trends[:2]]
-    data = found.base.fit.chain.data
-    known = quantities(data)
+    known = quantities(found.base.fit.chain.data)
     figure = make_subplots(rows=1, cols=len(names), shared_yaxes=True, horizontal_spacing=0.06)
-    solved = ~(excused(found.base.failed) | excused(found.chosen.failed))
-    predictions = [scored.fit.chain.predict(scored.fit.p, derivatives=False) for scored in (found.base, found.chosen)]
-    errors = [np.where(solved, distances(prediction, data) * 1e3, np.nan) for prediction in predictions]
+    clouds = [("calibrated", BEFORE, errors.calibrated_m), ("with the effects", AFTER, errors.with_effects_m)]
     for column, name in enumerate(names, start=1):
         values, unit = _shown(name, known[name])
-        shown = zip(("calibrated", "with the effects"), (BEFORE, AFTER), errors, strict=True)
-        for label, colour, error in list(shown)[: 2 if found.chosen.terms else 1]:
-            marker = {"size": 5, "color": colour, "opacity": 0.6}
-            figure.add_trace(
-                go.Scatter(
-                    x=values,
-                    y=error,
-                    mode="markers",
-                    name=label,
-                    marker=marker,
-                    showlegend=column == 1,
-                    legendgroup=label,
-                ),
-                row=1,
-                col=column,
-            )
+        for label, colour, error_m in clouds if found.chosen.terms else clouds[:1]:
+            cloud = _cloud(values, error_m * MM_PER_M, label, colour, named=column == 1)
+            figure.add_trace(cloud, row=1, col=column)
         figure.update_xaxes(title_text=f"{name}{f' ({unit})' if unit else ''}", row=1, col=column)
-    figure.add_hline(y=found.noise.floor_m * 1e3, line={"color": palette.MUTED, "dash": "dash", "width": 1})
+    figure.add_hline(y=found.noise.floor_m * MM_PER_M, line={"color": palette.MUTED, "dash": "dash", "width": 1})
     figure.update_yaxes(title_text="error of the tip (mm)", rangemode="tozero", col=1)
     return _styled(figure)
 
@@ -60,12 +44,12 @@ def gap_figure(found: Diagnosis) -> go.Figure:
         ("calibrated", BEFORE, found.gap.before_m),
         ("with the effects", AFTER, found.gap.after_m),
     ):
-        ordered = np.sort(error) * 1e3
+        ordered = np.sort(error) * MM_PER_M
         share = 100 * np.arange(1, len(ordered) + 1) / len(ordered)
         figure.add_trace(
             go.Scatter(x=ordered, y=share, mode="lines", name=label, line={"color": colour, "shape": "hv"})
         )
-    figure.add_vline(x=found.gap.floor_m * 1e3, line={"color": palette.MUTED, "dash": "dash", "width": 1})
+    figure.add_vline(x=found.gap.floor_m * MM_PER_M, line={"color": palette.MUTED, "dash": "dash", "width": 1})
     figure.update_xaxes(title_text="error of the tip (mm), dashed: rms of the noise", rangemode="tozero")
     figure.update_yaxes(title_text="poses with at most this error (%)", range=[0, 101])
     return _styled(figure)
@@ -90,11 +74,16 @@ def path_figure(found: Diagnosis) -> go.Figure:
     return _styled(figure, max(220, 24 * len(labels) + 90))
 
 
+def _cloud(x: Array, y: Array, label: str, colour: str, *, named: bool) -> Any:
+    marker = {"size": 5, "color": colour, "opacity": 0.6}
+    return go.Scatter(x=x, y=y, mode="markers", name=label, marker=marker, showlegend=named, legendgroup=label)
+
+
 def _shown(name: str, values: Array) -> tuple[Array, str]:
     if "angle" in name or "rotation" in name:
         return np.degrees(values), "deg"
     if "translation" in name or name.endswith("of the tip"):
-        return values * 1e3, "mm"
+        return values * MM_PER_M, "mm"
     return values, "s" if name == "time" else ""
 
 

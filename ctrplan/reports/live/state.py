@@ -11,8 +11,9 @@ from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.mechanics.core import Status
 from ctrplan.planning.motion import MotionChecker, path_limits
-from ctrplan.reports import palette
-from ctrplan.reports.scene import plate, pose, to_anatomy, view_box
+from ctrplan.reports import scene_looks as looks
+from ctrplan.reports.framing import view_box
+from ctrplan.reports.pose import plate, pose, to_anatomy
 from ctrplan.reports.scene_traces import anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces
 from ctrplan.reports.surface import Surface, anatomy_surface
 
@@ -50,7 +51,7 @@ class LiveState:
 
         scenario = self.scenario
         surfaces = [anatomy_surface(part) for part in scenario.anatomy]
-        still = [mesh_trace(plate(scenario).surface(32), palette.PLATE, 1.0, "front plate")]
+        still = [mesh_trace(plate(scenario).surface(32), looks.PLATE.colour, 1.0, looks.PLATE.name)]
         figure = go.Figure([*robot_traces(pose(scenario, scenario.start)), *still, *anatomy_traces(scenario, surfaces)])
         reach = self._reach(surfaces)
         solid = np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface in surfaces)])

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import plotly.graph_objects as go
 
-from ctrplan.reports import palette
-from ctrplan.reports.plan_words.verdict import millimetres
-from ctrplan.reports.scene import goal_tip, plate, pose, poses, tip_path, view_box
+from ctrplan.reports import scene_looks as looks
+from ctrplan.reports.framing import view_box
+from ctrplan.reports.plan_scene import PlanScene, goal_tip, tip_path
+from ctrplan.reports.plan_words.numbers import millimetres
+from ctrplan.reports.pose import plate
 from ctrplan.reports.scene_traces import SIDES, anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces, xyz
 from ctrplan.reports.surface import Surface, anatomy_surface, capsule, thinned
 from ctrplan.reports.swept_space import swept_surface
@@ -19,22 +21,21 @@ from ctrplan.reports.swept_space import swept_surface
 if TYPE_CHECKING:
     from ctrplan.planning.plan import Plan
 
-FRAMES = 50
 SWEPT_OPACITY, SWEPT_TRIANGLES = 0.10, 15_000
 SHORTEST_FRAME_MS, LONGEST_FRAME_MS = 60, 200  # a motion plays in real time where that is neither jerky nor dull
-BOUND_SCALE = [[0.0, "#2F6FB0"], [0.5, "#B07AA1"], [1.0, palette.BOUND]]
+BOUND_SCALE = [[0.0, "#2F6FB0"], [0.5, "#B07AA1"], [1.0, looks.TIP_PATH.colour]]
 
 
-def scene_figure(plan: Plan) -> go.Figure:
+def scene_figure(scene: PlanScene) -> go.Figure:
     """A plotly figure with a frame per pose; frames are called by their time in s."""
-    path = poses(plan, FRAMES)
+    plan, path = scene.plan, scene.path
     names = [f"{step.time_s:.3f}" for step in path]
-    moving = robot_traces(path[-1])
+    moving = robot_traces(scene.goal)
     anatomy = [anatomy_surface(part) for part in plan.scenario.anatomy]
     swept = mesh_trace(
-        thinned(swept_surface(path), SWEPT_TRIANGLES), palette.ENVELOPE, SWEPT_OPACITY, "space the envelope sweeps"
+        thinned(swept_surface(path), SWEPT_TRIANGLES), looks.ENVELOPE.colour, SWEPT_OPACITY, "space the envelope sweeps"
     )
-    figure = go.Figure([*moving, *_still(plan, anatomy), swept])
+    figure = go.Figure([*moving, *_still(scene, anatomy), swept])
     figure.frames = [
         go.Frame(data=moved_traces(step), traces=list(range(len(moving))), name=name)
         for step, name in zip(path, names, strict=True)
@@ -46,22 +47,26 @@ def scene_figure(plan: Plan) -> go.Figure:
     return figure
 
 
-def _still(plan: Plan, anatomy: list[Surface]) -> list[Any]:
-    scenario = plan.scenario
-    start = pose(scenario, plan.legs[0].start)
-    slim = [replace(rod, radius_m=0.9 * rod.radius_m) for rod in start.tubes]  # hidden where the moving robot is
+def _still(scene: PlanScene, anatomy: list[Surface]) -> list[Any]:
+    plan, scenario = scene.plan, scene.plan.scenario
+    slim = [replace(rod, radius_m=0.9 * rod.radius_m) for rod in scene.start.tubes]  # hidden where the moving robot is
     ghost = [
-        mesh_trace(rod.surface(SIDES), palette.START, 1.0, "robot at the start", shown=i == 0)
+        mesh_trace(rod.surface(SIDES), looks.START.colour, 1.0, looks.START.name, shown=i == 0)
         for i, rod in enumerate(slim)
     ]
-    traces = [*ghost, mesh_trace(plate(scenario).surface(32), palette.PLATE, 1.0, "front plate"), _tip_path(plan)]
-    traces += _goal(plan)
-    return traces + anatomy_traces(scenario, anatomy)
+    disc = mesh_trace(plate(scenario).surface(32), looks.PLATE.colour, 1.0, looks.PLATE.name)
+    return [*ghost, disc, _tip_path(plan), *_goal(plan), *anatomy_traces(scenario, anatomy)]
 
 
 def _tip_path(plan: Plan) -> Any:
     bound_mm = (plan.certificate.samples.bound_m * 1e3).astype(np.float32)
-    bar = {"title": {"text": "path of the tip:<br>error bound (mm)"}, "thickness": 14, "len": 0.5, "x": 1.0, "y": 0.4}
+    bar = {
+        "title": {"text": f"{looks.TIP_PATH.name}:<br>error bound (mm)"},
+        "thickness": 14,
+        "len": 0.5,
+        "x": 1.0,
+        "y": 0.4,
+    }
     scale = {"colorscale": BOUND_SCALE, "cmin": 0, "cmax": max(float(np.nanmax(bound_mm)), 1e-6), "colorbar": bar}
     return go.Scatter3d(
         **xyz(tip_path(plan)),
@@ -76,9 +81,9 @@ def _tip_path(plan: Plan) -> Any:
 def _goal(plan: Plan) -> list[Any]:
     goal, tip_m = plan.scenario.goal, goal_tip(plan)
     way = [goal.tip_m for goal in plan.scenario.via if goal.tip_m is not None]
-    marker = {"symbol": "diamond", "size": 6, "color": palette.GOAL}
+    marker = {"symbol": "diamond", "size": 6, "color": looks.GOAL.colour}
     hover = {"hovertemplate": "goal<extra></extra>"}
-    traces = [go.Scatter3d(**xyz(tip_m[None]), mode="markers", marker=marker, name="goal", **hover)]
+    traces = [go.Scatter3d(**xyz(tip_m[None]), mode="markers", marker=marker, name=looks.GOAL.name, **hover)]
     if way:
         hollow = marker | {"symbol": "diamond-open"}
         hover_way = {"hovertemplate": "target on the way<extra></extra>"}
@@ -86,16 +91,16 @@ def _goal(plan: Plan) -> list[Any]:
             go.Scatter3d(**xyz(np.array(way)), mode="markers", marker=hollow, name="targets on the way", **hover_way)
         )
     if goal.line_m is not None:
-        line = {"color": palette.GOAL, "width": 5, "dash": "dot"}
+        line = {"color": looks.GOAL.colour, "width": 5, "dash": "dot"}
         traces.append(
             go.Scatter3d(**xyz(goal.line_m), mode="lines", line=line, name="line to follow", hoverinfo="skip")
         )
     if goal.tip_m is not None:
         name = f"goal tolerance {html.escape(millimetres(goal.tolerance_m))}"
-        traces.append(mesh_trace(capsule(tip_m, tip_m, goal.tolerance_m, 20), palette.GOAL, 0.25, name))
+        traces.append(mesh_trace(capsule(tip_m, tip_m, goal.tolerance_m, 20), looks.GOAL.colour, 0.25, name))
     if goal.direction is not None:
         arrow = np.stack([tip_m - 0.015 * goal.direction, tip_m])
-        line = {"color": palette.GOAL, "width": 4}
+        line = {"color": looks.GOAL.colour, "width": 4}
         traces.append(go.Scatter3d(**xyz(arrow), mode="lines", line=line, name="goal direction", hoverinfo="skip"))
     return traces
 

@@ -13,36 +13,40 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from ctrplan.base.arrays import Array
 from ctrplan.reports import palette
-from ctrplan.reports.scene import Pose, goal_tip, plate, pose, side_azimuth_rad, tip_path, view_box
+from ctrplan.reports import scene_looks as looks
+from ctrplan.reports.framing import side_azimuth_rad, view_box
+from ctrplan.reports.plan_scene import goal_tip, tip_path
+from ctrplan.reports.pose import Pose, plate
 from ctrplan.reports.surface import Surface, anatomy_surface
 
 if TYPE_CHECKING:
     from mpl_toolkits.mplot3d import Axes3D
 
     from ctrplan.planning.plan import Plan
+    from ctrplan.reports.plan_scene import PlanScene
 
 TRIANGLES = 6000  # per part of the anatomy: all are sorted and drawn in Python
 THINNEST_PT = 1.3
 ELEVATION_DEG = 18
 
 
-def draw_scene(ax: Axes3D, plan: Plan) -> None:
+def draw_scene(ax: Axes3D, scene: PlanScene) -> None:
     """Draw the plan into 3-D axes made with computed_zorder=False: the robot shows through the anatomy."""
-    start, goal = pose(plan.scenario, plan.legs[0].start), pose(plan.scenario, plan.legs[-1].end)
-    anatomy = [(anatomy_surface(part, TRIANGLES), palette.ANATOMY[part.role]) for part in plan.scenario.anatomy]
+    plan, start, goal = scene.plan, scene.start, scene.goal
+    anatomy = [(anatomy_surface(part, TRIANGLES), looks.ANATOMY[part.role].colour) for part in plan.scenario.anatomy]
     path_mm, goal_mm = tip_path(plan) * 1e3, goal_tip(plan) * 1e3
     points = np.concatenate([*(_points(p) for p in (start, goal)), path_mm * 1e-3, goal_mm[None] * 1e-3])
     _frame(ax, points, np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface, _ in anatomy)]))
     for surface, colour in anatomy:
         _draw_surface(ax, surface, colour, 0.22, 1)
-    _draw_surface(ax, plate(plan.scenario).surface(32), palette.PLATE, 0.9, 1)
-    _draw_robot(ax, start, 2, [palette.START] * len(start.tubes))
-    _draw_surface(ax, goal.envelope.surface(14), palette.ENVELOPE, 0.16, 3)
+    _draw_surface(ax, plate(plan.scenario).surface(32), looks.PLATE.colour, 0.9, 1)
+    _draw_robot(ax, start, 2, [looks.START.colour] * len(start.tubes))
+    _draw_surface(ax, goal.envelope.surface(14), looks.ENVELOPE.colour, 0.16, 3)
     for corner in goal.corners_m * 1e3:
-        ax.plot(*corner.T, color=palette.CORNER, linewidth=0.8, zorder=4)
-    _draw_robot(ax, goal, 5, [palette.tube_colour(tube) for tube in range(len(goal.tubes))])
-    ax.plot(*path_mm.T, color=palette.BOUND, linewidth=1.4, zorder=7)
-    ax.plot(*goal_mm[:, None], marker="X", markersize=10, color=palette.GOAL, markeredgecolor="white", zorder=8)
+        ax.plot(*corner.T, color=looks.CORNERS.colour, linewidth=0.8, zorder=4)
+    _draw_robot(ax, goal, 5, [looks.tube_look(tube).colour for tube in range(len(goal.tubes))])
+    ax.plot(*path_mm.T, color=looks.TIP_PATH.colour, linewidth=1.4, zorder=7)
+    ax.plot(*goal_mm[:, None], marker="X", markersize=10, color=looks.GOAL.colour, markeredgecolor="white", zorder=8)
     _legend(ax, plan)
 
 
@@ -95,21 +99,18 @@ def _points_per_mm(ax: Axes3D) -> float:
 
 
 def _legend(ax: Axes3D, plan: Plan) -> None:
-    tubes = plan.scenario.robot.tubes
+    tubes = map(looks.tube_look, range(plan.scenario.robot.n))
     entries: list[tuple[Line2D | Patch, str]] = [
-        (Line2D([], [], color=palette.tube_colour(i), linewidth=4), f"tube {i + 1} at the goal")
-        for i in range(len(tubes))
+        (Line2D([], [], color=tube.colour, linewidth=4), f"{tube.name} at the goal") for tube in tubes
     ]
     entries += [
-        (Patch(facecolor=palette.ENVELOPE, alpha=0.35), "envelope of friction"),
-        (Line2D([], [], color=palette.CORNER, linewidth=0.9), "corner shapes"),
-        (Line2D([], [], color=palette.START, linewidth=4), "robot at the start"),
-        (Line2D([], [], color=palette.BOUND, linewidth=1.6), "path of the tip"),
-        (Line2D([], [], color=palette.GOAL, marker="X", markersize=9, linestyle=""), "goal"),
+        (Patch(facecolor=looks.ENVELOPE.colour, alpha=0.35), looks.ENVELOPE.name),
+        (Line2D([], [], color=looks.CORNERS.colour, linewidth=0.9), looks.CORNERS.name),
+        (Line2D([], [], color=looks.START.colour, linewidth=4), looks.START.name),
+        (Line2D([], [], color=looks.TIP_PATH.colour, linewidth=1.6), looks.TIP_PATH.name),
+        (Line2D([], [], color=looks.GOAL.colour, marker="X", markersize=9, linestyle=""), looks.GOAL.name),
     ]
-    roles = {part.role for part in plan.scenario.anatomy}
-    names = {"avoid": "anatomy to avoid", "inside": "lumen to stay inside"}
-    entries += [(Patch(facecolor=palette.ANATOMY[role], alpha=0.6), names[role]) for role in names if role in roles]
+    entries += [(Patch(facecolor=look.colour, alpha=0.6), look.name) for look in looks.anatomy_looks(plan.scenario)]
     handles, labels = zip(*entries, strict=True)
     place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (-0.1, 1.02), "ncols": 4}
     ax.legend(handles, labels, frameon=False, fontsize=10, columnspacing=1.4, **place)

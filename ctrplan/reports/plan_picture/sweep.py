@@ -17,7 +17,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.mechanics.core import Status
 from ctrplan.reports import palette
 from ctrplan.studies.sweep import Sweep
-from ctrplan.studies.sweep_axis import Axis
+from ctrplan.studies.sweep_axis import SweepAxis
 
 SIZE_IN, DPI = (10.0, 7.0), 120
 BOUND_LABEL = "worst-case friction error of the tip (mm)"
@@ -91,18 +91,18 @@ def _draw_map(ax: Axes, result: Sweep) -> None:
     ax.set_ylabel(y.label, **PLAIN)
 
 
-def _hatch(ax: Axes, x: Axis, y: Axis, cells: NDArray[np.bool_], hatch: str) -> None:
+def _hatch(ax: Axes, x: SweepAxis, y: SweepAxis, cells: NDArray[np.bool_], hatch: str) -> None:
     """Hatches whole cells: each is given by points just inside its edges, so that contours run between cells."""
     places = [np.add.outer(axis.values, 0.4999 * _step(axis) * np.array([-1, 1])).ravel() for axis in (x, y)]
     doubled = np.repeat(np.repeat(cells, 2, axis=0), 2, axis=1).astype(float)
     ax.contourf(*places, doubled, levels=[0.5, 1.5], colors="none", hatches=[hatch])
 
 
-def _step(axis: Axis) -> float:
+def _step(axis: SweepAxis) -> float:
     return float(axis.values[1] - axis.values[0])
 
 
-def _ends(axis: Axis) -> tuple[float, float]:
+def _ends(axis: SweepAxis) -> tuple[float, float]:
     """Outer edges of the first and last cell."""
     return float(axis.values[0]) - _step(axis) / 2, float(axis.values[-1]) + _step(axis) / 2
 
@@ -119,7 +119,7 @@ def _bound_mm(result: Sweep) -> Array:
 
 
 def _caption(result: Sweep) -> str:
-    """Where the collars stand that no axis moves."""
+    """What is commanded of the tubes that no axis moves."""
     swept = {(axis.kind, axis.tube) for axis in result.axes}
     theta = [
         ("rotation", f"theta_{i + 1} = {v:.6g} deg") for i, v in enumerate(np.degrees(result.theta_commanded).tolist())

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ctrplan.planning.certificate.insertion import follow_the_leader_m
 from ctrplan.planning.motion import path_limits
 from ctrplan.planning.plan_timing import sample_time_s
-from ctrplan.reports.plan_words.verdict import degrees, digits, millimetres
+from ctrplan.reports.plan_words.numbers import degrees, digits, millimetres
 
 if TYPE_CHECKING:
     from ctrplan.base.arrays import Array
@@ -111,7 +110,7 @@ def _elastic(plan: Plan, times: Array) -> str:
 
 
 def _insertion(plan: Plan) -> str:
-    off = follow_the_leader_m(plan)
+    off = plan.follow_the_leader_m
     if off is None:
         return ""
     return f"While it inserts itself, the body without friction stays within {millimetres(off)} of the tip's track."

@@ -1,4 +1,4 @@
-"""What the pictures show of a plan: the robot along its path, in the anatomy's frame.
+"""The robot at one place, as pictures show it: in the anatomy's frame.
 
 A tube is shown from the front plate to its tip; its part behind the plate is the drive's business.
 """
@@ -13,17 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from ctrplan.base.arrays import Array
-from ctrplan.planning.plan_timing import joints_at
+from ctrplan.errors import SolverError
 from ctrplan.reports.surface import Rod
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.core import Bound, TubeShape
-    from ctrplan.planning.plan import Plan
     from ctrplan.planning.scenario import Scenario
 
 STATIONS = 40
 STEP_M = 1e-5  # over which the outline drops from one tube's radius to the next one's
-THINNEST_BOX = 0.35  # of its longest side, or the scene is hard to turn
 PLATE_THICKNESS_M = 0.8e-3
 
 
@@ -44,25 +42,12 @@ class Pose:
         return tip
 
 
-def poses(plan: Plan, count: int) -> list[Pose]:
-    """The robot at `count` equal steps of the trajectory's time, both ends included; one if it takes no time.
-
-    Left out are places where the model has no solution: a plan that is not certified may have some.
-    """
-    duration_s = plan.trajectory.duration_s
-    time_s = np.asarray(np.linspace(0.0, duration_s, count if duration_s > 0 else 1), dtype=np.float64)
-    bounds = [_bound(plan.scenario, joints) for joints in joints_at(plan, time_s)]
-    solved = [k for k, bound in enumerate(bounds) if np.isfinite(bound.position_m)]
-    return [_posed(plan.scenario, bounds[k], float(time_s[k])) for k in solved]
-
-
 def pose(scenario: Scenario, joints: ArrayLike, time_s: float = 0.0) -> Pose:
-    """The robot at joints (m,) [rad, m]."""
-    return _posed(scenario, _bound(scenario, joints), time_s)
-
-
-def _bound(scenario: Scenario, joints: ArrayLike) -> Bound:
-    return scenario.robot.mechanics.bound(*scenario.robot.drive.collars(joints))
+    """The robot at commanded joints (m,) [rad, m]; solves one bound. Raises SolverError where there is no solution."""
+    bound = scenario.robot.mechanics.bound(*scenario.robot.drive.collars(joints))
+    if not np.isfinite(bound.position_m):
+        raise SolverError("The model has no solution at these joints.")
+    return _posed(scenario, bound, time_s)
 
 
 def _posed(scenario: Scenario, bound: Bound, time_s: float) -> Pose:
@@ -78,18 +63,6 @@ def _posed(scenario: Scenario, bound: Bound, time_s: float) -> Pose:
     )
 
 
-def tip_path(plan: Plan) -> Array:
-    """(K, 3) [m] the tip without friction at the certificate's samples, anatomy's frame."""
-    return to_anatomy(plan.scenario, plan.certificate.samples.tip_m)
-
-
-def goal_tip(plan: Plan) -> Array:
-    """(3,) [m] the tip that the goal asks for, or that its joint values give, anatomy's frame."""
-    goal = plan.scenario.goal
-    tip: Array = goal.tip_m if goal.tip_m is not None else tip_path(plan)[-1]
-    return tip
-
-
 def plate(scenario: Scenario) -> Rod:
     """The front plate, a disc that ends where the robot begins."""
     z = np.array([[0, 0, -PLATE_THICKNESS_M], [0, 0, 0]])
@@ -100,26 +73,6 @@ def plate(scenario: Scenario) -> Rod:
 def to_anatomy(scenario: Scenario, points_m: Array) -> Array:
     """Points (..., 3) [m] of the robot's frame in the anatomy's frame."""
     return points_m @ scenario.base_R.T + scenario.base_position_m
-
-
-def view_box(points_m: Array, anatomy_m: Array) -> tuple[Array, Array]:
-    """Corners (3,), (3,) [m] of what to show: the robot's points (K, 3) and the anatomy (K, 3) around them."""
-    lower, upper = points_m.min(axis=0), points_m.max(axis=0)
-    around = 0.35 * float(np.linalg.norm(upper - lower)) + 5e-3
-    if len(anatomy_m):
-        lower = np.minimum(lower, np.maximum(anatomy_m.min(axis=0), lower - around))
-        upper = np.maximum(upper, np.minimum(anatomy_m.max(axis=0), upper + around))
-    extent = upper - lower
-    rim = 0.03 * extent.max() + 1e-3 + np.maximum(THINNEST_BOX * extent.max() - extent, 0) / 2
-    return lower - rim, upper + rim
-
-
-def side_azimuth_rad(points_m: Array) -> float:
-    """From where points (K, 3) spread widest to left and right; not along an axis, where a scene looks flat."""
-    spread = np.cov((points_m - points_m.mean(axis=0))[:, :2].T)
-    x, y = np.linalg.eigh(spread)[1][:, 0]
-    quarter, rest = divmod(float(np.arctan2(y, x)), np.pi / 2)
-    return float(np.pi / 2 * quarter + np.clip(rest, np.radians(25), np.radians(65)))
 
 
 def _in_anatomy(scenario: Scenario, rod: Rod) -> Rod:

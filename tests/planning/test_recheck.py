@@ -1,0 +1,118 @@
+"""A certificate checks itself: what it says comes out again, and what was changed afterwards is found out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from places import SCENARIOS
+
+import ctrplan
+from ctrplan.errors import InputError
+from ctrplan.mechanics.core import Accuracy
+from ctrplan.planning.certificate.certify import certify
+from ctrplan.planning.certificate.tour import joined_certificates
+from ctrplan.planning.plan import Certificate, Leg, Plan
+from ctrplan.planning.scenario import Goal, Scenario
+
+MESHES: tuple[Accuracy, Accuracy] = ("search", "certificate")
+TURN_RAD_M = np.array([0.0, np.radians(6.0), np.radians(-8.0), 0.003])
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    """Past the ribs, a short way from the start."""
+    given = ctrplan.load_scenario(SCENARIOS / "ribs.toml")
+    return replace(given, goal=Goal(given.start + TURN_RAD_M, None, 1e-3))
+
+
+@pytest.fixture(scope="module")
+def driven(scenario: Scenario) -> Plan:
+    return ctrplan.reorder(np.array([scenario.start, scenario.start + TURN_RAD_M]), scenario)
+
+
+def test_a_plan_is_confirmed_and_walked_on_the_certificate_mesh(driven: Plan) -> None:
+    found = driven.recheck()
+    assert driven.certificate.valid and found.is_confirmed and found.differences == ()
+    assert found.sentence == "Confirmed: every figure came out again, and the legs are valid on the certificate mesh."
+    assert found.stated is driven.certificate
+    assert 0 < abs(found.fresh.goal_bound_m - driven.certificate.goal_bound_m) < 1e-3  # another mesh
+    assert found.fresh.min_clearance_m > driven.certificate.min_clearance_m  # which takes off less for its error
+
+
+def doubled(certificate: Certificate, column: str) -> Certificate:
+    values = getattr(certificate.samples, column)
+    return replace(certificate, samples=replace(certificate.samples, **{column: 2 * values}))
+
+
+TAMPERED: dict[str, Callable[[Certificate], Certificate]] = {
+    "min_clearance_m": lambda c: replace(c, min_clearance_m=c.min_clearance_m + 0.05e-3),
+    "goal_bound_m": lambda c: replace(c, goal_bound_m=0.9 * c.goal_bound_m),
+    "goal_predicted_tip_m": lambda c: replace(c, goal_predicted_tip_m=c.goal_predicted_tip_m + 1e-4),
+    "snaps": lambda c: replace(c, snaps=1),
+    "valid": lambda c: replace(c, valid=False),
+    "problems": lambda c: replace(c, problems=("It looks wrong.",)),
+    "targets.1.bound_m": lambda c: replace(c, targets=(replace(c.targets[0], bound_m=0.0),)),
+    "targets": lambda c: replace(c, targets=()),
+    "samples.stability": lambda c: doubled(c, "stability"),
+    "samples.clearance_m": lambda c: doubled(c, "clearance_m"),
+}
+
+
+@pytest.mark.parametrize("figure", TAMPERED)
+def test_a_figure_that_was_changed_is_found_out(driven: Plan, figure: str) -> None:
+    found = TAMPERED[figure](driven.certificate).recheck()
+    assert not found.is_confirmed and figure in [difference.figure for difference in found.differences]
+    assert found.sentence.startswith("Not confirmed: ") and "is stated as" in found.sentence
+
+
+def test_a_plan_that_drives_something_else_is_found_out(driven: Plan) -> None:
+    elsewhere = np.array([0.0, 0.0, 1e-3, 0.0])
+    last = driven.legs[-1]
+    legs = (*driven.legs[:-1], Leg(last.start, last.end + elsewhere, last.kind))
+    position = driven.trajectory.position + np.linspace(0, 1, len(driven.trajectory.time_s))[:, None] * elsewhere
+    changed: dict[str, dict[str, Any]] = {
+        "legs": {"legs": legs},
+        "trajectory": {"trajectory": replace(driven.trajectory, position=position)},
+        "ends of the trajectory": {"trajectory": replace(driven.trajectory, position=driven.trajectory.position[:-50])},
+    }
+    for what, change in changed.items():
+        found = replace(driven, **change).recheck()
+        figures = [difference.figure for difference in found.differences]
+        assert f"distance of the {what} from the certified path" in figures and not found.is_confirmed
+
+
+def test_what_holds_on_a_coarse_mesh_alone_is_not_confirmed(scenario: Scenario) -> None:
+    """The error at the goal differs between the meshes; a requirement between both is met on one of them."""
+    end = scenario.start + TURN_RAD_M * (1, -1, -1, 1)
+    there, path = replace(scenario, goal=Goal(end, None, 1e-3)), np.array([scenario.start, end])
+    coarse, fine = (certify(there, path, accuracy=mesh).goal_bound_m for mesh in MESHES)
+    assert coarse < fine
+    strict = replace(there, cost=replace(there.cost, max_error_goal_m=(coarse + fine) / 2))
+    certificate = certify(strict, path)
+    found = certificate.recheck()
+    assert certificate.valid and found.differences == () and not found.is_confirmed
+    assert found.sentence.startswith("Not confirmed on the certificate mesh: The worst-case error at the goal is")
+
+
+def test_a_path_that_is_not_valid_is_confirmed_not_to_be(scenario: Scenario) -> None:
+    strict = replace(scenario, margins=replace(scenario.margins, stability=1e3))
+    found = certify(strict, np.array([scenario.start, scenario.start + TURN_RAD_M])).recheck()
+    assert found.is_confirmed and found.sentence.startswith("Confirmed, but not valid on the certificate mesh: ")
+
+
+def test_stages_are_walked_again_one_by_one(scenario: Scenario) -> None:
+    middle, end = scenario.start + TURN_RAD_M / 2, scenario.start + TURN_RAD_M
+    first = certify(replace(scenario, goal=Goal(middle, None, 1e-3)), np.array([scenario.start, middle]))
+    second = certify(replace(scenario, start=middle), np.array([middle, end]))
+    joined = joined_certificates([first, second])
+    assert joined.recheck().is_confirmed
+    assert not replace(joined, cost_mm=first.cost_mm).recheck().is_confirmed
+
+
+def test_figures_without_legs_cannot_be_checked(plan: Plan) -> None:
+    with pytest.raises(InputError, match="certificate: holds no legs to walk again"):
+        replace(plan.certificate, walk_again=None).recheck()
