@@ -11,7 +11,7 @@
 #include <algorithm>
 #include <vector>
 
-#include "ctr/edge.hpp"
+#include "ctr/walk.hpp"
 #include "ctr/shape.hpp"
 
 namespace nb = nanobind;

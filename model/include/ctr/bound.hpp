@@ -4,18 +4,20 @@
 #include <memory>
 #include <vector>
 
-#include "ctr/carry.hpp"
-#include "ctr/friction.hpp"
-#include "ctr/predict.hpp"
+#include "ctr/friction_solver.hpp"
 #include "ctr/shape.hpp"
 #include "ctr/zero_clearance.hpp"
 
 namespace ctr {
 
+class CarriedState;
+class Predictor;
+
 // All solutions at one configuration; keeps its memory from one configuration to the next and starts warm where it can.
 class BoundSolver {
   public:
     explicit BoundSolver(const Robot& robot);
+    ~BoundSolver();
     BoundSolver(const BoundSolver&) = delete;
     BoundSolver& operator=(const BoundSolver&) = delete;
 
@@ -86,7 +88,7 @@ class BoundSolver {
     LaneState trial_;
     bool have_solution_ = false;
     std::vector<CarriedState> carried_;  // what follow() starts from: frictionless, then the batches
-    Predictor predictor_;
+    std::unique_ptr<Predictor> predictor_;
     std::vector<double> phi_;
     Configuration q_;
 };

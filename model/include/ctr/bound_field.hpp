@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "ctr/bound.hpp"
-#include "ctr/edge.hpp"
+#include "ctr/walk.hpp"
 #include "ctr/sdf.hpp"
 
 namespace ctr {

@@ -6,14 +6,16 @@
 // length and is projected back onto the disc (return mapping). phi enters the equilibrium and is solved with it.
 #pragma once
 
+#include <memory>
 #include <vector>
 
-#include "ctr/carry.hpp"
-#include "ctr/friction.hpp"
+#include "ctr/friction_solver.hpp"
 #include "ctr/shape.hpp"
 #include "ctr/tip_solver.hpp"
 
 namespace ctr {
+
+class CarriedState;
 
 struct HistoryOptions {
     double breakaway = 0.02e-3;        // m
@@ -34,6 +36,7 @@ struct EnergyBalance {
 class History {
   public:
     History(const Robot& robot, const Accuracy& accuracy, const HistoryOptions& options);
+    ~History();
 
     // Begins at a configuration with every contact of a pair at phi, e.g. 0 released, +-1 fully loaded in a corner.
     Status start(const Configuration& q, const std::vector<double>& phi);
@@ -86,6 +89,7 @@ class History {
     struct OldContact {
         double phi = 0, psi = 0, direction[2] = {0, 0};
     };
+    void identify();
     Iterate iterate() const;
     void put(const Iterate& iterate);
     void remember();
@@ -129,7 +133,7 @@ class History {
     Convergence convergence_;
     std::vector<double> phi_, psi_;
     Before before_;
-    CarriedState carried_;
+    std::unique_ptr<CarriedState> carried_;
     std::vector<double> built_breaks_;  // of the mesh when it was built
     std::vector<double> pending_slip_;  // [pair] from the innermost, m: axial, not yet in the friction
     bool has_factors_ = false;     // of the iterate as it is

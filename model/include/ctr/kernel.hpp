@@ -1,4 +1,4 @@
-// Interface between the solver (friction.cpp) and the hot kernels, which are compiled once per instruction set.
+// Interface between the solver (friction_solver.hpp) and the hot kernels, which are compiled once per instruction set.
 // Plain arrays only: kernel translation units use no std:: and no Eigen, so that nothing weak compiled with wider
 // instructions can be merged into baseline code by the linker.
 //
@@ -90,7 +90,7 @@ struct KernelState {
     const SlipLaw* slip;      // null: phi_mu is given; else it follows the slip (single lane)
     const double* anchor; // [node][stride] angles that damping pulls back to; null without damping
     int block_stride;     // row length of blocks: room for stride + 1 entries, for a single lane in whole registers
-    const double* shift;  // [contact][2] m, added to the offset of a contact; null without exact geometry (exact.hpp)
+    const double* shift;  // [contact][2] m, added to the offset of a contact; null without exact geometry (exact_geometry.hpp)
     const double* load;   // [node][stride], where the residual starts instead of at zero; null likewise
 };
 

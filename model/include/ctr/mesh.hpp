@@ -20,7 +20,7 @@ struct Accuracy {
     double contact_coarsest = 2e-3;
     double barrier = 0.3;           // last barrier level, in units of BarrierPath
     double refinement = 1;          // of the elements of tubes by themselves
-    bool exact = false;             // finish on the exact geometry, exact.hpp
+    bool exact = false;             // finish on the exact geometry, exact_geometry.hpp
     bool operator==(const Accuracy&) const = default;
     static Accuracy search() { return {}; }
     static Accuracy certificate() { return {5e-4, 2.5e-3, 0.2, 1.25e-4, 5e-4, 0.027}; }

@@ -1,15 +1,17 @@
 // Derivatives of a solution by joints and by the robot's numbers, from the last factorisation.
 #pragma once
 
+#include <memory>
 #include <string>
 #include <utility>
 #include <vector>
 
-#include "ctr/friction.hpp"
+#include "ctr/friction_solver.hpp"
 #include "ctr/shape.hpp"
-#include "ctr/tip_gradient.hpp"
 
 namespace ctr {
+
+class TipGradient;
 
 // Every number of a robot and of a configuration, in one order; names like "tube.1.section.2.length", from 1, outermost
 // first, SI units. Joints come last: theta_b.1, ..., l_b.1, ...
@@ -27,6 +29,7 @@ struct Direction {
 struct TipDerivative {
     Vec3 position{0, 0, 0};  // m per unit
     Vec3 tangent{0, 0, 0};
+    static TipDerivative nowhere();  // NaN: a direction that cannot be followed
 };
 
 // Differentiates the converged equations (d)-(e) of docs/model.md at constant barrier level. With F(x, lambda, w; p) = 0,
@@ -34,6 +37,8 @@ struct TipDerivative {
 // are linear and round and carry nothing, one gradient of the tip serves all directions (tip_gradient.hpp).
 class Sensitivities {
   public:
+    Sensitivities();
+    ~Sensitivities();
     // state: one lane, converged on the solver's mesh for the friction states phi. out: one entry per direction, NaN
     // where a collar, joint or tip would pass another one, a rigid shaft would yield, or the loads' share does not converge.
     void compute(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi,
@@ -56,7 +61,7 @@ class Sensitivities {
     void set(const FrictionSolver& solver, const Configuration& q, const Direction& direction, double amount, Side& side) const;
     bool shift(FrictionSolver& solver, const Configuration& q, const Direction& direction, double amount, Side& side) const;
     void prepare(const FrictionSolver& solver, const Configuration& q, const std::vector<Direction>& directions);
-    Way read_change(const FrictionSolver& solver, const Configuration& q, const Direction& direction, NumberChange& change);
+    Way read_change(const FrictionSolver& solver, const Configuration& q, const Direction& direction, std::vector<std::pair<int, double>>& change);
     bool only_turns(const FrictionSolver& solver, const Direction& direction) const;
     void start(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<Direction>& directions);
     TipDerivative follow(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi,
@@ -77,12 +82,12 @@ class Sensitivities {
     std::vector<double> unknowns_, change_, multiplier_, multiplier_change_, moments_, moments_change_, upper_moments_;
     Backbone backbone_;
     BackboneTracer tracer_;
-    TipGradient gradient_;
+    std::unique_ptr<TipGradient> gradient_;
     // What the directions change in a row of numbers, for the configuration and the mesh that were asked about last.
     std::vector<Direction> directions_;
     Configuration q_;
     std::vector<double> s_;
-    std::vector<NumberChange> changes_;
+    std::vector<std::vector<std::pair<int, double>>> changes_;
     std::vector<Way> ways_;
     Mesh moved_;
     std::vector<double> upper_, lower_;

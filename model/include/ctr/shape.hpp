@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "ctr/curve.hpp"
-#include "ctr/friction.hpp"
+#include "ctr/friction_solver.hpp"
 #include "ctr/robot.hpp"
 #include "ctr/zero_clearance.hpp"
 

@@ -3,7 +3,7 @@
 
 #include <vector>
 
-#include "ctr/friction.hpp"
+#include "ctr/friction_solver.hpp"
 #include "ctr/sensitivities.hpp"
 #include "ctr/shape.hpp"
 #include "ctr/zero_clearance.hpp"
@@ -21,11 +21,6 @@ class TipSolver {
     // Of the last solution, which must have converged.
     void differentiate(const std::vector<Direction>& directions, std::vector<TipDerivative>& out) {
         sensitivities_.compute(solver_, state_, q_, phi_, directions, out);
-    }
-
-    // The same by another formulation, for tests: a right-hand side and two backbones a direction.
-    void differentiate_each(const std::vector<Direction>& directions, std::vector<TipDerivative>& out) {
-        sensitivities_.compute_each(solver_, state_, q_, phi_, directions, out);
     }
 
     const Convergence& convergence() const { return convergence_; }

@@ -1,0 +1,266 @@
+#include "ctr/bound.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "bound/carried_state.hpp"
+#include "bound/predictor.hpp"
+
+namespace ctr {
+namespace {
+
+constexpr double kDistinct = 0.1;  // rad between angles of different equilibria
+
+}  // namespace
+
+BoundSolver::BoundSolver(const Robot& robot)
+    : solver_(robot), pairs_(robot.count() - 1), corners_(1 << (robot.count() - 1)), predictor_(std::make_unique<Predictor>()) {
+    corner_convergence_.resize((corners_ + kLanes - 1) / kLanes * kLanes);
+    for (int k = 0; k < corners_; k += kLanes) batches_.push_back(std::make_unique<LaneState>());
+    states_.push_back(&frictionless_);
+    for (const auto& batch : batches_) states_.push_back(batch.get());
+    corner_backbones.resize(corners_);
+    phi_.resize(std::max(pairs_, 1));
+}
+
+BoundSolver::~BoundSolver() = default;
+
+void BoundSolver::prepare(const Configuration& q, const Accuracy& accuracy) {
+    q_ = q;
+    multiple_ = false;
+    solver_.build(q, accuracy);
+}
+
+void BoundSolver::solve_frictionless() {
+    const KernelProblem& pb = solver_.mesh().problem();
+    frictionless_.resize(pb, 1);
+    std::fill(phi_.begin(), phi_.end(), 0.0);
+    frictionless_.set_phi(solver_.robot(), pb, 0, phi_.data());
+    const BarrierPath shared = BarrierPath::shared();
+    solver_.start(frictionless_, q_, zero_, shared.first);
+    solver_.solve(frictionless_, shared, &frictionless_convergence_);
+    const int steps = frictionless_convergence_.iterations;
+    shared_is_good_ = frictionless_convergence_.converged;
+    if (shared_is_good_) {
+        shared_.resize(pb, 1);
+        solver_.spread(frictionless_, shared_);
+        solver_.solve(frictionless_, BarrierPath::onward(solver_.last_barrier()), &frictionless_convergence_);
+        frictionless_convergence_.iterations += steps;
+    }
+    if (!frictionless_convergence_.converged) {
+        solver_.start(frictionless_, q_, zero_, BarrierPath::kFirst);
+        solver_.reach(frictionless_, BarrierPath::kFirst, frictionless_convergence_);
+    }
+    stability_ = solver_.stability(frictionless_, negative_);
+}
+
+void BoundSolver::set_corner_phi(std::size_t batch) {
+    for (int lane = 0; lane < kLanes; ++lane) {
+        const int corner = std::min(static_cast<int>(batch) * kLanes + lane, corners_ - 1);  // spare lanes repeat the last
+        for (int pair = 0; pair < pairs_; ++pair) phi_[pair] = sign(corner, pair);
+        batches_[batch]->set_phi(solver_.robot(), solver_.mesh().problem(), lane, phi_.data());
+    }
+}
+
+// From the frictionless iterate where friction states part, or from far where that was not reached; returns the way on.
+BarrierPath BoundSolver::set_out(LaneState& state) {
+    if (shared_is_good_) {
+        solver_.spread(shared_, state);
+        return BarrierPath::parted(solver_.last_barrier());
+    }
+    const BarrierPath path = BarrierPath::cold(solver_.last_barrier());
+    solver_.start(state, q_, zero_, path.first);
+    return path;
+}
+
+void BoundSolver::solve_corners() {
+    const KernelProblem& pb = solver_.mesh().problem();
+    for (std::size_t b = 0; b < batches_.size(); ++b) {
+        LaneState& state = *batches_[b];
+        state.resize(pb, kLanes);
+        set_corner_phi(b);
+        Convergence* result = &corner_convergence_[b * kLanes];
+        const BarrierPath path = set_out(state);
+        solver_.solve(state, path, result);
+        for (int lane = 0; lane < kLanes; ++lane)
+            if (!result[lane].converged) reach_corner(b, lane);
+    }
+}
+
+// Where friction leaves no equilibrium near the frictionless one, or Newton's method does not find it.
+void BoundSolver::reach_corner(std::size_t batch, int lane) {
+    const int corner = static_cast<int>(batch) * kLanes + lane;
+    if (corner >= corners_) {  // spare lanes repeat the last corner
+        corner_convergence_[corner] = corner_convergence_[corners_ - 1];
+        return;
+    }
+    const KernelProblem& pb = solver_.mesh().problem();
+    trial_.resize(pb, 1);
+    for (int pair = 0; pair < pairs_; ++pair) phi_[pair] = sign(corner, pair);
+    trial_.set_phi(solver_.robot(), pb, 0, phi_.data());
+    const BarrierPath path = set_out(trial_);
+    solver_.reach(trial_, path.first, corner_convergence_[corner]);
+    solver_.copy(trial_, *batches_[batch], lane);
+    if (corner < corners_ - 1) return;
+    for (int spare = lane + 1; spare < kLanes; ++spare) solver_.copy(trial_, *batches_[batch], spare);
+}
+
+void BoundSolver::solve(const Configuration& q, const Accuracy& accuracy) {
+    predictor_->forget();
+    zero_.solve(solver_.robot(), q);
+    prepare(q, accuracy);
+    solve_frictionless();
+    solve_corners();
+    measure();
+    have_solution_ = all_converged();
+}
+
+namespace {
+
+// Largest joint motion between two configurations, in degrees or half millimetres.
+double joint_motion(const Configuration& a, const Configuration& b) {
+    double most = 0;
+    for (std::size_t i = 0; i < a.theta.size(); ++i)
+        most = std::max({most, std::fabs(a.theta[i] - b.theta[i]) * 57.3, std::fabs(a.l[i] - b.l[i]) / 0.5e-3});
+    return most;
+}
+
+}  // namespace
+
+void BoundSolver::remember() {
+    predictor_->take(q_, solver_.mesh(), states_);
+}
+
+// The last solution is carried over to the mesh of this configuration; where it is a batch, to all its lanes.
+bool BoundSolver::follow_last() {
+    carried_.resize(states_.size());
+    for (std::size_t k = 0; k < states_.size(); ++k) {
+        predictor_->restore(k, solver_.last_level(), *states_[k]);
+        carried_[k].take(predictor_->last_mesh(), *states_[k]);
+    }
+    return carried_[0].fits(solver_.mesh()) && follow_from(false);
+}
+
+// Of one state: frictionless, then the batches. Extrapolated, or the last solution carried over to the new mesh.
+bool BoundSolver::advance(std::size_t index, LaneState& state, bool predicted, Convergence* result) {
+    const double last = solver_.last_barrier();
+    const BarrierPath path = predicted ? BarrierPath::predicted(last) : BarrierPath::warm(joint_motion(predictor_->last(), q_), last);
+    if (predicted) predictor_->give(solver_.mesh(), index, solver_.last_level(), state);
+    else carried_[index].give(solver_.mesh(), state);
+    solver_.set_base(state, q_);
+    if (!predicted) solver_.recentre(state, path.first);
+    solver_.solve(state, path, result);
+    return std::all_of(result, result + state.lanes(), [](const Convergence& c) { return c.converged; });
+}
+
+bool BoundSolver::follow_from(bool predicted) {
+    const KernelProblem& pb = solver_.mesh().problem();
+    frictionless_.resize(pb, 1);
+    std::fill(phi_.begin(), phi_.end(), 0.0);
+    frictionless_.set_phi(solver_.robot(), pb, 0, phi_.data());
+    if (!advance(0, frictionless_, predicted, &frictionless_convergence_)) return false;
+    for (std::size_t b = 0; b < batches_.size(); ++b) {
+        batches_[b]->resize(pb, kLanes);
+        set_corner_phi(b);
+        if (!advance(b + 1, *batches_[b], predicted, &corner_convergence_[b * kLanes])) return false;
+    }
+    return true;
+}
+
+void BoundSolver::follow(const Configuration& q, const Accuracy& accuracy, bool retrying) {
+    if (!have_solution_) return solve(q, accuracy);
+    if (!retrying) remember();
+    prepare(q, accuracy);
+    const bool predicted = predictor_->reaches(q, solver_.mesh()) && follow_from(true);
+    if (!predicted && !follow_last()) return solve(q, accuracy);
+    stability_ = solver_.stability(frictionless_, negative_);
+    measure();
+}
+
+void BoundSolver::solve_single(const Configuration& q, const Accuracy& accuracy, const std::vector<double>& phi) {
+    zero_.solve(solver_.robot(), q);
+    prepare(q, accuracy);
+    solve_frictionless();
+    have_solution_ = false;
+    search_others();
+    if (std::all_of(phi.begin(), phi.end(), [](double value) { return value == 0; })) return;
+    const KernelProblem& pb = solver_.mesh().problem();
+    frictionless_.set_phi(solver_.robot(), pb, 0, phi.data());
+    const BarrierPath path = set_out(frictionless_);
+    solver_.solve(frictionless_, path, &frictionless_convergence_);
+    if (frictionless_convergence_.converged) return;
+    set_out(frictionless_);
+    solver_.reach(frictionless_, path.first, frictionless_convergence_);
+}
+
+void BoundSolver::search_others() {
+    multiple_ = false;
+    if (!frictionless_convergence_.converged) return;
+    const KernelProblem& pb = solver_.mesh().problem();
+    int attempt = -1;
+    while (!multiple_ && (attempt = zero_.search_other(attempt + 1, other_)) >= 0) {
+        trial_.resize(pb, 1);
+        std::fill(phi_.begin(), phi_.end(), 0.0);
+        trial_.set_phi(solver_.robot(), pb, 0, phi_.data());
+        Convergence found;
+        const BarrierPath path = BarrierPath::cold(solver_.last_barrier());
+        solver_.start(trial_, q_, other_, path.first);
+        solver_.solve(trial_, path, &found);
+        int negative = 0;
+        if (!found.converged || solver_.stability(trial_, negative) <= 0 || negative > 0) continue;
+        for (int k = 0; k < pb.nodes; ++k)
+            for (int t = 0; t < pb.tubes; ++t)
+                multiple_ = multiple_ || std::fabs(trial_.unknown(k, 5 * t, 0) - frictionless_.unknown(k, 5 * t, 0)) > kDistinct;
+    }
+}
+
+bool BoundSolver::all_converged() const {
+    return frictionless_convergence_.converged &&
+           std::all_of(corner_convergence_.begin(), corner_convergence_.end(), [](const Convergence& c) { return c.converged; });
+}
+
+Status BoundSolver::status() const {
+    if (!frictionless_convergence_.converged) return Status::failed;
+    if (negative_ > 0 || stability_ <= 0) return Status::unstable;
+    return multiple_ ? Status::multiple : Status::converged;
+}
+
+int BoundSolver::iterations() const {
+    int sum = frictionless_convergence_.iterations;
+    for (const Convergence& c : corner_convergence_) sum = std::max(sum, c.iterations);
+    return sum;
+}
+
+void BoundSolver::measure() {
+    tracer_.trace(solver_, frictionless_, 0, 1, q_.l.back(), &backbone);
+    for (int k = 0; k < corners_; k += kLanes)
+        tracer_.trace(solver_, corner_state(k), 0, std::min(kLanes, corners_ - k), q_.l.back(), &corner_backbones[k]);
+    const std::size_t nodes = backbone.frame.size();
+    envelope.assign(nodes, 0.0);
+    position = tangent = 0;
+    worst_corner = 0;
+    max_strain = backbone.max_strain;
+    for (int k = 0; k < corners_; ++k) {
+        const Backbone& other = corner_backbones[k];
+        max_strain = std::max(max_strain, other.max_strain);
+        for (std::size_t i = 0; i < nodes; ++i) {
+            const Vec3 &a = backbone.frame[i].p, &b = other.frame[i].p;
+            envelope[i] = std::max(envelope[i], std::sqrt((a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1]) + (a[2] - b[2]) * (a[2] - b[2])));
+        }
+        const Vec3 &a = backbone.frame.back().p, &b = other.frame.back().p;
+        const double distance = std::sqrt((a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1]) + (a[2] - b[2]) * (a[2] - b[2]));
+        if (distance > position) {
+            position = distance;
+            worst_corner = k;
+        }
+        const Vec3 u = backbone.frame.back().tangent(), v = other.frame.back().tangent(), w = cross(u, v);
+        tangent = std::max(tangent, std::atan2(std::sqrt(dot(w, w)), dot(u, v)));
+    }
+    if (!all_converged()) {
+        position = tangent = std::numeric_limits<double>::quiet_NaN();
+        std::fill(envelope.begin(), envelope.end(), position);
+    }
+}
+
+}  // namespace ctr

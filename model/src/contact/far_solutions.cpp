@@ -1,0 +1,137 @@
+// Solutions that Newton's method does not reach by itself: by easing softening in, or by sliding as the robot would.
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "contact/load_moments.hpp"
+#include "ctr/friction_solver.hpp"
+#include "exact/exact_geometry.hpp"
+
+namespace ctr {
+namespace {
+
+#include "contact/newton_limits.hpp"
+
+constexpr double kFirstDamping = 30;      // 1/m^2, about the lowest torsional mode of a 0.2 m tube
+constexpr double kLeastDamping = 3, kMostDamping = 1e7;
+constexpr double kTrust = 0.3;            // rad that a step in time may turn a tube
+constexpr double kSettled = 1e-3;         // rad, last Newton step of a step in time
+constexpr double kAtRest = 0.01;          // rad, a step in time after which equilibrium is near
+constexpr int kSlidingSteps = 3000;       // Newton steps in all
+
+}  // namespace
+
+void FrictionSolver::reach(LaneState& state, double level, Convergence& result) {
+    if (robot_.softens()) {
+        begun_.resize(mesh_.problem(), 1);
+        copy(state, begun_, 0);
+        if (ease(state, level, result)) return;
+        copy(begun_, state, 0);
+        weigh(state);
+    }
+    slide(state, level, result);
+}
+
+// From tubes that bend linearly to those that soften, each solution from the one before, with the softening kept where the
+// next one is not reached. Newton's method alone runs in circles around the knees of many sections.
+bool FrictionSolver::ease(LaneState& state, double level, Convergence& result) {
+    constexpr double kFirst = 0.25, kLeast = 1.0 / 128, kMotion = 10;
+    const KernelProblem& pb = mesh_.problem();
+    kept_.resize(pb, 1);
+    mesh_.soften(robot_, 0);
+    solve(state, BarrierPath{level, last_barrier_}, &result);
+    Convergence reached = result;
+    int steps = result.iterations;
+    double share = 0, ahead = kFirst;
+    while (reached.converged && share < 1 && ahead >= kLeast) {
+        const double next = std::min(1.0, share + ahead);
+        copy(state, kept_, 0);
+        mesh_.soften(robot_, next);
+        const BarrierPath path = BarrierPath::warm(kMotion * ahead / kFirst, last_barrier_);
+        recentre(state, path.first);
+        solve(state, path, &result);
+        steps += result.iterations;
+        if (result.converged) {
+            reached = result;
+            share = next;
+            ahead *= 1.5;
+        } else {
+            copy(kept_, state, 0);
+            ahead *= 0.5;
+        }
+    }
+    mesh_.soften(robot_, 1);
+    result = reached;
+    result.converged = reached.converged && share == 1;
+    result.iterations = steps;
+    return result.converged;
+}
+
+void FrictionSolver::slide(LaneState& state, double level, Convergence& result) {
+    const KernelProblem& pb = mesh_.problem();
+    double damping = 0;
+    int steps = 0, saddles = 0, wait = 0, patience = 1;  // steps in time before equilibrium is asked for again
+    result = {};
+    result.residual = result.complementarity = std::numeric_limits<double>::infinity();  // until equilibrium is reached
+    kept_.resize(pb, 1);
+    while (steps < kSlidingSteps && damping < kMostDamping) {
+        copy(state, kept_, 0);
+        const bool settled = settle(state, level, damping, steps) && moved(state) < kTrust;
+        const bool saddle = settled && damping == 0 && turns_away(state, 0) && ++saddles < 5;
+        if (!settled || saddle) {
+            copy(kept_, state, 0);
+            weigh(state);
+            if (damping == 0) wait = patience = std::min(2 * patience, 64);
+            damping = std::max(kFirstDamping, 3 * damping);
+            continue;
+        }
+        --wait;
+        if (damping == 0) {
+            if (level <= (is_exact_ ? std::max(kExactLevel, last_barrier_) : last_barrier_)) {
+                solve(state, {level, last_barrier_}, &result);
+                break;
+            }
+            level = std::max(last_barrier_, 0.2 * level);
+            patience = 1;
+        } else if (moved(state) < kAtRest && damping <= kFirstDamping && wait <= 0) {
+            damping = 0;
+        } else if (moved(state) < 0.5 * kTrust) {
+            damping = std::max(kLeastDamping, 0.4 * damping);
+        }
+    }
+    result.iterations += steps;
+}
+
+// Newton steps at one level, until they are full and small; false if they do not become so.
+bool FrictionSolver::settle(LaneState& state, double level, double damping, int& steps) {
+    constexpr int kMost = 16;
+    const KernelProblem& pb = mesh_.problem();
+    const KernelState view = state.view(&kept_);
+    const KernelTable& run = kernel(1);
+    const double barrier = level * barrier_unit_;
+    for (int k = 0; k < kMost; ++k) {
+        double primal, dual;
+        run.newton(pb, view, &barrier, &damping);
+        ++steps;
+        const double twist = largest_twist(state, 0);
+        if (!(twist < 1e6)) return false;
+        run.step_length(pb, view, kKeep, &primal, &dual);
+        primal = std::min(primal, kMaxTwistStep / std::max(twist, 1e-12));
+        run.advance(pb, view, &primal, &dual);
+        weigh(state);
+        if (moved(state) > 2 * kTrust) return false;
+        if (twist < kSettled && std::min(primal, dual) > 0.999) return true;
+    }
+    return false;
+}
+
+double FrictionSolver::moved(const LaneState& state) const {
+    const KernelProblem& pb = mesh_.problem();
+    double most = 0;
+    for (int node = 0; node < pb.nodes; ++node)
+        for (int t = 0; t < pb.tubes; ++t)
+            most = std::max(most, std::fabs(state.unknown(node, 5 * t, 0) - kept_.unknown(node, 5 * t, 0)));
+    return most;
+}
+
+}  // namespace ctr

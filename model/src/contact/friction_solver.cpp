@@ -1,0 +1,128 @@
+#include "ctr/friction_solver.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "contact/load_moments.hpp"
+#include "exact/exact_geometry.hpp"
+
+namespace ctr {
+namespace {
+
+constexpr double kHardClearance = 3e-3;   // of the innermost tube's length. The tip error of the barrier goes with the
+                                          // clearance, rounding in the gaps with its inverse: smaller ones get a softer barrier
+
+}  // namespace
+
+FrictionSolver::FrictionSolver(const Robot& robot) : robot_(robot) {
+    if (robot.loaded()) loads_ = std::make_unique<LoadMoments>();
+}
+
+FrictionSolver::~FrictionSolver() = default;
+
+void FrictionSolver::build(const Configuration& q, const Accuracy& accuracy) {
+    mesh_.build(robot_, q, accuracy);
+    scale(q, accuracy);
+}
+
+void FrictionSolver::adopt(const Mesh& mesh, const Configuration& q, const Accuracy& accuracy) {
+    mesh_ = mesh;
+    scale(q, accuracy);
+}
+
+void FrictionSolver::scale(const Configuration& q, const Accuracy& accuracy) {
+    base_l_ = q.l.back();
+    last_barrier_ = accuracy.barrier;
+    is_exact_ = accuracy.exact;
+    if (is_exact_) {
+        double clearance = 0;
+        for (const Pair& pair : robot_.pairs) clearance = std::max(clearance, pair.clearance);
+        const double hard = kHardClearance * robot_.tubes.back().length();
+        if (clearance > 0) last_barrier_ *= std::clamp(hard / clearance, 1.0, 10.0);
+        if (!exact_) exact_ = std::make_unique<ExactGeometry>();
+        exact_->build(*this, q);
+    }
+    moment_scale_ = 1e-9;
+    for (const Tube& tube : robot_.tubes)
+        for (const Section& section : tube.sections)
+            moment_scale_ = std::max(moment_scale_, tube.bending_stiffness * std::hypot(section.curvature_x, section.curvature_y));
+    const double length = robot_.tubes.back().length();
+    barrier_unit_ = moment_scale_ / (length * length);
+}
+
+bool FrictionSolver::move(const FrictionSolver& from, const Robot& robot, const Configuration& q) {
+    robot_ = robot;
+    moment_scale_ = from.moment_scale_;
+    barrier_unit_ = from.barrier_unit_;
+    last_barrier_ = from.last_barrier_;
+    base_l_ = q.l.back();
+    if (!robot.loaded()) loads_ = nullptr;
+    else if (!loads_) loads_ = std::make_unique<LoadMoments>();
+    return mesh_.move(from.mesh_, robot, q);
+}
+
+bool FrictionSolver::move_along(const Configuration& q) {
+    base_l_ = q.l.back();
+    std::swap(mesh_, left_);
+    if (mesh_.move(left_, robot_, q)) return true;
+    std::swap(mesh_, left_);
+    return false;
+}
+
+void FrictionSolver::start(LaneState& state, const Configuration& q, const ZeroClearance& guess, double level) {
+    const KernelProblem& pb = mesh_.problem();
+    const int n = robot_.count();
+    state.forget_exact();
+    for (int lane = 0; lane < state.lanes(); ++lane) {
+        for (int k = 0; k < pb.nodes; ++k) {
+            for (int i = 0; i < pb.stride; ++i) state.unknown(k, i, lane) = 0;
+            for (int t = 0; t < n; ++t)
+                state.unknown(k, 5 * t, lane) = k <= pb.shaft_node[t] ? q.theta[n - 1 - t] : guess.theta(t, mesh_.s()[k]);
+        }
+        for (int k = 0; k < pb.contacts; ++k) {
+            const int p = pb.contact_pair[k];
+            state.slack(k, lane) = pb.half_square_clearance[p];
+            state.multiplier(k, lane) = level * barrier_unit_ * pb.barrier_scale[p] * pb.contact_weight[k] / pb.half_square_clearance[p];
+        }
+    }
+}
+
+void FrictionSolver::spread(const LaneState& from, LaneState& to) const {
+    for (int lane = 0; lane < to.lanes(); ++lane) copy(from, to, lane);
+}
+
+void FrictionSolver::copy(const LaneState& from, LaneState& to, int lane) const {
+    const KernelProblem& pb = mesh_.problem();
+    for (int k = 0; k < pb.nodes; ++k)
+        for (int i = 0; i < pb.stride; ++i) to.unknown(k, i, lane) = from.unknown(k, i, 0);
+    for (int k = 0; k < pb.contacts; ++k) {
+        to.multiplier(k, lane) = from.multiplier(k, 0);
+        to.slack(k, lane) = from.slack(k, 0);
+    }
+    to.copy_exact(from, pb, lane);
+}
+
+void FrictionSolver::recentre(LaneState& state, double level) {
+    const KernelProblem& pb = mesh_.problem();
+    for (int k = 0; k < pb.contacts; ++k) {
+        const double eps = level * barrier_unit_ * pb.barrier_scale[pb.contact_pair[k]] * pb.contact_weight[k];
+        const double balanced = std::sqrt(eps);
+        for (int lane = 0; lane < state.lanes(); ++lane) {
+            double &lambda = state.multiplier(k, lane), &w = state.slack(k, lane);
+            if (lambda * pb.half_square_clearance[pb.contact_pair[k]] > eps && lambda * balanced > w) w = eps / lambda;  // in contact: keep the force
+            else lambda = eps / w;
+        }
+    }
+}
+
+void FrictionSolver::set_base(LaneState& state, const Configuration& q) {
+    const KernelProblem& pb = mesh_.problem();
+    for (int k = 0; k < pb.nodes; ++k)
+        for (int t = 0; t < pb.tubes; ++t) {
+            // by node: where breaks were merged, a collar and the node it became stand at different arc lengths
+            if (k > pb.shaft_node[t] || 5 * t < pb.node_unknowns[k]) continue;  // an unknown there
+            for (int lane = 0; lane < state.lanes(); ++lane) state.unknown(k, 5 * t, lane) = q.theta[pb.tubes - 1 - t];
+        }
+}
+
+}  // namespace ctr

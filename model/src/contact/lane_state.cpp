@@ -1,0 +1,107 @@
+// Iterates of one or four friction states, as the kernels take them.
+#include <algorithm>
+
+#include "ctr/friction_solver.hpp"
+
+namespace ctr {
+namespace {
+#include "mesh/element_functions.hpp"
+}  // namespace
+
+void LaneState::resize(const KernelProblem& problem, int lanes) {
+    lanes_ = lanes;
+    stride_ = problem.stride;
+    block_stride_ = lanes == 1 ? stride_ / 4 * 4 + 4 : stride_ + 1;
+    const std::size_t vector = static_cast<std::size_t>(problem.nodes) * stride_ * lanes, block = vector * block_stride_;
+    const std::size_t contacts = static_cast<std::size_t>(problem.contacts) * lanes + kLanes;
+    unknowns_.resize(vector);
+    for (AlignedArray* step : {&step_, &corrected_step_}) {  // with finite values behind the end
+        step->resize(vector + kLanes);
+        std::fill(step->data() + vector, step->data() + vector + kLanes, 0.0);
+    }
+    rhs_.resize(vector);
+    diagonal_.resize(block);
+    upper_.resize(block);
+    lower_.resize(block);
+    multiplier_.resize(contacts);
+    multiplier_step_.resize(contacts);
+    slack_.resize(contacts);
+    slack_step_.resize(contacts);
+    corrected_multiplier_step_.resize(contacts);
+    corrected_slack_step_.resize(contacts);
+    phi_mu_.resize(contacts);
+    tubes_ = problem.tubes;
+    load_moment_.resize((static_cast<std::size_t>(problem.elements) * 4 * tubes_ + 1) * lanes);
+    load_moment_.fill(0.0);
+    is_exact_ = false;
+}
+
+void LaneState::begin_exact(const KernelProblem& problem) {
+    shift_.resize((static_cast<std::size_t>(problem.contacts) * lanes_ + kLanes) * 2);
+    load_.resize(static_cast<std::size_t>(problem.nodes) * stride_ * lanes_);
+    tubes_ = problem.tubes;
+    bend_.resize(static_cast<std::size_t>(problem.elements) * 4 * tubes_ * lanes_);
+    need_.resize(static_cast<std::size_t>(problem.nodes) * tubes_ * 2 * lanes_);
+    for (AlignedArray* values : {&shift_, &load_, &bend_, &need_}) values->fill(0.0);
+    is_exact_ = true;
+}
+
+void LaneState::copy_exact(const LaneState& from, const KernelProblem& problem, int lane) {
+    if (!from.is_exact_ && lanes_ == 1) is_exact_ = false;
+    if (!from.is_exact_ && !is_exact_) return;
+    if (!is_exact_) begin_exact(problem);
+    auto copy = [&](const AlignedArray& values, AlignedArray& to, std::size_t count) {
+        for (std::size_t i = 0; i < count; ++i) to[i * lanes_ + lane] = from.is_exact_ ? values[i] : 0.0;
+    };
+    copy(from.shift_, shift_, static_cast<std::size_t>(problem.contacts) * 2);
+    copy(from.load_, load_, static_cast<std::size_t>(problem.nodes) * stride_);
+    copy(from.bend_, bend_, static_cast<std::size_t>(problem.elements) * 4 * tubes_);
+    copy(from.need_, need_, static_cast<std::size_t>(problem.nodes) * tubes_ * 2);
+}
+
+double LaneState::bend(int element, double xi, int tube, int plane, int lane) const {
+    if (!is_exact_) return 0;
+    const double a = bend_[bend_index(element, 0, tube, plane, lane)], b = bend_[bend_index(element, 1, tube, plane, lane)];
+    return a + (xi - kGauss[0]) / (kGauss[1] - kGauss[0]) * (b - a);
+}
+
+void LaneState::set_phi(const Robot& robot, const KernelProblem& problem, int lane, const double* phi) {
+    const int n = robot.count();
+    for (int k = 0; k < problem.contacts; ++k) {
+        const int pair = n - 2 - problem.contact_pair[k];
+        phi_mu_[static_cast<std::size_t>(k) * lanes_ + lane] = phi[pair] * robot.pairs[pair].friction;
+    }
+}
+
+KernelState LaneState::view(const LaneState* anchor) {
+    return {unknowns_.data(),        multiplier_.data(), slack_.data(),    phi_mu_.data(), step_.data(),
+            multiplier_step_.data(), slack_step_.data(), diagonal_.data(), upper_.data(),  lower_.data(), rhs_.data(),
+            load_moment_.data(), slip_, anchor ? anchor->unknowns_.data() : nullptr, block_stride_,
+            is_exact_ ? shift_.data() : nullptr, is_exact_ ? load_.data() : nullptr};
+}
+
+KernelState LaneState::corrected_view() {
+    KernelState state = view();
+    state.step = corrected_step_.data();
+    state.multiplier_step = corrected_multiplier_step_.data();
+    state.slack_step = corrected_slack_step_.data();
+    return state;
+}
+
+void LaneState::take_corrected(const bool* take) {
+    if (std::all_of(take, take + lanes_, [](bool t) { return t; })) {
+        std::swap(step_, corrected_step_);
+        std::swap(multiplier_step_, corrected_multiplier_step_);
+        std::swap(slack_step_, corrected_slack_step_);
+        return;
+    }
+    auto copy = [&](const AlignedArray& from, AlignedArray& to) {
+        for (int lane = 0; lane < lanes_; ++lane)
+            for (std::size_t i = lane; take[lane] && i < from.size(); i += lanes_) to[i] = from[i];
+    };
+    copy(corrected_step_, step_);
+    copy(corrected_multiplier_step_, multiplier_step_);
+    copy(corrected_slack_step_, slack_step_);
+}
+
+}  // namespace ctr

@@ -1,0 +1,5 @@
+// How far Newton's steps go: included inside anonymous namespaces by newton.cpp and far_solutions.cpp.
+
+constexpr double kKeep = 0.98;            // fraction of the way to the boundary
+constexpr double kMaxTwistStep = 0.6;     // rad
+constexpr double kExactLevel = 0.1;       // barrier level, see BarrierPath, below which exact geometry matters

@@ -1,0 +1,115 @@
+// The lowest mode of the second variation, FrictionSolver::stability().
+#include <algorithm>
+#include <cmath>
+
+#include "ctr/friction_solver.hpp"
+
+namespace ctr {
+namespace {
+
+constexpr int kMostModes = 10;
+constexpr double kModeError = 0.02;  // of a Ritz vector; the value errs by its square, by more where modes lie close
+
+// Consistent mass of the angles, [node][tube]; those that are held have none.
+void weigh_angles(const KernelProblem& pb, const double* x, double* Mx) {
+    const int n = pb.tubes;
+    std::fill(Mx, Mx + static_cast<std::size_t>(pb.nodes) * n, 0.0);
+    for (int e = 0; e < pb.elements; ++e)
+        for (int t = 0; t < pb.element_tubes[e]; ++t) {
+            const double h = pb.length[e], a = x[e * n + t], b = x[(e + 1) * n + t];
+            if (5 * t < pb.node_unknowns[e]) Mx[e * n + t] += h / 6 * (2 * a + b);
+            if (5 * t < pb.node_unknowns[e + 1]) Mx[(e + 1) * n + t] += h / 6 * (a + 2 * b);
+        }
+}
+
+double product(const double* a, const double* b, std::size_t count) {
+    double sum = 0;
+    for (std::size_t i = 0; i < count; ++i) sum += a[i] * b[i];
+    return sum;
+}
+
+// Eigenvalues below x of the symmetric tridiagonal matrix with this diagonal and these squares beside it.
+int count_below(double x, int size, const double* diagonal, const double* square) {
+    int below = 0;
+    double pivot = 1;
+    for (int i = 0; i < size; ++i) {
+        pivot = diagonal[i] - x - (i ? square[i - 1] / pivot : 0.0);
+        if (pivot == 0) pivot = 1e-300;
+        below += pivot < 0;
+    }
+    return below;
+}
+
+// Its eigenvalue with the largest magnitude by bisection, and the last component of the unit eigenvector.
+double largest_eigenvalue(int size, const double* diagonal, const double* beside, double& last) {
+    double square[kMostModes], low = 0, high = 0;
+    for (int i = 0; i < size; ++i) {
+        const double reach = (i ? beside[i - 1] : 0.0) + (i + 1 < size ? beside[i] : 0.0);
+        low = std::min(low, diagonal[i] - reach);
+        high = std::max(high, diagonal[i] + reach);
+        square[i] = i + 1 < size ? beside[i] * beside[i] : 0.0;
+    }
+    auto eigenvalue = [&](int index) {  // counted from the smallest
+        double a = low, b = high;
+        while (b - a > 1e-9 * (high - low)) {
+            const double middle = 0.5 * (a + b);
+            (count_below(middle, size, diagonal, square) > index ? b : a) = middle;
+        }
+        return 0.5 * (a + b);
+    };
+    const double smallest = eigenvalue(0), largest = eigenvalue(size - 1), value = largest >= -smallest ? largest : smallest;
+    double component = 1, before = 0, norm = 1;
+    for (int i = 0; i + 1 < size; ++i) {
+        const double next = ((value - diagonal[i]) * component - (i ? beside[i - 1] : 0.0) * before) / beside[i];
+        before = component;
+        component = next;
+        norm += next * next;
+    }
+    last = component / std::sqrt(norm);
+    return value;
+}
+
+}  // namespace
+
+double FrictionSolver::stability(LaneState& state, int& negative) {
+    const KernelProblem& pb = mesh_.problem();
+    negative = 0;
+    for (int k = 0; k < pb.nodes; ++k)
+        for (int i = 0; i < pb.node_unknowns[k]; ++i)
+            if (state.inverse_pivot(k, i, 0) < 0) ++negative;
+    // Lanczos on H^-1 M from a vector near the lowest mode of tubes held at their bases, and overlapping every other
+    const int n = pb.tubes;
+    const double length = robot_.tubes.back().length();
+    const std::size_t size = static_cast<std::size_t>(pb.nodes) * n;
+    modes_.assign(4 * size, 0.0);
+    double *before = modes_.data(), *now = before + size, *next = now + size, *mass = next + size;
+    for (int k = 1; k < pb.nodes; ++k)
+        for (int t = 0; t < n; ++t)
+            if (5 * t < pb.node_unknowns[k]) now[k * n + t] = (mesh_.s()[k] - base_l_) / length + 0.1 * std::sin(1.0 + 0.1 * k + t);
+    weigh_angles(pb, now, mass);
+    double scale = 1 / std::sqrt(product(now, mass, size)), alpha[kMostModes], beta[kMostModes] = {}, value = 0;
+    for (int j = 0; j < kMostModes; ++j) {
+        for (std::size_t i = 0; i < size; ++i) {
+            now[i] *= scale;
+            mass[i] *= scale;
+        }
+        for (int k = 0; k < pb.nodes; ++k)
+            for (int i = 0; i < pb.stride; ++i) state.rhs(k, i, 0) = i % 5 == 0 ? -mass[k * n + i / 5] : 0.0;
+        kernel(1).solve(pb, state.view());
+        for (int k = 0; k < pb.nodes; ++k)
+            for (int t = 0; t < n; ++t) next[k * n + t] = 5 * t < pb.node_unknowns[k] ? state.step(k, 5 * t, 0) : 0.0;
+        alpha[j] = product(next, mass, size);
+        for (std::size_t i = 0; i < size; ++i) next[i] -= alpha[j] * now[i] + (j ? beta[j - 1] : 0.0) * before[i];
+        weigh_angles(pb, next, mass);
+        beta[j] = std::sqrt(std::max(product(next, mass, size), 0.0));
+        double last = 1;
+        value = largest_eigenvalue(j + 1, alpha, beta, last);
+        if (!(beta[j] * std::fabs(last) > kModeError * std::fabs(value))) break;
+        scale = 1 / beta[j];
+        std::swap(before, now);
+        std::swap(now, next);
+    }
+    return length * length / (robot_.tubes.back().torsional_stiffness * value);
+}
+
+}  // namespace ctr

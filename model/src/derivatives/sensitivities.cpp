@@ -1,0 +1,84 @@
+#include "ctr/sensitivities.hpp"
+
+#include <algorithm>
+#include <limits>
+
+#include "derivatives/tip_gradient.hpp"
+
+namespace ctr {
+
+Sensitivities::Sensitivities() : gradient_(std::make_unique<TipGradient>()) {}
+Sensitivities::~Sensitivities() = default;
+
+TipDerivative TipDerivative::nowhere() {
+    constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+    return {{nan, nan, nan}, {nan, nan, nan}};
+}
+
+void Sensitivities::set(const FrictionSolver& solver, const Configuration& q, const Direction& direction, double amount, Side& side) const {
+    side.robot = solver.robot();
+    side.q = q;
+    numbers(side.robot, side.q, side.values);
+    for (const auto& [index, weight] : direction.weights) *side.values[index] += amount * weight;
+}
+
+// Whether only base rotations change along a direction; joints are the last numbers.
+bool Sensitivities::only_turns(const FrictionSolver& solver, const Direction& direction) const {
+    const int count = static_cast<int>(plus_.values.size()), n = solver.robot().count();
+    return std::all_of(direction.weights.begin(), direction.weights.end(),
+                       [&](const auto& w) { return w.first >= count - 2 * n && w.first < count - n; });
+}
+
+// Where the directions lead, unless that is known already: friction states of one configuration follow one another.
+void Sensitivities::prepare(const FrictionSolver& solver, const Configuration& q, const std::vector<Direction>& directions) {
+    if (directions == directions_ && q.theta == q_.theta && q.l == q_.l && solver.mesh().s() == s_) return;
+    directions_ = directions;
+    q_ = q;
+    s_ = solver.mesh().s();
+    changes_.resize(directions.size());
+    ways_.resize(directions.size());
+    for (std::size_t j = 0; j < directions.size(); ++j) ways_[j] = read_change(solver, q, directions[j], changes_[j]);
+}
+
+Sensitivities::Way Sensitivities::read_change(const FrictionSolver& solver, const Configuration& q, const Direction& direction,
+                                              NumberChange& change) {
+    const KernelProblem& pb = solver.mesh().problem();
+    const NumberLayout at(pb.tubes, pb.elements);
+    change.clear();
+    set(solver, q, direction, direction.step, plus_);
+    if (only_turns(solver, direction)) {
+        const int first = static_cast<int>(plus_.values.size()) - 2 * pb.tubes;
+        for (const auto& [index, weight] : direction.weights)
+            for (int place : {at.base, at.shaft_angle}) change.push_back({place + pb.tubes - 1 - (index - first), weight});
+        return Way::gradient;
+    }
+    set(solver, q, direction, -direction.step, minus_);
+    for (const Side* side : {&plus_, &minus_})
+        if (side->robot.loaded() || !side->robot.linear_round()) return Way::alone;
+    for (auto [side, row] : {std::pair{&plus_, &upper_}, {&minus_, &lower_}}) {
+        if (!moved_.move_elements(solver.mesh(), side->robot, side->q)) return Way::none;
+        read_numbers(moved_, side->robot, side->q, *row);
+    }
+    for (int i = 0; i < at.count; ++i)
+        if (upper_[i] != lower_[i]) change.push_back({i, (upper_[i] - lower_[i]) / (2 * direction.step)});
+    return Way::gradient;
+}
+
+void Sensitivities::compute(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi,
+                            const std::vector<Direction>& directions, std::vector<TipDerivative>& out) {
+    if (!TipGradient::applies(solver, state)) return compute_each(solver, state, q, phi, directions, out);
+    solver.factorise(state);
+    prepare(solver, q, directions);
+    if (std::find(ways_.begin(), ways_.end(), Way::gradient) != ways_.end()) gradient_->compute(solver, state, phi);
+    if (std::find(ways_.begin(), ways_.end(), Way::alone) != ways_.end()) start(solver, state, q, directions);
+    out.assign(directions.size(), TipDerivative::nowhere());
+    for (std::size_t j = 0; j < directions.size(); ++j) {
+        if (ways_[j] == Way::alone) out[j] = follow(solver, state, q, phi, directions[j]);
+        if (ways_[j] != Way::gradient) continue;
+        const TipValues by = gradient_->along(changes_[j]);
+        std::copy_n(by.value.begin(), 3, out[j].position.begin());
+        std::copy_n(by.value.begin() + 3, 3, out[j].tangent.begin());
+    }
+}
+
+}  // namespace ctr

@@ -1,9 +1,0 @@
-// The kernels for every x86-64 (or any other architecture).
-#include "ctr/kernel.hpp"
-
-namespace ctr {
-namespace {
-#include "kernel_body.hpp"
-}
-const KernelTable& baseline_kernel(int lanes) { return lanes == 1 ? kScalar : kVector; }
-}  // namespace ctr

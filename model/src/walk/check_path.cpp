@@ -1,0 +1,182 @@
+#include "ctr/walk.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace ctr {
+namespace {
+
+constexpr double kShortestStep = 1.0 / 1024;  // of a leg
+constexpr double kMarkerSpacing = 4e-3;       // m
+constexpr double kSurprise = 1.5;              // times the motion expected from the step before
+constexpr double kSnap = 1e-3;                // m; more motion than expected that counts as a jump
+constexpr double kLeap = 0.75;                // of the motion of a rejected step; a shorter one that keeps so much of it jumps
+
+#include "mesh/element_functions.hpp"
+#include "walk/outer_line.hpp"
+
+double backbone_clearance(const BoundSolver& bound, const Backbone& shape, const SignedDistanceField& field, double spacing) {
+    double least = 1e9;
+    for_outer_points(bound, shape, spacing, [&](const Vec3& p, double radius) { least = std::min(least, field.sample(p) - radius); });
+    return least;
+}
+
+// Points that move with the material, per tube where it is the outermost: at fixed distances from the tube's own tip.
+using Markers = std::vector<std::vector<Vec3>>;
+
+Markers material_markers(const BoundSolver& bound, const Backbone& shape) {
+    const Mesh& mesh = bound.solver().mesh();
+    const KernelProblem& pb = mesh.problem();
+    Markers markers(pb.tubes);
+    std::vector<double> tip(pb.tubes);
+    for (int i = 0; i < pb.tubes; ++i) tip[i] = bound.configuration().l[i] + bound.solver().robot().tubes[i].length();
+    for_outer_elements(bound, shape, [&](int e, const Vec3& start, const Vec3& end) {
+        const int i = pb.tubes - pb.element_tubes[e];
+        const double from = tip[i] - mesh.s()[e], h = pb.length[e];  // distances to the tip fall along the element
+        for (int k = static_cast<int>(std::ceil((from - h) / kMarkerSpacing - 1e-9)); k * kMarkerSpacing < from + 1e-12; ++k) {
+            if (k < 0) continue;
+            const double x = std::clamp((from - k * kMarkerSpacing) / h, 0.0, 1.0);
+            std::vector<Vec3>& row = markers[i];
+            if (static_cast<int>(row.size()) <= k) row.resize(k + 1, Vec3{1e9, 0, 0});
+            row[k] = between(start, shape.frame[e].tangent(), end, shape.frame[e + 1].tangent(), h, x);
+        }
+    });
+    return markers;
+}
+
+// Of the frictionless shape, then of the corners'.
+std::vector<Markers> markers_of_shapes(const BoundSolver& bound) {
+    std::vector<Markers> all{material_markers(bound, bound.backbone)};
+    for (const Backbone& shape : bound.corner_backbones) all.push_back(material_markers(bound, shape));
+    return all;
+}
+
+double largest_motion(const Markers& before, const Markers& after) {
+    double most = 0;
+    for (std::size_t i = 0; i < before.size(); ++i)
+        for (std::size_t k = 0; k < std::min(before[i].size(), after[i].size()); ++k) {
+            const Vec3 &a = before[i][k], &b = after[i][k];
+            if (a[0] < 1e8 && b[0] < 1e8) most = std::max(most, std::hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]));
+        }
+    return most;
+}
+
+// Joint steps of the density between two configurations.
+double steps(const Configuration& a, const Configuration& b, const PathDensity& density) {
+    double most = 0;
+    for (std::size_t i = 0; i < a.theta.size(); ++i)
+        most = std::max({most, std::fabs(b.theta[i] - a.theta[i]) / density.rotation, std::fabs(b.l[i] - a.l[i]) / density.translation});
+    return most;
+}
+
+Configuration between(const Configuration& a, const Configuration& b, double share) {
+    Configuration q = a;
+    for (std::size_t i = 0; i < a.theta.size(); ++i) {
+        q.theta[i] += share * (b.theta[i] - a.theta[i]);
+        q.l[i] += share * (b.l[i] - a.l[i]);
+    }
+    return share >= 1 ? b : q;
+}
+
+void collect_body(const BoundSolver& bound, double spacing, std::vector<double>& out) {
+    auto add = [&](const Backbone& shape) {
+        for_outer_points(bound, shape, spacing, [&](const Vec3& p, double radius) {
+            out.insert(out.end(), {p[0], p[1], p[2], radius});
+        });
+    };
+    add(bound.backbone);
+    for (const Backbone& shape : bound.corner_backbones) add(shape);
+}
+
+}  // namespace
+
+double clearance(const BoundSolver& bound, const SignedDistanceField& field, double spacing) {
+    if (!field.values) return 1e9;
+    double least = backbone_clearance(bound, bound.backbone, field, spacing);
+    for (const Backbone& shape : bound.corner_backbones) least = std::min(least, backbone_clearance(bound, shape, field, spacing));
+    return least;
+}
+
+std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Configuration>& corners, const Accuracy& mesh,
+                                   const SignedDistanceField& field, const PathDensity& density, const PathLimits& limits,
+                                   bool keep_bodies) {
+    std::vector<PathSample> samples;
+    std::vector<Markers> before, now;
+    int solves = 0;
+    // Solves at q and appends the sample; false if it breaks a limit.
+    auto record = [&](int segment, double fraction, double motion) {
+        PathSample sample;
+        sample.segment = segment;
+        sample.fraction = fraction;
+        sample.status = solver.all_converged() ? solver.status() : Status::failed;
+        sample.position_bound = solver.position;
+        sample.tangent_bound = solver.tangent;
+        sample.stability = solver.stability();
+        sample.max_strain = solver.max_strain;
+        sample.clearance = clearance(solver, field, density.point_spacing);
+        sample.motion = motion;
+        sample.solves = solves;
+        solves = 0;
+        sample.tip = solver.backbone.frame.back().p;
+        sample.tangent = solver.backbone.frame.back().tangent();
+        for (const Backbone& corner : solver.corner_backbones) sample.corner_tips.push_back(corner.frame.back().p);
+        if (keep_bodies) collect_body(solver, density.point_spacing, sample.body);
+        samples.push_back(std::move(sample));
+        return sample.status != Status::failed && sample.status != Status::unstable && sample.stability >= limits.stability &&
+               sample.max_strain <= limits.max_strain && sample.clearance >= limits.clearance;
+    };
+    if (corners.empty()) return samples;
+    solver.solve(corners.front(), mesh);
+    ++solves;
+    before = markers_of_shapes(solver);
+    if (!record(0, 0, 0)) return samples;
+    for (std::size_t leg = 0; leg + 1 < corners.size(); ++leg) {
+        const Configuration &a = corners[leg], &b = corners[leg + 1];
+        const double longest = steps(a, b, density);  // joint steps this leg needs at least
+        double at = 0, step = 1 / std::max(1.0, std::ceil(longest - 1e-9));
+        double rate = 0, pace = 0;  // motion over the last step, of the frictionless shape and of the fastest
+        const double largest = step;
+        bool retrying = false;
+        double rejected = 0, rejected_most = 0;  // motion of the last step that was not accepted
+        while (at < 1) {
+            const double allowed = density.allowed(samples.back().clearance);
+            if (pace > 0) step = std::min(step, 0.85 * allowed / pace);
+            double next = at + step > 1 - 1e-9 ? 1 : at + step;
+            if (next < 1 && at + 2 * step > 1) next = 0.5 * (at + 1);  // two even steps rather than a long and a sliver
+            solver.follow(between(a, b, next), mesh, retrying);
+            ++solves;
+            now = markers_of_shapes(solver);
+            const double motion = largest_motion(before[0], now[0]);
+            double most = motion;
+            for (std::size_t k = 1; k < now.size(); ++k) most = std::max(most, largest_motion(before[k], now[k]));
+            // A body that moves much faster than before may have snapped: look closer, until its motion shrinks with the step.
+            const bool surprising = rate > 0 && motion > kSurprise * rate * (next - at) + kSnap && motion > kLeap * rejected;
+            // A corner leaps where its friction state loses its equilibrium. No step shows what lies between.
+            const bool leaps = motion <= allowed && rejected_most > 0 && most > kLeap * rejected_most;
+            if (((most > allowed && !leaps) || surprising) && next - at > kShortestStep) {
+                step = std::max(0.5 * (next - at), 0.5 * kShortestStep);
+                rejected = motion;
+                rejected_most = most;
+                retrying = true;
+                continue;
+            }
+            retrying = false;
+            const bool jumped = next - at <= kShortestStep && motion > std::max(allowed, kSnap);
+            const bool snapped = jumped || (surprising && next - at <= kShortestStep);
+            rejected = rejected_most = 0;
+            rate = motion / (next - at);
+            pace = leaps ? rate : most / (next - at);
+            if (!record(static_cast<int>(leg), next, most)) return samples;
+            if (snapped) {
+                samples.back().status = Status::unstable;
+                return samples;
+            }
+            before.swap(now);
+            step = std::min(largest, 2 * (next - at));  // after a closer look the steps grow again bit by bit
+            at = next;
+        }
+    }
+    return samples;
+}
+
+}  // namespace ctr
