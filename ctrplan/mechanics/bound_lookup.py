@@ -8,10 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ctrplan import _model
 from ctrplan.base.arrays import Array
 from ctrplan.mechanics.core import Mechanics, input_errors
-from ctrplan.mechanics.core_arrays import joint_rows, path_samples, walk_arguments
+from ctrplan.mechanics.core_arrays import core_density, core_grid, core_limits, joint_rows
 from ctrplan.mechanics.walk import Field, PathDensity, PathLimits, PathSamples
+
+COLUMNS = {name: slice(first, first + count) for name, (first, count) in _model.entry_columns().items()}
+
+
+def _mirror() -> NDArray[np.float32]:
+    factors = np.ones(max(columns.stop for columns in COLUMNS.values()), np.float32)
+    for vectors in ("point", "tip_tangent"):
+        factors[COLUMNS[vectors]][1::3] = -1
+    return factors
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,10 +41,9 @@ class FieldLookup:
     A joint without an axis is taken to stand where it stood for the values, whatever a configuration says of it.
     """
 
-    STATIONS = 24
-    NUMBERS = 8 + 4 * STATIONS
-    VALID = 4
-    MIRROR = np.array([*[1.0] * 5, *[1.0, -1.0, 1.0] * STATIONS, 1.0, -1.0, 1.0, *[1.0] * STATIONS], np.float32)
+    NUMBERS = max(columns.stop for columns in COLUMNS.values())  # of an entry
+    VALID = COLUMNS["valid"].start
+    MIRROR = _mirror()  # factor of each number where the robot is seen in the mirror y = 0
 
     def __init__(
         self,
@@ -57,13 +66,18 @@ class FieldLookup:
     @classmethod
     def entries(cls, table: Array) -> FieldEntries:
         """Names for the columns of a table of entries."""
-        points = table[:, 5 : 5 + 3 * cls.STATIONS].reshape(-1, cls.STATIONS, 3)
-        return FieldEntries(table[:, 0], table[:, cls.VALID], points, table[:, -cls.STATIONS :])
+        return FieldEntries(
+            position_m=table[:, COLUMNS["position"].start],
+            valid=table[:, cls.VALID],
+            points_m=table[:, COLUMNS["point"]].reshape(len(table), -1, 3),
+            envelope_m=table[:, COLUMNS["envelope"]],
+        )
 
     def check_path(
         self, theta_b: ArrayLike, l_b: ArrayLike, field: Field | None, *, density: PathDensity, limits: PathLimits
     ) -> PathSamples:
         """As `Mechanics.check_path`, by lookup; FAILED next to configurations that the grid has no answer for."""
-        given = walk_arguments(field, density, limits)
+        until = core_density(density), core_limits(limits)
         with input_errors():
-            return path_samples(np.asarray(self._core.check_path(*joint_rows(theta_b, l_b, self.n), *given)), ())
+            rows = joint_rows(theta_b, l_b, self.n)
+            return PathSamples(**self._core.check_path(*rows, core_grid(field), *until))

@@ -19,15 +19,17 @@ from ctrplan.base.progress import Progress
 from ctrplan.errors import InputError
 from ctrplan.mechanics.batch import bounds_in_chunks, bounds_on_executor, check_helpers, rows_in_a_chunk
 from ctrplan.mechanics.core_arrays import (
-    bounds_from_core,
+    core_density,
+    core_grid,
+    core_limits,
+    core_loads,
+    core_pair,
+    core_tube,
     joint_row,
     joint_rows,
     joint_table,
     numbers,
-    path_samples,
     shape_from_core,
-    tube_numbers,
-    walk_arguments,
     worst,
 )
 from ctrplan.mechanics.derivative_names import directions
@@ -62,7 +64,6 @@ __all__ = [
 Accuracy = Literal["search", "certificate", "exact"]
 """Mesh error of a tip on the Table III grid: 0.3, 0.05 mm; "exact" also drops the first order in the clearance."""
 MOST_THREADS = 1024
-_LEVELS: tuple[Accuracy, ...] = get_args(Accuracy)
 
 
 class Mechanics:
@@ -85,19 +86,9 @@ class Mechanics:
                 rule = f"must be from 0 to below the outer diameter of {tube.outer_diameter_m:g} m"
                 raise InputError(rule, key=f"tube.{i}.inner_diameter_m", value=tube.inner_diameter_m, unit="m")
         with input_errors():
+            pairs = zip(gaps.tolist(), coefficients.tolist(), tubes[:-1], tubes[1:], strict=True)
             self._model = _model.Model(
-                [tube_numbers(tube) for tube in tubes],
-                [
-                    [[s.length_m, s.curvature_x_per_m, s.curvature_y_per_m, s.gradient] for s in tube.sections]
-                    for tube in tubes
-                ],
-                [
-                    [gap, mu, outer.inner_diameter_m / 2, inner.outer_diameter_m / 2]
-                    for gap, mu, outer, inner in zip(
-                        gaps.tolist(), coefficients.tolist(), tubes[:-1], tubes[1:], strict=True
-                    )
-                ],
-                [list(loads.tip_force_N), list(loads.tip_moment_Nm), list(loads.gravity_m_s2)],
+                [core_tube(tube) for tube in tubes], [core_pair(*pair) for pair in pairs], core_loads(loads)
             )
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -134,22 +125,16 @@ class Mechanics:
         with input_errors():
             return shape_from_core(
                 self._model.solve(
-                    self._row(theta_b), self._row(l_b), np.ascontiguousarray(state), _level(accuracy), refinement
+                    self._row(theta_b), self._row(l_b), np.ascontiguousarray(state), _known(accuracy), refinement
                 )
             )
 
     def bound(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> Bound:
         """Frictionless solution, every corner phi in {-1, 1}^(n-1), and the largest deviations between them."""
         with input_errors():
-            raw = self._model.bound(self._row(theta_b), self._row(l_b), _level(accuracy))
-        return Bound(
-            position_m=raw["position"],
-            tangent_rad=raw["tangent"],
-            frictionless=shape_from_core(raw["frictionless"]),
-            corners=tuple(shape_from_core(corner) for corner in raw["corners"]),
-            envelope_m=raw["envelope"],
-            worst_corner=raw["worst_corner"],
-        )
+            raw = self._model.bound(self._row(theta_b), self._row(l_b), _known(accuracy))
+        corners = tuple(map(shape_from_core, raw["corners"]))
+        return Bound(**raw | {"frictionless": shape_from_core(raw["frictionless"]), "corners": corners})
 
     def bound_many(
         self,
@@ -166,7 +151,7 @@ class Mechanics:
         `progress` is told the finished share between chunks of half a second or so. With an `executor`, any that has
         the interface of concurrent.futures, chunks are its tasks, by default on one thread each. Results are the same.
         """
-        (thetas, ls), level, cores = self._configurations(theta_b, l_b), _level(accuracy), _checked(threads)
+        (thetas, ls), level, cores = self._configurations(theta_b, l_b), _known(accuracy), _checked(threads)
         check_helpers(progress, executor)
         rows = rows_in_a_chunk(self.n, accuracy)
         if executor is not None or len(thetas) > rows:  # nothing is solved before all is known to be well-formed
@@ -176,7 +161,7 @@ class Mechanics:
 
         def solve(theta_b: Array, l_b: Array) -> Bounds:
             with input_errors():
-                return bounds_from_core(np.asarray(self._model.bound_many(theta_b, l_b, level, cores)))
+                return Bounds(**self._model.bound_many(theta_b, l_b, level, cores))
 
         return bounds_in_chunks(solve, thetas, ls, rows, progress)
 
@@ -197,8 +182,7 @@ class Mechanics:
     def tips(self, theta_b: ArrayLike, l_b: ArrayLike, *, threads: int = 0) -> tuple[Array, Array, NDArray[np.int_]]:
         """Zero-clearance tips (K, 3) [m], tangents (K, 3) and status (K,) of K configurations."""
         with input_errors():
-            table: Array = np.asarray(self._model.tips(self._rows(theta_b), self._rows(l_b), _checked(threads)))
-        return table[:, :3], table[:, 3:6], table[:, 6].astype(int)
+            return self._model.tips(self._rows(theta_b), self._rows(l_b), _checked(threads))
 
     def zero_clearance_rooms(
         self, theta_b: ArrayLike, l_b: ArrayLike, field: Field, *, spacing_m: float = 4e-3, threads: int = 0
@@ -210,12 +194,10 @@ class Mechanics:
         """
         if not spacing_m >= SHORTEST_STEP:
             raise InputError(f"must be at least {SHORTEST_STEP:g} m", key="spacing_m", value=spacing_m, unit="m")
-        grid = walk_arguments(field, PathDensity(), PathLimits())[:5]
         with input_errors():
-            table: Array = np.asarray(
-                self._model.rooms(self._rows(theta_b), self._rows(l_b), *grid, spacing_m, _checked(threads))
+            return self._model.clearances(
+                self._rows(theta_b), self._rows(l_b), core_grid(field), spacing_m, _checked(threads)
             )
-        return table[:, 0], table[:, 1:]
 
     def tips_with_friction(
         self,
@@ -243,19 +225,9 @@ class Mechanics:
             raise InputError("must lie in [-1, 1]", key="phi", value=worst(states))
         given = directions(parameters, self._given[0], self._model.number_names())
         with input_errors():
-            table: Array = np.asarray(
-                self._model.tips_with_friction(thetas, ls, states, given, _first_order(accuracy), _checked(threads))
+            return Tips(
+                **self._model.tips_with_friction(thetas, ls, states, given, _first_order(accuracy), _checked(threads))
             )
-        slopes = table[:, 9:].reshape(len(thetas), len(given), 2, 3)
-        return Tips(
-            position_m=table[:, :3],
-            tangent=table[:, 3:6],
-            status=table[:, 6].astype(int),
-            residual=table[:, 7],
-            max_strain=table[:, 8],
-            position_by=np.moveaxis(slopes[:, :, 0], 1, 2),
-            tangent_by=np.moveaxis(slopes[:, :, 1], 1, 2),
-        )
 
     def core_lookup(
         self, axes: Sequence[tuple[int, bool, float, float, int]], values: NDArray[np.float32], margin_m: float
@@ -286,11 +258,12 @@ class Mechanics:
 
         Stops after the first sample that breaks a limit, fails, or is UNSTABLE, which a snap on the way is too.
         """
-        given = walk_arguments(field, density or PathDensity(), limits or PathLimits())
+        until = core_density(density or PathDensity()), core_limits(limits or PathLimits())
         with input_errors():
             theta, length = joint_rows(theta_b, l_b, self.n)
-            table, points = self._model.check_path(theta, length, *given, _level(accuracy), bodies)
-        return path_samples(np.asarray(table), points)
+            return PathSamples(
+                **self._model.check_path(theta, length, core_grid(field), *until, _known(accuracy), bodies)
+            )
 
     def field_entries(self, theta_b: ArrayLike, l_b: ArrayLike, *, threads: int = 0) -> Array:
         """(K, FieldLookup.NUMBERS) what a grid of bounds stores of K configurations, (K, n), (K, n)."""
@@ -301,8 +274,7 @@ class Mechanics:
     def body(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> tuple[Array, Array]:
         """Outermost centreline in front of the plate: points (1 + corners, N, 3) [m], outer radii (N,) [m]."""
         with input_errors():
-            table: Array = np.asarray(self._model.body(self._row(theta_b), self._row(l_b), _level(accuracy)))
-        return table[:, :, :3], table[0, :, 3]
+            return self._model.body(self._row(theta_b), self._row(l_b), _known(accuracy))
 
     def _configurations(self, theta_b: ArrayLike, l_b: ArrayLike) -> tuple[Array, Array]:
         return joint_rows(theta_b, l_b, self.n)
@@ -350,13 +322,13 @@ def _checked(threads: int) -> int:
     return count
 
 
-def _level(accuracy: Accuracy) -> int:
-    if accuracy not in _LEVELS:
+def _known(accuracy: Accuracy) -> Accuracy:
+    if accuracy not in get_args(Accuracy):
         raise InputError('must be "search", "certificate" or "exact"', key="accuracy", value=accuracy)
-    return _LEVELS.index(accuracy)
+    return accuracy
 
 
-def _first_order(accuracy: Accuracy) -> int:
+def _first_order(accuracy: Accuracy) -> Accuracy:
     if accuracy == "exact":
         raise InputError('must be "search" or "certificate" here', key="accuracy", value=accuracy)
-    return _level(accuracy)
+    return _known(accuracy)

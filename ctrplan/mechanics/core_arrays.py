@@ -1,22 +1,21 @@
-"""What the core takes and returns, as arrays: joints, tubes and walks in; shapes, bounds and samples out."""
+"""What the core takes and returns: joints, tubes and walks in, shapes out. It names its numbers as these classes do."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ctrplan import _model
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
-from ctrplan.mechanics.shapes import Bounds, Shape, Status, TubeShape
-from ctrplan.mechanics.walk import Field, PathDensity, PathLimits, PathSamples
+from ctrplan.mechanics.shapes import Shape, Status, TubeShape
+from ctrplan.mechanics.walk import Field, PathDensity, PathLimits
 
 if TYPE_CHECKING:
+    from ctrplan.mechanics.loads import Loads
     from ctrplan.mechanics.tube import Tube
-
-FREE_SPACE = Field(np.zeros((1, 1, 1), np.float32), np.zeros(3), 1.0, np.eye(3), np.zeros(3))  # where there is none
 
 
 def joint_row(values: ArrayLike, n: int) -> Array:
@@ -43,21 +42,45 @@ def joint_table(values: ArrayLike, n: int) -> Array:
     return rows
 
 
-def tube_numbers(tube: Tube) -> list[float]:
-    """A tube as the core reads it, in SI units: radii, stiffnesses, and what the effects add."""
-    return [
-        tube.outer_diameter_m / 2,
-        tube.inner_diameter_m / 2,
-        tube.bending_stiffness_Nm2,
-        tube.bending_stiffness_Nm2 / (1 + tube.poisson_ratio),
-        tube.collar_length_m,
-        tube.ovality,
-        tube.ovality_axis_rad,
-        min(tube.softening_strain, 1e300),
-        tube.softening_fraction,
-        tube.shaft_compliance_rad_per_Nm,
-        tube.mass_per_length_kg_m,
-    ]
+def core_tube(tube: Tube) -> _model.Tube:
+    """A tube as the core reads it: radii, stiffnesses, and what the effects add."""
+    return _model.Tube(
+        outer_radius=tube.outer_diameter_m / 2,
+        inner_radius=tube.inner_diameter_m / 2,
+        bending_stiffness=tube.bending_stiffness_Nm2,
+        torsional_stiffness=tube.bending_stiffness_Nm2 / (1 + tube.poisson_ratio),
+        collar_length=tube.collar_length_m,
+        sections=[
+            _model.Section(
+                length=section.length_m,
+                curvature_x=section.curvature_x_per_m,
+                curvature_y=section.curvature_y_per_m,
+                gradient=section.gradient,
+            )
+            for section in tube.sections
+        ],
+        ovality=tube.ovality,
+        ovality_axis=tube.ovality_axis_rad,
+        softening_strain=min(tube.softening_strain, 1e300),
+        softening_fraction=tube.softening_fraction,
+        shaft_compliance=tube.shaft_compliance_rad_per_Nm,
+        mass_per_length=tube.mass_per_length_kg_m,
+    )
+
+
+def core_pair(clearance_m: float, friction: float, outer: Tube, inner: Tube) -> _model.Pair:
+    """Two neighbouring tubes as the core reads what is between them."""
+    return _model.Pair(
+        clearance=clearance_m,
+        friction=friction,
+        outer_inner_radius=outer.inner_diameter_m / 2,
+        inner_outer_radius=inner.outer_diameter_m / 2,
+    )
+
+
+def core_loads(loads: Loads) -> _model.Loads:
+    """Loads as the core reads them."""
+    return _model.Loads(tip_force=loads.tip_force_N, tip_moment=loads.tip_moment_Nm, gravity=loads.gravity_m_s2)
 
 
 def numbers(values: ArrayLike, key: str) -> Array:
@@ -68,42 +91,29 @@ def numbers(values: ArrayLike, key: str) -> Array:
         raise InputError("must be numbers", key=key) from None
 
 
-def walk_arguments(
-    field: Field | None, density: PathDensity, limits: PathLimits
-) -> tuple[Any, Any, Any, Any, Any, Any, Any]:
-    """What the core is told of a walk, in its order."""
-    grid = field or FREE_SPACE
-    return (
-        None if field is None else grid.values_m,
-        grid.origin_m,
-        grid.spacing_m,
-        grid.R_AB,
-        grid.p_AB,
-        np.array(
-            [density.rotation_rad, density.translation_m, density.motion_m, density.near_m, density.point_spacing_m]
-        ),
-        np.array([limits.stability, limits.max_strain, limits.clearance_m]),
+def core_grid(field: Field | None) -> _model.Grid | None:
+    """A grid of clearances as the core reads it; None is free space."""
+    if field is None:
+        return None
+    return _model.Grid(
+        values=field.values_m, origin=field.origin_m, spacing=field.spacing_m, R_AB=field.R_AB, p_AB=field.p_AB
     )
 
 
-def path_samples(table: Array, bodies: Sequence[Array]) -> PathSamples:
-    """Names for the columns of the core's table of samples."""
-    return PathSamples(
-        segment=table[:, 0].astype(int),
-        fraction=table[:, 1],
-        position_m=table[:, 2],
-        tangent_rad=table[:, 3],
-        stability=table[:, 4],
-        max_strain=table[:, 5],
-        clearance_m=table[:, 6],
-        motion_m=table[:, 7],
-        status=table[:, 8].astype(int),
-        tip_m=table[:, 9:12],
-        tip_tangent=table[:, 12:15],
-        solves=table[:, 15].astype(int),
-        corner_tip_m=table[:, 16:].reshape(len(table), (table.shape[1] - 16) // 3, 3),
-        bodies=tuple(bodies),
+def core_density(density: PathDensity) -> _model.PathDensity:
+    """How densely a path is walked, as the core reads it."""
+    return _model.PathDensity(
+        rotation=density.rotation_rad,
+        translation=density.translation_m,
+        motion=density.motion_m,
+        near=density.near_m,
+        point_spacing=density.point_spacing_m,
     )
+
+
+def core_limits(limits: PathLimits) -> _model.PathLimits:
+    """Until what a path is walked, as the core reads it."""
+    return _model.PathLimits(stability=limits.stability, max_strain=limits.max_strain, clearance=limits.clearance_m)
 
 
 def worst(values: Array) -> float:
@@ -111,31 +121,7 @@ def worst(values: Array) -> float:
     return float(np.ravel(values)[np.argmax(np.where(np.isnan(values), np.inf, np.abs(values)))])
 
 
-def bounds_from_core(table: Array) -> Bounds:
-    """Names for the columns of the core's table of bounds."""
-    return Bounds(
-        position_m=table[:, 0],
-        tangent_rad=table[:, 1],
-        stability=table[:, 2],
-        max_strain=table[:, 3],
-        residual=table[:, 4],
-        status=table[:, 5].astype(int),
-        tip_m=table[:, 6:9],
-        tip_tangent=table[:, 9:12],
-    )
-
-
 def shape_from_core(raw: dict[str, Any]) -> Shape:
-    """The Shape of what the core returns."""
-    contacts = raw["contacts"]
-    return Shape(
-        tubes=tuple(TubeShape(*tube) for tube in raw["tubes"]),
-        radius_m=raw["radius"],
-        contact_s_m=tuple(contact[0] for contact in contacts),
-        contact_force_N=tuple(contact[1] for contact in contacts),
-        contact_angle_rad=tuple(contact[2] for contact in contacts),
-        status=Status(raw["status"]),
-        residual=raw["residual"],
-        stability=raw["stability"],
-        max_strain=raw["max_strain"],
-    )
+    """The Shape of what the core returns, under the same names."""
+    tubes = tuple(TubeShape(**tube) for tube in raw["tubes"])
+    return Shape(**raw | {"tubes": tubes, "status": Status(raw["status"])})

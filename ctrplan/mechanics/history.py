@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -52,11 +52,11 @@ class PairFriction:
 class Energy:
     """Balance of an advance by rotations: work = elastic + breakaway + loss. Loads and translations are left out."""
 
-    work_J: float  # of the actuators
-    elastic_J: float  # growth of elastic energy
-    breakaway_J: float  # growth of what contacts store before they slip
-    loss_J: float  # in contacts that slip
-    smallest_loss_J: float  # of any contact in any step: not below zero but for rounding
+    work_J: float = 0.0  # of the actuators
+    elastic_J: float = 0.0  # growth of elastic energy
+    breakaway_J: float = 0.0  # growth of what contacts store before they slip
+    loss_J: float = 0.0  # in contacts that slip
+    smallest_loss_J: float = 0.0  # of any contact in any step: not below zero but for rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,8 +139,8 @@ class History:
         Raises SolverError where no equilibrium is found, with the history left where it got to.
         """
         rows = joint_row(theta_b, self._mechanics.n), joint_row(l_b, self._mechanics.n)
-        numbers = self._begin(*rows) if self._at is None else self._move(*rows)
-        return self._step(*rows, numbers)
+        moved = self._begin(*rows) if self._at is None else self._move(*rows)
+        return self._step(*rows, **moved)
 
     def follow(self, theta_b: ArrayLike, l_b: ArrayLike) -> HistoryPath:
         """Moves along K waypoints (K, n) [rad], (K, n) [m] in one call into the core, with tips only.
@@ -151,17 +151,11 @@ class History:
         if self._at is None and len(thetas):
             self._begin(thetas[0], ls[0])
         with input_errors():
-            table: Array = np.asarray(self._core.follow(thetas, ls))
-        reached = np.flatnonzero(table[:, 0] < Status.FAILED)  # not NaN
+            path = HistoryPath(**self._core.follow(thetas, ls))
+        reached = np.flatnonzero(path.status < Status.FAILED)
         if len(reached):
             self._at = (thetas[reached[-1]].copy(), ls[reached[-1]].copy())
-        return HistoryPath(
-            position_m=table[:, 2:5],
-            tangent=table[:, 5:8],
-            phi=table[:, 8:],
-            snaps=table[:, 1],
-            status=np.where(np.isnan(table[:, 0]), float(Status.FAILED), table[:, 0]).astype(int),
-        )
+        return path
 
     def tip_beside(self, phi: ArrayLike) -> Array:
         """Tip (3,) [m] with the contacts of each pair at phi (n - 1,), on the branch that the history is on.
@@ -171,7 +165,7 @@ class History:
         """
         if self._at is None:
             raise InputError("a history has no state before its first advance", key="history")
-        return np.asarray(self._core.beside(_friction_state(phi, "phi", self._mechanics.n - 1)))[:3]
+        return np.asarray(self._core.beside(_friction_state(phi, "phi", self._mechanics.n - 1)))
 
     def save(self) -> HistoryState:
         """A memory of the present state; InputError before the first advance."""
@@ -187,41 +181,37 @@ class History:
             self._core.restore(state.core)
         self._at = (state.theta_b, state.l_b)
 
-    def _begin(self, theta_b: Array, l_b: Array) -> tuple[float, ...]:
+    def _begin(self, theta_b: Array, l_b: Array) -> dict[str, Any]:
         with input_errors():
             status = self._core.start(theta_b, l_b, self._phi)
         if status == Status.FAILED:
             raise SolverError("no equilibrium was found at the start of the history")
         self._at = (theta_b, l_b)
         if self._start != "oscillated":
-            return (0.0,) * 7
+            return {"steps": 0, "snaps": 0, "energy": Energy()}
         weights = np.arange(self._mechanics.n)  # every pair turns by the amplitude
         for k, amplitude in enumerate(np.radians(OSCILLATION_DEG)):
             self._move(theta_b + (-1) ** k * amplitude * weights, l_b)
         return self._move(theta_b, l_b)
 
-    def _move(self, theta_b: Array, l_b: Array) -> tuple[float, ...]:
-        status, _residual, *numbers = self._advance(theta_b, l_b)
-        if status == Status.FAILED:
+    def _move(self, theta_b: Array, l_b: Array) -> dict[str, Any]:
+        with input_errors():
+            moved = self._core.advance(theta_b, l_b)
+        if moved["status"] == Status.FAILED:
             raise SolverError("no equilibrium was found along the path")
         self._at = (theta_b, l_b)
-        return tuple(numbers)
+        return {"steps": moved["steps"], "snaps": moved["snaps"], "energy": Energy(**moved["energy"])}
 
-    def _advance(self, theta_b: Array, l_b: Array) -> tuple[float, ...]:
-        with input_errors():
-            return tuple(self._core.advance(theta_b, l_b))
-
-    def _step(self, theta_b: Array, l_b: Array, numbers: tuple[float, ...]) -> HistoryStep:
-        steps, snaps, *energy = numbers
+    def _step(self, theta_b: Array, l_b: Array, steps: int, snaps: int, energy: Energy) -> HistoryStep:
         return HistoryStep(
             theta_b=theta_b,
             l_b=l_b,
             shape=shape_from_core(self._core.shape()),
-            friction=tuple(PairFriction(*pair) for pair in self._core.friction()),
+            friction=tuple(PairFriction(**pair) for pair in self._core.friction()),
             frictionless=self._mechanics.solve(theta_b, l_b, 0.0, accuracy=self._accuracy),
-            energy=Energy(*energy),
-            steps=int(steps),
-            snaps=int(snaps),
+            energy=energy,
+            steps=steps,
+            snaps=snaps,
         )
 
 

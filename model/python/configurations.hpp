@@ -40,3 +40,9 @@ inline ctr::Configuration valid_configuration(const ctr::Robot& robot, const Vec
     ctr::validate(robot, q);
     return q;
 }
+
+// Friction states of a configuration, per pair.
+inline std::vector<double> friction_state(const ctr::Robot& robot, const Vector& phi) {
+    if (phi.shape(0) != robot.pairs.size()) throw ctr::InvalidInput("phi needs one value per neighbouring pair");
+    return std::vector<double>(phi.data(), phi.data() + phi.shape(0));
+}

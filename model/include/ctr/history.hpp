@@ -33,6 +33,20 @@ struct EnergyBalance {
     double smallest_loss = 0;  // of any contact in any step
 };
 
+// Friction of a pair at its N contact points.
+struct PairFriction {
+    std::vector<double> s, phi, psi, force;  // m; shares of the Coulomb limit; N
+};
+
+// What is there after each waypoint of a path: rows after a failure are NaN, the one that failed but for its status.
+struct WaypointRows {
+    WaypointRows(std::size_t rows, std::size_t pairs);
+    std::vector<Status> status;
+    std::vector<double> snaps;
+    std::vector<Vec3> tip, tangent;
+    std::vector<double> phi;  // [row][pair], averaged by normal force
+};
+
 class History {
   public:
     History(const Robot& robot, const Accuracy& accuracy, const HistoryOptions& options);
@@ -42,6 +56,12 @@ class History {
     Status start(const Configuration& q, const std::vector<double>& phi);
     // Moves all joints together to a configuration. A step that no equilibrium continues ends where the robot slides to.
     Status advance(const Configuration& q);
+
+    // Waypoint after waypoint.
+    WaypointRows follow(const std::vector<Configuration>& path);
+
+    Shape shape() const;
+    std::vector<PairFriction> friction() const;  // outermost pair first
 
     struct Iterate {
         std::vector<double> unknowns, multiplier, slack;

@@ -1,0 +1,10 @@
+// One function per file that binds a class, or the records it is made of.
+#pragma once
+
+#include <nanobind/nanobind.h>
+
+void bind_robot(nanobind::module_& m);
+void bind_walk(nanobind::module_& m);
+void bind_bound_lookup(nanobind::module_& m);
+void bind_history(nanobind::module_& m);
+void bind_model(nanobind::module_& m);

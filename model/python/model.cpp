@@ -1,0 +1,155 @@
+// A robot's compiled model (ctr/model.hpp): what it answers, as arrays by name.
+#include "ctr/model.hpp"
+
+#include <memory>
+#include <tuple>
+
+#include "bindings.hpp"
+#include "bound_lookup.hpp"
+#include "configurations.hpp"
+#include "history.hpp"
+#include "shapes.hpp"
+#include "walk.hpp"
+
+namespace {
+
+using ctr::Model;
+using Directions = std::vector<std::tuple<std::vector<int>, std::vector<double>, double>>;  // indices into number_names, weights, step
+
+void make_model(Model* self, const std::vector<ctr::Tube>& tubes, const std::vector<ctr::Pair>& pairs, const ctr::Loads& loads) {
+    new (self) Model(ctr::Robot{tubes, pairs, loads});
+}
+
+nb::dict zero_clearance(const Model& model, Vector theta, Vector l) {
+    const ctr::Configuration q = valid_configuration(model.robot(), theta, l);
+    return to_python(unlocked([&] { return model.zero_clearance(q); }));
+}
+
+nb::dict solve(Model& model, Vector theta, Vector l, Vector phi, const std::string& level, double refinement) {
+    const ctr::Configuration q = valid_configuration(model.robot(), theta, l);
+    const std::vector<double> friction = friction_state(model.robot(), phi);
+    return to_python(unlocked([&] { return model.solve(q, accuracy(level).refined(refinement), friction); }));
+}
+
+nb::dict bound(Model& model, Vector theta, Vector l, const std::string& level) {
+    const ctr::Configuration q = valid_configuration(model.robot(), theta, l);
+    ctr::BoundShapes found = unlocked([&] { return model.bound(q, accuracy(level)); });
+    nb::list corners;
+    for (ctr::Shape& corner : found.corners) corners.append(to_python(std::move(corner)));
+    nb::dict made;
+    made["position_m"] = found.position;
+    made["tangent_rad"] = found.tangent;
+    made["frictionless"] = to_python(std::move(found.frictionless));
+    made["corners"] = corners;
+    made["envelope_m"] = array(std::move(found.envelope));
+    made["worst_corner"] = found.worst_corner;
+    return made;
+}
+
+nb::dict bound_many(Model& model, Matrix theta, Matrix l, const std::string& level, int threads) {
+    const std::vector<ctr::Configuration> all = valid_configurations(model.robot(), theta, l);
+    ctr::BoundRows rows = unlocked([&] { return model.bounds(all, accuracy(level), threads); });
+    nb::dict made;
+    made["position_m"] = array(std::move(rows.position_bound));
+    made["tangent_rad"] = array(std::move(rows.tangent_bound));
+    made["stability"] = array(std::move(rows.stability));
+    made["max_strain"] = array(std::move(rows.max_strain));
+    made["residual"] = array(std::move(rows.residual));
+    made["status"] = array(rows.status);
+    made["tip_m"] = array(std::move(rows.tip));
+    made["tip_tangent"] = array(std::move(rows.tangent));
+    return made;
+}
+
+// Zero-clearance tips, tangents and status.
+nb::tuple tips(Model& model, Matrix theta, Matrix l, int threads) {
+    const std::vector<ctr::Configuration> all = valid_configurations(model.robot(), theta, l);
+    ctr::TipRows rows = unlocked([&] { return model.zero_clearance_tips(all, threads); });
+    return nb::make_tuple(array(std::move(rows.tip)), array(std::move(rows.tangent)), array(rows.status));
+}
+
+// Clearances of zero-clearance shapes at points `step` apart, and their tips.
+nb::tuple clearances(Model& model, Matrix theta, Matrix l, const Grid* grid, double step, int threads) {
+    const std::vector<ctr::Configuration> all = valid_configurations(model.robot(), theta, l);
+    ctr::ClearanceRows rows = unlocked([&] { return model.zero_clearance_clearances(all, field_of(grid), step, threads); });
+    return nb::make_tuple(array(std::move(rows.clearance)), array(std::move(rows.tip)));
+}
+
+std::vector<ctr::Direction> read(const Directions& given, int names) {
+    std::vector<ctr::Direction> directions;
+    for (const auto& [indices, weights, step] : given) {
+        directions.push_back({{}, step});
+        for (std::size_t k = 0; k < indices.size(); ++k) {
+            if (indices[k] < 0 || indices[k] >= names) throw ctr::InvalidInput("a direction names a number that does not exist");
+            directions.back().weights.emplace_back(indices[k], weights.at(k));
+        }
+    }
+    return directions;
+}
+
+nb::dict tips_with_friction(const Model& model, Matrix theta, Matrix l, Matrix phi, const Directions& given, const std::string& level, int threads) {
+    const std::vector<ctr::Configuration> all = valid_configurations(model.robot(), theta, l);
+    if (phi.shape(0) != all.size() || phi.shape(1) != model.robot().pairs.size())
+        throw ctr::InvalidInput("phi needs one row per configuration, one value per pair");
+    const std::vector<ctr::Direction> directions = read(given, static_cast<int>(ctr::number_names(model.robot()).size()));
+    ctr::FrictionTipRows rows = unlocked([&] { return model.friction_tips(all, phi.data(), directions, accuracy(level), threads); });
+    nb::dict made;
+    made["position_m"] = array(std::move(rows.tip));
+    made["tangent"] = array(std::move(rows.tangent));
+    made["status"] = array(rows.status);
+    made["residual"] = array(std::move(rows.residual));
+    made["max_strain"] = array(std::move(rows.max_strain));
+    made["position_by"] = array(std::move(rows.tip_by), {all.size(), 3, rows.parameters});
+    made["tangent_by"] = array(std::move(rows.tangent_by), {all.size(), 3, rows.parameters});
+    return made;
+}
+
+nb::dict check_path(Model& model, Matrix theta, Matrix l, const Grid* grid, const ctr::PathDensity& density, const ctr::PathLimits& limits,
+                    const std::string& level, bool bodies) {
+    const std::vector<ctr::Configuration> corners = valid_configurations(model.robot(), theta, l);
+    return to_python(unlocked([&] { return model.check_path(corners, accuracy(level), field_of(grid), density, limits, bodies); }), bodies);
+}
+
+nb::object field_entries(Model& model, Matrix theta, Matrix l, int threads) {
+    const std::vector<ctr::Configuration> all = valid_configurations(model.robot(), theta, l);
+    return to_python(unlocked([&] { return model.field_entries(all, threads); }));
+}
+
+// Points (shapes, N, 3) and outer radii (N).
+nb::tuple body(Model& model, Vector theta, Vector l, const std::string& level) {
+    const ctr::Configuration q = valid_configuration(model.robot(), theta, l);
+    ctr::Body found = unlocked([&] { return model.body(q, accuracy(level)); });
+    const std::size_t shapes = found.shapes, count = found.radius.size();
+    return nb::make_tuple(hand_over<double>(std::move(found.point), {shapes, count, 3}), array(std::move(found.radius)));
+}
+
+std::unique_ptr<FieldLookup> field_lookup(const Model& model, const FieldLookup::Axes& axes, FieldLookup::Values values, double margin) {
+    return std::make_unique<FieldLookup>(model.robot(), axes, values, margin);
+}
+
+std::unique_ptr<PathHistory> history(const Model& model, const std::string& level, double breakaway, double rotation, double translation,
+                                     double state_change) {
+    return std::make_unique<PathHistory>(model.robot(), accuracy(level), ctr::HistoryOptions{breakaway, rotation, translation, state_change});
+}
+
+}  // namespace
+
+void bind_model(nb::module_& m) {
+    nb::class_<Model>(m, "Model")
+        .def("__init__", &make_model, "tubes"_a, "pairs"_a, "loads"_a)
+        .def("zero_clearance", &zero_clearance, "theta_b"_a.noconvert(), "l_b"_a.noconvert())
+        .def("solve", &solve, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(), "accuracy"_a, "refinement"_a)
+        .def("bound", &bound, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "accuracy"_a)
+        .def("bound_many", &bound_many, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "accuracy"_a, "threads"_a)
+        .def("tips", &tips, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "threads"_a)
+        .def("clearances", &clearances, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "field"_a.none(), "step"_a, "threads"_a)
+        .def("field_entries", &field_entries, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "threads"_a)
+        .def("field_lookup", &field_lookup, "axes"_a, "values"_a.noconvert(), "margin"_a)
+        .def("history", &history, "accuracy"_a, "breakaway"_a, "rotation"_a, "translation"_a, "state_change"_a)
+        .def("number_names", [](const Model& model) { return ctr::number_names(model.robot()); })
+        .def("tips_with_friction", &tips_with_friction, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(), "directions"_a,
+             "accuracy"_a, "threads"_a)
+        .def("check_path", &check_path, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "field"_a.none(), "density"_a, "limits"_a, "accuracy"_a,
+             "bodies"_a)
+        .def("body", &body, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "accuracy"_a);
+}

@@ -1,0 +1,80 @@
+// The records of a walk: how densely, until what, through which grid; and what was found.
+#include "walk.hpp"
+
+#include <algorithm>
+
+#include "bindings.hpp"
+
+namespace {
+
+using Sample = ctr::PathSample;
+
+template <class Number>
+nb::object numbers(const std::vector<Sample>& samples, Number Sample::* member) {
+    return array(column<double>(samples, [&](const Sample& s) { return static_cast<double>(s.*member); }));
+}
+
+nb::object counts(const std::vector<Sample>& samples, int Sample::* member) {
+    return hand_over<std::int64_t>(column<std::int64_t>(samples, [&](const Sample& s) { return s.*member; }), {samples.size()});
+}
+
+nb::object corner_tips(const std::vector<Sample>& samples) {
+    const std::size_t corners = samples.empty() ? 0 : samples.front().corner_tips.size();
+    std::vector<ctr::Vec3> tips;
+    for (const Sample& s : samples) tips.insert(tips.end(), s.corner_tips.begin(), s.corner_tips.end());
+    return hand_over<double>(std::move(tips), {samples.size(), corners, 3});
+}
+
+void make_grid(Grid* self, Grid::Values values, Vector origin, double spacing, Matrix R_AB, Vector p_AB) {
+    if (origin.size() != 3 || R_AB.size() != 9 || p_AB.size() != 3) throw ctr::InvalidInput("the pose of a grid is malformed");
+    new (self) Grid{values, {}};
+    ctr::SignedDistanceField& field = self->field;
+    field.values = values.data();
+    field.nx = static_cast<int>(values.shape(0));
+    field.ny = static_cast<int>(values.shape(1));
+    field.nz = static_cast<int>(values.shape(2));
+    field.spacing = spacing;
+    std::copy_n(R_AB.data(), 9, field.R_AB.begin());
+    std::copy_n(p_AB.data(), 3, field.p_AB.begin());
+    std::copy_n(origin.data(), 3, field.origin.begin());
+}
+
+}  // namespace
+
+nb::dict to_python(std::vector<Sample>&& samples, bool bodies) {
+    nb::dict made;
+    made["segment"] = counts(samples, &Sample::segment);
+    made["fraction"] = numbers(samples, &Sample::fraction);
+    made["position_m"] = numbers(samples, &Sample::position_bound);
+    made["tangent_rad"] = numbers(samples, &Sample::tangent_bound);
+    made["stability"] = numbers(samples, &Sample::stability);
+    made["max_strain"] = numbers(samples, &Sample::max_strain);
+    made["clearance_m"] = numbers(samples, &Sample::clearance);
+    made["motion_m"] = numbers(samples, &Sample::motion);
+    made["status"] = array(column<ctr::Status>(samples, [](const Sample& s) { return s.status; }));
+    made["tip_m"] = array(column<ctr::Vec3>(samples, [](const Sample& s) { return s.tip; }));
+    made["tip_tangent"] = array(column<ctr::Vec3>(samples, [](const Sample& s) { return s.tangent; }));
+    made["solves"] = counts(samples, &Sample::solves);
+    made["corner_tip_m"] = corner_tips(samples);
+    nb::list points;
+    for (Sample& s : samples) {
+        const std::size_t rows = s.body.size() / 4;
+        if (bodies) points.append(array(std::move(s.body), {rows, 4}));
+    }
+    made["bodies"] = nb::tuple(points);
+    return made;
+}
+
+void bind_walk(nb::module_& m) {
+    nb::class_<Grid>(m, "Grid")
+        .def("__init__", &make_grid, nb::kw_only(), "values"_a.noconvert(), "origin"_a.noconvert(), "spacing"_a, "R_AB"_a.noconvert(),
+             "p_AB"_a.noconvert());
+    nb::class_<ctr::PathDensity>(m, "PathDensity")
+        .def("__init__", [](ctr::PathDensity* self, double rotation, double translation, double motion, double near, double point_spacing) {
+            new (self) ctr::PathDensity{rotation, translation, motion, near, point_spacing};
+        }, nb::kw_only(), "rotation"_a, "translation"_a, "motion"_a, "near"_a, "point_spacing"_a);
+    nb::class_<ctr::PathLimits>(m, "PathLimits")
+        .def("__init__", [](ctr::PathLimits* self, double stability, double max_strain, double clearance) {
+            new (self) ctr::PathLimits{stability, max_strain, clearance};
+        }, nb::kw_only(), "stability"_a, "max_strain"_a, "clearance"_a);
+}

@@ -1,0 +1,87 @@
+// One configuration at a time.
+#include "ctr/model.hpp"
+
+#include <algorithm>
+
+#include "ctr/zero_clearance.hpp"
+#include "model/solver_pool.hpp"
+
+namespace ctr {
+namespace {
+
+Shape frictionless_shape(const BoundSolver& solver) {
+    Shape shape = make_shape(solver.solver(), solver.frictionless_state(), 0, solver.configuration());
+    shape.status = solver.status();
+    shape.stability = solver.stability();
+    shape.residual = solver.frictionless().residual;
+    return shape;
+}
+
+Shape corner_shape(const BoundSolver& solver, int corner) {
+    Shape shape = make_shape(solver.solver(), solver.corner_state(corner), solver.corner_lane(corner), solver.configuration());
+    shape.status = solver.corner(corner).converged ? solver.status() : Status::failed;
+    shape.stability = solver.stability();
+    shape.residual = solver.corner(corner).residual;
+    return shape;
+}
+
+}  // namespace
+
+Model::Model(const Robot& robot) : robot_(robot), solvers_(std::make_unique<SolverPool>(robot_)) {
+    validate(robot_);
+    if (robot_.count() > kMaxTubes) throw InvalidInput("at most 12 tubes are supported");
+}
+
+Model::~Model() = default;
+
+Shape Model::zero_clearance(const Configuration& q) const {
+    ZeroClearance solution, other;
+    const bool done = solution.solve(robot_, q);
+    Shape shape = make_shape(robot_, solution, q);
+    if (!done) shape.status = Status::failed;
+    else if (solution.negative_pivots()) shape.status = Status::unstable;
+    else shape.status = solution.search_other(0, other) >= 0 ? Status::multiple : Status::converged;
+    return shape;
+}
+
+Shape Model::solve(const Configuration& q, const Accuracy& accuracy, const std::vector<double>& phi) {
+    SolverPool::Loan solver(*solvers_);
+    solver->solve_single(q, accuracy, phi);
+    return frictionless_shape(*solver);
+}
+
+BoundShapes Model::bound(const Configuration& q, const Accuracy& accuracy) {
+    SolverPool::Loan solver(*solvers_);
+    solver->solve(q, accuracy);
+    solver->search_others();
+    BoundShapes found{solver->position, solver->tangent, frictionless_shape(*solver), {}, solver->envelope, solver->worst_corner};
+    for (int k = 0; k < solver->corners(); ++k) found.corners.push_back(corner_shape(*solver, k));
+    return found;
+}
+
+Body Model::body(const Configuration& q, const Accuracy& accuracy) {
+    SolverPool::Loan solver(*solvers_);
+    solver->solve(q, accuracy);
+    const Mesh& mesh = solver->solver().mesh();
+    const KernelProblem& pb = mesh.problem();
+    Body body;
+    auto add = [&](const Backbone& shape) {
+        for (int k = 0; k < pb.nodes; ++k) {
+            if (mesh.s()[k] < 0) continue;
+            body.point.push_back(shape.outer_position[k]);
+            if (body.shapes == 0) body.radius.push_back(robot_.tubes[pb.tubes - pb.element_tubes[std::min(k, pb.elements - 1)]].outer_radius);
+        }
+        ++body.shapes;
+    };
+    add(solver->backbone);
+    for (const Backbone& shape : solver->corner_backbones) add(shape);
+    return body;
+}
+
+std::vector<PathSample> Model::check_path(const std::vector<Configuration>& corners, const Accuracy& accuracy, const SignedDistanceField& field,
+                                          const PathDensity& density, const PathLimits& limits, bool keep_bodies) {
+    SolverPool::Loan solver(*solvers_);
+    return ctr::check_path(*solver, corners, accuracy, field, density, limits, keep_bodies);
+}
+
+}  // namespace ctr
