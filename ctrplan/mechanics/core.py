@@ -32,6 +32,7 @@ from ctrplan.mechanics.core_arrays import (
     shape_from_core,
     worst,
 )
+from ctrplan.mechanics.core_errors import input_errors
 from ctrplan.mechanics.derivative_names import directions
 from ctrplan.mechanics.loads import Loads
 from ctrplan.mechanics.nesting import TOLERANCE_M, nesting_inequalities
@@ -58,6 +59,7 @@ __all__ = [
     "Status",
     "Tips",
     "TubeShape",
+    "input_errors",
     "kernel_name",
 ]
 
@@ -294,17 +296,6 @@ class Mechanics:
 
     def _rows(self, values: ArrayLike) -> Array:
         return joint_table(values, self.n)
-
-
-class input_errors:
-    """Turns the core's refusals into InputError."""
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
-        if isinstance(error, _model.InvalidInput):
-            raise InputError(str(error)) from None
 
 
 def kernel_name() -> str:

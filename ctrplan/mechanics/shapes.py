@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.errors import InputError
+from ctrplan.mechanics.core_errors import input_errors
+
+if TYPE_CHECKING:
+    from ctrplan import _model
 
 
 class Status(enum.IntEnum):
@@ -46,6 +52,22 @@ class Shape:
     # smallest eigenvalue of the torsional second variation over GJ / L^2 of the innermost tube; NaN along histories
     stability: float
     max_strain: float
+    equilibrium: _model.Equilibrium | None = field(default=None, repr=False)  # what the core kept of the solution
+
+    def recheck(self) -> float:
+        """`residual` evaluated anew by the core, from theta_rad and contact_force_N as they stand here.
+
+        Offsets and friction are those that were solved for. Of the zero-clearance model all unknowns are. Raises
+        InputError for arrays of other lengths, and for a shape that was unpickled, which keeps no solution.
+        """
+        if self.equilibrium is None:
+            raise InputError("keeps no solution that could be checked again", key="shape")
+        with input_errors():
+            return self.equilibrium.residual([tube.theta_rad for tube in self.tubes], self.contact_force_N)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without the solution, which lives in this process."""
+        return {name: value for name, value in vars(self).items() if name != "equilibrium"}
 
     @property
     def s_m(self) -> Array:

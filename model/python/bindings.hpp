@@ -3,6 +3,7 @@
 
 #include <nanobind/nanobind.h>
 
+void bind_equilibrium(nanobind::module_& m);
 void bind_robot(nanobind::module_& m);
 void bind_walk(nanobind::module_& m);
 void bind_bound_lookup(nanobind::module_& m);

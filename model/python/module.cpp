@@ -15,6 +15,7 @@ NB_MODULE(_model, m) {
     m.def("kernel_name", &ctr::kernel_name, "instruction set of the kernel in use");
     bind_robot(m);
     bind_walk(m);
+    bind_equilibrium(m);
     bind_bound_lookup(m);
     bind_history(m);
     bind_model(m);

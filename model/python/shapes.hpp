@@ -1,6 +1,10 @@
 // Shapes as dictionaries of arrays, by the names of ctrplan.mechanics.shapes.
 #pragma once
 
+#include <nanobind/stl/shared_ptr.h>
+
+#include <memory>
+
 #include "arrays.hpp"
 #include "ctr/shape.hpp"
 
@@ -33,5 +37,6 @@ inline nb::dict to_python(ctr::Shape&& shape) {
     made["residual"] = shape.residual;
     made["stability"] = shape.stability;
     made["max_strain"] = shape.max_strain;
+    made["equilibrium"] = shape.equilibrium;
     return made;
 }

@@ -47,6 +47,7 @@ class BoundSolver {
     int iterations() const;
     const FrictionSolver& solver() const { return solver_; }
     const Configuration& configuration() const { return q_; }
+    const Accuracy& accuracy() const { return accuracy_; }
     ZeroClearance& zero_clearance() { return zero_; }  // also a workspace for zero-clearance solutions alone
 
     // Largest deviation of the corners from the frictionless solution; NaN unless everything converged.
@@ -91,6 +92,7 @@ class BoundSolver {
     std::unique_ptr<Predictor> predictor_;
     std::vector<double> phi_;
     Configuration q_;
+    Accuracy accuracy_;
 };
 
 }  // namespace ctr

@@ -83,6 +83,8 @@ class FrictionSolver {
     double stability(LaneState& state, int& negative);
     // Whether an angle's pivot of the last factors is negative.
     bool turns_away(const LaneState& state, int lane = 0) const;
+    // Largest imbalance of one lane as it is over EI * precurvature, its loads as the shape asks: a residual evaluated anew.
+    double imbalance(LaneState& state);
     // Factors the Newton matrix at a converged iterate, for derivatives.
     void factorise(LaneState& state);
 

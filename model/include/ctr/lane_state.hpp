@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <vector>
 
 #include "ctr/aligned.hpp"
 #include "ctr/kernel.hpp"
@@ -54,6 +55,14 @@ class LaneState {
     double bend(int element, double xi, int tube, int plane, int lane) const;  // linear through the Gauss points
     double& need(int node, int pair, int plane, int lane) { return need_[need_index(node, pair, plane, lane)]; }  // see alignment.hpp
     double need(int node, int pair, int plane, int lane) const { return need_[need_index(node, pair, plane, lane)]; }
+
+    // One lane by itself, without what a solve needs on its way only.
+    struct Kept {
+        std::vector<double> unknowns, multiplier, slack, phi_mu;
+        std::vector<double> shift, load, bend, need;  // empty without exact geometry
+    };
+    Kept keep(int lane) const;
+    void put(const Kept& kept, const KernelProblem& problem);  // into the lane of a state of one
 
   private:
     std::size_t bend_index(int element, int gauss, int tube, int plane, int lane) const {

@@ -1,9 +1,11 @@
 // Shapes out of solutions: centrelines, frames, curvatures, strains, contact forces.
 #pragma once
 
+#include <memory>
 #include <vector>
 
 #include "ctr/curve.hpp"
+#include "ctr/equilibrium.hpp"
 #include "ctr/friction_solver.hpp"
 #include "ctr/robot.hpp"
 #include "ctr/zero_clearance.hpp"
@@ -34,6 +36,7 @@ struct Shape {
     std::vector<double> radius;           // (N) outer radius of what is there, at the innermost tube's s
     Status status = Status::failed;
     double residual = 0, stability = 0, max_strain = 0;
+    std::shared_ptr<const Equilibrium> equilibrium;  // null where nobody kept it
 };
 
 // The innermost centreline alone, with what the planner needs along it; memory is reused.

@@ -30,6 +30,7 @@ class ZeroClearance {
     // Smallest clearance of points on the centreline in front of the plate, no farther apart than `spacing`, less the outer
     // radius of what is there [m]; on the way also the tip, as by tip() but for the steps.
     double clearance(const Robot& robot, const SignedDistanceField& field, double spacing, Frame& tip) const;
+    double imbalance() const;                            // residual() evaluated anew
     double residual() const { return residual_; }        // largest torque imbalance over EI * precurvature
     int negative_pivots() const { return negative_; }    // > 0: not a minimum
     bool is_unique() const { return unique_; }           // true where the energy is convex, which leaves one equilibrium

@@ -28,6 +28,7 @@ BoundSolver::~BoundSolver() = default;
 
 void BoundSolver::prepare(const Configuration& q, const Accuracy& accuracy) {
     q_ = q;
+    accuracy_ = accuracy;
     multiple_ = false;
     solver_.build(q, accuracy);
 }

@@ -73,6 +73,37 @@ void LaneState::set_phi(const Robot& robot, const KernelProblem& problem, int la
     }
 }
 
+LaneState::Kept LaneState::keep(int lane) const {
+    auto alone = [&](const AlignedArray& values) {
+        std::vector<double> kept;
+        for (std::size_t i = lane; i < values.size(); i += lanes_) kept.push_back(values[i]);
+        return kept;
+    };
+    Kept kept{alone(unknowns_), alone(multiplier_), alone(slack_), alone(phi_mu_), {}, {}, {}, {}};
+    if (!is_exact_) return kept;
+    kept.shift = alone(shift_);
+    kept.load = alone(load_);
+    kept.bend = alone(bend_);
+    kept.need = alone(need_);
+    return kept;
+}
+
+void LaneState::put(const Kept& kept, const KernelProblem& problem) {
+    auto copy = [](const std::vector<double>& from, AlignedArray& to) { std::copy_n(from.begin(), std::min(from.size(), to.size()), to.data()); };
+    follow_slip(nullptr);
+    copy(kept.unknowns, unknowns_);
+    copy(kept.multiplier, multiplier_);
+    copy(kept.slack, slack_);
+    copy(kept.phi_mu, phi_mu_);
+    forget_exact();
+    if (kept.need.empty()) return;
+    begin_exact(problem);
+    copy(kept.shift, shift_);
+    copy(kept.load, load_);
+    copy(kept.bend, bend_);
+    copy(kept.need, need_);
+}
+
 KernelState LaneState::view(const LaneState* anchor) {
     return {unknowns_.data(),        multiplier_.data(), slack_.data(),    phi_mu_.data(), step_.data(),
             multiplier_step_.data(), slack_step_.data(), diagonal_.data(), upper_.data(),  lower_.data(), rhs_.data(),

@@ -119,6 +119,15 @@ double FrictionSolver::largest_twist(const LaneState& state, int lane) const {
     return most;
 }
 
+double FrictionSolver::imbalance(LaneState& state) {
+    const double level = last_level();
+    double moment, gap;
+    converge_load_moments(state);
+    const double bend_error = is_exact_ && state.is_exact() ? exact_->update(*this, state, 0) : 0.0;
+    kernel(1).residual(mesh_.problem(), state.view(), &level, &moment, &gap);
+    return std::max(moment, bend_error) / moment_scale_;
+}
+
 void FrictionSolver::factorise(LaneState& state) {
     alignas(kAlignment) double level[kLanes], damping[kLanes] = {};
     std::fill(level, level + kLanes, last_level());

@@ -1,5 +1,6 @@
 // What a history says of where it stands, and along a path.
 #include <limits>
+#include <memory>
 
 #include "ctr/history.hpp"
 
@@ -34,6 +35,8 @@ Shape History::shape() const {
     shape.status = status_;
     shape.residual = residual();
     shape.stability = kNaN;
+    const auto setting = std::make_shared<Setting>(Setting{solver_.robot(), q_, accuracy_, solver_.mesh()});
+    shape.equilibrium = std::make_shared<ContactEquilibrium>(setting, state_, 0);
     return shape;
 }
 

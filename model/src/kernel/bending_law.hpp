@@ -1,5 +1,5 @@
 // How a cross section bends where tubes soften, are oval, or are loaded: moments, tangents, and the common curvature.
-// Included inside anonymous namespaces, by the kernels and by shape.cpp: no std::, no Eigen.
+// Included inside anonymous namespaces, by the kernels and by shape/bending.cpp: no std::, no Eigen.
 
 // A tube's cross section: its moment as a curvature vector in the twist-free frame, and the derivatives of the moment.
 template <class V>

@@ -9,19 +9,25 @@
 namespace ctr {
 namespace {
 
-Shape frictionless_shape(const BoundSolver& solver) {
+std::shared_ptr<const Setting> setting(const BoundSolver& solver) {
+    return std::make_shared<Setting>(Setting{solver.solver().robot(), solver.configuration(), solver.accuracy(), solver.solver().mesh()});
+}
+
+Shape frictionless_shape(const BoundSolver& solver, const std::shared_ptr<const Setting>& setting) {
     Shape shape = make_shape(solver.solver(), solver.frictionless_state(), 0, solver.configuration());
     shape.status = solver.status();
     shape.stability = solver.stability();
     shape.residual = solver.frictionless().residual;
+    shape.equilibrium = std::make_shared<ContactEquilibrium>(setting, solver.frictionless_state(), 0);
     return shape;
 }
 
-Shape corner_shape(const BoundSolver& solver, int corner) {
+Shape corner_shape(const BoundSolver& solver, const std::shared_ptr<const Setting>& setting, int corner) {
     Shape shape = make_shape(solver.solver(), solver.corner_state(corner), solver.corner_lane(corner), solver.configuration());
     shape.status = solver.corner(corner).converged ? solver.status() : Status::failed;
     shape.stability = solver.stability();
     shape.residual = solver.corner(corner).residual;
+    shape.equilibrium = std::make_shared<ContactEquilibrium>(setting, solver.corner_state(corner), solver.corner_lane(corner));
     return shape;
 }
 
@@ -38,6 +44,7 @@ Shape Model::zero_clearance(const Configuration& q) const {
     ZeroClearance solution, other;
     const bool done = solution.solve(robot_, q);
     Shape shape = make_shape(robot_, solution, q);
+    shape.equilibrium = std::make_shared<ZeroClearanceEquilibrium>(solution);
     if (!done) shape.status = Status::failed;
     else if (solution.negative_pivots()) shape.status = Status::unstable;
     else shape.status = solution.search_other(0, other) >= 0 ? Status::multiple : Status::converged;
@@ -47,15 +54,16 @@ Shape Model::zero_clearance(const Configuration& q) const {
 Shape Model::solve(const Configuration& q, const Accuracy& accuracy, const std::vector<double>& phi) {
     SolverPool::Loan solver(*solvers_);
     solver->solve_single(q, accuracy, phi);
-    return frictionless_shape(*solver);
+    return frictionless_shape(*solver, setting(*solver));
 }
 
 BoundShapes Model::bound(const Configuration& q, const Accuracy& accuracy) {
     SolverPool::Loan solver(*solvers_);
     solver->solve(q, accuracy);
     solver->search_others();
-    BoundShapes found{solver->position, solver->tangent, frictionless_shape(*solver), {}, solver->envelope, solver->worst_corner};
-    for (int k = 0; k < solver->corners(); ++k) found.corners.push_back(corner_shape(*solver, k));
+    const std::shared_ptr<const Setting> shared = setting(*solver);
+    BoundShapes found{solver->position, solver->tangent, frictionless_shape(*solver, shared), {}, solver->envelope, solver->worst_corner};
+    for (int k = 0; k < solver->corners(); ++k) found.corners.push_back(corner_shape(*solver, shared, k));
     return found;
 }
 

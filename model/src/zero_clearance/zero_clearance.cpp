@@ -84,6 +84,11 @@ bool ZeroClearance::solve(const Robot& robot, const Configuration& q) {
     return residual_ < 10 * kTolerance;
 }
 
+double ZeroClearance::imbalance() const {
+    ZeroClearance fresh = *this;
+    return nodes_ < 2 ? 0.0 : fresh.assemble(1.0, false);
+}
+
 // Newton's method on the full precurvature from the present angles plus `twist` [rad per tube] that grows linearly from the
 // bases to the tips.
 bool ZeroClearance::turn_and_correct(const std::vector<double>& twist) {
