@@ -36,7 +36,7 @@ from ctrplan.mechanics.core_errors import input_errors
 from ctrplan.mechanics.derivative_names import directions
 from ctrplan.mechanics.loads import Loads
 from ctrplan.mechanics.nesting import TOLERANCE_M, nesting_inequalities
-from ctrplan.mechanics.shapes import Bound, Bounds, Shape, Status, Tips, TubeShape
+from ctrplan.mechanics.shapes import Bound, Bounds, FrictionBodies, Shape, Status, Tips, TubeShape
 from ctrplan.mechanics.walk import SHORTEST_STEP, Field, PathDensity, PathLimits, PathSamples
 
 if TYPE_CHECKING:
@@ -277,6 +277,30 @@ class Mechanics:
         """Outermost centreline in front of the plate: points (1 + corners, N, 3) [m], outer radii (N,) [m]."""
         with input_errors():
             return self._model.body(self._row(theta_b), self._row(l_b), _known(accuracy))
+
+    def friction_bodies(
+        self,
+        theta_b: ArrayLike,
+        l_b: ArrayLike,
+        phi: ArrayLike,
+        *,
+        spacing_m: float = 1e-3,
+        accuracy: Accuracy = "search",
+    ) -> FrictionBodies:
+        """Bodies in S friction states phi (S, n - 1) of one configuration, points `spacing_m` apart at most.
+
+        The points are those of `check_path` with bodies: at the same arc lengths in every state.
+        """
+        states = np.atleast_2d(numbers(phi, "phi"))
+        if states.ndim != 2 or states.shape[1] != self.n - 1 or not np.all(np.abs(states) <= 1):
+            raise InputError(f"must have shape (S, {self.n - 1}) and lie in [-1, 1]", key="phi")
+        if not spacing_m >= SHORTEST_STEP:
+            raise InputError(f"must be at least {SHORTEST_STEP:g} m", key="spacing_m", value=spacing_m, unit="m")
+        with input_errors():
+            points, status, strain = self._model.friction_bodies(
+                self._row(theta_b), self._row(l_b), np.ascontiguousarray(states), float(spacing_m), _known(accuracy)
+            )
+        return FrictionBodies(points[:, :, :3], points[0, :, 3], np.asarray(status) != Status.FAILED, strain)
 
     def _configurations(self, theta_b: ArrayLike, l_b: ArrayLike) -> tuple[Array, Array]:
         return joint_rows(theta_b, l_b, self.n)

@@ -132,3 +132,13 @@ class Tips:
     max_strain: Array  # (K,)
     position_by: Array  # (K, 3, P)
     tangent_by: Array  # (K, 3, P)
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionBodies:
+    """The outermost centreline in front of the plate in S friction states, N points at the same arc lengths."""
+
+    point_m: Array  # (S, N, 3)
+    radius_m: Array  # (N,) outer radius of what is there
+    solved: NDArray[np.bool_]  # (S,)
+    max_strain: Array  # (S,) over all tubes

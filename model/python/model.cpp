@@ -123,6 +123,16 @@ nb::tuple body(Model& model, Vector theta, Vector l, const std::string& level) {
     return nb::make_tuple(hand_over<double>(std::move(found.point), {shapes, count, 3}), array(std::move(found.radius)));
 }
 
+// Points (states, N, 4) with outer radii, status and largest strain of each state.
+nb::tuple friction_bodies(Model& model, Vector theta, Vector l, Matrix phi, double spacing, const std::string& level) {
+    const ctr::Configuration q = valid_configuration(model.robot(), theta, l);
+    if (phi.shape(1) != model.robot().pairs.size()) throw ctr::InvalidInput("phi needs one value per pair");
+    const std::size_t states = phi.shape(0);
+    ctr::FrictionBodies found = unlocked([&] { return model.friction_bodies(q, accuracy(level), phi.data(), states, spacing); });
+    const std::size_t count = states ? found.point.size() / (4 * states) : 0;
+    return nb::make_tuple(array(std::move(found.point), {states, count, 4}), array(found.status), array(std::move(found.max_strain)));
+}
+
 std::unique_ptr<FieldLookup> field_lookup(const Model& model, const FieldLookup::Axes& axes, FieldLookup::Values values, double margin) {
     return std::make_unique<FieldLookup>(model.robot(), axes, values, margin);
 }
@@ -151,5 +161,6 @@ void bind_model(nb::module_& m) {
              "accuracy"_a, "threads"_a)
         .def("check_path", &check_path, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "field"_a.none(), "density"_a, "limits"_a, "accuracy"_a,
              "bodies"_a)
+        .def("friction_bodies", &friction_bodies, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(), "spacing"_a, "accuracy"_a)
         .def("body", &body, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "accuracy"_a);
 }

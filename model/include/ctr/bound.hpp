@@ -1,6 +1,7 @@
 // The friction bound at a configuration: the frictionless solution, every sign corner, the largest deviations.
 #pragma once
 
+#include <functional>
 #include <memory>
 #include <vector>
 
@@ -28,6 +29,10 @@ class BoundSolver {
     void follow(const Configuration& q, const Accuracy& accuracy, bool retrying = false);
     // One solution for given friction states, phi per pair, outermost first.
     void solve_single(const Configuration& q, const Accuracy& accuracy, const std::vector<double>& phi);
+
+    // Solutions for `rows` friction states, phi [row][pair], all from scratch; each is shown as it stands there.
+    void solve_states(const Configuration& q, const Accuracy& accuracy, const double* phi, std::size_t rows,
+                      const std::function<void(std::size_t row, const Backbone&, const Convergence&)>& show);
 
     // Looks for other stable equilibria: restarts of the zero-clearance model with the inner tubes of each pair turned
     // across opposed precurvatures, confirmed on the frictionless clearance model. status() then says multiple.

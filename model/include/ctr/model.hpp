@@ -59,6 +59,13 @@ struct Body {
     std::size_t shapes = 0;
 };
 
+// Bodies of S friction states of one configuration: N points each, at the same arc lengths.
+struct FrictionBodies {
+    std::vector<double> point;       // [state][N][4] m: position and outer radius
+    std::vector<Status> status;      // (S) converged or failed
+    std::vector<double> max_strain;  // (S)
+};
+
 class Model {
   public:
     explicit Model(const Robot& robot);  // throws InvalidInput
@@ -69,6 +76,8 @@ class Model {
     Shape solve(const Configuration& q, const Accuracy& accuracy, const std::vector<double>& phi);  // phi per pair, outermost first
     BoundShapes bound(const Configuration& q, const Accuracy& accuracy);
     Body body(const Configuration& q, const Accuracy& accuracy);
+    // phi: [state][pair], outermost pair first; points no farther apart than `spacing`.
+    FrictionBodies friction_bodies(const Configuration& q, const Accuracy& accuracy, const double* phi, std::size_t states, double spacing);
     std::vector<PathSample> check_path(const std::vector<Configuration>& corners, const Accuracy& accuracy, const SignedDistanceField& field,
                                        const PathDensity& density, const PathLimits& limits, bool keep_bodies);
 

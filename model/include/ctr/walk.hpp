@@ -54,6 +54,10 @@ double clearance(const BoundSolver& bound, const SignedDistanceField& field, dou
 // Walks the straight lines between consecutive configurations, each solve starting from the one before. The first sample
 // is the first configuration; every corner of the path is a sample. A jump that no shorter step removes ends the walk as
 // UNSTABLE: the robot snapped.
+// Points of the body of a shape on the solver's mesh, no farther apart than `spacing`, with the outer radius: x, y, z, r appended
+// to `out`. They stand at the same arc lengths for every shape of one configuration.
+void collect_points(const BoundSolver& bound, const Backbone& shape, double spacing, std::vector<double>& out);
+
 std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Configuration>& corners, const Accuracy& mesh,
                                    const SignedDistanceField& field, const PathDensity& density, const PathLimits& limits,
                                    bool keep_bodies = false);

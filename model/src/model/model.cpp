@@ -86,6 +86,17 @@ Body Model::body(const Configuration& q, const Accuracy& accuracy) {
     return body;
 }
 
+FrictionBodies Model::friction_bodies(const Configuration& q, const Accuracy& accuracy, const double* phi, std::size_t states, double spacing) {
+    SolverPool::Loan solver(*solvers_);
+    FrictionBodies found;
+    solver->solve_states(q, accuracy, phi, states, [&](std::size_t, const Backbone& shape, const Convergence& convergence) {
+        collect_points(*solver, shape, spacing, found.point);
+        found.status.push_back(convergence.converged ? Status::converged : Status::failed);
+        found.max_strain.push_back(shape.max_strain);
+    });
+    return found;
+}
+
 std::vector<PathSample> Model::check_path(const std::vector<Configuration>& corners, const Accuracy& accuracy, const SignedDistanceField& field,
                                           const PathDensity& density, const PathLimits& limits, bool keep_bodies) {
     SolverPool::Loan solver(*solvers_);

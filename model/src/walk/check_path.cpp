@@ -78,17 +78,11 @@ Configuration between(const Configuration& a, const Configuration& b, double sha
     return share >= 1 ? b : q;
 }
 
-void collect_body(const BoundSolver& bound, double spacing, std::vector<double>& out) {
-    auto add = [&](const Backbone& shape) {
-        for_outer_points(bound, shape, spacing, [&](const Vec3& p, double radius) {
-            out.insert(out.end(), {p[0], p[1], p[2], radius});
-        });
-    };
-    add(bound.backbone);
-    for (const Backbone& shape : bound.corner_backbones) add(shape);
-}
-
 }  // namespace
+
+void collect_points(const BoundSolver& bound, const Backbone& shape, double spacing, std::vector<double>& out) {
+    for_outer_points(bound, shape, spacing, [&](const Vec3& p, double radius) { out.insert(out.end(), {p[0], p[1], p[2], radius}); });
+}
 
 double clearance(const BoundSolver& bound, const SignedDistanceField& field, double spacing) {
     if (!field.values) return 1e9;
@@ -120,7 +114,10 @@ std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Config
         sample.tip = solver.backbone.frame.back().p;
         sample.tangent = solver.backbone.frame.back().tangent();
         for (const Backbone& corner : solver.corner_backbones) sample.corner_tips.push_back(corner.frame.back().p);
-        if (keep_bodies) collect_body(solver, density.point_spacing, sample.body);
+        if (keep_bodies) {
+            collect_points(solver, solver.backbone, density.point_spacing, sample.body);
+            for (const Backbone& corner : solver.corner_backbones) collect_points(solver, corner, density.point_spacing, sample.body);
+        }
         samples.push_back(std::move(sample));
         return sample.status != Status::failed && sample.status != Status::unstable && sample.stability >= limits.stability &&
                sample.max_strain <= limits.max_strain && sample.clearance >= limits.clearance;
