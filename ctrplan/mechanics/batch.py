@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import fields
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -16,11 +16,19 @@ from ctrplan.base.progress import Progress
 from ctrplan.errors import InputError
 
 if TYPE_CHECKING:
-    from ctrplan.mechanics.core import Accuracy, Bounds, Mechanics
+    from ctrplan.mechanics.accuracy import Accuracy
+    from ctrplan.mechanics.shapes import Bounds
 
 CHUNK = 256  # configurations of three tubes per call into the core, which spreads them over threads: half a second
 FEWEST = 16  # which still keep every thread busy
 TASK = 64  # configurations per task of an executor: long against sending it, short enough to share out evenly
+
+
+class ManyBounds(Protocol):
+    """What `Mechanics` answers for many configurations."""
+
+    def bound_many(self, theta_b: Array, l_b: Array, *, accuracy: Accuracy, threads: int) -> Bounds:
+        """Bounds of (K, n) base rotations [rad] and translations [m]."""
 
 
 def check_helpers(progress: object, executor: object) -> None:
@@ -52,7 +60,7 @@ def bounds_in_chunks(
 
 def bounds_on_executor(
     executor: Executor,
-    mechanics: Mechanics,
+    mechanics: ManyBounds,
     theta_b: Array,
     l_b: Array,
     accuracy: Accuracy,
@@ -103,7 +111,7 @@ def _solve_chunk(content: bytes, theta_b: Array, l_b: Array, accuracy: Accuracy,
 
 
 @lru_cache(maxsize=4)
-def _rebuilt(content: bytes) -> Mechanics:
+def _rebuilt(content: bytes) -> ManyBounds:
     """The model in this process, built once from the numbers it was given: the workspaces of its solvers are reused."""
-    mechanics: Mechanics = pickle.loads(content)
+    mechanics: ManyBounds = pickle.loads(content)
     return mechanics

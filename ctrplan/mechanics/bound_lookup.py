@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from ctrplan import _model
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.core import Mechanics, input_errors
+from ctrplan.mechanics.core import Mechanics
 from ctrplan.mechanics.core_arrays import core_density, core_grid, core_limits, joint_rows
+from ctrplan.mechanics.core_errors import input_errors
 from ctrplan.mechanics.walk import Field, PathDensity, PathLimits, PathSamples
 
 COLUMNS = {name: slice(first, first + count) for name, (first, count) in _model.entry_columns().items()}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +17,7 @@ import ctrplan._model as _model
 from ctrplan.base.arrays import Array
 from ctrplan.base.progress import Progress
 from ctrplan.errors import InputError
+from ctrplan.mechanics.accuracy import Accuracy, first_order, known
 from ctrplan.mechanics.batch import bounds_in_chunks, bounds_on_executor, check_helpers, rows_in_a_chunk
 from ctrplan.mechanics.core_arrays import (
     core_density,
@@ -42,7 +43,7 @@ from ctrplan.mechanics.walk import SHORTEST_STEP, Field, PathDensity, PathLimits
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from ctrplan.mechanics.history import HistoryOptions
+    from ctrplan.mechanics.history_options import HistoryOptions
     from ctrplan.mechanics.tube import Tube
 
 __all__ = [
@@ -59,12 +60,9 @@ __all__ = [
     "Status",
     "Tips",
     "TubeShape",
-    "input_errors",
     "kernel_name",
 ]
 
-Accuracy = Literal["search", "certificate", "exact"]
-"""Mesh error of a tip on the Table III grid: 0.3, 0.05 mm; "exact" also drops the first order in the clearance."""
 MOST_THREADS = 1024
 
 
@@ -127,14 +125,14 @@ class Mechanics:
         with input_errors():
             return shape_from_core(
                 self._model.solve(
-                    self._row(theta_b), self._row(l_b), np.ascontiguousarray(state), _known(accuracy), refinement
+                    self._row(theta_b), self._row(l_b), np.ascontiguousarray(state), known(accuracy), refinement
                 )
             )
 
     def bound(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> Bound:
         """Frictionless solution, every corner phi in {-1, 1}^(n-1), and the largest deviations between them."""
         with input_errors():
-            raw = self._model.bound(self._row(theta_b), self._row(l_b), _known(accuracy))
+            raw = self._model.bound(self._row(theta_b), self._row(l_b), known(accuracy))
         corners = tuple(map(shape_from_core, raw["corners"]))
         return Bound(**raw | {"frictionless": shape_from_core(raw["frictionless"]), "corners": corners})
 
@@ -153,7 +151,7 @@ class Mechanics:
         `progress` is told the finished share between chunks of half a second or so. With an `executor`, any that has
         the interface of concurrent.futures, chunks are its tasks, by default on one thread each. Results are the same.
         """
-        (thetas, ls), level, cores = self._configurations(theta_b, l_b), _known(accuracy), _checked(threads)
+        (thetas, ls), level, cores = self._configurations(theta_b, l_b), known(accuracy), _checked(threads)
         check_helpers(progress, executor)
         rows = rows_in_a_chunk(self.n, accuracy)
         if executor is not None or len(thetas) > rows:  # nothing is solved before all is known to be well-formed
@@ -228,7 +226,7 @@ class Mechanics:
         given = directions(parameters, self._given[0], self._model.number_names())
         with input_errors():
             return Tips(
-                **self._model.tips_with_friction(thetas, ls, states, given, _first_order(accuracy), _checked(threads))
+                **self._model.tips_with_friction(thetas, ls, states, given, first_order(accuracy), _checked(threads))
             )
 
     def core_lookup(
@@ -243,7 +241,7 @@ class Mechanics:
         given = (options.breakaway_m, options.rotation_rad, options.translation_m, options.state_change)
         if not all(0 < value < np.inf for value in given):
             raise InputError("steps and breakaway length of a history must be positive")
-        return self._model.history(_first_order(accuracy), *given)
+        return self._model.history(first_order(accuracy), *given)
 
     def check_path(
         self,
@@ -264,7 +262,7 @@ class Mechanics:
         with input_errors():
             theta, length = joint_rows(theta_b, l_b, self.n)
             return PathSamples(
-                **self._model.check_path(theta, length, core_grid(field), *until, _known(accuracy), bodies)
+                **self._model.check_path(theta, length, core_grid(field), *until, known(accuracy), bodies)
             )
 
     def field_entries(self, theta_b: ArrayLike, l_b: ArrayLike, *, threads: int = 0) -> Array:
@@ -276,7 +274,7 @@ class Mechanics:
     def body(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> tuple[Array, Array]:
         """Outermost centreline in front of the plate: points (1 + corners, N, 3) [m], outer radii (N,) [m]."""
         with input_errors():
-            return self._model.body(self._row(theta_b), self._row(l_b), _known(accuracy))
+            return self._model.body(self._row(theta_b), self._row(l_b), known(accuracy))
 
     def friction_bodies(
         self,
@@ -335,15 +333,3 @@ def _checked(threads: int) -> int:
     if not 0 <= count <= MOST_THREADS:
         raise InputError(f"must be a whole number from 0 (every core) to {MOST_THREADS}", key="threads", value=threads)
     return count
-
-
-def _known(accuracy: Accuracy) -> Accuracy:
-    if accuracy not in get_args(Accuracy):
-        raise InputError('must be "search", "certificate" or "exact"', key="accuracy", value=accuracy)
-    return accuracy
-
-
-def _first_order(accuracy: Accuracy) -> Accuracy:
-    if accuracy == "exact":
-        raise InputError('must be "search" or "certificate" here', key="accuracy", value=accuracy)
-    return _known(accuracy)

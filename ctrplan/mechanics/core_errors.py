@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from ctrplan import _model
 from ctrplan.errors import InputError
 
 
-class input_errors:
+@contextmanager
+def input_errors() -> Iterator[None]:
     """Turns the core's refusals into InputError."""
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
-        if isinstance(error, _model.InvalidInput):
-            raise InputError(str(error)) from None
+    try:
+        yield
+    except _model.InvalidInput as refusal:
+        raise InputError(str(refusal)) from None

@@ -16,8 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError, SolverError
-from ctrplan.mechanics.core import Accuracy, Mechanics, input_errors
+from ctrplan.mechanics.accuracy import Accuracy
+from ctrplan.mechanics.core import Mechanics
 from ctrplan.mechanics.core_arrays import joint_row, joint_rows, numbers, shape_from_core
+from ctrplan.mechanics.core_errors import input_errors
+from ctrplan.mechanics.history_options import HistoryOptions as HistoryOptions
 from ctrplan.mechanics.shapes import Shape, Status
 
 if TYPE_CHECKING:
@@ -26,16 +29,6 @@ if TYPE_CHECKING:
 Start = Literal["released", "oscillated"] | Sequence[float]
 
 OSCILLATION_DEG = tuple(range(40, -1, -2))  # decreasing amplitude, turned one way and the other (Section V-A)
-
-
-@dataclass(frozen=True)
-class HistoryOptions:
-    """How a history is stepped; halving the steps moves no tip by more than 0.05 mm (benchmarks/history.py)."""
-
-    breakaway_m: float = 0.02e-3  # slip over which friction builds up
-    rotation_rad: float = 0.05  # longest step of a tube base
-    translation_m: float = 0.5e-3
-    state_change: float = 0.05  # of phi, mean over the contacts weighted by force, aimed at in a step
 
 
 @dataclass(frozen=True, eq=False)
