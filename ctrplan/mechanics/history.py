@@ -23,7 +23,7 @@ from ctrplan.mechanics.shapes import Shape, Status
 if TYPE_CHECKING:
     import ctrplan._model as _model
 
-Start = Literal["released", "oscillated"] | Sequence[float]
+Start = Literal["released", "oscillated"] | Sequence[float] | Array
 
 OSCILLATION_DEG = tuple(range(40, -1, -2))  # decreasing amplitude, turned one way and the other (Section V-A)
 
@@ -129,7 +129,8 @@ class History:
         self._mechanics = mechanics
         self._accuracy: Accuracy = accuracy
         self.options = options or HistoryOptions()
-        self._start, self._phi = start, _start_phi(start, mechanics.n - 1)
+        self._phi = _start_phi(start, mechanics.n - 1)
+        self._oscillates = isinstance(start, str) and start == "oscillated"
         self._core = mechanics.core_history(self.options, accuracy)
         self._at: tuple[Array, Array] | None = None
 
@@ -193,7 +194,7 @@ class History:
         if status == Status.FAILED:
             raise SolverError("no equilibrium was found at the start of the history")
         self._at = (theta_b, l_b)
-        if self._start != "oscillated":
+        if not self._oscillates:
             return (0.0,) * 7
         weights = np.arange(self._mechanics.n)  # every pair turns by the amplitude
         for k, amplitude in enumerate(np.radians(OSCILLATION_DEG)):

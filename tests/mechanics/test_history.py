@@ -59,6 +59,12 @@ def test_a_released_start_is_the_frictionless_solution_and_a_loaded_one_its_corn
         assert loaded.tangent_deviation_rad < bound.tangent_rad + 1e-9
 
 
+def test_a_start_in_a_corner_may_be_an_array() -> None:
+    theta_b, l_b = (rows[0] for rows in path(THREE, 1))
+    tips = [THREE.history(start).advance(theta_b, l_b).shape.tip_m for start in ((1, -1), np.array([1, -1]))]
+    np.testing.assert_array_equal(*tips)
+
+
 @pytest.mark.parametrize("robot", ["pair", "three"], indirect=True)
 def test_a_full_rotation_reaches_the_corner(robot: Robot) -> None:
     """90 deg of every pair saturate friction, as in Section V; neighbours turn each other's tubes a little."""
