@@ -57,7 +57,7 @@ def plan(
     if compensated and (scenario.goal.tip_m is None or scenario.goal.line_m is not None):
         rule = "is no single tip position (tip_mm), which compensation needs"
         raise InputError(rule, file=scenario.path, key=scenario.goal.table)
-    began = time.monotonic()
+    began, report = time.monotonic(), progress or (lambda _: None)
     budget = checked_search(seed, scenario.planner.time_s if time_s is None else time_s)
     refuse_impossible_margins(scenario)
     start, _ = MotionChecker(scenario).probe(scenario.start)
@@ -65,11 +65,9 @@ def plan(
         reason = start_trouble(MotionChecker(scenario)) or start.reason
         raise NoAnswerError(f"{scenario.path or scenario.name}: start: the start state is not valid: {reason}.")
     with interrupt_event(interrupted) as interrupted:
-        asked = _Asked(
-            seed, began, budget, budget, time_s is not None, progress or (lambda _: None), interrupted, bound_table
-        )
+        asked = _Asked(seed, began, budget, budget, time_s is not None, report, interrupted, bound_table)
         first, stages, ended_by = _anytime_stages(scenario, asked)
-        finish = _finish(scenario, stages[-1][1], compensated, progress or (lambda _: None))
+        finish = _finish(scenario, stages[-1][1], compensated, report)
     notes: tuple[str, ...] = (*scenario.warnings, *((ENDED_BY_TIME,) if ended_by == "time" else ()))
     if bound_table is not None:
         notes += (f"Searched with the robot's bound field {bound_table.key}.",)

@@ -136,7 +136,7 @@ def test_bodies_that_touch_along_an_edge_are_fine(tmp_path: Path) -> None:
 
 
 def chambers(inverted: bool = False) -> tuple[trimesh.Trimesh, list[NDArray[np.bool_]]]:
-    """Two boxes with a face in common, whose triangles differ, and the sides that end at it: of one box, of the other."""
+    """Two boxes with a face in common, triangulated differently, and the sides of either that end at it."""
     first, second = box(), box()
     second.apply_scale((0.5, 1, 1))
     second.apply_translation((7.5, 0, 0))
