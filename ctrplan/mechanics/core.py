@@ -32,7 +32,7 @@ from ctrplan.mechanics.core_arrays import (
 )
 from ctrplan.mechanics.derivative_names import directions
 from ctrplan.mechanics.loads import Loads
-from ctrplan.mechanics.nesting import TOLERANCE_M, nesting_inequalities
+from ctrplan.mechanics.nesting import nests
 from ctrplan.mechanics.shapes import Bound, Bounds, Shape, Status, Tips, TubeShape
 from ctrplan.mechanics.walk import SHORTEST_STEP, Field, PathDensity, PathLimits, PathSamples
 
@@ -183,10 +183,7 @@ class Mechanics:
     def first_refused(self, theta_b: ArrayLike, l_b: ArrayLike) -> tuple[int, str] | None:
         """The first of K configurations (K, n), (K, n) that is malformed or does not nest, and why; None if none is."""
         thetas, ls = self._configurations(theta_b, l_b)
-        tubes = self._given[0]
-        G, h = nesting_inequalities(tubes)
-        sound = np.all(ls @ G.T <= h + TOLERANCE_M / 2, axis=1) & (ls[:, 0] + tubes[0].length_m > TOLERANCE_M)
-        sound &= np.all(np.abs(thetas) < 1e5, axis=1) & np.all(np.isfinite(ls), axis=1)
+        sound = nests(self._given[0], ls) & np.all(np.abs(thetas) < 1e5, axis=1) & np.all(np.isfinite(ls), axis=1)
         for k in np.flatnonzero(~sound).tolist():  # the core has the last word
             try:
                 self._model.zero_clearance(thetas[k], ls[k])

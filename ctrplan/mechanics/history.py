@@ -82,12 +82,6 @@ class HistoryStep:
         """Distance [m] of the tip from that of the frictionless solution."""
         return float(np.linalg.norm(self.shape.tip_m - self.frictionless.tip_m))
 
-    @property
-    def tangent_deviation_rad(self) -> float:
-        """Angle [rad] between the tip tangent and that of the frictionless solution."""
-        a, b = self.shape.tip_tangent, self.frictionless.tip_tangent
-        return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
-
 
 @dataclass(frozen=True, eq=False)
 class HistoryPath:

@@ -14,6 +14,7 @@ from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.bound_lookup import FieldLookup
 from ctrplan.mechanics.core import Field, PathDensity, PathLimits, Status
+from ctrplan.mechanics.nesting import nests
 from ctrplan.planning import bound_table as fields
 from ctrplan.planning import plan
 from ctrplan.planning.bound_table import BoundTable, choose_axes, known_table, tabulated_bounds
@@ -112,7 +113,7 @@ def test_the_mirrored_half_is_what_the_model_says(pair: Robot, monkeypatch: pyte
     grids = np.meshgrid(*[axis.lower + axis.step * np.arange(axis.count) for axis in axes], indexing="ij")
     coordinates = np.stack([values.ravel() for values in grids], axis=1)[rows]
     theta, l_b = fields._collars(pair, axes, coordinates)
-    nested = fields._nested(pair, l_b) & (grid.values[rows, FieldLookup.VALID] > 0)
+    nested = nests(pair.tubes, l_b) & (grid.values[rows, FieldLookup.VALID] > 0)
     solved = pair.mechanics.field_entries(theta[nested], l_b[nested])
     assert nested.sum() >= 10
     opposed = np.abs(np.abs(coordinates[nested, 0]) - np.pi) < 1e-9  # there two mirrored solutions may exist
