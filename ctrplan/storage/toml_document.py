@@ -17,7 +17,7 @@ import numpy as np
 
 from ctrplan.errors import InputError
 from ctrplan.storage.file_bytes import file_bytes, file_name
-from ctrplan.storage.toml_faults import explain, unit_of
+from ctrplan.storage.toml_faults import first_fault, unit_of
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -56,7 +56,7 @@ class Document:
         except RecursionError:
             raise self.fault("is nested too deeply") from None
         except msgspec.ValidationError as error:
-            path, rule = explain(str(error), self.content, schema)
+            path, rule = first_fault(self.content, schema) or ((), f"can't be read: {error}")
             raise self.fault(rule, *path) from None
 
     def fault(self, rule: str, *path: Step, unit: str | None = None) -> InputError:
