@@ -83,7 +83,7 @@ def history_excess(plan: Plan, rng: np.random.Generator) -> dict[str, float]:
     history.advance(*robot.drive.collars(plan.legs[0].start))
     excess, clearance = -np.inf, np.inf
     for leg in plan.legs:
-        for q in leg.sample(HISTORY_STEPS)[1:]:
+        for q in np.linspace(leg.start, leg.end, HISTORY_STEPS + 1)[1:]:
             step = history.advance(*robot.drive.collars(q))
             excess = max(excess, step.deviation_m - robot.bound(*robot.drive.collars(q)).position_m)
             ahead = step.shape.s_m >= 0

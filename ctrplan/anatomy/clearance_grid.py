@@ -19,7 +19,7 @@ from ctrplan.anatomy.grid_distance import COARSEST, grid_distance
 from ctrplan.anatomy.parts import AnatomyPart, combined_clearance, exact_clearance
 from ctrplan.anatomy.shape import Shape
 from ctrplan.base.arrays import Array
-from ctrplan.base.progress import Progress
+from ctrplan.base.progress import Progress, part_of
 from ctrplan.errors import InputError
 from ctrplan.storage import cache as field_cache
 
@@ -96,7 +96,7 @@ def build_field(
     if values is None:
         steps = iter(range(len(parts)))
         values = combined_clearance(
-            parts, lambda part: grid_distance(part, origin, spacing, shape, _share(progress, next(steps), len(parts)))
+            parts, lambda part: grid_distance(part, origin, spacing, shape, part_of(progress, next(steps), len(parts)))
         ).astype(np.float32, copy=False)
         if cache:
             field_cache.store(key, values)
@@ -142,7 +142,3 @@ def _source(shape: type[Shape]) -> bytes:
     """Hash of the file that defines a kind: who writes one changes its distances now and then."""
     file = getattr(sys.modules.get(shape.__module__), "__file__", None)
     return hashlib.sha256(Path(file).read_bytes() if file else b"").digest()
-
-
-def _share(progress: Progress | None, part: int, count: int) -> Progress:
-    return lambda fraction: progress((part + fraction) / count) if progress else None

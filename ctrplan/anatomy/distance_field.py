@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ctrplan.anatomy.parts import AnatomyPart, exact_clearance
+from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.base.arrays import Array
 
 Grid = NDArray[np.float32]
@@ -46,23 +46,3 @@ class SignedDistanceField:
             share = np.where(corner, weight, 1.0 - weight).prod(axis=1)
             result += share * self.values_m[tuple((node + corner).T)]
         return np.asarray(result)
-
-    def interpolation_error_m(self, band_m: float = 0.01, count: int = 20_000, seed: int = 0) -> float:
-        """Largest overestimate of the clearance [m] found at `count` random points that `sample` calls clear.
-
-        The points lie within a grid step of nodes with a clearance of 0 to band_m [m], where paths are decided; where
-        there are none, anywhere clear; 0.0 where nothing is clear. Underestimates (near the medial axis) cost room but
-        are safe and are not counted.
-        """
-        rng = np.random.default_rng(seed)
-        candidates = np.flatnonzero((self.values_m >= 0) & (self.values_m <= band_m))
-        if not candidates.size:
-            candidates = np.flatnonzero(self.values_m >= 0)
-        if not candidates.size:
-            return 0.0
-        node = np.stack(np.unravel_index(rng.choice(candidates, count), self.values_m.shape), axis=1)
-        points = self.origin_m + self.spacing_m * (node + rng.uniform(-1, 1, (count, 3)))
-        points = np.clip(points, self.origin_m, self.upper_m)
-        sampled = self.sample(points)
-        points, sampled = points[sampled >= 0], sampled[sampled >= 0]
-        return float(np.max(sampled - exact_clearance(self.parts, points), initial=0.0))

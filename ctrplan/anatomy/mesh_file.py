@@ -1,7 +1,7 @@
 """Reading closed triangle meshes from STL, PLY and OBJ files: checked, repaired, or refused in one sentence."""
 
 import warnings
-from os import PathLike, fspath
+from os import PathLike
 from pathlib import Path
 from typing import TypeVar
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ctrplan.anatomy.mesh_repair import Indices, MeshRefusal, turned_outward, welded
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
+from ctrplan.storage.file_bytes import file_name
 
 Number = TypeVar("Number", np.float64, np.int64)
 
@@ -32,8 +33,9 @@ def load_mesh(
     consistent and outward. A shell within another one stays a cavity if the file winds it the other way round.
     Raises InputError, one sentence, for everything else: see the rules in this file.
     """
+    name = file_name(path, "a mesh")
     try:
-        vertices, faces = _read(Path(path))
+        vertices, faces = _read(Path(name))
         if unit not in UNITS_M:
             raise MeshRefusal(f"can't be read in unit {unit!r}: must be one of {', '.join(UNITS_M)}")
         vertices = vertices * UNITS_M[unit]
@@ -42,8 +44,8 @@ def load_mesh(
         return vertices, turned_outward(vertices, faces)
     except MeshRefusal as refusal:
         if file is None and key is None:
-            raise InputError(str(refusal), file=fspath(path)) from refusal.__cause__
-        raise InputError(str(refusal), file=file, key=key, value=fspath(path)) from refusal.__cause__
+            raise InputError(str(refusal), file=name) from refusal.__cause__
+        raise InputError(str(refusal), file=file, key=key, value=name) from refusal.__cause__
 
 
 def _read(path: Path) -> tuple[Array, Indices]:

@@ -1,6 +1,7 @@
 """Repairing a triangle mesh: cracks welded, winding made consistent and outward, or refused with the place named."""
 
 import logging
+from collections.abc import Iterator
 
 import igl
 import numpy as np
@@ -13,6 +14,7 @@ from ctrplan.base.arrays import Array
 
 Indices = NDArray[np.int64]
 
+BESIDE = 1e-3  # of a triangle's size: how far from it the sides are looked at
 WELD_M = 1e-6  # vertices closer than this are one: a crack that no robot and no scanner can tell from a closed seam
 
 logger = logging.getLogger(__name__)
@@ -96,6 +98,7 @@ def turned_outward(vertices: Array, faces: Indices) -> Indices:
     else:
         body = _bodies(faces)
     faces = _outermost_outward(vertices, faces, body)
+    _refuse_inside_out(vertices, faces)
     turned = int((faces != given).any(axis=1).sum())
     if turned:
         logger.info("turned %d of %d triangles so that the surface faces outward", turned, len(faces))
@@ -107,22 +110,51 @@ def turned_outward(vertices: Array, faces: Indices) -> Indices:
 def _bodies(faces: Indices) -> Indices:
     """Body (F,) of each triangle: closed patches where bodies touch along an edge, else what shares vertices."""
     patch = np.asarray(igl.orientable_patches(faces))
+    return patch if _are_closed(faces, patch) else np.asarray(igl.vertex_components(faces))[faces[:, 0]]
+
+
+def _are_closed(faces: Indices, patch: Indices) -> bool:
+    """Whether each patch (F,) is closed without the others."""
     _, apart = np.unique(faces + patch[:, None] * (faces.max() + 1), return_inverse=True)
-    return patch if not len(_odd_edges(apart.reshape(-1, 3))) else np.asarray(igl.vertex_components(faces))[faces[:, 0]]
+    return not len(_odd_edges(apart.reshape(-1, 3)))
+
+
+def _refuse_inside_out(vertices: Array, faces: Indices) -> None:
+    """Raises MeshRefusal where patches that share walls and are closed together only do not bound one solid."""
+    patch = np.asarray(igl.orientable_patches(faces))
+    if _are_closed(faces, patch):
+        return
+    corners = vertices[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normal, axis=1)
+    largest = np.array([rows[np.argmax(area[rows])] for rows in map(np.flatnonzero, _each(patch))])
+    step = BESIDE * normal[largest] / np.sqrt(area[largest])[:, None]
+    middle = corners[largest].mean(axis=1)
+    behind, before = (np.asarray(igl.winding_number(vertices, faces, middle + s * step)) for s in (-1, 1))
+    wrong = np.flatnonzero((behind < 0.5) | (before < -0.5))
+    if len(wrong):
+        x, y, z = middle[wrong[0]] * 1e3
+        rule = "its bodies share walls and can't be told apart, must bound a solid on one side"
+        raise MeshRefusal(f"can't be turned outward at ({x:.2f}, {y:.2f}, {z:.2f}) mm: {rule}")
+
+
+def _each(patch: Indices) -> Iterator[NDArray[np.bool_]]:
+    return (patch == number for number in np.unique(patch))
 
 
 def _consistent(vertices: Array, faces: Indices) -> tuple[Indices, Indices]:
     """Winding made consistent within each patch, following the larger part of the patch's area in the file."""
     oriented, patch = (np.asarray(a) for a in igl.bfs_orient(faces))
-    bad = _unbalanced_edges(oriented)
+    corners = vertices[faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    vote = np.bincount(patch, weights=np.where((oriented == faces).all(axis=1), area, -area))
+    turned = np.where((vote < 0)[patch][:, None], oriented[:, ::-1], oriented)
+    bad = _unbalanced_edges(turned)  # one-sided, or patches that end at edges of more triangles and do not go together
     if len(bad):
         x, y, z = vertices[bad[0]].mean(axis=0) * 1e3
         place = f"({x:.2f}, {y:.2f}, {z:.2f}) mm"
         raise MeshRefusal(f"can't be turned outward: its two sides meet at {place}, must bound a solid")
-    corners = vertices[faces]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    vote = np.bincount(patch, weights=np.where((oriented == faces).all(axis=1), area, -area))
-    return np.where((vote < 0)[patch][:, None], oriented[:, ::-1], oriented), patch
+    return turned, patch
 
 
 def _volumes(vertices: Array, faces: Indices, body: Indices) -> Array:

@@ -39,6 +39,7 @@ from ctrplan.robot.robot import Robot
 
 LEAST_STABILITY = 0.03  # of the believed robot: nearer to snapping no model is asked
 LEAST_GROUPS = 12  # configurations, or blocks of a continuous motion
+HELD_OUT_SHARE = 0.95  # of the work done when the held-out set is asked
 HELD_OUT_REJECTED = 1e-4  # probability of the held-out set's residuals that takes a name back
 
 
@@ -61,7 +62,7 @@ class _Teller:
 
     def __call__(self, step: str) -> None:
         self.pause()
-        self.share += 0.25 * (1 - self.share)  # how many steps there will be is not known
+        self.share += 0.25 * (HELD_OUT_SHARE - self.share)  # how many steps there will be is not known
         if self.progress:
             self.progress(step, self.share)
 
@@ -94,7 +95,7 @@ def diagnose(
     chosen, base = selector.found.chosen, selector.bench.scored([])
     noise = selector.bench.noise
     if progress:
-        progress("asking the held-out set", 0.95)
+        progress("asking the held-out set", HELD_OUT_SHARE)
     group = groups(data)
     gap = open_held_out_set(base.fit, chosen.fit, data.subset(parts.held_out_set), group[parts.held_out_set], noise)
     judgement, note = _after_held_out_set(judgement, selector, gap, noise.position_m < bench.noise.position_m)

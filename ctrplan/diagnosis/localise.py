@@ -19,6 +19,9 @@ from ctrplan.experiment.measurements import Measurements
 PERMUTATIONS, SEED = 200, 3
 CHANCE = 0.05
 BINS = 4
+RESOLUTION = 1000  # parts of a quantity's range: values nearer to each other are one
+TINY = 1e-300
+ROUNDED_RAD = 1e-9  # by which an angle may fall short of zero without coming out as a full turn
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,7 @@ def quantities(data: Measurements) -> Mapping[str, Array]:
     found: dict[str, Array] = {}
     for i in range(1, n):
         turn = data.theta_commanded[rows, i] - data.theta_commanded[rows, i - 1]
-        found[f"angle of tube {i + 1} against tube {i}"] = np.mod(turn, 2 * np.pi)
+        found[f"angle of tube {i + 1} against tube {i}"] = np.mod(turn + ROUNDED_RAD, 2 * np.pi)
         found[f"direction of approach of tubes {i} and {i + 1}"] = friction_state(data)[:, i - 1]
     for i in range(n):
         found[f"translation of tube {i + 1}"] = data.l_commanded[rows, i]
@@ -106,9 +109,11 @@ def _quarters(values: Array) -> NDArray[np.int_]:
     Blanks (NaN) are a class of their own, the last.
     """
     given = np.isfinite(values)
-    distinct = np.unique(np.round(values[given], 3))
+    low = values[given].min()
+    levels = np.round((values - low) / max(np.ptp(values[given]), TINY) * RESOLUTION)  # whatever the unit
+    distinct = np.unique(levels[given])
     if len(distinct) <= BINS:
-        part = np.searchsorted(distinct, np.round(values, 3))
+        part = np.searchsorted(distinct, levels)
     else:
         edges = np.quantile(values[given], np.arange(1, BINS) / BINS)
         part = np.searchsorted(edges, values, side="right")

@@ -66,14 +66,6 @@ class Measurements:
         rows = (self.rows[poses] + 1).tolist()
         return ", ".join(map(str, rows[:MOST_ROWS])) + (" ..." if len(rows) > MOST_ROWS else "")
 
-    def moves(self, row: int) -> tuple[Array, Array] | None:
-        """Rotation and translation (n,) of the motion that led to a waypoint; None if its run starts there."""
-        if row == 0 or self.sequence[row] != self.sequence[row - 1]:
-            return None
-        return self.theta_commanded[row] - self.theta_commanded[row - 1], self.l_commanded[row] - self.l_commanded[
-            row - 1
-        ]
-
 
 def is_streamed(sequence: NDArray[np.int_], rows: NDArray[np.int_], joints: Array) -> bool:
     """Whether poses were logged on a continuous motion of the joints (R, 2 n), rather than after settling."""

@@ -18,6 +18,7 @@ from ctrplan.experiment.joint_path import JointPath
 from ctrplan.robot.nesting import nesting_violation
 from ctrplan.robot.robot import Robot
 from ctrplan.storage.csv_table import CsvTable
+from ctrplan.storage.file_bytes import file_name
 
 MOST_TURNS = 50  # of a tube; more are most likely degrees
 LARGEST_RUN = 10**15  # numbers of runs beyond it are not exact
@@ -33,7 +34,7 @@ def joint_columns(n: int) -> tuple[list[str], list[str]]:
 
 def load_joint_path(path: str | os.PathLike[str], robot: Robot) -> JointPath:
     """The waypoints of a CSV file that goes with `robot`; InputError for anything malformed or contradictory."""
-    return joint_path(CsvTable(os.fspath(path), "joint path"), robot)
+    return joint_path(CsvTable(file_name(path, "a CSV file"), "joint path"), robot)
 
 
 def joint_path(table: CsvTable, robot: Robot, needed: Sequence[str] = ()) -> JointPath:

@@ -15,6 +15,7 @@ from ctrplan.files.joint_path_file import joint_path
 from ctrplan.pipeline.chain import Chain
 from ctrplan.robot.robot import Robot
 from ctrplan.storage.csv_table import CsvTable
+from ctrplan.storage.file_bytes import file_name
 
 POSE = ("x_m", "y_m", "z_m", "tx", "ty", "tz")
 TANGENT_TOLERANCE = 0.01  # of its length: files are rounded
@@ -27,7 +28,7 @@ def load_measurements(path: str | os.PathLike[str], robot: Robot) -> Measurement
 
     Raises InputError, one sentence with file, row, column, value and rule, for anything malformed or contradictory.
     """
-    table = CsvTable(os.fspath(path), "file of measurements")
+    table = CsvTable(file_name(path, "a CSV file"), "file of measurements")
     joints = joint_path(table, robot, needed=("sequence", *POSE))
     pose, rows = _poses(table)
     theta_b, l_b = joints.theta_commanded, joints.l_commanded

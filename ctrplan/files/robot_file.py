@@ -9,10 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import tomli_w
 
-from ctrplan.errors import InputError
 from ctrplan.files.drive_file import HomeEntry, build_drive
 from ctrplan.files.robot_entries import MeasurementEntry, RobotEntry, build_contacts, build_tubes
 from ctrplan.robot.nesting import never_nests
@@ -36,22 +34,7 @@ def load_robot(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> R
 
 def robot_from_dict(content: Mapping[str, Any], *, file: str | None = None, overrides: Sequence[str] = ()) -> Robot:
     """The robot of a robot file's content, keys and units as in the file; `file` is what errors call it."""
-    if not isinstance(content, Mapping):
-        raise InputError("must be a mapping with the keys of a robot file", file=file, value=content)
-    try:
-        plain = _plain(content)
-    except RecursionError:
-        raise InputError("is nested too deeply", file=file) from None
-    return _build(Document(plain, file).with_overrides(overrides))
-
-
-def _plain(content: Any) -> Any:
-    """The content with numbers of numpy as Python's, which a file would hold."""
-    if isinstance(content, Mapping):
-        return {key: _plain(value) for key, value in content.items()}
-    if isinstance(content, (list, tuple, np.ndarray)):
-        return [_plain(value) for value in content]
-    return content.item() if isinstance(content, np.generic) else content
+    return _build(Document.of(content, "robot", file).with_overrides(overrides))
 
 
 def _build(document: Document) -> Robot:

@@ -26,7 +26,7 @@ from ctrplan.files.scenario_entries import (
 from ctrplan.planning.scenario import Cost, Goal, Margins, Scenario
 from ctrplan.robot.robot import Robot
 from ctrplan.storage.number_ranges import Vector, metres
-from ctrplan.storage.toml_document import Document, Step, read_document
+from ctrplan.storage.toml_document import Document, Step, checked_overrides, read_document
 from ctrplan.storage.toml_table import Table, file_inside
 
 ROBOT_PREFIX = "robot."
@@ -54,12 +54,12 @@ def scenario_from_dict(
 ) -> Scenario:
     """The scenario of a scenario file's content; as `load_scenario`, with files relative to the folder of `file`."""
     own, for_robot = _by_file(overrides)
-    return _build(Document(dict(content), file).with_overrides(own), for_robot, allow_outside)
+    return _build(Document.of(content, "scenario", file).with_overrides(own), for_robot, allow_outside)
 
 
 def _by_file(overrides: Sequence[str]) -> tuple[list[str], list[str]]:
     """Overrides of the scenario's keys, and those of the robot's keys without their prefix."""
-    stripped = [override.lstrip() for override in overrides]
+    stripped = [override.lstrip() for override in checked_overrides(overrides)]
     own = [override for override in stripped if not override.startswith(ROBOT_PREFIX)]
     return own, [override[len(ROBOT_PREFIX) :] for override in stripped if override.startswith(ROBOT_PREFIX)]
 
@@ -120,6 +120,7 @@ def _goal(entry: GoalEntry, robot: Robot, document: Document, *path: Step) -> li
     if line is not None and not np.any(np.diff(line, axis=0)):
         raise document.fault("must have a length", *path, "line_mm")
     name, tip_m = entry.name or "", None if entry.tip_mm is None else metres(entry.tip_mm)
+    table = ".".join(step if isinstance(step, str) else str(step + 1) for step in path)
     goal = Goal(
         joints=None if entry.joints is None else joint_values(entry.joints, robot, document, *path, "joints"),
         tip_m=tip_m if line is None else read_only(line[-1]),
@@ -128,10 +129,12 @@ def _goal(entry: GoalEntry, robot: Robot, document: Document, *path: Step) -> li
         direction_tolerance_rad=None if tolerance is None else math.radians(tolerance),
         line_m=line,
         name=name,
+        table=table,
     )
     if line is None:
         return [goal]
-    return [replace(goal, tip_m=read_only(line[0]), line_m=None, name=f"{name or 'line'}, beginning"), goal]
+    beginning = f"{name or 'line'}, beginning"
+    return [replace(goal, tip_m=read_only(line[0]), line_m=None, name=beginning, tip_key="line_mm.1"), goal]
 
 
 def _unit_vector(vector: Vector, document: Document, *path: Step) -> Array:

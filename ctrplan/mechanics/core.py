@@ -36,7 +36,7 @@ from ctrplan.mechanics.core_arrays import (
 from ctrplan.mechanics.core_errors import input_errors
 from ctrplan.mechanics.derivative_names import directions
 from ctrplan.mechanics.loads import Loads
-from ctrplan.mechanics.nesting import TOLERANCE_M, nesting_inequalities
+from ctrplan.mechanics.nesting import nests
 from ctrplan.mechanics.shapes import Bound, Bounds, FrictionBodies, Shape, Status, Tips, TubeShape
 from ctrplan.mechanics.walk import SHORTEST_STEP, Field, PathDensity, PathLimits, PathSamples
 
@@ -168,10 +168,7 @@ class Mechanics:
     def first_refused(self, theta_b: ArrayLike, l_b: ArrayLike) -> tuple[int, str] | None:
         """The first of K configurations (K, n), (K, n) that is malformed or does not nest, and why; None if none is."""
         thetas, ls = self._configurations(theta_b, l_b)
-        tubes = self._given[0]
-        G, h = nesting_inequalities(tubes)
-        sound = np.all(ls @ G.T <= h + TOLERANCE_M / 2, axis=1) & (ls[:, 0] + tubes[0].length_m > TOLERANCE_M)
-        sound &= np.all(np.abs(thetas) < 1e5, axis=1) & np.all(np.isfinite(ls), axis=1)
+        sound = nests(self._given[0], ls) & np.all(np.abs(thetas) < 1e5, axis=1) & np.all(np.isfinite(ls), axis=1)
         for k in np.flatnonzero(~sound).tolist():  # the core has the last word
             try:
                 self._model.zero_clearance(thetas[k], ls[k])
@@ -296,7 +293,7 @@ class Mechanics:
             raise InputError(f"must be at least {SHORTEST_STEP:g} m", key="spacing_m", value=spacing_m, unit="m")
         with input_errors():
             points, status, strain = self._model.friction_bodies(
-                self._row(theta_b), self._row(l_b), np.ascontiguousarray(states), float(spacing_m), _known(accuracy)
+                self._row(theta_b), self._row(l_b), np.ascontiguousarray(states), float(spacing_m), known(accuracy)
             )
         return FrictionBodies(points[:, :, :3], points[0, :, 3], np.asarray(status) != Status.FAILED, strain)
 

@@ -26,7 +26,7 @@ from ctrplan.mechanics.shapes import Shape, Status
 if TYPE_CHECKING:
     import ctrplan._model as _model
 
-Start = Literal["released", "oscillated"] | Sequence[float]
+Start = Literal["released", "oscillated"] | Sequence[float] | Array
 
 OSCILLATION_DEG = tuple(range(40, -1, -2))  # decreasing amplitude, turned one way and the other (Section V-A)
 
@@ -75,12 +75,6 @@ class HistoryStep:
         """Distance [m] of the tip from that of the frictionless solution."""
         return float(np.linalg.norm(self.shape.tip_m - self.frictionless.tip_m))
 
-    @property
-    def tangent_deviation_rad(self) -> float:
-        """Angle [rad] between the tip tangent and that of the frictionless solution."""
-        a, b = self.shape.tip_tangent, self.frictionless.tip_tangent
-        return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
-
 
 @dataclass(frozen=True, eq=False)
 class HistoryPath:
@@ -122,7 +116,8 @@ class History:
         self._mechanics = mechanics
         self._accuracy: Accuracy = accuracy
         self.options = options or HistoryOptions()
-        self._start, self._phi = start, _start_phi(start, mechanics.n - 1)
+        self._phi = _start_phi(start, mechanics.n - 1)
+        self._oscillates = isinstance(start, str) and start == "oscillated"
         self._core = mechanics.core_history(self.options, accuracy)
         self._at: tuple[Array, Array] | None = None
 
@@ -180,7 +175,7 @@ class History:
         if status == Status.FAILED:
             raise SolverError("no equilibrium was found at the start of the history")
         self._at = (theta_b, l_b)
-        if self._start != "oscillated":
+        if not self._oscillates:
             return {"steps": 0, "snaps": 0, "energy": Energy()}
         weights = np.arange(self._mechanics.n)  # every pair turns by the amplitude
         for k, amplitude in enumerate(np.radians(OSCILLATION_DEG)):

@@ -1,18 +1,15 @@
-"""Nesting: the tubes' bases and tips keep their order, collars apart, nothing pushed in front of the plate."""
+"""The rule of nesting: bases and tips keep their order, collars apart, no base in front of the plate."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.mechanics.tube import Tube
-
-if TYPE_CHECKING:
-    pass
 
 TOLERANCE_M = 1e-9
 # Of the base inside a tube with a compliant shaft, whose collar's angle is an unknown of its own: a node has to fit in
@@ -36,3 +33,41 @@ def nesting_inequalities(tubes: Sequence[Tube]) -> tuple[Array, Array]:
     apart = [-least_distance_m(*pair) for pair in pairwise(tubes)]
     longer = np.diff([tube.length_m for tube in tubes])
     return np.vstack([np.eye(len(tubes))[:1], behind, -behind]), np.concatenate([[0.0], apart, longer])
+
+
+def reach_inequalities(tubes: Sequence[Tube]) -> tuple[Array, Array]:
+    """The inequalities (2n, n), (2n,) [m] of nesting, and below them that of an outermost tip in front of the plate."""
+    G, h = nesting_inequalities(tubes)
+    return np.vstack([G, -G[:1]]), np.append(h, tubes[0].length_m - 3 * TOLERANCE_M)
+
+
+def nests(tubes: Sequence[Tube], l_b: Array) -> NDArray[np.bool_]:
+    """(K,) whether base translations (K, n) [m] nest, the outermost tip in front of the plate; on the safe side.
+
+    The core allows for twice the rounding, and has the last word.
+    """
+    G, h = nesting_inequalities(tubes)
+    nested: NDArray[np.bool_] = np.all(l_b @ G.T <= h + TOLERANCE_M / 2, axis=1)
+    return nested & (l_b[:, 0] + tubes[0].length_m > TOLERANCE_M)
+
+
+def moved_to_nest(tubes: Sequence[Tube], l_b: Array) -> Array:
+    """Base translations (K, n) [m] with those that do not nest moved to where they do, tube by tube from outside."""
+    return _ordered(tubes, l_b, [least_distance_m(*pair) for pair in pairwise(tubes)])
+
+
+def is_in_order(tubes: Sequence[Tube], l_b: Array, within_m: float) -> NDArray[np.bool_]:
+    """(K,) whether collars and tips of (K, n) [m] are in order within so much; room for shafts is no matter."""
+    ordered = _ordered(tubes, l_b, [tube.collar_length_m for tube in tubes[1:]])
+    in_order: NDArray[np.bool_] = np.abs(ordered - l_b).max(axis=1, initial=0.0) < within_m
+    return in_order
+
+
+def _ordered(tubes: Sequence[Tube], l_b: Array, apart_m: Sequence[float]) -> Array:
+    """Base translations (K, n) moved to where tips are in order and bases `apart_m`, a distance per pair."""
+    l = l_b.copy()  # noqa: E741 (as in the equations)
+    l[:, 0] = np.minimum(l[:, 0], 0.0)
+    for i, (outer, inner) in enumerate(pairwise(tubes)):
+        l[:, i + 1] = np.maximum(l[:, i + 1], l[:, i] + outer.length_m - inner.length_m)
+        l[:, i + 1] = np.minimum(l[:, i + 1], l[:, i] - apart_m[i])
+    return l

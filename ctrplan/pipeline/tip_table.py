@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.mechanics.core import Accuracy
-from ctrplan.mechanics.nesting import least_distance_m
+from ctrplan.mechanics.nesting import is_in_order, moved_to_nest
 from ctrplan.mechanics.shapes import Status
 from ctrplan.robot.robot import Robot
 
@@ -36,8 +35,7 @@ def tip_table(
 ) -> TipTable:
     """Tips at (K, n) [rad], (K, n) [m] in friction states (K, n - 1); names as in `parameters`, or theta_b.1, l_b.1."""
     inside = nested(robot, l_b)
-    ordered = _ordered(robot, l_b, [tube.collar_length_m for tube in robot.tubes[1:]])  # room for shafts is no matter
-    sound = np.abs(ordered - l_b).max(axis=1, initial=0.0) < NESTED_M
+    sound = is_in_order(robot.tubes, l_b, NESTED_M)
     phi = phi * _rubbing(robot, names)
     rows = np.hstack([theta_b, inside, phi])
     _, first, back = np.unique(np.round(rows / SAME) * SAME, axis=0, return_index=True, return_inverse=True)
@@ -56,17 +54,7 @@ def _rubbing(robot: Robot, names: Sequence[str]) -> NDArray[np.bool_]:
 
 def nested(robot: Robot, l_b: Array) -> Array:
     """Base translations (K, n) with those that do not nest moved to where they do."""
-    return _ordered(robot, l_b, [least_distance_m(*pair) for pair in pairwise(robot.tubes)])
-
-
-def _ordered(robot: Robot, l_b: Array, apart_m: Sequence[float]) -> Array:
-    """Base translations (K, n) moved to where tips are in order and bases `apart_m`, a distance per pair."""
-    l = l_b.copy()  # noqa: E741 (as in the equations)
-    l[:, 0] = np.minimum(l[:, 0], 0.0)
-    for i, (outer, inner) in enumerate(pairwise(robot.tubes)):
-        l[:, i + 1] = np.maximum(l[:, i + 1], l[:, i] + outer.length_m - inner.length_m)
-        l[:, i + 1] = np.minimum(l[:, i + 1], l[:, i] - apart_m[i])
-    return l
+    return moved_to_nest(robot.tubes, l_b)
 
 
 def _solved(robot: Robot, theta_b: Array, l_b: Array, phi: Array, names: Sequence[str], accuracy: Accuracy) -> TipTable:

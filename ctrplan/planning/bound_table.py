@@ -21,7 +21,7 @@ from ctrplan.base.version import __version__
 from ctrplan.errors import InputError
 from ctrplan.mechanics.bound_lookup import FieldLookup
 from ctrplan.mechanics.loads import Loads
-from ctrplan.mechanics.nesting import TOLERANCE_M, nesting_inequalities
+from ctrplan.mechanics.nesting import nests
 from ctrplan.mechanics.walk import Field, PathDensity, PathLimits, PathSamples
 from ctrplan.storage import cache as field_cache
 
@@ -182,19 +182,13 @@ def _collars(robot: Robot, axes: tuple[Axis, ...], coordinates: Array) -> tuple[
     return np.cumsum(relative, axis=1), l_b
 
 
-def _nested(robot: Robot, l_b: Array) -> NDArray[np.bool_]:
-    G, h = nesting_inequalities(robot.tubes)
-    nested: NDArray[np.bool_] = np.all(l_b @ G.T <= h + TOLERANCE_M / 2, axis=1)
-    return nested & (l_b[:, 0] + robot.tubes[0].length_m > TOLERANCE_M)
-
-
 def _solve(robot: Robot, axes: tuple[Axis, ...], progress: Progress | None) -> NDArray[np.float32]:
     grids = np.meshgrid(*[axis.lower + axis.step * np.arange(axis.count) for axis in axes], indexing="ij")
     coordinates = np.stack([grid.ravel() for grid in grids], axis=1)
     table = np.zeros((len(coordinates) + 1, FieldLookup.NUMBERS), np.float32)
     theta_b, l_b = _collars(robot, axes, coordinates)
     mirrors = _mirrors(axes) if _is_planar(robot) else np.arange(len(coordinates))
-    solved = np.flatnonzero(_nested(robot, l_b) & (np.arange(len(coordinates)) <= mirrors))
+    solved = np.flatnonzero(nests(robot.tubes, l_b) & (np.arange(len(coordinates)) <= mirrors))
     for first in range(0, len(solved), CHUNK):
         rows = solved[first : first + CHUNK]
         table[rows] = robot.mechanics.field_entries(theta_b[rows], l_b[rows])
@@ -228,7 +222,7 @@ def _measure(robot: Robot, axes: tuple[Axis, ...], values: NDArray[np.float32]) 
     spans = [axis.step * (axis.count if axis.rotation else axis.count - 1) for axis in axes]
     coordinates = np.array([axis.lower for axis in axes]) + rng.random((TRIALS, len(axes))) * spans
     theta_b, l_b = _collars(robot, axes, coordinates)
-    inside = _nested(robot, l_b)
+    inside = nests(robot.tubes, l_b)
     theta_b, l_b = theta_b[inside], l_b[inside]
     exact = robot.mechanics.field_entries(theta_b, l_b)
     found = FieldLookup(robot.mechanics, [_given(axis) for axis in axes], values, 0.0).sample(theta_b, l_b)

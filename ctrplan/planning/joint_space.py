@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.drive.drive import Drive
-from ctrplan.mechanics.nesting import TOLERANCE_M, nesting_inequalities
+from ctrplan.mechanics.nesting import TOLERANCE_M, reach_inequalities
 from ctrplan.planning.plan import MotionStyle
 
 if TYPE_CHECKING:
@@ -41,10 +41,7 @@ class JointSpace:
     @classmethod
     def of_robot(cls, robot: Robot, mm_per_rad: float = MM_PER_RAD) -> JointSpace:
         """The joint space of a robot, 1 rad counted as `mm_per_rad`."""
-        G, h = nesting_inequalities(robot.tubes)
-        outermost = robot.tubes[0]  # its tip stays in front of the plate
-        G = np.vstack([G, -np.eye(robot.n)[:1]])
-        h = np.append(h, outermost.length_m - 3 * TOLERANCE_M)
+        G, h = reach_inequalities(robot.tubes)
         return cls(robot.drive, np.where(robot.drive.is_rotation, mm_per_rad, MM_PER_M), G, h)
 
     def difference(self, a: Array, b: Array) -> Array:

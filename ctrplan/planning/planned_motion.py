@@ -28,11 +28,6 @@ class Leg:
     end: Array  # (m,)
     kind: LegKind
 
-    def sample(self, count: int) -> Array:
-        """(count + 1, m) joint values at equal steps, both ends included."""
-        share = np.linspace(0.0, 1.0, count + 1)[:, None]
-        return self.start + share * (self.end - self.start)
-
 
 @dataclass(frozen=True, eq=False)
 class Compensation:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.base.interrupts import interrupt_event
+from ctrplan.base.progress import part_of
 from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.planning.certificate.certify import walk_legs
@@ -55,8 +56,8 @@ def plan(
     """
     if compensated and (scenario.goal.tip_m is None or scenario.goal.line_m is not None):
         rule = "is no single tip position (tip_mm), which compensation needs"
-        raise InputError(rule, file=scenario.path, key="goal")
-    began = time.monotonic()
+        raise InputError(rule, file=scenario.path, key=scenario.goal.table)
+    began, report = time.monotonic(), progress or (lambda _: None)
     budget = checked_search(seed, scenario.planner.time_s if time_s is None else time_s)
     refuse_impossible_margins(scenario)
     start, _ = MotionChecker(scenario).probe(scenario.start)
@@ -64,9 +65,9 @@ def plan(
         reason = start_trouble(MotionChecker(scenario)) or start.reason
         raise NoAnswerError(f"{scenario.path or scenario.name}: start: the start state is not valid: {reason}.")
     with interrupt_event(interrupted) as interrupted:
-        asked = _Asked(seed, began, budget, time_s is not None, progress or (lambda _: None), interrupted, bound_table)
+        asked = _Asked(seed, began, budget, budget, time_s is not None, report, interrupted, bound_table)
         first, stages, ended_by = _anytime_stages(scenario, asked)
-        finish = _finish(scenario, stages[-1][1], compensated, progress or (lambda _: None))
+        finish = _finish(scenario, stages[-1][1], compensated, report)
     notes: tuple[str, ...] = (*scenario.warnings, *((ENDED_BY_TIME,) if ended_by == "time" else ()))
     if bound_table is not None:
         notes += (f"Searched with the robot's bound field {bound_table.key}.",)
@@ -98,7 +99,8 @@ class _Asked:
 
     seed: int
     began: float
-    budget: float  # s, real ones if `timed`, else counted
+    budget: float  # s, real ones if `timed`, else counted: what is left of `whole`
+    whole: float
     timed: bool
     report: Report
     interrupted: threading.Event
@@ -152,6 +154,7 @@ def _stages(
                 goals = line_beginnings(checker, goals, targets[k + 1])
             clock = SearchClock(checker.meter, asked.timed)
             search = StageSearch(checker, goals, asked.seed, asked.began, share, clock, asked.report, asked.interrupted)
+            search.before, search.whole = asked.whole - asked.budget + spent, asked.whole
             found.append(run(search))
             spent += clock.now()
             ended_by = clock.name if clock.ran_out else ended_by
@@ -168,7 +171,8 @@ def _along_line(checker: MotionChecker, began: float) -> tuple[Candidate, Candid
     walk = None if failed else walk_legs(scenario, corners)
     if walk is None or walk.failure:
         why = failed or (walk.failure if walk else "")
-        raise NoAnswerError(f"{scenario.path or scenario.name}: line_mm: {why.rstrip('.')}.")
+        key = f"{scenario.goal.table}.line_mm"
+        raise NoAnswerError(f"{scenario.path or scenario.name}: {key}: {why.rstrip('.')}.")
     motion = checker.along(corners)
     result = Reordered(corners, corners, motion, motion, "simultaneous", on_line=True)
     candidate = Candidate(result, walk, found_s, time.monotonic() - began, "line", tidied=True)
@@ -190,14 +194,18 @@ def _finish(scenario: Scenario, best: Candidate, compensated: bool, report: Repo
     corners, certificate = best.result.after, best.certificate
     checker = MotionChecker(replace(scenario, start=corners[0], via=()))
     notes: tuple[str, ...] = ()
+    report(Progress("search", 1.0, certificate.cost_mm))
 
     def progress(fraction: float) -> None:
         report(Progress("certificate", fraction, certificate.cost_mm))
 
+    steps = (scenario.planner.settle == "oscillate") + compensated
     if scenario.planner.settle == "oscillate":
-        settled = settle(checker, corners, certificate, progress=progress)
+        settled = settle(checker, corners, certificate, progress=part_of(progress, 0, steps))
         corners, certificate, notes = settled.corners, settled.certificate, (settled.note,) if settled.note else ()
     if not compensated:
         return _Finish(corners, certificate, None, notes)
-    corners, certificate, compensation = compensate(checker, corners, certificate, progress=progress)
+    corners, certificate, compensation = compensate(
+        checker, corners, certificate, progress=part_of(progress, steps - 1, steps)
+    )
     return _Finish(corners, certificate, compensation, notes)

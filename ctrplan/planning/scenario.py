@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.units import MM_PER_M
 from ctrplan.planning.planner_settings import PlannerSettings
 from ctrplan.robot.robot import Robot
 
@@ -27,6 +28,15 @@ class Goal:
     direction_tolerance_rad: float | None = None
     line_m: Array | None = None  # (L, 3) corners, the last one tip_m
     name: str = ""
+    table: str = "goal"  # of the scenario's file: "goal", or "target.2" for the second [[target]]
+    tip_key: str = "tip_mm"  # in that table, or "line_mm.1" for where a line begins
+
+    @property
+    def place(self) -> str:
+        """What the scenario's file calls the place to be reached: its key, and the value of a tip position."""
+        if self.tip_m is None:
+            return f"{self.table}.joints"
+        return f"{self.table}.{self.tip_key} = {[round(float(x), 3) for x in self.tip_m * MM_PER_M]}"
 
 
 @dataclass(frozen=True)

@@ -17,16 +17,16 @@ logger = logging.getLogger(__name__)
 
 
 def cache_directory() -> Path | None:
-    """$CTRPLAN_CACHE_DIR, else $XDG_CACHE_HOME/ctrplan, else ~/.cache/ctrplan; None where there is no home."""
+    """$CTRPLAN_CACHE_DIR, else where the system keeps caches of a user; None where there is no such place.
+
+    That is $XDG_CACHE_HOME/ctrplan or ~/.cache/ctrplan on Linux, ~/Library/Caches/ctrplan on macOS.
+    """
     if named := os.environ.get("CTRPLAN_CACHE_DIR"):
         return Path(named)
-    base = os.environ.get("XDG_CACHE_HOME", "")
-    if os.path.isabs(base):
-        return Path(base) / "ctrplan"
-    try:
-        return Path.home() / ".cache" / "ctrplan"
-    except RuntimeError:
-        return None
+    from platformdirs import user_cache_path
+
+    place = user_cache_path("ctrplan", appauthor=False)
+    return place if place.is_absolute() else None
 
 
 def _path(key: str) -> Path | None:

@@ -7,6 +7,17 @@ import os
 from ctrplan.errors import InputError
 
 
+def file_name(path: str | os.PathLike[str], what: str) -> str:
+    """The path as text. Raises InputError for what is none: it must be the path of `what`, such as "a TOML file"."""
+    try:
+        name = os.fspath(path)
+    except TypeError:
+        name = None
+    if not isinstance(name, str):
+        raise InputError(f"must be the path of {what}", value=path)
+    return name
+
+
 def file_bytes(file: str, largest_bytes: int, kind: str, what: str) -> bytes:
     """Everything in `file`; its kind is "CSV" or so. Raises InputError if it is unreadable or too large a `what`."""
     try:

@@ -20,8 +20,8 @@ def written_together(folder: Path, outputs: Sequence[str]) -> Iterator[Path]:
     """A hidden folder to write `outputs` into; they are renamed to their places together, or none is.
 
     The file SHA256SUMS follows last: a process killed between two renames leaves files that do not match it, so
-    `sha256sum -c SHA256SUMS` and `unmatched` tell a whole set from a mixed one. What a killed process left hidden is
-    removed by the next one. Makes `folder` if need be. Raises CtrplanError where the system refuses.
+    `sha256sum -c SHA256SUMS` tells a whole set from a mixed one. What a killed process left hidden is removed by the
+    next one. Makes `folder` if need be. Raises CtrplanError where the system refuses.
     """
     from ctrplan.storage.atomic_write import write_atomically
 
@@ -44,15 +44,6 @@ def write_results(folder: Path, results: Mapping[str, str | bytes]) -> None:
     with written_together(folder, tuple(results)) as made:
         for name, content in results.items():
             write_atomically(made / name, content)
-
-
-def unmatched(folder: Path) -> tuple[str, ...]:
-    """Names in the folder's SHA256SUMS whose files are missing or are not of the same set. Raises CtrplanError."""
-    try:
-        rows = [row.split("  ", 1) for row in (folder / CHECKSUMS).read_text().splitlines()]
-        return tuple(name for sha256, name in rows if not (folder / name).exists() or _sha256(folder / name) != sha256)
-    except (OSError, ValueError) as error:
-        raise CtrplanError(f"{folder / CHECKSUMS}: could not be read: {error}.") from error
 
 
 def _sha256(path: Path) -> str:

@@ -8,15 +8,16 @@ import hashlib
 import json
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import msgspec
+import numpy as np
 
 from ctrplan.errors import InputError
-from ctrplan.storage.file_bytes import file_bytes
-from ctrplan.storage.toml_faults import explain, unit_of
+from ctrplan.storage.file_bytes import file_bytes, file_name
+from ctrplan.storage.toml_faults import first_fault, unit_of
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -55,7 +56,7 @@ class Document:
         except RecursionError:
             raise self.fault("is nested too deeply") from None
         except msgspec.ValidationError as error:
-            path, rule = explain(str(error), self.content, schema)
+            path, rule = first_fault(self.content, schema) or ((), f"can't be read: {error}")
             raise self.fault(rule, *path) from None
 
     def fault(self, rule: str, *path: Step, unit: str | None = None) -> InputError:
@@ -74,14 +75,23 @@ class Document:
 
     def with_overrides(self, overrides: Sequence[str]) -> Document:
         """A copy after assignments such as "tube.2.poisson_ratio=0.28" (positions from 1, the value in TOML)."""
-        if isinstance(overrides, str) or not all(isinstance(assignment, str) for assignment in overrides):
-            raise InputError(
-                "must be a list of texts such as tube.2.poisson_ratio=0.28", key="overrides", value=overrides
-            )
         content = copy.deepcopy(self.content)
-        for assignment in overrides:
+        for assignment in checked_overrides(overrides):
             _assign(content, assignment, self.file)
         return Document(content, self.file)
+
+    @classmethod
+    def of(cls, content: Mapping[str, Any], kind: str, file: str | None = None) -> Document:
+        """The content of a `kind` of file, "robot" or "scenario", given as a mapping; `file` is what errors call it.
+
+        Numbers of numpy become Python's, which a file would hold. Raises InputError for what no file could hold.
+        """
+        if not isinstance(content, Mapping):
+            raise InputError(f"must be a mapping with the keys of a {kind} file", file=file, value=content)
+        try:
+            return cls(_plain(content), file)
+        except RecursionError:
+            raise InputError("is nested too deeply", file=file) from None
 
     def _value(self, path: Sequence[Step]) -> Any:
         value: Any = self.content
@@ -95,10 +105,7 @@ class Document:
 
 def read_document(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Document:
     """The TOML file at `path` after `overrides`. Raises InputError when it can't be read or is no TOML."""
-    try:
-        file = os.fspath(path)
-    except TypeError:
-        raise InputError("must be the path of a TOML file", value=path) from None
+    file = file_name(path, "a TOML file")
     data = file_bytes(file, LARGEST_FILE_BYTES, "TOML", "robot or scenario file")
     try:
         return Document(_parse(data, file), file).with_overrides(overrides)
@@ -117,6 +124,13 @@ def _parse(data: bytes, file: str) -> dict[str, Any]:
         raise InputError(f"is not valid TOML at {place or 'an unknown place'}: {message}", file=file) from None
     except ValueError:
         raise InputError("holds a number with thousands of digits", file=file) from None
+
+
+def checked_overrides(overrides: Sequence[str]) -> Sequence[str]:
+    """The overrides, if they are a list of texts. Raises InputError."""
+    if isinstance(overrides, (list, tuple)) and all(isinstance(assignment, str) for assignment in overrides):
+        return overrides
+    raise InputError("must be a list of texts such as tube.2.poisson_ratio=0.28", key="overrides", value=overrides)
 
 
 def override_names(key: str) -> list[str]:
@@ -157,6 +171,15 @@ def _toml_value(text: str) -> Any:
     except (ValueError, RecursionError):
         return text
     return parsed["value"] if list(parsed) == ["value"] else text
+
+
+def _plain(content: Any) -> Any:
+    """The content with numbers of numpy as Python's."""
+    if isinstance(content, Mapping):
+        return {key: _plain(value) for key, value in content.items()}
+    if isinstance(content, (list, tuple, np.ndarray)):
+        return [_plain(value) for value in content]
+    return content.item() if isinstance(content, np.generic) else content
 
 
 def _numbers(value: Any, path: tuple[Step, ...] = ()) -> Iterator[tuple[tuple[Step, ...], float]]:

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterator
+from collections.abc import Mapping
 from typing import Any, Literal, get_args, get_origin
 
 import msgspec
+from msgspec import inspect
+
+Path = tuple[str | int, ...]  # of keys and positions, these from 0
+Fault = tuple[Path, str]  # the place, and the rule that the value there breaks
 
 # suffix of a key -> unit as people write it
 UNITS = {
@@ -32,7 +36,15 @@ _ANY_UNIT = re.compile(
 # Keys that files of one kind have and those of the other do not.
 _OF_ROBOTS = {"tube", "contact", "joint", "home", "measurement", "effects"}
 _OF_SCENARIOS = {"robot", "start", "goal", "target", "base", "anatomy", "margins", "cost", "planner"}
-_TYPES = {"float": "a number", "array": "a list", "object": "a table", "str": "text", "bool": "true or false"}
+_KINDS: tuple[tuple[Any, Any, str], ...] = (  # of a schema, the types that values of it have, and what people call it
+    (inspect.FloatType, (int, float), "a number"),
+    (inspect.IntType, int, "a whole number"),
+    (inspect.StrType, str, "text"),
+    (inspect.BoolType, bool, "true or false"),
+    ((inspect.ListType, inspect.TupleType), (list, tuple), "a list"),
+    ((inspect.StructType, inspect.DictType), dict, "a table"),
+    (inspect.NoneType, type(None), "nothing"),
+)
 
 
 def unit_of(key: str) -> str | None:
@@ -41,32 +53,120 @@ def unit_of(key: str) -> str | None:
     return UNITS.get(suffix[0]) if suffix else None
 
 
-def explain(message: str, content: dict[str, Any], schema: type[msgspec.Struct]) -> tuple[tuple[str | int, ...], str]:
-    """Path (positions from 0) and rule behind msgspec's `message` about `content` not fitting `schema`."""
-    match = re.fullmatch(r"(.*?)(?: - at (?:`key` in )?`\$(.*)`)?", message, re.DOTALL)
-    text, place = match.groups(default="") if match else (message, "")
-    path = tuple(int(i) if i else name for name, i in re.findall(r"\.([^.\[\]]+)|\[(\d+)\]", place))
-    if missing := re.fullmatch("Object missing required field `(.*)`", text, re.DOTALL):
-        return (*path, missing[1]), "is missing"
-    if unknown := re.fullmatch("Object contains unknown field `(.*)`", text, re.DOTALL):
-        return (*path, unknown[1]), _unknown_key(unknown[1], _fields_at(schema, path))
-    if path and isinstance(path[-1], str) and (options := _literals(_fields_at(schema, path[:-1])[path[-1]])):
-        return path, f"must be one of {', '.join(options)}"
-    return path, _broken_rule(text)
+def first_fault(content: Any, schema: type[msgspec.Struct]) -> Fault | None:
+    """The first thing in `content` that does not fit `schema`, in the order of the file; None if all does."""
+    return _fault(content, inspect.type_info(schema), ())
 
 
-def _broken_rule(text: str) -> str:
-    match = re.fullmatch(r"Expected `(.*?)`(?: of (length .*?)| ([<>]=? ?\S+))?(?:, got .*)?", text, re.DOTALL)
-    if not match:
-        return text[:1].lower() + text[1:]
-    types, length, limit = match.groups()
-    if limit:
-        return f"must be {limit.removesuffix('.0')}"
-    kinds = " or ".join(_TYPES.get(kind, kind) for kind in types.split(" | ") if kind != "null")
-    return f"must be {kinds}{f' of {length}' if length else ''}"
+def _fault(value: Any, kind: inspect.Type, path: Path) -> Fault | None:
+    """Where and why a value at `path` is not of a kind."""
+    if isinstance(kind, inspect.UnionType):
+        return _fault_of_any(value, kind, path)
+    if isinstance(kind, inspect.LiteralType):
+        is_known = any(value == option and type(value) is type(option) for option in kind.values)
+        return None if is_known else (path, f"must be one of {', '.join(map(str, kind.values))}")
+    if not _is_of(value, kind):
+        return path, f"must be {_in_words(kind)}"
+    if isinstance(kind, inspect.StructType):
+        return _fault_in_table(value, kind, path)
+    if isinstance(kind, (inspect.ListType, inspect.TupleType, inspect.DictType)):
+        return _fault_within(value, kind, path)
+    if isinstance(kind, (inspect.FloatType, inspect.IntType)):
+        return _beyond(value, kind, path)
+    if isinstance(kind, inspect.StrType) and (broken := _wrong_length(len(value), kind)):
+        return path, f"must be text {broken}"
+    return None
 
 
-def _unknown_key(key: str, known: dict[str, Any]) -> str:
+def _fault_of_any(value: Any, kind: inspect.UnionType, path: Path) -> Fault | None:
+    """Of a value that may be of several kinds: that of the first one it looks like."""
+    for one in kind.types:
+        if _is_of(value, one):
+            return _fault(value, one, path)
+    literals = [one for one in kind.types if isinstance(one, inspect.LiteralType)]
+    if literals:
+        return _fault(value, literals[0], path)
+    kinds = (_in_words(one) for one in kind.types if not isinstance(one, inspect.NoneType))
+    return path, f"must be {' or '.join(kinds)}"
+
+
+def _fault_in_table(table: dict[Any, Any], kind: inspect.StructType, path: Path) -> Fault | None:
+    known = {field.encode_name: field for field in kind.fields}
+    for key, value in table.items():
+        if not isinstance(key, str):
+            return path, "must be a table whose keys are text"
+        if key not in known:
+            return (*path, key), _unknown_key(key, known)
+        if fault := _fault(value, known[key].type, (*path, key)):
+            options = _options(next(f.type for f in msgspec.structs.fields(kind.cls) if f.encode_name == key))
+            return ((*path, key), f"must be one of {', '.join(options)}") if options else fault
+    missing = [key for key, field in known.items() if field.required and key not in table]
+    return ((*path, missing[0]), "is missing") if missing else None
+
+
+def _options(hint: Any) -> list[str]:
+    """What a field may be one of, in the order of its declaration, which `inspect` does not keep."""
+    if get_origin(hint) is Literal:
+        return [str(option) for option in get_args(hint)]
+    return [option for inner in get_args(hint) for option in _options(inner)]
+
+
+def _fault_within(
+    value: Any, kind: inspect.ListType | inspect.TupleType | inspect.DictType, path: Path
+) -> Fault | None:
+    """Of the entries of a list or of a table with any keys."""
+    if isinstance(kind, inspect.DictType):
+        wrong = any(not isinstance(key, str) for key in value)
+        faults = (_fault(item, kind.value_type, (*path, key)) for key, item in value.items())
+        return (path, "must be a table whose keys are text") if wrong else next(filter(None, faults), None)
+    if isinstance(kind, inspect.TupleType):
+        if len(value) != len(kind.item_types):
+            return path, f"must be a list of length {len(kind.item_types)}"
+        kinds = list(kind.item_types)
+    else:
+        if broken := _wrong_length(len(value), kind):
+            return path, f"must be a list {broken}"
+        kinds = [kind.item_type] * len(value)
+    pairs = enumerate(zip(value, kinds, strict=True))
+    return next(filter(None, (_fault(item, one, (*path, k)) for k, (item, one) in pairs)), None)
+
+
+def _beyond(value: float, kind: inspect.FloatType | inspect.IntType, path: Path) -> Fault | None:
+    for sign, limit, is_kept in (
+        (">", kind.gt, kind.gt is None or value > kind.gt),
+        (">=", kind.ge, kind.ge is None or value >= kind.ge),
+        ("<", kind.lt, kind.lt is None or value < kind.lt),
+        ("<=", kind.le, kind.le is None or value <= kind.le),
+    ):
+        if not is_kept and limit is not None:
+            return path, f"must be {sign} {str(float(limit)).removesuffix('.0')}"
+    return None
+
+
+def _wrong_length(length: int, kind: inspect.ListType | inspect.StrType) -> str:
+    """What length a list or text must have that has another one; empty if it is right."""
+    if kind.min_length is not None and length < kind.min_length:
+        return f"of length >= {kind.min_length}"
+    if kind.max_length is not None and length > kind.max_length:
+        return f"of length <= {kind.max_length}"
+    return ""
+
+
+def _is_of(value: Any, kind: inspect.Type) -> bool:
+    """Whether a value looks like a kind, whatever is within it; true and false are no numbers."""
+    if isinstance(kind, inspect.AnyType):
+        return True
+    for kinds, types, _ in _KINDS:
+        if isinstance(kind, kinds):
+            return isinstance(value, types) and (isinstance(value, bool) <= (types is bool))
+    return isinstance(kind, inspect.LiteralType) and value in kind.values
+
+
+def _in_words(kind: inspect.Type) -> str:
+    return next(words for kinds, _, words in _KINDS if isinstance(kind, kinds))
+
+
+def _unknown_key(key: str, known: Mapping[str, Any]) -> str:
     if key in _OF_ROBOTS and known.keys() >= _OF_SCENARIOS:
         return f"is a key of robot files, this must be a scenario; to change its robot, write robot.{key} after --set"
     if key in _OF_SCENARIOS and "tube" in known:
@@ -77,26 +177,3 @@ def _unknown_key(key: str, known: dict[str, Any]) -> str:
     if close := difflib.get_close_matches(key, known, n=1):
         return f"unknown key, did you mean {close[0]}?"
     return f"unknown key, known ones are {', '.join(known)}"
-
-
-def _fields_at(schema: type[msgspec.Struct], path: tuple[str | int, ...]) -> dict[str, Any]:
-    """Keys and types of the table at `path`."""
-    fields = {field.name: field.type for field in msgspec.structs.fields(schema)}
-    for name in path:
-        if isinstance(name, str):
-            inner = next(_structs(fields[name]))
-            fields = {field.name: field.type for field in msgspec.structs.fields(inner)}
-    return fields
-
-
-def _structs(hint: Any) -> Iterator[type[msgspec.Struct]]:
-    if isinstance(hint, type) and issubclass(hint, msgspec.Struct):
-        yield hint
-    for inner in get_args(hint):
-        yield from _structs(inner)
-
-
-def _literals(hint: Any) -> list[str]:
-    if get_origin(hint) is Literal:
-        return [str(option) for option in get_args(hint)]
-    return [option for inner in get_args(hint) for option in _literals(inner)]

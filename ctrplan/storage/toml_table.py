@@ -11,7 +11,7 @@ import msgspec
 
 from ctrplan.errors import InputError
 from ctrplan.storage.toml_document import Document, Step
-from ctrplan.storage.toml_faults import explain
+from ctrplan.storage.toml_faults import first_fault
 
 T = TypeVar("T", bound=msgspec.Struct)
 
@@ -41,7 +41,7 @@ class Table:
         try:
             return msgspec.convert(content, schema)
         except msgspec.ValidationError as error:
-            path, rule = explain(str(error), content, schema)
+            path, rule = first_fault(content, schema) or ((), f"can't be read: {error}")
             raise self.fault(rule, *path) from None
 
     def fault(self, rule: str, *path: Step, unit: str | None = None) -> InputError:

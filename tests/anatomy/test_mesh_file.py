@@ -135,6 +135,40 @@ def test_bodies_that_touch_along_an_edge_are_fine(tmp_path: Path) -> None:
     assert volume_mm3(written(tmp_path, together(box(), inverted))) == pytest.approx(2000.0)
 
 
+def chambers(inverted: bool = False) -> tuple[trimesh.Trimesh, list[NDArray[np.bool_]]]:
+    """Two boxes with a face in common, triangulated differently, and the sides of either that end at it."""
+    first, second = box(), box()
+    second.apply_scale((0.5, 1, 1))
+    second.apply_translation((7.5, 0, 0))
+    if (second.volume < 0) != inverted:
+        second = trimesh.Trimesh(second.vertices, second.faces[:, ::-1], process=False)
+    mesh = together(first, second)
+    wall = (np.abs(mesh.triangles[:, :, 0] - 5) < 1e-9).all(axis=1)
+    number = np.arange(len(wall))
+    return mesh, [~wall & (number < 12), ~wall & (number >= 12)]
+
+
+def test_bodies_that_touch_along_a_face_are_fine_as_they_are_wound(tmp_path: Path) -> None:
+    assert volume_mm3(written(tmp_path, chambers()[0])) == pytest.approx(1500.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("turned", [(0,), (1,), (0, 1), ()])
+def test_bodies_that_share_a_wall_are_not_taken_for_solid_inside_out(
+    turned: tuple[int, ...], seed: int, tmp_path: Path
+) -> None:
+    """Each side of four is wound alike; which solids are meant can't be told without knowing the others."""
+    mesh, sides = chambers(inverted=not turned)
+    inward = np.any([sides[k] for k in turned], axis=0) if turned else np.zeros(len(mesh.faces), bool)
+    faces = np.where(inward[:, None], mesh.faces[:, ::-1], mesh.faces)
+    order = np.random.default_rng(seed).permutation(len(faces))
+    path = written(tmp_path, trimesh.Trimesh(mesh.vertices, faces[order], process=False), ".ply")
+    try:
+        assert volume_mm3(path) == pytest.approx(1500.0)
+    except InputError as error:
+        assert "can't be turned outward" in str(error)
+
+
 def open_ball() -> trimesh.Trimesh:
     mesh = ball()
     hole = (mesh.faces != 7).all(axis=1)

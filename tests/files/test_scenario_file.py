@@ -8,7 +8,7 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +19,14 @@ from hypothesis import strategies as st
 from places import ROBOTS
 from refusals import refusals
 
+from ctrplan.anatomy.mesh_file import load_mesh
 from ctrplan.anatomy.shapes.capsule import Capsule
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.errors import InputError
-from ctrplan.files.robot_file import load_robot
+from ctrplan.files.joint_path_file import load_joint_path
+from ctrplan.files.measurement_file import load_measurements
+from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_file import load_scenario, scenario_from_dict
 from ctrplan.planning.scenario import Cost, Margins, Scenario
 from ctrplan.planning.search.planners.bit_star import BITStar
@@ -403,3 +406,30 @@ def test_any_content_gives_a_scenario_or_an_input_error(
         assert isinstance(scenario_from_dict(content, file=scenario_path), Scenario)
     except InputError as error:
         assert str(error).isprintable()
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda: scenario_from_dict(None), "must be a mapping with the keys of a scenario file"),
+        (lambda: scenario_from_dict([("name", 1)]), "must be a mapping with the keys of a scenario file"),
+        (lambda: robot_from_dict(None), "must be a mapping with the keys of a robot file"),
+        (lambda: scenario_from_dict({}, overrides=None), "overrides"),
+        (lambda: scenario_from_dict({}, overrides=[1]), "overrides"),
+        (lambda: robot_from_dict({}, overrides=None), "overrides"),
+        (lambda: load_scenario(None), "must be the path of a TOML file"),
+        (lambda: load_robot(b"robot.toml"), "must be the path of a TOML file"),
+        (lambda: load_measurements(None, None), "must be the path of a CSV file"),
+        (lambda: load_joint_path(3, None), "must be the path of a CSV file"),
+        (lambda: load_mesh(None), "must be the path of a mesh"),
+    ],
+)
+def test_what_is_no_file_and_no_content_is_refused_in_one_sentence(call: Callable[[], object], sentence: str) -> None:
+    with pytest.raises(InputError) as caught:
+        call()
+    assert sentence in str(caught.value) and str(caught.value).isprintable()
+
+
+def test_numbers_of_numpy_are_numbers(scenario_path: str) -> None:
+    content = {**CONTENT, "base": {**CONTENT["base"], "position_mm": np.array([1, 2, 3])}}
+    np.testing.assert_allclose(scenario_from_dict(content, file=scenario_path).base_position_m, [1e-3, 2e-3, 3e-3])

@@ -32,6 +32,10 @@ def streamed() -> Measurements:
     return Measurements(np.zeros(12, int), theta, l, np.arange(12), nothing, nothing, time, True)
 
 
+# Translations move the mesh along, and its elements are cut anew; a release is differentiated with its friction kept.
+NOT_EXACT = {"l_1_mm": 5e-3, "l_2_mm": 1e-3, "l_2": 1e-3, "release_per_mm": 0.03}
+
+
 def data_for(name: str) -> Measurements:
     return streamed() if name in ("lag", "translation_release") else DATA
 
@@ -65,7 +69,8 @@ def agrees(chain: ParametricChain) -> None:
         up, down = (chain.predict(p + s, derivatives=False).position_m for s in (step, -step))
         by = (up - down) / (2 * step[j])
         scale = np.abs(by).max() + 1e-6 / chain.prior[j]
-        np.testing.assert_allclose(found.position_by[:, :, j], by, atol=0.03 * scale)
+        within = NOT_EXACT.get(chain.parameters[j].name, 1e-4)
+        np.testing.assert_allclose(found.position_by[:, :, j], by, atol=within * scale)
 
 
 def inside(chain: ParametricChain) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import threading
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -211,11 +212,23 @@ def test_joint_space_takes_the_short_way_round_only_where_unlimited() -> None:
         assert not np.any(turned[~space.drive.is_rotation])
 
 
-def test_certificate_sees_an_obstacle_the_search_never_had() -> None:
-    """The certificate measures exact distances: shrinking the margin by hand in the field does not fool it."""
-    blocked = load_scenario(SCENARIOS / "ribs.toml", ["anatomy.1.margin_mm=4"])
-    plan = ctrplan.plan(scenario("ribs", "planner.time_s=1"), seed=0)  # counted: a second by the clock may be none
-    assert not certify(blocked, plan.waypoints).valid
+def test_certificate_sees_an_obstacle_the_search_never_had(ribs: ctrplan.Plan) -> None:
+    """A sphere put into the way of a tip is found where it is, by as much as the tip enters it."""
+    tip_m, radius_m = ribs.certificate.samples.tip_m, 3e-3
+    k = len(tip_m) // 2
+    center_mm = (ribs.scenario.base_R @ tip_m[k] + ribs.scenario.base_position_m) * 1e3
+    sphere = f'{{kind="sphere", center_mm={center_mm.tolist()}, radius_mm={radius_m * 1e3}}}'
+    found = certify(scenario("ribs", f"anatomy=[{sphere}]"), ribs.waypoints)
+    assert not found.valid and found.min_clearance_m <= -radius_m
+    assert any("too close to the anatomy" in problem for problem in found.problems)
+
+
+def test_certificate_measures_distances_and_asks_no_grid(ribs: ctrplan.Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No grid can fool it: a wider margin is missed by as much as it is wider."""
+    monkeypatch.setattr("ctrplan.planning.motion.anatomy_grid", lambda _: pytest.fail("a grid was asked"))
+    found = [certify(scenario("ribs", f"anatomy.1.margin_mm={mm}"), ribs.waypoints) for mm in (1, 4)]
+    assert found[0].min_clearance_m - found[1].min_clearance_m == pytest.approx(3e-3, abs=1e-9)
+    assert found[0].valid and not found[1].valid
 
 
 def test_simultaneous_motion_is_a_named_fallback(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -298,9 +311,13 @@ def test_objective_in_a_set_up_of_ones_own() -> None:
     objective = ctrplan.planning.BoundObjective(information, case, goals=[read(goal)])
     cost = objective.motionCost(start, goal).value()
     motion = checker.motion(read(start), read(goal))
-    if motion.valid:
-        assert cost == pytest.approx(checker.cost_mm(motion, ends_at_goal=True))
-    assert objective.motionCostHeuristic(start, goal).value() <= cost + 1e-9
+    assert motion.valid and cost == pytest.approx(checker.cost_mm(motion, ends_at_goal=True))
+    assert motion.length_mm < cost and motion.length_mm <= objective.motionCostHeuristic(start, goal).value() <= cost
+    elsewhere = information.allocState()
+    read.write(elsewhere, case.start + 0.3 * (case.goal.joints - case.start))
+    assert objective.motionCost(start, elsewhere).value() == pytest.approx(
+        checker.cost_mm(checker.motion(read(start), read(elsewhere)), ends_at_goal=False)
+    )
     definition = ob.ProblemDefinition(information)
     definition.addStartState(start)
     target = ob.GoalStates(information)
@@ -308,8 +325,17 @@ def test_objective_in_a_set_up_of_ones_own() -> None:
     definition.setGoal(target)
     definition.setOptimizationObjective(objective)
     planner = og.RRTstar(information)
+    planner.setGoalBias(0.5)
+    planner.setRange(space.getMaximumExtent())
     planner.setProblemDefinition(definition)
     planner.setup()
     calls = iter(range(10**6))
-    planner.solve(ob.PlannerTerminationCondition(lambda: next(calls) > 12))
+    planner.solve(ob.PlannerTerminationCondition(lambda: next(calls) > 8))
+    path = definition.getSolutionPath()
+    assert path is not None and definition.hasExactSolution()
+    corners = np.array([read(path.getState(k)) for k in range(path.getStateCount())])
+    np.testing.assert_allclose(corners[[0, -1]], [read(start), read(goal)], atol=1e-9)
+    motions = [checker.motion(a, b) for a, b in pairwise(corners)]
+    costs = [checker.cost_mm(m, ends_at_goal=k == len(motions) - 1) for k, m in enumerate(motions)]
+    assert all(m.valid for m in motions) and path.cost(objective).value() == pytest.approx(sum(costs))
     assert objective.is_goal(read(goal)) and not objective.is_goal(read(start))

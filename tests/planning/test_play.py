@@ -58,6 +58,17 @@ def test_no_place_within_the_play_is_farther_away() -> None:
         assert 0 < np.linalg.norm(np.array(tips) - here, axis=1).max() <= 1.02 * shift
 
 
+@pytest.mark.parametrize("name", WIDTHS)
+def test_the_play_of_one_actuator_moves_the_tip_by_the_shift_at_one_end_of_it(name: str) -> None:
+    robot = three_tube(**{name: WIDTHS[name]})
+    assert robot.drive.play is not None
+    theta_off, l_off = robot.drive.play
+    for theta_b, l_b in configurations(robot):
+        here = robot.solve(theta_b, l_b).tip_m
+        ends = [robot.solve(theta_b + side * theta_off, l_b + side * l_off).tip_m for side in (1, -1)]
+        assert play_shift(robot, theta_b, l_b) == pytest.approx(np.linalg.norm(ends - here, axis=1).max(), rel=1e-6)
+
+
 def test_the_shift_is_in_proportion_to_small_play_and_adds_up_over_actuators() -> None:
     whole, half = three_tube(0.2), three_tube(0.1)
     single = [three_tube(0.2, **{name: width}) for name, width in WIDTHS.items()]
@@ -92,7 +103,7 @@ def test_a_certificate_takes_the_play_off_every_clearance_and_says_so() -> None:
     assert found.worst_play_m >= max(ends) > 0.5e-3
     assert found.goal_play_m == found.targets[-1].play_m == samples.play_m[-1]
     assert search_limits(loose).clearance_m > search_limits(tight).clearance_m + 0.5e-3
-    assert not plain.valid or plain.worst_play_m < 1e-8
+    assert plain.worst_play_m < 1e-8 and plain.min_clearance_m > found.min_clearance_m + 0.5e-3
 
 
 def test_a_plan_tells_what_play_may_do(make_plan: Callable[..., Plan]) -> None:

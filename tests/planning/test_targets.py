@@ -6,6 +6,7 @@ import importlib
 import threading
 import time
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ from ctrplan.planning.goals.line import follow_line
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.scenario import Goal, Scenario
 from ctrplan.planning.search.search_problem import SearchProblem
-from ctrplan.planning.search.stage_search import Candidate, StageSearch
+from ctrplan.planning.search.stage_search import Candidate, Progress, StageSearch
 from ctrplan.planning.search_clock import SearchClock
 
 START = {"rotate outer": 0, "rotate inner": 0, "translate inner": -30}
@@ -213,3 +214,36 @@ def test_a_line_out_of_reach_says_where_it_ends() -> None:
 def test_contradictory_goals_are_refused(keys: dict[str, object], words: str) -> None:
     with pytest.raises(InputError, match=words.replace(".", r"\.")):
         pair(**keys)
+
+
+@pytest.mark.parametrize(
+    ("second", "words"),
+    [
+        ({"tip_mm": [300, 0, 0], "tolerance_mm": 1}, "target.2.tip_mm = [300.0, 0.0, 0.0]: out of reach"),
+        ({"tip_mm": [300, 0, 0], "tolerance_mm": 1}, "target.2.tolerance_mm = 1"),
+        ({"line_mm": [[300, 0, 0], [310, 0, 0]], "tolerance_mm": 1}, "target.2.line_mm.1 = [300.0, 0.0, 0.0]"),
+        ({"joints": {**START, "rotate inner": 90}}, "target.2.joints: no goal state keeps the required"),
+    ],
+)
+def test_a_target_that_fails_is_named_as_the_file_names_it(second: dict[str, object], words: str) -> None:
+    first = {"joints": {**START, "rotate outer": 10}}
+    straight = pair(goal=first)
+    least_mm = straight.robot.bound(*straight.robot.drive.collars(straight.start)).position_m * 1e3
+    cost = {"max_error_goal_mm": least_mm + 0.05} if "joints" in second else {}
+    with pytest.raises(NoAnswerError) as caught:
+        ctrplan.plan(pair(target=[first, second], cost=cost), seed=0)
+    assert words in str(caught.value) and "goal." not in str(caught.value)
+
+
+def test_progress_never_runs_backwards() -> None:
+    """Over several targets, an oscillation and a compensation: what is nearly done stays nearly done."""
+    first = {"tip_mm": [50, 10, 200], "tolerance_mm": 1}
+    second = {"tip_mm": [45, -15, 205], "tolerance_mm": 1}
+    case = pair(target=[first, second], planner={"time_s": 0.6, "settle": "oscillate"})
+    told: list[Progress] = []
+    ctrplan.plan(case, seed=0, progress=told.append, compensated=True)
+    searched = [progress.fraction for progress in told if progress.stage == "search"]
+    assert np.all(np.diff(searched) >= 0) and 0 <= searched[0] < 0.5 and searched[-1] == 1
+    for one, then in pairwise(told):
+        assert one.stage != then.stage or one.fraction <= then.fraction
+    assert {progress.stage for progress in told} == {"search", "certificate"}

@@ -11,9 +11,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from checksums import unmatched
 
 from ctrplan.storage.atomic_write import write_atomically
-from ctrplan.storage.output_folder import unmatched, written_together
+from ctrplan.storage.output_folder import written_together
 from ctrplan.storage.temporary import NAME, remove_abandoned, temporary
 
 HOLDER = """

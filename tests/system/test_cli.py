@@ -14,13 +14,13 @@ from pathlib import Path
 import pytest
 import tomli_w
 import yaml
+from csv_columns import csv_columns
 from interruptible import INTERRUPTIBLE
 from jsonschema import Draft202012Validator
 from places import SCENARIOS
 
 from ctrplan.cli import main
 from ctrplan.commands.progress_bar import ProgressBar
-from ctrplan.files.trajectory_file import read_trajectory_csv
 from ctrplan.planning.planner import Progress
 
 SCHEMA = SCENARIOS.parent / "docs" / "plan.schema.json"
@@ -41,7 +41,7 @@ def test_plan_writes_everything_whole(tmp_path: Path, capsys: pytest.CaptureFixt
     }
     content = json.loads((tmp_path / "plan.json").read_text())
     assert content["certificate"]["valid"] is True
-    columns = read_trajectory_csv(tmp_path / "trajectory.csv")
+    columns = csv_columns(tmp_path / "trajectory.csv")
     assert columns["time_s"][0] == 0
     message = yaml.safe_load((tmp_path / "trajectory.yaml").read_text())
     assert len(message["points"]) == len(columns["time_s"])

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from checksums import unmatched
 from interruptible import INTERRUPTIBLE
 from made_up_input import repetitions
 from measured_data import measured, pair_robot, waypoints, write_csv
@@ -26,7 +27,7 @@ from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot, write_robot
 from ctrplan.planning.bound_table import known_table, tabulated_bounds
 from ctrplan.robot.friction_calibration import friction_law
-from ctrplan.storage.output_folder import unmatched, written_together
+from ctrplan.storage.output_folder import written_together
 
 THREE = str(SCENARIOS / "robots" / "three_tube.toml")
 PAIR = str(SCENARIOS / "robots" / "table_1_pair.toml")

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.base.progress import Progress
+from ctrplan.base.progress import Progress, part_of
 from ctrplan.base.units import MM_PER_M
 from ctrplan.planning.certificate.certify import certify
 from ctrplan.planning.certificate.prediction import Prediction, predict_end, predict_from
@@ -39,12 +39,12 @@ def compensate(
     legs = certificate.settling.first_leg if certificate.settling else len(corners) - 1
     without = _arrival_error(certificate, target)
     full = _correction(checker, corners, legs, target)
-    for share in SHARES:
+    for k, share in enumerate(SHARES):
         delta = share * full
         moved = corrected(corners, legs, is_rotation, delta)
         if not delta.any() or not checker.space.allowed(moved):
             continue
-        checked = certify(scenario, moved, arrival=predicted_arrives, progress=progress)
+        checked = certify(scenario, moved, arrival=predicted_arrives, progress=part_of(progress, k, len(SHARES)))
         error = _arrival_error(checked, target)
         if checked.valid and error < without:
             settling = certificate.settling

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.base.progress import Progress
+from ctrplan.base.progress import Progress, part_of
 from ctrplan.base.units import MM_PER_M
 from ctrplan.drive.drive import Drive
 from ctrplan.mechanics.history import OSCILLATION_DEG
@@ -51,11 +51,12 @@ def settle(
         reason = "it would take the tip off the line"
         return Settled(corners, certificate, f"The settling oscillation was left out: {reason}.")
     before = certificate.goal_predicted_m
-    for amplitude in np.radians(AMPLITUDES_DEG):
+    for k, amplitude in enumerate(np.radians(AMPLITUDES_DEG)):
+        told = part_of(progress, k, len(AMPLITUDES_DEG))
         ways = [turns for turns in turnings(checker.space.drive) if _valid(checker, corners[-1], amplitude * turns)]
-        for turns in _best_first(checker, corners, amplitude, ways):
+        for j, turns in enumerate(_best_first(checker, corners, amplitude, ways)):
             swung = np.concatenate([corners, oscillation(corners[-1], amplitude * turns)])
-            checked = certify(checker.scenario, swung, arrival=arrival, progress=progress)
+            checked = certify(checker.scenario, swung, arrival=arrival, progress=part_of(told, j, len(ways)))
             if not checked.valid:
                 continue
             if checked.goal_predicted_m >= before:

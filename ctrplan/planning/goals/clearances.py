@@ -25,8 +25,7 @@ def refuse_blocked_target(checker: MotionChecker) -> None:
     needed = scenario.robot.tubes[-1].outer_diameter_m / 2 + scenario.robot.model_error_m
     sentence = blocked(scenario, target, needed, tolerance)
     if sentence:
-        key = f"goal.tip_mm = {[round(float(x), 3) for x in target * MM_PER_M]}"
-        raise NoAnswerError(f"{scenario.path or scenario.name}: {key}: {sentence}.")
+        raise NoAnswerError(f"{scenario.path or scenario.name}: {scenario.goal.place}: {sentence}.")
 
 
 def blocked(scenario: Scenario, point: Array, needed_m: float, tolerance_m: float) -> str:

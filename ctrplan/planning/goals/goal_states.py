@@ -85,13 +85,13 @@ def _unreached(scenario: Scenario, found: Reach) -> str:
     nearest, allowed_mm = found.nearest, found.tolerance_m * MM_PER_M
     if nearest.tip_error_m <= found.tolerance_m:
         return (
-            f"reached, but at best {np.degrees(nearest.turned_rad):.1f} deg from goal.direction, beyond its tolerance"
+            f"reached, but at best {np.degrees(nearest.turned_rad):.1f} deg from {scenario.goal.table}.direction, "
+            "beyond its tolerance"
         )
     tip_mm = [round(float(x), 2) for x in (scenario.base_R @ nearest.tip_m + scenario.base_position_m) * MM_PER_M]
     away_mm = nearest.tip_error_m * MM_PER_M
-    return (
-        f"out of reach, the nearest tip found is {away_mm:.3g} mm away at {tip_mm}, goal.tolerance_mm = {allowed_mm:g}"
-    )
+    allowed = f"{scenario.goal.table}.tolerance_mm = {allowed_mm:g}"
+    return f"out of reach, the nearest tip found is {away_mm:.3g} mm away at {tip_mm}, {allowed}"
 
 
 def _apart_mm(checker: MotionChecker, a: Array, b: Array) -> float:
@@ -100,8 +100,4 @@ def _apart_mm(checker: MotionChecker, a: Array, b: Array) -> float:
 
 def _no_answer(checker: MotionChecker, sentence: str) -> NoAnswerError:
     scenario = checker.scenario
-    if scenario.goal.tip_m is not None:
-        key = f"goal.tip_mm = {[round(float(x), 3) for x in scenario.goal.tip_m * MM_PER_M]}"
-    else:
-        key = "goal.joints"
-    return NoAnswerError(f"{scenario.path or scenario.name}: {key}: {sentence}.")
+    return NoAnswerError(f"{scenario.path or scenario.name}: {scenario.goal.place}: {sentence}.")

@@ -62,7 +62,7 @@ def line_beginnings(checker: MotionChecker, goals: list[GoalState], line: Goal) 
     if not kept:
         scenario = checker.scenario
         many = f"from none of {len(goals)} configurations at its beginning; first: {why}"
-        raise NoAnswerError(f"{scenario.path or scenario.name}: line_mm: can't be followed {many}.")
+        raise NoAnswerError(f"{scenario.path or scenario.name}: {line.table}.line_mm: can't be followed {many}.")
     return kept
 
 

@@ -40,8 +40,8 @@ LATEST = 2.0  # times the budget: no further attempt begins after it
 class Progress:
     """What a progress callback is told."""
 
-    stage: str  # "search" or "certificate"
-    fraction: float  # of the stage, by time or by work
+    stage: str  # "search", in whose midst and after which a "certificate" or several are made
+    fraction: float  # of the search to all targets by time, which never falls; of the certificate by work
     best_cost_mm: float | None  # of the best path so far
 
 
@@ -78,6 +78,8 @@ class StageSearch:
     clock: SearchClock
     report: Report
     interrupted: threading.Event
+    before: float = 0.0  # spent on other searches of the same plan
+    whole: float | None = None  # budget of the plan, if this search has a share of it only
     failure: str = ""  # of the last certificate
     first: Candidate | None = None  # that was certified
     best: Candidate | None = None
@@ -213,22 +215,28 @@ class StageSearch:
         return self.interrupted.is_set() and self.best is not None
 
     def _is_over(self, until: float) -> bool:
-        best = self.best.walk.cost_mm if self.best else None
-        self.report(Progress("search", min(1.0, self.clock.now() / self.budget), best))
+        self._tell()
         return self.clock.is_past(until) or self.interrupted.is_set()
 
     def _stopper(self, until: float) -> Callable[[float], bool]:
         """Whether a search that ends then is over, told its best cost [mm]."""
 
         def stop(cost: float) -> bool:
-            self.report(Progress("search", min(1.0, self.clock.now() / until), cost if np.isfinite(cost) else None))
+            self._tell(cost)
             return self.clock.is_past(until) or self.interrupted.is_set()
 
         return stop
 
+    def _tell(self, cost_mm: float = np.inf) -> None:
+        """Reports how far the plan's search is, and the cost of its best path or of the one at hand."""
+        best = min(cost_mm, self.best.walk.cost_mm if self.best else np.inf)
+        share = min(1.0, (self.before + self.clock.now()) / (self.whole or self.budget))
+        self.report(Progress("search", share, best if np.isfinite(best) else None))
+
     def _certified(self, checker: MotionChecker, corners: Array, found_by: str) -> str:
         """Certifies a path (K, m) as it is and keeps it; why it failed, empty if it did not."""
         found_s, way = time.monotonic() - self.began, merge_legs(corners)
+        self._tell()
         walk = walk_legs(checker.scenario, way, progress=self._certifying)
         self.failure = walk.failure
         if self.failure:
@@ -244,6 +252,7 @@ class StageSearch:
         if self.best is not None and np.array_equal(result.after, self.best.result.after):
             self.best = replace(self.best, result=result, tidied=True)
             return ""
+        self._tell()
         walk = walk_legs(checker.scenario, result.after, progress=self._certifying)
         if walk.failure:
             self.failure = walk.failure
