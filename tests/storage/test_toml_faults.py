@@ -65,6 +65,10 @@ def test_schemas_of_files_are_walked_as_they_are_read(schema: type[msgspec.Struc
     ("change", "path", "rule"),
     [
         ({"inner": [{"size_mm": 1}, {"size_mm": 6}]}, ("inner", 1, "size_mm"), "must be <= 5"),
+        ({"inner": [{"size_mm": 0}]}, ("inner", 0, "size_mm"), "must be > 0"),
+        ({"count": 0}, ("count",), "must be >= 1"),
+        ({"count": 9}, ("count",), "must be < 9"),
+        ({"name": ""}, ("name",), "must be text of length >= 1"),
         ({"inner": [{"size_mm": 1, "kind": "c"}]}, ("inner", 0, "kind"), "must be one of a, b"),
         ({"inner": [{}]}, ("inner", 0, "size_mm"), "is missing"),
         ({"inner": [{"size_in": 1}]}, ("inner", 0, "size_in"), "unknown key, expected size_mm (in mm)"),
