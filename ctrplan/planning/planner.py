@@ -16,6 +16,7 @@ from ctrplan.base.progress import part_of
 from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.planning.certificate.certify import walk_legs
+from ctrplan.planning.certificate.start_branches import other_start
 from ctrplan.planning.certificate.tour import joined_certificates
 from ctrplan.planning.finish.compensate import compensate
 from ctrplan.planning.finish.oscillate_at_goal import settle
@@ -64,6 +65,8 @@ def plan(
     if not start.valid:
         reason = start_trouble(MotionChecker(scenario)) or start.reason
         raise NoAnswerError(f"{scenario.path or scenario.name}: start: the start state is not valid: {reason}.")
+    if other := other_start(scenario.robot, scenario.start):
+        raise NoAnswerError(f"{scenario.path or scenario.name}: start: {other[0].lower()}{other[1:]}.")
     with interrupt_event(interrupted) as interrupted:
         asked = _Asked(seed, began, budget, budget, time_s is not None, report, interrupted, bound_table)
         first, stages, ended_by = _anytime_stages(scenario, asked)

@@ -19,7 +19,8 @@ from ctrplan.drive.trajectory import verify_limits
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.core import Status
-from ctrplan.planning.certificate.certify import SPACING_M, certify
+from ctrplan.planning.certificate.certify import certify
+from ctrplan.planning.certificate.walked_piece import SPACING_M
 from ctrplan.planning.finish.reorder import as_given, assemble, rotations_first
 from ctrplan.planning.goals.goal_states import goal_states
 from ctrplan.planning.joint_space import JointSpace

@@ -16,7 +16,7 @@ from ctrplan.commands.program import parser
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.planning import plan
-from ctrplan.planning.certificate.certify import DISCRETISATION_M
+from ctrplan.planning.certificate.walked_piece import DISCRETISATION_M
 
 PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")])
 SUMMARY = "<!-- summary -->\n", "<!-- end of summary -->\n"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
@@ -11,34 +9,35 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.anatomy.clearance_grid import exact_clearance
 from ctrplan.base.arrays import Array
 from ctrplan.base.progress import Progress
 from ctrplan.base.units import MM_PER_M
 from ctrplan.drive.legs import distance_from_polyline, merge_legs
-from ctrplan.mechanics.core import Accuracy, PathDensity, PathLimits, PathSamples
+from ctrplan.mechanics.core import Accuracy, PathLimits
 from ctrplan.planning.certificate.prediction import Prediction, predict, rows_to_simulate
+from ctrplan.planning.certificate.start_branches import other_start
+from ctrplan.planning.certificate.walked_piece import (
+    DISCRETISATION_M,
+    SAME_BRANCH_M,
+    SPACING_M,
+    Piece,
+    in_every_friction_state,
+    walk_pieces,
+)
 from ctrplan.planning.certified import Certificate, CertificateSamples, TargetReached
 from ctrplan.planning.goals.goal_state import target_in_robot_frame
 from ctrplan.planning.joint_space import JointSpace
-from ctrplan.planning.motion import anatomy_grid, breach, path_limits, released_error
+from ctrplan.planning.motion import breach, path_limits, released_error
 from ctrplan.planning.path_cost import path_cost_mm
-from ctrplan.planning.play import play_shift
 from ctrplan.robot.friction_calibration import friction_law
 
 if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario
     from ctrplan.robot.robot import Robot
 
-SPACING_M = 0.5e-3  # largest motion of a body point of any shape between samples, but for leaps of a corner
-POINT_SPACING_M = 1e-3  # between the points of a shape
-# More than the largest error of a tip seen on 2,500 random configurations, 0.60 mm, 98 % of them below 0.3 mm
-# (`benchmarks/mechanics.py meshes --count 2500`); 0.14 mm on the certificate mesh, to which its
-# last barrier adds up to 0.02 mm. Allowances, no proven bounds.
-DISCRETISATION_M = {"search": 1.0e-3, "certificate": 0.2e-3}
-BRANCH_TOLERANCE_M = 0.2e-3  # between the ends of neighbouring pieces, the same state reached on two ways
-GRID_SHARE = 0.03  # of a clearance by which the grid may be off far from surfaces (ctrplan.anatomy.grid_distance)
-PIECE_MM = 40.0  # joint length of the pieces that run in parallel
+BRANCH_TOLERANCE_M = 0.2e-3  # between tips of a shape at the ends of neighbouring pieces, reached on two ways
+BEYOND_BOUND_M = 0.3e-3  # of a prediction: histories and bounds may be of different meshes
+LEAP_M = 2 * SPACING_M  # a shape that moves farther between samples was not followed
 
 
 class Arrival(Protocol):
@@ -47,17 +46,6 @@ class Arrival(Protocol):
     def __call__(self, scenario: Scenario, samples: CertificateSamples, prediction: Prediction) -> list[str]:
         """samples: of the whole path; prediction: tips from several friction states."""
         ...
-
-
-@dataclass(frozen=True, eq=False)
-class _Piece:
-    leg: int
-    start: Array
-    end: Array
-    samples: PathSamples
-    accuracy: Accuracy
-    clearance_m: Array  # (K,) exact, less half the motion between samples, the discretisation error and the play
-    play_m: float  # how far play of the drive may move the robot, the largest of both ends and the middle
 
 
 def frictionless_arrives(scenario: Scenario, samples: CertificateSamples, prediction: Prediction) -> list[str]:
@@ -83,10 +71,13 @@ def certify(
 ) -> Certificate:
     """Walks the polyline `corners` (K, m) of actuated joints so that no body point moves more than 0.5 mm a sample.
 
-    Clearances are exact distances of points of the frictionless and every corner shape, less the outer radius, half the
-    motion between samples, the discretisation error and what play of the drive may move the robot by; nothing of the
-    search's field is used. Pieces that only the coarse mesh's allowance for its error would refuse are walked again on
-    the fine mesh.
+    Clearances are of every friction state, not of the corners alone (`friction_cube.py`): exact distances of body
+    points, less the outer radius, half the motion to the samples on both sides, the discretisation error, an allowance
+    for friction that differs along a contact, and what play of the drive may move the robot by. Nothing of the search's
+    field is used. Pieces that only the coarse mesh's allowance for its error would refuse are walked on the fine mesh.
+
+    What the motion's own simulation contradicts is refused: snaps, leaps of a shape, tips beyond the bound, shapes that
+    depend on the way there.
 
     Friction errors are the bound, whatever the history; the same less what the friction law says translations released,
     which the cost counts as the search does; and the prediction by simulated histories. `arrival` says what misses the
@@ -102,7 +93,7 @@ class WalkedLegs:
     scenario: Scenario
     corners: Array  # (K, m)
     accuracy: Accuracy
-    pieces: list[_Piece]
+    pieces: list[Piece]
     samples: CertificateSamples
     problems: list[str]  # but whether the goal is met
 
@@ -142,18 +133,23 @@ def walk_legs(
     scenario: Scenario, corners: Array, *, accuracy: Accuracy = "search", progress: Progress | None = None
 ) -> WalkedLegs:
     """What decides whether the polyline `corners` (K, m) is valid, see `certify`."""
-    space = JointSpace.of(scenario)
-    pieces = _walk(scenario, space, corners, accuracy, progress)
+    space, limits = JointSpace.of(scenario), path_limits(scenario)
+    pieces = walk_pieces(scenario, space, corners, accuracy, progress)
     samples = _join(scenario.robot, space, corners, pieces)
-    problems = _problems(scenario, space, corners, pieces, samples, path_limits(scenario))
-    return WalkedLegs(scenario, corners, accuracy, pieces, samples, problems)
+    problems = _problems(scenario, space, corners, pieces, samples, limits)
+    if not problems:  # what the solved shapes refuse needs no look at the states between them
+        pieces = in_every_friction_state(scenario, space, pieces)
+        samples = _join(scenario.robot, space, corners, pieces)
+        problems = _problems(scenario, space, corners, pieces, samples, limits)
+    light = [replace(piece, samples=replace(piece.samples, bodies=())) for piece in pieces]
+    return WalkedLegs(scenario, corners, accuracy, light, samples, problems)
 
 
 def finished(walk: WalkedLegs, arrival: Arrival = frictionless_arrives) -> Certificate:
     """The certificate of walked legs, histories simulated."""
     scenario = walk.scenario
     prediction, samples = _predicted(scenario, walk.pieces, walk.samples, walk.accuracy)
-    problems = walk.problems + arrival(scenario, samples, prediction)
+    problems = walk.problems + arrival(scenario, samples, prediction) + _contradictions(prediction, samples)
     return Certificate(
         samples=samples,
         valid=not problems,
@@ -190,6 +186,21 @@ def _walked_again(
     return certify(scenario, corners, accuracy=accuracy or first, arrival=arrival)
 
 
+def _contradictions(prediction: Prediction, samples: CertificateSamples) -> list[str]:
+    """Sentences where the simulated histories leave what the walk promises."""
+    if not np.all(np.isfinite(prediction.tip_m)):
+        return ["A simulated robot finds no equilibrium to go on to."]
+    found = []
+    if prediction.snaps:
+        times = f"{prediction.snaps} times" if prediction.snaps > 1 else "once"
+        found.append(f"Simulated robots snap to another equilibrium {times}.")
+    beyond = samples.predicted_m - samples.bound_m
+    if (worst := int(np.argmax(beyond))) and beyond[worst] > BEYOND_BOUND_M:
+        where = f"On leg {samples.leg[worst] + 1}"
+        found.append(f"{where}: a simulated robot is {beyond[worst] * MM_PER_M:.2f} mm beyond the worst-case error.")
+    return found
+
+
 def _target(scenario: Scenario, samples: CertificateSamples) -> TargetReached:
     return TargetReached(
         name=scenario.goal.name,
@@ -205,48 +216,7 @@ def _target(scenario: Scenario, samples: CertificateSamples) -> TargetReached:
     )
 
 
-def _walk(
-    scenario: Scenario, space: JointSpace, corners: Array, accuracy: Accuracy, progress: Progress | None
-) -> list[_Piece]:
-    """The legs in pieces, in parallel; each starts from scratch, which `_problems` compares with the one before."""
-    ends = []
-    for leg, (a, b) in enumerate(zip(corners[:-1], corners[1:], strict=True)):
-        count = max(1, int(np.ceil(space.length_mm(b - a) / PIECE_MM)))
-        points = a + np.linspace(0, 1, count + 1)[:, None] * (b - a)
-        ends += [(leg, points[k], points[k + 1]) for k in range(count)]
-    if not ends:
-        ends = [(0, corners[0], corners[0])]
-    required = path_limits(scenario).clearance_m
-
-    def walk(piece: tuple[int, Array, Array]) -> _Piece:
-        found = _walked(scenario, space, *piece, accuracy)
-        spare = DISCRETISATION_M[found.accuracy] - DISCRETISATION_M["certificate"]
-        if found.clearance_m.min() < required <= found.clearance_m.min() + spare:
-            found = _walked(scenario, space, *piece, "certificate")
-        return found
-
-    pieces: list[_Piece] = []
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        for piece in pool.map(walk, ends):
-            pieces.append(piece)
-            if progress:  # told by this thread alone, so that whoever listens needs no lock
-                progress(len(pieces) / len(ends))
-    return pieces
-
-
-def _walked(scenario: Scenario, space: JointSpace, leg: int, start: Array, end: Array, accuracy: Accuracy) -> _Piece:
-    density = PathDensity(motion_m=SPACING_M, near_m=SPACING_M, point_spacing_m=POINT_SPACING_M)
-    theta_b, l_b = space.drive.collars(np.array([start, end]))
-    samples = scenario.robot.mechanics.check_path(
-        theta_b, l_b, density=density, accuracy=accuracy, bodies=bool(scenario.anatomy)
-    )
-    places = [start] if np.array_equal(start, end) else [start, (start + end) / 2, end]
-    play = max(play_shift(scenario.robot, *space.drive.collars(q)) for q in places)
-    clearance = _exact(scenario, samples) - samples.motion_m / 2 - DISCRETISATION_M[accuracy] - play
-    return _Piece(leg, start, end, replace(samples, bodies=()), accuracy, clearance, play)
-
-
-def _join(robot: Robot, space: JointSpace, corners: Array, pieces: list[_Piece]) -> CertificateSamples:
+def _join(robot: Robot, space: JointSpace, corners: Array, pieces: list[Piece]) -> CertificateSamples:
     """One table over all pieces; the first sample of every piece but the first repeats the last one before it."""
     starts = np.concatenate([[0.0], np.cumsum([space.length_mm(d) for d in np.diff(corners, axis=0)])])
     columns: dict[str, list[NDArray[Any]]] = {name: [] for name in CertificateSamples.__dataclass_fields__}
@@ -280,7 +250,7 @@ def _join(robot: Robot, space: JointSpace, corners: Array, pieces: list[_Piece])
 
 
 def _predicted(
-    scenario: Scenario, pieces: list[_Piece], samples: CertificateSamples, accuracy: Accuracy
+    scenario: Scenario, pieces: list[Piece], samples: CertificateSamples, accuracy: Accuracy
 ) -> tuple[Prediction, CertificateSamples]:
     """Simulated histories along the samples, and the samples with their errors; the bound where a simulation failed."""
     robot = scenario.robot
@@ -300,38 +270,18 @@ def _predicted(
     return prediction, replace(samples, predicted_m=along)
 
 
-def _exact(scenario: Scenario, samples: PathSamples) -> Array:
-    """(K,) smallest clearance of all shapes beyond the anatomy's margins [m]; inf in free space.
-
-    Distances are exact; the grid only tells which points cannot be the closest ones: it is within GRID_SHARE of itself
-    and half a cell's diagonal of the truth.
-    """
-    grid = anatomy_grid(scenario)
-    if grid is None:
-        return np.full(len(samples.fraction), np.inf)
-    points = np.concatenate(samples.bodies)
-    owner = np.repeat(np.arange(len(samples.bodies)), [len(body) for body in samples.bodies])
-    located = points[:, :3] @ scenario.base_R.T + scenario.base_position_m
-    rough = grid.sample(located)
-    doubt = GRID_SHARE * np.abs(rough) + np.sqrt(3) / 2 * grid.spacing_m
-    ceiling = np.full(len(samples.bodies), np.inf)
-    np.minimum.at(ceiling, owner, rough + doubt - points[:, 3])
-    near = rough - doubt - points[:, 3] <= ceiling[owner]
-    least = np.full(len(samples.bodies), np.inf)
-    np.minimum.at(least, owner[near], exact_clearance(scenario.anatomy, located[near]) - points[near, 3])
-    return least
-
-
 def _problems(
     scenario: Scenario,
     space: JointSpace,
     corners: Array,
-    pieces: list[_Piece],
+    pieces: list[Piece],
     samples: CertificateSamples,
     limits: PathLimits,
 ) -> list[str]:
     """Sentences about everything that keeps the path from being certified."""
     found = []
+    if other := other_start(scenario.robot, corners[0]):
+        found.append(f"{other}.")
     if not space.allowed(corners):
         found.append("A waypoint breaks a joint limit or the nesting of the tubes.")
     for before, piece in zip([None, *pieces[:-1]], pieces, strict=True):
@@ -340,12 +290,18 @@ def _problems(
             found.append(f"On {where}: {breach(piece.samples, PathLimits()) or 'the walk did not reach its end'}.")
         elif before is not None and _apart(before, piece) > BRANCH_TOLERANCE_M:
             found.append(f"On {where}: the shape depends on the way there, several equilibria exist.")
+        if piece.branches.max() > SAME_BRANCH_M:
+            found.append(f"On {where}: another equilibrium exists for the same joints and friction.")
+        if (leap := float(piece.samples.motion_m.max())) > LEAP_M:
+            found.append(
+                f"On {where}: a shape leaps by {leap * MM_PER_M:.1f} mm, its friction state loses its equilibrium."
+            )
     checks = [
         (samples.stability < limits.stability, "stability falls to {:.3g}, below the margin", samples.stability.min()),
         (samples.max_strain > limits.max_strain, "strain reaches {:.4g}, above the limit", samples.max_strain.max()),
         (
             samples.clearance_m < limits.clearance_m,
-            "a corner shape comes {:.2f} mm too close to the anatomy",
+            "a shape that friction allows comes {:.2f} mm too close to the anatomy",
             (limits.clearance_m - samples.clearance_m.min()) * MM_PER_M,
         ),
     ]
@@ -375,9 +331,13 @@ def _line_error(scenario: Scenario, tip_m: Array) -> float | None:
     return float(distance_from_polyline(located, scenario.goal.line_m).max())
 
 
-def _apart(before: _Piece, after: _Piece) -> float:
-    """Between the tips where two pieces meet, less what their meshes may differ by [m]."""
-    gap = float(np.linalg.norm(before.samples.tip_m[-1] - after.samples.tip_m[0]))
+def _apart(before: Piece, after: Piece) -> float:
+    """Largest distance [m] of tips of one shape, frictionless or corner, where two pieces meet.
+
+    Less what their meshes may differ by.
+    """
+    ends = [np.vstack([s.tip_m[k], *s.corner_tip_m[k][:, None]]) for s, k in ((before.samples, -1), (after.samples, 0))]
+    gap = float(np.linalg.norm(ends[0] - ends[1], axis=1).max())
     return gap if before.accuracy == after.accuracy else gap - DISCRETISATION_M["search"]
 
 

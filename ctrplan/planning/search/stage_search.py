@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -83,6 +83,7 @@ class StageSearch:
     failure: str = ""  # of the last certificate
     first: Candidate | None = None  # that was certified
     best: Candidate | None = None
+    certified: list[Candidate] = field(default_factory=list)
     has_chains: bool = False  # whether the roadmap has those that withdraw from the goals
 
     def run_to_first(self) -> tuple[Candidate, Candidate]:
@@ -103,9 +104,14 @@ class StageSearch:
         return self._answer()
 
     def _answer(self) -> tuple[Candidate, Candidate]:
-        """The first and the best. Raises NoAnswerError or KeyboardInterrupt without one."""
-        if self.first is not None and self.best is not None:
-            return self.first, self.best
+        """The first and the best that their own simulation does not contradict.
+
+        Raises NoAnswerError or KeyboardInterrupt without one.
+        """
+        for candidate in sorted(self.certified, key=lambda candidate: candidate.walk.cost_mm):
+            if candidate.certificate.valid:
+                return self.first or candidate, candidate
+            self.failure = candidate.certificate.problems[0]
         if self.interrupted.is_set():
             raise KeyboardInterrupt
         name = self.checker.scenario.path or self.checker.scenario.name
@@ -250,7 +256,9 @@ class StageSearch:
         found_s = time.monotonic() - self.began
         result = least_error(checker, merge_legs(corners))
         if self.best is not None and np.array_equal(result.after, self.best.result.after):
-            self.best = replace(self.best, result=result, tidied=True)
+            tidied = replace(self.best, result=result, tidied=True)
+            self.certified = [tidied if candidate is self.best else candidate for candidate in self.certified]
+            self.best = tidied
             return ""
         self._tell()
         walk = walk_legs(checker.scenario, result.after, progress=self._certifying)
@@ -278,5 +286,6 @@ class StageSearch:
         self.checker.meter.add(self.checker.solved_ns * len(walk.samples.leg))
         candidate = Candidate(result, walk, found_s, certified_s, found_by, tidied)
         self.first = self.first or candidate
+        self.certified.append(candidate)
         if self.best is None or walk.cost_mm < self.best.walk.cost_mm:
             self.best = candidate
