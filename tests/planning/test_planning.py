@@ -20,7 +20,7 @@ from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.core import Status
 from ctrplan.planning.certificate.certify import certify
-from ctrplan.planning.certificate.walked_piece import SPACING_M
+from ctrplan.planning.certificate.walked_piece import SPACING_M, TIGHT_M, walk_pieces
 from ctrplan.planning.finish.reorder import as_given, assemble, rotations_first
 from ctrplan.planning.goals.goal_states import goal_states
 from ctrplan.planning.joint_space import JointSpace
@@ -227,9 +227,13 @@ def test_certificate_sees_an_obstacle_the_search_never_had(ribs: ctrplan.Plan) -
 def test_certificate_measures_distances_and_asks_no_grid(ribs: ctrplan.Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     """No grid can fool it: a wider margin is missed by as much as it is wider."""
     monkeypatch.setattr("ctrplan.planning.motion.anatomy_grid", lambda _: pytest.fail("a grid was asked"))
-    found = [certify(scenario("ribs", f"anatomy.1.margin_mm={mm}"), ribs.waypoints) for mm in (1, 4)]
-    assert found[0].min_clearance_m - found[1].min_clearance_m == pytest.approx(3e-3, abs=1e-9)
+    cases = [scenario("ribs", f"anatomy.1.margin_mm={mm}") for mm in (1, 4)]
+    near, far = (walk_pieces(case, JointSpace.of(case), ribs.waypoints, "search", None) for case in cases)
+    least = [min(float(piece.clearance_m.min()) for piece in pieces) for pieces in (near, far)]
+    assert least[0] - least[1] == pytest.approx(3e-3, abs=1e-9)
+    found = [certify(case, ribs.waypoints) for case in cases]
     assert found[0].valid and not found[1].valid
+    assert least[0] - TIGHT_M - 1e-9 <= found[0].min_clearance_m <= least[0]  # of every friction state
 
 
 def test_simultaneous_motion_is_a_named_fallback(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,6 +15,8 @@ from ctrplan.cli import main
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.planning.certificate.certify import certify
+from ctrplan.planning.certificate.walked_piece import walk_pieces
+from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.motion import search_limits
 from ctrplan.planning.plan import Certificate, Plan
 from ctrplan.planning.play import play_shift
@@ -97,7 +99,11 @@ def certified(robot: Robot) -> tuple[Scenario, Certificate]:
 def test_a_certificate_takes_the_play_off_every_clearance_and_says_so() -> None:
     (tight, plain), (loose, found) = certified(three_tube(1e-9)), certified(three_tube())
     samples, bare = found.samples, plain.samples
-    np.testing.assert_allclose(samples.clearance_m, bare.clearance_m - samples.play_m, atol=1e-6)
+    (stiff,), (slack,) = (
+        walk_pieces(case, JointSpace.of(case), samples.joints[[0, -1]], "certificate", None) for case in (tight, loose)
+    )
+    np.testing.assert_allclose(slack.clearance_m, stiff.clearance_m - slack.play_m, atol=1e-6)
+    assert slack.play_m == samples.play_m.max()
     np.testing.assert_allclose(samples.bound_m, bare.bound_m)  # friction is another matter
     ends = [play_shift(loose.robot, *loose.robot.drive.collars(q)) for q in samples.joints[[0, -1]]]
     assert found.worst_play_m >= max(ends) > 0.5e-3

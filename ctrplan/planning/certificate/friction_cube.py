@@ -36,7 +36,7 @@ Distance = Callable[[Array, Array], Array]
 class LeastClearance:
     """What is known of the clearance over the whole cube."""
 
-    lower_m: float  # no friction state has less; -inf where a state has no solution
+    lower_m: float  # if it is enough: no state has less; else what one may have; -inf where a state has no solution
     phi: State  # where the least was found, solved or interpolated
     point_m: Array  # (3,) the body's point there, robot frame
     solves: int  # states solved besides those that were known
@@ -66,7 +66,7 @@ class _Cell:
 def least_clearance(
     known: dict[State, Array], radius_m: Array, solve: Solve, distance: Distance, enough_m: float
 ) -> LeastClearance:
-    """A lower bound of the clearance of all bodies, refined until it reaches `enough_m` or cells are small.
+    """Whether the clearance of all bodies reaches `enough_m`, cells being refined until it does or they are small.
 
     `known`: bodies (N, 3) of phi = 0 and of every sign corner; outer radii (N,). Bodies are looked at where they come
     near enough to the anatomy to matter.

@@ -1,0 +1,159 @@
+"""Clearance over every friction state: bounds hold against brute force, and refuse no more than they say."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from places import ROBOTS
+
+import ctrplan
+from ctrplan.base.arrays import Array
+from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.files.scenario_file import scenario_from_dict
+from ctrplan.planning.certificate.certify import certify
+from ctrplan.planning.certificate.friction_cube import corner_states, least_clearance
+from ctrplan.planning.certificate.start_branches import other_start
+from ctrplan.planning.certificate.walked_piece import DISCRETISATION_M, UNEVEN_FRICTION_M, walk_pieces
+from ctrplan.planning.joint_space import JointSpace
+from ctrplan.planning.scenario import Scenario
+
+ROBOT = ctrplan.load_robot(ROBOTS / "three_tube.toml")
+
+
+class Spheres:
+    """Clearance to the nearest of some spheres."""
+
+    def __init__(self, centres: Array, radius: float) -> None:
+        self.centres, self.radius = centres, radius
+
+    def __call__(self, points: Array, needed: Array) -> Array:
+        distance: Array = np.linalg.norm(points[:, None] - self.centres, axis=2).min(axis=1) - self.radius
+        return distance
+
+
+def curled(phi: Array) -> Array:
+    """(S, N, 3) made-up bodies that bend with the states of two pairs, and not in proportion."""
+    s = np.linspace(0, 0.1, 60)
+    a, b = phi[:, :1], phi[:, 1:2]
+    x = s**2 * (1.2 * a + 0.5 * np.sin(1.2 * b) + 0.3 * a * b + 0.4 * a**2)
+    y = s**2 * (0.8 * b + 0.4 * np.cos(a) + 0.2 * b**2)
+    return np.stack([x, y, np.broadcast_to(s, x.shape)], axis=2)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_what_is_enough_is_so_for_every_state_and_little_is_refused(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    radius = np.full(60, 1e-3)
+    everywhere = np.array(list(itertools.product(np.linspace(-1, 1, 41), repeat=2)))
+    bodies = curled(everywhere)
+    state, point = rng.integers(len(everywhere)), rng.integers(30, 60)
+    spheres = Spheres(bodies[state, point] + rng.uniform(-6e-3, 6e-3, (1, 3)), 2e-3)
+    true = float((spheres(bodies.reshape(-1, 3), np.zeros(1)) - 1e-3).min())
+    states = [(0.0, 0.0), *corner_states(2)]
+    for enough in (true - 5e-3, true - 1e-3, true + 1e-3):
+        known = dict(zip(states, curled(np.array(states)), strict=True))
+        found = least_clearance(known, radius, curled, spheres, enough)
+        assert found.lower_m < enough or true >= found.lower_m - 1e-9
+        assert found.lower_m >= enough or true < enough + 0.6e-3
+
+
+def test_a_state_without_an_equilibrium_is_no_clearance_at_all() -> None:
+    states = [(0.0, 0.0), *corner_states(2)]
+    known = dict(zip(states, curled(np.array(states)), strict=True))
+    near = Spheres(curled(np.array([[0.5, 0.5]]))[:, -1], 1e-3)
+    found = least_clearance(known, np.full(60, 1e-3), lambda phi: np.full((len(phi), 60, 3), np.nan), near, 0.0)
+    assert found.lower_m == -np.inf
+
+
+def joints(*values: float) -> Array:
+    """Of the three-tube robot: three rotations in deg, a translation in mm."""
+    return np.array([*np.radians(values[:3]), values[3] * 1e-3])
+
+
+def with_sphere(q: Array, center_mm: Sequence[float], radius_mm: float) -> Scenario:
+    """A scenario that rests at joints (m,) beside a sphere."""
+    names = {joint.name: value / joint.si_per_unit for joint, value in zip(ROBOT.drive.joints, q.tolist(), strict=True)}
+    sphere = {"kind": "sphere", "center_mm": list(center_mm), "radius_mm": radius_mm}
+    content = {"robot": "three_tube.toml", "start": names, "goal": {"joints": names}, "anatomy": [sphere]}
+    return scenario_from_dict(content, file=str(ROBOTS / "made_up.toml"))
+
+
+def test_a_body_between_the_corners_is_seen() -> None:
+    """Once 0.14 mm of clearance were certified where the body at phi = (0.5, -0.5) ran 2.35 mm deep into the sphere."""
+    q = joints(0, 90, 180, -28.8)
+    case = with_sphere(q, (-1.2, 32.7, 195.9), 1.5)
+    found = certify(case, q[None])
+    assert not found.valid and "a shape that friction allows comes" in found.problems[0]
+    body = ROBOT.mechanics.friction_bodies(*ROBOT.drive.collars(q), [[0.5, -0.5]])
+    depth = 1.5e-3 + body.radius_m - np.linalg.norm(body.point_m[0] - [-1.2e-3, 32.7e-3, 195.9e-3], axis=1)
+    assert depth.max() > 2e-3  # it does run into the sphere
+    assert found.min_clearance_m < -1e-3
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_friction_state_has_less_clearance_than_certified(seed: int) -> None:
+    """Spheres near the bodies of random friction states: a valid certificate holds against a grid of 17 x 17 states."""
+    rng = np.random.default_rng(seed)
+    q = joints(*rng.uniform(-180, 180, 3), rng.uniform(-60, -5))
+    theta_b, l_b = ROBOT.drive.collars(q)
+    states = np.array(list(itertools.product(np.linspace(-1, 1, 17), repeat=2)))
+    bodies = ROBOT.mechanics.friction_bodies(theta_b, l_b, states, accuracy="certificate")
+    assert bodies.solved.all()
+    valid = 0
+    for away_mm in (3.0, 5.0, 8.0, 14.0):
+        side = rng.standard_normal(3)
+        middle = bodies.point_m[rng.integers(len(states)), -1 - rng.integers(40)]
+        center = middle + away_mm * 1e-3 * side / np.linalg.norm(side)
+        found = certify(with_sphere(q, center * 1e3, 1.0), q[None], accuracy="certificate")
+        true = (np.linalg.norm(bodies.point_m - center, axis=2) - 1e-3 - bodies.radius_m).min()
+        assert not found.valid or found.min_clearance_m <= true + 1e-6
+        valid += found.valid
+        assert found.valid or true < 2e-3 or "another equilibrium" in found.problems[0]
+    assert valid
+
+
+def test_bodies_in_friction_states_are_those_of_single_solves() -> None:
+    theta_b, l_b = np.radians([0.0, 90.0, 180.0]), np.array([0.0, -0.017, -0.0628])
+    phi = np.array(list(itertools.product((-1.0, -0.3, 0.0, 0.7), repeat=2)))
+    found = ROBOT.mechanics.friction_bodies(theta_b, l_b, phi)
+    assert found.solved.all() and found.point_m.shape[:2] == (len(phi), len(found.radius_m))
+    for state, body in zip(phi, found.point_m, strict=True):
+        np.testing.assert_allclose(body[-1], ROBOT.solve(theta_b, l_b, state).tip_m, atol=1e-9)
+
+
+def test_a_start_with_a_second_equilibrium_is_told() -> None:
+    """An approach by turns of 90 deg once left the robot 20.1 mm away where a bound of 3.74 mm was certified."""
+    q = joints(69.388, 113.694, -56.0136, -82.526)
+    sentence = other_start(ROBOT, q)
+    assert "the tip stands 20.1 mm from the frictionless one, beyond the bound of 3.74 mm" in sentence
+    found = certify(with_sphere(q, (-80.0, 29.4, 149.8), 3.0), q[None])
+    assert not found.valid and found.problems[0] == f"{sentence}."
+    assert other_start(ROBOT, joints(0, 0, 0, -28.8)) == ""  # aligned tubes have one equilibrium
+
+
+def test_half_the_motion_is_taken_off_on_both_sides_of_a_sample() -> None:
+    """Once a leap counted at the sample after it only."""
+    case = with_sphere(joints(0, 0, 0, -28.8), (0.0, 60.0, 100.0), 1.0)
+    (piece,) = walk_pieces(
+        case, JointSpace.of(case), np.array([joints(0, 0, 0, -28.8), joints(0, 0, 20, -28.8)]), "search", None
+    )
+    motion = piece.samples.motion_m
+    assert len(motion) > 3 and motion[0] == 0
+    offset = piece.offset_m - DISCRETISATION_M["search"] - UNEVEN_FRICTION_M
+    np.testing.assert_allclose(offset[:-1], np.maximum(motion[:-1], motion[1:]) / 2, atol=1e-15)
+
+
+def test_a_bent_drive_is_followed_and_not_its_chord() -> None:
+    """With an eccentric joint collars do not move in proportion; the walk once took the chord of 40 mm."""
+    bent = robot_from_dict(
+        {**ROBOT.content, "effects": {"eccentricity": {"sin_3_deg": 10.0}}}, file=str(ROBOTS / "bent.toml")
+    )
+    a, b = joints(0, 0, 0, -28.8), joints(0, 0, 90, -28.8)
+    case = replace(with_sphere(a, (0.0, 90.0, 100.0), 1.0), robot=bent)
+    for piece in walk_pieces(case, JointSpace.of(case), np.array([a, b]), "search", None):
+        rows = piece.start + piece.samples.fraction[:, None] * (piece.end - piece.start)
+        np.testing.assert_allclose(piece.theta_b, bent.drive.collars(rows)[0], atol=np.radians(0.01))
