@@ -14,6 +14,7 @@ from ctrplan.planning.goals.goal_state import GoalState
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.search.objective import BoundObjective
 from ctrplan.planning.search.ompl_space import StateReader, state_space
+from ctrplan.planning.search.search_watch import SearchOver, SearchWatch
 from ctrplan.planning.search.validity import MotionValidity, Validity
 from ctrplan.planning.search_clock import ASKED_NS
 
@@ -24,12 +25,12 @@ class SearchProblem:
     def __init__(self, checker: MotionChecker, goals: list[GoalState], seed: int) -> None:
         """goals: states to end at, of which any will do; seed: of OMPL's random numbers, which all searches share."""
         _reseed(seed)
-        self.checker = checker
+        self.checker, self.watch = checker, SearchWatch()
         self.read = StateReader(checker.space)
         self.space = state_space(checker.space)
         self.information: Any = ob.SpaceInformation(self.space)
-        self.validity = Validity(self.information, checker, self.read)
-        self.motions = MotionValidity(self.information, checker, self.read)
+        self.validity = Validity(self.information, checker, self.read, self.watch)
+        self.motions = MotionValidity(self.information, checker, self.read, self.watch)
         self.information.setStateValidityChecker(self.validity)
         self.information.setMotionValidator(self.motions)
         self.information.setup()
@@ -41,7 +42,9 @@ class SearchProblem:
             self.goal.addState(self._state(goal.joints))
         self.definition.setGoal(self.goal)
         targets = [self.read(self._state(goal.joints)) for goal in goals]
-        self.objective = BoundObjective(self.information, checker.scenario, goals=targets, checker=checker)
+        self.objective = BoundObjective(
+            self.information, checker.scenario, goals=targets, checker=checker, watch=self.watch
+        )
         self.definition.setOptimizationObjective(self.objective)
         self.planner: Any = checker.scenario.planner.ompl_planner(self.information)
         self.planner.setProblemDefinition(self.definition)
@@ -53,7 +56,10 @@ class SearchProblem:
         return hasattr(self.planner, "bestCost")
 
     def solve(self, stop: Callable[[float], bool], *, only_first: bool) -> bool:
-        """Begins or goes on until `stop`, told the best cost [mm] so far, or a first path; whether there is one."""
+        """Begins or goes on until `stop`, told the best cost [mm] so far, or a first path; whether there is one.
+
+        Every question of the planner asks `stop`, so that it outlives that by the answer to one of them at most.
+        """
 
         def over() -> bool:
             self.checker.meter.add(ASKED_NS)
@@ -63,8 +69,17 @@ class SearchProblem:
         if not self.has_goal:
             return False  # OMPL would wait for another goal, asking whether to stop now and then
         if self.improves or only_first:
-            self.planner.solve(ob.PlannerTerminationCondition(over))
+            try:
+                with self.watch.until(lambda: stop(self.best_cost())):
+                    self.planner.solve(ob.PlannerTerminationCondition(over))
+            except SearchOver:
+                self._hand_over()
         return bool(self.definition.hasExactSolution())
+
+    def _hand_over(self) -> None:
+        """Has the planner hand over its best path, as it does at the end of `solve` alone."""
+        if np.isfinite(self.best_cost()):
+            self.planner.solve(ob.PlannerTerminationCondition(lambda: True))
 
     def best_cost(self) -> float:
         """Cost [mm] of the best path so far, inf without one."""

@@ -25,15 +25,14 @@ from ctrplan.planning.search.roadmap_search import RoadmapSearch
 from ctrplan.planning.search.search_problem import SearchProblem
 from ctrplan.planning.search_clock import SearchClock
 
-FIRST_SHARE, ROADMAP_SHARE = 0.9, 0.7  # of the time by which a first path, and the cheapest, of the roadmap is sought
-LEAST_SHARE = 0.25  # of the time for sampling, however long the roadmap took
-FALLBACK_SHARE = 0.3  # of the time, for simultaneous motions when no L-shaped path was found
+FIRST_SHARE, ROADMAP_SHARE = 0.8, 0.7  # of the time by which a first path, and the cheapest, of the roadmap is sought
+FALLBACK_SHARE = 0.3  # of the time left, for simultaneous motions when no L-shaped path was found
+AFTERWARDS = 0.08  # of the time, which those may take beyond it
 STRAIGHT_HOPE = 0.5  # of motions from the start to a goal, without which chains are made before any is walked
 FIRST_STATES, FIRST_ROUND_S = 100, 0.4  # random states a roadmap first grows by, and after how long; then twice as many
 MOST_STATES = 3000  # of a roadmap
 DOUBT_KEPT = 0.5  # from round to round, of the doubt about motions that are not checked
 ATTEMPTS = 8  # searches after a path failed its certificate
-LATEST = 2.0  # times the budget: no further attempt begins after it
 
 
 @dataclass(frozen=True)
@@ -180,13 +179,10 @@ class StageSearch:
         """The scenario's planner, to its first path or to the end; simultaneous motions where no other led to any."""
         checker, name = self.checker, self.checker.scenario.planner.name
         for attempt in range(ATTEMPTS):
-            now = self.clock.now()
-            until = self.budget if attempt == 0 else now + self.budget / 2
-            if self.interrupted.is_set() or (self.best and now >= until) or now > LATEST * self.budget:
+            until = self.budget if checker is self.checker else self._fallback_until()
+            if self._is_over(until):
                 break
-            share = 1.0 if checker is self.checker else FALLBACK_SHARE
             problem = SearchProblem(checker, self.goals, self.seed + 1000 * attempt)
-            until = now + share * max(until - now, LEAST_SHARE * self.budget)
             stop = self._stopper(until)
             if not problem.solve(stop, only_first=self.best is None):
                 if self.best or checker is not self.checker:
@@ -203,6 +199,11 @@ class StageSearch:
             if self._improves(problem) or not (self.best and self.best.tidied):
                 self._tidied(checker, problem.corners(), name)
             break
+
+    def _fallback_until(self) -> float:
+        """When the search of simultaneous motions ends, once none of others is left."""
+        now = self.clock.now()
+        return now + max(FALLBACK_SHARE * (self.budget - now), (1 + AFTERWARDS) * self.budget - max(now, self.budget))
 
     def _improves(self, problem: SearchProblem) -> bool:
         """Whether the problem's path may be better than the best certified one."""
