@@ -180,7 +180,7 @@ def _along_line(checker: MotionChecker, began: float) -> tuple[Candidate, Candid
 
 
 def _without_motion(checker: MotionChecker, began: float) -> tuple[Candidate, Candidate]:
-    """The start itself, certified: where it is the goal nothing is searched for. Raises NoAnswerError where it fails."""
+    """The start itself, certified, where it is the goal: nothing is searched. Raises NoAnswerError where it fails."""
     scenario, corners = checker.scenario, checker.scenario.start[None]
     found_s = time.monotonic() - began
     walk = walk_legs(scenario, corners)

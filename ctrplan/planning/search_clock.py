@@ -15,7 +15,7 @@ LOOKED_UP_NS = 20_000  # a state looked up in a bound field
 HEURISTIC_NS = 4_000  # a lower bound of a motion's cost
 ASKED_NS = 20_000  # a question of the planner, whatever the answer
 # Counted seconds may take so many real ones, and a few at least, however slow the machine or dear the robot.
-REAL_PER_COUNTED, LEAST_REAL_S = 10.0, 5.0
+REAL_PER_COUNTED, LEAST_REAL_S = 10.0, 10.0
 
 
 class WorkMeter:
@@ -56,12 +56,20 @@ class SearchClock:
 
     def is_past(self, until_s: float) -> bool:
         """Whether that time has come; remembered, as it ends a search."""
-        if not self.timed:
-            real_s = time.monotonic() - self._really_began_s
-            self.outlasted |= real_s >= max(REAL_PER_COUNTED * until_s, LEAST_REAL_S)
-        over = self.outlasted or self.now() >= until_s
+        over = self.is_late(until_s) or self.now() >= until_s
         self.ran_out |= over
         return over
+
+    def is_late(self, until_s: float) -> bool:
+        """Whether that time has come by the clock; for counted seconds, whether they take too many real ones.
+
+        Unlike what is counted this may be asked in the middle of work that is shared by threads.
+        """
+        real_s = time.monotonic() - self._really_began_s
+        if self.timed:
+            return real_s >= until_s
+        self.outlasted |= real_s >= max(REAL_PER_COUNTED * until_s, LEAST_REAL_S)
+        return self.outlasted
 
     @property
     def name(self) -> SearchEnd:

@@ -12,7 +12,6 @@ from ompl import base as ob
 from ctrplan.base.arrays import Array
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.search.ompl_space import StateReader
-from ctrplan.planning.search.search_watch import SearchWatch
 from ctrplan.planning.search_clock import HEURISTIC_NS
 
 if TYPE_CHECKING:
@@ -36,14 +35,9 @@ class BoundObjective(ob.OptimizationObjective):  # type: ignore[misc]
         *,
         goals: Sequence[Array] = (),
         checker: MotionChecker | None = None,
-        watch: SearchWatch | None = None,
     ) -> None:
-        """checker: shared with validity checks, so that no motion is solved twice; a new one by default.
-
-        watch: likewise shared, ends the search when its time is over.
-        """
+        """checker: shared with validity checks, so that no motion is solved twice; a new one by default."""
         super().__init__(space_information)
-        self.watch = watch or SearchWatch()
         self.checker = checker or MotionChecker(scenario)
         self.read = StateReader(self.checker.space)
         drive, weights = self.checker.space.drive, self.checker.space.weights_mm
@@ -52,7 +46,7 @@ class BoundObjective(ob.OptimizationObjective):  # type: ignore[misc]
 
     def motionCost(self, a: Any, b: Any) -> Any:  # noqa: N802, OMPL's names from here on
         """Cost [mm] of the motion from a to b; infinite where it is not valid."""
-        self.watch.ask()
+        self.checker.watch.ask()
         start, end = self.read(a), self.read(b)
         motion = self.checker.motion(start, end)
         if not motion.valid:
@@ -62,8 +56,8 @@ class BoundObjective(ob.OptimizationObjective):  # type: ignore[misc]
 
     def motionCostHeuristic(self, a: Any, b: Any) -> Any:  # noqa: N802
         """Lower bound [mm] of that cost: length and stops are exact, errors never negative."""
-        self.watch.ask_cheaply()
         # asked for so often that numpy is too slow
+        self.checker.watch.ask_cheaply()
         self.checker.meter.add(HEURISTIC_NS)
         squares = [0.0, 0.0]  # of translations and rotations
         for i, (wraps, turns, weight) in enumerate(self._joints):

@@ -14,9 +14,9 @@ from ctrplan.planning.goals.goal_state import GoalState
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.search.objective import BoundObjective
 from ctrplan.planning.search.ompl_space import StateReader, state_space
-from ctrplan.planning.search.search_watch import SearchOver, SearchWatch
 from ctrplan.planning.search.validity import MotionValidity, Validity
 from ctrplan.planning.search_clock import ASKED_NS
+from ctrplan.planning.search_watch import SearchOver
 
 
 class SearchProblem:
@@ -25,12 +25,12 @@ class SearchProblem:
     def __init__(self, checker: MotionChecker, goals: list[GoalState], seed: int) -> None:
         """goals: states to end at, of which any will do; seed: of OMPL's random numbers, which all searches share."""
         _reseed(seed)
-        self.checker, self.watch = checker, SearchWatch()
+        self.checker = checker
         self.read = StateReader(checker.space)
         self.space = state_space(checker.space)
         self.information: Any = ob.SpaceInformation(self.space)
-        self.validity = Validity(self.information, checker, self.read, self.watch)
-        self.motions = MotionValidity(self.information, checker, self.read, self.watch)
+        self.validity = Validity(self.information, checker, self.read)
+        self.motions = MotionValidity(self.information, checker, self.read)
         self.information.setStateValidityChecker(self.validity)
         self.information.setMotionValidator(self.motions)
         self.information.setup()
@@ -42,9 +42,7 @@ class SearchProblem:
             self.goal.addState(self._state(goal.joints))
         self.definition.setGoal(self.goal)
         targets = [self.read(self._state(goal.joints)) for goal in goals]
-        self.objective = BoundObjective(
-            self.information, checker.scenario, goals=targets, checker=checker, watch=self.watch
-        )
+        self.objective = BoundObjective(self.information, checker.scenario, goals=targets, checker=checker)
         self.definition.setOptimizationObjective(self.objective)
         self.planner: Any = checker.scenario.planner.ompl_planner(self.information)
         self.planner.setProblemDefinition(self.definition)
@@ -70,7 +68,7 @@ class SearchProblem:
             return False  # OMPL would wait for another goal, asking whether to stop now and then
         if self.improves or only_first:
             try:
-                with self.watch.until(lambda: stop(self.best_cost())):
+                with self.checker.watch.until(lambda: stop(self.best_cost())):
                     self.planner.solve(ob.PlannerTerminationCondition(over))
             except SearchOver:
                 self._hand_over()

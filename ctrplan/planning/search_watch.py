@@ -1,8 +1,8 @@
-"""Ends a search from within OMPL's loops, some of which run for minutes without asking whether to stop.
+"""Ends a search from within: loops, above all OMPL's, may run for minutes without asking whether to stop.
 
-BIT* draws a batch by rejection: where hardly any state can lead to a better path, as between a start and a goal close to
-each other, a batch asks for millions of heuristics before it looks at its termination condition. An answer of infinite
-cost makes that worse, an exception ends it: OMPL hands it through all its loops to whoever called `solve`.
+BIT* draws a batch by rejection: where hardly any state can lead to a better path, as between a start and a goal close
+to each other, a batch asks for millions of heuristics before it looks at its termination condition. An answer of
+infinite cost makes that worse, an exception ends it: OMPL hands it through all its loops to whoever called `solve`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ class SearchOver(Exception):  # noqa: N818, it is no error
 
 
 class SearchWatch:
-    """Asked by every callback of a search, which it ends by an exception; silent while nothing is watched."""
+    """Asked before everything that takes time, which it ends by an exception; silent while nothing is watched."""
 
     def __init__(self) -> None:
         """Watches nothing."""
@@ -39,8 +39,8 @@ class SearchWatch:
     @contextmanager
     def until(self, is_over: Callable[[], bool]) -> Iterator[None]:
         """Watches until the block is left."""
-        self._is_over = is_over
+        before, self._is_over = self._is_over, is_over
         try:
             yield
         finally:
-            self._is_over = None
+            self._is_over = before
