@@ -32,7 +32,8 @@ PLANNERS = ["BIT*", "RRT*", "RRTConnect"]
 CASES = settings(
     max_examples=300 if FUZZ else 25, deadline=None, suppress_health_check=[HealthCheck.too_slow], print_blob=True
 )
-ONE_SOLVE_S = 0.5  # and what else runs on the machine meanwhile: a motion of this pair is solved in a tenth of that
+ONE_SOLVE_S = 2.0  # and what else runs on the machine meanwhile: a motion of this pair is solved in a hundredth of that
+LATE_QUESTIONS = 2  # the one that is told that the search is over, and the loop around it
 SECONDS = st.floats(0.02, 0.3)
 # goals close to the start, where BIT* looked at no termination condition for minutes, and anywhere
 TURNS = st.one_of(
@@ -86,7 +87,15 @@ def test_no_planner_outlives_its_time(
         return  # where the pair would snap
     problem = SearchProblem(checker, goals, seed=0)
     clock, began = SearchClock(checker.meter, timed=timed), time.monotonic()
-    found = problem.solve(lambda _: clock.is_past(time_s), only_first=only_first)
+    late = list[float]()
+
+    def stop(_: float) -> bool:
+        if over := clock.is_past(time_s):
+            late.append(clock.now())
+        return over
+
+    found = problem.solve(stop, only_first=only_first)
+    assert len(late) <= LATE_QUESTIONS
     allowed = 1.1 * time_s if timed else max(10 * time_s, LEAST_REAL_S)
     assert time.monotonic() - began < allowed + ONE_SOLVE_S
     if timed:
