@@ -91,7 +91,7 @@ def build_field(
     if not parts:
         return None
     origin, spacing, shape = _grid(lower_m, upper_m, spacing_m)
-    key = _content_key(parts, origin, spacing, shape)
+    key = content_key(parts, origin, spacing, shape)
     values = field_cache.load(key, shape) if cache else None
     if values is None:
         steps = iter(range(len(parts)))
@@ -122,10 +122,10 @@ def _grid(lower_m: ArrayLike, upper_m: ArrayLike, spacing_m: float) -> tuple[Arr
     return lower, float(spacing_m), (nx, ny, nz)
 
 
-def _content_key(parts: Sequence[AnatomyPart], origin: Array, spacing: float, shape: tuple[int, int, int]) -> str:
-    """SHA-256 of everything that determines the values: numbers, and the files that make distances of them."""
+def content_key(parts: Sequence[AnatomyPart], *grid: ArrayLike) -> str:
+    """SHA-256 of everything that determines the values: numbers of anatomy and grid, the files that make distances."""
     content = hashlib.sha256(FORMAT)
-    _add_numbers(content, [origin, spacing, shape])
+    _add_numbers(content, grid)
     for part in parts:
         content.update(f"{part.shape.kind} {part.role};".encode() + _source(type(part.shape)))
         _add_numbers(content, [part.margin_m, *part.shape.content()])

@@ -9,7 +9,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.anatomy.clearance_grid import SignedDistanceField, build_field, default_spacing_m, field_bounds
+from ctrplan.anatomy.anatomy_field import anatomy_field, shared_spacing_m
+from ctrplan.anatomy.clearance_grid import SignedDistanceField, field_bounds
 from ctrplan.base.arrays import Array
 from ctrplan.mechanics.core import Field, PathDensity, PathLimits, PathSamples, Status
 from ctrplan.mechanics.friction_law import largest_deviation
@@ -18,6 +19,7 @@ from ctrplan.planning.path_cost import path_cost_mm
 from ctrplan.planning.plan import MotionStyle
 from ctrplan.planning.play import usual_play_shift
 from ctrplan.planning.search_clock import ASKED_NS, LOOKED_UP_NS, ROOM_NS, SHAPE_NS, WorkMeter
+from ctrplan.planning.search_watch import SearchWatch
 from ctrplan.robot.friction_calibration import friction_law
 
 if TYPE_CHECKING:
@@ -72,6 +74,7 @@ class MotionChecker:
         self.limits = search_limits(scenario)
         self.calls = 0  # into the core
         self.meter = meter or WorkMeter()  # counts what is solved and asked
+        self.watch = SearchWatch()  # asked before anything is solved
         self.solved_ns = SHAPE_NS * (1 + 2 ** (scenario.robot.n - 1))
         self._known: dict[bytes, Motion] = {}
         self._states: dict[bytes, tuple[Motion, PathSamples | None]] = {}
@@ -137,6 +140,7 @@ class MotionChecker:
 
     def walk(self, corners: Array, density: PathDensity, limits: PathLimits) -> PathSamples:
         """The core's samples along a polyline."""
+        self.watch.ask()
         theta_b, l_b = self.space.drive.collars(corners)
         self.calls += 1
         samples = self.mechanics.check_path(theta_b, l_b, self.field, density=density, limits=limits)
@@ -169,6 +173,7 @@ class MotionChecker:
         A jump is a cheap hint that the robot snaps there: past two stable shapes, the solution along the branch of
         vanishing precurvature changes from one to the other.
         """
+        self.watch.ask()
         points = [self._stations(way) for way in ways]
         self.meter.add(ROOM_NS * sum(map(len, points)))
         theta_b, l_b = self.space.drive.collars(np.concatenate(points))
@@ -282,6 +287,7 @@ def robot_field(scenario: Scenario) -> Field | None:
     return Field(grid.values_m, grid.origin_m, float(grid.spacing_m), scenario.base_R, scenario.base_position_m)
 
 
+MOST_GRIDS = 4  # kept in memory for one robot, of different bases or anatomies
 _GRIDS: WeakKeyDictionary[Robot, dict[bytes, SignedDistanceField]] = WeakKeyDictionary()
 
 
@@ -297,9 +303,16 @@ def anatomy_grid(scenario: Scenario) -> SignedDistanceField | None:
     if key not in grids:
         reach = max(tube.length_m for tube in scenario.robot.tubes) + scenario.robot.tubes[0].outer_diameter_m
         lower, upper = field_bounds(scenario.anatomy, reach, scenario.base_position_m, scenario.base_R)
-        grid = build_field(scenario.anatomy, lower, upper, default_spacing_m(lower, upper))
-        assert grid is not None
-        grids[key] = grid
+        while len(grids) >= MOST_GRIDS:
+            del grids[next(iter(grids))]
+        grids[key] = anatomy_field(
+            scenario.anatomy,
+            lower,
+            upper,
+            shared_spacing_m(scenario.anatomy, reach),
+            base_position_m=scenario.base_position_m,
+            reach_m=reach,
+        )
     return grids[key]
 
 

@@ -15,14 +15,15 @@ from ctrplan.base.interrupts import interrupt_event
 from ctrplan.base.progress import part_of
 from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.planning.certificate.certify import walk_legs
+from ctrplan.planning.certificate.certify import WalkedLegs, walk_legs
 from ctrplan.planning.certificate.start_branches import other_start
 from ctrplan.planning.certificate.tour import joined_certificates
 from ctrplan.planning.finish.compensate import compensate
 from ctrplan.planning.finish.oscillate_at_goal import settle
-from ctrplan.planning.finish.reorder import Reordered, assemble
+from ctrplan.planning.finish.reorder import Reordered, as_given, assemble
 from ctrplan.planning.goals.clearances import refuse_impossible_margins, start_trouble
 from ctrplan.planning.goals.goal_states import goal_states
+from ctrplan.planning.goals.goal_turns import is_at_goal, nearest_turn, turn_notes
 from ctrplan.planning.goals.line import follow_line, line_beginnings
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.plan import ENDED_BY_TIME, Certificate, Compensation, Plan, checked_search
@@ -75,6 +76,7 @@ def plan(
     if bound_table is not None:
         notes += (f"Searched with the robot's bound field {bound_table.key}.",)
     paths = [best.result for _, best in stages]
+    notes += turn_notes(scenario, [path.after[-1] for path in paths])
     if any(path.on_line for path in paths):
         notes += ("Along the line, joints move simultaneously.",)
     if any(path.style == "simultaneous" and not path.on_line for path in paths):
@@ -147,10 +149,13 @@ def _stages(
     start, targets = scenario.start, scenario.targets
     share = asked.budget / max(1, sum(goal.line_m is None for goal in targets))  # lines to follow take none
     for k, goal in enumerate(targets):
-        stage = replace(scenario, start=start, goal=goal, via=())
+        stage = replace(scenario, start=start, goal=nearest_turn(scenario, start, goal), via=())
         checker = MotionChecker(stage, bound_table=asked.bound_table)
         if goal.line_m is not None:
             found.append(_along_line(checker, asked.began))
+        elif is_at_goal(stage):
+            goal_states(checker, np.random.default_rng(asked.seed + k))  # refuses a state that is not allowed
+            found.append(_without_motion(checker, asked.began))
         else:
             goals = goal_states(checker, np.random.default_rng(asked.seed + k))
             if k + 1 < len(targets) and targets[k + 1].line_m is not None:
@@ -178,7 +183,24 @@ def _along_line(checker: MotionChecker, began: float) -> tuple[Candidate, Candid
         raise NoAnswerError(f"{scenario.path or scenario.name}: {key}: {why.rstrip('.')}.")
     motion = checker.along(corners)
     result = Reordered(corners, corners, motion, motion, "simultaneous", on_line=True)
-    candidate = Candidate(result, walk, found_s, time.monotonic() - began, "line", tidied=True)
+    return _found(result, walk, found_s, began, "line")
+
+
+def _without_motion(checker: MotionChecker, began: float) -> tuple[Candidate, Candidate]:
+    """The start itself, certified, where it is the goal: nothing is searched. Raises NoAnswerError where it fails."""
+    scenario, corners = checker.scenario, checker.scenario.start[None]
+    found_s = time.monotonic() - began
+    walk = walk_legs(scenario, corners)
+    if walk.failure:
+        raise NoAnswerError(f"{scenario.path or scenario.name}: goal: is the start, which fails: {walk.failure}")
+    return _found(as_given(checker, corners), walk, found_s, began, "start")
+
+
+def _found(
+    result: Reordered, walk: WalkedLegs, found_s: float, began: float, found_by: str
+) -> tuple[Candidate, Candidate]:
+    """A certified way that no search was needed for, as the first and the best."""
+    candidate = Candidate(result, walk, found_s, time.monotonic() - began, found_by, tidied=True)
     return candidate, candidate
 
 

@@ -4,6 +4,7 @@ import contextlib
 import hashlib
 import logging
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -62,26 +63,38 @@ def load(key: str, shape: tuple[int, ...]) -> NDArray[np.float32] | None:
 
 def store(key: str, values: NDArray[np.float32]) -> None:
     """Keep `values` under `key`, written to a temporary name and renamed; not being able to is no error."""
-    path = _path(key)
-    if path is None:
-        return
+    store_all({key: values})
+
+
+def store_all(grids: Mapping[str, NDArray[np.float32]]) -> None:
+    """Likewise several grids, by their keys."""
+    made = set()
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with temporary(path.parent, Path.touch) as made:
-            with made.open("wb") as stream:
-                np.savez(stream, values_m=values, sha256=np.array(_digest(key, values)))
-            os.replace(made, path)
-        _prune(path)
+        for key, values in grids.items():
+            if (path := _path(key)) is not None:
+                _write(path, key, values)
+                made.add(path)
+        if made:
+            _prune(made)
     except OSError as error:
         logger.info("field not cached: %s", error)
 
 
-def _prune(newest: Path) -> None:
-    """Remove the least recently used grids beyond MAX_TOTAL_BYTES, never `newest`."""
-    found = sorted(newest.parent.glob("*.npz"), key=lambda path: path.stat().st_mtime, reverse=True)
-    total = newest.stat().st_size
+def _write(path: Path, key: str, values: NDArray[np.float32]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with temporary(path.parent, Path.touch) as made:
+        with made.open("wb") as stream:
+            np.savez(stream, values_m=values, sha256=np.array(_digest(key, values)))
+        os.replace(made, path)
+
+
+def _prune(newest: set[Path]) -> None:
+    """Remove the least recently used grids beyond MAX_TOTAL_BYTES, never the `newest`."""
+    folder = next(iter(newest)).parent
+    found = sorted(folder.glob("*.npz"), key=lambda path: path.stat().st_mtime, reverse=True)
+    total = sum(path.stat().st_size for path in newest)
     for path in found:
-        if path == newest:
+        if path in newest:
             continue
         total += path.stat().st_size
         if total > MAX_TOTAL_BYTES:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from ctrplan.planning.goals.inverse_kinematics import TipSolver, TipTarget
 from ctrplan.planning.goals.tip_slopes import bound_slopes
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.search_clock import ROOM_NS
+from ctrplan.planning.search_watch import SearchOver
 
 STEPS = 12
 FIRST_MM, LEAST_MM = 20.0, 0.5  # of joint length: the first step, and where a state is as good as down
@@ -31,14 +33,22 @@ def descended(checker: MotionChecker, goals: list[GoalState]) -> list[Trail]:
     """From each goal whose bound can fall: that goal and the states on the way down, each with a lower bound.
 
     Neighbours in a trail are a step apart, so that who has reached one goal can often go on to the better ones. A
-    direction asked for may turn within its tolerance. None for joint goals, or without joints to spare.
+    direction asked for may turn within its tolerance. None for joint goals, or without joints to spare. Where the
+    search is over on the way, trails end where they are.
     """
     if checker.scenario.goal.tip_m is None:
         return []
-    space, solver = checker.space, TipSolver(checker.space, checker.mechanics)
-    trails, step_mm = [[goal] for goal in goals], np.full(len(goals), FIRST_MM)
-    down, aim = np.zeros((len(goals), len(space.weights_mm))), np.zeros((len(goals), 3))
-    moved = np.arange(len(goals))
+    trails = [[goal] for goal in goals]
+    with suppress(SearchOver):
+        _descend(checker, trails)
+    return [trail for trail in trails if len(trail) > 1]
+
+
+def _descend(checker: MotionChecker, trails: list[Trail]) -> None:
+    """Takes the trails down, step by step together."""
+    space, solver = checker.space, TipSolver(checker.space, checker.mechanics, checker.watch)
+    step_mm, moved = np.full(len(trails), FIRST_MM), np.arange(len(trails))
+    down, aim = np.zeros((len(trails), len(space.weights_mm))), np.zeros((len(trails), 3))
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         for _ in range(STEPS):
             if len(moved):
@@ -57,7 +67,6 @@ def descended(checker: MotionChecker, goals: list[GoalState]) -> list[Trail]:
             for k, i in zip(moved.tolist(), np.flatnonzero(lower).tolist(), strict=True):
                 trails[k].append(found[i])
             step_mm[going] *= np.where(lower, LONGER, SHORTER)
-    return [trail for trail in trails if len(trail) > 1]
 
 
 def _downhill(checker: MotionChecker, solver: TipSolver, q: Array) -> tuple[Array, Array]:

@@ -17,6 +17,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.base.units import MM_PER_M
 from ctrplan.mechanics.core import Mechanics, Status
 from ctrplan.planning.joint_space import JointSpace
+from ctrplan.planning.search_watch import SearchWatch
 
 STEP = 1e-5  # rad or m, of the differences
 REACHED_M = 1e-5
@@ -61,6 +62,7 @@ class TipSolver:
 
     space: JointSpace
     mechanics: Mechanics
+    watch: SearchWatch | None = None  # asked before every step
 
     def solve(
         self, target: TipTarget, starts: Array, iterations: int = ITERATIONS, *, turned: bool = True
@@ -71,6 +73,8 @@ class TipSolver:
         """
         work = _Batch(self, target, self._turned_towards(target, starts) if turned else starts.copy())
         for _ in range(iterations):
+            if self.watch:
+                self.watch.ask()
             if not work.improve():
                 break
         return work.solutions()

@@ -80,7 +80,7 @@ def promising(checker: MotionChecker, goals: list[GoalState]) -> list[GoalState]
 
 def _chains(checker: MotionChecker, ends: Array) -> tuple[list[list[Array]], list[int]]:
     """For each configuration (G, m): itself, then those with its tip ever further back; and its number of stations."""
-    solver = TipSolver(checker.space, checker.mechanics)
+    solver = TipSolver(checker.space, checker.mechanics, checker.watch)
     bodies = [_body(checker, q) for q in ends]
     chains = [[q] for q in ends]
     active = list(range(len(ends)))

@@ -46,6 +46,7 @@ class BoundObjective(ob.OptimizationObjective):  # type: ignore[misc]
 
     def motionCost(self, a: Any, b: Any) -> Any:  # noqa: N802, OMPL's names from here on
         """Cost [mm] of the motion from a to b; infinite where it is not valid."""
+        self.checker.watch.ask()
         start, end = self.read(a), self.read(b)
         motion = self.checker.motion(start, end)
         if not motion.valid:
@@ -56,6 +57,7 @@ class BoundObjective(ob.OptimizationObjective):  # type: ignore[misc]
     def motionCostHeuristic(self, a: Any, b: Any) -> Any:  # noqa: N802
         """Lower bound [mm] of that cost: length and stops are exact, errors never negative."""
         # asked for so often that numpy is too slow
+        self.checker.watch.ask_cheaply()
         self.checker.meter.add(HEURISTIC_NS)
         squares = [0.0, 0.0]  # of translations and rotations
         for i, (wraps, turns, weight) in enumerate(self._joints):

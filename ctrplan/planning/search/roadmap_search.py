@@ -145,7 +145,7 @@ class RoadmapSearch:
     def _beside(self, q: Array, rng: np.random.Generator) -> Array:
         """Other configurations with the tips of q (K, m)."""
         space = self.checker.space
-        solver = TipSolver(space, self.checker.mechanics)
+        solver = TipSolver(space, self.checker.mechanics, self.checker.watch)
         near = space.wound_into_limits(q + rng.normal(size=q.shape) * NEAR_MM / space.weights_mm)
         allowed = space.allowed_rows(near)
         found = solver.solve(TipTarget(solver.tips(q[allowed])[0]), near[allowed], TIP_STEPS, turned=False)
@@ -219,6 +219,7 @@ class RoadmapSearch:
         valid, ends = self.known & np.isfinite(self.cost), self.known & np.isfinite(self.cost + self.left)
         dearer = self.cost[valid].sum() / self.least[valid].sum() if valid.any() else 1.0
         worse = self.left[ends].sum() / self.least_left[ends].sum() if self.least_left[ends].any() else 1.0
+        worse = max(worse, 1e-9)  # infinity stays, where nothing was left at those that are known
         cost = self.cost * (dearer / np.nan_to_num(self.hope, nan=1.0)) ** doubt
         return np.where(self.known, self.cost, cost), np.where(self.known, self.left, self.left * worse**doubt)
 

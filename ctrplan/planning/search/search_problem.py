@@ -16,6 +16,7 @@ from ctrplan.planning.search.objective import BoundObjective
 from ctrplan.planning.search.ompl_space import StateReader, state_space
 from ctrplan.planning.search.validity import MotionValidity, Validity
 from ctrplan.planning.search_clock import ASKED_NS
+from ctrplan.planning.search_watch import SearchOver
 
 
 class SearchProblem:
@@ -53,7 +54,10 @@ class SearchProblem:
         return hasattr(self.planner, "bestCost")
 
     def solve(self, stop: Callable[[float], bool], *, only_first: bool) -> bool:
-        """Begins or goes on until `stop`, told the best cost [mm] so far, or a first path; whether there is one."""
+        """Begins or goes on until `stop`, told the best cost [mm] so far, or a first path; whether there is one.
+
+        Every question of the planner asks `stop`, so that it outlives that by the answer to one of them at most.
+        """
 
         def over() -> bool:
             self.checker.meter.add(ASKED_NS)
@@ -63,8 +67,17 @@ class SearchProblem:
         if not self.has_goal:
             return False  # OMPL would wait for another goal, asking whether to stop now and then
         if self.improves or only_first:
-            self.planner.solve(ob.PlannerTerminationCondition(over))
+            try:
+                with self.checker.watch.until(lambda: stop(self.best_cost())):
+                    self.planner.solve(ob.PlannerTerminationCondition(over))
+            except SearchOver:
+                self._hand_over()
         return bool(self.definition.hasExactSolution())
+
+    def _hand_over(self) -> None:
+        """Has the planner hand over its best path, as it does at the end of `solve` alone."""
+        if np.isfinite(self.best_cost()):
+            self.planner.solve(ob.PlannerTerminationCondition(lambda: True))
 
     def best_cost(self) -> float:
         """Cost [mm] of the best path so far, inf without one."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -24,16 +25,16 @@ from ctrplan.planning.search.insertion_chains import direct_roadmap, promising, 
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
 from ctrplan.planning.search.search_problem import SearchProblem
 from ctrplan.planning.search_clock import SearchClock
+from ctrplan.planning.search_watch import SearchOver
 
-FIRST_SHARE, ROADMAP_SHARE = 0.9, 0.7  # of the time by which a first path, and the cheapest, of the roadmap is sought
-LEAST_SHARE = 0.25  # of the time for sampling, however long the roadmap took
-FALLBACK_SHARE = 0.3  # of the time, for simultaneous motions when no L-shaped path was found
+FIRST_SHARE = ROADMAP_SHARE = 0.7  # of the time by which a first path, and the cheapest, of the roadmap is sought
+# Shares by which L-shaped motions are sampled that led to no path, and then simultaneous ones
+SAMPLED_SHARE, FALLBACK_SHARE = 0.9, 1.08
 STRAIGHT_HOPE = 0.5  # of motions from the start to a goal, without which chains are made before any is walked
 FIRST_STATES, FIRST_ROUND_S = 100, 0.4  # random states a roadmap first grows by, and after how long; then twice as many
 MOST_STATES = 3000  # of a roadmap
 DOUBT_KEPT = 0.5  # from round to round, of the doubt about motions that are not checked
 ATTEMPTS = 8  # searches after a path failed its certificate
-LATEST = 2.0  # times the budget: no further attempt begins after it
 
 
 @dataclass(frozen=True)
@@ -130,15 +131,20 @@ class StageSearch:
         goals = promising(self.checker, self.goals)
         search = RoadmapSearch(self.checker, direct_roadmap(self.checker, goals), goals)
         states, until, hope = FIRST_STATES, self.clock.now() + FIRST_ROUND_S, STRAIGHT_HOPE
-        while self.best is None and not self._is_over(FIRST_SHARE * self.budget):
-            path = search.any_path(lambda until=until: self._is_over(until), hope)  # type: ignore[misc]
+        latest = FIRST_SHARE * self.budget
+        while self.best is None and not self._is_over(latest):
+            path = None
+            with self._ending(latest):
+                path = search.any_path(lambda until=until: self._is_over(until), hope)  # type: ignore[misc]
             if path is None and hope > 0:
-                self._add_chains(search)
+                with self._ending(latest):
+                    self._add_chains(search)
                 hope = 0.0
             elif path is None:
-                search.grow(self._rng, states)
+                with self._ending(latest):
+                    search.grow(self._rng, states)
                 states, until = 2 * states, self.clock.now() + states / FIRST_STATES * FIRST_ROUND_S
-                until = min(until, FIRST_SHARE * self.budget)
+                until = min(until, latest)
             elif failed := self._certified(self.checker, self._expanded(path), ROADMAP):
                 search.forbid(path, failed)
         return search
@@ -150,22 +156,28 @@ class StageSearch:
 
     def _cheapest_of(self, search: RoadmapSearch) -> None:
         """The cheapest path found on a roadmap that grows further, put in order and certified."""
-        states, doubt = FIRST_STATES, 1.0
-        if not self.has_chains:
-            self._add_chains(search)
-        if self.best is not None and self.checker.scenario.cost.error_goal > 0:
-            self._descend(search)
         until = ROADMAP_SHARE * self.budget
-        while not self._is_over(until) and len(search.joints) <= MOST_STATES:
-            if search.cheap_path(lambda: self._is_over(until), doubt) is None and not self._is_over(until):
-                break  # not even a way
-            search.grow(self._rng, states)
-            states, doubt = 2 * states, DOUBT_KEPT * doubt
+        if not self._is_over(until):
+            with self._ending(until):
+                self._grow_cheaper(search, until)
         while not self._is_enough() and (cheapest := search.known_path()) is not None:
             failed = self._tidied(self.checker, self._expanded(cheapest), ROADMAP)
             if not failed:
                 break
             search.forbid(cheapest, failed)
+
+    def _grow_cheaper(self, search: RoadmapSearch, until: float) -> None:
+        """Seeks the cheapest path of a roadmap that grows, with more goal states, until time is up."""
+        states, doubt = FIRST_STATES, 1.0
+        if not self.has_chains:
+            self._add_chains(search)
+        if self.best is not None and self.checker.scenario.cost.error_goal > 0:
+            self._descend(search)
+        while not self._is_over(until) and len(search.joints) <= MOST_STATES:
+            if search.cheap_path(lambda: self._is_over(until), doubt) is None and not self._is_over(until):
+                break  # not even a way
+            search.grow(self._rng, states)
+            states, doubt = 2 * states, DOUBT_KEPT * doubt
 
     def _descend(self, search: RoadmapSearch) -> None:
         """Adds goal states with less error, the way down to them, and chains that withdraw from them."""
@@ -188,16 +200,14 @@ class StageSearch:
         """The scenario's planner, to its first path or to the end; simultaneous motions where no other led to any."""
         checker, name = self.checker, self.checker.scenario.planner.name
         for attempt in range(ATTEMPTS):
-            now = self.clock.now()
-            until = self.budget if attempt == 0 else now + self.budget / 2
-            if self.interrupted.is_set() or (self.best and now >= until) or now > LATEST * self.budget:
+            is_fallback = checker is not self.checker
+            until = self.budget * (1 if self.best else FALLBACK_SHARE if is_fallback else SAMPLED_SHARE)
+            if self._is_over(until):
                 break
-            share = 1.0 if checker is self.checker else FALLBACK_SHARE
             problem = SearchProblem(checker, self.goals, self.seed + 1000 * attempt)
-            until = now + share * max(until - now, LEAST_SHARE * self.budget)
             stop = self._stopper(until)
             if not problem.solve(stop, only_first=self.best is None):
-                if self.best or checker is not self.checker:
+                if self.best or is_fallback:
                     break
                 checker = MotionChecker(checker.scenario, "simultaneous", checker.bound_table, checker.meter)
                 continue
@@ -207,7 +217,7 @@ class StageSearch:
                     continue
                 if only_first:
                     break
-                problem.solve(stop, only_first=False)
+                problem.solve(self._stopper(self.budget), only_first=False)
             if self._improves(problem) or not (self.best and self.best.tidied):
                 self._tidied(checker, problem.corners(), name)
             break
@@ -219,6 +229,16 @@ class StageSearch:
     def _is_enough(self) -> bool:
         """Whether someone who waits for an end has a path already."""
         return self.interrupted.is_set() and self.best is not None
+
+    @contextmanager
+    def _ending(self, until: float) -> Iterator[None]:
+        """Ends what the block does with the checker, wherever that is, when it is late or interrupted."""
+
+        def late() -> bool:
+            return self.interrupted.is_set() or self.clock.is_late(until)
+
+        with suppress(SearchOver), self.checker.watch.until(late):
+            yield
 
     def _is_over(self, until: float) -> bool:
         self._tell()

@@ -20,6 +20,7 @@ class Validity(ob.StateValidityChecker):  # type: ignore[misc]
 
     def isValid(self, state: Any) -> bool:  # noqa: N802, OMPL's name
         """Whether the robot may stand there."""
+        self.checker.watch.ask()
         return self.checker.state(self.read(state)).valid
 
 
@@ -33,4 +34,5 @@ class MotionValidity(ob.MotionValidator):  # type: ignore[misc]
 
     def checkMotion(self, a: Any, b: Any, *_: Any) -> bool:  # noqa: N802, OMPL's name
         """Whether the robot may go from a to b, rotations first; valid motions back may not be."""
+        self.checker.watch.ask()
         return self.checker.motion(self.read(a), self.read(b)).valid

@@ -1,0 +1,156 @@
+"""The clearance around an anatomy in bricks of one lattice, which belong to the anatomy: any base pose, any robot.
+
+The lattice stands in the anatomy's frame, at the lower corner of the lumens' box, else at its origin. Bricks are kept
+on disk one by one, and a field is put together of those it needs. Where two bricks meet they hold the same nodes.
+Bricks beyond reach are neither built nor needed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ctrplan.anatomy.clearance_grid import content_key, default_spacing_m
+from ctrplan.anatomy.distance_field import Grid, SignedDistanceField
+from ctrplan.anatomy.grid_distance import COARSEST, grid_distance
+from ctrplan.anatomy.parts import AnatomyPart, combined_clearance
+from ctrplan.base.arrays import Array
+from ctrplan.base.progress import Progress
+from ctrplan.storage import cache
+
+BRICK = 48  # cells along an edge: 0.5 MB
+RUNGS = 3  # spacings to a factor of two, so that robots of much the same reach share them
+FINEST_M = 0.5e-3
+ROUNDING = 1e-9  # of a cell
+STORED_AT_ONCE = 64
+
+Index = tuple[int, int, int]
+
+
+def shared_spacing_m(parts: Sequence[AnatomyPart], reach_m: float) -> float:
+    """Spacing [m] for an anatomy and robots of about that reach, whatever their base; see `default_spacing_m`."""
+    extents = [np.array([2 * reach_m, 2 * reach_m, reach_m])]
+    if (box := _lumens(parts)) is not None:
+        extents.append(box[1] - box[0])
+    spacing = min(default_spacing_m(np.zeros(3), extent) for extent in extents)
+    return float(FINEST_M * 2 ** (round(RUNGS * np.log2(spacing / FINEST_M)) / RUNGS))
+
+
+def anatomy_field(
+    parts: Sequence[AnatomyPart],
+    lower_m: ArrayLike,
+    upper_m: ArrayLike,
+    spacing_m: float,
+    *,
+    base_position_m: ArrayLike,
+    reach_m: float,
+    progress: Progress | None = None,
+) -> SignedDistanceField:
+    """Clearance on the lattice's nodes around the box lower_m (3,) to upper_m (3,) [m], which `field_bounds` gives.
+
+    Beyond reach_m [m] of base_position_m (3,) [m], anatomy's frame, it may say -reach_m: no robot gets there.
+    progress: called with the fraction done, 0 to 1. Accuracy: `ctrplan.anatomy.grid_distance`.
+    """
+    lattice = Lattice.of(parts, spacing_m)
+    first, last = lattice.nodes_around(np.asarray(lower_m, np.float64), np.asarray(upper_m, np.float64))
+    values: Grid = np.full(last - first + 1, -reach_m, dtype=np.float32)
+    base = np.asarray(base_position_m, dtype=np.float64)
+    needed = [index for index in lattice.bricks(first, last) if lattice.distance_m(index, base) <= reach_m]
+    for index, brick in _bricks(parts, lattice, needed, progress):
+        start = np.array(index) * BRICK
+        low, high = np.maximum(start, first), np.minimum(start + brick.shape - 1, last)
+        values[_box(low - first, high - first)] = brick[_box(low - start, high - start)]
+    return SignedDistanceField(lattice.node_m(first), spacing_m, values, tuple(parts))
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """Nodes origin_m + spacing_m (i, j, k) [m]; brick (a, b, c) begins at node BRICK (a, b, c)."""
+
+    origin_m: Array  # (3,)
+    spacing_m: float
+    lowest: Array  # (3,) first node and
+    highest: Array  # (3,) last node that may matter: those of the lumens' box, else infinite
+
+    @classmethod
+    def of(cls, parts: Sequence[AnatomyPart], spacing_m: float) -> Lattice:
+        """The lattice of an anatomy."""
+        box = _lumens(parts)
+        if box is None:
+            return cls(np.zeros(3), spacing_m, np.full(3, -np.inf), np.full(3, np.inf))
+        cells = np.ceil(np.maximum((box[1] - box[0]) / (COARSEST * spacing_m) - ROUNDING, 1.0)) * COARSEST
+        return cls(box[0], spacing_m, np.zeros(3), cells)
+
+    def node_m(self, node: NDArray[np.int_]) -> Array:
+        """Where a node (3,) stands [m]."""
+        return np.asarray(self.origin_m + self.spacing_m * node)
+
+    def nodes_around(self, lower_m: Array, upper_m: Array) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+        """The first and the last node (3,), (3,) of the cells that hold a box [m], at least one along each axis."""
+        first = np.floor((lower_m - self.origin_m) / self.spacing_m + ROUNDING)
+        first = np.clip(first, self.lowest, self.highest - 1)
+        last = np.ceil((upper_m - self.origin_m) / self.spacing_m - ROUNDING)
+        last = np.maximum(np.minimum(last, self.highest), first + 1)
+        return first.astype(np.int64), last.astype(np.int64)
+
+    def bricks(self, first: NDArray[np.int_], last: NDArray[np.int_]) -> Iterator[Index]:
+        """Bricks that hold the cells between two nodes."""
+        ranges = [range(a // BRICK, (b - 1) // BRICK + 1) for a, b in zip(first.tolist(), last.tolist(), strict=True)]
+        return product(*ranges)  # type: ignore[return-value]  # of three ranges
+
+    def shape(self, index: Index) -> Index:
+        """Nodes of a brick along each axis; fewer where the lumens' box ends."""
+        nx, ny, nz = np.minimum(BRICK, self.highest - np.array(index) * BRICK).astype(int) + 1
+        return int(nx), int(ny), int(nz)
+
+    def distance_m(self, index: Index, point_m: Array) -> float:
+        """From a brick to a point (3,) [m]; 0 within it."""
+        lower = self.node_m(np.array(index) * BRICK)
+        upper = lower + self.spacing_m * (np.array(self.shape(index)) - 1)
+        return float(np.linalg.norm(point_m - np.clip(point_m, lower, upper)))
+
+
+def _bricks(
+    parts: Sequence[AnatomyPart], lattice: Lattice, needed: list[Index], progress: Progress | None
+) -> Iterator[tuple[Index, Grid]]:
+    """Each brick needed, from disk or built and then kept."""
+    anatomy, built = content_key(parts, lattice.origin_m, lattice.spacing_m), dict[str, Grid]()
+    for done, index in enumerate(needed, 1):
+        key = hashlib.sha256(f"{anatomy} {BRICK} {index}".encode()).hexdigest()
+        brick = cache.load(key, lattice.shape(index))
+        if brick is None:
+            brick = built[key] = _build(parts, lattice, index)
+            if len(built) == STORED_AT_ONCE:
+                cache.store_all(built)
+                built.clear()
+        if progress:
+            progress(done / len(needed))
+        yield index, brick
+    cache.store_all(built)
+
+
+def _build(parts: Sequence[AnatomyPart], lattice: Lattice, index: Index) -> Grid:
+    origin, shape = lattice.node_m(np.array(index) * BRICK), lattice.shape(index)
+    clearance = combined_clearance(
+        parts, lambda part: grid_distance(part, origin, lattice.spacing_m, shape, lambda _: None)
+    )
+    return clearance.astype(np.float32, copy=False)
+
+
+def _lumens(parts: Sequence[AnatomyPart]) -> tuple[Array, Array] | None:
+    """The box (3,), (3,) [m] of all lumens; None without any."""
+    boxes = [part.shape.box() for part in parts if part.role == "inside"]
+    if not boxes:
+        return None
+    return np.min([lower for lower, _ in boxes], axis=0), np.max([upper for _, upper in boxes], axis=0)
+
+
+def _box(first: NDArray[np.int_], last: NDArray[np.int_]) -> tuple[slice, slice, slice]:
+    """Nodes from first (3,) to last (3,), both included."""
+    i, j, k = (slice(int(a), int(b) + 1) for a, b in zip(first, last, strict=True))
+    return i, j, k
