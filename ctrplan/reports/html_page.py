@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Iterable, Sequence
+from importlib.resources import files
 from typing import Any
 
 from ctrplan.reports import palette
@@ -37,6 +38,9 @@ th {{ color: {palette.MUTED}; font-weight: 600; overflow-wrap: break-word; }}
 td.key {{ width: 30%; color: {palette.MUTED}; }}
 code {{ font-size: 0.85rem; }}
 .plot {{ margin: 8px -8px 0; }}
+abbr {{ text-decoration: underline dotted {palette.MUTED} 1px; text-underline-offset: 3px; cursor: help; }}
+details {{ margin: 10px 0 0; }} summary {{ cursor: pointer; color: {palette.MUTED}; }}
+dt {{ font-weight: 600; }} dd {{ margin: 0 0 8px; color: {palette.MUTED}; max-width: 75ch; }}
 @media print {{ body {{ background: #fff; font-size: 11pt; }} section, .tile {{ padding: 8px 0; }}
   section, tr {{ break-inside: avoid; }} }}
 """
@@ -57,6 +61,16 @@ def tag(name: str, *content: str, kind: str = "") -> Markup:
     """An element around its content, `kind` being its class."""
     attribute = f' class="{html.escape(kind)}"' if kind else ""
     return Markup(f"<{name}{attribute}>{''.join(map(escaped, content))}</{name}>")
+
+
+def explained(text: str, meaning: str) -> Markup:
+    """Text with what it means in a tooltip."""
+    return Markup(f'<abbr title="{html.escape(meaning)}">{escaped(text)}</abbr>')
+
+
+def script(name: str) -> str:
+    """The content of a JavaScript file of this package."""
+    return (files("ctrplan.reports") / name).read_text(encoding="utf-8")
 
 
 def lines(texts: Iterable[str]) -> Markup:

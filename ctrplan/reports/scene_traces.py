@@ -26,8 +26,8 @@ LIGHT = {"ambient": 0.75, "diffuse": 0.5, "specular": 0.15, "roughness": 0.7}
 def robot_traces(pose: Pose) -> list[Any]:
     """The traces that move; their faces stay, and only their vertices come with the frames."""
     tubes = [
-        mesh_trace(rod.surface(SIDES), looks.tube_look(i).colour, 1.0, looks.tube_look(i).name)
-        for i, rod in enumerate(pose.tubes)
+        mesh_trace(rod.surface(SIDES), looks.tube_look(i).colour, opacity, looks.tube_look(i).name)
+        for i, (rod, opacity) in enumerate(zip(pose.tubes, tube_opacities(len(pose.tubes)), strict=True))
     ]
     envelope = mesh_trace(pose.envelope.surface(ENVELOPE_SIDES), looks.ENVELOPE.colour, 0.22, looks.ENVELOPE.name)
     corners = go.Scatter3d(
@@ -38,6 +38,11 @@ def robot_traces(pose: Pose) -> list[Any]:
         hoverinfo="skip",
     )
     return [*tubes, envelope, corners]
+
+
+def tube_opacities(count: int) -> list[float]:
+    """Of tubes, outermost first: the innermost is solid, and each shows through those around it."""
+    return [min(1.0, 0.3 + 0.7 * ((tube + 1) / count) ** 2) if tube + 1 < count else 1.0 for tube in range(count)]
 
 
 def moved_traces(pose: Pose) -> list[Any]:
@@ -92,14 +97,16 @@ def lay_out(figure: go.Figure, lower_m: Array, upper_m: Array, robot_m: Array) -
     axes = {f"{n}axis": axis | {"title": {"text": f"{n} (mm)"}, "range": r} for n, r in zip("xyz", ranges, strict=True)}
     azimuth, extent = side_azimuth_rad(robot_m), upper_m - lower_m
     toward = np.array([np.cos(TILT) * np.cos(azimuth), np.cos(TILT) * np.sin(azimuth), np.sin(TILT)])
-    eye = (0.6 + 1.45 * extent.max() / np.cbrt(extent.prod())) * toward  # plotly's scenes have unit volume
+    sides = extent / np.cbrt(extent.prod())
+    eye = (0.6 + 1.45 * sides.max()) * toward  # until fit_camera.js knows the shape of the window
+    aspect = dict(zip("xyz", sides.tolist(), strict=True))
     light = dict(zip("xyz", (1e5 * toward).tolist(), strict=True))
     camera = {"eye": dict(zip("xyz", eye.tolist(), strict=True)), "center": {"x": 0, "y": 0, "z": 0.0}}
     figure.update_traces(lightposition=light, selector={"type": "mesh3d"})
     figure.update_layout(
         height=760,
         margin={"l": 0, "r": 0, "t": 30, "b": 100},
-        scene={"aspectmode": "data", "domain": {"x": [0.14, 0.92]}, "camera": camera, **axes},
+        scene={"aspectmode": "manual", "aspectratio": aspect, "domain": {"x": [0.14, 0.92]}, "camera": camera, **axes},
         legend={"x": 0.0, "y": 1.0, "bgcolor": "rgba(255,255,255,0.7)", "itemsizing": "constant"},
         uirevision="stays",
         font={"color": palette.INK, "size": 13, "family": FONT},
