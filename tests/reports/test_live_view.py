@@ -124,7 +124,9 @@ def test_other_hosts_are_refused(server: LiveServer) -> None:
     assert get(server, "/", Host=f"localhost:{server.server_address[1]}")[0] == 200
 
 
-@pytest.mark.parametrize("path", ["/", "/scene.js", "/pose?q=20,-60,80,-86.4", "/wrong/scene.js", "//scene.js", "/\u00e9/"])
+@pytest.mark.parametrize(
+    "path", ["/", "/scene.js", "/pose?q=20,-60,80,-86.4", "/wrong/scene.js", "//scene.js", "/\u00e9/"]
+)
 def test_nothing_is_served_without_the_token(server: LiveServer, path: str) -> None:
     code, answer, _ = ask(server, quote(path, safe="/?=,"))
     assert code == 403 and "address that the program printed" in answer["error"]
@@ -184,10 +186,9 @@ def test_clients_that_leave_are_let_go_quietly(server: LiveServer, capfd: pytest
         client.sendall(text)
         client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, reset)
         client.close()
-    with socket.create_connection(server.server_address, timeout=30) as client:  # more than a request may be long
-        with suppress(ConnectionError):
-            client.sendall(b"x" * 10**6)
-            client.recv(100)
+    with socket.create_connection(server.server_address, timeout=30) as client, suppress(ConnectionError):
+        client.sendall(b"x" * 10**6)  # more than a request may be long
+        client.recv(100)
     assert get(server, "/")[0] == 200 and capfd.readouterr().err == ""
 
 
@@ -291,7 +292,7 @@ def test_browser_shows_the_robot_and_moves_it(server: LiveServer, tmp_path: Path
         browser.run("document.getElementById('reset').click()")
         browser.wait_for("!busy && !stale && document.getElementById('state').className === 'good'")
         assert browser.run("document.getElementById('bound').textContent") == bound
-        for broken in ("new Response('{\"error\": \"broken\"}', {status: 500})", "new Response('nonsense')"):
+        for broken in ('new Response(\'{"error": "broken"}\', {status: 500})', "new Response('nonsense')"):
             browser.run(f"(() => {{ window.honest = window.fetch; window.fetch = async () => {broken}; }})()")
             browser.run("change(3, -40)")
             browser.wait_for("!busy && !stale && document.getElementById('state').className === 'bad'")
@@ -312,7 +313,9 @@ def test_browser_shows_the_robot_and_moves_it(server: LiveServer, tmp_path: Path
 def test_robot_is_wholly_on_the_screen(server: LiveServer, tmp_path: Path, width: int, height: int) -> None:
     """Also where it leaves what the axes showed at first."""
     with Browser(tmp_path / "profile") as browser:
-        browser.send("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+        browser.send(
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False
+        )
         browser.open(server.url)
         browser.wait_for("document.body && document.body.dataset.updates >= 1")
         browser.run("change(1, 100)")

@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from http import HTTPStatus
-from http.client import HTTPException, parse_headers
+from http.client import HTTPException, HTTPMessage, parse_headers
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -23,7 +23,7 @@ class Request:
     method: str
     path: str
     query: str
-    headers: Mapping[str, str]  # names in any case
+    headers: HTTPMessage  # names in any case
 
     @property
     def numbers(self) -> list[float]:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import html
 import json
-from importlib.resources import files
 from typing import TYPE_CHECKING
 
 from ctrplan.reports import palette
 from ctrplan.reports.glossary import glossary, term
-from ctrplan.reports.html_page import FONT, escaped, explained, script
+from ctrplan.reports.html_page import FONT, KEY_STYLE, escaped, explained, script
 
 if TYPE_CHECKING:
     from ctrplan.reports.live.state import LiveState
@@ -24,7 +23,8 @@ STYLE = f"""
 * {{ box-sizing: border-box; }}
 body {{ margin: 0; height: 100vh; display: grid; grid-template-columns: 340px minmax(0, 1fr); background: #f4f6f8;
   color: {palette.INK}; font: 15px/1.45 {FONT}; }}
-aside {{ order: -1; padding: 20px 20px 28px; overflow-y: auto; background: #fff; border-right: 1px solid {palette.GRID}; }}
+aside {{ order: -1; padding: 20px 20px 28px; overflow-y: auto; background: #fff;
+  border-right: 1px solid {palette.GRID}; }}
 h1 {{ font-size: 1.25rem; line-height: 1.25; margin: 0 0 14px; overflow-wrap: anywhere; }}
 .kicker {{ color: {palette.MUTED}; margin: 0; font-size: 0.85rem; }}
 #bound {{ font-size: 2.3rem; font-weight: 700; line-height: 1.1; color: {palette.BOUND};
@@ -45,9 +45,7 @@ button {{ font: inherit; padding: 5px 12px; border-radius: 6px; border: 1px soli
   cursor: pointer; }}
 button:hover {{ background: #eef2f5; }}
 pre {{ background: #f4f6f8; border-radius: 6px; padding: 10px 12px; overflow-x: auto; font-size: 0.8rem; }}
-#key {{ display: flex; flex-wrap: wrap; gap: 6px; margin: 0 0 16px; }}
-#key button {{ padding: 1px 9px 1px 6px; font-size: 0.85rem; }} #key .off {{ opacity: 0.4; }}
-#key i {{ display: inline-block; width: 11px; height: 11px; border-radius: 3px; margin-right: 6px; }}
+{KEY_STYLE}
 abbr {{ text-decoration: underline dotted {palette.MUTED} 1px; text-underline-offset: 3px; cursor: help; }}
 details {{ margin-top: 14px; font-size: 0.9rem; }} summary {{ cursor: pointer; }} dt {{ font-weight: 600; }}
 dd {{ margin: 0 0 8px; color: {palette.MUTED}; }}
@@ -94,4 +92,4 @@ def scene_script(state: LiveState) -> str:
 
 def live_script() -> str:
     """JavaScript that moves the robot."""
-    return script("fit_camera.js") + (files("ctrplan.reports.live") / "view.js").read_text(encoding="utf-8")
+    return script("fit_camera.js") + script("scene_key.js") + script("live/view.js")

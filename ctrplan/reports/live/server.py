@@ -46,11 +46,13 @@ class LiveServer:
         self._ended = threading.Event()
 
     def __enter__(self) -> LiveServer:
+        """Itself."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        """Gives the port back."""
         self.socket.close()
         self.solvers.shutdown(wait=False, cancel_futures=True)
 

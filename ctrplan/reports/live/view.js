@@ -108,29 +108,8 @@ function say(pose) {
   byId("tip_mm").textContent = pose.tip_mm ? pose.tip_mm.map((x) => x.toFixed(1)).join(", ") + " mm" : "–";
 }
 
-// The legend beside the sliders: on the scene it would cover the robot in small windows.
-function key(trace, k) {
-  const entry = document.createElement("button"), swatch = document.createElement("i");
-  entry.type = "button";
-  entry.title = "shown; a click hides it";
-  swatch.style.background = trace.color || trace.line.color;
-  entry.append(swatch, trace.name);
-  entry.addEventListener("click", () => {
-    const hidden = entry.classList.toggle("off");
-    const same = FIGURE.data.map((other, i) => other.name === trace.name ? i : -1).filter((i) => i >= 0);
-    Plotly.restyle("scene", {visible: !hidden}, same);
-  });
-  return entry;
-}
-
 byId("joints").append(...JOINTS.map(row));
-byId("key").append(...FIGURE.data.filter((trace) => trace.showlegend !== false).map(key));
 byId("reset").addEventListener("click", () => { JOINTS.forEach((joint, k) => { values[k] = joint.value; }); show(); update(); });
-FIGURE.layout.height = undefined;
-FIGURE.layout.autosize = true;
-FIGURE.layout.showlegend = false;
-FIGURE.layout.margin = {l: 0, r: 0, t: 0, b: 0};
-FIGURE.layout.scene.domain = {x: [0, 1], y: [0, 1]};
 const buttons = [["toImage"]];
 Plotly.newPlot("scene", FIGURE.data, FIGURE.layout, {displaylogo: false, responsive: true, modeBarButtons: buttons})
-  .then((plot) => { show(); return keepFitted(plot); }).then(update);
+  .then((plot) => { show(); addKey(plot, byId("key")); return keepFitted(plot); }).then(update);
