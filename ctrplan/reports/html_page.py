@@ -54,7 +54,7 @@ output {{ min-width: 3.5em; text-align: right; }} output, .moment b {{ font-vari
 .moment > div {{ margin: 0 0 10px; }} .moment b {{ display: block; font-size: 1.5rem; line-height: 1.2; }}
 .moment span {{ color: {palette.MUTED}; font-size: 0.9rem; }} .moment b.bound {{ color: {palette.BOUND}; }}
 .ways {{ font-size: 0.9rem; }} .small {{ font-size: 0.85rem; }} .hint {{ margin-bottom: 0; max-width: none; }}
-.wide {{ overflow-x: auto; }}
+.wide, .twin {{ overflow-x: auto; }} .wide th, .wide td {{ overflow-wrap: break-word; }}
 {KEY_STYLE}
 abbr {{ text-decoration: underline dotted {palette.MUTED} 1px; text-underline-offset: 3px; cursor: help; }}
 details {{ margin: 10px 0 0; }} summary {{ cursor: pointer; color: {palette.MUTED}; }}
@@ -64,6 +64,7 @@ dt {{ font-weight: 600; }} dd {{ margin: 0 0 8px; color: {palette.MUTED}; max-wi
   .verdict {{ font-size: 1rem; padding: 10px 14px; }} .tile {{ padding: 8px 12px; }} .tile b {{ font-size: 1.25rem; }}
   .tiles {{ grid-template-columns: repeat(auto-fit, minmax(140px, 1fr)); gap: 8px; }}
   .motion {{ grid-template-columns: minmax(0, 1fr); }} .scene {{ height: 42vh; min-height: 260px; }}
+  .twin > div {{ min-width: 620px; }} .wide th, .wide td {{ min-width: 4.2em; }}
   .moment {{ display: flex; gap: 12px; }} .moment > div {{ flex: 1; }} .moment b {{ font-size: 1.15rem; }}
   .moment span {{ font-size: 0.8rem; }} table {{ font-size: 0.85rem; }} th, td {{ padding-right: 8px; }}
 }}
