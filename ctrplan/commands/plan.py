@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ctrplan.base.interrupts import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_allow_outside_option, add_set_option
 from ctrplan.commands.progress_bar import ProgressBar
+from ctrplan.commands.terminal import amber
 from ctrplan.errors import InputError
 from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 from ctrplan.storage.output_folder import output_folder, written_together
@@ -170,6 +171,7 @@ def _figures(plan: Plan) -> dict[str, str]:
     changed = f"{before_mm:.1f}" != f"{after_mm:.1f}"
     gain = f"; reordering took {before_mm:.1f} to {after_mm:.1f} mm" if changed else ""
     return {
+        **_misses(plan),
         "worst-case friction error": f"{goal_mm:.2f} mm at the goal, {worst_mm:.2f} mm on the way",
         "predicted friction error": f"{predicted_mm:.2f} mm at the goal, {way_mm:.2f} mm on the way",
         **_extras(plan),
@@ -178,6 +180,18 @@ def _figures(plan: Plan) -> dict[str, str]:
         "cost": f"{certificate.cost_mm:.1f} mm{gain}",
         "certified on": f"{count} samples, no point moves more than {spacing_mm:.2f} mm between two",
     }
+
+
+def _misses(plan: Plan) -> dict[str, str]:
+    """Each target's distance at worst beside its tolerance, amber on a terminal where it is beyond."""
+    from ctrplan.reports.plan_words.worst_miss import worst_misses
+
+    texts = {}
+    for miss in worst_misses(plan):
+        text = miss.sentence.removeprefix("at worst the tip ends ")
+        label = "tip at worst" if miss.target == "the target" else f"at worst at {miss.target.split(' (')[0]}"
+        texts[label] = amber(text) if miss.exceeds else text
+    return texts
 
 
 def _extras(plan: Plan) -> dict[str, str]:

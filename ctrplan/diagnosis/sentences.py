@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ctrplan.calibration.estimates import estimates
 from ctrplan.diagnosis.result import Diagnosis
+from ctrplan.pipeline.parametric_chain import Term
 
 
 def verdict_sentence(found: Diagnosis) -> str:
@@ -36,4 +37,24 @@ def effect_lines(found: Diagnosis) -> list[str]:
 
 def _with_alternatives(found: Diagnosis, k: int) -> str:
     finding = found.judgement.findings[k]
-    return " or ".join([finding.term.name, *(a.term.name for a in finding.alternatives)])
+    return " or ".join(_in_words(t) for t in (finding.term, *(a.term for a in finding.alternatives)))
+
+
+def _in_words(t: Term) -> str:
+    """With the name that files and tables have."""
+    title = t.effect.title
+    return title if title == t.name else f"{title} ({t.name})"
+
+
+def headline(found: Diagnosis) -> str:
+    """What is missing, in a few words without names of files."""
+    if found.verdict == "no_missing_effect":
+        return "Nothing is missing"
+    titles = [
+        " or ".join(t.effect.title for t in (finding.term, *(a.term for a in finding.alternatives)))
+        for finding in found.judgement.findings
+    ]
+    if found.verdict == "unexplained":
+        titles.append("something that the catalogue does not have" if not titles else "something more")
+    text = " and ".join(titles)
+    return text[:1].upper() + text[1:]

@@ -47,6 +47,7 @@ class Effect(ABC):
     stage: ClassVar[Stage]
     equation: ClassVar[str]
     signature: ClassVar[str]  # what it does to data, in a sentence
+    in_words: ClassVar[str] = ""  # the effect for people, as "play in the drive"; its name where empty
     look_alikes: ClassVar[tuple[str, ...]] = ()
     experiment: ClassVar[str]  # what separates it from them
     is_linear: ClassVar[bool] = True  # whether tips change nearly in proportion to its parameters
@@ -61,6 +62,11 @@ class Effect(ABC):
     needs_time: ClassVar[bool] = False  # whether it does nothing without time_s
     needs_columns: ClassVar[tuple[str, ...]] = ()  # others (`Measurements.more`) that it does nothing without
     turns_with_tip: ClassVar[bool] = False  # of the sensor: whether the tangent alone says too little
+
+    @property
+    def title(self) -> str:
+        """For people: in words, or the name without its underscores."""
+        return self.in_words or self.name.replace("_", " ")
 
     @abstractmethod
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Iterable, Sequence
+from importlib.resources import files
 from typing import Any
 
 from ctrplan.reports import palette
@@ -12,7 +13,13 @@ from ctrplan.reports import palette
 POLICY = "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:"
 
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
-BUTTONS_2D, BUTTONS_3D = ("toImage", "resetScale2d"), ("toImage", "resetCameraDefault3d")  # none that leaves the page
+BUTTONS_2D, BUTTONS_3D = ("toImage", "resetScale2d"), ("toImage",)  # none that leaves the page
+KEY_STYLE = """#key { display: flex; flex-wrap: wrap; gap: 6px; margin: 0 0 12px; }
+button { font: inherit; padding: 5px 12px; border-radius: 6px; border: 1px solid #c9d1d8; background: #fff;
+  cursor: pointer; }
+button:hover { background: #eef2f5; }
+#key button { padding: 1px 9px 1px 6px; font-size: 0.85rem; } #key .off { opacity: 0.4; }
+#key i { display: inline-block; width: 11px; height: 11px; border-radius: 3px; margin-right: 6px; }"""
 STYLE = f"""
 :root {{ color-scheme: light; }}
 body {{ margin: 0; background: #f4f6f8; color: {palette.INK}; line-height: 1.5;
@@ -24,11 +31,12 @@ p {{ margin: 6px 0 10px; max-width: 75ch; }}
 .kicker {{ color: {palette.MUTED}; margin: 0 0 2px; font-size: 0.95rem; }}
 .verdict {{ border-left: 6px solid; border-radius: 6px; padding: 12px 18px; margin: 0 0 18px; background: #fff;
   font-size: 1.1rem; font-weight: 600; max-width: none; }}
-.good {{ color: {palette.MET}; }} .bad {{ color: {palette.LIMIT}; }} .quiet {{ color: {palette.MUTED}; }}
-.tiles {{ display: grid; grid-template-columns: repeat(auto-fit, minmax(165px, 1fr)); gap: 12px; margin: 0 0 18px; }}
-.tile {{ background: #fff; border-radius: 8px; padding: 12px 16px; }}
+.good {{ color: {palette.MET}; }} .bad {{ color: {palette.LIMIT}; }}
+.caution {{ color: {palette.CAUTION}; }} .quiet {{ color: {palette.MUTED}; }}
+.tiles {{ display: grid; grid-template-columns: repeat(auto-fit, minmax(140px, 1fr)); gap: 12px; margin: 0 0 18px; }}
+.tile {{ background: #fff; border-radius: 8px; padding: 12px 14px; }}
 .tile b {{ display: block; font-size: 1.5rem; line-height: 1.3; }}
-.tile span {{ color: {palette.MUTED}; font-size: 0.9rem; }}
+.tile > span {{ color: {palette.MUTED}; font-size: 0.9rem; }}
 section {{ background: #fff; border-radius: 8px; padding: 18px 22px; margin: 0 0 18px; }}
 table {{ border-collapse: collapse; width: 100%; font-size: 0.95rem; }}
 th, td {{ text-align: left; vertical-align: top; padding: 6px 14px 6px 0; border-bottom: 1px solid {palette.GRID};
@@ -37,6 +45,29 @@ th {{ color: {palette.MUTED}; font-weight: 600; overflow-wrap: break-word; }}
 td.key {{ width: 30%; color: {palette.MUTED}; }}
 code {{ font-size: 0.85rem; }}
 .plot {{ margin: 8px -8px 0; }}
+.scene {{ height: max(300px, min(560px, 100vh - 370px)); margin: 0; }} .scene > div {{ height: 100%; }}
+.motion {{ display: grid; grid-template-columns: minmax(0, 1fr) 300px; gap: 8px 26px; }}
+.player {{ display: flex; gap: 14px; align-items: center; margin: 4px 0 10px; }} .player input {{ flex: 1; }}
+.player button {{ width: 7em; font-weight: 600; color: #fff; background: {palette.SERIES[0]}; border: 0; }}
+.player button:hover {{ background: #005a8e; }}
+output {{ min-width: 3.5em; text-align: right; }} output, .moment b {{ font-variant-numeric: tabular-nums; }}
+.moment > div {{ margin: 0 0 10px; }} .moment b {{ display: block; font-size: 1.5rem; line-height: 1.2; }}
+.moment span {{ color: {palette.MUTED}; font-size: 0.9rem; }} .moment b.bound {{ color: {palette.BOUND}; }}
+.ways {{ font-size: 0.9rem; }} .small {{ font-size: 0.85rem; }} .hint {{ margin-bottom: 0; max-width: none; }}
+.wide, .twin {{ overflow-x: auto; }} .wide th, .wide td {{ overflow-wrap: break-word; }}
+{KEY_STYLE}
+abbr {{ text-decoration: underline dotted {palette.MUTED} 1px; text-underline-offset: 3px; cursor: help; }}
+details {{ margin: 10px 0 0; }} summary {{ cursor: pointer; color: {palette.MUTED}; }}
+dt {{ font-weight: 600; }} dd {{ margin: 0 0 8px; color: {palette.MUTED}; max-width: 75ch; }}
+@media (max-width: 800px) {{
+  main {{ padding: 16px 10px 40px; }} section {{ padding: 14px 14px; }} h1 {{ font-size: 1.5rem; }}
+  .verdict {{ font-size: 1rem; padding: 10px 14px; }} .tile {{ padding: 8px 12px; }} .tile b {{ font-size: 1.25rem; }}
+  .tiles {{ grid-template-columns: repeat(auto-fit, minmax(140px, 1fr)); gap: 8px; }}
+  .motion {{ grid-template-columns: minmax(0, 1fr); }} .scene {{ height: 42vh; min-height: 260px; }}
+  .twin > div {{ min-width: 620px; }} .wide th, .wide td {{ min-width: 4.2em; }}
+  .moment {{ display: flex; gap: 12px; }} .moment > div {{ flex: 1; }} .moment b {{ font-size: 1.15rem; }}
+  .moment span {{ font-size: 0.8rem; }} table {{ font-size: 0.85rem; }} th, td {{ padding-right: 8px; }}
+}}
 @media print {{ body {{ background: #fff; font-size: 11pt; }} section, .tile {{ padding: 8px 0; }}
   section, tr {{ break-inside: avoid; }} }}
 """
@@ -59,6 +90,16 @@ def tag(name: str, *content: str, kind: str = "") -> Markup:
     return Markup(f"<{name}{attribute}>{''.join(map(escaped, content))}</{name}>")
 
 
+def explained(text: str, meaning: str) -> Markup:
+    """Text with what it means in a tooltip."""
+    return Markup(f'<abbr title="{html.escape(meaning)}">{escaped(text)}</abbr>')
+
+
+def script(name: str) -> str:
+    """The content of a JavaScript file of this package."""
+    return (files("ctrplan.reports") / name).read_text(encoding="utf-8")
+
+
 def lines(texts: Iterable[str]) -> Markup:
     """Texts below each other."""
     return Markup("<br>".join(map(escaped, texts)))
@@ -72,7 +113,8 @@ def section(title: str, *content: str) -> Markup:
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> Markup:
     """Rows of cells below a header."""
     head = tag("thead", tag("tr", *(tag("th", cell) for cell in header)))
-    return tag("table", head, tag("tbody", *(tag("tr", *(tag("td", cell) for cell in row)) for row in rows)))
+    body = tag("tbody", *(tag("tr", *(tag("td", cell) for cell in row)) for row in rows))
+    return tag("div", tag("table", head, body), kind="wide")
 
 
 def facts(pairs: Iterable[tuple[str, str]]) -> Markup:
@@ -81,10 +123,13 @@ def facts(pairs: Iterable[tuple[str, str]]) -> Markup:
     return tag("table", tag("tbody", *rows))
 
 
-def plot(figure: Any, name: str, *, with_library: bool = False, script: str | None = None) -> Markup:
+def plot(
+    figure: Any, name: str, *, with_library: bool = False, script: str | None = None, kind: str = "plot"
+) -> Markup:
     """A plotly figure in an element called `name`; the first one on a page brings plotly.js with it.
 
-    `script` runs once the figure stands. Texts of the figure must be escaped by whoever made it.
+    `script` runs once the figure stands. A figure without a height fills that of `kind`, a class of the style.
+    Texts of the figure must be escaped by whoever made it.
     """
     buttons = BUTTONS_3D if "scene" in figure.layout else BUTTONS_2D
     content = figure.to_html(
@@ -92,12 +137,12 @@ def plot(figure: Any, name: str, *, with_library: bool = False, script: str | No
         include_plotlyjs=with_library,
         include_mathjax=False,
         div_id=name,
-        default_height=f"{figure.layout.height}px",
+        default_height=f"{figure.layout.height}px" if figure.layout.height else "100%",
         config={"displaylogo": False, "responsive": True, "modeBarButtons": [list(buttons)]},
         auto_play=False,
         post_script=script,
     )
-    return tag("div", Markup(content), kind="plot")
+    return tag("div", Markup(content), kind=kind)
 
 
 def page(title: str, *content: str) -> str:

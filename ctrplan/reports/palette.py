@@ -18,6 +18,7 @@ HEAT = "viridis"  # of matplotlib: even steps of lightness, also for colour-blin
 UNSTABLE = "#DDE1E5"
 FAILED = "#9AA2AA"
 MET = "#2B7A3D"
+CAUTION = "#9A5B00"
 LIMIT = "#C92A2A"
 INK = "#1F2933"
 MUTED = "#5F6B76"

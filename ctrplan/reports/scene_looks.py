@@ -22,6 +22,7 @@ class Look:
 ENVELOPE = Look("envelope of friction", palette.ENVELOPE)
 CORNERS = Look("corner shapes", palette.CORNER)
 START = Look("robot at the start", palette.START)
+AT_GOAL = Look("robot at the goal", palette.START)
 PLATE = Look("front plate", palette.PLATE)
 TIP_PATH = Look("path of the tip", palette.BOUND)
 GOAL = Look("goal", palette.GOAL)

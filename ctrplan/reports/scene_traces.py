@@ -14,6 +14,7 @@ from ctrplan.reports.framing import side_azimuth_rad
 from ctrplan.reports.html_page import FONT
 from ctrplan.reports.pose import Pose
 from ctrplan.reports.surface import Surface
+from ctrplan.reports.tube_ends import tube_surface
 
 if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario
@@ -26,8 +27,8 @@ LIGHT = {"ambient": 0.75, "diffuse": 0.5, "specular": 0.15, "roughness": 0.7}
 def robot_traces(pose: Pose) -> list[Any]:
     """The traces that move; their faces stay, and only their vertices come with the frames."""
     tubes = [
-        mesh_trace(rod.surface(SIDES), looks.tube_look(i).colour, 1.0, looks.tube_look(i).name)
-        for i, rod in enumerate(pose.tubes)
+        mesh_trace(tube_surface(pose, i, SIDES), looks.tube_look(i).colour, 1.0, looks.tube_look(i).name)
+        for i in range(len(pose.tubes))
     ]
     envelope = mesh_trace(pose.envelope.surface(ENVELOPE_SIDES), looks.ENVELOPE.colour, 0.22, looks.ENVELOPE.name)
     corners = go.Scatter3d(
@@ -42,8 +43,9 @@ def robot_traces(pose: Pose) -> list[Any]:
 
 def moved_traces(pose: Pose) -> list[Any]:
     """What of `robot_traces` changes with the pose."""
-    rods = [rod.surface(SIDES) for rod in pose.tubes] + [pose.envelope.surface(ENVELOPE_SIDES)]
-    return [*(go.Mesh3d(**xyz(surface.vertices_m)) for surface in rods), go.Scatter3d(**_corner_lines(pose))]
+    tubes = [tube_surface(pose, i, SIDES) for i in range(len(pose.tubes))]
+    surfaces = [*tubes, pose.envelope.surface(ENVELOPE_SIDES)]
+    return [*(go.Mesh3d(**xyz(surface.vertices_m)) for surface in surfaces), go.Scatter3d(**_corner_lines(pose))]
 
 
 def _corner_lines(pose: Pose) -> dict[str, Any]:
@@ -92,15 +94,17 @@ def lay_out(figure: go.Figure, lower_m: Array, upper_m: Array, robot_m: Array) -
     axes = {f"{n}axis": axis | {"title": {"text": f"{n} (mm)"}, "range": r} for n, r in zip("xyz", ranges, strict=True)}
     azimuth, extent = side_azimuth_rad(robot_m), upper_m - lower_m
     toward = np.array([np.cos(TILT) * np.cos(azimuth), np.cos(TILT) * np.sin(azimuth), np.sin(TILT)])
-    eye = (0.6 + 1.45 * extent.max() / np.cbrt(extent.prod())) * toward  # plotly's scenes have unit volume
+    sides = extent / np.cbrt(extent.prod())
+    eye = (0.6 + 1.45 * sides.max()) * toward  # until fit_camera.js knows the shape of the window
+    aspect = dict(zip("xyz", sides.tolist(), strict=True))
     light = dict(zip("xyz", (1e5 * toward).tolist(), strict=True))
     camera = {"eye": dict(zip("xyz", eye.tolist(), strict=True)), "center": {"x": 0, "y": 0, "z": 0.0}}
     figure.update_traces(lightposition=light, selector={"type": "mesh3d"})
     figure.update_layout(
-        height=760,
-        margin={"l": 0, "r": 0, "t": 30, "b": 100},
-        scene={"aspectmode": "data", "domain": {"x": [0.14, 0.92]}, "camera": camera, **axes},
-        legend={"x": 0.0, "y": 1.0, "bgcolor": "rgba(255,255,255,0.7)", "itemsizing": "constant"},
+        autosize=True,
+        margin={"l": 0, "r": 0, "t": 0, "b": 0},
+        scene={"aspectmode": "manual", "aspectratio": aspect, "camera": camera, **axes},
+        showlegend=False,  # the key is beside the scene
         uirevision="stays",
         font={"color": palette.INK, "size": 13, "family": FONT},
     )

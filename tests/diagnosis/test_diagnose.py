@@ -218,6 +218,11 @@ def test_poses_without_a_solution_are_left_out_and_told(monkeypatch: pytest.Monk
     errors, called = selection_errors(found), count_calls(monkeypatch)
     assert np.isnan(errors.calibrated_m).sum() == np.isnan(errors.with_effects_m).sum() == len(rows) - 3
     assert escaped(note) in diagnosis_report_html(found, errors) and called == []  # writers solve nothing
+    (signature,) = errors.signatures
+    drawn = np.isfinite(signature.shift_m)
+    assert drawn.sum() == len(signature.shift_m) - len(rows) + 3
+    explained = signature.measured_m[drawn] - signature.shift_m[drawn]  # what is measured is what the effect does
+    assert np.sqrt(np.mean(explained**2)) < found.gap.floor_m < np.sqrt(np.mean(signature.shift_m[drawn] ** 2))
     assert found.coverage == pytest.approx(1 - len(rows) / data.count) and not found.outlier_rows
 
 
@@ -285,7 +290,7 @@ def test_the_command_writes_files_that_go_on_working(tmp_path: Path, capsys: pyt
     write_csv(tmp_path / "data.csv", measured(ROBOT, PLAN, BASE | {"backlash": {"theta_2_deg": 8.0}}))
     out = tmp_path / "out"
     assert main(["diagnose", str(tmp_path / "robot.toml"), str(tmp_path / "data.csv"), "-o", str(out), "--quiet"]) == 0
-    assert "Missing: backlash." in capsys.readouterr().out
+    assert "Missing: play in the drive (backlash)." in capsys.readouterr().out
     content = json.loads((out / "diagnosis.json").read_text())
     assert content["verdict"] == "named" and content["effects"][0]["stage"] == "drive"
     assert set(content["gap"]) >= {
@@ -296,6 +301,9 @@ def test_the_command_writes_files_that_go_on_working(tmp_path: Path, capsys: pyt
         "before_max_mm",
         "after_max_mm",
     }
+    page = (out / "report.html").read_text()
+    assert "<h1>Play in the drive</h1>" in page and "[effects.backlash]" in page and ">named<" not in page
+    assert page.count("* plotly.js v") == 1 and 'id="signature_0"' in page
     written = load_robot(out / "robot.toml")
     assert written.effects["backlash"]["theta_2_deg"] == pytest.approx(8.0, abs=1.0)
     assert np.isfinite(written.bound([0.0, 1.0], [0.0, -0.02]).position_m)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,14 +12,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from browser import Browser, chromium
 
-from ctrplan.planning.plan import Plan
+from ctrplan.planning.plan import ComparedWay, Plan
 from ctrplan.reports.html_page import Markup, page, table, tag
+from ctrplan.reports.plan_page.motion import moments
 from ctrplan.reports.plan_page.page import joints_figure, margins_figure, plan_report_html, write_plan_report
 from ctrplan.reports.plan_page.panels import CURSOR
 from ctrplan.reports.plan_page.scene import scene_figure
 from ctrplan.reports.plan_scene import FRAMES, PlanScene, plan_scene
 from ctrplan.reports.plan_words.certificate_rows import certificate_rows
+from ctrplan.reports.plan_words.numbers import millimetres
 from ctrplan.reports.plan_words.verdict import verdict
 
 HOSTILE = """<script>alert("x")</script><img src=x onerror=alert(1)>'&</title>"""
@@ -123,15 +127,67 @@ def test_frames_move_the_robot_and_nothing_else(scene: PlanScene) -> None:
         assert list(frame.traces) == list(range(len(frame.data)))
         for trace, moved in zip(figure.data, frame.data, strict=False):
             assert trace.type == moved.type and len(trace.x) == len(moved.x)
-    last = figure.frames[-1].data
-    for trace, moved in zip(figure.data, last, strict=False):
+    first = figure.frames[0].data
+    for trace, moved in zip(figure.data, first, strict=False):
         np.testing.assert_array_equal(np.asarray(trace.z), np.asarray(moved.z))
-    assert [step["args"][0][0] for step in figure.layout.sliders[0].steps] == [frame.name for frame in figure.frames]
+
+
+def test_figures_of_the_moment_are_those_of_the_certificate(scene: PlanScene) -> None:
+    texts, samples = moments(scene), scene.plan.certificate.samples
+    assert {len(column) for column in texts.values()} == {FRAMES}
+    for name, column in (("bound", samples.bound_m), ("clearance", samples.clearance_m)):
+        assert texts[f"now_{name}"][0] == millimetres(column[0]) and texts[f"now_{name}"][-1] == millimetres(column[-1])
+
+
+def test_other_ways_stand_beside_the_scene(scene: PlanScene) -> None:
+    ways = (
+        ComparedWay("straight line", 0.6e-3, 64.0, ""),
+        ComparedWay("as driven", 0.49e-3, 64.0, ""),
+        ComparedWay("translations first", 3.4e-3, 64.0, "too close"),
+        ComparedWay("as given", math.inf, 64.0, "no history leads there"),
+    )
+    plan = replace(scene.plan, reorder=replace(scene.plan.reorder, alternatives=ways))
+    text = Page(plan_report_html(replace(scene, plan=plan))).text
+    assert text.index("this plan") < text.index("all joints at once") and "3.40 mm, not valid" in text
+    assert "no way, not valid" in text and "that is not compared" in text
+
+
+@pytest.mark.skipif(chromium() is None, reason="no Chromium on this machine")
+@pytest.mark.parametrize(("width", "height"), [(1400, 900), (390, 844)])
+def test_report_opens_on_the_first_frame_and_plays_in_a_loop(
+    scene: PlanScene, tmp_path: Path, width: int, height: int
+) -> None:
+    write_plan_report(tmp_path / "report.html", scene)
+    with Browser(tmp_path / "profile") as browser:
+        browser.send(
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False
+        )
+        browser.open((tmp_path / "report.html").as_uri())
+        browser.wait_for("document.readyState === 'complete' && document.querySelector('#key button')")
+        assert browser.run("document.documentElement.scrollWidth <= innerWidth")
+        assert browser.run("document.getElementById('play').getBoundingClientRect().bottom < innerHeight")
+        assert browser.run("document.getElementById('now').textContent") == "0.0 s"
+        np.testing.assert_allclose(
+            browser.run("Array.from(document.getElementById('scene')._fullData[2].z)"),
+            np.asarray(scene_figure(scene).frames[0].data[2].z),
+        )
+        last = len(scene.path) - 1
+        slider = "document.getElementById('time')"
+        browser.run(f"({slider}.value = {last - 1}, {slider}.dispatchEvent(new Event('input')))")
+        before = browser.run("document.getElementById('now_bound').textContent")
+        browser.run("document.getElementById('play').click()")
+        browser.wait_for(f"{slider}.value > 0 && {slider}.value < {last - 1}")
+        assert browser.run("document.getElementById('now_bound').textContent") != before
+        assert browser.complaints() == []
 
 
 def test_scene_has_equal_scales_that_stay(scene: PlanScene) -> None:
     figure = scene_figure(scene)
-    assert figure.layout.scene.aspectmode == "data"
+    assert figure.layout.scene.aspectmode == "manual"
+    shares = [
+        np.ptp(figure.layout.scene[f"{axis}axis"].range) / figure.layout.scene.aspectratio[axis] for axis in "xyz"
+    ]
+    np.testing.assert_allclose(shares, shares[0])
     for axis in "xyz":
         low, high = figure.layout.scene[f"{axis}axis"].range
         for frame in figure.frames:
@@ -139,10 +195,10 @@ def test_scene_has_equal_scales_that_stay(scene: PlanScene) -> None:
             assert low <= np.nanmin(values) and np.nanmax(values) <= high
 
 
-def test_cursor_is_the_shape_that_the_slider_moves(plan: Plan) -> None:
+def test_cursor_is_the_shape_that_the_player_moves(plan: Plan) -> None:
     for figure in (margins_figure(plan), joints_figure(plan)):
         cursor = figure.layout.shapes[CURSOR]
-        assert cursor.type == "line" and cursor.x0 == cursor.x1 == plan.trajectory.duration_s
+        assert cursor.type == "line" and cursor.x0 == cursor.x1 == 0
 
 
 @pytest.mark.parametrize("waypoints", [[[0, 0], [60, -120]], [[0, 0], [0, 0]]])

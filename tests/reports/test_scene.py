@@ -14,6 +14,7 @@ from ctrplan.planning.plan_timing import joints_at, leg_end_s, sample_time_s
 from ctrplan.reports.framing import view_box
 from ctrplan.reports.plan_scene import goal_tip, plan_scene, tip_path
 from ctrplan.reports.pose import plate, pose
+from ctrplan.reports.tube_ends import end_ring, tube_surface
 
 TURN = Rotation.from_euler("xyz", [40, -70, 110], degrees=True)
 SHIFT_M = np.array([0.02, -0.05, 0.11])
@@ -110,3 +111,14 @@ def test_view_of_a_flat_scene_is_a_box() -> None:
 
 def moved(points_m: np.ndarray) -> np.ndarray:
     return TURN.apply(points_m.reshape(-1, 3)).reshape(points_m.shape) + SHIFT_M
+
+
+def test_a_tube_that_others_hide_has_a_ring_at_its_end(plan: Plan) -> None:
+    """Tubes 1 and 2 of this robot end at one place: tube 2 would never be seen."""
+    shown = pose(plan.scenario, plan.legs[-1].end)
+    middle, inner = end_ring(shown, 1), end_ring(shown, 2)
+    assert middle.radius_m.min() > shown.tubes[0].radius_m.max() and not inner.radius_m.any()
+    assert not end_ring(shown, 0).radius_m.any()
+    assert np.linalg.norm(middle.centreline_m[-1] - shown.tubes[1].centreline_m[-1]) < 0.05 * 0.15
+    counts = {len(tube_surface(shown, tube, 10).vertices_m) for tube in range(3)}
+    assert counts == {len(tube_surface(pose(plan.scenario, plan.legs[0].start), 1, 10).vertices_m)}

@@ -9,9 +9,10 @@ from typing import Any
 import pytest
 
 from ctrplan.planning.plan import Plan
+from ctrplan.reports import palette
 from ctrplan.reports.plan_words.certificate_rows import certificate_rows
 from ctrplan.reports.plan_words.numbers import digits, millimetres
-from ctrplan.reports.plan_words.verdict import is_acceptable, verdict
+from ctrplan.reports.plan_words.verdict import COLOURS, is_acceptable, standing, verdict
 
 
 def changed(plan: Plan, max_error_goal_m: float | None = None, **certificate: Any) -> Plan:
@@ -21,14 +22,37 @@ def changed(plan: Plan, max_error_goal_m: float | None = None, **certificate: An
 
 
 def test_certified_plan_is_said_in_one_sentence(plan: Plan) -> None:
-    figures = {"goal_bound_m": 0.42e-3, "goal_predicted_m": 0.11e-3, "worst_bound_m": 1.3e-3}
+    figures = {
+        "goal_bound_m": 0.42e-3,
+        "goal_predicted_m": 0.11e-3,
+        "worst_bound_m": 1.3e-3,
+        "goal_tip_error_m": 0.2e-3,
+    }
     good = changed(plan, min_clearance_m=1.8e-3, **figures)
-    assert is_acceptable(good)
+    assert is_acceptable(good) and standing(good) == "good"
     assert verdict(good) == (
-        "Certified: worst-case friction error at the goal 0.42 mm, 0.11 mm predicted by its history, "
+        "Certified: at worst the tip ends 0.62 mm from the target, within the tolerance of 1.00 mm "
+        "(0.20 mm without friction, 0.42 mm by it), 0.11 mm predicted by its history, "
         "worst case at most 1.30 mm along the path, "
         "smallest clearance 1.80 mm beyond the margins."
     )
+
+
+def test_target_that_may_be_missed_is_never_green(plan: Plan) -> None:
+    """Friction and play count, not only the tip without friction."""
+    reached = {"goal_tip_error_m": 0.72e-3, "goal_bound_m": 3.48e-3, "min_clearance_m": 1e-3}
+    missed = changed(plan, **reached)
+    assert is_acceptable(missed) and standing(missed) == "caution"
+    assert verdict(missed).startswith(
+        "Certified, but the target may be missed: at worst the tip ends 4.20 mm from the target, "
+        "above the tolerance of 1.00 mm (0.72 mm without friction, 3.48 mm by it)"
+    )
+    row = next(row for row in certificate_rows(missed) if row.caution)
+    assert row.value == "4.20 mm" and row.requirement == "tolerance 1.00 mm" and row.met is None
+    for colour, chosen in (("CAUTION", missed), ("LIMIT", changed(plan, valid=False, problems=("x",), **reached))):
+        assert COLOURS[standing(chosen)] == getattr(palette, colour)
+    assert standing(changed(plan, goal_tip_error_m=0.3e-3, goal_bound_m=0.3e-3, goal_play_m=0.5e-3)) == "caution"
+    assert standing(changed(plan, goal_tip_error_m=math.nan, goal_bound_m=0.0)) != "good"
 
 
 def test_free_space_has_no_clearance(plan: Plan) -> None:

@@ -14,6 +14,7 @@ class Lag(Effect):
     """`tau_s` [s] is how much earlier the joints are that a pose belongs to; negative if they are later."""
 
     name = "lag"
+    in_words = "delay between joints and poses"
     stage = "clock"
     equation = "pose(t) = pose of the joints at t - tau"
     signature = "errors along the motion, in proportion to its speed"

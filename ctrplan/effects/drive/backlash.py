@@ -14,6 +14,7 @@ class Backlash(Effect):
     """Play b per actuator: `theta_I_deg` and `l_I_mm` are its full widths, I the tube from 1 (outermost), b >= 0."""
 
     name = "backlash"
+    in_words = "play in the drive"
     stage = "drive"
     equation = "joint = commanded - b / 2 times the sign of its last motion"
     signature = "poses differ with the last direction of an actuator, by the same angle everywhere"

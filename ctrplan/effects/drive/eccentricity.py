@@ -18,6 +18,7 @@ class Eccentricity(Effect):
     """The once-per-turn error of tube I's rotation: `sin_I_deg` and `cos_I_deg` are a cos p and a sin p."""
 
     name = "eccentricity"
+    in_words = "eccentric gears"
     stage = "drive"
     equation = "theta = commanded + a sin(commanded + p); sin, cos: a cos p, a sin p"
     signature = "errors repeat with every turn of one actuator, whatever the relative angles"

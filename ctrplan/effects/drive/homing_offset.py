@@ -26,6 +26,7 @@ class HomingOffset(Effect):
     """Constants added to base rotation and base translation of tube I: `theta_I_deg`, `l_I_mm`."""
 
     name = "homing_offset"
+    in_words = "wrong zero of a joint"
     stage = "drive"
     equation = "joint = commanded + offset, rotations and translations"
     signature = "the robot stands as if a tube were turned or moved along by a constant amount"

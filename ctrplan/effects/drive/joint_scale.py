@@ -16,6 +16,7 @@ class JointScale(Effect):
     """Relative errors s of the travel from zero: `theta_I` and `l_I` of tube I, without unit (0.01 is 1 % too far)."""
 
     name = "joint_scale"
+    in_words = "wrong scale of a joint"
     stage = "drive"
     equation = "joint = commanded (1 + s)"
     signature = "errors grow with the distance of a joint from its zero, turn after turn"

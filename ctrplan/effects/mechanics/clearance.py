@@ -13,6 +13,7 @@ class Clearance(Effect):
     """`delta_I_mm` is added to the radial clearance c_I of tubes I and I + 1, of which a tenth always stays."""
 
     name = "clearance"
+    in_words = "room between the tubes"
     stage = "mechanics"
     equation = "|d_i| <= c_i + delta_i, (14)"
     signature = "errors where curvatures oppose and inner tubes tilt in outer ones, all approaches alike"

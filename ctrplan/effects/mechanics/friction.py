@@ -14,6 +14,7 @@ class Friction(Effect):
     """Coulomb friction coefficients: `mu_I` between tubes I and I + 1; neutral is what the robot file has."""
 
     name = "friction"
+    in_words = "friction between the tubes"
     stage = "mechanics"
     equation = "force lambda phi mu J d and torque phi mu r lambda |d|^2 / c at every contact, (38), (41)"
     signature = "poses of one configuration differ with the direction of approach, not after a decreasing oscillation"

@@ -15,6 +15,7 @@ class Gravity(Effect):
     """The acceleration `g_x_m_s2` ... in the world frame, on every tube by its density."""
 
     name = "gravity"
+    in_words = "weight of the robot"
     stage = "mechanics"
     equation = "density times cross section times g along every tube, world frame"
     signature = "tips sink in one world direction, most when everything is extended sideways"

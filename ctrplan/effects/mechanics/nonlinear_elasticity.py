@@ -13,6 +13,7 @@ class NonlinearElasticity(Effect):
     """Every tube softens alike: beyond `strain_percent` its tangent stiffness is `stiffness_fraction` of EI."""
 
     name = "nonlinear_elasticity"
+    in_words = "softening of strongly bent tubes"
     stage = "mechanics"
     equation = "bending stiffness falls to a fraction where r_out |u - u_hat| exceeds a strain, bilinear"
     signature = "errors where a strongly curved tube is straightened, all approaches alike"

@@ -15,6 +15,7 @@ class OffPlanePrecurvature(Effect):
     """`delta_I_K_per_m` [1/m] is added across the drawn precurvature of section K (from 1, at the base) of tube I."""
 
     name = "off_plane_precurvature"
+    in_words = "precurvature out of its plane"
     stage = "mechanics"
     equation = "u_hat += delta e, e across the drawn precurvature (Tables VI, VII)"
     signature = "the robot bends as if a tube were turned by a constant angle"

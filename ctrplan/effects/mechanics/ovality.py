@@ -15,6 +15,7 @@ class Ovality(Effect):
     """`cos_I` and `sin_I` of tube I: relative difference e of its two stiffnesses, times cos and sin of 2a; no unit."""
 
     name = "ovality"
+    in_words = "tubes that are not round"
     stage = "mechanics"
     equation = "EI (1 + e) and EI (1 - e) about two own axes; cos, sin: e cos 2a, e sin 2a with the stiff axis at a"
     signature = "errors with twice the relative angle, all approaches alike"

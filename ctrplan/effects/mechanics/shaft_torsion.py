@@ -18,6 +18,7 @@ class ShaftTorsion(Effect):
     """`compliance_I_rad_per_Nm` [rad/(N m)] of the shaft between the actuator and the collar of tube I."""
 
     name = "shaft_torsion"
+    in_words = "twist of the shafts"
     stage = "mechanics"
     equation = "theta_collar = theta_commanded + C times the torque of the tube on its collar"
     signature = "tubes lag behind where curvatures oppose, all approaches alike without friction"

@@ -13,6 +13,7 @@ class TipLoad(Effect):
     """A dead load on the innermost tip: `force_x_N` ... [N] in the world frame."""
 
     name = "tip_load"
+    in_words = "force on the tip"
     stage = "mechanics"
     equation = "constant force on the innermost tip, world frame"
     signature = "tips are shifted in one world direction, more when the robot is extended"

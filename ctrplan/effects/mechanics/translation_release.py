@@ -14,6 +14,7 @@ class TranslationRelease(Effect):
     """`release_per_mm` is a: a relative translation of 1/a leaves 1/e of the circumferential friction."""
 
     name = "translation_release"
+    in_words = "friction released by translations"
     stage = "mechanics"
     equation = "d phi = d(relative rotation) / breakaway - phi |d(relative translation)| a"
     signature = "with friction in the model, poses reached by a last translation lie nearer the frictionless ones"

@@ -13,6 +13,7 @@ class VaryingPrecurvature(Effect):
     """`gradient_I_K` is g of section K of tube I: the relative change from its middle to its end, no unit."""
 
     name = "varying_precurvature"
+    in_words = "precurvature that varies along a section"
     stage = "mechanics"
     equation = "u_hat(x) = u_hat (1 + g (2 x / L - 1)), x from the section's base"
     signature = "errors that grow and change sign as a curved section is extended"

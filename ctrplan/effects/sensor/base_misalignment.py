@@ -17,6 +17,7 @@ class BaseMisalignment(Effect):
     """One rigid motion of all poses: `rotation_x_deg` ... (a rotation vector), then `shift_x_mm` ..."""
 
     name = "base_misalignment"
+    in_words = "misaligned base"
     stage = "sensor"
     equation = "p = R(rotation vector) p + t, tangents turn with R"
     signature = "all poses are displaced by one rigid motion"

@@ -19,6 +19,7 @@ class Drift(Effect):
     """A rigid motion per hour of time_s: `shift_x_mm_per_h` ... and `rotation_x_deg_per_h` ... (rotation vector)."""
 
     name = "drift"
+    in_words = "drift of the sensor"
     stage = "sensor"
     equation = "a rigid motion that grows in proportion to time_s, from none at the first waypoint"
     signature = "errors grow with the time of the experiment, whatever the joints"

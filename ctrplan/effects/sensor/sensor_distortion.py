@@ -26,6 +26,7 @@ class SensorDistortion(Effect):
     """
 
     name = "sensor_distortion"
+    in_words = "distortion of the sensor's field"
     stage = "sensor"
     equation = "p = p + D(p), D a polynomial of third degree; t = t + tangent_share dD/dp t"
     signature = "errors are a smooth function of where the tip is, whatever the joints"

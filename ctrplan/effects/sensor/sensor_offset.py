@@ -17,6 +17,7 @@ class SensorOffset(Effect):
     """The sensor in the frame of the tip: moved by `offset_x_mm` ..., tilted by `tilt_x_deg`, `tilt_y_deg`."""
 
     name = "sensor_offset"
+    in_words = "sensor beside the tip"
     stage = "sensor"
     equation = "p = p_tip + R_tip d, t = R_tip R(tilt) e_z, R_tip the frame of the innermost tube"
     signature = "a displacement that turns with the tip"

@@ -14,6 +14,7 @@ from ctrplan.diagnosis.localise import quantities
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.reports import palette
 from ctrplan.reports.diagnosis_page.selection_errors import SelectionErrors
+from ctrplan.reports.diagnosis_page.signatures import Signature
 from ctrplan.reports.html_page import FONT
 
 BEFORE, AFTER = palette.LIMIT, palette.SERIES[0]
@@ -37,6 +38,24 @@ def where_figure(found: Diagnosis, errors: SelectionErrors) -> go.Figure:
     return _styled(figure)
 
 
+def signature_figure(signature: Signature) -> go.Figure:
+    """What the effect does against the quantity it follows, and what was measured against what it does."""
+    figure = make_subplots(rows=1, cols=2, horizontal_spacing=0.11)
+    shift, measured = signature.shift_m * MM_PER_M, signature.measured_m * MM_PER_M
+    values, unit = _shown(signature.quantity, signature.values)
+    figure.add_trace(_cloud(values, measured, "measured", BEFORE, named=True), row=1, col=1)
+    figure.add_trace(_cloud(values, shift, "explained by the effect", AFTER, named=True), row=1, col=1)
+    figure.add_trace(_cloud(shift, measured, "measured", BEFORE, named=False), row=1, col=2)
+    ends = [0.0, float(np.nanmax(shift, initial=0.0))]
+    line = {"color": palette.MUTED, "dash": "dash", "width": 1}
+    figure.add_trace(go.Scatter(x=ends, y=ends, mode="lines", line=line, showlegend=False), row=1, col=2)
+    figure.update_xaxes(title_text=f"{signature.quantity}{f' ({unit})' if unit else ''}", row=1, col=1)
+    figure.update_xaxes(title_text="shift explained (mm); dashed: all of it", row=1, col=2)
+    figure.update_yaxes(title_text="shift of the tip (mm)", col=1)
+    figure.update_yaxes(title_text="shift measured (mm)", col=2)
+    return _styled(figure)
+
+
 def gap_figure(found: Diagnosis) -> go.Figure:
     """Share of the held-out set's poses with an error up to a value, before and after."""
     figure = go.Figure()
@@ -50,7 +69,7 @@ def gap_figure(found: Diagnosis) -> go.Figure:
             go.Scatter(x=ordered, y=share, mode="lines", name=label, line={"color": colour, "shape": "hv"})
         )
     figure.add_vline(x=found.gap.floor_m * MM_PER_M, line={"color": palette.MUTED, "dash": "dash", "width": 1})
-    figure.update_xaxes(title_text="error of the tip (mm), dashed: rms of the noise", rangemode="tozero")
+    figure.update_xaxes(title_text="error of the tip (mm), dashed: noise", rangemode="tozero")
     figure.update_yaxes(title_text="poses with at most this error (%)", range=[0, 101])
     return _styled(figure)
 
@@ -70,7 +89,7 @@ def path_figure(found: Diagnosis) -> go.Figure:
         )
     )
     figure.update_yaxes(autorange="reversed")
-    figure.update_xaxes(title_text="gain in held-out log-likelihood (blue: taken)")
+    figure.update_xaxes(title_text="gain in log-likelihood, blue: taken")
     return _styled(figure, max(220, 24 * len(labels) + 90))
 
 
@@ -96,6 +115,7 @@ def _styled(figure: Any, height: int = HEIGHT) -> go.Figure:
         plot_bgcolor="white",
         paper_bgcolor="white",
         legend={"orientation": "h", "y": 1.12},
+        autosize=True,
     )
     figure.update_xaxes(**axis)
     figure.update_yaxes(**axis)

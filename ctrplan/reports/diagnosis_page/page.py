@@ -6,12 +6,12 @@ import os
 from collections.abc import Iterable
 
 from ctrplan.diagnosis.result import Diagnosis
-from ctrplan.diagnosis.sentences import verdict_sentence
+from ctrplan.diagnosis.sentences import headline, verdict_sentence
 from ctrplan.reports.diagnosis_page.figures import gap_figure, path_figure, where_figure
 from ctrplan.reports.diagnosis_page.selection_errors import SelectionErrors
 from ctrplan.reports.diagnosis_page.tables import (
     calibration_table,
-    effect_tables,
+    effect_parts,
     gap_table,
     millimetres,
     proposal_table,
@@ -20,9 +20,11 @@ from ctrplan.reports.diagnosis_page.tables import (
     step_table,
     trend_table,
 )
+from ctrplan.reports.glossary import glossary, term
 from ctrplan.reports.html_page import Markup, escaped, page, plot, section, tag
 from ctrplan.storage.atomic_write import write_atomically
 
+WORDS = ("rms", "noise", "held-out poses", "95 % interval")
 MEANING = (
     "A quarter of the configurations was set aside before anything was fitted; the errors before and after are on "
     "these poses. Effects were chosen by how well they predict poses left out of the fit, against what the best of all "
@@ -44,16 +46,16 @@ def diagnosis_report_html(found: Diagnosis, errors: SelectionErrors) -> str:
     return page(
         f"Diagnosis of {found.robot.name}",
         tag("p", f"Diagnosis of {found.robot.name}", kind="kicker"),
-        tag("h1", found.verdict.replace("_", " ")),
+        tag("h1", headline(found)),
         tag("p", verdict_sentence(found), kind=f"verdict {'good' if good else 'bad'}"),
         _tiles(found),
+        section("What the model lacks", *effect_parts(found, errors)),
         section(
             "Where model and measurement disagree",
             tag("p", found.place.sentence),
-            plot(where_figure(found, errors), "where", with_library=True),
+            plot(where_figure(found, errors), "where", with_library=not errors.signatures, kind="plot twin"),
             trend_table(found),
         ),
-        section("Effects", *effect_tables(found)),
         section("Before and after, on poses that nothing had seen", plot(gap_figure(found), "gap"), gap_table(found)),
         section("What to measure next", tag("p", found.next_experiment), proposal_table(found)),
         section("What was tried", plot(path_figure(found), "path") if found.path else Markup(), step_table(found)),
@@ -61,7 +63,7 @@ def diagnosis_report_html(found: Diagnosis, errors: SelectionErrors) -> str:
         section("Not testable with these data", _list(f"{n}: {why}" for n, why in found.not_testable.items())),
         section("Remarks", _list(found.notes)) if found.notes else Markup(),
         section("Calibrated parameters", calibration_table(found)),
-        section("What this means", *(tag("p", text) for text in MEANING)),
+        section("What this means", *(tag("p", text) for text in MEANING), glossary(*WORDS)),
         section("Where this comes from", provenance_table(found)),
     )
 
@@ -69,10 +71,10 @@ def diagnosis_report_html(found: Diagnosis, errors: SelectionErrors) -> str:
 def _tiles(found: Diagnosis) -> Markup:
     gap = found.gap
     shown = [
-        (millimetres(gap.before.rms_m), "rms error, calibrated without effects"),
-        (millimetres(gap.after.rms_m), "rms error with the effects"),
-        (millimetres(gap.floor_m), "noise of the measurement"),
-        (str(gap.after.poses), "poses kept aside"),
+        (millimetres(gap.before.rms_m), term("rms", "rms error, calibrated without effects")),
+        (millimetres(gap.after.rms_m), term("rms", "rms error with the effects")),
+        (millimetres(gap.floor_m), term("noise", "noise of the measurement")),
+        (str(gap.after.poses), term("held-out poses", "poses kept aside")),
     ]
     return tag("div", *(tag("div", tag("b", v), tag("span", n), kind="tile") for v, n in shown), kind="tiles")
 

@@ -10,6 +10,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.pose_errors import distances
 from ctrplan.calibration.unsolved import excused
 from ctrplan.diagnosis.result import Diagnosis
+from ctrplan.reports.diagnosis_page.signatures import Signature, signatures
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,13 +19,14 @@ class SelectionErrors:
 
     calibrated_m: Array  # (K,) without effects
     with_effects_m: Array  # (K,)
+    signatures: tuple[Signature, ...]  # of the verdict's effects
 
 
 def selection_errors(found: Diagnosis) -> SelectionErrors:
-    """Predicts every pose of the selection twice, with the calibrated model and with its effects."""
+    """Predicts every pose of the selection with the calibrated model, with its effects, and without each of them."""
     data = found.base.fit.chain.data
     solved = ~(excused(found.base.failed) | excused(found.chosen.failed))
     fits = (found.base.fit, found.chosen.fit)
     predictions = (fit.chain.predict(fit.p, derivatives=False) for fit in fits)
     before, after = (np.where(solved, distances(prediction, data), np.nan) for prediction in predictions)
-    return SelectionErrors(before, after)
+    return SelectionErrors(before, after, signatures(found))

@@ -10,7 +10,11 @@ from ctrplan.base.version import __version__
 from ctrplan.calibration.estimates import estimates
 from ctrplan.calibration.pose_errors import Errors
 from ctrplan.diagnosis.result import Diagnosis
-from ctrplan.reports.html_page import Markup, facts, table, tag
+from ctrplan.pipeline.parametric_chain import Term
+from ctrplan.reports.diagnosis_page.figures import signature_figure
+from ctrplan.reports.diagnosis_page.selection_errors import SelectionErrors
+from ctrplan.reports.glossary import term
+from ctrplan.reports.html_page import Markup, facts, plot, table, tag
 
 
 def trend_table(found: Diagnosis) -> Markup:
@@ -19,25 +23,34 @@ def trend_table(found: Diagnosis) -> Markup:
     return table(("Goes along with", "Share of the squared residuals", "Chance of that"), rows)
 
 
-def effect_tables(found: Diagnosis) -> Iterator[Markup]:
-    """Each named effect: equation, parameters, and what fits worse in its place."""
+def effect_parts(found: Diagnosis, errors: SelectionErrors) -> Iterator[Markup]:
+    """Each effect of the verdict: what it does, drawn, its parameters, and what fits worse in its place."""
     if not found.listed:
         yield tag("p", "None is named.")
-    for finding in found.judgement.findings:
-        effect = finding.term.effect
-        yield tag("h3", f"{effect.name} ({effect.stage})")
-        yield tag("p", f"{effect.equation}. {effect.signature}.", kind="quiet")
-        rows = (
-            (name, f"{e.value:.4g}", f"{e.ci95[0]:.4g} to {e.ci95[1]:.4g}{', at its bound' if e.at_bound else ''}")
-            for name, e in estimates(found.chosen.fit, finding.term).items()
-        )
-        yield table(("Parameter", "Value", "95 % interval"), rows)
-        rivals = [a for a in found.judgement.compared if finding.term.key not in {t.key for t in a.scored.terms}]
-        if rivals:
-            yield table(
-                ("In its place", "Predicts worse by (log-likelihood)", "Standard error"),
-                ((a.term.name, f"{a.behind:.1f}", f"{a.error:.1f}") for a in rivals),
-            )
+    for number, signature in enumerate(errors.signatures):
+        effect = signature.term.effect
+        yield tag("h3", effect.title[:1].upper() + effect.title[1:])
+        yield tag("p", f"{effect.signature[:1].upper()}{effect.signature[1:]}.")
+        yield plot(signature_figure(signature), f"signature_{number}", with_library=number == 0, kind="plot twin")
+        yield tag("p", "In the file: ", tag("code", f"[effects.{effect.name}]"), f", {effect.equation}.", kind="quiet")
+        yield _parameter_table(found, signature.term)
+        yield _rival_table(found, signature.term)
+
+
+def _parameter_table(found: Diagnosis, t: Term) -> Markup:
+    rows = (
+        (name, f"{e.value:.4g}", f"{e.ci95[0]:.4g} to {e.ci95[1]:.4g}{', at its bound' if e.at_bound else ''}")
+        for name, e in estimates(found.chosen.fit, t).items()
+    )
+    return table(("Parameter", "Value", term("95 % interval")), rows)
+
+
+def _rival_table(found: Diagnosis, t: Term) -> Markup:
+    rivals = [a for a in found.judgement.compared if t.key not in {other.key for other in a.scored.terms}]
+    if not rivals:
+        return Markup()
+    rows = ((a.term.effect.title, f"{a.behind:.1f}", f"{a.error:.1f}") for a in rivals)
+    return table(("In its place", "Predicts worse by (log-likelihood)", "Standard error"), rows)
 
 
 def gap_table(found: Diagnosis) -> Markup:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import html
 import json
-from importlib.resources import files
 from typing import TYPE_CHECKING
 
 from ctrplan.reports import palette
-from ctrplan.reports.html_page import FONT
+from ctrplan.reports.glossary import glossary, term
+from ctrplan.reports.html_page import FONT, KEY_STYLE, escaped, explained, script
 
 if TYPE_CHECKING:
     from ctrplan.reports.live.state import LiveState
@@ -16,14 +16,15 @@ if TYPE_CHECKING:
 # The browser itself refuses everything but this server; plotly.js builds functions from strings.
 POLICY = (
     "default-src 'none'; script-src 'self' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:; "
-    "connect-src 'self'"
+    "connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 )
 STYLE = f"""
 :root {{ color-scheme: light; }}
 * {{ box-sizing: border-box; }}
-body {{ margin: 0; height: 100vh; display: grid; grid-template-columns: 340px 1fr; background: #f4f6f8;
+body {{ margin: 0; height: 100vh; display: grid; grid-template-columns: 340px minmax(0, 1fr); background: #f4f6f8;
   color: {palette.INK}; font: 15px/1.45 {FONT}; }}
-aside {{ padding: 20px 20px 28px; overflow-y: auto; background: #fff; border-right: 1px solid {palette.GRID}; }}
+aside {{ order: -1; padding: 20px 20px 28px; overflow-y: auto; background: #fff;
+  border-right: 1px solid {palette.GRID}; }}
 h1 {{ font-size: 1.25rem; line-height: 1.25; margin: 0 0 14px; overflow-wrap: anywhere; }}
 .kicker {{ color: {palette.MUTED}; margin: 0; font-size: 0.85rem; }}
 #bound {{ font-size: 2.3rem; font-weight: 700; line-height: 1.1; color: {palette.BOUND};
@@ -32,7 +33,7 @@ h1 {{ font-size: 1.25rem; line-height: 1.25; margin: 0 0 14px; overflow-wrap: an
 #meter div {{ height: 100%; width: 0; border-radius: 4px; background: {palette.BOUND}; transition: width 80ms; }}
 #state {{ border-left: 5px solid; border-radius: 5px; padding: 8px 12px; margin: 0 0 14px; background: #f8fafb;
   font-weight: 600; min-height: 2.9em; }}
-.good {{ color: {palette.MET}; }} .bad {{ color: {palette.LIMIT}; }}
+.good {{ color: {palette.MET}; }} .bad {{ color: {palette.LIMIT}; }} .quiet {{ color: {palette.MUTED}; }}
 label {{ display: grid; grid-template-columns: 1fr auto; margin: 0 0 10px; gap: 0 8px; align-items: baseline; }}
 label input[type=range] {{ grid-column: 1 / 3; width: 100%; accent-color: {palette.SERIES[0]}; margin: 2px 0; }}
 label input[type=number] {{ width: 92px; text-align: right; font: inherit; border: 1px solid {palette.GRID};
@@ -44,32 +45,42 @@ button {{ font: inherit; padding: 5px 12px; border-radius: 6px; border: 1px soli
   cursor: pointer; }}
 button:hover {{ background: #eef2f5; }}
 pre {{ background: #f4f6f8; border-radius: 6px; padding: 10px 12px; overflow-x: auto; font-size: 0.8rem; }}
-#scene {{ width: 100%; height: 100vh; }}
-@media (max-width: 800px) {{ body {{ grid-template-columns: 1fr; height: auto; }} #scene {{ height: 70vh; }} }}
+{KEY_STYLE}
+abbr {{ text-decoration: underline dotted {palette.MUTED} 1px; text-underline-offset: 3px; cursor: help; }}
+details {{ margin-top: 14px; font-size: 0.9rem; }} summary {{ cursor: pointer; }} dt {{ font-weight: 600; }}
+dd {{ margin: 0 0 8px; color: {palette.MUTED}; }}
+#scene {{ width: 100%; height: 100vh; min-width: 0; }}
+@media (max-width: 800px) {{ body {{ display: block; height: auto; }}
+  #scene {{ height: 48vh; position: sticky; top: 0; z-index: 1; background: #fff;
+    border-bottom: 1px solid {palette.GRID}; }}
+  aside {{ border: 0; padding-top: 12px; }} }}
 """
 ROWS = (
-    ("bound_deg", "error of the direction"),
-    ("stability", "stability"),
-    ("strain_percent", "largest strain"),
-    ("clearance_mm", "clearance beyond margins"),
-    ("tip_mm", "tip without friction"),
+    ("bound_deg", explained("error of the direction", "By how much friction can turn the tip's direction.")),
+    ("stability", term("stability")),
+    ("strain_percent", term("strain", "largest strain")),
+    ("clearance_mm", term("clearance", "clearance beyond margins")),
+    ("tip_mm", escaped("tip without friction")),
 )
+WORDS = ("worst-case friction error", "envelope of friction", "corner shapes", "clearance", "stability", "strain")
 
 
 def live_page(state: LiveState) -> str:
     """The HTML of the page; its scripts come from the same server."""
     name, robot = html.escape(state.scenario.name), html.escape(state.scenario.robot.name)
     rows = "".join(f'<tr><td>{label}</td><td id="{key}"></td></tr>' for key, label in ROWS)
+    bound = term("worst-case friction error", "worst-case friction error of the tip")
     return f"""<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{name} - ctrplan view</title><style>{STYLE}</style></head>
-<body><aside><p class="kicker">{robot}</p><h1>{name}</h1>
-<p class="kicker">worst-case friction error of the tip</p><div id="bound">–</div><div id="meter"><div></div></div>
-<div id="state" class="good" role="status"></div><div id="joints"></div>
+<link rel="icon" href="data:,"><title>{name} - ctrplan view</title><style>{STYLE}</style></head>
+<body><main id="scene"></main><aside><p class="kicker">{robot}</p><h1>{name}</h1>
+<p class="kicker">{bound}</p><div id="bound">–</div><div id="meter"><div></div></div>
+<div id="state" class="quiet" role="status">Solving the first pose ...</div><div id="joints"></div>
 <table><tbody>{rows}</tbody></table>
+<div id="key"></div>
 <button id="reset" type="button">Back to the start</button>
-<p class="kicker" style="margin-top: 14px">these joint values, for a scenario file</p><pre id="toml"></pre></aside>
-<main id="scene"></main>
+<p class="kicker" style="margin-top: 14px">these joint values, for a scenario file</p><pre id="toml"></pre>
+{glossary(*WORDS)}</aside>
 <script src="plotly.js"></script><script src="scene.js"></script><script src="live.js"></script></body></html>
 """
 
@@ -81,4 +92,4 @@ def scene_script(state: LiveState) -> str:
 
 def live_script() -> str:
     """JavaScript that moves the robot."""
-    return (files("ctrplan.reports.live") / "view.js").read_text(encoding="utf-8")
+    return script("fit_camera.js") + script("scene_key.js") + script("live/view.js")

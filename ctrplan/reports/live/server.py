@@ -2,104 +2,132 @@
 
 from __future__ import annotations
 
-import json
+import asyncio
+import contextlib
+import socket
+import sys
 import threading
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import TYPE_CHECKING, Any
-from urllib.parse import parse_qs, urlsplit
+from concurrent.futures import ThreadPoolExecutor
+from types import TracebackType
+from typing import TYPE_CHECKING
 
 from ctrplan.errors import CtrplanError, InputError
-from ctrplan.reports.live.page import POLICY, live_page, live_script, scene_script
+from ctrplan.reports.live.access import ADDRESS, HEADERS, new_token, refused
+from ctrplan.reports.live.http_message import Answer, Request, json_answer, parsed, refusal
+from ctrplan.reports.live.page import live_page, live_script, scene_script
 
 if TYPE_CHECKING:
     from ctrplan.reports.live.state import LiveState
 
-ADDRESS = "127.0.0.1"
-LONGEST_QUERY = 4000
+SOLVERS = 2  # threads that solve poses; requests wait in line for them
+LONGEST_HEAD = 16_384  # bytes of a request
+HEAD_S, SEND_S = 5.0, 30.0  # that a client may take to ask, and to take the answer
+ENDING_S = 0.1  # until a shutdown is noticed
+MOST_CONNECTIONS = 800  # at once, all of them answered; fewer than the files a program may have open
+ASKED_TOO_SLOWLY = (asyncio.TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError)
 
 
-class LiveServer(ThreadingHTTPServer):
+class LiveServer:
     """Serves the page, plotly.js and poses on a port of 127.0.0.1; 0 takes a free one."""
-
-    daemon_threads = True
 
     def __init__(self, state: LiveState, port: int = 0) -> None:
         """Raises InputError where the port can't be had."""
         self.state = state
+        self.token = new_token()
         self.pages = _pages(state)
-        self.solving = threading.Semaphore(2)  # a page that asks faster than answers come can't pile up work
+        self.connections = 0
         try:
-            super().__init__((ADDRESS, port), _Handler)
+            self.socket = socket.create_server((ADDRESS, port), backlog=MOST_CONNECTIONS)
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or error
             raise InputError(f"can't be listened on ({reason})", key="--port", value=port) from None
+        self.server_address: tuple[str, int] = self.socket.getsockname()
+        self.solvers = ThreadPoolExecutor(SOLVERS, thread_name_prefix="pose")
+        self._ended = threading.Event()
+
+    def __enter__(self) -> LiveServer:
+        """Itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Gives the port back."""
+        self.socket.close()
+        self.solvers.shutdown(wait=False, cancel_futures=True)
 
     @property
     def url(self) -> str:
-        """Where the page is."""
-        return f"http://{ADDRESS}:{self.server_address[1]}/"
+        """Where the page is; whoever does not know all of it gets nothing."""
+        return f"http://{ADDRESS}:{self.server_address[1]}/{self.token}/"
+
+    def serve_forever(self) -> None:
+        """Answers until `shutdown` or Ctrl-C, in a thread of its own: an interrupt never lands in the midst of it."""
+        answering = threading.Thread(target=asyncio.run, args=(self._serve(),), name="live view")
+        answering.start()
+        try:
+            answering.join()
+        finally:
+            self.shutdown()
+            answering.join()
+
+    def shutdown(self) -> None:
+        """Ends `serve_forever`, from another thread."""
+        self._ended.set()
+
+    async def _serve(self) -> None:
+        server = await asyncio.start_server(self._connected, sock=self.socket, limit=LONGEST_HEAD)
+        while not self._ended.is_set():
+            await asyncio.sleep(ENDING_S)
+        server.close()
+
+    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """One request and its answer; a client that leaves or is too slow is let go without a word."""
+        self.connections += 1
+        try:
+            with contextlib.suppress(OSError, *ASKED_TOO_SLOWLY):
+                head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_S)
+                writer.write((await self._answer(head)).encoded(HEADERS))
+                await asyncio.wait_for(writer.drain(), SEND_S)
+        finally:
+            self.connections -= 1
+            writer.close()
+
+    async def _answer(self, head: bytes) -> Answer:
+        try:
+            request = parsed(head)
+            if self.connections > MOST_CONNECTIONS:
+                return refusal(503, "too many requests at once, ask again later")
+            if sentence := refused(request, self.token):
+                return refusal(403, sentence)
+            return await self._content(request)
+        except CtrplanError as error:
+            return refusal(400, str(error))
+        except Exception as error:  # a fault of the program must not look like a pose
+            sentence = f"the program failed at this pose ({type(error).__name__}: {error})"
+            print(f"ctrplan: warning: live view: {sentence}", file=sys.stderr)
+            return refusal(500, sentence)
+
+    async def _content(self, request: Request) -> Answer:
+        path = request.path.removeprefix(f"/{self.token}")
+        if request.method != "GET":
+            return refusal(405, "this server knows GET only")
+        if path in self.pages:
+            return self.pages[path]
+        if path != "/pose":
+            return refusal(404, f"there is no {path[:60]} here")
+        values = request.numbers
+        return json_answer(200, await asyncio.get_running_loop().run_in_executor(self.solvers, self.state.at, values))
 
 
-def _pages(state: LiveState) -> dict[str, tuple[str, bytes]]:
-    """Content type and content by path."""
+def _pages(state: LiveState) -> dict[str, Answer]:
+    """Content by path below the token."""
     from plotly.offline import get_plotlyjs
 
     script = "text/javascript; charset=utf-8"
     return {
-        "/": ("text/html; charset=utf-8", live_page(state).encode()),
-        "/plotly.js": (script, get_plotlyjs().encode()),
-        "/scene.js": (script, scene_script(state).encode()),
-        "/live.js": (script, live_script().encode()),
+        "/": Answer(200, "text/html; charset=utf-8", live_page(state).encode()),
+        "/plotly.js": Answer(200, script, get_plotlyjs().encode()),
+        "/scene.js": Answer(200, script, scene_script(state).encode()),
+        "/live.js": Answer(200, script, live_script().encode()),
     }
-
-
-class _Handler(BaseHTTPRequestHandler):
-    server: LiveServer
-
-    def do_GET(self) -> None:  # noqa: N802, the name http.server asks for
-        host = (self.headers.get("Host") or "").rsplit(":", 1)[0]
-        if host not in (ADDRESS, "localhost"):  # another site's name that was pointed at this machine
-            self._answer(403, {"error": "this server answers to 127.0.0.1 only"})
-            return
-        parts = urlsplit(self.path)
-        if parts.path in self.server.pages:
-            self._send(200, *self.server.pages[parts.path])
-        elif parts.path == "/pose":
-            self._pose(parts.query)
-        else:
-            self._answer(404, {"error": f"there is no {parts.path[:60]} here"})
-
-    def _pose(self, query: str) -> None:
-        try:
-            text = parse_qs(query[:LONGEST_QUERY]).get("q", [""])[0]
-            values = [float(value) for value in text.split(",")]
-        except ValueError:
-            self._answer(400, {"error": "q must be numbers with commas between them"})
-            return
-        try:
-            with self.server.solving:
-                self._answer(200, self.server.state.at(values))
-        except CtrplanError as error:
-            self._answer(400, {"error": str(error)})
-
-    def _answer(self, code: int, content: dict[str, Any]) -> None:
-        self._send(code, "application/json", json.dumps(content, allow_nan=False).encode())
-
-    def _send(self, code: int, kind: str, content: bytes) -> None:
-        self.send_response(code)
-        for name, value in (
-            ("Content-Type", kind),
-            ("Content-Length", str(len(content))),
-            ("Content-Security-Policy", POLICY),
-            ("X-Content-Type-Options", "nosniff"),
-            ("Cache-Control", "no-store"),
-        ):
-            self.send_header(name, value)
-        self.end_headers()
-        try:
-            self.wfile.write(content)
-        except (BrokenPipeError, ConnectionResetError):  # the page was closed
-            self.close_connection = True
-
-    def log_message(self, format: str, *args: Any) -> None:  # noqa: A002, the base class's name
-        """Says nothing: the terminal belongs to the user."""

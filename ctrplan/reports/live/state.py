@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario
 
 UNLIMITED = (-180.0, 180.0)  # deg of the slider of a rotation without limits
+MOST = 1e5  # deg or mm: turns beyond have too few digits for an angle
 REACH_SAMPLES = 300
 AROUND_M = 5e-3  # shown beside lumens
 
@@ -88,6 +89,9 @@ class LiveState:
         joints = self.scenario.robot.drive.joints
         if len(values) != len(joints) or not all(map(math.isfinite, values)):
             raise InputError(f"must be {len(joints)} finite numbers, one per joint", key="q", value=values)
+        for joint, value in zip(joints, values, strict=True):
+            if abs(value) > MOST:
+                raise InputError(f"must be at most {MOST:g} {joint.unit} either way", key=joint.name, value=value)
         return np.array([value * joint.si_per_unit for value, joint in zip(values, joints, strict=True)])
 
     def _shown(self, q: Array) -> list[float]:

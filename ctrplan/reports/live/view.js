@@ -1,6 +1,7 @@
 // Moves the robot of the live view: every change of a slider asks the server for a pose, one request at a time.
 "use strict";
 
+const LONGEST_WAIT_MS = 60000, NOTICEABLE_MS = 400;
 const byId = (id) => document.getElementById(id);
 const values = JOINTS.map((joint) => joint.value);
 const inputs = [];
@@ -36,30 +37,66 @@ function show() {
 async function update() {
   if (busy) { stale = true; return; }
   busy = true;
-  try {
-    const answer = await fetch("pose?q=" + values.map((value) => value.toFixed(6)).join(","));
-    const pose = await answer.json();
-    if (pose.traces) await draw(pose);
-    say(pose);
-  } catch (error) {
-    say({refusal: "the program behind this page has ended"});
-  }
+  const waiting = setTimeout(() => tell("quiet", "Solving this pose ..."), NOTICEABLE_MS);
+  const pose = await asked();
+  clearTimeout(waiting);
+  if (pose.traces) await draw(pose);
+  say(pose);
   busy = false;
   if (stale) { stale = false; update(); }
 }
 
-function draw(pose) {
-  const indices = pose.traces.map((_, k) => k);
-  const change = {x: pose.traces.map((t) => t.x), y: pose.traces.map((t) => t.y), z: pose.traces.map((t) => t.z)};
-  return Plotly.restyle("scene", change, indices);
+// The pose, or {refusal: why there is none}; whatever fails must not leave the figures of another pose on the page.
+async function asked() {
+  const q = encodeURIComponent(values.map((value) => value.toFixed(6)).join(","));
+  let answer;
+  try {
+    answer = await fetch(`pose?q=${q}`, {signal: AbortSignal.timeout(LONGEST_WAIT_MS)});
+  } catch (error) {
+    const late = error.name === "TimeoutError";
+    return {refusal: late ? `no answer within ${LONGEST_WAIT_MS / 1000} s` : "the program behind this page has ended"};
+  }
+  try {
+    const pose = await answer.json();
+    if (answer.ok && (pose.refusal || pose.traces)) return pose;
+    return {refusal: pose.error || `the program answered ${answer.status}`};
+  } catch (error) {
+    return {refusal: "the program's answer could not be read"};
+  }
+}
+
+async function draw(pose) {
+  const columns = (axis) => pose.traces.map((trace) => trace[axis]);
+  await Plotly.restyle("scene", {x: columns("x"), y: columns("y"), z: columns("z")}, pose.traces.map((_, k) => k));
+  await makeRoom(pose.traces);
+}
+
+// Axes cut off what is beyond them: they grow with the robot, and never shrink.
+function makeRoom(traces) {
+  const plot = byId("scene"), change = {}, extent = {};
+  for (const axis of ["x", "y", "z"]) {
+    const [low, high] = plot.layout.scene[`${axis}axis`].range;
+    const seen = traces.flatMap((trace) => trace[axis]).filter((value) => value !== null);
+    const range = [Math.min(low, ...seen), Math.max(high, ...seen)];
+    if (range[0] < low || range[1] > high) change[`scene.${axis}axis.range`] = range;
+    extent[axis] = range[1] - range[0];
+  }
+  if (!Object.keys(change).length) return null;
+  const size = Math.cbrt(extent.x * extent.y * extent.z);
+  change["scene.aspectratio"] = {x: extent.x / size, y: extent.y / size, z: extent.z / size};
+  return Plotly.relayout(plot, change).then(() => fitCamera(plot));
 }
 
 const shown = (value, digits, unit) => value === null || value === undefined ? "–" : `${value.toFixed(digits)} ${unit}`.trim();
 
+function tell(kind, sentence) {
+  byId("state").className = kind;
+  byId("state").textContent = sentence.charAt(0).toUpperCase() + sentence.slice(1);
+}
+
 function say(pose) {
-  const state = byId("state"), wrong = pose.refusal || pose.reason;
-  state.className = wrong ? "bad" : "good";
-  state.textContent = wrong ? wrong.charAt(0).toUpperCase() + wrong.slice(1) : "Keeps all limits and margins";
+  const wrong = pose.refusal || pose.reason || (pose.valid ? "" : "does not keep all limits and margins");
+  tell(wrong ? "bad" : "good", wrong || "Keeps all limits and margins");
   document.body.dataset.updates = Number(document.body.dataset.updates || 0) + 1;
   byId("bound").textContent = shown(pose.refusal ? null : pose.bound_mm, 2, "mm");
   largest = Math.max(largest, pose.bound_mm || 0);
@@ -73,10 +110,6 @@ function say(pose) {
 
 byId("joints").append(...JOINTS.map(row));
 byId("reset").addEventListener("click", () => { JOINTS.forEach((joint, k) => { values[k] = joint.value; }); show(); update(); });
-FIGURE.layout.height = undefined;
-FIGURE.layout.autosize = true;
-FIGURE.layout.margin = {l: 0, r: 0, t: 0, b: 0};
-FIGURE.layout.scene.domain = {x: [0, 1], y: [0, 1]};
-const buttons = [["toImage", "resetCameraDefault3d"]];
+const buttons = [["toImage"]];
 Plotly.newPlot("scene", FIGURE.data, FIGURE.layout, {displaylogo: false, responsive: true, modeBarButtons: buttons})
-  .then(() => { show(); return update(); });
+  .then((plot) => { show(); addKey(plot, byId("key")); return keepFitted(plot); }).then(update);

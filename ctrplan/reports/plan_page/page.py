@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ctrplan.reports.html_page import Markup, page, plot, section, tag
+from ctrplan.reports.glossary import glossary, term
+from ctrplan.reports.html_page import Markup, escaped, page, plot, section, tag
 from ctrplan.reports.plan_curves import (
     direction_panel,
     error_panel,
@@ -17,8 +18,8 @@ from ctrplan.reports.plan_curves import (
     speed_panel,
     timeline,
 )
-from ctrplan.reports.plan_page.panels import CURSOR, stacked_figure
-from ctrplan.reports.plan_page.scene import scene_figure
+from ctrplan.reports.plan_page.motion import motion_section
+from ctrplan.reports.plan_page.panels import stacked_figure
 from ctrplan.reports.plan_page.tables import (
     certificate_table,
     leg_table,
@@ -28,8 +29,9 @@ from ctrplan.reports.plan_page.tables import (
 )
 from ctrplan.reports.plan_words.meaning import MEANING
 from ctrplan.reports.plan_words.numbers import digits, millimetres
-from ctrplan.reports.plan_words.verdict import is_acceptable, verdict
+from ctrplan.reports.plan_words.verdict import standing, verdict
 from ctrplan.reports.plan_words.verdict_words import certificate_in_words
+from ctrplan.reports.plan_words.worst_miss import worst_miss
 from ctrplan.storage.atomic_write import write_atomically
 
 if TYPE_CHECKING:
@@ -38,15 +40,10 @@ if TYPE_CHECKING:
     from ctrplan.planning.plan import Plan
     from ctrplan.reports.plan_scene import PlanScene
 
-# The time of the robot on all curves, as the slider moves.
-FOLLOW_SLIDER = f"""
-document.getElementById('scene').on('plotly_animatingframe', function (frame) {{
-  var time = Number(frame.name);
-  ['margins', 'joints'].forEach(function (name) {{
-    Plotly.relayout(name, {{'shapes[{CURSOR}].x0': time, 'shapes[{CURSOR}].x1': time}});
-  }});
-}});
-"""
+WORDS = (
+    "worst-case friction error", "predicted friction error", "worst case at the target", "tolerance",
+    "envelope of friction", "corner shapes", "clearance", "stability", "strain", "play", "Coulomb friction",
+)  # fmt: skip
 SHADES = "Legs are shaded: rotations blue, translations yellow, simultaneous motions violet."
 
 
@@ -62,10 +59,10 @@ def plan_report_html(scene: PlanScene) -> str:
         f"{scenario.name} - ctrplan",
         tag("p", f"Motion plan for {scenario.robot.name}", kind="kicker"),
         tag("h1", scenario.name),
-        tag("p", verdict(plan), kind=f"verdict {'good' if is_acceptable(plan) else 'bad'}"),
+        tag("p", verdict(plan), kind=f"verdict {standing(plan)}"),
         _remarks("What is wrong", plan.certificate.problems),
+        motion_section(scene),
         _tiles(plan),
-        _motion(scene),
         section("Certificate", *(tag("p", text) for text in certificate_in_words(plan)), certificate_table(plan)),
         target_section(plan),
         _remarks("Remarks", tuple(dict.fromkeys((*plan.notes, *scenario.warnings)))),
@@ -74,6 +71,7 @@ def plan_report_html(scene: PlanScene) -> str:
         section("Legs", leg_table(plan)),
         section("What reordering changed", *reorder_tables(plan)),
         section("What the error bound means", *(tag("p", text) for text in MEANING)),
+        section("Words", glossary(*WORDS)),
         section("Where this comes from", provenance_table(plan)),
     )
 
@@ -93,27 +91,42 @@ def _remarks(title: str, texts: Sequence[str]) -> Markup:
 
 
 def _tiles(plan: Plan) -> Markup:
-    certificate = plan.certificate
-    clearance = (millimetres(certificate.min_clearance_m), "smallest clearance beyond the margins")
-    if np.isinf(certificate.min_clearance_m):
-        clearance = ("free space", "no anatomy to stay clear of")
-    shown = [
-        (millimetres(certificate.goal_bound_m), "worst-case friction error at the goal"),
-        (millimetres(certificate.goal_predicted_m), "predicted friction error at the goal"),
-        (millimetres(certificate.worst_bound_m), "worst case at most along the path"),
-        clearance,
-        (digits(certificate.min_stability), "smallest stability"),
-        (f"{digits(plan.trajectory.duration_s)} s", f"duration, {_counted(plan.trajectory.stops, 'stop')} on the way"),
-    ]
+    shown = [*_target_tiles(plan), *_figure_tiles(plan)]
     return tag(
         "div", *(tag("div", tag("b", value), tag("span", name), kind="tile") for value, name in shown), kind="tiles"
     )
 
 
-def _motion(scene: PlanScene) -> Markup:
-    hint = "Drag to turn, scroll to zoom; a click in the legend hides a part. The time is marked on the curves below."
-    figure = plot(scene_figure(scene), "scene", with_library=True, script=FOLLOW_SLIDER)
-    return section("The motion", tag("p", hint, kind="quiet"), figure)
+def _target_tiles(plan: Plan) -> Iterator[tuple[str, str]]:
+    """How far from its target the tip may end, beside what the scenario asks for."""
+    if miss := worst_miss(plan):
+        total = tag("span", millimetres(miss.total_m), kind="caution" if miss.exceeds else "good")
+        asked = f"from {miss.target} at worst; tolerance {millimetres(miss.tolerance_m)}"
+        yield total, term("worst case at the target", asked)
+
+
+def _figure_tiles(plan: Plan) -> list[tuple[str, str]]:
+    certificate = plan.certificate
+    clearance = (millimetres(certificate.min_clearance_m), term("clearance", "smallest clearance beyond the margins"))
+    if np.isinf(certificate.min_clearance_m):
+        clearance = ("free space", escaped("no anatomy to stay clear of"))
+    return [
+        (
+            millimetres(certificate.goal_bound_m),
+            term("worst-case friction error", "worst-case friction error at the goal"),
+        ),
+        (
+            millimetres(certificate.goal_predicted_m),
+            term("predicted friction error", "predicted friction error at the goal"),
+        ),
+        (
+            millimetres(certificate.worst_bound_m),
+            term("worst-case friction error", "worst case at most along the path"),
+        ),
+        clearance,
+        (digits(certificate.min_stability), term("stability", "smallest stability")),
+        (f"{digits(plan.trajectory.duration_s)} s", f"duration, {_counted(plan.trajectory.stops, 'stop')} on the way"),
+    ]
 
 
 def _errors_and_margins(plan: Plan) -> Markup:

@@ -29,7 +29,7 @@ def stacked_figure(panels: Sequence[Panel], timeline: Timeline) -> go.Figure:
     figure.update_layout(
         height=ROW_HEIGHT * count + 110,
         margin={"l": 70, "r": 20, "t": 60, "b": 50},
-        shapes=[_cursor(timeline.duration_s), *shades],
+        shapes=[_cursor(0.0), *shades],
         hovermode="x unified",
         plot_bgcolor="rgba(0,0,0,0)",
         font={"color": palette.INK, "size": 13, "family": FONT},

@@ -22,15 +22,14 @@ if TYPE_CHECKING:
     from ctrplan.planning.plan import Plan
 
 SWEPT_OPACITY, SWEPT_TRIANGLES = 0.10, 15_000
-SHORTEST_FRAME_MS, LONGEST_FRAME_MS = 60, 200  # a motion plays in real time where that is neither jerky nor dull
 BOUND_SCALE = [[0.0, "#2F6FB0"], [0.5, "#B07AA1"], [1.0, looks.TIP_PATH.colour]]
 
 
 def scene_figure(scene: PlanScene) -> go.Figure:
-    """A plotly figure with a frame per pose; frames are called by their time in s."""
+    """A plotly figure of the start with a frame per pose; frames are called by their time in s."""
     plan, path = scene.plan, scene.path
     names = [f"{step.time_s:.3f}" for step in path]
-    moving = robot_traces(scene.goal)
+    moving = robot_traces(scene.start)
     anatomy = [anatomy_surface(part) for part in plan.scenario.anatomy]
     swept = mesh_trace(
         thinned(swept_surface(path), SWEPT_TRIANGLES), looks.ENVELOPE.colour, SWEPT_OPACITY, "space the envelope sweeps"
@@ -42,16 +41,14 @@ def scene_figure(scene: PlanScene) -> go.Figure:
     ]
     points = np.concatenate([step.envelope.surface(4).vertices_m for step in path] + [goal_tip(plan)[None]])
     lay_out(figure, *view_box(points, np.concatenate([np.empty((0, 3)), *(s.vertices_m for s in anatomy)])), points)
-    if len(path) > 1:
-        _add_player(figure, names, plan.trajectory.duration_s)
     return figure
 
 
 def _still(scene: PlanScene, anatomy: list[Surface]) -> list[Any]:
     plan, scenario = scene.plan, scene.plan.scenario
-    slim = [replace(rod, radius_m=0.9 * rod.radius_m) for rod in scene.start.tubes]  # hidden where the moving robot is
+    slim = [replace(rod, radius_m=0.9 * rod.radius_m) for rod in scene.goal.tubes]  # hidden where the moving robot is
     ghost = [
-        mesh_trace(rod.surface(SIDES), looks.START.colour, 1.0, looks.START.name, shown=i == 0)
+        mesh_trace(rod.surface(SIDES), looks.AT_GOAL.colour, 1.0, looks.AT_GOAL.name, shown=i == 0)
         for i, rod in enumerate(slim)
     ]
     disc = mesh_trace(plate(scenario).surface(32), looks.PLATE.colour, 1.0, looks.PLATE.name)
@@ -61,11 +58,13 @@ def _still(scene: PlanScene, anatomy: list[Surface]) -> list[Any]:
 def _tip_path(plan: Plan) -> Any:
     bound_mm = (plan.certificate.samples.bound_m * 1e3).astype(np.float32)
     bar = {
-        "title": {"text": f"{looks.TIP_PATH.name}:<br>error bound (mm)"},
-        "thickness": 14,
-        "len": 0.5,
+        "title": {"text": f"{looks.TIP_PATH.name}:<br>worst case (mm)", "font": {"size": 11}},
+        "thickness": 10,
+        "len": 0.42,
         "x": 1.0,
-        "y": 0.4,
+        "xanchor": "right",
+        "y": 0.24,
+        "tickfont": {"size": 11},
     }
     scale = {"colorscale": BOUND_SCALE, "cmin": 0, "cmax": max(float(np.nanmax(bound_mm)), 1e-6), "colorbar": bar}
     return go.Scatter3d(
@@ -103,30 +102,3 @@ def _goal(plan: Plan) -> list[Any]:
         line = {"color": looks.GOAL.colour, "width": 4}
         traces.append(go.Scatter3d(**xyz(arrow), mode="lines", line=line, name="goal direction", hoverinfo="skip"))
     return traces
-
-
-def _add_player(figure: go.Figure, names: list[str], duration_s: float) -> None:
-    step_ms = float(np.clip(1e3 * duration_s / (len(names) - 1), SHORTEST_FRAME_MS, LONGEST_FRAME_MS))
-    still = {"mode": "immediate", "frame": {"duration": 0, "redraw": True}, "transition": {"duration": 0}}
-    play = still | {"frame": {"duration": step_ms, "redraw": True}, "fromcurrent": True}
-    buttons = [
-        {"label": "Play", "method": "animate", "args": [None, play]},
-        {"label": "Pause", "method": "animate", "args": [[None], still]},
-    ]
-    steps = [{"label": f"{float(name):.1f}", "method": "animate", "args": [[name], still]} for name in names]
-    place = {"x": 0.0, "y": 0.0, "xanchor": "left", "yanchor": "top", "pad": {"t": 32, "r": 10}}
-    figure.update_layout(
-        updatemenus=[{"type": "buttons", "direction": "left", "showactive": False, "buttons": buttons, **place}],
-        sliders=[
-            {
-                "active": len(names) - 1,
-                "steps": steps,
-                "x": 0.17,
-                "len": 0.83,
-                "y": 0.0,
-                "pad": {"t": 14},
-                "font": {"size": 11},
-                "currentvalue": {"prefix": "time ", "suffix": " s", "font": {"size": 13}},
-            }
-        ],
-    )

@@ -10,7 +10,8 @@ import numpy as np
 from ctrplan.base.version import __version__
 from ctrplan.planning.plan_timing import leg_end_s
 from ctrplan.reports.html_page import Markup, escaped, facts, lines, section, table, tag
-from ctrplan.reports.plan_words.certificate_rows import certificate_rows
+from ctrplan.reports.plan_page.other_ways import ways_table
+from ctrplan.reports.plan_words.certificate_rows import CertificateRow, certificate_rows
 from ctrplan.reports.plan_words.numbers import digits, millimetres
 
 if TYPE_CHECKING:
@@ -20,9 +21,15 @@ if TYPE_CHECKING:
 
 def certificate_table(plan: Plan) -> Markup:
     """Every quantity of the certificate with what is required of it."""
-    status = {True: tag("span", "✓ met", kind="good"), False: tag("span", "✗ not met", kind="bad"), None: escaped("")}
-    rows = ((row.quantity, row.value, row.requirement, status[row.met]) for row in certificate_rows(plan))
+    rows = ((row.quantity, row.value, row.requirement, _status(row)) for row in certificate_rows(plan))
     return table(("Quantity", "Value", "Required", "Status"), rows)
+
+
+def _status(row: CertificateRow) -> Markup:
+    if row.caution:
+        return tag("span", "! beyond it", kind="caution")
+    texts = {True: tag("span", "✓ met", kind="good"), False: tag("span", "✗ not met", kind="bad"), None: escaped("")}
+    return texts[row.met]
 
 
 def target_section(plan: Plan) -> Markup:
@@ -78,13 +85,8 @@ def reorder_tables(plan: Plan) -> tuple[Markup, Markup, Markup]:
         ),
         ("Stops on the way", str(report.stops_before), str(report.stops_after)),
     ]
-    others = (
-        (other.name, millimetres(other.goal_predicted_m), f"{digits(other.length_mm)} mm", other.problem or "valid")
-        for other in report.alternatives
-    )
-    head = ("Way to the goal", "Predicted friction error there", "Joint length", "Validity")
     changes = tag("ul", *(tag("li", change) for change in report.changes))
-    return changes, table(("Quantity", "Before", "After"), rows), table(head, others)
+    return changes, table(("Quantity", "Before", "After"), rows), ways_table(plan)
 
 
 def provenance_table(plan: Plan) -> Markup:

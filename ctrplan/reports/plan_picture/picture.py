@@ -14,7 +14,7 @@ from ctrplan.reports import palette
 from ctrplan.reports.plan_curves import error_panel, margin_panels, position_panels, speed_panel, timeline
 from ctrplan.reports.plan_picture.panels import draw_leg_key, draw_pair, draw_panel
 from ctrplan.reports.plan_picture.scene import draw_scene
-from ctrplan.reports.plan_words.verdict import is_acceptable, verdict
+from ctrplan.reports.plan_words.verdict import COLOURS, standing, verdict
 from ctrplan.storage.atomic_write import write_atomically
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def _draw_column(figure: Figure, plan: Plan, time: Timeline) -> None:
 
 def _headline(figure: Figure, plan: Plan) -> None:
     name = textwrap.shorten(plan.scenario.name, 110, placeholder=" ...")
-    colour = palette.MET if is_acceptable(plan) else palette.LIMIT
+    colour = COLOURS[standing(plan)]
     plain: dict[str, Any] = {"parse_math": False, "va": "top"}
     figure.text(0.018, 0.98, name, fontsize=18, fontweight="bold", color=palette.INK, **plain)
     sentence = "\n".join(textwrap.wrap(verdict(plan), 170)[:2])

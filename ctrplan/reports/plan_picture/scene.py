@@ -18,6 +18,7 @@ from ctrplan.reports.framing import side_azimuth_rad, view_box
 from ctrplan.reports.plan_scene import goal_tip, tip_path
 from ctrplan.reports.pose import Pose, plate
 from ctrplan.reports.surface import Surface, anatomy_surface
+from ctrplan.reports.tube_ends import end_ring
 
 if TYPE_CHECKING:
     from mpl_toolkits.mplot3d import Axes3D
@@ -86,6 +87,12 @@ def _draw_robot(ax: Axes3D, pose: Pose, zorder: int, colours: list[str]) -> None
         width = max(2e3 * float(rod.radius_m.max()) * scale, THINNEST_PT + 0.8 * (len(pose.tubes) - 1 - tube))
         x, y, z = rod.centreline_m.T * 1e3
         ax.plot(x, y, z, color=colours[tube], linewidth=width, solid_capstyle="butt", zorder=zorder + 0.1)
+    for tube in range(len(pose.tubes)):
+        ring = end_ring(pose, tube)
+        if ring.radius_m.any():
+            width = max(2e3 * float(ring.radius_m.max()) * scale, 2 * THINNEST_PT + 2.0 * (len(pose.tubes) - 1))
+            ax.plot(*ring.centreline_m.T * 1e3, color=colours[tube], linewidth=width, zorder=zorder + 0.2,
+                    solid_capstyle="butt")  # fmt: skip
 
 
 def _points_per_mm(ax: Axes3D) -> float:

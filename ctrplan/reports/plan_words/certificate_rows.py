@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from ctrplan.planning.motion import path_limits
 from ctrplan.planning.plan_timing import settling_duration_s
 from ctrplan.reports.plan_words.numbers import degrees, digits, millimetres
+from ctrplan.reports.plan_words.worst_miss import worst_misses
 
 if TYPE_CHECKING:
     from ctrplan.planning.plan import Plan
@@ -22,6 +23,7 @@ class CertificateRow:
     value: str
     requirement: str  # empty where there is none
     met: bool | None  # None where there is nothing to meet
+    caution: bool = False  # allowed, but to be known
 
 
 def certificate_rows(plan: Plan) -> tuple[CertificateRow, ...]:
@@ -45,6 +47,16 @@ def _errors(plan: Plan) -> list[CertificateRow]:
     compensation, tolerance = plan.compensation, scenario.goal.tolerance_m
     if scenario.goal.tip_m is not None and (compensation is None or compensation.note):
         rows.append(_at_most("Distance from the goal without friction", certificate.goal_tip_error_m, tolerance))
+    rows += [
+        CertificateRow(
+            f"Distance from {miss.target} at worst, with friction{' and play' if miss.play_m else ''}",
+            millimetres(miss.total_m),
+            f"tolerance {millimetres(miss.tolerance_m)}",
+            None,
+            miss.exceeds,
+        )
+        for miss in worst_misses(plan)
+    ]
     if compensation:
         without = f"Predicted distance from the goal (without compensation {millimetres(compensation.error_without_m)})"
         rows.append(_at_most(without, compensation.error_with_m, tolerance))

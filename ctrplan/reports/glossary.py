@@ -1,0 +1,39 @@
+"""The terms of pictures and pages, each in a sentence, where they stand and in a fold at the end."""
+
+from __future__ import annotations
+
+from ctrplan.reports.html_page import Markup, explained, tag
+
+TERMS = {
+    "worst-case friction error": "Farthest that friction between the tubes can take the tip from where it would be "
+    "without friction, whatever way it came there.",
+    "predicted friction error": "The same distance for this very motion: the slip of every contact is followed along "
+    "the path. It is no promise; the worst case is.",
+    "worst case at the target": "Distance of the target from the tip without friction, and the worst-case friction "
+    "error and the drive's play added to it.",
+    "tolerance": "How far from the target the tip may be without friction. The scenario asks for it.",
+    "envelope of friction": "Space in which the robot is, whatever friction does: the tubes, thickened by the "
+    "worst-case error at each place along them.",
+    "corner shapes": "The robot with friction at its limit, one shape for each combination of directions.",
+    "clearance": "Smallest distance of all these shapes from the anatomy, less the margin that the scenario asks for.",
+    "stability": "How far the robot is from snapping into another shape; at 0 it snaps.",
+    "strain": "Largest stretch of a tube's material; beyond the limit it stays bent.",
+    "play": "What the drive may move a tube without being asked to, backlash for example.",
+    "noise": "How much a measurement of one and the same tip scatters.",
+    "rms": "Root of the mean square: the usual size of an error, large ones counting more.",
+    "held-out poses": "Measured poses that no fit has seen, so that the error on them is an honest one.",
+    "95 % interval": "Where the true value is expected, 19 times of 20, if the model is right.",
+    "branch": "Configurations that can be turned into each other while the tip stays at the point.",
+    "Coulomb friction": "Friction in proportion to the force between two surfaces, against the direction of slip.",
+}
+
+
+def term(name: str, text: str = "") -> Markup:
+    """`text`, or the term itself, with what the term means in its tooltip."""
+    return explained(text or name, TERMS[name])
+
+
+def glossary(*names: str) -> Markup:
+    """A fold with these terms, for readers whose finger has no tooltip."""
+    entries = (part for name in names for part in (tag("dt", name), tag("dd", TERMS[name])))
+    return tag("details", tag("summary", "What the words mean"), tag("dl", *entries))
