@@ -175,7 +175,7 @@ def _figures(plan: Plan) -> dict[str, str]:
         "worst-case friction error": f"{goal_mm:.2f} mm at the goal, {worst_mm:.2f} mm on the way",
         "predicted friction error": f"{predicted_mm:.2f} mm at the goal, {way_mm:.2f} mm on the way",
         **_extras(plan),
-        "clearance of all corner shapes": clearance,
+        "clearance, every friction state": clearance,
         "least stability": f"{certificate.min_stability:.2f}, largest strain {strain_percent:.2f} %",
         "cost": f"{certificate.cost_mm:.1f} mm{gain}",
         "certified on": f"{count} samples, no point moves more than {spacing_mm:.2f} mm between two",

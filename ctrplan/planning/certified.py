@@ -32,7 +32,7 @@ class CertificateSamples:
     bound_rad: Array  # (K,) of the tip tangent
     stability: Array  # (K,)
     max_strain: Array  # (K,)
-    clearance_m: Array  # (K,) of every corner shape to the anatomy, beyond its margins; inf in free space
+    clearance_m: Array  # (K,) in every friction state, beyond the margins of the anatomy; inf in free space
     motion_m: Array  # (K,) largest displacement of a body point of any shape since the sample before
     tip_m: Array  # (K, 3) frictionless tip, robot frame
     released_m: Array  # (K,) as bound_m, less what translations released by the friction law; fully loaded at the start
