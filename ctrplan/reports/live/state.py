@@ -11,6 +11,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.mechanics.core import Status
 from ctrplan.planning.motion import MotionChecker, path_limits
+from ctrplan.planning.play import play_shift
 from ctrplan.reports import scene_looks as looks
 from ctrplan.reports.framing import view_box
 from ctrplan.reports.plan_words.worst_miss import WorstMiss
@@ -92,7 +93,7 @@ class LiveState:
             "stability": _finite(float(samples.stability[-1])),
             "strain_percent": _finite(100 * float(samples.max_strain[-1])),
             "clearance_mm": clearance_mm,
-            "target": self._from_target(shown.tip_m, float(samples.position_m[-1])),
+            "target": self._from_target(joints, shown.tip_m, float(samples.position_m[-1])),
             "status": Status(int(samples.status[-1])).name,
             "valid": motion.valid,
             "reason": motion.reason,
@@ -110,12 +111,14 @@ class LiveState:
     def _shown(self, q: Array) -> list[float]:
         return [float(x) / joint.si_per_unit for x, joint in zip(q, self.scenario.robot.drive.joints, strict=True)]
 
-    def _from_target(self, tip_m: Array, bound_m: float) -> dict[str, Any] | None:
+    def _from_target(self, joints: Array, tip_m: Array, bound_m: float) -> dict[str, Any] | None:
         """How far [mm] the tip is from the scenario's target without friction and at worst; None without a target."""
         goal = self.scenario.goal
         if goal.tip_m is None:
             return None
-        miss = WorstMiss("the target", float(np.linalg.norm(tip_m - goal.tip_m)), bound_m, 0.0, goal.tolerance_m)
+        free_m, robot = float(np.linalg.norm(tip_m - goal.tip_m)), self.scenario.robot
+        play_m = play_shift(robot, *robot.drive.collars(joints))
+        miss = WorstMiss("the target", free_m, bound_m, play_m, goal.tolerance_m)
         return {
             "free_mm": miss.without_friction_m * 1e3,
             "worst_mm": _finite(miss.total_m * 1e3),
