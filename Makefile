@@ -11,11 +11,20 @@ OUTPUT ?= demo-output
 
 .PHONY: demo test lint install clean fuzz wheel api sanitize bank bank-core bank-diagnosis
 
-demo: install
+# What takes a while says so before it starts, builds included.
+FIRST_BUILD = $(if $(wildcard $(VENV)/.installed),, The first time the environment is built: one or two minutes more.)
+
+.PHONY: demo-time test-time
+demo-time:
+	@echo "Planning $(SCENARIO) takes half a minute or so.$(FIRST_BUILD)"
+test-time:
+	@echo "Lint, types and all tests take about a quarter of an hour on two processors.$(FIRST_BUILD)"
+
+demo: demo-time install
 	$(BIN)/ctrplan plan $(SCENARIO) -o $(OUTPUT)
 	@echo "Open $(OUTPUT)/report.html, or look at $(OUTPUT)/plan.png; the drive plays $(OUTPUT)/trajectory.csv."
 
-test: install lint
+test: test-time install lint
 	$(BIN)/pytest -n auto --dist worksteal
 
 lint: install

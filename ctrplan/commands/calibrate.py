@@ -1,4 +1,4 @@
-"""`ctrplan calibrate`: measured poses -> robot.toml with calibrated values, and calibration.json."""
+"""`ctrplan calibrate`: measured poses -> robot.toml with calibrated values, calibration.json and report.html."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from ctrplan.calibration.calibrate import Calibration
     from ctrplan.calibration.pose_errors import Errors
 
-OUTPUTS = ("robot.toml", "calibration.json")
+OUTPUTS = ("robot.toml", "calibration.json", "report.html")
 EXAMPLES = """examples:
   ctrplan calibrate robot.toml measurements.csv -o out
   ctrplan calibrate robot.toml measurements.csv -o out --parameters tube.2.poisson_ratio \
@@ -31,7 +31,8 @@ def add_parser(commands: Any) -> None:
         "calibrate",
         help="fit named parameters of a robot file to measured poses",
         description="Least squares over named parameters, with intervals, what the data can't tell, and the error on "
-        "configurations kept aside; write robot.toml and calibration.json. The robot file itself is not touched.",
+        "configurations kept aside; write robot.toml, calibration.json, report.html. The robot file itself "
+        "stays as it is.",
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -58,6 +59,7 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
     from ctrplan.errors import InputError
     from ctrplan.files.measurement_file import load_measurements
     from ctrplan.files.robot_file import load_robot, write_robot
+    from ctrplan.reports.calibration_page import calibration_report_html
     from ctrplan.storage.atomic_write import write_atomically
 
     if not 1 <= arguments.starts <= 100:
@@ -82,6 +84,7 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
     with written_together(folder, OUTPUTS) as made:
         write_robot(made / "robot.toml", found.robot_content())
         write_atomically(made / "calibration.json", json.dumps(calibration_json(found), indent=1) + "\n")
+        write_atomically(made / "report.html", calibration_report_html(found))
     for warning in (*robot.warnings, *found.notes):
         print(f"ctrplan: warning: {warning}", file=sys.stderr)
     print(_summary(folder, found))

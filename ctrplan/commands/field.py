@@ -9,6 +9,9 @@ from typing import Any
 
 from ctrplan.commands.options import add_set_option
 from ctrplan.commands.progress_bar import ProgressBar
+from ctrplan.storage.output_folder import output_folder, write_results
+
+OUTPUTS = ("report.html",)
 
 
 def add_parser(commands: Any) -> None:
@@ -18,10 +21,12 @@ def add_parser(commands: Any) -> None:
         help="tabulate a robot's friction bound, so that plans are found sooner",
         description="Solve the bound on a grid over the joints that matter, once per robot; it is kept in the cache "
         "($CTRPLAN_CACHE_DIR or ~/.cache/ctrplan) and used by every `ctrplan plan` with the same robot.",
-        epilog="example:\n  ctrplan field scenarios/robots/three_tube.toml\n",
+        epilog="examples:\n  ctrplan field scenarios/robots/three_tube.toml\n"
+        "  ctrplan field scenarios/robots/three_tube.toml -o out\n",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("robot", metavar="ROBOT.toml")
+    parser.add_argument("-o", "--output", metavar="DIR", help=f"folder for {OUTPUTS[0]}, about the table")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     add_set_option(parser, "the robot's key")
     parser.set_defaults(run=run_field)
@@ -33,6 +38,7 @@ def run_field(arguments: argparse.Namespace) -> int:
     from ctrplan.planning.bound_table import choose_axes, tabulated_bounds
 
     robot = load_robot(arguments.robot, arguments.overrides)
+    folder = output_folder(arguments.output, OUTPUTS) if arguments.output is not None else None
     points = 1
     for axis in choose_axes(robot):
         points *= axis.count
@@ -45,4 +51,9 @@ def run_field(arguments: argparse.Namespace) -> int:
     print(f"  {'added to looked-up bounds':27} {field.error.margin_m * 1e3:.2f} mm, enough for 99 % of configurations")
     print(f"  {'largest error found':27} {field.error.largest_m * 1e3:.2f} mm; certificates use the model itself")
     print(f"  {'without an answer':27} {100 * field.error.uncovered:.1f} % of configurations, next to unstable ones")
+    if folder is not None:
+        from ctrplan.reports.bound_table_page import bound_table_report_html
+
+        write_results(folder, {OUTPUTS[0]: bound_table_report_html(field)})
+        print(f"  {'written to':27} {folder / OUTPUTS[0]}")
     return 0

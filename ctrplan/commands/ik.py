@@ -6,10 +6,12 @@ import argparse
 import json
 import math
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.commands.options import add_allow_outside_option, add_set_option
 from ctrplan.errors import InputError, NoAnswerError
+from ctrplan.storage.output_folder import output_folder, write_results
 
 if TYPE_CHECKING:
     from ctrplan.base.arrays import Array
@@ -18,9 +20,11 @@ if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario
 
 DIRECTION_TOLERANCE_DEG = 5.0
+OUTPUTS = ("report.html",)
 EXAMPLES = """examples:
   ctrplan ik scenarios/robots/three_tube.toml --tip-mm 34 -47 200
   ctrplan ik scenarios/vessel.toml --tip-mm 51 2 168 --direction 1 0 0.4 --direction-tolerance-deg 20 --json
+  ctrplan ik scenarios/vessel.toml --tip-mm 51 2 168 -o out
 """
 
 
@@ -45,6 +49,7 @@ def add_parser(commands: Any) -> None:
         parser.add_argument(option, type=float, default=default, metavar="T", help=what)
     parser.add_argument("--starts", type=int, default=400, help="random starts (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of the random starts (default: %(default)s)")
+    parser.add_argument("-o", "--output", metavar="DIR", help=f"folder for {OUTPUTS[0]}, the ways drawn and in a table")
     parser.add_argument("--json", action="store_true", help="machine-readable output")
     add_allow_outside_option(parser)
     add_set_option(parser, "a key of the file", "robot.tube.2.poisson_ratio=0.28")
@@ -61,6 +66,7 @@ def run_ik(arguments: argparse.Namespace) -> int:
 
     scenario = load_robot_or_scenario(arguments.file, arguments.overrides, allow_outside=arguments.allow_outside)
     target = _target(arguments, scenario)
+    folder = output_folder(arguments.output, OUTPUTS) if arguments.output is not None else None
     for warning in scenario.warnings:
         print(f"ctrplan: warning: {warning}", file=sys.stderr)
     checker = MotionChecker(scenario)
@@ -78,7 +84,18 @@ def run_ik(arguments: argparse.Namespace) -> int:
     )
     if not found.configurations:
         raise NoAnswerError(f"--tip-mm: {_unreached(scenario, found, arguments)}.")
+    if folder is not None:
+        _write(folder, scenario, found, branches)
     return 0
+
+
+def _write(folder: Path, scenario: Scenario, found: Reach, branches: list[int]) -> None:
+    from ctrplan.reports.reach_page.page import reach_report_html
+    from ctrplan.reports.reach_page.scene import reach_scene
+
+    scene = reach_scene(scenario, found, branches)  # writers solve nothing
+    write_results(folder, {OUTPUTS[0]: reach_report_html(scene)})
+    print(f"ctrplan: written to {folder / OUTPUTS[0]}", file=sys.stderr)  # standard output may be JSON
 
 
 def _target(arguments: argparse.Namespace, scenario: Scenario) -> TipTarget:

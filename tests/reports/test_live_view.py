@@ -93,6 +93,15 @@ def test_pose_says_what_the_mechanics_say(server: LiveServer) -> None:
     assert answer["clearance_mm"] > 0 and len(answer["traces"]) == 5
 
 
+def test_pose_says_how_far_from_the_target_it_may_be(server: LiveServer) -> None:
+    goal = server.state.scenario.goal
+    _, answer, _ = get(server, f"/pose?q={VESSEL_START}")
+    away = np.linalg.norm(np.array(answer["tip_mm"]) - goal.tip_m * 1e3)  # the base stands at the origin
+    assert answer["target"]["free_mm"] == pytest.approx(away, abs=0.02)
+    assert answer["target"]["worst_mm"] == pytest.approx(answer["target"]["free_mm"] + answer["bound_mm"])
+    assert answer["target"]["tolerance_mm"] == goal.tolerance_m * 1e3 and answer["target"]["exceeds"]
+
+
 def test_pose_outside_the_lumen_and_out_of_nesting(server: LiveServer) -> None:
     _, wide, _ = get(server, "/pose?q=20,20,200,0")
     assert not wide["valid"] and wide["clearance_mm"] < 0 and "too close to the anatomy" in wide["reason"]

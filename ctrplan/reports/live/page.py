@@ -34,6 +34,7 @@ h1 {{ font-size: 1.25rem; line-height: 1.25; margin: 0 0 14px; overflow-wrap: an
 #state {{ border-left: 5px solid; border-radius: 5px; padding: 8px 12px; margin: 0 0 14px; background: #f8fafb;
   font-weight: 600; min-height: 2.9em; }}
 .good {{ color: {palette.MET}; }} .bad {{ color: {palette.LIMIT}; }} .quiet {{ color: {palette.MUTED}; }}
+.caution {{ color: {palette.CAUTION}; font-weight: 600; }}
 label {{ display: grid; grid-template-columns: 1fr auto; margin: 0 0 10px; gap: 0 8px; align-items: baseline; }}
 label input[type=range] {{ grid-column: 1 / 3; width: 100%; accent-color: {palette.SERIES[0]}; margin: 2px 0; }}
 label input[type=number] {{ width: 92px; text-align: right; font: inherit; border: 1px solid {palette.GRID};
@@ -61,6 +62,8 @@ ROWS = (
     ("strain_percent", term("strain", "largest strain")),
     ("clearance_mm", term("clearance", "clearance beyond margins")),
     ("tip_mm", escaped("tip without friction")),
+    ("target_free", escaped("from the goal without friction")),
+    ("target_worst", term("worst case at the target", "from the goal at worst")),
 )
 WORDS = ("worst-case friction error", "envelope of friction", "corner shapes", "clearance", "stability", "strain")
 
@@ -68,7 +71,10 @@ WORDS = ("worst-case friction error", "envelope of friction", "corner shapes", "
 def live_page(state: LiveState) -> str:
     """The HTML of the page; its scripts come from the same server."""
     name, robot = html.escape(state.scenario.name), html.escape(state.scenario.robot.name)
-    rows = "".join(f'<tr><td>{label}</td><td id="{key}"></td></tr>' for key, label in ROWS)
+    rows = "".join(
+        f'<tr{" hidden" if key.startswith("target") else ""}><td>{label}</td><td id="{key}"></td></tr>'
+        for key, label in ROWS
+    )
     bound = term("worst-case friction error", "worst-case friction error of the tip")
     return f"""<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">

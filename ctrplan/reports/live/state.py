@@ -11,10 +11,12 @@ from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.mechanics.core import Status
 from ctrplan.planning.motion import MotionChecker, path_limits
+from ctrplan.planning.play import play_shift
 from ctrplan.reports import scene_looks as looks
 from ctrplan.reports.framing import view_box
+from ctrplan.reports.plan_words.worst_miss import WorstMiss
 from ctrplan.reports.pose import plate, pose, to_anatomy
-from ctrplan.reports.scene_traces import anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces
+from ctrplan.reports.scene_traces import anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces, xyz
 from ctrplan.reports.surface import Surface, anatomy_surface
 
 if TYPE_CHECKING:
@@ -53,11 +55,22 @@ class LiveState:
         scenario = self.scenario
         surfaces = [anatomy_surface(part) for part in scenario.anatomy]
         still = [mesh_trace(plate(scenario).surface(32), looks.PLATE.colour, 1.0, looks.PLATE.name)]
-        figure = go.Figure([*robot_traces(pose(scenario, scenario.start)), *still, *anatomy_traces(scenario, surfaces)])
+        anatomy = anatomy_traces(scenario, surfaces)
+        figure = go.Figure([*robot_traces(pose(scenario, scenario.start)), *still, *self._target(), *anatomy])
         reach = self._reach(surfaces)
         solid = np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface in surfaces)])
         lay_out(figure, *view_box(reach, solid), reach)
         return figure
+
+    def _target(self) -> list[Any]:
+        """The point that the scenario asks for, if it does."""
+        import plotly.graph_objects as go
+
+        tip_m = self.scenario.goal.tip_m
+        if tip_m is None:
+            return []
+        marker = {"symbol": "diamond", "size": 5, "color": looks.GOAL.colour}
+        return [go.Scatter3d(**xyz(tip_m[None]), mode="markers", marker=marker, name=looks.GOAL.name)]
 
     def at(self, values: list[float]) -> dict[str, Any]:
         """The answer for joint values in deg or mm, in the order of the drive: vertices [mm] and figures, or a refusal.
@@ -80,6 +93,7 @@ class LiveState:
             "stability": _finite(float(samples.stability[-1])),
             "strain_percent": _finite(100 * float(samples.max_strain[-1])),
             "clearance_mm": clearance_mm,
+            "target": self._from_target(joints, shown.tip_m, float(samples.position_m[-1])),
             "status": Status(int(samples.status[-1])).name,
             "valid": motion.valid,
             "reason": motion.reason,
@@ -96,6 +110,21 @@ class LiveState:
 
     def _shown(self, q: Array) -> list[float]:
         return [float(x) / joint.si_per_unit for x, joint in zip(q, self.scenario.robot.drive.joints, strict=True)]
+
+    def _from_target(self, joints: Array, tip_m: Array, bound_m: float) -> dict[str, Any] | None:
+        """How far [mm] the tip is from the scenario's target without friction and at worst; None without a target."""
+        goal = self.scenario.goal
+        if goal.tip_m is None:
+            return None
+        free_m, robot = float(np.linalg.norm(tip_m - goal.tip_m)), self.scenario.robot
+        play_m = play_shift(robot, *robot.drive.collars(joints))
+        miss = WorstMiss("the target", free_m, bound_m, play_m, goal.tolerance_m)
+        return {
+            "free_mm": miss.without_friction_m * 1e3,
+            "worst_mm": _finite(miss.total_m * 1e3),
+            "tolerance_mm": goal.tolerance_m * 1e3,
+            "exceeds": miss.exceeds,
+        }
 
     def _refusal(self, reason: str) -> str:
         """Without the number of the only row there is."""

@@ -105,7 +105,19 @@ function say(pose) {
   byId("stability").textContent = shown(pose.stability, 2, "");
   byId("strain_percent").textContent = shown(pose.strain_percent, 2, "%");
   byId("clearance_mm").textContent = pose.refusal ? "–" : pose.clearance_mm === null ? "free space" : shown(pose.clearance_mm, 2, "mm");
+  fromTarget(pose.refusal ? null : pose.target);
   byId("tip_mm").textContent = pose.tip_mm ? pose.tip_mm.map((x) => x.toFixed(1)).join(", ") + " mm" : "–";
+}
+
+// Amber where the tip would be there without friction, and need not be with it.
+function fromTarget(target) {
+  for (const [name, key] of [["target_free", "free_mm"], ["target_worst", "worst_mm"]]) {
+    byId(name).parentElement.hidden = !target;
+    if (target) byId(name).textContent = shown(target[key], 2, "mm");
+  }
+  const there = target && target.free_mm <= target.tolerance_mm;
+  byId("target_worst").className = there ? (target.exceeds ? "caution" : "good") : "";
+  if (target) byId("target_worst").textContent += ` (tolerance ${target.tolerance_mm.toFixed(2)} mm)`;
 }
 
 byId("joints").append(...JOINTS.map(row));

@@ -133,12 +133,14 @@ def _errors_and_margins(plan: Plan) -> Markup:
     count = len(plan.certificate.samples.joints)
     hint = f"{_counted(count, 'place')} of the path, each solved with the full model. {SHADES}"
     return section(
-        "Errors and margins along the path", tag("p", hint, kind="quiet"), plot(margins_figure(plan), "margins")
+        "Errors and margins along the path",
+        tag("p", hint, kind="quiet"),
+        plot(margins_figure(plan), "margins", kind="plot twin"),
     )
 
 
 def _joints(plan: Plan) -> Markup:
-    return section("Joints", tag("p", SHADES, kind="quiet"), plot(joints_figure(plan), "joints"))
+    return section("Joints", tag("p", SHADES, kind="quiet"), plot(joints_figure(plan), "joints", kind="plot twin"))
 
 
 def _counted(count: int, thing: str) -> str:
