@@ -192,7 +192,8 @@ def _without_motion(checker: MotionChecker, began: float) -> tuple[Candidate, Ca
     found_s = time.monotonic() - began
     walk = walk_legs(scenario, corners)
     if walk.failure:
-        raise NoAnswerError(f"{scenario.path or scenario.name}: goal: is the start, which fails: {walk.failure}")
+        where = f"{scenario.path or scenario.name}: {scenario.goal.table}"
+        raise NoAnswerError(f"{where}: is the start, which fails: {walk.failure}")
     return _found(as_given(checker, corners), walk, found_s, began, "start")
 
 
