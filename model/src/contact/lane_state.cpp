@@ -76,6 +76,7 @@ void LaneState::set_phi(const Robot& robot, const KernelProblem& problem, int la
 LaneState::Kept LaneState::keep(int lane) const {
     auto alone = [&](const AlignedArray& values) {
         std::vector<double> kept;
+        kept.reserve(values.size() / lanes_ + 1);
         for (std::size_t i = lane; i < values.size(); i += lanes_) kept.push_back(values[i]);
         return kept;
     };
