@@ -3,9 +3,10 @@
 python benchmarks/certificate_scenes.py [--scenes 60] [--states 41] [--seed 1]
 
 Per robot and kind of scene: a short motion from a random configuration, one sphere of 0.5 to 2 mm. "Between": the
-sphere stands beside a body point in a random friction state between the corners. "Anywhere": beside a random body point of the
-frictionless shape, farther off. Each motion is certified. Then bodies are solved on a grid of friction states at 5
-configurations along it, and the clearance is the least distance of their points to the sphere less both radii.
+sphere stands beside a body point in a random friction state between the corners. "Anywhere": beside a random body
+point of the frictionless shape, farther off. Each motion is certified. Then bodies are solved on a grid of friction
+states at 5 configurations along it, and the clearance is the least distance of their points to the sphere less both
+radii.
 
 Printed: scenes, certified ones, certified ones that a state hits, scenes that no state comes within 1 mm of, the share
 of these that is certified, and the largest excess of a certified clearance over the true one [mm].
