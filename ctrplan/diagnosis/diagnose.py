@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrplan.base.arguments import EVENT, PROGRESS, Made, Texts, checked
 from ctrplan.base.arrays import Array
 from ctrplan.base.progress import StageProgress
 from ctrplan.calibration.pose_errors import distances
@@ -67,6 +68,7 @@ class _Teller:
             self.progress(step, self.share)
 
 
+@checked(robot=Made("Robot"), data=Made("Measurements"), progress=PROGRESS, without=Texts(), interrupted=EVENT)
 def diagnose(
     robot: Robot,
     data: Measurements,

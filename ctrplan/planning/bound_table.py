@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrplan.base.arguments import PROGRESS, Flag, Made, checked
 from ctrplan.base.arrays import Array
 from ctrplan.base.version import __version__
 from ctrplan.errors import InputError
@@ -83,6 +84,7 @@ class BoundTable:
         return self.lookup.check_path(theta_b, l_b, field, density=density, limits=limits)
 
 
+@checked(robot=Made("Robot"), progress=PROGRESS, build=Flag())
 def tabulated_bounds(robot: Robot, *, progress: Progress | None = None, build: bool = True) -> BoundTable | None:
     """The robot's field: from the cache if it is there, else built, with `progress` told the finished share.
 
