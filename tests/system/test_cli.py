@@ -130,7 +130,7 @@ def test_what_a_failed_solve_leaves_is_json_all_the_same(capsys: pytest.CaptureF
         (
             ["bound", ROBOT, "--theta-deg", "0", "0", "nan", "--l-mm", "0", "-17", "-40"],
             2,
-            ["--theta-deg = nan deg", "must be a number from"],
+            ["--theta-deg = nan deg", "a number"],
         ),
         (["bound", ROBOT, "--theta-deg", "0", "0", "0", "--l-mm", "0", "-17", "-20"], 2, ["--l-mm", "17 mm apart"]),
         (["plan", ""], 2, ["'': does not exist"]),
