@@ -36,7 +36,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our output went away
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    except OSError as error:  # of standard output; files have sentences of their own
+    except OSError as error:
+        if error.filename is not None:  # none of ours: those of files have sentences of their own
+            print(f"ctrplan: {os.fsdecode(error.filename)}: {error.strerror or error}.", file=sys.stderr)
+            return 1
         with suppress(OSError):  # it was closed
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         print(f"ctrplan: could not print the result: {error.strerror or error}.", file=sys.stderr)

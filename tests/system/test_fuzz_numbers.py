@@ -357,3 +357,24 @@ def test_a_standard_stream_that_is_closed_is_no_place_for_anything_else(closed: 
         assert done.stderr == "ctrplan: could not print the result: standard output is closed.\n"
     else:
         assert done.returncode == 0 and "worst-case friction error" in done.stdout and not done.stderr
+
+
+@pytest.mark.parametrize("name", ["x" * 300, "new/" + "x" * 300, "a\0b", "x" * 5000])
+def test_a_place_for_results_that_cannot_be_is_refused(
+    name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, lines = run(capsys, "plan", str(SCENARIO_FILE), "-o", name, "--time", "0.2")
+    assert_refused(code, lines)
+    assert lines[0].startswith("ctrplan: --output = 'x") or name[0] != "x"
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("command", ["plan", "bound", "ik", "simulate", "field", "diagnose", "view", "calibrate"])
+def test_an_input_file_of_an_impossible_name_is_refused(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    rest = {
+        **{"bound": ["--theta-deg", "0", "--l-mm", "0"], "ik": ["--tip-mm", "0", "0", "0"], "simulate": ["a.csv"]},
+        **{"diagnose": ["a.csv"], "calibrate": ["a.csv"]},
+    }
+    for name in ("x" * 300, "a\0b"):
+        assert_refused(*run(capsys, command, name, *rest.get(command, [])))
