@@ -9,7 +9,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from ctrplan.anatomy.binary_ply import read_binary_ply
 from ctrplan.anatomy.mesh_repair import Indices, MeshRefusal, turned_outward, welded
+from ctrplan.anatomy.obj_file import read_obj
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.storage.file_bytes import file_name
@@ -73,6 +75,10 @@ def _read(path: Path) -> tuple[Array, Indices]:
 def _parsed(path: Path) -> tuple[Array, Indices]:
     # Processing stays off: it would drop NaN vertices silently. Materials are never looked up.
     kind = path.suffix.lower()[1:]
+    if kind == "obj":
+        return read_obj(path)
+    if kind == "ply" and (found := read_binary_ply(path.read_bytes())) is not None:
+        return found
     if kind == "stl":
         _check_stl_size(path)
     try:

@@ -16,13 +16,15 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import ArrayLike
 
-from ctrplan.base.arrays import Array, read_only
+from ctrplan.base.arguments import Number, require
+from ctrplan.base.arrays import Array, numbers, read_only
 from ctrplan.base.catalogue import Catalogue
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
-from ctrplan.storage.number_ranges import NotNegative
+from ctrplan.storage.number_ranges import Distance
 from ctrplan.storage.toml_table import Table
 
+LENGTH = Number(0, 1e3, "m", above=True)
 Role = Literal["avoid", "inside"]
 
 
@@ -58,7 +60,7 @@ class PartEntry(Struct, forbid_unknown_fields=True, kw_only=True):
 
     kind: str
     role: Role = "avoid"
-    margin_mm: NotNegative = 0.0
+    margin_mm: Distance = 0.0
 
     def shape(self, table: Table) -> Shape:
         """The shape that the entry describes; `table` reads files and says faults. Raises InputError."""
@@ -89,14 +91,13 @@ def register(shape: type[Shape]) -> Callable[[E_], E_]:
 
 def length(name: str, value: float | None) -> float:
     """A finite length above zero [m]. Raises InputError otherwise."""
-    if value is None or not (np.isfinite(value) and value > 0):
-        raise InputError("must be a finite number above zero", key=name, value=value, unit="m")
-    return float(value)
+    require(name, value, LENGTH)
+    return float(value)  # type: ignore[arg-type]
 
 
 def point(name: str, value: Any) -> Array:
     """Three finite coordinates (3,) [m], read-only. Raises InputError otherwise."""
-    array: Array = read_only(np.asarray(value, dtype=np.float64))
+    array: Array = read_only(numbers(value, name))
     if array.shape != (3,) or not np.isfinite(array).all():
         raise InputError("must be three finite coordinates", key=name, value=value, unit="m")
     return array

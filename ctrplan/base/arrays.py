@@ -7,7 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ctrplan.errors import InputError
+
 Array = NDArray[np.float64]
+NUMERIC = "iuf"  # kinds of numpy arrays that hold numbers: dates, texts, truth values and complex numbers are none
 
 
 def read_only(values: ArrayLike) -> NDArray[Any]:
@@ -15,3 +18,27 @@ def read_only(values: ArrayLike) -> NDArray[Any]:
     array = np.array(values)
     array.setflags(write=False)
     return array
+
+
+def numbers(values: ArrayLike, key: str) -> Array:
+    """Whatever holds real numbers, as floats of the same shape.
+
+    Raises InputError for what numpy would take silently or with a warning: texts, dates, truth values, complex
+    numbers, masked entries, whole numbers too large for a float.
+    """
+    try:
+        given = np.asarray(values)
+        rows = values if isinstance(values, (list, tuple)) else [values]
+        if any(map(np.ma.is_masked, rows)):
+            raise InputError("must be numbers, some of these are masked", key=key)
+        if given.dtype.kind not in NUMERIC and given.size:
+            raise InputError(f"must be numbers, not {_kind_of(given)}", key=key)
+        with np.errstate(over="ignore"):  # of a long double; infinite numbers are refused where they are used
+            return np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError, ArithmeticError):
+        raise InputError("must be numbers, the same count in every row", key=key) from None
+
+
+def _kind_of(given: NDArray[Any]) -> str:
+    names = {"M": "dates", "m": "durations", "U": "texts", "S": "texts", "b": "truth values", "c": "complex numbers"}
+    return names.get(given.dtype.kind, "objects that a float can't hold")

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrplan.base.arguments import SEED, Choice, Interval, Made, Number, Table, Texts, Whole, checked
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.base_parameters import ABSOLUTE_STIFFNESS, BaseParameters
 from ctrplan.calibration.estimates import Estimate, estimates
@@ -103,6 +104,18 @@ class Calibration:
         return calibrated_content(self.fit, effects, self.data, self.model_error_m)
 
 
+@checked(
+    robot=Made("Robot"),
+    measurements=Made("Measurements"),
+    parameters=Texts(),
+    second_pass=Texts(),
+    weighting=Choice("stated", "paper"),
+    priors=Table(Number(0, 1e6, above=True)),
+    bounds=Table(Interval()),
+    held_out=Number(0, 0.99),
+    starts=Whole(1, 100),
+    seed=SEED,
+)
 def calibrate(
     robot: Robot,
     measurements: Measurements,
@@ -127,8 +140,6 @@ def calibrate(
     for name in names:
         if [*names, *second_pass].count(name) > 1:
             raise InputError("is named twice", key=name)
-    if seed < 0:
-        raise InputError("must be zero or more", key="seed", value=seed)
     noise = _noise(robot, weighting)
     group = groups(measurements)
     aside = _aside(group, held_out, seed)

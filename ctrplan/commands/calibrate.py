@@ -9,7 +9,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ctrplan.commands.options import add_set_option
+from ctrplan.base.arguments import SEED, Number, Whole
+from ctrplan.commands.options import add_number, add_set_option
 from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 from ctrplan.storage.output_folder import output_folder, written_together
 
@@ -41,11 +42,11 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--parameters", nargs="+", metavar="NAME", help="default: precurvatures, stiffness ratios, nu")
     parser.add_argument("--second-pass", nargs="+", metavar="NAME", default=[], help="fitted with the others held")
     parser.add_argument("--weighting", choices=["stated", "paper"], help="stated noise, or 1 deg = 1 mm as at (49)")
-    parser.add_argument(
-        "--held-out", type=float, default=0.25, metavar="SHARE", help="of configurations (default: %(default)s)"
-    )
-    parser.add_argument("--starts", type=int, default=1, metavar="N", help="starts of the fit (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of the starts and of what is kept aside")
+    help_aside = "of configurations (default: %(default)s)"
+    add_number(parser, "--held-out", Number(0, 0.99), default=0.25, metavar="SHARE", help=help_aside)
+    help_starts = "starts of the fit (default: %(default)s)"
+    add_number(parser, "--starts", Whole(1, 100), default=1, metavar="N", help=help_starts)
+    add_number(parser, "--seed", SEED, default=0, help="of the starts and of what is kept aside")
     parser.add_argument(
         "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder for the results (default: %(default)s)"
     )
@@ -56,18 +57,11 @@ def add_parser(commands: Any) -> None:
 def run_calibrate(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is nothing to write."""
     from ctrplan.calibration.calibrate import calibrate
-    from ctrplan.errors import InputError
     from ctrplan.files.measurement_file import load_measurements
     from ctrplan.files.robot_file import load_robot, write_robot
     from ctrplan.reports.calibration_page import calibration_report_html
     from ctrplan.storage.atomic_write import write_atomically
 
-    if not 1 <= arguments.starts <= 100:
-        raise InputError("must be from 1 to 100", key="--starts", value=arguments.starts)
-    if not 0 <= arguments.held_out < 1:
-        raise InputError("must be from 0 to below 1", key="--held-out", value=arguments.held_out)
-    if arguments.seed < 0:
-        raise InputError("must be zero or more", key="--seed", value=arguments.seed)
     robot = load_robot(arguments.robot, arguments.overrides)
     data = load_measurements(arguments.measurements, robot)
     folder = output_folder(arguments.output, OUTPUTS)

@@ -11,7 +11,6 @@ from ctrplan.errors import InputError
 
 # What looks like an option but is a value: -17e0, -1,+1, -.5, -inf. No option of ours begins like this.
 NEGATIVE_VALUE = re.compile(r"-(\.?\d|inf|nan)")
-KINDS = {"float": "a number", "int": "a whole number"}  # that argparse names as Python does
 
 
 class CommandLine(argparse.ArgumentParser):
@@ -34,6 +33,4 @@ class CommandLine(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raises InputError, with where to look for help."""
         message = message.removeprefix("argument ").replace("-o/--output", "--output")
-        for name, kind in KINDS.items():
-            message = re.sub(rf"invalid {name} value: (.*)", rf"must be {kind}, not \1", message)
         raise InputError(f"{message} (see {self.prog} --help)")

@@ -45,7 +45,7 @@ def run_field(arguments: argparse.Namespace) -> int:
     began = time.monotonic()
     terminal = sys.stderr is not None and sys.stderr.isatty()
     with ProgressBar(quiet=arguments.quiet or not terminal) as bar:
-        field = tabulated_bounds(robot, progress=lambda share: bar.show("bound field", share))
+        field = tabulated_bounds(robot, progress=lambda share: bar.show("bound field", share), keep=True)
     assert field is not None
     print(f"{robot.name}: bound field of {points:,} configurations, {time.monotonic() - began:.1f} s")
     print(f"  {'added to looked-up bounds':27} {field.error.margin_m * 1e3:.2f} mm, enough for 99 % of configurations")

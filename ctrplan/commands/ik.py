@@ -9,7 +9,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ctrplan.commands.options import add_allow_outside_option, add_set_option
+from ctrplan.base.arguments import SEED, Number, Whole
+from ctrplan.base.units import LONGEST_MM
+from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.storage.output_folder import output_folder, write_results
 
@@ -39,16 +41,16 @@ def add_parser(commands: Any) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("file", metavar="ROBOT.toml|SCENARIO.toml")
-    xyz = {"type": float, "nargs": 3, "metavar": ("X", "Y", "Z")}
-    parser.add_argument("--tip-mm", required=True, help="the point; a scenario's is in the anatomy's frame", **xyz)
-    parser.add_argument("--direction", help="of the tip, any length", **xyz)
-    for option, default, what in (
-        ("--tolerance-mm", 0.1, "distance from the point that counts as there (default: %(default)s)"),
-        ("--direction-tolerance-deg", None, f"likewise from the direction (default: {DIRECTION_TOLERANCE_DEG})"),
-    ):
-        parser.add_argument(option, type=float, default=default, metavar="T", help=what)
-    parser.add_argument("--starts", type=int, default=400, help="random starts (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of the random starts (default: %(default)s)")
+    xyz: dict[str, Any] = {"nargs": 3, "metavar": ("X", "Y", "Z")}
+    help_point = "the point; a scenario's is in the anatomy's frame"
+    add_number(parser, "--tip-mm", Number(-LONGEST_MM, LONGEST_MM, "mm"), required=True, help=help_point, **xyz)
+    add_number(parser, "--direction", Number(-1e6, 1e6), help="of the tip, any length", **xyz)
+    there: dict[str, Any] = {"metavar": "T", "help": "distance from the point that counts as there (default: 0.1)"}
+    add_number(parser, "--tolerance-mm", Number(1e-3, 1000, "mm"), default=0.1, **there)
+    there["help"] = f"likewise from the direction (default: {DIRECTION_TOLERANCE_DEG})"
+    add_number(parser, "--direction-tolerance-deg", Number(0, 180, "deg", above=True), **there)
+    add_number(parser, "--starts", Whole(1, 100_000), default=400, help="random starts (default: %(default)s)")
+    add_number(parser, "--seed", SEED, default=0, help="of the random starts (default: %(default)s)")
     parser.add_argument("-o", "--output", metavar="DIR", help=f"folder for {OUTPUTS[0]}, the ways drawn and in a table")
     parser.add_argument("--json", action="store_true", help="machine-readable output")
     add_allow_outside_option(parser)
@@ -104,27 +106,17 @@ def _target(arguments: argparse.Namespace, scenario: Scenario) -> TipTarget:
 
     from ctrplan.planning.goals.inverse_kinematics import TipTarget
 
-    for key, values in (("--tip-mm", arguments.tip_mm), ("--direction", arguments.direction or [])):
-        if not all(math.isfinite(value) and abs(value) <= 1e5 for value in values):
-            raise InputError("must be finite, at most 1e5", key=key, value=values)
-    if not 0 < arguments.tolerance_mm <= 1e3:
-        raise InputError("must be above 0 and at most 1000", key="--tolerance-mm", value=arguments.tolerance_mm)
     allowed_deg = arguments.direction_tolerance_deg
     if allowed_deg is not None and arguments.direction is None:
         raise InputError("goes with --direction", key="--direction-tolerance-deg", value=allowed_deg)
-    if allowed_deg is not None and not 0 < allowed_deg <= 180:
-        raise InputError("must be above 0 and at most 180", key="--direction-tolerance-deg", value=allowed_deg)
-    if not 1 <= arguments.starts <= 100_000:
-        raise InputError("must be from 1 to 100000", key="--starts", value=arguments.starts)
-    if arguments.seed < 0:
-        raise InputError("must be zero or more", key="--seed", value=arguments.seed)
     tip = scenario.base_R.T @ (np.multiply(arguments.tip_mm, 1e-3) - scenario.base_position_m)
     if arguments.direction is None:
         return TipTarget(tip)
-    length = math.hypot(*arguments.direction)
-    if length == 0:
+    largest = max(map(abs, arguments.direction))
+    if largest == 0:
         raise InputError("must not be zero", key="--direction", value=arguments.direction)
-    direction = scenario.base_R.T @ (np.array(arguments.direction) / length)
+    scaled = np.array(arguments.direction) / largest  # so that squares do not vanish
+    direction = scenario.base_R.T @ (scaled / np.linalg.norm(scaled))
     return TipTarget(tip, direction, math.radians(allowed_deg or DIRECTION_TOLERANCE_DEG))
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from ctrplan.base.arguments import Number, Whole, in_plain_digits, require
+from ctrplan.base.units import LONGEST_MM, MOST_TURNS_DEG
 from ctrplan.errors import InputError
 
 if TYPE_CHECKING:
@@ -35,11 +36,34 @@ def add_allow_outside_option(parser: argparse.ArgumentParser) -> None:
 
 def add_joint_options(parser: argparse.ArgumentParser) -> None:
     """Adds --theta-deg and --l-mm, a number per tube; configuration() reads them."""
-    for option, metavar, what in (
-        ("--theta-deg", "DEG", "commanded base rotations, outermost tube first"),
-        ("--l-mm", "MM", "commanded base translations, outermost tube first, <= 0"),
+    turns = Number(-MOST_TURNS_DEG, MOST_TURNS_DEG, "deg")
+    travel = Number(-LONGEST_MM, LONGEST_MM, "mm")
+    for option, kind, metavar, what in (
+        ("--theta-deg", turns, "DEG", "commanded base rotations, outermost tube first"),
+        ("--l-mm", travel, "MM", "commanded base translations, outermost tube first, <= 0"),
     ):
-        parser.add_argument(option, type=float, nargs="+", required=True, metavar=metavar, help=what)
+        add_number(parser, option, kind, nargs="+", required=True, metavar=metavar, help=what)
+
+
+def add_number(
+    parser: argparse.ArgumentParser,
+    option: str,
+    kind: Number | Whole,
+    *,
+    short: str = "",
+    **keys: Any,
+) -> None:
+    """Adds an option whose values, one or with nargs several, are numbers of a kind; keys are those of argparse.
+
+    A value that is none is refused with the option, the value, the unit and the range.
+    """
+
+    def read(text: str) -> float:
+        value = in_plain_digits(text, isinstance(kind, Whole))
+        require(option, text if value is None else value, kind)
+        return value  # type: ignore[return-value]  # `require` refuses what is no number
+
+    parser.add_argument(*([short] if short else []), option, type=read, **keys)
 
 
 def configuration(arguments: argparse.Namespace, n: int) -> tuple[Array, Array]:
@@ -52,6 +76,4 @@ def configuration(arguments: argparse.Namespace, n: int) -> tuple[Array, Array]:
     for key, values in (("--theta-deg", arguments.theta_deg), ("--l-mm", arguments.l_mm)):
         if len(values) != n:
             raise InputError(f"needs {n} values, one per tube, outermost first", key=key, value=values)
-        if not all(map(math.isfinite, values)):
-            raise InputError("must be finite", key=key, value=values)
     return np.radians(arguments.theta_deg), np.multiply(arguments.l_mm, 1e-3)

@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ctrplan.base.arguments import SEARCH_TIME, SEED
 from ctrplan.base.interrupts import INTERRUPTED, interrupt_event
-from ctrplan.commands.options import add_allow_outside_option, add_set_option
+from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
 from ctrplan.commands.progress_bar import ProgressBar
 from ctrplan.commands.terminal import amber
-from ctrplan.errors import InputError
 from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 from ctrplan.storage.output_folder import output_folder, written_together
 
@@ -46,10 +46,11 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder for the results (default: %(default)s)"
     )
-    parser.add_argument("--seed", type=int, default=0, help="seed of the search (default: %(default)s)")
-    parser.add_argument(
+    add_number(parser, "--seed", SEED, default=0, help="seed of the search (default: %(default)s)")
+    add_number(
+        parser,
         "--time",
-        type=float,
+        SEARCH_TIME,
         metavar="S",
         help="seconds of search by the clock (default: work that takes about the scenario's planner.time_s)",
     )
@@ -79,12 +80,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
         from ctrplan.files.trajectory_file import left_over, trajectory_formats
         from ctrplan.planning import plan
         from ctrplan.planning.bound_table import known_table
-        from ctrplan.planning.plan import LARGEST_SEED, LONGEST_S
 
-        if arguments.time is not None and not 0 < arguments.time <= LONGEST_S:
-            raise InputError(f"must be above 0 and at most {LONGEST_S:g}", key="--time", value=arguments.time, unit="s")
-        if not 0 <= arguments.seed <= LARGEST_SEED:
-            raise InputError(f"must be from 0 to {LARGEST_SEED}", key="--seed", value=arguments.seed)
         scenario = load_scenario(arguments.scenario, arguments.overrides, allow_outside=arguments.allow_outside)
         formats = trajectory_formats(arguments.formats)
         folder = output_folder(arguments.output, _outputs(formats))

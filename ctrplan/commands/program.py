@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 
 import ctrplan
 from ctrplan.commands import bound, calibrate, diagnose, field, ik, plan, simulate, view
@@ -20,9 +22,12 @@ def run(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a name the terminal can't show must not end the program
+    is_shown = _standard_streams_are_open()
     try:
         parsed = parser().parse_args(arguments)
         code = int(parsed.run(parsed))
+        if not is_shown:
+            raise OSError(errno.EBADF, "standard output is closed")
         sys.stdout.flush()
         return code
     except CtrplanError as error:
@@ -31,10 +36,33 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our output went away
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    except OSError as error:  # of standard output; files have sentences of their own
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError as error:
+        if error.filename is not None:  # none of ours: those of files have sentences of their own
+            print(f"ctrplan: {os.fsdecode(error.filename)}: {error.strerror or error}.", file=sys.stderr)
+            return 1
+        with suppress(OSError):  # it was closed
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         print(f"ctrplan: could not print the result: {error.strerror or error}.", file=sys.stderr)
         return 1
+
+
+def _standard_streams_are_open() -> bool:
+    """Whether standard output leads anywhere. Where a stream is closed, nothing else may get its place.
+
+    The next file that is opened would, and what libraries print would be written into it.
+    """
+    is_shown = sys.stdout is not None
+    for name, number in (("stdin", 0), ("stdout", 1), ("stderr", 2)):
+        if getattr(sys, name) is None:
+            with suppress(OSError):
+                os.fstat(number)
+                continue
+            while os.open(os.devnull, os.O_RDWR) < number:
+                pass
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # print() would write to standard output what is for standard error
+            setattr(sys, name, io.StringIO())
+    return is_shown
 
 
 def parser() -> CommandLine:

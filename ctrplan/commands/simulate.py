@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ctrplan.base.arguments import in_plain_digits
 from ctrplan.base.interrupts import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_set_option
 from ctrplan.commands.progress_bar import ProgressBar
@@ -97,11 +98,9 @@ def start_state(text: str, pairs: int) -> Start:
         return text  # type: ignore[return-value]
     example = ",".join(["+1"] * pairs)
     rule = f'must be "released", "oscillated" or {pairs} values in [-1, 1], one per pair, such as {example}'
-    try:
-        phi = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        raise InputError(rule, key="--start", value=text) from None
-    if len(phi) != pairs or not all(abs(value) <= 1 for value in phi):
+    given = [in_plain_digits(part.strip()) for part in text.split(",")]
+    phi = tuple(value for value in given if value is not None and abs(value) <= 1)
+    if not len(phi) == len(given) == pairs:
         raise InputError(rule, key="--start", value=text)
     return phi
 

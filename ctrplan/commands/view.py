@@ -7,8 +7,8 @@ import sys
 import webbrowser
 from typing import Any
 
-from ctrplan.commands.options import add_allow_outside_option, add_set_option
-from ctrplan.errors import InputError
+from ctrplan.base.arguments import Whole
+from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
 
 EXAMPLES = """examples:
   ctrplan view scenarios/robots/three_tube.toml
@@ -27,7 +27,7 @@ def add_parser(commands: Any) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("file", metavar="ROBOT.toml|SCENARIO.toml")
-    parser.add_argument("--port", type=int, default=0, help="of 127.0.0.1 (default: a free one)")
+    add_number(parser, "--port", Whole(0, 65535), default=0, help="of 127.0.0.1 (default: a free one)")
     parser.add_argument("--no-browser", action="store_true", help="only print the page's address")
     add_allow_outside_option(parser)
     add_set_option(parser, "a key of the file", "robot.tube.2.poisson_ratio=0.28")
@@ -40,8 +40,6 @@ def run_view(arguments: argparse.Namespace) -> int:
     from ctrplan.reports.live.server import LiveServer
     from ctrplan.reports.live.state import LiveState
 
-    if not 0 <= arguments.port <= 65535:
-        raise InputError("must be from 0 to 65535", key="--port", value=arguments.port)
     scenario = load_robot_or_scenario(arguments.file, arguments.overrides, allow_outside=arguments.allow_outside)
     for warning in scenario.warnings:
         print(f"ctrplan: warning: {warning}", file=sys.stderr)

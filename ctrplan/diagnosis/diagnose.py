@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrplan.base.arguments import EVENT, PROGRESS, Made, Texts, checked
 from ctrplan.base.arrays import Array
 from ctrplan.base.progress import StageProgress
 from ctrplan.calibration.pose_errors import distances
@@ -17,9 +18,11 @@ from ctrplan.calibration.residuals import Noise, Residuals
 from ctrplan.calibration.robot_content import within_file
 from ctrplan.calibration.symptoms import symptoms
 from ctrplan.calibration.unsolved import excused, unsolved_sentence
+from ctrplan.diagnosis.agreement import contradiction
 from ctrplan.diagnosis.candidates import Candidates, candidates, reduced
 from ctrplan.diagnosis.chi_square import ignored, remains
 from ctrplan.diagnosis.gap import Gap, open_held_out_set
+from ctrplan.diagnosis.gross_outliers import gross_outliers, outlier_sentences, too_many
 from ctrplan.diagnosis.localise import Place, localise
 from ctrplan.diagnosis.next_experiment import next_experiment
 from ctrplan.diagnosis.noise_floor import noise_floor
@@ -67,6 +70,7 @@ class _Teller:
             self.progress(step, self.share)
 
 
+@checked(robot=Made("Robot"), data=Made("Measurements"), progress=PROGRESS, without=Texts(), interrupted=EVENT)
 def diagnose(
     robot: Robot,
     data: Measurements,
@@ -87,10 +91,16 @@ def diagnose(
     teller = _Teller(progress, interrupted)
     noise, about_noise = noise_floor(robot, data)
     usable = usable_poses(robot, data)
-    parts = _checked_split(data, usable)
+    _checked_split(data, usable)  # before anything is asked
     known = candidates(robot, data, allowed)
-    bench = _bench(robot, data, parts, noise)
+    wrong, parts, bench = _without_outliers(robot, data, usable, noise)
     selector, judgement, notes, stopped = _searched(bench, known, teller)
+    more = gross_outliers(selector.found.chosen.fit, data, usable & ~wrong)  # that something missing had hidden
+    if more.any() and not too_many(wrong | more, usable) and not stopped:
+        wrong |= more
+        parts = _checked_split(data, usable & ~wrong)
+        bench = _bench(robot, data, parts, noise)
+        selector, judgement, notes, stopped = _searched(bench, known, teller)
     selector.bench.pause = lambda: None  # what follows is short, and nothing is told without it
     chosen, base = selector.found.chosen, selector.bench.scored([])
     noise = selector.bench.noise
@@ -98,15 +108,20 @@ def diagnose(
         progress("asking the held-out set", HELD_OUT_SHARE)
     group = groups(data)
     gap = open_held_out_set(base.fit, chosen.fit, data.subset(parts.held_out_set), group[parts.held_out_set], noise)
-    judgement, note = _after_held_out_set(judgement, selector, gap, noise.position_m < bench.noise.position_m)
+    place = _place(selector.bench, gap)
+    estimated = noise.position_m < bench.noise.position_m
+    judgement, note = _after_held_out_set(judgement, selector, gap, place, estimated)
     written = _written(selector.bench, chosen, judgement)
     if written is not chosen:  # errors are of the model that is handed over
         judgement = replace(judgement, adequacy=remains(selector.bench, written))
         gap = open_held_out_set(
             base.fit, written.fit, data.subset(parts.held_out_set), group[parts.held_out_set], noise
         )
-    place = _place(selector.bench, gap)
-    far = ignored(chosen) & ~excused(chosen.failed)
+        if doubt := contradiction(judgement.verdict, gap, place):
+            judgement, note = replace(judgement, verdict="unexplained"), [*note, doubt]
+    outlying = wrong.copy()
+    outlying[parts.selection] = ignored(written) & ~excused(written.failed)
+    outlying[parts.held_out_set] = gap.outlying
     unsolved = np.zeros(data.count, bool)
     unsolved[parts.selection], unsolved[parts.held_out_set] = base.failed | written.failed, gap.failed
     left_out = np.zeros(data.count, bool)
@@ -134,13 +149,14 @@ def diagnose(
             *note,
             *symptoms(chosen.fit),
             *_coverage(usable),
+            *outlier_sentences(written.fit, data, outlying),
             *unsolved_sentence(data, unsolved, ~left_out, "calibrated or with the effects"),
         ),
         robot=robot,
         data=data,
         noise=noise,
-        coverage=float((usable & ~left_out).mean()),
-        outlier_rows=tuple((data.rows[parts.selection[far]] + 1).tolist()),
+        coverage=float((usable & ~left_out & ~wrong).mean()),
+        outlier_rows=tuple((data.rows[outlying] + 1).tolist()),
         interrupted=stopped,
         time_s=time.monotonic() - began,
     )
@@ -174,6 +190,20 @@ def _bench(robot: Robot, data: Measurements, parts: Split, noise: Noise) -> Work
     return Workbench(robot, data.subset(parts.selection), noise, groups(data)[parts.selection], parts.fold)
 
 
+def _without_outliers(
+    robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: Noise
+) -> tuple[NDArray[np.bool_], Split, Workbench]:
+    """Poses (K,) that went wrong, and split and bench without them. Found by the calibrated model without effects."""
+    wrong = np.zeros(data.count, bool)
+    while True:
+        parts = _checked_split(data, usable & ~wrong)
+        bench = _bench(robot, data, parts, noise)
+        more = gross_outliers(bench.scored([]).fit, data, usable & ~wrong)
+        if not more.any() or too_many(wrong | more, usable):
+            return wrong, parts, bench
+        wrong |= more
+
+
 def _searched(bench: Workbench, known: Candidates, teller: _Teller) -> tuple[Selector, Judgement, list[str], bool]:
     """Selection and judgement, once more with the noise that the data show if it is not the stated one."""
     selector, notes = Selector(bench, known, teller), list[str]()
@@ -199,19 +229,22 @@ def _searched(bench: Workbench, known: Candidates, teller: _Teller) -> tuple[Sel
 
 
 def _after_held_out_set(
-    judgement: Judgement, selector: Selector, gap: Gap, estimated: bool
+    judgement: Judgement, selector: Selector, gap: Gap, place: Place, estimated: bool
 ) -> tuple[Judgement, list[str]]:
-    """A verdict that the held-out set contradicts is taken back; `estimated`: the noise is smaller than stated.
+    """A verdict that the held-out set or any figure contradicts is taken back.
+
+    estimated: the noise is smaller than stated.
 
     Noise that had to be enlarged may have taken in a misfit: no allowance is made for it.
     """
     residuals = _solved(selector.found.chosen)
     p = held_out_probability(gap.chi_square, judgement.adequacy.total, residuals, estimated=estimated)
-    if judgement.verdict == "unexplained" or p > HELD_OUT_REJECTED:
+    doubt = contradiction(judgement.verdict, gap, place)
+    if judgement.verdict == "unexplained" or (p > HELD_OUT_REJECTED and not doubt):
         return judgement, []
     kept = specific(selector.bench, selector.found, judgement.findings, judgement.adequacy)
     note = f"The held-out set contradicts it: chi-square per degree of freedom {gap.chi_square.ratio:.2f}."
-    return replace(judgement, verdict="unexplained", findings=kept), [note]
+    return replace(judgement, verdict="unexplained", findings=kept), [doubt or note]
 
 
 def _norms(scored: Scored) -> Array:
@@ -237,7 +270,7 @@ def _written(bench: Workbench, chosen: Scored, judgement: Judgement) -> Scored:
 
 def _place(bench: Workbench, gap: Gap) -> Place:
     base = bench.scored([])
-    fit, kept = base.fit, ~excused(base.failed)
+    fit, kept = base.fit, ~ignored(base)
     error = distances(fit.chain.predict(fit.p, derivatives=False), fit.chain.data)
     return localise(bench.data.subset(kept), fit.residuals.r[kept], bench.group[kept], error[kept], gap.floor_m)
 

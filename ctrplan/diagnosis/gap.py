@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.least_squares import Fit
 from ctrplan.calibration.pose_errors import Errors, distances, summary
-from ctrplan.calibration.residuals import Noise, residuals
+from ctrplan.calibration.residuals import Noise, Residuals, residuals
 from ctrplan.calibration.unsolved import excused
 from ctrplan.diagnosis.chi_square import ChiSquare, outliers
 from ctrplan.experiment.measurements import Measurements
@@ -32,12 +32,16 @@ class Gap:
     after_m: Array
     chi_square: ChiSquare  # of the held-out set's poses under the predictive distribution of the fit with the effects
     failed: NDArray[np.bool_]  # of all poses of the held-out set: without a solution, before or after
+    outlying: NDArray[np.bool_]  # likewise: too far off for noise while few are, left out of every figure
 
 
 def open_held_out_set(
     before: Fit, after: Fit, held_out_set: Measurements, group: NDArray[np.int_], noise: Noise
 ) -> Gap:
-    """Predicts the held-out set's poses with fits that have not seen them; where one has no solution, none is asked."""
+    """Predicts the held-out set's poses with fits that have not seen them; where one has no solution, none is asked.
+
+    Few poses too far off for noise are in no figure: what chi-squares leave out, errors leave out as well.
+    """
     chains = [ParametricChain(f.chain.robot, held_out_set, f.chain.terms) for f in (before, before, after)]
     values = (before.chain.neutral, before.p, after.p)
     for chain, p in zip(chains[1:], values[1:], strict=True):
@@ -45,6 +49,10 @@ def open_held_out_set(
     predictions = [chain.predict(p, derivatives=False) for chain, p in zip(chains, values, strict=True)]
     failed = predictions[1].failed | predictions[2].failed
     kept = ~excused(failed)
+    found = _residuals(chains[2].predict(after.p).subset(kept), held_out_set.subset(kept), group[kept], noise)
+    outlying, near = np.zeros(len(kept), bool), ~outliers(found.raw_norm)
+    outlying[np.flatnonzero(kept)[~near]] = True
+    kept &= ~outlying
     held_out_set, group = held_out_set.subset(kept), group[kept]
     errors = [distances(prediction.subset(kept), held_out_set) for prediction in predictions]
     regions = {
@@ -52,8 +60,10 @@ def open_held_out_set(
         for name, inside in _regions(held_out_set).items()
     }
     nominal, calibrated, effective = (summary(e, group) for e in errors)
-    chi_square = _predictive(chains[2].predict(after.p).subset(kept), held_out_set, after, group, noise)
-    return Gap(nominal, calibrated, effective, noise.floor_m, regions, errors[1], errors[2], chi_square, failed)
+    chi_square = _predictive(found.r[near].ravel(), found.J[near].reshape(-1, found.J.shape[2]), after)
+    return Gap(
+        nominal, calibrated, effective, noise.floor_m, regions, errors[1], errors[2], chi_square, failed, outlying
+    )
 
 
 def _regions(held_out_set: Measurements) -> dict[str, NDArray[np.bool_]]:
@@ -68,13 +78,12 @@ def _regions(held_out_set: Measurements) -> dict[str, NDArray[np.bool_]]:
     return {word: third == k for k, word in enumerate(words) if np.any(third == k)}
 
 
-def _predictive(
-    prediction: Prediction, held_out_set: Measurements, after: Fit, group: NDArray[np.int_], noise: Noise
-) -> ChiSquare:
-    """Residuals over noise and the parameters' own uncertainty together."""
+def _residuals(prediction: Prediction, held_out_set: Measurements, group: NDArray[np.int_], noise: Noise) -> Residuals:
     whitening: Sequence[int] | NDArray[np.int_] = np.arange(len(group)) if held_out_set.is_stream else group
-    found = residuals(held_out_set, prediction, noise, whitening)
-    ignored = outliers(found.raw_norm)
-    r, J = found.r[~ignored].ravel(), found.J[~ignored].reshape(-1, found.J.shape[2])
+    return residuals(held_out_set, prediction, noise, whitening)
+
+
+def _predictive(r: Array, J: Array, after: Fit) -> ChiSquare:
+    """Residuals (R,) with derivatives (R, P) over noise and the parameters' own uncertainty together."""
     spread = np.eye(len(r)) + J @ after.covariance @ J.T
     return ChiSquare(float(r @ np.linalg.solve(spread, r)), len(r))

@@ -22,6 +22,7 @@ BINS = 4
 RESOLUTION = 1000  # parts of a quantity's range: values nearer to each other are one
 TINY = 1e-300
 ROUNDED_RAD = 1e-9  # by which an angle may fall short of zero without coming out as a full turn
+LONGEST = 3.0  # of the median norm of residuals
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,7 @@ class Place:
     trends: tuple[Trend, ...]
     sentence: str
     between_share: float  # of the sum of squares that approaches of one configuration share
+    rms_m: float  # of the calibrated model's errors
 
 
 def quantities(data: Measurements) -> Mapping[str, Array]:
@@ -63,7 +65,7 @@ def quantities(data: Measurements) -> Mapping[str, Array]:
 
 def localise(data: Measurements, r: Array, group: NDArray[np.int_], error_m: Array, floor_m: float) -> Place:
     """From whitened residuals (K, 5) and distances (K,) of the calibrated model."""
-    known = quantities(data)
+    known, r = quantities(data), _bounded(r)
     parts = {name: _quarters(values) for name, values in known.items()}
     observed = np.array([_share(r, part) for part in parts.values()])
     rng = np.random.default_rng(SEED)
@@ -77,7 +79,8 @@ def localise(data: Measurements, r: Array, group: NDArray[np.int_], error_m: Arr
     order = np.argsort(chance.mean(axis=0) - observed)
     ranked = tuple(trends[k] for k in order)
     between = _share(r, np.unique(group, return_inverse=True)[1])
-    return Place(ranked, _sentence(ranked, known, error_m, floor_m, between), between)
+    rms_m = float(np.sqrt(np.mean(error_m**2)))
+    return Place(ranked, _sentence(ranked, known, error_m, floor_m, between), between, rms_m)
 
 
 def _sentence(
@@ -125,6 +128,14 @@ def _share(r: Array, part: NDArray[np.int_]) -> float:
     count = np.bincount(part)
     means = np.stack([np.bincount(part, weights=column) for column in r.T], axis=1)
     return float((means**2 / np.maximum(count, 1)[:, None]).sum() / max((r**2).sum(), 1e-12))
+
+
+def _bounded(r: Array) -> Array:
+    """Residuals (K, 5) none of which is much longer than most: a few wild poses are no trend."""
+    norm = np.linalg.norm(r, axis=1)
+    longest = LONGEST * np.median(norm)
+    bounded: Array = r * np.minimum(1.0, longest / np.maximum(norm, 1e-12))[:, None]
+    return bounded
 
 
 def _shuffles(r: Array, group: NDArray[np.int_], rng: np.random.Generator) -> list[Array]:

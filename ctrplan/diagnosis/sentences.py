@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from ctrplan.calibration.estimates import estimates
+from ctrplan.diagnosis.agreement import times_noise
 from ctrplan.diagnosis.result import Diagnosis
+from ctrplan.experiment.measurements import MOST_ROWS
 from ctrplan.pipeline.parametric_chain import Term
 
 
 def verdict_sentence(found: Diagnosis) -> str:
     """One sentence a person can repeat."""
     names = " and ".join(_with_alternatives(found, k) for k in range(len(found.listed)))
-    left = found.judgement.adequacy.total.ratio**0.5
+    left = max(found.judgement.adequacy.total.ratio**0.5, times_noise(found.gap.after.rms_m, found.gap.floor_m))
     if found.verdict == "no_missing_effect":
-        return "No missing effect: calibrated, the model agrees with the measurements to their noise."
+        return f"No missing effect: calibrated, the model agrees with the measurements to their noise{_but(found)}."
     if found.verdict == "named":
-        return f"Missing: {names}. With it the model agrees with the measurements to their noise."
+        return f"Missing: {names}. With it the model agrees with the measurements to their noise{_but(found)}."
     if found.verdict == "ambiguous":
         return f"Missing: {names}. The data can't tell them apart, both would explain them."
     rest = f"what remains is {left:.1f} times the noise"
@@ -33,6 +35,13 @@ def effect_lines(found: Diagnosis) -> list[str]:
         )
         lines.append(f"{t.name} ({t.effect.stage}): {', '.join(values)}")
     return lines
+
+
+def _but(found: Diagnosis) -> str:
+    """The poses that are not meant, named with a sentence of green."""
+    count, rows = len(found.outlier_rows), ", ".join(map(str, found.outlier_rows[:MOST_ROWS]))
+    more = " ..." if count > MOST_ROWS else ""
+    return f", but for {count} {'pose' if count == 1 else 'poses'} left out (row {rows}{more})" if count else ""
 
 
 def _with_alternatives(found: Diagnosis, k: int) -> str:

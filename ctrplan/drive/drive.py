@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ctrplan.base.arrays import Array, read_only
+from ctrplan.base.arrays import Array, numbers, read_only
 from ctrplan.errors import InputError
 
 Kind = Literal["rotation", "translation"]
@@ -76,7 +76,7 @@ class Drive:
 
     def commanded(self, q: ArrayLike) -> tuple[Array, Array]:
         """What an ideal drive would make of joint values `q` (m,) or (K, m): [rad] and [m], each (n,) or (K, n)."""
-        values = np.asarray(q, dtype=np.float64)
+        values = numbers(q, "joint values")
         if values.ndim not in (1, 2) or values.shape[-1] != len(self.joints):
             rule = f"must have shape (m,) or (K, m), m = {len(self.joints)} joints, not {values.shape}"
             raise InputError(rule, key="joint values")
@@ -84,7 +84,7 @@ class Drive:
 
     def reached(self, theta: ArrayLike, l: ArrayLike) -> tuple[Array, Array]:  # noqa: E741 (as in the equations)
         """theta_b [rad] and l_b [m] where theta, l, each (n,) or (K, n), are commanded: with the drive's effects."""
-        theta_b, l_b = np.asarray(theta, dtype=np.float64), np.asarray(l, dtype=np.float64)
+        theta_b, l_b = numbers(theta, "theta_commanded"), numbers(l, "l_commanded")
         if not self.terms:
             return theta_b, l_b
         rows = np.atleast_2d(theta_b), np.atleast_2d(l_b)

@@ -21,7 +21,8 @@ import numpy as np
 import ruckig
 from numpy.typing import ArrayLike, NDArray
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arguments import Made, Number, checked
+from ctrplan.base.arrays import Array, numbers
 from ctrplan.drive.legs import distance_from_leg, merge_legs, rounding
 from ctrplan.errors import InputError, SolverError
 
@@ -34,6 +35,8 @@ RATIO_TOLERANCE = 1e-9  # relative excess of a limit that counts as rounding
 RANGE_TOLERANCE = 1e-9  # rad or m by which rounding may carry a waypoint out of its joint's range
 LINE_TOLERANCE = 1e-12  # rad or m by which a sample may leave its leg, rounding apart
 MAX_SAMPLES = 1_000_000
+PERIOD_S = 0.01
+PERIOD = Number(1e-9, 1e9, "s")
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +62,9 @@ class Trajectory:
     is_rotation: NDArray[np.bool_]  # (m,)
 
 
+@checked(drive=Made("Drive"), period_s=PERIOD)
 def time_parameterise(
-    waypoints: ArrayLike, drive: Drive, period_s: float = 0.01, *, rests: Sequence[int] = ()
+    waypoints: ArrayLike, drive: Drive, period_s: float = PERIOD_S, *, rests: Sequence[int] = ()
 ) -> Trajectory:
     """Fastest motion along the straight legs between waypoints (K, m) [rad, m] within the drive's limits.
 
@@ -74,6 +78,8 @@ def time_parameterise(
     knots = [_leg_knots(end - start, drive) for start, end in pairwise(corners)]
     leg_end_s = np.cumsum([leg[-1, 0] for leg in knots], dtype=np.float64)
     duration_s = float(leg_end_s[-1]) if knots else 0.0
+    if duration_s >= MAX_SAMPLES * PERIOD_S:
+        raise _too_slow(corners, drive, duration_s)
     time_s = _sample_times(duration_s, period_s)
     q, v, a, j = _sample(corners, knots, leg_end_s, time_s)
     stops = max(len(knots) - 1, 0)
@@ -166,8 +172,6 @@ def _sample(corners: Array, knots: Sequence[Array], leg_end_s: Array, time_s: Ar
 
 
 def _sample_times(duration_s: float, period_s: float) -> Array:
-    if not (math.isfinite(period_s) and period_s > 0):
-        raise InputError("must be a positive number", key="period_s", value=period_s, unit="s")
     if duration_s == 0:
         return np.zeros(1)
     if duration_s / period_s >= MAX_SAMPLES:
@@ -182,11 +186,21 @@ def _verify_on_legs(trajectory: Trajectory, corners: Array) -> None:
         raise SolverError(f"the trajectory leaves its straight legs by {distance:.3g} (rad, m).")
 
 
+def _too_slow(corners: Array, drive: Drive, duration_s: float) -> InputError:
+    """The error that a motion takes days, said of the joint's limit that makes it take them, as a robot file has it."""
+    way = np.abs(np.diff(corners, axis=0)).max(axis=0)
+    order = np.arange(1, len(QUANTITIES) + 1)[:, None]
+    i, j = np.unravel_index(np.argmax((way / _limits(drive)) ** (1 / order)), (len(QUANTITIES), len(way)))
+    joint = drive.joints[int(j)]
+    power = "" if i == 0 else str(i + 1)
+    key = f"joint.{j + 1}.max_{QUANTITIES[i]}_{joint.unit}_s{power}"
+    rule = f"lets a motion take {duration_s:.3g} s, must be at most {MAX_SAMPLES * PERIOD_S:g} s"
+    value = float(_limits(drive)[i, j]) / joint.si_per_unit
+    return InputError(rule, key=key, value=value, unit=f"{joint.unit}/s{'^' if power else ''}{power}")
+
+
 def _checked_waypoints(waypoints: ArrayLike, drive: Drive) -> Array:
-    try:
-        points = np.array(waypoints, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError("must be numbers, the same count in every row", key="waypoints") from error
+    points = numbers(waypoints, "waypoints").copy()
     if points.ndim != 2 or 0 in points.shape or points.shape[1] != len(drive.names):
         rule = f"must be (K, {len(drive.names)}), K at least 1, one value per joint: {', '.join(drive.names)}"
         raise InputError(rule, key="shape of waypoints", value=points.shape)

@@ -12,11 +12,12 @@ from msgspec import Meta, Struct
 from ctrplan.base.arrays import Array, read_only
 from ctrplan.drive.drive import UNITS, Drive, Joint, Kind
 from ctrplan.mechanics.tube import Tube
-from ctrplan.storage.number_ranges import Name, Positive
+from ctrplan.storage.number_ranges import Angle, Name
 from ctrplan.storage.toml_document import Document
 
 Travel = Annotated[float, Meta(ge=-5000, le=5000)]  # mm; beyond it the value is in another unit
 Gear = Annotated[float, Meta(ge=-1000, le=1000)]
+Rate = Annotated[float, Meta(ge=1e-3, le=1e6)]  # deg or mm, and s: slower joints never arrive
 
 # Largest velocity, acceleration and jerk where a joint gives none, in deg or mm and s. A surgical drive moves slowly
 # enough to be watched; it is at speed after a quarter (rotation) or a fifth of a second (translation), and its
@@ -39,22 +40,22 @@ class JointEntry(Struct, forbid_unknown_fields=True):
 
     name: Name
     moves: MovesEntry
-    min_deg: float | None = None
-    max_deg: float | None = None
+    min_deg: Angle | None = None
+    max_deg: Angle | None = None
     min_mm: Travel | None = None
     max_mm: Travel | None = None
-    max_velocity_deg_s: Positive | None = None
-    max_velocity_mm_s: Positive | None = None
-    max_acceleration_deg_s2: Positive | None = None
-    max_acceleration_mm_s2: Positive | None = None
-    max_jerk_deg_s3: Positive | None = None
-    max_jerk_mm_s3: Positive | None = None
+    max_velocity_deg_s: Rate | None = None
+    max_velocity_mm_s: Rate | None = None
+    max_acceleration_deg_s2: Rate | None = None
+    max_acceleration_mm_s2: Rate | None = None
+    max_jerk_deg_s3: Rate | None = None
+    max_jerk_mm_s3: Rate | None = None
 
 
 class HomeEntry(Struct, forbid_unknown_fields=True):
     """[home]: the collars when all joints are zero."""
 
-    theta_deg: list[float] | None = None
+    theta_deg: list[Angle] | None = None
     l_mm: list[Travel] | None = None
 
 

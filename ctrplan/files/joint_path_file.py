@@ -20,6 +20,7 @@ from ctrplan.robot.robot import Robot
 from ctrplan.storage.csv_table import CsvTable
 from ctrplan.storage.file_bytes import file_name
 
+LARGEST_TIME_S = 1e12  # stamps in ns or ms are no seconds
 MOST_TURNS = 50  # of a tube; more are most likely degrees
 LARGEST_RUN = 10**15  # numbers of runs beyond it are not exact
 WHOLE_NUMBER = "must be a whole number of at most 15 digits"
@@ -52,7 +53,7 @@ def joint_path(table: CsvTable, robot: Robot, needed: Sequence[str] = ()) -> Joi
 
 
 def _check_columns(table: CsvTable, n: int, needed: Sequence[str]) -> None:
-    numbers = {int(m[1]) for name in table.header if (m := re.fullmatch(r"(?:theta|l)_(\d+)_\w+", name))}
+    numbers = {int(m[1]) for name in table.header if (m := re.fullmatch(r"(?:theta|l)_([0-9]{1,9})_\w+", name))}
     tubes = max(numbers, default=0)
     if tubes > n or 0 < tubes < n:
         raise table.fault(f"has joints of {tubes} tubes, the robot file has {n}", column="header")
@@ -71,6 +72,9 @@ def _check_order(table: CsvTable, sequence: Array, time_s: Array | None) -> None
         rule = "this run was over, its rows must stand together"
         raise table.fault(rule, resumed, "sequence", int(sequence[resumed]))
     if time_s is not None:
+        for row in np.flatnonzero(np.abs(time_s) > LARGEST_TIME_S).tolist():
+            rule = f"must be from {-LARGEST_TIME_S:g} to {LARGEST_TIME_S:g} s"
+            raise table.fault(rule, row, "time_s", float(time_s[row]))
         for row in (np.flatnonzero(np.diff(time_s) < 0) + 1).tolist():
             rule = f"time runs backwards, the row before has {time_s[row - 1]:g} s"
             raise table.fault(rule, row, "time_s", float(time_s[row]))

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 from msgspec import Meta, Struct
 
 from ctrplan.files.drive_file import HomeEntry, JointEntry
-from ctrplan.mechanics.tube import Contact, Tube, TubeSection
-from ctrplan.storage.number_ranges import Name, NotNegative, Positive
+from ctrplan.mechanics.tube import SOFTEST_NM2, STIFFEST_NM2, Contact, Tube, TubeSection
+from ctrplan.storage.number_ranges import LARGEST_NUMBER, Length, Name
 from ctrplan.storage.toml_document import Document
 
 MOST_TUBES = 12  # the bound visits 2**(n - 1) corners
@@ -17,24 +17,26 @@ LARGEST_CURVATURE_PER_M = 1000.0
 LARGEST_FRICTION = 2.0
 LENGTH_TOLERANCE_M = 1e-9
 
+Curvature = Annotated[float, Meta(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]  # narrower below, with a hint
+
 
 class SectionEntry(Struct, forbid_unknown_fields=True):
     """[[tube.section]], from base to tip."""
 
-    length_mm: Positive
-    curvature_x_per_m: float
-    curvature_y_per_m: float
+    length_mm: Length
+    curvature_x_per_m: Curvature
+    curvature_y_per_m: Curvature
 
 
 class TubeEntry(Struct, forbid_unknown_fields=True):
     """[[tube]], outermost first."""
 
     outer_diameter_mm: Annotated[float, Meta(gt=0, le=1000)]
-    inner_diameter_mm: NotNegative
-    bending_stiffness_Nm2: Annotated[float, Meta(gt=0, le=1e6)]
+    inner_diameter_mm: Annotated[float, Meta(ge=0, le=1000)]
+    bending_stiffness_Nm2: Annotated[float, Meta(ge=SOFTEST_NM2, le=STIFFEST_NM2)]
     poisson_ratio: Annotated[float, Meta(gt=-0.999, le=0.5)]
     section: Annotated[list[SectionEntry], Meta(min_length=1)]
-    collar_length_mm: NotNegative = 0.0
+    collar_length_mm: Annotated[float, Meta(ge=0, le=LONGEST_TUBE_MM)] = 0.0
     max_strain: Annotated[float, Meta(gt=0, le=1)] = 0.08
     density_kg_m3: Annotated[float, Meta(ge=0, le=1e5)] = 0.0
 
@@ -50,8 +52,8 @@ class ContactEntry(Struct, forbid_unknown_fields=True):
 class MeasurementEntry(Struct, forbid_unknown_fields=True):
     """[measurement]: standard deviations of each coordinate and of a rotation of the tangent about each axis."""
 
-    position_sigma_mm: Positive
-    tangent_sigma_deg: Positive
+    position_sigma_mm: Annotated[float, Meta(ge=1e-6, le=1000)]
+    tangent_sigma_deg: Annotated[float, Meta(ge=1e-6, le=180)]
 
 
 class RobotEntry(Struct, forbid_unknown_fields=True):
@@ -62,7 +64,7 @@ class RobotEntry(Struct, forbid_unknown_fields=True):
     contact: list[ContactEntry] = []
     home: HomeEntry | None = None
     joint: Annotated[list[JointEntry], Meta(min_length=1)] | None = None
-    model_error_mm: NotNegative = 0.0
+    model_error_mm: Annotated[float, Meta(ge=0, le=1000)] = 0.0
     measurement: MeasurementEntry | None = None
     effects: dict[str, Any] = {}
     provenance: dict[str, Any] = {}  # where calibrated values come from

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 from msgspec import Meta, Struct
 
 from ctrplan.base.arrays import Array, read_only
+from ctrplan.base.units import MOST_TURNS_DEG
 from ctrplan.drive.drive import Joint
 from ctrplan.files.chosen_table import chosen
 from ctrplan.planning.planner_settings import PlannerSettings
 from ctrplan.planning.scenario import Cost, Margins
 from ctrplan.robot.nesting import nesting_violation
 from ctrplan.robot.robot import Robot
-from ctrplan.storage.number_ranges import Name, NotNegative, Point, Positive, Vector
+from ctrplan.storage.number_ranges import Length, Name, Point, Tolerance, Vector, Weight
 from ctrplan.storage.toml_document import Document, Step
 from ctrplan.storage.toml_table import Table
 
@@ -22,12 +23,14 @@ if TYPE_CHECKING:
 
 LIMIT_TOLERANCE = 1e-9  # rad or m
 
+Share = Annotated[float, Meta(ge=-2, le=2)]  # of a quaternion
+
 
 class BaseEntry(Struct, forbid_unknown_fields=True, frozen=True):
     """[base]: the robot frame in the anatomy's frame."""
 
     position_mm: Point = (0.0, 0.0, 0.0)
-    quaternion_wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    quaternion_wxyz: tuple[Share, Share, Share, Share] = (1.0, 0.0, 0.0, 0.0)
 
 
 class GoalEntry(Struct, forbid_unknown_fields=True):
@@ -37,7 +40,7 @@ class GoalEntry(Struct, forbid_unknown_fields=True):
     joints: dict[str, Any] | None = None
     tip_mm: Point | None = None
     line_mm: Annotated[list[Point], Meta(min_length=2, max_length=1000)] | None = None
-    tolerance_mm: Positive = 1.0
+    tolerance_mm: Tolerance = 1.0
     direction: Vector | None = None
     direction_tolerance_deg: Annotated[float, Meta(gt=0, le=180)] | None = None
 
@@ -45,19 +48,19 @@ class GoalEntry(Struct, forbid_unknown_fields=True):
 class MarginsEntry(Struct, forbid_unknown_fields=True, frozen=True):
     """[margins]."""
 
-    stability: NotNegative = Margins.stability
+    stability: Annotated[float, Meta(ge=0, le=1000)] = Margins.stability
     max_strain: Annotated[float, Meta(gt=0, le=1)] = Margins.max_strain
 
 
 class CostEntry(Struct, forbid_unknown_fields=True, frozen=True):
     """[cost]: weights of a cost in mm."""
 
-    path: NotNegative = Cost.path
-    mm_per_rad: Positive = Cost.mm_per_rad
-    error_along: NotNegative = Cost.error_along
-    error_goal: NotNegative = Cost.error_goal
-    max_error_goal_mm: Positive | None = None
-    stop: NotNegative = Cost.stop
+    path: Weight = Cost.path
+    mm_per_rad: Annotated[float, Meta(ge=1e-3, le=1e5)] = Cost.mm_per_rad
+    error_along: Weight = Cost.error_along
+    error_goal: Weight = Cost.error_goal
+    max_error_goal_mm: Length | None = None
+    stop: Weight = Cost.stop
 
 
 class ScenarioEntry(Struct, forbid_unknown_fields=True):
@@ -96,6 +99,9 @@ def _joint_value(table: dict[str, Any], joint: Joint, document: Document, *path:
     value = table[joint.name]
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise document.fault(f"must be a number (in {joint.unit})", *path, joint.name)
+    if not abs(value) <= MOST_TURNS_DEG:  # also of rotations without limits
+        rule = f"must be from {-MOST_TURNS_DEG:g} to {MOST_TURNS_DEG:g} {joint.unit}"
+        raise document.fault(rule, *path, joint.name, unit=joint.unit)
     q = float(value) * joint.si_per_unit
     if not joint.lower - LIMIT_TOLERANCE <= q <= joint.upper + LIMIT_TOLERANCE:
         lower, upper = joint.lower / joint.si_per_unit, joint.upper / joint.si_per_unit

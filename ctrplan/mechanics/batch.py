@@ -31,14 +31,6 @@ class ManyBounds(Protocol):
         """Bounds of (K, n) base rotations [rad] and translations [m]."""
 
 
-def check_helpers(progress: object, executor: object) -> None:
-    """Raises InputError for what can be neither told nor given tasks, before anything is solved."""
-    if progress is not None and not callable(progress):
-        raise InputError("must be a function of the finished share", key="progress", value=progress)
-    if executor is not None and not hasattr(executor, "submit"):
-        raise InputError("must have the interface of concurrent.futures.Executor", key="executor", value=executor)
-
-
 def rows_in_a_chunk(n: int, accuracy: Accuracy) -> int:
     """Configurations of n tubes between two reports of progress, at which Ctrl-C is noticed as well."""
     corners = max(1.0, 2.0 ** (n - 3) * n / 3)  # four at a time; a node has 5 n - 4 unknowns
@@ -78,11 +70,14 @@ def run(
 ) -> list[Bounds]:
     """work(*task) of every task, in order. Uses nothing but `submit`, `result` and `cancel`, which all executors have.
 
-    What is not done yet is called off when a task or `progress` raises, Ctrl-C included.
+    What is not done yet is called off when a task or `progress` raises, Ctrl-C included. Raises InputError where the
+    executor takes no tasks, because it was shut down or its workers died.
     """
-    futures = [executor.submit(work, *task) for task in tasks]
-    results = []
+    futures: list[Any] = []
+    results: list[Bounds] = []
     try:
+        for task in tasks:
+            futures.append(_submitted(executor, work, task))
         for done, future in enumerate(futures, start=1):
             results.append(future.result())
             if progress:
@@ -91,6 +86,13 @@ def run(
         for future in futures[len(results) :]:
             future.cancel()
     return results
+
+
+def _submitted(executor: Executor, work: Callable[..., Bounds], task: Sequence[Any]) -> Any:
+    try:
+        return executor.submit(work, *task)
+    except RuntimeError as error:  # of all executors of concurrent.futures
+        raise InputError(f"takes no tasks ({error})", key="executor", value=executor) from error
 
 
 def join(parts: Sequence[Bounds]) -> Bounds:

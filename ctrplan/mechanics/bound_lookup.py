@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from ctrplan import _model
 from ctrplan.base.arrays import Array
 from ctrplan.mechanics.core import Mechanics
-from ctrplan.mechanics.core_arrays import core_density, core_grid, core_limits, joint_rows
+from ctrplan.mechanics.core_arrays import core_density, core_grid, core_limits, joint_rows, promised
 from ctrplan.mechanics.core_errors import input_errors
 from ctrplan.mechanics.walk import Field, PathDensity, PathLimits, PathSamples
 
@@ -81,4 +81,4 @@ class FieldLookup:
         until = core_density(density), core_limits(limits)
         with input_errors():
             rows = joint_rows(theta_b, l_b, self.n)
-            return PathSamples(**self._core.check_path(*rows, core_grid(field), *until))
+            return promised(PathSamples(**self._core.check_path(*rows, core_grid(field), *until)))

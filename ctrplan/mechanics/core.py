@@ -6,19 +6,19 @@ front plate, z along insertion, s = 0 at the plate.
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import ctrplan._model as _model
-from ctrplan.base.arrays import Array
+from ctrplan.base.arguments import EXECUTOR, PROGRESS, Choice, Flag, Made, Number, Texts, Whole, checked, require
+from ctrplan.base.arrays import Array, numbers
 from ctrplan.base.progress import Progress
 from ctrplan.errors import InputError
-from ctrplan.mechanics.accuracy import Accuracy, first_order, known
-from ctrplan.mechanics.batch import bounds_in_chunks, bounds_on_executor, check_helpers, rows_in_a_chunk
+from ctrplan.mechanics.accuracy import Accuracy
+from ctrplan.mechanics.batch import bounds_in_chunks, bounds_on_executor, rows_in_a_chunk
 from ctrplan.mechanics.core_arrays import (
     core_density,
     core_grid,
@@ -29,8 +29,9 @@ from ctrplan.mechanics.core_arrays import (
     joint_row,
     joint_rows,
     joint_table,
-    numbers,
-    shape_from_core,
+    promised,
+    solved_shape,
+    sound,
     worst,
 )
 from ctrplan.mechanics.core_errors import input_errors
@@ -38,6 +39,7 @@ from ctrplan.mechanics.derivative_names import directions
 from ctrplan.mechanics.loads import Loads
 from ctrplan.mechanics.nesting import nests
 from ctrplan.mechanics.shapes import Bound, Bounds, FrictionBodies, Shape, Status, Tips, TubeShape
+from ctrplan.mechanics.tube import RANGES, SECTION_RANGES
 from ctrplan.mechanics.walk import SHORTEST_STEP, Field, PathDensity, PathLimits, PathSamples
 
 if TYPE_CHECKING:
@@ -64,6 +66,9 @@ __all__ = [
 ]
 
 MOST_THREADS = 1024
+ACCURACY, FIRST_ORDER = Choice(*get_args(Accuracy)), Choice("search", "certificate")
+THREADS = Whole(0, MOST_THREADS, " (0: every core)")
+SPACING = Number(SHORTEST_STEP, 1, "m")
 
 
 class Mechanics:
@@ -80,8 +85,9 @@ class Mechanics:
         loads = loads or Loads()
         self._given = (tuple(tubes), gaps.copy(), coefficients.copy(), loads)
         for i, tube in enumerate(tubes, start=1):
-            if not tube.poisson_ratio > -1:
-                raise InputError("must be above -1", key=f"tube.{i}.poisson_ratio", value=tube.poisson_ratio)
+            _require_ranges(f"tube.{i}", tube, RANGES)
+            for k, section in enumerate(tube.sections, start=1):
+                _require_ranges(f"tube.{i}.section.{k}", section, SECTION_RANGES)
             if not 0 <= tube.inner_diameter_m < tube.outer_diameter_m:
                 rule = f"must be from 0 to below the outer diameter of {tube.outer_diameter_m:g} m"
                 raise InputError(rule, key=f"tube.{i}.inner_diameter_m", value=tube.inner_diameter_m, unit="m")
@@ -98,8 +104,9 @@ class Mechanics:
     def zero_clearance(self, theta_b: ArrayLike, l_b: ArrayLike) -> Shape:
         """The standard model (2)-(3) at base rotations (n,) [rad] and translations (n,) [m]."""
         with input_errors():
-            return shape_from_core(self._model.zero_clearance(self._row(theta_b), self._row(l_b)))
+            return solved_shape(self._model.zero_clearance(self._row(theta_b), self._row(l_b)))
 
+    @checked(accuracy=ACCURACY, refinement=Number(0.25, 16))
     def solve(
         self,
         theta_b: ArrayLike,
@@ -114,8 +121,6 @@ class Mechanics:
         phi: scalar or (n - 1,), in [-1, 1], share of the Coulomb limit; +1: inner tube last rotated counterclockwise.
         refinement: elements and contact spacings are so many times shorter than `accuracy` makes them, 0.25 to 16.
         """
-        if not 0.25 <= refinement <= 16:
-            raise InputError("must lie in [0.25, 16]", key="refinement", value=refinement)
         state = numbers(phi, "phi")
         if state.ndim == 0:
             state = np.full(self.n - 1, state)
@@ -123,19 +128,19 @@ class Mechanics:
         if not np.all(np.abs(state) <= 1):
             raise InputError("must lie in [-1, 1]", key="phi", value=worst(state))
         with input_errors():
-            return shape_from_core(
-                self._model.solve(
-                    self._row(theta_b), self._row(l_b), np.ascontiguousarray(state), known(accuracy), refinement
-                )
+            return solved_shape(
+                self._model.solve(self._row(theta_b), self._row(l_b), np.ascontiguousarray(state), accuracy, refinement)
             )
 
+    @checked(accuracy=ACCURACY)
     def bound(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> Bound:
         """Frictionless solution, every corner phi in {-1, 1}^(n-1), and the largest deviations between them."""
         with input_errors():
-            raw = self._model.bound(self._row(theta_b), self._row(l_b), known(accuracy))
-        corners = tuple(map(shape_from_core, raw["corners"]))
-        return Bound(**raw | {"frictionless": shape_from_core(raw["frictionless"]), "corners": corners})
+            raw = self._model.bound(self._row(theta_b), self._row(l_b), accuracy)
+        corners = tuple(map(solved_shape, raw["corners"]))
+        return Bound(**raw | {"frictionless": solved_shape(raw["frictionless"]), "corners": corners})
 
+    @checked(accuracy=ACCURACY, threads=THREADS, progress=PROGRESS, executor=EXECUTOR)
     def bound_many(
         self,
         theta_b: ArrayLike,
@@ -151,8 +156,7 @@ class Mechanics:
         `progress` is told the finished share between chunks of half a second or so. With an `executor`, any that has
         the interface of concurrent.futures, chunks are its tasks, by default on one thread each. Results are the same.
         """
-        (thetas, ls), level, cores = self._configurations(theta_b, l_b), known(accuracy), _checked(threads)
-        check_helpers(progress, executor)
+        (thetas, ls), cores = self._configurations(theta_b, l_b), int(threads)
         rows = rows_in_a_chunk(self.n, accuracy)
         if executor is not None or len(thetas) > rows:  # nothing is solved before all is known to be well-formed
             self._refuse(thetas, ls)
@@ -161,26 +165,29 @@ class Mechanics:
 
         def solve(theta_b: Array, l_b: Array) -> Bounds:
             with input_errors():
-                return Bounds(**self._model.bound_many(theta_b, l_b, level, cores))
+                return promised(Bounds(**self._model.bound_many(theta_b, l_b, accuracy, cores)))
 
         return bounds_in_chunks(solve, thetas, ls, rows, progress)
 
     def first_refused(self, theta_b: ArrayLike, l_b: ArrayLike) -> tuple[int, str] | None:
         """The first of K configurations (K, n), (K, n) that is malformed or does not nest, and why; None if none is."""
         thetas, ls = self._configurations(theta_b, l_b)
-        sound = nests(self._given[0], ls) & np.all(np.abs(thetas) < 1e5, axis=1) & np.all(np.isfinite(ls), axis=1)
-        for k in np.flatnonzero(~sound).tolist():  # the core has the last word
+        nested = nests(self._given[0], ls) & np.all(np.abs(thetas) < 1e5, axis=1) & np.all(np.isfinite(ls), axis=1)
+        for k in np.flatnonzero(~nested).tolist():  # the core has the last word
             try:
                 self._model.zero_clearance(thetas[k], ls[k])
             except _model.InvalidInput as refusal:
                 return k, str(refusal)
         return None
 
+    @checked(threads=THREADS)
     def tips(self, theta_b: ArrayLike, l_b: ArrayLike, *, threads: int = 0) -> tuple[Array, Array, NDArray[np.int_]]:
         """Zero-clearance tips (K, 3) [m], tangents (K, 3) and status (K,) of K configurations."""
         with input_errors():
-            return self._model.tips(self._rows(theta_b), self._rows(l_b), _checked(threads))
+            position_m, tangent, status = self._model.tips(self._rows(theta_b), self._rows(l_b), int(threads))
+        return position_m, tangent, sound(status, position_m, tangent)
 
+    @checked(field=Made("Field"), spacing_m=SPACING, threads=THREADS)
     def zero_clearance_rooms(
         self, theta_b: ArrayLike, l_b: ArrayLike, field: Field, *, spacing_m: float = 4e-3, threads: int = 0
     ) -> tuple[Array, Array]:
@@ -189,13 +196,12 @@ class Mechanics:
         The outer radius of what is there is taken off; -inf without a stable solution. A hint, some 30 times cheaper
         than a bound: friction and clearance between tubes move a shape by millimetres. Raises InputError.
         """
-        if not spacing_m >= SHORTEST_STEP:
-            raise InputError(f"must be at least {SHORTEST_STEP:g} m", key="spacing_m", value=spacing_m, unit="m")
         with input_errors():
             return self._model.clearances(
-                self._rows(theta_b), self._rows(l_b), core_grid(field), spacing_m, _checked(threads)
+                self._rows(theta_b), self._rows(l_b), core_grid(field), spacing_m, int(threads)
             )
 
+    @checked(parameters=Texts(), threads=THREADS, accuracy=FIRST_ORDER)
     def tips_with_friction(
         self,
         theta_b: ArrayLike,
@@ -222,9 +228,8 @@ class Mechanics:
             raise InputError("must lie in [-1, 1]", key="phi", value=worst(states))
         given = directions(parameters, self._given[0], self._model.number_names())
         with input_errors():
-            return Tips(
-                **self._model.tips_with_friction(thetas, ls, states, given, first_order(accuracy), _checked(threads))
-            )
+            found = self._model.tips_with_friction(thetas, ls, states, given, accuracy, int(threads))
+        return promised(Tips(**found))
 
     def core_lookup(
         self, axes: Sequence[tuple[int, bool, float, float, int]], values: NDArray[np.float32], margin_m: float
@@ -236,10 +241,11 @@ class Mechanics:
     def core_history(self, options: HistoryOptions, accuracy: Accuracy) -> _model.History:
         """The compiled simulation that `ctrplan.mechanics.history.History` drives."""
         given = (options.breakaway_m, options.rotation_rad, options.translation_m, options.state_change)
-        if not all(0 < value < np.inf for value in given):
-            raise InputError("steps and breakaway length of a history must be positive")
-        return self._model.history(first_order(accuracy), *given)
+        return self._model.history(accuracy, *given)
 
+    @checked(
+        field=Made("Field"), density=Made("PathDensity"), limits=Made("PathLimits"), accuracy=ACCURACY, bodies=Flag()
+    )
     def check_path(
         self,
         theta_b: ArrayLike,
@@ -258,21 +264,23 @@ class Mechanics:
         until = core_density(density or PathDensity()), core_limits(limits or PathLimits())
         with input_errors():
             theta, length = joint_rows(theta_b, l_b, self.n)
-            return PathSamples(
-                **self._model.check_path(theta, length, core_grid(field), *until, known(accuracy), bodies)
-            )
+            found = self._model.check_path(theta, length, core_grid(field), *until, accuracy, bodies)
+        return promised(PathSamples(**found))
 
+    @checked(threads=THREADS)
     def field_entries(self, theta_b: ArrayLike, l_b: ArrayLike, *, threads: int = 0) -> Array:
         """(K, FieldLookup.NUMBERS) what a grid of bounds stores of K configurations, (K, n), (K, n)."""
         thetas, ls = self._configurations(theta_b, l_b)
         with input_errors():
-            return np.asarray(self._model.field_entries(thetas, ls, _checked(threads)))
+            return np.asarray(self._model.field_entries(thetas, ls, int(threads)))
 
+    @checked(accuracy=ACCURACY)
     def body(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> tuple[Array, Array]:
         """Outermost centreline in front of the plate: points (1 + corners, N, 3) [m], outer radii (N,) [m]."""
         with input_errors():
-            return self._model.body(self._row(theta_b), self._row(l_b), known(accuracy))
+            return self._model.body(self._row(theta_b), self._row(l_b), accuracy)
 
+    @checked(spacing_m=SPACING, accuracy=ACCURACY)
     def friction_bodies(
         self,
         theta_b: ArrayLike,
@@ -289,11 +297,9 @@ class Mechanics:
         states = np.atleast_2d(numbers(phi, "phi"))
         if states.ndim != 2 or states.shape[1] != self.n - 1 or not np.all(np.abs(states) <= 1):
             raise InputError(f"must have shape (S, {self.n - 1}) and lie in [-1, 1]", key="phi")
-        if not spacing_m >= SHORTEST_STEP:
-            raise InputError(f"must be at least {SHORTEST_STEP:g} m", key="spacing_m", value=spacing_m, unit="m")
         with input_errors():
             points, status, strain = self._model.friction_bodies(
-                self._row(theta_b), self._row(l_b), np.ascontiguousarray(states), float(spacing_m), known(accuracy)
+                self._row(theta_b), self._row(l_b), np.ascontiguousarray(states), float(spacing_m), accuracy
             )
         return FrictionBodies(points[:, :, :3], points[0, :, 3], np.asarray(status) != Status.FAILED, strain)
 
@@ -322,11 +328,6 @@ def kernel_name() -> str:
     return str(_model.kernel_name())
 
 
-def _checked(threads: int) -> int:
-    try:
-        count = operator.index(threads)
-    except TypeError:
-        count = -1
-    if not 0 <= count <= MOST_THREADS:
-        raise InputError(f"must be a whole number from 0 (every core) to {MOST_THREADS}", key="threads", value=threads)
-    return count
+def _require_ranges(place: str, of: object, ranges: Mapping[str, Number]) -> None:
+    for name, kind in ranges.items():
+        require(f"{place}.{name}", getattr(of, name), kind)

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ctrplan import _model
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, numbers
 from ctrplan.errors import InputError
-from ctrplan.mechanics.shapes import Shape, Status, TubeShape
-from ctrplan.mechanics.walk import Field, PathDensity, PathLimits
+from ctrplan.mechanics.shapes import Bounds, Shape, Status, Tips, TubeShape
+from ctrplan.mechanics.walk import Field, PathDensity, PathLimits, PathSamples
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.loads import Loads
     from ctrplan.mechanics.tube import Tube
+
+Table = TypeVar("Table", Bounds, PathSamples, Tips)
 
 
 def joint_row(values: ArrayLike, n: int) -> Array:
@@ -83,14 +86,6 @@ def core_loads(loads: Loads) -> _model.Loads:
     return _model.Loads(tip_force=loads.tip_force_N, tip_moment=loads.tip_moment_Nm, gravity=loads.gravity_m_s2)
 
 
-def numbers(values: ArrayLike, key: str) -> Array:
-    """Whatever is given as floats. Raises InputError."""
-    try:
-        return np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError("must be numbers", key=key) from None
-
-
 def core_grid(field: Field | None) -> _model.Grid | None:
     """A grid of clearances as the core reads it; None is free space."""
     if field is None:
@@ -121,7 +116,28 @@ def worst(values: Array) -> float:
     return float(np.ravel(values)[np.argmax(np.where(np.isnan(values), np.inf, np.abs(values)))])
 
 
+def sound(status: NDArray[np.int_], *numbers: Array) -> NDArray[np.int_]:
+    """Status (K,), FAILED wherever one of the numbers (K,) or (K, d), which a solution must have, is not finite."""
+    finite = np.isfinite(np.column_stack(numbers)).all(axis=1)
+    return np.where(finite, status, int(Status.FAILED))
+
+
+def promised(table: Table) -> Table:
+    """The table, FAILED wherever a number that a solution must have is not finite. Bounds are of several solutions."""
+    names = ("position_m", "tangent") if isinstance(table, Tips) else ("tip_m", "tip_tangent", "stability")
+    columns = (getattr(table, name) for name in (*names, "max_strain"))
+    return replace(table, status=sound(table.status, *columns))
+
+
+def solved_shape(raw: dict[str, Any]) -> Shape:
+    """The Shape of what a solve of the core returns; FAILED where it has no stability."""
+    shape = shape_from_core(raw)
+    return shape if np.isfinite(shape.stability) else replace(shape, status=Status.FAILED)
+
+
 def shape_from_core(raw: dict[str, Any]) -> Shape:
-    """The Shape of what the core returns, under the same names."""
+    """The Shape of what the core returns, under the same names; histories do not know the stability."""
     tubes = tuple(TubeShape(**tube) for tube in raw["tubes"])
-    return Shape(**raw | {"tubes": tubes, "status": Status(raw["status"])})
+    needed = np.array([raw["residual"], raw["max_strain"], *tubes[-1].centreline_m.ravel()])
+    status = Status(int(sound(np.array([raw["status"]]), needed[None])[0]))
+    return Shape(**raw | {"tubes": tubes, "status": status})

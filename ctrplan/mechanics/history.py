@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arguments import Choice, Made, checked
+from ctrplan.base.arrays import Array, numbers
 from ctrplan.errors import InputError, SolverError
 from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.mechanics.core import Mechanics
-from ctrplan.mechanics.core_arrays import joint_row, joint_rows, numbers, shape_from_core
+from ctrplan.mechanics.core_arrays import joint_row, joint_rows, shape_from_core
 from ctrplan.mechanics.core_errors import input_errors
 from ctrplan.mechanics.history_options import HistoryOptions as HistoryOptions
 from ctrplan.mechanics.shapes import Shape, Status
@@ -102,6 +103,7 @@ class History:
     It has one state, so that threads that share it move each other's robot: give each a history of its own.
     """
 
+    @checked(mechanics=Made("Mechanics"), accuracy=Choice("search", "certificate"), options=Made("HistoryOptions"))
     def __init__(
         self,
         mechanics: Mechanics,

@@ -5,7 +5,32 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from ctrplan.base.arguments import Number
 from ctrplan.errors import InputError
+
+SOFTEST_NM2, STIFFEST_NM2 = 1e-9, 1e6
+
+# What the core is told of a tube; files have narrower ranges in their own units. Fits go beyond what files may say.
+RANGES = {
+    "outer_diameter_m": Number(0, 1, "m", above=True),
+    "inner_diameter_m": Number(0, 1, "m"),
+    "bending_stiffness_Nm2": Number(SOFTEST_NM2, STIFFEST_NM2, "N m^2"),
+    "poisson_ratio": Number(-1, 10, above=True),
+    "collar_length_m": Number(0, 5, "m"),
+    "max_strain": Number(0, 1),
+    "density_kg_m3": Number(0, 1e5, "kg/m^3"),
+    "ovality": Number(-1, 1),
+    "ovality_axis_rad": Number(-1e3, 1e3, "rad"),
+    "softening_strain": Number(0, math.inf),
+    "softening_fraction": Number(0, 1e3),
+    "shaft_compliance_rad_per_Nm": Number(0, 1e6, "rad/(N m)"),
+}
+SECTION_RANGES = {
+    "length_m": Number(0, 5, "m", above=True),
+    "curvature_x_per_m": Number(-1e4, 1e4, "1/m"),
+    "curvature_y_per_m": Number(-1e4, 1e4, "1/m"),
+    "gradient": Number(-1e3, 1e3),
+}
 
 
 @dataclass(frozen=True)

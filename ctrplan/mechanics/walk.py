@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arguments import Number, checked, require
+from ctrplan.base.arrays import Array, numbers
 from ctrplan.errors import InputError
 
-SHORTEST_STEP = 1e-6  # rad or m
+SHORTEST_STEP, LONGEST_STEP = 1e-6, 100.0  # rad or m; with shorter ones a walk would not end
+ANY = Number(-np.inf, np.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +35,13 @@ class PathSamples:
     bodies: tuple[Array, ...] = ()  # per sample, if asked for: (N, 4) points of all shapes and their outer radius [m]
 
 
+@checked(
+    rotation_rad=Number(SHORTEST_STEP, LONGEST_STEP, "rad"),
+    translation_m=Number(SHORTEST_STEP, LONGEST_STEP, "m"),
+    motion_m=Number(SHORTEST_STEP, LONGEST_STEP, "m"),
+    near_m=Number(SHORTEST_STEP, LONGEST_STEP, "m"),
+    point_spacing_m=Number(SHORTEST_STEP, LONGEST_STEP, "m"),
+)
 @dataclass(frozen=True)
 class PathDensity:
     """How densely a path is walked: longest joint steps, largest motion of a body point between samples.
@@ -47,14 +56,8 @@ class PathDensity:
     near_m: float = 2e-3
     point_spacing_m: float = 1.5e-3  # between the points of a shape that are looked up in the field
 
-    def __post_init__(self) -> None:
-        """Raises InputError for steps so short that a walk would not end."""
-        for key, value in vars(self).items():
-            if not value >= SHORTEST_STEP:
-                unit = "rad" if key == "rotation_rad" else "m"
-                raise InputError(f"must be at least {SHORTEST_STEP:g} {unit}", key=key, value=value, unit=unit)
 
-
+@checked(stability=ANY, max_strain=ANY, clearance_m=ANY)
 @dataclass(frozen=True)
 class PathLimits:
     """A walk ends at the first sample that breaks one of these."""
@@ -62,12 +65,6 @@ class PathLimits:
     stability: float = -np.inf
     max_strain: float = np.inf
     clearance_m: float = -np.inf
-
-    def __post_init__(self) -> None:
-        """Raises InputError for NaN, which no sample would break."""
-        for key, value in vars(self).items():
-            if np.isnan(value):
-                raise InputError("must be a number", key=key, value=value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,10 +85,10 @@ class Field:
             ("R_AB", (3, 3), np.float64),
             ("p_AB", (3,), np.float64),
         ):
-            try:
-                values = np.ascontiguousarray(getattr(self, key), dtype=kind)
-            except (TypeError, ValueError):
-                raise InputError("must be numbers", key=f"field.{key}") from None
+            values = getattr(self, key)
+            if not isinstance(values, np.ndarray) or values.dtype != kind:  # large grids are not copied
+                values = numbers(values, f"field.{key}").astype(kind)
+            values = np.ascontiguousarray(values)
             fits = values.ndim == len(shape) and all(b in (None, a) for a, b in zip(values.shape, shape, strict=True))
             if not fits or values.size == 0:
                 wanted = "(nx, ny, nz)" if shape[0] is None else str(shape)
@@ -99,5 +96,4 @@ class Field:
             if kind is np.float64 and not np.all(np.isfinite(values)):
                 raise InputError("must be finite", key=f"field.{key}")
             object.__setattr__(self, key, values)
-        if not (np.isfinite(self.spacing_m) and self.spacing_m > 0):
-            raise InputError("must be above 0", key="field.spacing_m", value=self.spacing_m)
+        require("field.spacing_m", self.spacing_m, Number(0, 1e3, "m", above=True))

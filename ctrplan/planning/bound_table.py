@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrplan.base.arguments import PROGRESS, Flag, Made, checked
 from ctrplan.base.arrays import Array
 from ctrplan.base.version import __version__
-from ctrplan.errors import InputError
+from ctrplan.errors import CtrplanError, InputError
 from ctrplan.mechanics.bound_lookup import FieldLookup
 from ctrplan.mechanics.loads import Loads
 from ctrplan.mechanics.nesting import nests
@@ -35,6 +36,7 @@ MOST_BYTES = 1_000_000_000
 CHUNK = 256
 TRIALS = 400  # random configurations at which the interpolation is compared with the model
 QUANTILE = 0.99  # of the errors found there, added to every bound
+UNUSED = "is not used, `ctrplan field` builds it again"
 FORMAT = 2  # rises when what is stored means something else
 
 
@@ -83,23 +85,31 @@ class BoundTable:
         return self.lookup.check_path(theta_b, l_b, field, density=density, limits=limits)
 
 
-def tabulated_bounds(robot: Robot, *, progress: Progress | None = None, build: bool = True) -> BoundTable | None:
+@checked(robot=Made("Robot"), progress=PROGRESS, build=Flag(), keep=Flag())
+def tabulated_bounds(
+    robot: Robot, *, progress: Progress | None = None, build: bool = True, keep: bool = False
+) -> BoundTable | None:
     """The robot's field: from the cache if it is there, else built, with `progress` told the finished share.
 
     None where it is not in the cache and `build` is False. Raises InputError where even a coarse grid is too large, and
-    for robots to which common rotation or the drive does more than such a grid knows of.
+    for robots to which common rotation or the drive does more than such a grid knows of. With `keep` raises
+    CtrplanError where a field that was built can't be kept; else it is not.
     """
     _check_coordinates(robot)
     axes = choose_axes(robot)
     key = _key(robot, axes)
     points = math.prod(axis.count for axis in axes)
     shape = (points + 1, FieldLookup.NUMBERS)  # the last row holds the error
-    table = field_cache.load(key, shape)
+    table = field_cache.load(key, shape, "will be rebuilt" if build else UNUSED)
     if table is None:
         if not build:
             return None
+        if keep and (refused := field_cache.trouble()):  # before minutes are spent on it
+            raise CtrplanError(f"the bound field could not be kept: {refused}.")
         table = _solve(robot, axes, progress)
-        field_cache.store(key, table)
+        refused = field_cache.store(key, table)
+        if keep and refused:
+            raise CtrplanError(f"the bound field was built but not kept: {refused}.")
     margin, largest, uncovered = (float(x) for x in table[-1, :3])
     return BoundTable(robot, axes, table[:-1], FieldError(margin, largest, uncovered), key)
 

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arguments import Made, checked
+from ctrplan.base.arrays import Array, numbers
 from ctrplan.drive.drive import Drive
+from ctrplan.errors import InputError
 from ctrplan.mechanics.nesting import TOLERANCE_M, reach_inequalities
 from ctrplan.planning.plan import MotionStyle
 
@@ -82,7 +84,7 @@ class JointSpace:
 
     def allowed(self, q: ArrayLike) -> bool:
         """Whether limits and nesting hold at q (m,) or at every row of q (K, m)."""
-        return bool(np.all(self.allowed_rows(np.atleast_2d(q))))
+        return bool(np.all(self.allowed_rows(np.atleast_2d(numbers(q, "joint values")))))
 
     def allowed_rows(self, q: Array) -> NDArray[np.bool_]:
         """(K,) whether limits and nesting hold at each row of q (K, m)."""
@@ -148,13 +150,16 @@ class JointSpace:
         return np.where(wraps, -math.pi, self.drive.lower), np.where(wraps, math.pi, self.drive.upper)
 
 
+@checked(scenario=Made("Scenario"))
 def l_shaped(path: ArrayLike, scenario: Scenario) -> Array:
     """(L, m) corners of the L-shaped motions through the states of path (K, m), rotations before translations.
 
     For planners whose edges are priced by `BoundObjective`: unlimited rotations take the shorter way, as the objective
-    assumes; hand the result to `ctrplan.reorder`.
+    assumes; hand the result to `ctrplan.reorder`. Raises InputError for a path of another shape.
     """
-    states = np.array(path, dtype=np.float64)
+    states, m = numbers(path, "path").copy(), len(scenario.robot.drive.joints)
+    if states.ndim != 2 or states.shape[1] != m or not len(states) or not np.all(np.isfinite(states)):
+        raise InputError(f"must be finite, of shape (K, {m}) with K >= 1, not {states.shape}", key="path")
     space = JointSpace.of(scenario)
     corners = [states[0]]
     for target in states[1:]:

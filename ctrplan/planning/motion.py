@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ctrplan.anatomy.anatomy_field import anatomy_field, shared_spacing_m
 from ctrplan.anatomy.clearance_grid import SignedDistanceField, field_bounds
+from ctrplan.base.arguments import Choice, Made, checked
 from ctrplan.base.arrays import Array
 from ctrplan.mechanics.core import Field, PathDensity, PathLimits, PathSamples, Status
 from ctrplan.mechanics.friction_law import largest_deviation
@@ -56,6 +57,12 @@ class Motion:
 class MotionChecker:
     """Checks and prices motions of a scenario; remembers every one it was asked about."""
 
+    @checked(
+        scenario=Made("Scenario"),
+        style=Choice(*get_args(MotionStyle)),
+        bound_table=Made("BoundTable"),
+        meter=Made("WorkMeter"),
+    )
     def __init__(
         self,
         scenario: Scenario,

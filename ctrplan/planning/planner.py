@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ctrplan.base.arguments import EVENT, PROGRESS, SEARCH_TIME, SEED, Flag, Made, checked
 from ctrplan.base.arrays import Array
 from ctrplan.base.interrupts import interrupt_event
 from ctrplan.base.progress import part_of
@@ -26,7 +27,7 @@ from ctrplan.planning.goals.goal_states import goal_states
 from ctrplan.planning.goals.goal_turns import is_at_goal, nearest_turn, turn_notes
 from ctrplan.planning.goals.line import follow_line, line_beginnings
 from ctrplan.planning.motion import MotionChecker
-from ctrplan.planning.plan import ENDED_BY_TIME, Certificate, Compensation, Plan, checked_search
+from ctrplan.planning.plan import ENDED_BY_TIME, Certificate, Compensation, Plan
 from ctrplan.planning.search.stage_search import Candidate, Progress, Report, StageSearch
 from ctrplan.planning.search_clock import SearchClock, SearchEnd
 
@@ -35,6 +36,15 @@ if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario
 
 
+@checked(
+    scenario=Made("Scenario"),
+    seed=SEED,
+    time_s=SEARCH_TIME,
+    progress=PROGRESS,
+    interrupted=EVENT,
+    bound_table=Made("BoundTable"),
+    compensated=Flag(),
+)
 def plan(
     scenario: Scenario,
     *,
@@ -60,7 +70,7 @@ def plan(
         rule = "is no single tip position (tip_mm), which compensation needs"
         raise InputError(rule, file=scenario.path, key=scenario.goal.table)
     began, report = time.monotonic(), progress or (lambda _: None)
-    budget = checked_search(seed, scenario.planner.time_s if time_s is None else time_s)
+    budget = float(scenario.planner.time_s if time_s is None else time_s)
     refuse_impossible_margins(scenario)
     start, _ = MotionChecker(scenario).probe(scenario.start)
     if not start.valid:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, numbers
 from ctrplan.errors import InputError
 from ctrplan.mechanics.nesting import TOLERANCE_M, least_distance_m, nesting_inequalities
 
@@ -20,7 +20,7 @@ def nesting_violation(robot: Robot, theta_b: ArrayLike, l_b: ArrayLike) -> str |
 
     Raises InputError for arrays of another shape. Rotations never violate nesting.
     """
-    l = np.asarray(l_b, dtype=np.float64)  # noqa: E741
+    l = numbers(l_b, "l_b")  # noqa: E741
     for key, shape in (("theta_b", np.shape(theta_b)), ("l_b", l.shape)):
         if shape != (robot.n,):
             raise InputError(f"must have one value per tube, shape ({robot.n},), not {shape}", key=key)

@@ -39,8 +39,24 @@ def _digest(key: str, values: NDArray[np.float32]) -> str:
     return hashlib.sha256(key.encode() + np.ascontiguousarray(values).data).hexdigest()
 
 
-def load(key: str, shape: tuple[int, ...]) -> NDArray[np.float32] | None:
-    """The values stored under `key`, float32 of `shape`, or None when there are none that can be trusted."""
+def trouble() -> str:
+    """Why nothing can be kept, as a sentence; empty where it can."""
+    path = _path("any")
+    if path is None:
+        return "there is no place for a cache, neither CTRPLAN_CACHE_DIR nor a home folder is known"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary(path.parent, Path.touch):
+            return ""
+    except OSError as error:
+        return f"{path.parent} can't be written into ({error.strerror or error})"
+
+
+def load(key: str, shape: tuple[int, ...], otherwise: str = "will be rebuilt") -> NDArray[np.float32] | None:
+    """The values stored under `key`, float32 of `shape`, or None when there are none that can be trusted.
+
+    otherwise: what becomes of a damaged one, for the log.
+    """
     path = _path(key)
     if path is None:
         return None
@@ -54,30 +70,37 @@ def load(key: str, shape: tuple[int, ...]) -> NDArray[np.float32] | None:
             logger.info("field cache can't be read: %s", error)
         return None
     except Exception as error:  # a damaged archive makes its reader raise almost anything
-        logger.warning("cached field %s is damaged and will be rebuilt (%s)", path, error)
+        logger.warning("cached field %s is damaged and %s (%s)", path, otherwise, error)
         return None
     with contextlib.suppress(OSError):
         os.utime(path)  # recently used ones are pruned last
     return np.ascontiguousarray(values)
 
 
-def store(key: str, values: NDArray[np.float32]) -> None:
-    """Keep `values` under `key`, written to a temporary name and renamed; not being able to is no error."""
-    store_all({key: values})
+def store(key: str, values: NDArray[np.float32]) -> str:
+    """Keep `values` under `key`, written to a temporary name and renamed.
+
+    Not being able to is no error: returns why, empty where they are kept.
+    """
+    return store_all({key: values})
 
 
-def store_all(grids: Mapping[str, NDArray[np.float32]]) -> None:
+def store_all(grids: Mapping[str, NDArray[np.float32]]) -> str:
     """Likewise several grids, by their keys."""
     made = set()
-    try:
-        for key, values in grids.items():
-            if (path := _path(key)) is not None:
-                _write(path, key, values)
-                made.add(path)
-        if made:
+    for key, values in grids.items():
+        if (path := _path(key)) is None:
+            return trouble()
+        try:
+            _write(path, key, values)
+            made.add(path)
+        except OSError as error:
+            logger.info("field not cached: %s", error)
+            return f"{path} could not be written ({error.strerror or error})"
+    if made:
+        with contextlib.suppress(OSError):  # what is kept is kept
             _prune(made)
-    except OSError as error:
-        logger.info("field not cached: %s", error)
+    return ""
 
 
 def _write(path: Path, key: str, values: NDArray[np.float32]) -> None:

@@ -10,11 +10,13 @@ from contextlib import suppress
 
 import numpy as np
 
+from ctrplan.base.arguments import in_plain_digits
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.storage.file_bytes import file_bytes
 
 LARGEST_FILE_BYTES = 200_000_000
+LARGEST_NUMBER = 1e20  # stamps in nanoseconds are smaller
 
 
 class CsvTable:
@@ -61,10 +63,9 @@ class CsvTable:
         texts = [cells[column].strip() for cells in self.rows]
         given = np.array([bool(text) for text in texts])
         if blanks or given.all():
-            with suppress(ValueError):  # what is wrong is looked for below
-                found = np.array([float(text) if text else np.nan for text in texts])
-                if np.isfinite(found[given]).all():
-                    return found
+            found = np.array([in_plain_digits(text) if text else np.nan for text in texts], dtype=np.float64)
+            if (np.abs(found[given]) <= LARGEST_NUMBER).all():  # not so with None, which is NaN here
+                return found
         return np.array([self._number(row, name, text, blanks) for row, text in enumerate(texts)])
 
     def others(self, known: set[str]) -> dict[str, Array]:
@@ -79,12 +80,13 @@ class CsvTable:
     def _number(self, row: int, name: str, text: str, blanks: bool) -> float:
         if blanks and not text:
             return np.nan
-        try:
-            value = float(text)
-        except ValueError:
-            raise self.fault("must be a number", row, name, text) from None
+        value = in_plain_digits(text)
+        if value is None:
+            raise self.fault("must be a number", row, name, text)
         if not np.isfinite(value):
             raise self.fault("must be a finite number", row, name, text)
+        if abs(value) > LARGEST_NUMBER:
+            raise self.fault(f"must be from {-LARGEST_NUMBER:g} to {LARGEST_NUMBER:g}", row, name, text)
         return value
 
 

@@ -13,6 +13,7 @@ from ctrplan.storage.temporary import temporary
 
 DEFAULT = "ctrplan-output"
 CHECKSUMS = "SHA256SUMS"
+LONGEST_NAME = 255  # bytes, on all usual file systems
 
 
 @contextmanager
@@ -56,6 +57,12 @@ def output_folder(name: str, outputs: Sequence[str]) -> Path:
     It is made when there is something to write. Raises InputError if it can't be used.
     """
     folder = Path(name)
+    try:
+        os.stat(name)
+    except FileNotFoundError:
+        pass
+    except (OSError, ValueError) as error:  # longer than a name may be, a NUL in it
+        raise InputError(_reason(error), key="--output", value=name) from None
     existing = next(place for place in (folder, *folder.absolute().parents) if place.exists())
     if not name or not existing.is_dir():
         raise InputError("must be a folder, or a place to make one", key="--output", value=name)
@@ -64,8 +71,14 @@ def output_folder(name: str, outputs: Sequence[str]) -> Path:
             pass
     except OSError:
         raise InputError("is not writable", key="--output", value=name) from None
+    if any(len(os.fsencode(part)) > LONGEST_NAME for part in folder.parts):  # below a folder that is to be made
+        raise InputError(f"has a part longer than {LONGEST_NAME} bytes", key="--output", value=name)
     for output in (*outputs, CHECKSUMS):
         if (folder / output).is_dir():
             rule = f"holds a folder of the name {output}, where a file is to be written"
             raise InputError(rule, key="--output", value=name)
     return folder
+
+
+def _reason(error: Exception) -> str:
+    return f"can't be a folder ({getattr(error, 'strerror', None) or error})"

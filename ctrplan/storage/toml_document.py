@@ -17,6 +17,7 @@ import numpy as np
 
 from ctrplan.errors import InputError
 from ctrplan.storage.file_bytes import file_bytes, file_name
+from ctrplan.storage.number_ranges import LARGEST_NUMBER
 from ctrplan.storage.toml_faults import first_fault, unit_of
 
 if sys.version_info >= (3, 11):
@@ -25,7 +26,6 @@ else:
     import tomli as tomllib
 
 LARGEST_FILE_BYTES = 1_000_000
-LARGEST_NUMBER = 1e300  # of any unit; also refuses inf and nan
 DEEPEST_KEY = 20
 LONGEST_POSITION = 9  # digits
 
@@ -49,10 +49,13 @@ class Document:
     def to(self, schema: type[T]) -> T:
         """The content as `schema`. Raises InputError for the first thing that does not fit."""
         try:
-            for path, value in _numbers(self.content):
-                if not abs(value) <= LARGEST_NUMBER:
-                    raise self.fault("must be a finite number", *path)
-            return msgspec.convert(self.content, schema)
+            found = dict(_numbers(self.content))
+            for path in (path for path, value in found.items() if not abs(value) <= sys.float_info.max):
+                raise self.fault("must be a finite number", *path)
+            entry = msgspec.convert(self.content, schema)
+            for path in (path for path, value in found.items() if abs(value) > LARGEST_NUMBER):
+                raise self.fault(f"must be from {-LARGEST_NUMBER:g} to {LARGEST_NUMBER:g}", *path)
+            return entry
         except RecursionError:
             raise self.fault("is nested too deeply") from None
         except msgspec.ValidationError as error:

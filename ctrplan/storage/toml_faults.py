@@ -139,8 +139,15 @@ def _beyond(value: float, kind: inspect.FloatType | inspect.IntType, path: Path)
         ("<=", kind.le, kind.le is None or value <= kind.le),
     ):
         if not is_kept and limit is not None:
-            return path, f"must be {sign} {str(float(limit)).removesuffix('.0')}"
+            return path, f"must be {_range(kind) or f'{sign} {limit:g}'}"
     return None
+
+
+def _range(kind: inspect.FloatType | inspect.IntType) -> str:
+    """Both ends of the range of a number; empty where it has but one."""
+    if kind.le is None or (kind.ge is None and kind.gt is None):
+        return ""
+    return f"above {kind.gt:g} and at most {kind.le:g}" if kind.ge is None else f"from {kind.ge:g} to {kind.le:g}"
 
 
 def _wrong_length(length: int, kind: inspect.ListType | inspect.StrType) -> str:

@@ -16,6 +16,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrplan.base.arguments import EVENT, PROGRESS, Choice, Made, checked
 from ctrplan.base.arrays import Array
 from ctrplan.drive.collars import Collars
 from ctrplan.errors import InputError
@@ -79,6 +80,13 @@ class Simulation:
         )
 
 
+@checked(
+    robot=Made("Robot"),
+    path=Made("JointPath"),
+    accuracy=Choice("search", "certificate"),
+    progress=PROGRESS,
+    interrupted=EVENT,
+)
 def simulate(
     robot: Robot,
     path: JointPath,

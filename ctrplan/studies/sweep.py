@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arguments import EXECUTOR, PROGRESS, Choice, checked
+from ctrplan.base.arrays import Array, numbers
 from ctrplan.base.progress import StageProgress
 from ctrplan.drive.drive import UNITS
 from ctrplan.errors import InputError
@@ -102,6 +103,11 @@ class _Task:
         return robot.collars(self.theta_commanded[rows], self.l_commanded[rows])
 
 
+@checked(
+    accuracy=Choice("search", "certificate", "exact"),
+    progress=PROGRESS,
+    executor=EXECUTOR,
+)
 def sweep(
     content: Mapping[str, Any],
     axes: Sequence[SweepAxis],
@@ -120,7 +126,11 @@ def sweep(
     """
     check_axes(axes)
     robot = robot_from_dict(content, file=file)
-    theta, l = np.array(theta_commanded, dtype=np.float64), np.array(l_commanded, dtype=np.float64)  # noqa: E741
+    theta, l = numbers(theta_commanded, "theta_commanded"), numbers(l_commanded, "l_commanded")  # noqa: E741
+    if not theta.shape == l.shape == (robot.n,):
+        raise InputError(
+            f"must have shape ({robot.n},), one value per tube, not {theta.shape}, {l.shape}", key="joints"
+        )
     values = np.stack(np.meshgrid(*(axis.values for axis in axes), indexing="ij"), axis=-1).reshape(-1, len(axes))
     order = _robot_by_robot(axes, values)
     configurations = _configurations(axes, values, theta, l)

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ctrplan.base.arguments import in_plain_digits
 from ctrplan.base.arrays import Array
 from ctrplan.drive.drive import Kind
 from ctrplan.errors import InputError
 from ctrplan.storage.toml_faults import unit_of
 
 MOST_POINTS = 1_000_000
+FURTHEST = 1e12  # of any unit; keys of the robot file have ranges of their own
 FORM = "has the form KEY=FROM:TO:COUNT, such as theta_3=0:180:91 or contact.1.friction_coefficient=0:0.5:26"
 _COLLAR = re.compile(r"(theta|l)_([0-9]+)")
 _KINDS: dict[str, Kind] = {"theta": "rotation", "l": "translation"}
@@ -66,17 +68,16 @@ def parse_axis(text: str, n: int) -> SweepAxis:
 
 
 def _values(parts: list[str], text: str) -> Array:
-    try:
-        first, last, count = float(parts[0]), float(parts[1]), int(parts[2])
-    except ValueError:
-        raise InputError(f"{FORM}: two numbers and a whole one", key="--sweep", value=text) from None
-    if not np.isfinite(last - first):
-        raise InputError("FROM and TO must be finite", key="--sweep", value=text)
+    first, last, count = in_plain_digits(parts[0]), in_plain_digits(parts[1]), in_plain_digits(parts[2], whole=True)
+    if first is None or last is None or count is None:
+        raise InputError(f"{FORM}: two numbers and a whole one", key="--sweep", value=text)
+    if not (abs(first) <= FURTHEST and abs(last) <= FURTHEST):
+        raise InputError(f"FROM and TO must be from {-FURTHEST:g} to {FURTHEST:g}", key="--sweep", value=text)
     if count < 2:
         raise InputError("COUNT must be at least 2", key="--sweep", value=text)
     if count > MOST_POINTS:
         raise InputError(f"COUNT must be at most {MOST_POINTS:,}", key="--sweep", value=text)
-    values: Array = np.asarray(np.linspace(first, last, count), dtype=np.float64)
+    values: Array = np.asarray(np.linspace(first, last, int(count)), dtype=np.float64)
     if len(np.unique(values)) < count:
         raise InputError("FROM and TO must differ, by enough for COUNT values", key="--sweep", value=text)
     return values

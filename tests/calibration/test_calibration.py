@@ -103,7 +103,7 @@ def test_unknown_names_are_refused(names: list[str], sentence: str, data: Measur
 
 
 def test_a_seed_below_zero_is_refused(data: Measurements) -> None:
-    with pytest.raises(InputError, match="seed = -1: must be zero or more"):
+    with pytest.raises(InputError, match="seed = -1: must be a whole number from 0"):
         calibrate(ROBOT, data, seed=-1)
 
 

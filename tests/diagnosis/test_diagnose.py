@@ -312,3 +312,11 @@ def test_the_command_writes_files_that_go_on_working(tmp_path: Path, capsys: pyt
     again = [str(out / "robot.toml"), str(tmp_path / "data.csv"), "-o", str(tmp_path / "again"), "--quiet"]
     assert main(["diagnose", *again]) == 0  # with the effect in the file nothing is missing
     assert json.loads((tmp_path / "again" / "diagnosis.json").read_text())["verdict"] == "no_missing_effect"
+
+
+@pytest.mark.parametrize("sigma", [1e-6, 1000.0])
+def test_a_stated_noise_at_the_ends_of_its_range_is_no_numerical_fault(sigma: float) -> None:
+    stated = {"position_sigma_mm": sigma, "tangent_sigma_deg": 1e-6 if sigma < 1 else 180.0}
+    robot = pair_robot(measurement=stated)
+    found = diagnose(robot, measured(robot, waypoints(robot, 14)), without=sorted(set(CATALOGUE) - {"friction"}))
+    assert np.isfinite(found.gap.after.rms_m)

@@ -33,7 +33,7 @@ name = "pair" -> "" = "pair"
 name = "pair" -> [effects]\ntip_load = 1
     effects.tip_load = 1: must be a table.
 name = "pair" -> model_error_mm = -1
-    model_error_mm = -1 mm: must be >= 0.
+    model_error_mm = -1 mm: must be from 0 to 1000.
 poisson_ratio = 0.3 ->
     tube.1.poisson_ratio: is missing.
 poisson_ratio = 0.3 -> poisson_ratio = 'x'
@@ -45,15 +45,15 @@ poisson_ratio = 0.3 -> poisson_ratio = 2020-01-01
 poisson_ratio = 0.3 -> poisson_ratio = nan
     tube.1.poisson_ratio = nan: must be a finite number.
 poisson_ratio = 0.3 -> poisson_ratio = 0.51
-    tube.1.poisson_ratio = 0.51: must be <= 0.5.
+    tube.1.poisson_ratio = 0.51: must be above -0.999 and at most 0.5.
 poisson_ratio = 0.3 -> poisson_ratio = -0.999
-    tube.1.poisson_ratio = -0.999: must be > -0.999.
+    tube.1.poisson_ratio = -0.999: must be above -0.999 and at most 0.5.
 poisson_ratio = 0.3 -> poison_ratio = 0.3
     tube.1.poison_ratio = 0.3: unknown key, did you mean poisson_ratio?
 length_mm = 150 -> length_mm = inf
     tube.1.section.1.length_mm = inf mm: must be a finite number.
 length_mm = 150 -> length_mm = 0
-    tube.1.section.1.length_mm = 0 mm: must be > 0.
+    tube.1.section.1.length_mm = 0 mm: must be above 0 and at most 100000.
 length_mm = 150 -> length_mm = 15000
     tube.1.section.1.length_mm = 15000 mm: must be at most 5000 mm, is it in millimetres?
 length_mm = 150 -> length_cm = 15
@@ -78,13 +78,13 @@ length_mm = 200 -> length_mm = 160
     tube.2: sections add up to 160 mm, must be at least 167 mm: the length of tube 1 (150 mm) and this tube's
     collar (17 mm).
 bending_stiffness_Nm2 = 0.04 -> bending_stiffness_Nm2 = 0
-    tube.2.bending_stiffness_Nm2 = 0 N m^2: must be > 0.
+    tube.2.bending_stiffness_Nm2 = 0 N m^2: must be from 1e-09 to 1e+06.
 bending_stiffness_Nm2 = 0.04 -> bending_stiffness_Nmm2 = 4e4
     tube.2.bending_stiffness_Nmm2 = 40000.0: unknown key, expected bending_stiffness_Nm2 (in N m^2).
 collar_length_mm = 17 -> collar_length_mm = -1
-    tube.2.collar_length_mm = -1 mm: must be >= 0.
+    tube.2.collar_length_mm = -1 mm: must be from 0 to 5000.
 collar_length_mm = 17 -> max_strain = 8
-    tube.2.max_strain = 8: must be <= 1.
+    tube.2.max_strain = 8: must be above 0 and at most 1.
 [[contact]]\nfriction_coefficient = 0.2 ->
     contact: must be given once per neighbouring pair of tubes, 1 in all, not 0.
 [[contact]]\n -> [[contact]]\nfriction_coefficient = 0.1\n[[contact]]\n
@@ -108,7 +108,7 @@ friction_coefficient = 0.2 -> friction_coefficient = [0.1, nan]
 friction_coefficient = 0.2 -> friction_coefficient = 'low'
     contact.1.friction_coefficient = 'low': must be a number or a list.
 friction_coefficient = 0.2 -> friction_coefficient = 0.2\nclearance_mm = 0
-    contact.1.clearance_mm = 0 mm: must be > 0.
+    contact.1.clearance_mm = 0 mm: must be above 0 and at most 1000.
 tangent_sigma_deg = 0.5 -> tangent_sigma_rad = 0.01
     measurement.tangent_sigma_rad = 0.01: unknown key, expected tangent_sigma_deg (in deg).
 tangent_sigma_deg = 0.5 ->
@@ -122,7 +122,7 @@ theta_deg = [0, 90] -> theta_deg = [0, true]
 l_mm = [0, -17] -> l_mm = [0, -17, -34]
     home.l_mm = [0, -17, -34]: must have one value per tube, 2.
 l_mm = [0, -17] -> l_mm = [0, -1e4]
-    home.l_mm.2 = -10000.0 mm: must be >= -5000.
+    home.l_mm.2 = -10000.0 mm: must be from -5000 to 5000.
 l_mm = [0, -17] -> l_mm = [1, -17]
     home.l_mm = [1, -17]: no joint values within limits nest the tubes, at home the base of tube 1 at l_1b = 1 mm
     must be at or behind the plate, l_1b <= 0.
@@ -160,7 +160,7 @@ moves = { theta = [0, 1] } -> moves = { theta = [0, 1] }\nmin_deg = -5
 moves = { theta = [0, 1] } -> moves = { theta = [0, 1] }\nmin_deg = 5\nmax_deg = 5
     joint.1.min_deg = 5 deg: must be smaller than max_deg = 5 deg.
 max_velocity_deg_s = 30 -> max_velocity_deg_s = 0
-    joint.1.max_velocity_deg_s = 0 deg/s: must be > 0.
+    joint.1.max_velocity_deg_s = 0 deg/s: must be from 0.001 to 1e+06.
 max_velocity_deg_s = 30 -> max_velocity_rad_s = 1
     joint.1.max_velocity_rad_s = 1: unknown key, expected max_velocity_deg_s (in deg/s) or max_velocity_mm_s (in
     mm/s).
@@ -171,7 +171,7 @@ min_mm = -33 ->
 min_mm = -33 -> min_deg = -33
     joint.2.min_deg = -33 deg: does not go with a translation joint (moves.l), expected min_mm.
 min_mm = -33 -> min_mm = -33000
-    joint.2.min_mm = -33000 mm: must be >= -5000.
+    joint.2.min_mm = -33000 mm: must be from -5000 to 5000.
 max_mm = 0 -> max_mm = -40
     joint.2.min_mm = -33 mm: must be smaller than max_mm = -40 mm.
 max_velocity_mm_s = 5 -> max_velocity_mm_s = 5\nmax_jerk_deg_s3 = 5

@@ -128,7 +128,7 @@ tip_mm = [12, 40, 190] -> joints = { "rotate outer" = 0 }
 tip_mm = [12, 40, 190] -> tip_cm = [1.2, 4, 19]
     scenario.toml: goal.tip_cm = [1.2, 4, 19]: unknown key, expected tip_mm (in mm).
 tolerance_mm = 0.5 -> tolerance_mm = 0
-    scenario.toml: goal.tolerance_mm = 0 mm: must be > 0.
+    scenario.toml: goal.tolerance_mm = 0 mm: must be from 0.001 to 1000.
 direction = [0, 3, 4] -> direction = [0, 0, 0]
     scenario.toml: goal.direction = [0, 0, 0]: must not be zero.
 direction = [0, 3, 4] ->
@@ -136,7 +136,7 @@ direction = [0, 3, 4] ->
 direction_tolerance_deg = 10 ->
     scenario.toml: goal.direction_tolerance_deg: is missing, direction and direction_tolerance_deg go together.
 direction_tolerance_deg = 10 -> direction_tolerance_deg = 181
-    scenario.toml: goal.direction_tolerance_deg = 181 deg: must be <= 180.
+    scenario.toml: goal.direction_tolerance_deg = 181 deg: must be above 0 and at most 180.
 kind = "sphere" -> kind = "cube"
     scenario.toml: anatomy.1.kind = 'cube': must be one of capsule, mesh, sphere.
 kind = "sphere" ->
@@ -148,7 +148,7 @@ center_mm = [10, 20, 30] ->
 radius_mm = 5 -> radius_mm = 5\nunit = "mm"
     scenario.toml: anatomy.1.unit = 'mm': does not go with kind = 'sphere'.
 radius_mm = 5 -> radius_mm = 5\nmargin_mm = -1
-    scenario.toml: anatomy.1.margin_mm = -1 mm: must be >= 0.
+    scenario.toml: anatomy.1.margin_mm = -1 mm: must be from 0 to 100000.
 file = "meshes/wedge.stl" -> file = "../wedge.stl"
     scenario.toml: anatomy.3.file = '../wedge.stl': must lie in the folder of this file or below.
 file = "meshes/wedge.stl" -> file = "meshes/none.stl"
@@ -156,15 +156,15 @@ file = "meshes/wedge.stl" -> file = "meshes/none.stl"
 unit = "cm" -> unit = "inch"
     scenario.toml: anatomy.3.unit = 'inch': must be one of mm, cm, m.
 max_strain = 0.05 -> max_strain = 5
-    scenario.toml: margins.max_strain = 5: must be <= 1.
+    scenario.toml: margins.max_strain = 5: must be above 0 and at most 1.
 mm_per_rad = 10 -> mm_per_rad = 0
-    scenario.toml: cost.mm_per_rad = 0 mm/rad: must be > 0.
+    scenario.toml: cost.mm_per_rad = 0 mm/rad: must be from 0.001 to 100000.
 name = "RRT*" -> name = "PRM"
     scenario.toml: planner.name = 'PRM': must be one of BIT*, RRT*, RRTConnect.
 name = "RRT*" ->
     scenario.toml: planner.goal_bias = 0.2: does not go with name = 'BIT*'.
 goal_bias = 0.2 -> goal_bias = 1.5
-    scenario.toml: planner.goal_bias = 1.5: must be <= 1.
+    scenario.toml: planner.goal_bias = 1.5: must be from 0 to 1.
 goal_bias = 0.2 -> goal_bais = 0.2
     scenario.toml: planner.goal_bais = 0.2: unknown key, did you mean goal_bias?
 goal_bias = 0.2 -> verve = 0.2
@@ -172,7 +172,7 @@ goal_bias = 0.2 -> verve = 0.2
 goal_bias = 0.2 -> samples_per_batch = 10
     scenario.toml: planner.samples_per_batch = 10: does not go with name = 'RRT*'.
 time_s = 2.5 -> time_s = 3601
-    scenario.toml: planner.time_s = 3601 s: must be <= 3600.
+    scenario.toml: planner.time_s = 3601 s: must be above 0 and at most 3600.
 time_s = 2.5 -> time_ms = 2500
     scenario.toml: planner.time_ms = 2500: unknown key, expected time_s (in s).
 settle = "oscillate" -> settle = true

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +11,7 @@ import numpy as np
 import pytest
 from places import ROBOTS
 
+from ctrplan.cli import main
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_file import load_scenario
@@ -203,3 +206,56 @@ def test_configurations_of_another_number_of_tubes_are_refused(grid: BoundTable)
     for joints in (np.zeros((2, 3)), np.zeros(2)):
         with pytest.raises(InputError, match="must have shape"):
             grid.lookup.sample(joints, joints)
+
+
+def field_command(robot_file: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    code = main(["field", str(robot_file), "--quiet"])
+    return code, capsys.readouterr().err
+
+
+@pytest.mark.parametrize("place", ["/proc/cache", "file"])
+def test_a_field_that_cannot_be_kept_is_told_before_it_is_built(
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("CTRPLAN_CACHE_DIR", str(tmp_path / place))  # an absolute place stays what it is
+    monkeypatch.setattr(fields, "_solve", lambda *_: pytest.fail("built for nothing"))
+    code, sentence = field_command(ROBOTS / "table_5_pair.toml", capsys)
+    assert (
+        code == 1 and sentence.startswith("ctrplan: the bound field could not be kept: ") and sentence.count("\n") == 1
+    )
+
+
+def test_a_full_disk_is_no_success_either(
+    grid: BoundTable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("CTRPLAN_CACHE_DIR", str(tmp_path))
+    table = np.vstack([grid.values, np.zeros((1, FieldLookup.NUMBERS), np.float32)])
+    monkeypatch.setattr(fields, "_solve", lambda *_: table)
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("ctrplan.storage.cache.os.replace", full)
+    code, sentence = field_command(ROBOTS / "table_5_pair.toml", capsys)
+    assert code == 1 and "was built but not kept" in sentence and os.strerror(errno.ENOSPC) in sentence
+
+
+def test_what_is_said_of_a_damaged_field_is_what_happens(
+    grid: BoundTable,
+    pair: Robot,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    monkeypatch.setenv("CTRPLAN_CACHE_DIR", str(tmp_path))
+    table = np.vstack([grid.values, np.zeros((1, FieldLookup.NUMBERS), np.float32)])
+    monkeypatch.setattr(fields, "_solve", lambda *_: table)
+    assert tabulated_bounds(pair) is not None
+    (stored,) = (tmp_path / "fields").glob("*.npz")
+    stored.write_bytes(stored.read_bytes()[:1000])
+    assert known_table(pair) is None
+    assert "is not used, `ctrplan field` builds it again" in caplog.text and "rebuilt" not in caplog.text
+    caplog.clear()
+    assert tabulated_bounds(pair) is not None
+    assert "will be rebuilt" in caplog.text and known_table(pair) is not None

@@ -9,7 +9,7 @@ import numpy as np
 from ctrplan.anatomy.shape import PartEntry, Shape, length, point, register
 from ctrplan.base.arrays import Array
 from ctrplan.base.surface import Surface, capsule
-from ctrplan.storage.number_ranges import Point, Positive, metres
+from ctrplan.storage.number_ranges import Length, Point, metres
 from ctrplan.storage.toml_table import Table
 
 
@@ -50,7 +50,7 @@ class CapsuleEntry(PartEntry):
 
     from_mm: Point
     to_mm: Point
-    radius_mm: Positive
+    radius_mm: Length
 
     def shape(self, table: Table) -> Capsule:
         return Capsule(metres(self.from_mm), metres(self.to_mm), self.radius_mm * 1e-3)

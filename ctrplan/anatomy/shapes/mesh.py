@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.anatomy.shape import PartEntry, Shape, register
-from ctrplan.base.arrays import Array, read_only
+from ctrplan.base.arrays import Array, numbers, read_only
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
 from ctrplan.storage.toml_table import Table
@@ -97,14 +97,17 @@ _distances: WeakKeyDictionary[Mesh, _MeshDistance] = WeakKeyDictionary()
 
 
 def _points(name: str, value: Any) -> Array:
-    array = np.array(value, dtype=np.float64, order="C")
+    array = np.ascontiguousarray(numbers(value, name))
     if array.ndim != 2 or array.shape[1] != 3 or not array.size or not np.isfinite(array).all():
         raise InputError("must hold points of three finite coordinates", key=name, unit="m")
     return read_only(array)
 
 
 def _triangles(name: str, value: Any) -> Indices:
-    array = np.array(value, dtype=np.int64, order="C")
+    given = numbers(value, name)
+    if not np.all(np.abs(given) < 2**53) or np.any(given != np.round(given)):
+        raise InputError("must hold whole numbers", key=name)
+    array = np.ascontiguousarray(given, dtype=np.int64)
     if array.ndim != 2 or array.shape[1] != 3 or not array.size or array.min() < 0:
         raise InputError("must hold triangles of three vertex indices", key=name)
     return read_only(array)

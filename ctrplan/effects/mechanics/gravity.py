@@ -24,7 +24,7 @@ class Gravity(Effect):
     scales_with_stiffness = True
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        return tuple(Parameter(f"g_{axis}_m_s2", 40.0) for axis in "xyz")
+        return tuple(Parameter(f"g_{axis}_m_s2", 40.0, lower=-1e3, upper=1e3) for axis in "xyz")
 
     def mechanics(self, values: Values, robot: Robot) -> Mapping[str, float]:
         weights = {

@@ -24,7 +24,7 @@ class OffPlanePrecurvature(Effect):
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return tuple(
-            Parameter(f"delta_{i + 1}_{k + 1}_per_m", max(0.15 * section.curvature_per_m, 0.1))
+            Parameter(f"delta_{i + 1}_{k + 1}_per_m", max(0.15 * section.curvature_per_m, 0.1), lower=-1e3, upper=1e3)
             for i, tube in enumerate(robot.tubes)
             for k, section in enumerate(tube.sections)
             if section.curvature_per_m > 0

@@ -22,7 +22,7 @@ class TipLoad(Effect):
     scales_with_stiffness = True
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        return tuple(Parameter(f"force_{axis}_N", 0.3) for axis in "xyz")
+        return tuple(Parameter(f"force_{axis}_N", 0.3, lower=-100.0, upper=100.0) for axis in "xyz")
 
     def mechanics(self, values: Values, robot: Robot) -> Mapping[str, float]:
         return {f"loads.tip_force_N.{'xyz'.index(name[6]) + 1}": value for name, value in values.items()}

@@ -12,6 +12,8 @@ from ctrplan.robot.robot import Robot
 from ctrplan.sensor.poses import Poses, moved_rigidly
 
 HOUR_S = 3600.0
+MM_PER_H, DEG_PER_H = MILLIMETRE / HOUR_S, DEGREE / HOUR_S
+MOST = 1e4  # mm or deg an hour: what jumps is no drift
 
 
 @register
@@ -28,8 +30,10 @@ class Drift(Effect):
     needs_time = True
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        shifts = (Parameter(f"shift_{axis}_mm_per_h", 100.0, si=MILLIMETRE / HOUR_S) for axis in "xyz")
-        turns = (Parameter(f"rotation_{axis}_deg_per_h", 100.0, si=DEGREE / HOUR_S) for axis in "xyz")
+        shifts = (Parameter(f"shift_{axis}_mm_per_h", 100.0, lower=-MOST, upper=MOST, si=MM_PER_H) for axis in "xyz")
+        turns = (
+            Parameter(f"rotation_{axis}_deg_per_h", 100.0, lower=-MOST, upper=MOST, si=DEG_PER_H) for axis in "xyz"
+        )
         return (*shifts, *turns)
 
     def variants(self, robot: Robot, data: Measurements) -> Sequence[Sequence[str]]:

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arguments import Made, checked
+from ctrplan.base.arrays import Array, numbers
 from ctrplan.base.units import MM_PER_M
 from ctrplan.drive.legs import merge_legs
-from ctrplan.drive.trajectory import time_parameterise
+from ctrplan.drive.trajectory import PERIOD, time_parameterise
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.planning.certificate.certify import certify
 from ctrplan.planning.certificate.insertion import follow_the_leader_m
@@ -43,6 +44,7 @@ class Reordered:
     on_line: bool = False  # follows a line with the tip, which takes all joints together
 
 
+@checked(scenario=Made("Scenario"), period_s=PERIOD)
 def reorder(path: ArrayLike, scenario: Scenario, *, period_s: float = 0.01) -> Plan:
     """Plan that drives a path (K, m) of actuated joint values, from anyone's planner, at lower or equal cost.
 
@@ -51,10 +53,7 @@ def reorder(path: ArrayLike, scenario: Scenario, *, period_s: float = 0.01) -> P
     """
     began = time.monotonic()
     m = len(scenario.robot.drive.joints)
-    try:
-        corners = np.array(path, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"must be numbers of shape (K, {m})", key="path") from None
+    corners = numbers(path, "path").copy()
     if corners.ndim != 2 or corners.shape[1] != m or len(corners) < 2 or not np.all(np.isfinite(corners)):
         raise InputError(f"must be finite, of shape (K, {m}) with K >= 2, not {corners.shape}", key="path")
     if scenario.via:
@@ -269,7 +268,11 @@ def assemble(
         stops_after=max(b.legs - 1, 0),
         **_compared(scenario, stages[-1], ways[-1]),
     )
-    trajectory = time_parameterise(driven, drive, period_s, rests=rests.tolist())
+    try:
+        trajectory = time_parameterise(driven, drive, period_s, rests=rests.tolist())
+    except InputError as error:  # the drive is that of the robot file
+        file = scenario.robot.path if (error.key or "").startswith("joint.") else None
+        raise InputError(error.rule, file=file, key=error.key, value=error.value, unit=error.unit) from None
     return Plan(
         scenario=scenario,
         seed=seed,

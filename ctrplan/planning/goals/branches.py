@@ -123,7 +123,8 @@ def _room(checker: MotionChecker, q: Array) -> Array:
     if checker.field is None:
         return np.full(len(q), ROOM_ENOUGH_M)
     rooms = checker.mechanics.zero_clearance_rooms(*checker.space.drive.collars(q), checker.field)[0]
-    return np.minimum(rooms, ROOM_ENOUGH_M)
+    clearance: Array = np.minimum(rooms, ROOM_ENOUGH_M)
+    return clearance
 
 
 def distinct_rows(checker: MotionChecker, q: Array, order: NDArray[np.int_]) -> NDArray[np.int_]:

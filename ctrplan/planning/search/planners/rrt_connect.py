@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ctrplan.planning.planner_settings import PlannerSettings, register
-from ctrplan.storage.number_ranges import Positive
+from ctrplan.storage.number_ranges import Length
 
 
 @register
@@ -13,7 +13,7 @@ class RRTConnect(PlannerSettings, frozen=True, kw_only=True):
     """range_mm: longest motion of a tree."""
 
     name: str = "RRTConnect"
-    range_mm: Positive = 30.0  # two trees meet by steps
+    range_mm: Length = 30.0  # two trees meet by steps
 
     def ompl_planner(self, information: Any) -> Any:
         from ompl import geometric as og  # slow to import, and settings are read where nothing is searched

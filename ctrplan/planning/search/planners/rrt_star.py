@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ctrplan.planning.planner_settings import PlannerSettings, register
-from ctrplan.storage.number_ranges import Fraction, Positive
+from ctrplan.storage.number_ranges import Fraction, Length
 
 
 @register
@@ -14,7 +14,7 @@ class RRTStar(PlannerSettings, frozen=True, kw_only=True):
 
     name: str = "RRT*"
     goal_bias: Fraction = 0.3  # each sample is dear, and the goal is a set of many states
-    range_mm: Positive | None = None  # a single tree reaches for the goal at once
+    range_mm: Length | None = None  # a single tree reaches for the goal at once
 
     def ompl_planner(self, information: Any) -> Any:
         from ompl import geometric as og  # slow to import, and settings are read where nothing is searched

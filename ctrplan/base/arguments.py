@@ -1,0 +1,231 @@
+"""What arguments of public functions may be, stated once at the boundary: kinds of values, and a decorator.
+
+    @checked(refinement=Number(0.25, 16), accuracy=Choice("search", "certificate"))
+    def solve(self, theta_b, *, refinement=1.0, accuracy="search"): ...
+
+A value of another kind is refused in one sentence before anything runs. The command line reads its numbers by the same
+kinds. Arrays are read by `ctrplan.base.arrays.numbers`.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import math
+import numbers
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ParamSpec, TypeVar
+
+from ctrplan.errors import InputError
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class Kind(ABC):
+    """What a value may be."""
+
+    unit: str | None = None
+
+    @abstractmethod
+    def fits(self, value: Any) -> bool:
+        """Whether the value is of this kind."""
+
+    @property
+    @abstractmethod
+    def rule(self) -> str:
+        """What must be, as the end of a sentence."""
+
+
+@dataclass(frozen=True)
+class Number(Kind):
+    """A real number from `low` to `high`; `above`: the lower end itself is none."""
+
+    low: float
+    high: float
+    unit: str | None = None
+    above: bool = False
+
+    def fits(self, value: Any) -> bool:
+        is_real = isinstance(value, numbers.Real) and not isinstance(value, bool)  # numpy's are real ones too
+        return is_real and bool(self.low < value <= self.high if self.above else self.low <= value <= self.high)
+
+    @property
+    def rule(self) -> str:
+        if self.above:
+            return f"must be a number above {self.low:g} and at most {self.high:g}"
+        if math.isinf(self.low) and math.isinf(self.high):
+            return "must be a number"
+        return f"must be a number from {self.low:g} to {self.high:g}"
+
+
+@dataclass(frozen=True)
+class Whole(Kind):
+    """A whole number from `low` to `high`."""
+
+    low: int
+    high: int
+    note: str = ""
+
+    def fits(self, value: Any) -> bool:
+        is_whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+        return is_whole and self.low <= value <= self.high
+
+    @property
+    def rule(self) -> str:
+        return f"must be a whole number from {self.low} to {self.high}{self.note}"
+
+
+class Choice(Kind):
+    """One of some texts."""
+
+    def __init__(self, *options: str) -> None:
+        """options: the texts."""
+        self.options = options
+
+    def fits(self, value: Any) -> bool:
+        return isinstance(value, str) and value in self.options
+
+    @property
+    def rule(self) -> str:
+        *most, last = [f'"{option}"' for option in self.options]
+        return f"must be {', '.join(most)} or {last}"
+
+
+class Made(Kind):
+    """An object of a class of ctrplan or of a library, by the name of the class: nothing is imported for a check."""
+
+    def __init__(self, name: str) -> None:
+        """name: of the class, without its module."""
+        self.name = name
+
+    def fits(self, value: Any) -> bool:
+        return any(made.__name__ == self.name for made in type(value).__mro__)
+
+    @property
+    def rule(self) -> str:
+        return f"must be a {self.name}"
+
+
+@dataclass(frozen=True)
+class Having(Kind):
+    """Whatever has a method, as `what` says it in a sentence."""
+
+    method: str
+    what: str
+
+    def fits(self, value: Any) -> bool:
+        return callable(getattr(value, self.method, None))
+
+    @property
+    def rule(self) -> str:
+        return f"must {self.what}"
+
+
+class Flag(Kind):
+    """True or False."""
+
+    rule = "must be True or False"
+
+    def fits(self, value: Any) -> bool:
+        return type(value).__name__ in ("bool", "bool_")  # Python's or numpy's
+
+
+class Texts(Kind):
+    """A list of texts; one text is none."""
+
+    rule = "must be a list of texts"
+
+    def fits(self, value: Any) -> bool:
+        is_list = isinstance(value, (Sequence, set, frozenset)) and not isinstance(value, (str, bytes))
+        return is_list and all(isinstance(item, str) for item in value)
+
+
+@dataclass(frozen=True)
+class Table(Kind):
+    """A mapping of texts to values of a kind."""
+
+    kind: Kind
+
+    def fits(self, value: Any) -> bool:
+        return isinstance(value, Mapping) and all(
+            isinstance(key, str) and self.kind.fits(item) for key, item in value.items()
+        )
+
+    @property
+    def rule(self) -> str:
+        return f"must be a mapping of names, each of which {self.kind.rule}"
+
+
+class Interval(Kind):
+    """Two numbers, lower and upper, of which either may be infinite."""
+
+    rule = "must be two numbers, the lower one first"
+
+    def fits(self, value: Any) -> bool:
+        ends = Number(-math.inf, math.inf)
+        is_pair = hasattr(value, "__len__") and not isinstance(value, (str, Mapping)) and len(value) == 2
+        return is_pair and all(map(ends.fits, value)) and bool(value[0] <= value[1])
+
+
+SEED = Whole(0, 2**31 - 10**5 - 1)  # searches add to it
+SEARCH_TIME = Number(0, 3600, "s", above=True)
+PROGRESS = Having("__call__", "be a function")
+EVENT = Having("is_set", "be an event, as threading.Event")
+EXECUTOR = Having("submit", "have the interface of concurrent.futures.Executor")
+
+
+def in_plain_digits(text: str, whole: bool = False) -> float | None:
+    """The number that a person wrote; None where it is none, or has thousands of digits.
+
+    Python alone takes 1_0 and digits of other scripts for numbers.
+    """
+    try:
+        return None if "_" in text or not text.isascii() else int(text) if whole else float(text)
+    except ValueError:
+        return None
+
+
+def checked(**kinds: Kind) -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """The decorator that refuses arguments of other kinds than those stated by name; what defaults to None may be None.
+
+    Of a class it checks what it is made of. The function raises InputError that names the argument.
+    """
+
+    def decorated(function: Callable[P, T]) -> Callable[P, T]:
+        if isinstance(function, type):
+            function.__init__ = _guarded(function.__init__, kinds)  # type: ignore[misc]
+            return function
+        return _guarded(function, kinds)
+
+    return decorated
+
+
+def require(key: str, value: Any, kind: Kind) -> None:
+    """Raises InputError that names `key` unless the value is of the kind."""
+    try:
+        fits = kind.fits(value)
+    except (TypeError, ValueError, ArithmeticError):  # of what calls itself a number and compares with none
+        fits = False
+    if not fits:
+        raise InputError(kind.rule, key=key, value=value, unit=kind.unit)
+
+
+def _guarded(function: Callable[..., T], kinds: Mapping[str, Kind]) -> Callable[..., T]:
+    parameters = inspect.signature(function).parameters
+    names = tuple(parameters)
+    optional = {name for name, parameter in parameters.items() if parameter.default is None}
+    unknown = kinds.keys() - parameters.keys()
+    if unknown:
+        raise TypeError(f"{function.__qualname__} has no parameter {', '.join(sorted(unknown))}")
+
+    @functools.wraps(function)
+    def guarded(*arguments: Any, **keywords: Any) -> T:
+        for name, value in (*zip(names, arguments, strict=False), *keywords.items()):
+            if name in kinds and not (value is None and name in optional):
+                require(name, value, kinds[name])
+        return function(*arguments, **keywords)
+
+    return guarded
