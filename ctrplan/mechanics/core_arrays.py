@@ -124,7 +124,9 @@ def sound(status: NDArray[np.int_], *numbers: Array) -> NDArray[np.int_]:
 
 def promised(table: Table) -> Table:
     """The table, FAILED wherever a number that a solution must have is not finite. Bounds are of several solutions."""
-    names = ("position_m", "tangent") if isinstance(table, Tips) else ("tip_m", "tip_tangent", "stability")
+    names: tuple[str, ...] = ("tip_m", "tip_tangent", "stability")
+    if isinstance(table, Tips):
+        names = ("position_m", "tangent")
     columns = (getattr(table, name) for name in (*names, "max_strain"))
     return replace(table, status=sound(table.status, *columns))
 
