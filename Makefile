@@ -49,7 +49,7 @@ $(VENV)/.installed: $(VENV)/.deps $(SOURCES)
 
 # What CI does a few hundred times, done 10,000 times (files) and 100 times (interruptions): an hour or so.
 fuzz: install
-	CTRPLAN_FUZZ=1 $(BIN)/pytest $(wildcard tests/*/test_fuzz_*.py) tests/system/test_running_faults.py
+	CTRPLAN_FUZZ=1 $(BIN)/pytest $(wildcard tests/*/test_fuzz_*.py) tests/system/test_running_faults.py tests/diagnosis/test_gross_outliers.py
 
 wheel:
 	tools/check_wheel.sh $(PYTHON)

@@ -141,7 +141,7 @@ def test_ik_prints_a_table_and_json(capsys: pytest.CaptureFixture[str]) -> None:
     ("extra", "code", "words"),
     [
         (["--tip-mm", "300", "0", "100"], 1, r"out of reach, the nearest tip found is \d+ mm away at \["),
-        (["--tip-mm", "nan", "0", "100"], 2, "--tip-mm.*finite"),
+        (["--tip-mm", "nan", "0", "100"], 2, "--tip-mm = nan mm: must be a number from"),
         (["--tip-mm", "0", "0", "100", "--direction", "0", "0", "0"], 2, "--direction.*zero"),
         (["--tip-mm", "0", "0", "100", "--tolerance-mm", "0"], 2, "--tolerance-mm"),
         (["--tip-mm", "0", "0", "100", "--starts", "0"], 2, "--starts"),

@@ -64,8 +64,8 @@ def test_schemas_of_files_are_walked_as_they_are_read(schema: type[msgspec.Struc
 @pytest.mark.parametrize(
     ("change", "path", "rule"),
     [
-        ({"inner": [{"size_mm": 1}, {"size_mm": 6}]}, ("inner", 1, "size_mm"), "must be <= 5"),
-        ({"inner": [{"size_mm": 0}]}, ("inner", 0, "size_mm"), "must be > 0"),
+        ({"inner": [{"size_mm": 1}, {"size_mm": 6}]}, ("inner", 1, "size_mm"), "must be above 0 and at most 5"),
+        ({"inner": [{"size_mm": 0}]}, ("inner", 0, "size_mm"), "must be above 0 and at most 5"),
         ({"count": 0}, ("count",), "must be >= 1"),
         ({"count": 9}, ("count",), "must be < 9"),
         ({"name": ""}, ("name",), "must be text of length >= 1"),
