@@ -234,10 +234,19 @@ def test_a_read_only_disk_is_refused_before_anything_is_computed(tmp_path: Path)
 
 @needs_namespaces
 @pytest.mark.parametrize("options", ["ro", "size=8k"])
-def test_a_cache_without_room_or_permission_is_no_error(options: str, tmp_path: Path) -> None:
+def test_a_cache_without_room_or_permission_is_no_error_to_those_who_only_use_it(options: str, tmp_path: Path) -> None:
+    arguments = f"plan '{SCENARIOS / 'pair_free.toml'}' --time 1 -o '{tmp_path / 'out'}'"
+    done = in_a_small_world(tmp_path, options, arguments)
+    assert "exit 0\n" in done.stdout and not done.stderr, done.stderr
+    assert ".ctrplan-" not in done.stdout and (tmp_path / "out" / "plan.json").exists()
+
+
+@needs_namespaces
+@pytest.mark.parametrize(("options", "reason"), [("ro", "could not be kept"), ("size=8k", "was built but not kept")])
+def test_a_field_that_can_not_be_kept_is_no_success(options: str, reason: str, tmp_path: Path) -> None:
     done = in_a_small_world(tmp_path, options, f"field '{PAIR}'")
-    assert "exit 0\n" in done.stdout and "bound field of" in done.stdout and not done.stderr, done.stderr
-    assert ".ctrplan-" not in done.stdout
+    assert "exit 1\n" in done.stdout and ".ctrplan-" not in done.stdout
+    assert f"ctrplan: the bound field {reason}: " in done.stderr and done.stderr.count("\n") == 1
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="has no /dev/full")
