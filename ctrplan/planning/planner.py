@@ -30,6 +30,7 @@ from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.plan import ENDED_BY_TIME, Certificate, Compensation, Plan
 from ctrplan.planning.search.stage_search import Candidate, Progress, Report, StageSearch
 from ctrplan.planning.search_clock import SearchClock, SearchEnd
+from ctrplan.robot.friction_calibration import friction_law
 
 if TYPE_CHECKING:
     from ctrplan.planning.bound_table import BoundTable
@@ -78,6 +79,7 @@ def plan(
         raise NoAnswerError(f"{scenario.path or scenario.name}: start: the start state is not valid: {reason}.")
     if other := other_start(scenario.robot, scenario.start):
         raise NoAnswerError(f"{scenario.path or scenario.name}: start: {other[0].lower()}{other[1:]}.")
+    friction_law(scenario.robot)  # calibrated before the search's time begins, if it is not known yet
     with interrupt_event(interrupted) as interrupted:
         asked = _Asked(seed, began, budget, budget, time_s is not None, report, interrupted, bound_table)
         first, stages, ended_by = _anytime_stages(scenario, asked)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -162,14 +162,17 @@ def test_counted_time_is_work_alone() -> None:
 
 
 def test_what_a_bound_field_refuses_is_solved(vessel: MotionChecker) -> None:
-    class Refusing:
-        """A field whose margin is too large for this scenario."""
+    class Refusing(BoundTable):
+        """A table whose margin is too large for this scenario."""
+
+        def __init__(self) -> None:
+            """Holds nothing."""
 
         def check_path(self, theta_b: Array, l_b: Array, *_: object, **limits: Any) -> PathSamples:
             samples = vessel.walk(np.array([vessel.scenario.start]), vessel.density, vessel.limits)
             return replace(samples, clearance_m=np.full(1, limits["limits"].clearance_m - 1e-3))
 
-    looked_up = MotionChecker(vessel.scenario, bound_table=cast(BoundTable, Refusing()))
+    looked_up = MotionChecker(vessel.scenario, bound_table=Refusing())
     asked, solved = looked_up.state(vessel.scenario.start), vessel.state(vessel.scenario.start)
     assert asked.valid
     assert asked.end_bound_m == pytest.approx(solved.end_bound_m, abs=1e-9)
