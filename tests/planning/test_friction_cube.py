@@ -14,8 +14,9 @@ import ctrplan
 from ctrplan.base.arrays import Array
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.files.scenario_file import scenario_from_dict
-from ctrplan.planning.certificate.certify import certify
+from ctrplan.planning.certificate.certify import _contradictions, certify
 from ctrplan.planning.certificate.friction_cube import corner_states, least_clearance
+from ctrplan.planning.certificate.prediction import Prediction
 from ctrplan.planning.certificate.start_branches import other_start
 from ctrplan.planning.certificate.walked_piece import DISCRETISATION_M, UNEVEN_FRICTION_M, walk_pieces
 from ctrplan.planning.joint_space import JointSpace
@@ -157,3 +158,15 @@ def test_a_bent_drive_is_followed_and_not_its_chord() -> None:
     for piece in walk_pieces(case, JointSpace.of(case), np.array([a, b]), "search", None):
         rows = piece.start + piece.samples.fraction[:, None] * (piece.end - piece.start)
         np.testing.assert_allclose(piece.theta_b, bent.drive.collars(rows)[0], atol=np.radians(0.01))
+
+
+@pytest.mark.parametrize("sample", [0, 2])
+def test_a_simulated_robot_beyond_its_bound_is_a_contradiction_wherever_it_is(sample: int) -> None:
+    """The start once did not count."""
+    case = with_sphere(joints(0, 0, 0, -28.8), (0.0, 60.0, 100.0), 1.0)
+    samples = certify(case, np.array([joints(0, 0, 0, -28.8), joints(0, 0, 20, -28.8)])).samples
+    calm = Prediction(np.zeros((1, len(samples.leg), 3)), 0)
+    assert _contradictions(calm, samples) == []
+    predicted = samples.bound_m.copy()
+    predicted[sample] += 5e-3
+    assert "5.00 mm beyond" in _contradictions(calm, replace(samples, predicted_m=predicted))[0]

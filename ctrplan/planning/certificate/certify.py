@@ -195,7 +195,8 @@ def _contradictions(prediction: Prediction, samples: CertificateSamples) -> list
         times = f"{prediction.snaps} times" if prediction.snaps > 1 else "once"
         found.append(f"Simulated robots snap to another equilibrium {times}.")
     beyond = samples.predicted_m - samples.bound_m
-    if (worst := int(np.argmax(beyond))) and beyond[worst] > BEYOND_BOUND_M:
+    worst = int(np.argmax(beyond))
+    if beyond[worst] > BEYOND_BOUND_M:
         where = f"On leg {samples.leg[worst] + 1}"
         found.append(f"{where}: a simulated robot is {beyond[worst] * MM_PER_M:.2f} mm beyond the worst-case error.")
     return found
