@@ -259,7 +259,8 @@ class Mechanics:
     ) -> PathSamples:
         """Walks the straight lines between configurations (K, n), (K, n), each solve starting from the one before.
 
-        Stops after the first sample that breaks a limit, fails, or is UNSTABLE, which a snap on the way is too.
+        Stops after the first sample that breaks a limit, fails, or is UNSTABLE, which a snap on the way is too. With
+        `bodies`, points, stability and strain of every shape are kept.
         """
         until = core_density(density or PathDensity()), core_limits(limits or PathLimits())
         with input_errors():
@@ -298,10 +299,20 @@ class Mechanics:
         if states.ndim != 2 or states.shape[1] != self.n - 1 or not np.all(np.abs(states) <= 1):
             raise InputError(f"must have shape (S, {self.n - 1}) and lie in [-1, 1]", key="phi")
         with input_errors():
-            points, status, strain = self._model.friction_bodies(
+            points, status, strain, stability = self._model.friction_bodies(
                 self._row(theta_b), self._row(l_b), np.ascontiguousarray(states), float(spacing_m), accuracy
             )
-        return FrictionBodies(points[:, :, :3], points[0, :, 3], np.asarray(status) != Status.FAILED, strain)
+        return FrictionBodies(points[:, :, :3], points[0, :, 3], np.asarray(status) != Status.FAILED, strain, stability)
+
+    @checked(accuracy=ACCURACY)
+    def corners_apart(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> Array:
+        """(C,) [m] how far another stable equilibrium of each sign corner lies from its own, at the configuration.
+
+        Each corner is solved from the shapes of all others too; 0 where the same equilibrium is found, inf where a
+        corner has none. Order of corners as `Bound.corners`.
+        """
+        with input_errors():
+            return np.asarray(self._model.corners_apart(self._row(theta_b), self._row(l_b), accuracy))
 
     def _configurations(self, theta_b: ArrayLike, l_b: ArrayLike) -> tuple[Array, Array]:
         return joint_rows(theta_b, l_b, self.n)

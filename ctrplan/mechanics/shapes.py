@@ -142,3 +142,4 @@ class FrictionBodies:
     radius_m: Array  # (N,) outer radius of what is there
     solved: NDArray[np.bool_]  # (S,)
     max_strain: Array  # (S,) over all tubes
+    stability: Array  # (S,) eigenvalue of the Newton matrix nearest to zero over GJ / L^2, friction included

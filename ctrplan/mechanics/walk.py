@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,11 @@ from ctrplan.errors import InputError
 
 SHORTEST_STEP, LONGEST_STEP = 1e-6, 100.0  # rad or m; with shorter ones a walk would not end
 ANY = Number(-np.inf, np.inf)
+
+
+def no_shapes() -> Array:
+    """(0, 0) of a walk that keeps no shapes."""
+    return np.empty((0, 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +37,10 @@ class PathSamples:
     tip_tangent: Array  # (K, 3)
     solves: NDArray[np.int_]  # (K,) configurations solved since the sample before, those not accepted among them
     corner_tip_m: Array  # (K, C, 3) of the corner shapes in the order of Bound.corners; C = 0 when looked up
-    bodies: tuple[Array, ...] = ()  # per sample, if asked for: (N, 4) points of all shapes and their outer radius [m]
+    # Of every shape, frictionless first, if asked for:
+    shape_stability: Array = field(default_factory=no_shapes)  # (K, 1 + C) friction included
+    shape_max_strain: Array = field(default_factory=no_shapes)  # (K, 1 + C)
+    bodies: tuple[Array, ...] = ()  # per sample: (N, 4) points of all shapes and their outer radius [m]
 
 
 @checked(

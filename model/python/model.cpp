@@ -105,9 +105,9 @@ nb::dict tips_with_friction(const Model& model, Matrix theta, Matrix l, Matrix p
 }
 
 nb::dict check_path(Model& model, Matrix theta, Matrix l, const Grid* grid, const ctr::PathDensity& density, const ctr::PathLimits& limits,
-                    const std::string& level, bool bodies) {
+                    const std::string& level, bool shapes) {
     const std::vector<ctr::Configuration> corners = valid_configurations(model.robot(), theta, l);
-    return to_python(unlocked([&] { return model.check_path(corners, accuracy(level), field_of(grid), density, limits, bodies); }), bodies);
+    return to_python(unlocked([&] { return model.check_path(corners, accuracy(level), field_of(grid), density, limits, shapes); }), shapes);
 }
 
 nb::object field_entries(Model& model, Matrix theta, Matrix l, int threads) {
@@ -123,14 +123,20 @@ nb::tuple body(Model& model, Vector theta, Vector l, const std::string& level) {
     return nb::make_tuple(hand_over<double>(std::move(found.point), {shapes, count, 3}), array(std::move(found.radius)));
 }
 
-// Points (states, N, 4) with outer radii, status and largest strain of each state.
+// Points (states, N, 4) with outer radii, status, largest strain and stability of each state.
 nb::tuple friction_bodies(Model& model, Vector theta, Vector l, Matrix phi, double spacing, const std::string& level) {
     const ctr::Configuration q = valid_configuration(model.robot(), theta, l);
     if (phi.shape(1) != model.robot().pairs.size()) throw ctr::InvalidInput("phi needs one value per pair");
     const std::size_t states = phi.shape(0);
     ctr::FrictionBodies found = unlocked([&] { return model.friction_bodies(q, accuracy(level), phi.data(), states, spacing); });
     const std::size_t count = states ? found.point.size() / (4 * states) : 0;
-    return nb::make_tuple(array(std::move(found.point), {states, count, 4}), array(found.status), array(std::move(found.max_strain)));
+    return nb::make_tuple(array(std::move(found.point), {states, count, 4}), array(found.status), array(std::move(found.max_strain)),
+                          array(std::move(found.stability)));
+}
+
+nb::object corners_apart(Model& model, Vector theta, Vector l, const std::string& level) {
+    const ctr::Configuration q = valid_configuration(model.robot(), theta, l);
+    return array(unlocked([&] { return model.corners_apart(q, accuracy(level)); }));
 }
 
 std::unique_ptr<FieldLookup> field_lookup(const Model& model, const FieldLookup::Axes& axes, FieldLookup::Values values, double margin) {
@@ -160,7 +166,8 @@ void bind_model(nb::module_& m) {
         .def("tips_with_friction", &tips_with_friction, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(), "directions"_a,
              "accuracy"_a, "threads"_a)
         .def("check_path", &check_path, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "field"_a.none(), "density"_a, "limits"_a, "accuracy"_a,
-             "bodies"_a)
+             "shapes"_a)
         .def("friction_bodies", &friction_bodies, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(), "spacing"_a, "accuracy"_a)
+        .def("corners_apart", &corners_apart, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "accuracy"_a)
         .def("body", &body, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "accuracy"_a);
 }

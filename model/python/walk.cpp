@@ -25,6 +25,13 @@ nb::object corner_tips(const std::vector<Sample>& samples) {
     return hand_over<double>(std::move(tips), {samples.size(), corners, 3});
 }
 
+nb::object of_shapes(const std::vector<Sample>& samples, std::vector<double> Sample::* member) {
+    const std::size_t shapes = samples.empty() ? 0 : (samples.front().*member).size();
+    std::vector<double> all;
+    for (const Sample& s : samples) all.insert(all.end(), (s.*member).begin(), (s.*member).end());
+    return array(std::move(all), {samples.size(), shapes});
+}
+
 void make_grid(Grid* self, Grid::Values values, Vector origin, double spacing, Matrix R_AB, Vector p_AB) {
     if (origin.size() != 3 || R_AB.size() != 9 || p_AB.size() != 3) throw ctr::InvalidInput("the pose of a grid is malformed");
     new (self) Grid{values, {}};
@@ -41,7 +48,7 @@ void make_grid(Grid* self, Grid::Values values, Vector origin, double spacing, M
 
 }  // namespace
 
-nb::dict to_python(std::vector<Sample>&& samples, bool bodies) {
+nb::dict to_python(std::vector<Sample>&& samples, bool shapes) {
     nb::dict made;
     made["segment"] = counts(samples, &Sample::segment);
     made["fraction"] = numbers(samples, &Sample::fraction);
@@ -59,8 +66,10 @@ nb::dict to_python(std::vector<Sample>&& samples, bool bodies) {
     nb::list points;
     for (Sample& s : samples) {
         const std::size_t rows = s.body.size() / 4;
-        if (bodies) points.append(array(std::move(s.body), {rows, 4}));
+        if (shapes) points.append(array(std::move(s.body), {rows, 4}));
     }
+    made["shape_stability"] = of_shapes(samples, &Sample::shape_stability);
+    made["shape_max_strain"] = of_shapes(samples, &Sample::shape_max_strain);
     made["bodies"] = nb::tuple(points);
     return made;
 }

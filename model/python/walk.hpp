@@ -15,4 +15,4 @@ struct Grid {
 inline ctr::SignedDistanceField field_of(const Grid* grid) { return grid ? grid->field : ctr::SignedDistanceField(); }
 
 // Samples by the names of ctrplan.mechanics.walk.PathSamples; corners are known to solved walks, bodies if asked for.
-nb::dict to_python(std::vector<ctr::PathSample>&& samples, bool bodies);
+nb::dict to_python(std::vector<ctr::PathSample>&& samples, bool shapes);

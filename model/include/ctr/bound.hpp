@@ -14,6 +14,13 @@ namespace ctr {
 class CarriedState;
 class Predictor;
 
+// A solution in one friction state.
+struct FrictionShape {
+    const Backbone& backbone;
+    const Convergence& convergence;
+    double stability;
+};
+
 // All solutions at one configuration; keeps its memory from one configuration to the next and starts warm where it can.
 class BoundSolver {
   public:
@@ -32,7 +39,10 @@ class BoundSolver {
 
     // Solutions for `rows` friction states, phi [row][pair], all from scratch; each is shown as it stands there.
     void solve_states(const Configuration& q, const Accuracy& accuracy, const double* phi, std::size_t rows,
-                      const std::function<void(std::size_t row, const Backbone&, const Convergence&)>& show);
+                      const std::function<void(std::size_t row, const FrictionShape&)>& show);
+    // Solves from scratch, then every corner from every other one: how far [m] a stable equilibrium found so lies from the
+    // corner's own, the largest per corner; 0 where all agree, inf where a corner was not solved.
+    std::vector<double> corners_apart(const Configuration& q, const Accuracy& accuracy);
 
     // Looks for other stable equilibria: restarts of the zero-clearance model with the inner tubes of each pair turned
     // across opposed precurvatures, confirmed on the frictionless clearance model. status() then says multiple.
@@ -48,6 +58,7 @@ class BoundSolver {
     const Convergence& corner(int k) const { return corner_convergence_[k]; }
     bool all_converged() const;
     double stability() const { return stability_; }
+    std::vector<double> shape_stabilities();  // frictionless, then every corner with its friction
     Status status() const;
     int iterations() const;
     const FrictionSolver& solver() const { return solver_; }
@@ -93,6 +104,7 @@ class BoundSolver {
     ZeroClearance other_;
     LaneState trial_;
     bool have_solution_ = false;
+    std::vector<bool> unfactored_;  // batches a lane of which came from elsewhere
     std::vector<CarriedState> carried_;  // what follow() starts from: frictionless, then the batches
     std::unique_ptr<Predictor> predictor_;
     std::vector<double> phi_;

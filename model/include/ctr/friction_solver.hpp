@@ -81,6 +81,8 @@ class FrictionSolver {
     // The frictionless torsional second variation's smallest eigenvalue over GJ / L^2 of the innermost tube; uses the
     // factors left in a one-lane state by solve(). Negative pivots are counted into `negative`.
     double stability(LaneState& state, int& negative);
+    // Of every lane, friction included: the real eigenvalue nearest to zero of the unsymmetric Newton matrix, in the same unit.
+    void stabilities(LaneState& state, double* stability);
     // Whether an angle's pivot of the last factors is negative.
     bool turns_away(const LaneState& state, int lane = 0) const;
     // Largest imbalance of one lane as it is over EI * precurvature, its loads as the shape asks: a residual evaluated anew.

@@ -56,6 +56,9 @@ class LaneState {
     double& need(int node, int pair, int plane, int lane) { return need_[need_index(node, pair, plane, lane)]; }  // see alignment.hpp
     double need(int node, int pair, int plane, int lane) const { return need_[need_index(node, pair, plane, lane)]; }
 
+    // What a solve starts from of one lane of another iterate on the same mesh, exact geometry left out.
+    void copy_lane(const LaneState& from, int from_lane, int lane, const KernelProblem& problem);
+
     // One lane by itself, without what a solve needs on its way only.
     struct Kept {
         std::vector<double> unknowns, multiplier, slack, phi_mu;

@@ -64,6 +64,7 @@ struct FrictionBodies {
     std::vector<double> point;       // [state][N][4] m: position and outer radius
     std::vector<Status> status;      // (S) converged or failed
     std::vector<double> max_strain;  // (S)
+    std::vector<double> stability;   // (S), as FrictionSolver::stabilities
 };
 
 class Model {
@@ -78,8 +79,10 @@ class Model {
     Body body(const Configuration& q, const Accuracy& accuracy);
     // phi: [state][pair], outermost pair first; points no farther apart than `spacing`.
     FrictionBodies friction_bodies(const Configuration& q, const Accuracy& accuracy, const double* phi, std::size_t states, double spacing);
+    // (C) m, see BoundSolver.
+    std::vector<double> corners_apart(const Configuration& q, const Accuracy& accuracy);
     std::vector<PathSample> check_path(const std::vector<Configuration>& corners, const Accuracy& accuracy, const SignedDistanceField& field,
-                                       const PathDensity& density, const PathLimits& limits, bool keep_bodies);
+                                       const PathDensity& density, const PathLimits& limits, bool keep_shapes);
 
     BoundRows bounds(const std::vector<Configuration>& all, const Accuracy& accuracy, int threads);
     TipRows zero_clearance_tips(const std::vector<Configuration>& all, int threads);

@@ -23,7 +23,10 @@ struct PathSample {
     Vec3 tangent{0, 0, 1};
     std::vector<Vec3> corner_tips;
     Status status = Status::failed;
-    std::vector<double> body;   // x, y, z, outer radius of every point looked up, all shapes; only if asked for
+    // Of every shape, only if asked for:
+    std::vector<double> body;              // x, y, z, outer radius of every point looked up, frictionless and corners
+    std::vector<double> shape_stability;   // (1 + C) friction included
+    std::vector<double> shape_max_strain;  // (1 + C)
 };
 
 // A path is abandoned at the first sample that breaks one of these; the sample itself is still reported.
@@ -60,6 +63,6 @@ void collect_points(const BoundSolver& bound, const Backbone& shape, double spac
 
 std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Configuration>& corners, const Accuracy& mesh,
                                    const SignedDistanceField& field, const PathDensity& density, const PathLimits& limits,
-                                   bool keep_bodies = false);
+                                   bool keep_shapes = false);
 
 }  // namespace ctr

@@ -12,6 +12,15 @@ namespace {
 
 constexpr double kDistinct = 0.1;  // rad between angles of different equilibria
 
+double largest_distance(const Backbone& a, const Backbone& b) {
+    double most = 0;
+    for (std::size_t i = 0; i < a.frame.size(); ++i) {
+        const Vec3 &p = a.frame[i].p, &r = b.frame[i].p;
+        most = std::max(most, std::hypot(p[0] - r[0], p[1] - r[1], p[2] - r[2]));
+    }
+    return most;
+}
+
 }  // namespace
 
 BoundSolver::BoundSolver(const Robot& robot)
@@ -77,6 +86,7 @@ BarrierPath BoundSolver::set_out(LaneState& state) {
 
 void BoundSolver::solve_corners() {
     const KernelProblem& pb = solver_.mesh().problem();
+    unfactored_.assign(batches_.size(), false);
     for (std::size_t b = 0; b < batches_.size(); ++b) {
         LaneState& state = *batches_[b];
         state.resize(pb, kLanes);
@@ -96,6 +106,7 @@ void BoundSolver::reach_corner(std::size_t batch, int lane) {
         corner_convergence_[corner] = corner_convergence_[corners_ - 1];
         return;
     }
+    unfactored_[batch] = true;
     const KernelProblem& pb = solver_.mesh().problem();
     trial_.resize(pb, 1);
     for (int pair = 0; pair < pairs_; ++pair) phi_[pair] = sign(corner, pair);
@@ -156,6 +167,7 @@ bool BoundSolver::advance(std::size_t index, LaneState& state, bool predicted, C
 }
 
 bool BoundSolver::follow_from(bool predicted) {
+    unfactored_.assign(batches_.size(), false);
     const KernelProblem& pb = solver_.mesh().problem();
     frictionless_.resize(pb, 1);
     std::fill(phi_.begin(), phi_.end(), 0.0);
@@ -196,7 +208,7 @@ void BoundSolver::solve_single(const Configuration& q, const Accuracy& accuracy,
 }
 
 void BoundSolver::solve_states(const Configuration& q, const Accuracy& accuracy, const double* phi, std::size_t rows,
-                               const std::function<void(std::size_t row, const Backbone&, const Convergence&)>& show) {
+                               const std::function<void(std::size_t row, const FrictionShape&)>& show) {
     zero_.solve(solver_.robot(), q);
     prepare(q, accuracy);
     solve_frictionless();
@@ -205,6 +217,7 @@ void BoundSolver::solve_states(const Configuration& q, const Accuracy& accuracy,
     LaneState& state = *batches_.front();
     Convergence result[kLanes];
     Backbone shapes[kLanes];
+    double stability[kLanes];
     for (std::size_t first = 0; first < rows; first += kLanes) {
         const int count = static_cast<int>(std::min<std::size_t>(kLanes, rows - first));
         auto phi_of = [&](int lane) { return phi + (first + std::min(lane, count - 1)) * pairs_; };  // spare lanes repeat the last
@@ -212,17 +225,64 @@ void BoundSolver::solve_states(const Configuration& q, const Accuracy& accuracy,
         for (int lane = 0; lane < kLanes; ++lane) state.set_phi(solver_.robot(), pb, lane, phi_of(lane));
         const BarrierPath path = set_out(state);
         solver_.solve(state, path, result);
+        solver_.stabilities(state, stability);
         for (int lane = 0; lane < count; ++lane) {
             if (result[lane].converged) continue;
             trial_.resize(pb, 1);
             trial_.set_phi(solver_.robot(), pb, 0, phi_of(lane));
             const BarrierPath again = set_out(trial_);
             solver_.reach(trial_, again.first, result[lane]);
+            if (result[lane].converged) solver_.stabilities(trial_, &stability[lane]);
             solver_.copy(trial_, state, lane);
         }
         tracer_.trace(solver_, state, 0, count, q.l.back(), shapes);
-        for (int lane = 0; lane < count; ++lane) show(first + lane, shapes[lane], result[lane]);
+        for (int lane = 0; lane < count; ++lane) show(first + lane, {shapes[lane], result[lane], stability[lane]});
     }
+}
+
+// Equilibria of corner k from the iterate of corner k ^ turned, for every `turned` but 0. Those at which a pivot is
+// negative, where the robot would not rest, do not count.
+std::vector<double> BoundSolver::corners_apart(const Configuration& q, const Accuracy& accuracy) {
+    solve(q, accuracy);
+    std::vector<double> apart(corners_, 0.0);
+    if (!all_converged()) return std::vector<double>(corners_, std::numeric_limits<double>::infinity());
+    const KernelProblem& pb = solver_.mesh().problem();
+    LaneState other;
+    Convergence result[kLanes];
+    Backbone shapes[kLanes];
+    double stability[kLanes];
+    for (int turned = 1; turned < corners_; ++turned)
+        for (std::size_t b = 0; b < batches_.size(); ++b) {
+            other.resize(pb, kLanes);
+            for (int lane = 0; lane < kLanes; ++lane) {
+                const int corner = std::min(static_cast<int>(b) * kLanes + lane, corners_ - 1), from = corner ^ turned;
+                for (int pair = 0; pair < pairs_; ++pair) phi_[pair] = sign(corner, pair);
+                other.set_phi(solver_.robot(), pb, lane, phi_.data());
+                other.copy_lane(corner_state(from), corner_lane(from), lane, pb);
+            }
+            const BarrierPath path = BarrierPath::parted(solver_.last_barrier());
+            solver_.recentre(other, path.first);
+            solver_.solve(other, path, result);
+            solver_.stabilities(other, stability);
+            tracer_.trace(solver_, other, 0, kLanes, q.l.back(), shapes);
+            for (int lane = 0; lane < kLanes; ++lane) {
+                const std::size_t corner = b * kLanes + lane;
+                if (corner >= apart.size() || !result[lane].converged || stability[lane] <= 0) continue;
+                apart[corner] = std::max(apart[corner], largest_distance(shapes[lane], corner_backbones[corner]));
+            }
+        }
+    return apart;
+}
+
+std::vector<double> BoundSolver::shape_stabilities() {
+    std::vector<double> found{stability_};
+    double stability[kLanes];
+    for (std::size_t b = 0; b < batches_.size(); ++b) {
+        if (unfactored_[b]) solver_.factorise(*batches_[b]);
+        solver_.stabilities(*batches_[b], stability);
+        for (int lane = 0; lane < kLanes && static_cast<int>(found.size()) <= corners_; ++lane) found.push_back(stability[lane]);
+    }
+    return found;
 }
 
 void BoundSolver::search_others() {

@@ -65,6 +65,16 @@ double LaneState::bend(int element, double xi, int tube, int plane, int lane) co
     return a + (xi - kGauss[0]) / (kGauss[1] - kGauss[0]) * (b - a);
 }
 
+void LaneState::copy_lane(const LaneState& from, int from_lane, int lane, const KernelProblem& problem) {
+    forget_exact();
+    for (int k = 0; k < problem.nodes; ++k)
+        for (int i = 0; i < problem.stride; ++i) unknown(k, i, lane) = from.unknown(k, i, from_lane);
+    for (int k = 0; k < problem.contacts; ++k) {
+        multiplier(k, lane) = from.multiplier(k, from_lane);
+        slack(k, lane) = from.slack(k, from_lane);
+    }
+}
+
 void LaneState::set_phi(const Robot& robot, const KernelProblem& problem, int lane, const double* phi) {
     const int n = robot.count();
     for (int k = 0; k < problem.contacts; ++k) {

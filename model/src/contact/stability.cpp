@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "contact/angle_mass.hpp"
 #include "ctr/friction_solver.hpp"
 
 namespace ctr {
@@ -9,24 +10,6 @@ namespace {
 
 constexpr int kMostModes = 10;
 constexpr double kModeError = 0.02;  // of a Ritz vector; the value errs by its square, by more where modes lie close
-
-// Consistent mass of the angles, [node][tube]; those that are held have none.
-void weigh_angles(const KernelProblem& pb, const double* x, double* Mx) {
-    const int n = pb.tubes;
-    std::fill(Mx, Mx + static_cast<std::size_t>(pb.nodes) * n, 0.0);
-    for (int e = 0; e < pb.elements; ++e)
-        for (int t = 0; t < pb.element_tubes[e]; ++t) {
-            const double h = pb.length[e], a = x[e * n + t], b = x[(e + 1) * n + t];
-            if (5 * t < pb.node_unknowns[e]) Mx[e * n + t] += h / 6 * (2 * a + b);
-            if (5 * t < pb.node_unknowns[e + 1]) Mx[(e + 1) * n + t] += h / 6 * (a + 2 * b);
-        }
-}
-
-double product(const double* a, const double* b, std::size_t count) {
-    double sum = 0;
-    for (std::size_t i = 0; i < count; ++i) sum += a[i] * b[i];
-    return sum;
-}
 
 // Eigenvalues below x of the symmetric tridiagonal matrix with this diagonal and these squares beside it.
 int count_below(double x, int size, const double* diagonal, const double* square) {
@@ -77,17 +60,15 @@ double FrictionSolver::stability(LaneState& state, int& negative) {
     for (int k = 0; k < pb.nodes; ++k)
         for (int i = 0; i < pb.node_unknowns[k]; ++i)
             if (state.inverse_pivot(k, i, 0) < 0) ++negative;
-    // Lanczos on H^-1 M from a vector near the lowest mode of tubes held at their bases, and overlapping every other
+    // Lanczos on H^-1 M
     const int n = pb.tubes;
     const double length = robot_.tubes.back().length();
     const std::size_t size = static_cast<std::size_t>(pb.nodes) * n;
     modes_.assign(4 * size, 0.0);
     double *before = modes_.data(), *now = before + size, *next = now + size, *mass = next + size;
-    for (int k = 1; k < pb.nodes; ++k)
-        for (int t = 0; t < n; ++t)
-            if (5 * t < pb.node_unknowns[k]) now[k * n + t] = (mesh_.s()[k] - base_l_) / length + 0.1 * std::sin(1.0 + 0.1 * k + t);
+    starting_mode(pb, mesh_.s(), base_l_, length, now);
     weigh_angles(pb, now, mass);
-    double scale = 1 / std::sqrt(product(now, mass, size)), alpha[kMostModes], beta[kMostModes] = {}, value = 0;
+    double scale = 1 / std::sqrt(inner_product(now, mass, size)), alpha[kMostModes], beta[kMostModes] = {}, value = 0;
     for (int j = 0; j < kMostModes; ++j) {
         for (std::size_t i = 0; i < size; ++i) {
             now[i] *= scale;
@@ -98,10 +79,10 @@ double FrictionSolver::stability(LaneState& state, int& negative) {
         kernel(1).solve(pb, state.view());
         for (int k = 0; k < pb.nodes; ++k)
             for (int t = 0; t < n; ++t) next[k * n + t] = 5 * t < pb.node_unknowns[k] ? state.step(k, 5 * t, 0) : 0.0;
-        alpha[j] = product(next, mass, size);
+        alpha[j] = inner_product(next, mass, size);
         for (std::size_t i = 0; i < size; ++i) next[i] -= alpha[j] * now[i] + (j ? beta[j - 1] : 0.0) * before[i];
         weigh_angles(pb, next, mass);
-        beta[j] = std::sqrt(std::max(product(next, mass, size), 0.0));
+        beta[j] = std::sqrt(std::max(inner_product(next, mass, size), 0.0));
         double last = 1;
         value = largest_eigenvalue(j + 1, alpha, beta, last);
         if (!(beta[j] * std::fabs(last) > kModeError * std::fabs(value))) break;

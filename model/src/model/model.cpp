@@ -89,18 +89,24 @@ Body Model::body(const Configuration& q, const Accuracy& accuracy) {
 FrictionBodies Model::friction_bodies(const Configuration& q, const Accuracy& accuracy, const double* phi, std::size_t states, double spacing) {
     SolverPool::Loan solver(*solvers_);
     FrictionBodies found;
-    solver->solve_states(q, accuracy, phi, states, [&](std::size_t, const Backbone& shape, const Convergence& convergence) {
-        collect_points(*solver, shape, spacing, found.point);
-        found.status.push_back(convergence.converged ? Status::converged : Status::failed);
-        found.max_strain.push_back(shape.max_strain);
+    solver->solve_states(q, accuracy, phi, states, [&](std::size_t, const FrictionShape& shape) {
+        collect_points(*solver, shape.backbone, spacing, found.point);
+        found.status.push_back(shape.convergence.converged ? Status::converged : Status::failed);
+        found.max_strain.push_back(shape.backbone.max_strain);
+        found.stability.push_back(shape.stability);
     });
     return found;
 }
 
-std::vector<PathSample> Model::check_path(const std::vector<Configuration>& corners, const Accuracy& accuracy, const SignedDistanceField& field,
-                                          const PathDensity& density, const PathLimits& limits, bool keep_bodies) {
+std::vector<double> Model::corners_apart(const Configuration& q, const Accuracy& accuracy) {
     SolverPool::Loan solver(*solvers_);
-    return ctr::check_path(*solver, corners, accuracy, field, density, limits, keep_bodies);
+    return solver->corners_apart(q, accuracy);
+}
+
+std::vector<PathSample> Model::check_path(const std::vector<Configuration>& corners, const Accuracy& accuracy, const SignedDistanceField& field,
+                                          const PathDensity& density, const PathLimits& limits, bool keep_shapes) {
+    SolverPool::Loan solver(*solvers_);
+    return ctr::check_path(*solver, corners, accuracy, field, density, limits, keep_shapes);
 }
 
 }  // namespace ctr

@@ -93,7 +93,7 @@ double clearance(const BoundSolver& bound, const SignedDistanceField& field, dou
 
 std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Configuration>& corners, const Accuracy& mesh,
                                    const SignedDistanceField& field, const PathDensity& density, const PathLimits& limits,
-                                   bool keep_bodies) {
+                                   bool keep_shapes) {
     std::vector<PathSample> samples;
     std::vector<Markers> before, now;
     int solves = 0;
@@ -114,9 +114,12 @@ std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Config
         sample.tip = solver.backbone.frame.back().p;
         sample.tangent = solver.backbone.frame.back().tangent();
         for (const Backbone& corner : solver.corner_backbones) sample.corner_tips.push_back(corner.frame.back().p);
-        if (keep_bodies) {
+        if (keep_shapes) {
             collect_points(solver, solver.backbone, density.point_spacing, sample.body);
             for (const Backbone& corner : solver.corner_backbones) collect_points(solver, corner, density.point_spacing, sample.body);
+            sample.shape_stability = solver.shape_stabilities();
+            sample.shape_max_strain.push_back(solver.backbone.max_strain);
+            for (const Backbone& corner : solver.corner_backbones) sample.shape_max_strain.push_back(corner.max_strain);
         }
         samples.push_back(std::move(sample));
         return sample.status != Status::failed && sample.status != Status::unstable && sample.stability >= limits.stability &&
