@@ -28,16 +28,31 @@ class CertificateSamples:
     leg: NDArray[np.int_]  # (K,) index of the leg
     joints: Array  # (K, m)
     path_mm: Array  # (K,) weighted joint length travelled
-    bound_m: Array  # (K,) worst-case friction error of the tip
+    bound_m: Array  # (K,) worst-case friction error of the tip, on the mesh walked on
     bound_rad: Array  # (K,) of the tip tangent
-    stability: Array  # (K,)
-    max_strain: Array  # (K,)
+    stability: Array  # (K,) in every friction state
+    max_strain: Array  # (K,) likewise
     clearance_m: Array  # (K,) in every friction state, beyond the margins of the anatomy; inf in free space
     motion_m: Array  # (K,) largest displacement of a body point of any shape since the sample before
     tip_m: Array  # (K, 3) frictionless tip, robot frame
     released_m: Array  # (K,) as bound_m, less what translations released by the friction law; fully loaded at the start
     predicted_m: Array  # (K,) friction error by simulated history, the largest over the states it may start in
     play_m: Array  # (K,) how far play of the drive may move the robot
+
+
+@dataclass(frozen=True, eq=False)
+class Closest:
+    """Where a robot comes closest to the anatomy, solved on the certificate mesh; no allowance is taken off."""
+
+    clearance_m: float  # of the tube's surface beyond the margin of the part
+    distance_m: float  # from its surface
+    part: str  # as the scenario's file has it: "anatomy.1 (tube)"
+    tube: int  # from 1, the outermost
+    point_m: Array  # (3,) on the tube's centreline, anatomy's frame
+    leg: int  # index
+    path_mm: float  # weighted joint length travelled until then
+    joints: Array  # (m,)
+    phi: Array  # (n - 1,) friction state
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +92,8 @@ class Certificate:
     samples: CertificateSamples
     valid: bool
     problems: tuple[str, ...]  # sentences; empty when valid
-    worst_bound_m: float
-    goal_bound_m: float
+    worst_bound_m: float  # with the allowance for the mesh
+    goal_bound_m: float  # likewise
     goal_bound_rad: float
     goal_tip_error_m: float  # frictionless tip to the goal's tip; 0 for joint goals
     error_integral_mm: float  # integral of the bound over the joint length, mm * mm / mm_per_rad
@@ -89,7 +104,7 @@ class Certificate:
     goal_predicted_tip_m: Array  # (3,) robot frame, mean over the start states
     goal_predicted_spread_m: float  # how far from it a start state can leave the tip
     snaps: int  # times a simulated robot slid to another equilibrium
-    min_clearance_m: float  # after taking off half the largest motion between samples; inf in free space
+    min_clearance_m: float  # in every friction state, all allowances taken off; inf in free space
     min_stability: float
     max_strain: float
     length_mm: float  # weighted joint length
@@ -98,6 +113,8 @@ class Certificate:
     spacing_m: float  # largest motion of a body point of any shape between samples
     worst_play_m: float = 0.0  # how far play of the drive may move the robot
     goal_play_m: float = 0.0
+    nominal: Closest | None = None  # the frictionless robot where it comes closest; None in free space
+    closest: Closest | None = None  # the robot in any friction state
     targets: tuple[TargetReached, ...] = ()  # in the order reached, the goal last
     settling: Settling | None = None
     walk_again: Callable[[Accuracy | None], Certificate] | None = None  # the same legs; on the same mesh if None

@@ -55,7 +55,9 @@ def path_differences(waypoints: Array, trajectory: Array, certified: Array) -> t
 
 
 def _compared(figure: str, stated: Any, found: Any) -> Iterator[Difference]:
-    if is_dataclass(stated):
+    if (stated is None) != (found is None) and (is_dataclass(stated) or is_dataclass(found)):
+        yield Difference(figure, np.nan, np.nan)
+    elif is_dataclass(stated):
         yield from differences(stated, found, of=f"{figure}.")
     elif isinstance(stated, str):
         if stated != found:

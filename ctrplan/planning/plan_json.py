@@ -101,7 +101,9 @@ def _certificate(certificate: Certificate) -> dict[str, Any]:
     names = [entry.name for entry in fields(certificate) if entry.name not in ("samples", "settling", "walk_again")]
     columns = {entry.name: getattr(certificate.samples, entry.name) for entry in fields(certificate.samples)}
     summary = {name: getattr(certificate, name) for name in names}
-    return {**summary, "targets": [asdict(target) for target in certificate.targets], "samples": columns}
+    places = {name: summary[name] and asdict(summary[name]) for name in ("nominal", "closest")}
+    targets = [asdict(target) for target in certificate.targets]
+    return {**summary, **places, "targets": targets, "samples": columns}
 
 
 def _settling(plan: PlannedMotion) -> dict[str, Any] | None:

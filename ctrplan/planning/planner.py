@@ -16,9 +16,9 @@ from ctrplan.base.interrupts import interrupt_event
 from ctrplan.base.progress import part_of
 from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.planning.certificate.certify import WalkedLegs, walk_legs
 from ctrplan.planning.certificate.start_branches import other_start
 from ctrplan.planning.certificate.tour import joined_certificates
+from ctrplan.planning.certificate.walked_legs import WalkedLegs, walk_legs
 from ctrplan.planning.finish.compensate import compensate
 from ctrplan.planning.finish.oscillate_at_goal import settle
 from ctrplan.planning.finish.reorder import Reordered, as_given, assemble

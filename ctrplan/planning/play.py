@@ -1,11 +1,13 @@
 """Play of the drive: how far it may let the robot stand from where the joints say it is.
 
 Nobody knows on which side of its play an actuator rests, so that a plan allows for both at every actuator. Each is
-moved to both ends of its play by itself, and the larger shifts of the frictionless robot are added up.
+moved to both ends of its play by itself, and the larger shifts are added up: of the frictionless robot where a person
+asks, of every shape that a certificate knows. Certificates look at the corners of the box of all plays too.
 """
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from ctrplan.planning.joint_space import JointSpace
     from ctrplan.robot.robot import Robot
 
+MOST_ACTUATORS = 6  # with play, of whose box all corners are solved
 SAMPLES, SEED = 15, 5  # configurations that say what a search has to allow for
 
 
@@ -36,6 +39,23 @@ def play_shift(robot: Robot, theta_b: Array, l_b: Array) -> float:
     return shift
 
 
+def play_reach(robot: Robot, theta_b: Array, l_b: Array) -> float:
+    """As `play_shift`, of the frictionless shape and every corner of friction, and with all actuators moved at once."""
+    if robot.drive.play is None:
+        return 0.0
+    here, singles = robot.mechanics.body(theta_b, l_b)[0], _single_actuators(*robot.drive.play)
+    shift = np.zeros(len(here))
+    for theta_off, l_off in singles:
+        ends = [(theta_b + side * theta_off, nested(robot, (l_b + side * l_off)[None])[0]) for side in (1, -1)]
+        shift += np.max([_shapes_apart(robot, here, *end) for end in ends], axis=0)
+    corners = itertools.product((1, -1), repeat=len(singles)) if len(singles) <= MOST_ACTUATORS else ()
+    for signs in corners:
+        off = [sum(sign * single[k] for sign, single in zip(signs, singles, strict=True)) for k in (0, 1)]
+        end = theta_b + off[0], nested(robot, (l_b + off[1])[None])[0]
+        shift = np.maximum(shift, _shapes_apart(robot, here, *end))
+    return float(shift.max())
+
+
 def usual_play_shift(robot: Robot, space: JointSpace) -> float:
     """The median [m] of `play_shift` over configurations in reach: for searches, whose paths are certified after."""
     if robot.drive.play is None:
@@ -51,10 +71,18 @@ def _single_actuators(theta: Array, l: Array) -> list[tuple[Array, Array]]:  # n
 
 
 def _apart(robot: Robot, here: Array, theta_b: Array, l_b: Array) -> float:
-    """Between centrelines: of their tips, or of any point of the one from the other."""
+    """Between frictionless centrelines: of their tips, or of any point of the one from the other."""
+    return float(_shapes_apart(robot, here[None], theta_b, l_b)[0])
+
+
+def _shapes_apart(robot: Robot, here: Array, theta_b: Array, l_b: Array) -> Array:
+    """(S,) the same of the first S shapes of the robot from here (S, N, 3), frictionless first."""
     try:
-        there = robot.mechanics.body(theta_b, l_b)[0][0]
+        there = robot.mechanics.body(theta_b, l_b)[0]
     except CtrplanError:
-        return np.inf
-    apart = max(float(np.linalg.norm(there[-1] - here[-1])), float(distance_from_polyline(there, here).max()))
-    return apart if np.isfinite(apart) else np.inf
+        return np.full(len(here), np.inf)
+    apart = [
+        max(float(np.linalg.norm(b[-1] - a[-1])), float(distance_from_polyline(b, a).max()))
+        for a, b in zip(here, there[: len(here)], strict=True)
+    ]
+    return np.where(np.isfinite(apart), apart, np.inf)

@@ -14,11 +14,12 @@ import ctrplan
 from ctrplan.base.arrays import Array
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.files.scenario_file import scenario_from_dict
+from ctrplan.planning.certificate.allowances import UNEVEN_FRICTION_M, mesh_allowance_m
 from ctrplan.planning.certificate.certify import _contradictions, certify
-from ctrplan.planning.certificate.friction_cube import corner_states, least_clearance
+from ctrplan.planning.certificate.friction_cube import Needed, Solved, corner_states, least_of_states
 from ctrplan.planning.certificate.prediction import Prediction
 from ctrplan.planning.certificate.start_branches import other_start
-from ctrplan.planning.certificate.walked_piece import DISCRETISATION_M, UNEVEN_FRICTION_M, walk_pieces
+from ctrplan.planning.certificate.walked_piece import walk_pieces
 from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.scenario import Scenario
 
@@ -45,6 +46,11 @@ def curled(phi: Array) -> Array:
     return np.stack([x, y, np.broadcast_to(s, x.shape)], axis=2)
 
 
+def solved(phi: Array) -> list[Solved]:
+    """The same, as stable and as strained as one another."""
+    return [Solved(body, 1.0, 0.01) for body in curled(phi)]
+
+
 @pytest.mark.parametrize("seed", range(40))
 def test_what_is_enough_is_so_for_every_state_and_little_is_refused(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -56,18 +62,19 @@ def test_what_is_enough_is_so_for_every_state_and_little_is_refused(seed: int) -
     true = float((spheres(bodies.reshape(-1, 3), np.zeros(1)) - 1e-3).min())
     states = [(0.0, 0.0), *corner_states(2)]
     for enough in (true - 5e-3, true - 1e-3, true + 1e-3):
-        known = dict(zip(states, curled(np.array(states)), strict=True))
-        found = least_clearance(known, radius, curled, spheres, enough)
-        assert found.lower_m < enough or true >= found.lower_m - 1e-9
-        assert found.lower_m >= enough or true < enough + 0.6e-3
+        known = dict(zip(states, solved(np.array(states)), strict=True))
+        found = least_of_states(known, radius, solved, spheres, Needed(enough))
+        assert found.clearance_m < enough or true >= found.clearance_m - 1e-9
+        assert found.clearance_m >= enough or true < enough + 0.6e-3
 
 
 def test_a_state_without_an_equilibrium_is_no_clearance_at_all() -> None:
     states = [(0.0, 0.0), *corner_states(2)]
-    known = dict(zip(states, curled(np.array(states)), strict=True))
+    known = dict(zip(states, solved(np.array(states)), strict=True))
     near = Spheres(curled(np.array([[0.5, 0.5]]))[:, -1], 1e-3)
-    found = least_clearance(known, np.full(60, 1e-3), lambda phi: np.full((len(phi), 60, 3), np.nan), near, 0.0)
-    assert found.lower_m == -np.inf
+    nowhere = Solved(np.full((60, 3), np.nan), np.nan, np.nan)
+    found = least_of_states(known, np.full(60, 1e-3), lambda phi: [nowhere] * len(phi), near, Needed(0.0))
+    assert found.clearance_m == -np.inf
 
 
 def joints(*values: float) -> Array:
@@ -144,7 +151,7 @@ def test_half_the_motion_is_taken_off_on_both_sides_of_a_sample() -> None:
     )
     motion = piece.samples.motion_m
     assert len(motion) > 3 and motion[0] == 0
-    offset = piece.offset_m - DISCRETISATION_M["search"] - UNEVEN_FRICTION_M
+    offset = piece.offset_m(case, "search") - mesh_allowance_m(case.robot, "search") - UNEVEN_FRICTION_M
     np.testing.assert_allclose(offset[:-1], np.maximum(motion[:-1], motion[1:]) / 2, atol=1e-15)
 
 

@@ -19,8 +19,9 @@ from ctrplan.drive.trajectory import verify_limits
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.core import Status
+from ctrplan.planning.certificate.allowances import SPACING_M, TIGHT_M
 from ctrplan.planning.certificate.certify import certify
-from ctrplan.planning.certificate.walked_piece import SPACING_M, TIGHT_M, walk_pieces
+from ctrplan.planning.certificate.walked_piece import walk_pieces
 from ctrplan.planning.finish.reorder import as_given, assemble, rotations_first
 from ctrplan.planning.goals.goal_states import goal_states
 from ctrplan.planning.joint_space import JointSpace

@@ -1,4 +1,4 @@
-"""Exact clearances of points of a scenario's robot, where they matter."""
+"""Exact clearances of points and bodies of a scenario's robot, where they matter."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.base.arrays import Array
+from ctrplan.planning.certificate.allowances import POINT_SPACING_M
+from ctrplan.planning.certificate.body_pieces import PARTS, around, beside
 from ctrplan.planning.motion import anatomy_grid
 
 if TYPE_CHECKING:
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario
 
 GRID_SHARE = 0.03  # of a clearance by which the grid may be off far from surfaces (ctrplan.anatomy.grid_distance)
+HALF_M = POINT_SPACING_M / 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +41,7 @@ class AnatomyDistance:
 
     def __call__(self, points_m: Array, needed_m: Array) -> Array:
         """(K,) [m] at points (K, 3): exact where it may be below `needed_m` (K,), else a lower bound above that."""
-        located = points_m @ self.scenario.base_R.T + self.scenario.base_position_m
+        located = self._located(points_m)
         rough = self.grid.sample(located)
         found: Array = rough - self._doubt(rough)
         near = found < needed_m
@@ -47,16 +50,29 @@ class AnatomyDistance:
         return found
 
     def least(self, points_m: Array, radius_m: Array, owner: NDArray[np.intp], count: int) -> Array:
-        """(count,) [m] smallest clearance of the bodies that points (K, 3) with radii (K,) belong to, exact."""
-        located = points_m @ self.scenario.base_R.T + self.scenario.base_position_m
+        """(count,) [m] smallest clearance of bodies, each the pieces around the points of one owner, exact.
+
+        points (K, 3) in the order of their bodies, no farther than POINT_SPACING_M apart; radii (K,).
+        """
+        located = self._located(points_m)
         rough = self.grid.sample(located)
         doubt = self._doubt(rough)
         ceiling = np.full(count, np.inf)
         np.minimum.at(ceiling, owner, rough + doubt - radius_m)
-        near = rough - doubt - radius_m <= ceiling[owner]
+        near = np.flatnonzero(beside(rough - doubt, HALF_M) - radius_m <= ceiling[owner])
+        at_points = exact_clearance(self.scenario.anatomy, located[near])
         least = np.full(count, np.inf)
-        np.minimum.at(least, owner[near], exact_clearance(self.scenario.anatomy, located[near]) - radius_m[near])
+        np.minimum.at(least, owner[near], at_points - radius_m[near])
+        open_ = near[beside(at_points, HALF_M) - radius_m[near] < least[owner[near]]]
+        begins = np.append(True, np.any(np.diff(located, axis=0) ** 2 > POINT_SPACING_M**2, axis=1))
+        pieces = exact_clearance(self.scenario.anatomy, around(located, open_, begins))
+        values = beside(pieces, HALF_M / PARTS) - np.tile(radius_m[open_], PARTS)
+        np.minimum.at(least, np.tile(owner[open_], PARTS), values)
         return least
+
+    def _located(self, points_m: Array) -> Array:
+        located: Array = points_m @ self.scenario.base_R.T + self.scenario.base_position_m
+        return located
 
     def _doubt(self, rough: Array) -> Array:
         doubt: Array = GRID_SHARE * np.abs(rough) + np.sqrt(3) / 2 * self.grid.spacing_m

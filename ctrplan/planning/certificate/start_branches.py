@@ -17,10 +17,10 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.base.units import MM_PER_M
 from ctrplan.errors import SolverError
+from ctrplan.planning.certificate.allowances import BEYOND_BOUND_M
 from ctrplan.robot.robot import Robot
 
 APPROACH_DEG = 90.0  # of Section V of Ha et al. 2019
-BEYOND_BOUND_M = 0.3e-3  # histories and bounds are of meshes that differ by as much
 
 _KNOWN: WeakKeyDictionary[Robot, dict[bytes, str]] = WeakKeyDictionary()
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.planning.certified import Certificate, CertificateSamples, TargetReached
+from ctrplan.planning.certified import Certificate, CertificateSamples, Closest, TargetReached
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.core import Accuracy
@@ -40,10 +40,23 @@ def joined_certificates(stages: list[Certificate]) -> Certificate:
         cost_mm=sum(stage.cost_mm for stage in stages),
         spacing_m=max(stage.spacing_m for stage in stages),
         worst_play_m=max(stage.worst_play_m for stage in stages),
+        nominal=_closest(stages, "nominal"),
+        closest=_closest(stages, "closest"),
         targets=targets,
         walk_again=_all_again(stages),
         settling=last.settling and replace(last.settling, first_leg=last.settling.first_leg + before),
     )
+
+
+def _closest(stages: list[Certificate], name: Literal["nominal", "closest"]) -> Closest | None:
+    """The narrowest of all stages, its leg and path those of the tour."""
+    found, legs, travelled = [], 0, 0.0
+    for stage in stages:
+        place: Closest | None = getattr(stage, name)
+        if place is not None:
+            found.append(replace(place, leg=place.leg + legs, path_mm=place.path_mm + travelled))
+        legs, travelled = legs + _legs(stage), travelled + stage.length_mm
+    return min(found, key=lambda place: place.clearance_m, default=None)
 
 
 def _all_again(stages: list[Certificate]) -> Callable[[Accuracy | None], Certificate] | None:

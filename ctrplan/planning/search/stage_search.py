@@ -14,7 +14,8 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import NoAnswerError
-from ctrplan.planning.certificate.certify import WalkedLegs, finished, walk_legs
+from ctrplan.planning.certificate.certify import finished
+from ctrplan.planning.certificate.walked_legs import WalkedLegs, walk_legs
 from ctrplan.planning.finish.reorder import Reordered, as_given, least_error
 from ctrplan.planning.goals.goal_descent import descended
 from ctrplan.planning.goals.goal_state import GoalState

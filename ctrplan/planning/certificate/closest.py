@@ -1,0 +1,100 @@
+"""Where a robot comes closest to the anatomy: one number that a person can compare, whichever mesh certified the path.
+
+The narrowest samples of a path are solved on the certificate mesh, with points close together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.anatomy.parts import surface_distance
+from ctrplan.base.arrays import Array
+from ctrplan.planning.certificate.friction_cube import State, corner_states
+from ctrplan.planning.certificate.walked_piece import Piece
+from ctrplan.planning.certified import CertificateSamples, Closest
+
+if TYPE_CHECKING:
+    from ctrplan.planning.scenario import Scenario
+
+NEAR_M = 0.5e-3  # of the least clearance: samples that may be the narrowest on a finer mesh
+MOST = 12  # of them solved
+POINT_M = 0.25e-3
+
+
+@dataclass(frozen=True)
+class ClosestPlaces:
+    """None in free space."""
+
+    nominal: Closest | None = None
+    friction: Closest | None = None
+
+
+def closest_places(scenario: Scenario, pieces: Sequence[Piece], samples: CertificateSamples) -> ClosestPlaces:
+    """Of the frictionless robot, and of the robot in all friction states that were found to be narrow."""
+    if not scenario.anatomy:
+        return ClosestPlaces()
+    nominal = _rows(np.concatenate([p.nominal_m[k > 0 :] for k, p in enumerate(pieces)]))
+    narrow = _rows(np.concatenate([(p.clearance_m + p.allowance_m)[k > 0 :] for k, p in enumerate(pieces)]))
+    phi = np.concatenate([p.phi[k > 0 :] for k, p in enumerate(pieces)])
+    pairs = scenario.robot.n - 1
+    rest: list[State] = [(0.0,) * pairs]
+    found = [_closest(scenario, samples, k, rest) for k in nominal]
+    corners = corner_states(pairs) if scenario.robot.friction.any() else []
+    states = [[*rest, *corners, tuple(phi[k].tolist())] for k in narrow]
+    found_with = [_closest(scenario, samples, k, row) for k, row in zip(narrow, states, strict=True)] + found
+    return ClosestPlaces(_least(found), _least(found_with))
+
+
+def _least(found: list[Closest]) -> Closest:
+    return min(found, key=lambda place: place.clearance_m)
+
+
+def _rows(clearance_m: Array) -> NDArray[np.intp]:
+    """Indices of the narrowest samples (K,)."""
+    near = np.flatnonzero(clearance_m <= clearance_m.min() + NEAR_M)
+    return near[np.argsort(clearance_m[near], kind="stable")][:MOST]
+
+
+def _closest(scenario: Scenario, samples: CertificateSamples, row: int, states: list[State]) -> Closest:
+    """Of a sample in friction states."""
+    robot, joints = scenario.robot, samples.joints[row]
+    bodies = robot.mechanics.friction_bodies(
+        *robot.drive.collars(joints), np.array(list(dict.fromkeys(states))), spacing_m=POINT_M, accuracy="certificate"
+    )
+    points = bodies.point_m[bodies.solved]
+    located = points.reshape(-1, 3) @ scenario.base_R.T + scenario.base_position_m
+    radius = np.tile(bodies.radius_m, len(points))
+    distance, part = _nearest_part(scenario, located, radius)
+    margins = np.array([one.margin_m for one in scenario.anatomy])
+    k = int(np.argmin(distance - margins[part]))
+    state = np.array(list(dict.fromkeys(states)))[bodies.solved][k // len(bodies.radius_m)]
+    return Closest(
+        clearance_m=float(distance[k] - margins[part[k]]),
+        distance_m=float(distance[k]),
+        part=f"anatomy.{part[k] + 1} ({scenario.anatomy[part[k]].shape.name})",
+        tube=int(np.argmin([abs(tube.outer_diameter_m / 2 - radius[k]) for tube in robot.tubes])) + 1,
+        point_m=located[k],
+        leg=int(samples.leg[row]),
+        path_mm=float(samples.path_mm[row]),
+        joints=joints,
+        phi=state,
+    )
+
+
+def _nearest_part(scenario: Scenario, located: Array, radius: Array) -> tuple[Array, NDArray[np.intp]]:
+    """(K,) distance of the surface of a tube from the part that leaves it least, and which; lumens are one room."""
+    parts = scenario.anatomy
+    sides = np.array([1.0 if part.role == "avoid" else -1.0 for part in parts])
+    distance = sides[:, None] * [surface_distance(part, located) for part in parts] - radius
+    beyond = distance - np.array([part.margin_m for part in parts])[:, None]
+    lumens = sides < 0
+    if lumens.any():
+        best = np.argmax(np.where(lumens[:, None], beyond, -np.inf), axis=0)
+        beyond[lumens[:, None] & (np.arange(len(parts))[:, None] != best)] = np.inf
+    nearest = np.argmin(beyond, axis=0)
+    return distance[nearest, np.arange(len(located))], nearest

@@ -1,0 +1,49 @@
+"""The samples of all pieces of a path in one table."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+from ctrplan.planning.certificate.walked_piece import Piece
+from ctrplan.planning.certified import CertificateSamples
+from ctrplan.planning.joint_space import JointSpace
+from ctrplan.planning.motion import released_error
+from ctrplan.robot.friction_calibration import friction_law
+from ctrplan.robot.robot import Robot
+
+
+def joined_samples(robot: Robot, space: JointSpace, corners: Array, pieces: list[Piece]) -> CertificateSamples:
+    """One table over all pieces; the first sample of every piece but the first repeats the last one before it."""
+    starts = np.concatenate([[0.0], np.cumsum([space.length_mm(d) for d in np.diff(corners, axis=0)])])
+    columns: dict[str, list[NDArray[Any]]] = {name: [] for name in CertificateSamples.__dataclass_fields__}
+    load = np.ones(robot.n - 1)
+    for number, piece in enumerate(pieces):
+        s = piece.samples
+        keep = slice(0 if number == 0 else 1, None)
+        joints = piece.start + s.fraction[:, None] * (piece.end - piece.start)
+        travelled = [space.length_mm(q - corners[piece.leg]) for q in joints]
+        ends = space.drive.collars(np.array([piece.start, piece.end]))
+        loads = friction_law(robot).load_left(load, *ends, s.fraction)
+        load = loads[-1]
+        rows: dict[str, NDArray[Any]] = {
+            "leg": np.full(len(s.fraction), piece.leg),
+            "joints": joints,
+            "path_mm": starts[piece.leg] + np.array(travelled),
+            "bound_m": s.position_m,
+            "bound_rad": s.tangent_rad,
+            "stability": piece.stability,
+            "max_strain": piece.max_strain,
+            "clearance_m": piece.clearance_m,
+            "motion_m": s.motion_m,
+            "tip_m": s.tip_m,
+            "released_m": released_error(s, loads),
+            "predicted_m": s.position_m,  # until it is simulated
+            "play_m": np.full(len(s.fraction), piece.play_m),
+        }
+        for name, values in rows.items():
+            columns[name].append(values[keep])
+    return CertificateSamples(**{name: np.concatenate(parts) for name, parts in columns.items()})

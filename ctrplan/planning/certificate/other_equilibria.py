@@ -1,0 +1,97 @@
+"""Whether sign corners have other equilibria along a path than those that were walked to.
+
+Corners of friction are solved from the frictionless shape. A robot may come to the same corner from another one, or by
+a turn, and stand elsewhere. Along the path each corner is solved from the shapes of all others. At the ends of legs it
+is also walked to from turns of all pairs.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ctrplan.base.arrays import Array
+from ctrplan.mechanics.core import PathDensity, Status
+from ctrplan.planning.certificate.allowances import SAME_BRANCH_M
+from ctrplan.planning.certificate.walked_piece import Piece
+
+if TYPE_CHECKING:
+    from ctrplan.robot.robot import Robot
+
+EVERY_MM = 5.0  # of joint length
+TURNS_RAD = tuple(np.radians([30.0, 90.0]))  # of each pair
+COARSE = PathDensity(rotation_rad=0.26, translation_m=8e-3, motion_m=15e-3)
+
+
+@dataclass(frozen=True)
+class OtherEquilibrium:
+    """The farthest that was found."""
+
+    leg: int
+    apart_m: float  # of bodies of one corner
+    reached_by: str
+
+    @property
+    def sentence(self) -> str:
+        """For the problems of a certificate."""
+        return (
+            f"On leg {self.leg + 1}: another equilibrium exists for the same joints and friction, "
+            f"{self.apart_m * 1e3:.1f} mm away, reached {self.reached_by}."
+        )
+
+
+def other_equilibrium(robot: Robot, pieces: Sequence[Piece], lengths_mm: Sequence[float]) -> OtherEquilibrium | None:
+    """The farthest other equilibrium of a corner found along walked pieces, each of a joint length; None if none."""
+    if robot.n == 1 or not robot.friction.any():
+        return None
+
+    def look(item: tuple[int, Piece]) -> OtherEquilibrium:
+        number, piece = item
+        rows = _rows(piece, lengths_mm[number])
+        found = [OtherEquilibrium(piece.leg, _from_corners(robot, piece, k), "from another corner") for k in rows]
+        ends = [0] if number == 0 else []
+        if number + 1 == len(pieces) or pieces[number + 1].leg != piece.leg:
+            ends.append(len(piece.l_b) - 1)
+        found += [OtherEquilibrium(piece.leg, _from_turns(robot, piece, k), "by a turn") for k in dict.fromkeys(ends)]
+        return max(found, key=lambda other: other.apart_m)
+
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        farthest = max(pool.map(look, enumerate(pieces)), key=lambda other: other.apart_m)
+    return farthest if farthest.apart_m > SAME_BRANCH_M else None
+
+
+def _rows(piece: Piece, length_mm: float) -> list[int]:
+    """Samples of a piece about EVERY_MM apart, its end among them."""
+    count = max(1, int(np.ceil(length_mm / EVERY_MM)))
+    wanted = np.searchsorted(piece.samples.fraction, np.arange(1, count + 1) / count)
+    return [int(k) for k in np.unique(np.minimum(wanted, len(piece.l_b) - 1))]
+
+
+def _from_corners(robot: Robot, piece: Piece, sample: int) -> float:
+    apart = robot.mechanics.corners_apart(piece.theta_b[sample], piece.l_b[sample], accuracy=piece.accuracy)
+    return float(apart.max())
+
+
+def _from_turns(robot: Robot, piece: Piece, sample: int) -> float:
+    """[m] largest distance of a corner's tip that was walked to by a turn from that of the piece."""
+    theta_b, here = piece.theta_b[sample], piece.samples.corner_tip_m[sample]
+    tips = [
+        _walked_tips(robot, theta_b - np.append(0.0, np.cumsum(turn * np.array(signs))), piece, sample)
+        for turn in TURNS_RAD
+        for signs in itertools.product((1.0, -1.0), repeat=robot.n - 1)
+    ]
+    return max(float(np.linalg.norm(there - here, axis=1).max()) for there in tips if there is not None)
+
+
+def _walked_tips(robot: Robot, begin: Array, piece: Piece, sample: int) -> Array | None:
+    """(C, 3) tips of the corners, walked from base rotations `begin`; None where the robot snaps on the way."""
+    theta_b, l_b = np.array([begin, piece.theta_b[sample]]), np.array([piece.l_b[sample]] * 2)
+    found = robot.mechanics.check_path(theta_b, l_b, density=COARSE, accuracy=piece.accuracy)
+    arrived = found.fraction[-1] == 1 and found.status[-1] < Status.UNSTABLE
+    return found.corner_tip_m[-1] if arrived else None

@@ -1,0 +1,114 @@
+"""Finished legs walked for a certificate: everything that it rests on but simulated histories."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ctrplan.base.arrays import Array
+from ctrplan.base.progress import Progress
+from ctrplan.base.units import MM_PER_M
+from ctrplan.drive.legs import merge_legs
+from ctrplan.mechanics.core import Accuracy
+from ctrplan.planning.certificate.closest import ClosestPlaces, closest_places
+from ctrplan.planning.certificate.every_state import closely_solved, in_every_friction_state
+from ctrplan.planning.certificate.goal_miss import frictionless_miss
+from ctrplan.planning.certificate.joined_pieces import joined_samples
+from ctrplan.planning.certificate.other_equilibria import other_equilibrium
+from ctrplan.planning.certificate.problems import problems_of_limits, problems_of_walk, shares_of_clearance
+from ctrplan.planning.certificate.start_branches import other_start
+from ctrplan.planning.certificate.stated_bounds import StatedBounds, stated_bounds
+from ctrplan.planning.certificate.walked_piece import Piece, walk_pieces
+from ctrplan.planning.certified import CertificateSamples
+from ctrplan.planning.joint_space import JointSpace
+from ctrplan.planning.motion import path_limits
+from ctrplan.planning.path_cost import path_cost_mm
+
+if TYPE_CHECKING:
+    from ctrplan.planning.scenario import Scenario
+
+
+@dataclass(frozen=True, eq=False)
+class WalkedLegs:
+    """Legs walked for a certificate: what it rests on, before histories are simulated."""
+
+    scenario: Scenario
+    corners: Array  # (K, m)
+    accuracy: Accuracy
+    pieces: list[Piece]
+    samples: CertificateSamples
+    bounds: StatedBounds
+    closest: ClosestPlaces
+    problems: list[str]  # but whether the goal is met
+
+    @property
+    def failure(self) -> str:
+        """The first reason not to certify the legs, or that the frictionless tip misses the goal; empty if none."""
+        return next(iter(self.problems + frictionless_miss(self.scenario, self.samples.tip_m)), "")
+
+    @property
+    def length_mm(self) -> float:
+        """Joint length."""
+        return float(self.samples.path_mm[-1])
+
+    @property
+    def legs(self) -> int:
+        """Pieces driven without a stop."""
+        return len(merge_legs(self.corners)) - 1
+
+    @property
+    def cost_mm(self) -> float:
+        """By the scenario's weights."""
+        samples = self.samples
+        return path_cost_mm(
+            self.scenario.cost,
+            length_mm=self.length_mm,
+            legs=self.legs,
+            integral_mm=self.integral_mm(samples.released_m),
+            left_m=float(self.bounds.goal_m + samples.released_m[-1]),
+        )
+
+    def integral_mm(self, error_m: Array) -> float:
+        """Of an error [m] at every sample, (K,), along the path: 1 for 1 mm over 1 rad."""
+        return float(np.trapezoid(error_m * MM_PER_M, self.samples.path_mm)) / self.scenario.cost.mm_per_rad
+
+
+def walk_legs(
+    scenario: Scenario, corners: Array, *, accuracy: Accuracy = "search", progress: Progress | None = None
+) -> WalkedLegs:
+    """What decides whether the polyline `corners` (K, m) is valid, see `certify`.
+
+    What is refused already is not looked at more closely.
+    """
+    space = JointSpace.of(scenario)
+    pieces = walk_pieces(scenario, space, corners, accuracy, progress)
+    problems = [f"{other}."] if (other := other_start(scenario.robot, corners[0])) else []
+    problems += problems_of_walk(scenario, space, corners, pieces)
+    for look_closer in (closely_solved, in_every_friction_state):
+        if not problems:
+            pieces = look_closer(scenario, pieces)
+            problems = problems_of_walk(scenario, space, corners, pieces)
+            problems += _limits_broken(scenario, space, corners, pieces)
+    if not problems:
+        lengths = [space.length_mm(piece.end - piece.start) for piece in pieces]
+        found = other_equilibrium(scenario.robot, pieces, lengths)
+        problems = [found.sentence] if found else []
+    samples = joined_samples(scenario.robot, space, corners, pieces)
+    light = [piece.light() for piece in pieces]
+    bounds = _bounds(scenario, samples, light)
+    return WalkedLegs(
+        scenario, corners, accuracy, light, samples, bounds, closest_places(scenario, light, samples), problems
+    )
+
+
+def _limits_broken(scenario: Scenario, space: JointSpace, corners: Array, pieces: list[Piece]) -> list[str]:
+    samples, limits = joined_samples(scenario.robot, space, corners, pieces), path_limits(scenario)
+    shares = shares_of_clearance(scenario, pieces, limits)
+    return problems_of_limits(scenario, samples, _bounds(scenario, samples, pieces), limits, shares)
+
+
+def _bounds(scenario: Scenario, samples: CertificateSamples, pieces: list[Piece]) -> StatedBounds:
+    accuracies = [piece.accuracy for number, piece in enumerate(pieces) for _ in range(len(piece.l_b) - (number > 0))]
+    return stated_bounds(scenario.robot, samples.joints, samples.bound_m, accuracies)
