@@ -12,6 +12,7 @@ from places import SCENARIOS
 
 import ctrplan
 from ctrplan.errors import InputError
+from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.core import Accuracy
 from ctrplan.planning.certificate.certify import certify
 from ctrplan.planning.certificate.tour import joined_certificates
@@ -88,17 +89,20 @@ def test_a_plan_that_drives_something_else_is_found_out(driven: Plan) -> None:
 
 
 def test_what_holds_on_a_coarse_mesh_alone_is_not_confirmed(scenario: Scenario) -> None:
-    """The stability differs between the meshes; a margin between both is kept on one of them."""
+    """The largest strain differs between the meshes; a limit between both is kept on one of them."""
     end = scenario.start + TURN_RAD_M * (1, -1, -1, 1)
-    there, path = replace(scenario, goal=Goal(end, None, 1e-3)), np.array([scenario.start, end])
-    stability = {mesh: certify(there, path, accuracy=mesh).min_stability for mesh in MESHES}
-    margin = sum(stability.values()) / 2
-    assert min(stability, key=lambda mesh: stability[mesh]) == "certificate"
-    strict = replace(there, margins=replace(there.margins, stability=margin))
+    content = scenario.robot.content
+    contacts = [{**contact, "friction_coefficient": 0.0} for contact in content["contact"]]
+    slippery = robot_from_dict({**content, "contact": contacts}, file=scenario.robot.path)
+    there = replace(scenario, robot=slippery, goal=Goal(end, None, 1e-3))
+    path = np.array([scenario.start, end])
+    coarse, fine = (certify(there, path, accuracy=mesh).max_strain for mesh in MESHES)
+    assert coarse < fine
+    strict = replace(there, margins=replace(there.margins, max_strain=(coarse + fine) / 2))
     certificate = certify(strict, path)
     found = certificate.recheck()
     assert certificate.valid and found.differences == () and not found.is_confirmed
-    assert found.sentence.startswith("Not confirmed on the certificate mesh: On leg 1: stability falls to")
+    assert found.sentence.startswith("Not confirmed on the certificate mesh: On leg 1: strain reaches")
 
 
 def test_a_path_that_is_not_valid_is_confirmed_not_to_be(scenario: Scenario) -> None:

@@ -70,6 +70,12 @@ class AnatomyDistance:
         np.minimum.at(least, np.tile(owner[open_], PARTS), values)
         return least
 
+    def near(self, points_m: Array, radius_m: Array) -> NDArray[np.intp]:
+        """Indices of points (K, 3) with radii (K,) among which the one of least clearance surely is."""
+        rough = self.grid.sample(self._located(points_m))
+        doubt = self._doubt(rough)
+        return np.flatnonzero(rough - doubt - radius_m <= (rough + doubt - radius_m).min())
+
     def _located(self, points_m: Array) -> Array:
         located: Array = points_m @ self.scenario.base_R.T + self.scenario.base_position_m
         return located

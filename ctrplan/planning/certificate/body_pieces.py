@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 
-PARTS = 8  # of the body around a point
+PARTS = 4  # of the body around a point
 
 
 def beside(clearance_m: Array, half_m: float) -> Array:

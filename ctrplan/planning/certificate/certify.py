@@ -13,6 +13,7 @@ from ctrplan.base.progress import Progress
 from ctrplan.base.units import MM_PER_M
 from ctrplan.mechanics.core import Accuracy
 from ctrplan.planning.certificate.allowances import BEYOND_BOUND_M
+from ctrplan.planning.certificate.closest import closest_places
 from ctrplan.planning.certificate.goal_miss import frictionless_miss, goal_miss_m, line_error_m
 from ctrplan.planning.certificate.prediction import Prediction, predict, rows_to_simulate
 from ctrplan.planning.certificate.walked_legs import WalkedLegs, walk_legs
@@ -65,6 +66,7 @@ def finished(walk: WalkedLegs, arrival: Arrival = frictionless_arrives) -> Certi
     """The certificate of walked legs, histories simulated."""
     scenario = walk.scenario
     prediction, samples = _predicted(scenario, walk.pieces, walk.samples, walk.accuracy)
+    closest = closest_places(scenario, walk.pieces, samples)
     problems = walk.problems + arrival(scenario, samples, prediction) + _contradictions(prediction, samples)
     return Certificate(
         samples=samples,
@@ -92,8 +94,8 @@ def finished(walk: WalkedLegs, arrival: Arrival = frictionless_arrives) -> Certi
         worst_play_m=float(samples.play_m.max()),
         goal_play_m=float(samples.play_m[-1]),
         targets=(_target(walk, samples),),
-        nominal=walk.closest.nominal,
-        closest=walk.closest.friction,
+        nominal=closest.nominal,
+        closest=closest.friction,
         walk_again=partial(_walked_again, scenario, walk.corners, walk.accuracy, arrival),
     )
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ctrplan.anatomy.parts import surface_distance
 from ctrplan.base.arrays import Array
+from ctrplan.planning.certificate.anatomy_distance import AnatomyDistance
 from ctrplan.planning.certificate.friction_cube import State, corner_states
 from ctrplan.planning.certificate.walked_piece import Piece
 from ctrplan.planning.certified import CertificateSamples, Closest
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario
 
 NEAR_M = 0.5e-3  # of the least clearance: samples that may be the narrowest on a finer mesh
-MOST = 12  # of them solved
+MOST = 6  # of them solved
 POINT_M = 0.25e-3
 
 
@@ -36,17 +37,18 @@ class ClosestPlaces:
 
 def closest_places(scenario: Scenario, pieces: Sequence[Piece], samples: CertificateSamples) -> ClosestPlaces:
     """Of the frictionless robot, and of the robot in all friction states that were found to be narrow."""
-    if not scenario.anatomy:
+    distance = AnatomyDistance.of(scenario)
+    if distance is None:
         return ClosestPlaces()
     nominal = _rows(np.concatenate([p.nominal_m[k > 0 :] for k, p in enumerate(pieces)]))
     narrow = _rows(np.concatenate([(p.clearance_m + p.allowance_m)[k > 0 :] for k, p in enumerate(pieces)]))
     phi = np.concatenate([p.phi[k > 0 :] for k, p in enumerate(pieces)])
     pairs = scenario.robot.n - 1
     rest: list[State] = [(0.0,) * pairs]
-    found = [_closest(scenario, samples, k, rest) for k in nominal]
+    found = [_closest(distance, samples, k, rest) for k in nominal]
     corners = corner_states(pairs) if scenario.robot.friction.any() else []
     states = [[*rest, *corners, tuple(phi[k].tolist())] for k in narrow]
-    found_with = [_closest(scenario, samples, k, row) for k, row in zip(narrow, states, strict=True)] + found
+    found_with = [_closest(distance, samples, k, row) for k, row in zip(narrow, states, strict=True)] + found
     return ClosestPlaces(_least(found), _least(found_with))
 
 
@@ -60,22 +62,24 @@ def _rows(clearance_m: Array) -> NDArray[np.intp]:
     return near[np.argsort(clearance_m[near], kind="stable")][:MOST]
 
 
-def _closest(scenario: Scenario, samples: CertificateSamples, row: int, states: list[State]) -> Closest:
+def _closest(distance: AnatomyDistance, samples: CertificateSamples, row: int, states: list[State]) -> Closest:
     """Of a sample in friction states."""
-    robot, joints = scenario.robot, samples.joints[row]
+    scenario, joints = distance.scenario, samples.joints[row]
+    robot = scenario.robot
     bodies = robot.mechanics.friction_bodies(
         *robot.drive.collars(joints), np.array(list(dict.fromkeys(states))), spacing_m=POINT_M, accuracy="certificate"
     )
-    points = bodies.point_m[bodies.solved]
-    located = points.reshape(-1, 3) @ scenario.base_R.T + scenario.base_position_m
-    radius = np.tile(bodies.radius_m, len(points))
-    distance, part = _nearest_part(scenario, located, radius)
+    points, count = bodies.point_m[bodies.solved].reshape(-1, 3), len(bodies.radius_m)
+    near = distance.near(points, np.tile(bodies.radius_m, int(bodies.solved.sum())))
+    located = points[near] @ scenario.base_R.T + scenario.base_position_m
+    radius = bodies.radius_m[near % count]
+    apart, part = _nearest_part(scenario, located, radius)
     margins = np.array([one.margin_m for one in scenario.anatomy])
-    k = int(np.argmin(distance - margins[part]))
-    state = np.array(list(dict.fromkeys(states)))[bodies.solved][k // len(bodies.radius_m)]
+    k = int(np.argmin(apart - margins[part]))
+    state = np.array(list(dict.fromkeys(states)))[bodies.solved][near[k] // count]
     return Closest(
-        clearance_m=float(distance[k] - margins[part[k]]),
-        distance_m=float(distance[k]),
+        clearance_m=float(apart[k] - margins[part[k]]),
+        distance_m=float(apart[k]),
         part=f"anatomy.{part[k] + 1} ({scenario.anatomy[part[k]].shape.name})",
         tube=int(np.argmin([abs(tube.outer_diameter_m / 2 - radius[k]) for tube in robot.tubes])) + 1,
         point_m=located[k],

@@ -19,6 +19,7 @@ from ctrplan.mechanics.core import PathLimits
 from ctrplan.planning.certificate.allowances import POINT_SPACING_M, SAME_BRANCH_M, TIGHT_M, mesh_allowance_m
 from ctrplan.planning.certificate.anatomy_distance import AnatomyDistance
 from ctrplan.planning.certificate.friction_cube import (
+    DEPTH,
     LeastOfStates,
     Needed,
     Solved,
@@ -33,7 +34,8 @@ if TYPE_CHECKING:
     from ctrplan.mechanics.accuracy import Accuracy
     from ctrplan.planning.scenario import Scenario
 
-MOST_AGAIN = 40  # samples solved on the certificate mesh only to report the least clearance more closely
+CHUNK = 4  # samples at a time
+MOST_AGAIN = 60  # samples solved on the certificate mesh only to report the least clearance more closely
 
 
 @dataclass(eq=False)
@@ -112,19 +114,21 @@ def closely_solved(scenario: Scenario, pieces: Sequence[Piece]) -> list[Piece]:
     distance, limits = AnatomyDistance.of(scenario), path_limits(scenario)
     if distance is None:
         return list(pieces)
-    rows = [(float(c), p, k) for p, piece in enumerate(pieces) for k, c in enumerate(piece.clearance_m)]
-    ceiling, again = np.inf, 0
-    closer = {p: piece.clearance_m.copy() for p, piece in enumerate(pieces)}
-    for value, p, k in sorted(rows):
-        refused = value < limits.clearance_m
-        if value >= ceiling or pieces[p].accuracy != "search" or not refused and again >= MOST_AGAIN:
-            break
-        again += not refused
-        closer[p][k] = max(value, _on_certificate_mesh(scenario, distance, pieces[p], k))
-        ceiling = min(ceiling, closer[p][k]) if closer[p][k] >= limits.clearance_m else ceiling
-        if closer[p][k] < limits.clearance_m:
-            break
-    return [replace(piece, clearance_m=closer[p]) for p, piece in enumerate(pieces)]
+    closer = [piece.clearance_m.copy() for piece in pieces]
+    rows = sorted((float(c), p, k) for p, piece in enumerate(pieces) for k, c in enumerate(piece.clearance_m))
+    narrow = [row for row in rows if pieces[row[1]].accuracy == "search"]
+    must = sum(value < limits.clearance_m for value, *_ in narrow)
+    ceiling = np.inf  # of the least clearance
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        for begin in range(0, min(len(narrow), must + MOST_AGAIN), CHUNK):
+            if narrow[begin][0] >= ceiling or ceiling < limits.clearance_m:
+                break
+            chunk = narrow[begin : begin + CHUNK]
+            values = pool.map(lambda row: _on_certificate_mesh(scenario, distance, pieces[row[1]], row[2]), chunk)
+            for (value, p, k), found in zip(chunk, values, strict=True):
+                closer[p][k] = max(value, found)
+                ceiling = min(ceiling, closer[p][k])
+    return [replace(piece, clearance_m=values) for piece, values in zip(pieces, closer, strict=True)]
 
 
 def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece]) -> list[Piece]:
@@ -175,24 +179,28 @@ def _in_every_state(scenario: Scenario, piece: Piece, enough_m: float, limits: P
 def _least(
     scenario: Scenario, distance: AnatomyDistance | None, piece: Piece, sample: int, needed: Needed
 ) -> tuple[LeastOfStates, float]:
-    """Of a sample, all allowances taken off the clearance; and how far its shapes lay from those walked to."""
-    found, apart = _least_on(scenario, distance, piece, sample, needed, piece.accuracy)
-    if piece.accuracy != "search" or found.clearance_m >= needed.clearance_m or not np.isfinite(found.clearance_m):
+    """Of a sample, all allowances taken off the clearance; and how far its shapes lay from those walked to.
+
+    The search mesh decides where one look is enough.
+    """
+    states = SampleStates(scenario, piece, sample, piece.accuracy)
+    depth = 0 if piece.accuracy == "search" else DEPTH
+    is_hopeful = piece.as_walked_m[sample] >= needed.clearance_m
+    if piece.accuracy == "search" and not is_hopeful:
+        return _least_of(states, distance, needed, DEPTH, "certificate")
+    found, apart = _least_of(states, distance, needed, depth, piece.accuracy)
+    if piece.accuracy != "search" or found.keeps(needed) or not np.isfinite(found.clearance_m):
         return found, apart
-    finer, apart_finer = _least_on(scenario, distance, piece, sample, needed, "certificate")
-    return (finer if finer.clearance_m > found.clearance_m else found), max(apart, apart_finer)
+    finer, apart_finer = _least_of(states, distance, needed, DEPTH, "certificate")
+    return finer, max(apart, apart_finer)
 
 
-def _least_on(
-    scenario: Scenario,
-    distance: AnatomyDistance | None,
-    piece: Piece,
-    sample: int,
-    needed: Needed,
-    accuracy: Accuracy,
+def _least_of(
+    walked: SampleStates, distance: AnatomyDistance | None, needed: Needed, depth: int, accuracy: Accuracy
 ) -> tuple[LeastOfStates, float]:
-    states = SampleStates(scenario, piece, sample, accuracy)
-    offset = float(piece.offset_m(scenario, accuracy)[sample])
+    states = SampleStates(walked.scenario, walked.piece, walked.sample, accuracy)
+    offset = float(walked.piece.offset_m(walked.scenario, accuracy)[walked.sample])
     known, radius = states.known()
-    found = least_of_states(known, radius, states, distance, replace(needed, clearance_m=needed.clearance_m + offset))
+    asked = replace(needed, clearance_m=needed.clearance_m + offset)
+    found = least_of_states(known, radius, states, distance, asked, depth)
     return replace(found, clearance_m=found.clearance_m - offset), states.apart_m

@@ -111,9 +111,14 @@ class _Cell:
 
 
 def least_of_states(
-    known: dict[State, Solved], radius_m: Array, solve: Solve, distance: Distance | None, needed: Needed
+    known: dict[State, Solved],
+    radius_m: Array,
+    solve: Solve,
+    distance: Distance | None,
+    needed: Needed,
+    depth: int = DEPTH,
 ) -> LeastOfStates:
-    """Whether every state keeps what is needed, cells being halved until they do or are small.
+    """Whether every state keeps what is needed, cells being halved until they do, `depth` times at most.
 
     `known`: phi = 0 and every sign corner; outer radii (N,). Bodies are looked at where they come near enough to the
     anatomy to matter, not at all without a `distance`.
@@ -129,7 +134,7 @@ def least_of_states(
         halved: list[_Cell] = []
         for cell in cells:
             found = _cell(cell, known, radius_m, distance, needed)
-            if not found.keeps(needed) and cell.depth < DEPTH and np.isfinite(found.clearance_m):
+            if not found.keeps(needed) and cell.depth < depth and np.isfinite(found.clearance_m):
                 halved += cell.halves()
             else:
                 least = least.with_less_of(found)

@@ -16,7 +16,7 @@ from ctrplan.planning.certificate.stated_bounds import StatedBounds
 from ctrplan.planning.certificate.walked_piece import Piece
 from ctrplan.planning.certified import CertificateSamples
 from ctrplan.planning.joint_space import JointSpace
-from ctrplan.planning.motion import breach
+from ctrplan.planning.motion import breach, path_limits
 
 if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario
@@ -50,9 +50,11 @@ def problems_of_walk(scenario: Scenario, space: JointSpace, corners: Array, piec
 
 
 def problems_of_limits(
-    scenario: Scenario, samples: CertificateSamples, bounds: StatedBounds, limits: PathLimits, shares: str
+    scenario: Scenario, pieces: Sequence[Piece], samples: CertificateSamples, bounds: StatedBounds
 ) -> list[str]:
-    """Which of the limits the samples break; `shares` says what makes up the least clearance."""
+    """Which of the scenario's limits the samples of the pieces break."""
+    limits = path_limits(scenario)
+    shares = _shares_of_clearance(scenario, pieces, limits)
     checks = [
         (samples.stability < limits.stability, "stability falls to {:.3g}, below the margin", samples.stability.min()),
         (samples.max_strain > limits.max_strain, "strain reaches {:.4g}, above the limit", samples.max_strain.max()),
@@ -82,7 +84,7 @@ def _problems_of_goal(scenario: Scenario, samples: CertificateSamples, bounds: S
     return found
 
 
-def shares_of_clearance(scenario: Scenario, pieces: Sequence[Piece], limits: PathLimits) -> str:
+def _shares_of_clearance(scenario: Scenario, pieces: Sequence[Piece], limits: PathLimits) -> str:
     """How much anatomy, friction and allowances make up the least clearance, as the end of a sentence."""
     piece = min(pieces, key=lambda one: float(one.clearance_m.min()))
     k = int(np.argmin(piece.clearance_m))

@@ -12,18 +12,16 @@ from ctrplan.base.progress import Progress
 from ctrplan.base.units import MM_PER_M
 from ctrplan.drive.legs import merge_legs
 from ctrplan.mechanics.core import Accuracy
-from ctrplan.planning.certificate.closest import ClosestPlaces, closest_places
 from ctrplan.planning.certificate.every_state import closely_solved, in_every_friction_state
 from ctrplan.planning.certificate.goal_miss import frictionless_miss
 from ctrplan.planning.certificate.joined_pieces import joined_samples
 from ctrplan.planning.certificate.other_equilibria import other_equilibrium
-from ctrplan.planning.certificate.problems import problems_of_limits, problems_of_walk, shares_of_clearance
+from ctrplan.planning.certificate.problems import problems_of_limits, problems_of_walk
 from ctrplan.planning.certificate.start_branches import other_start
 from ctrplan.planning.certificate.stated_bounds import StatedBounds, stated_bounds
 from ctrplan.planning.certificate.walked_piece import Piece, walk_pieces
 from ctrplan.planning.certified import CertificateSamples
 from ctrplan.planning.joint_space import JointSpace
-from ctrplan.planning.motion import path_limits
 from ctrplan.planning.path_cost import path_cost_mm
 
 if TYPE_CHECKING:
@@ -40,7 +38,6 @@ class WalkedLegs:
     pieces: list[Piece]
     samples: CertificateSamples
     bounds: StatedBounds
-    closest: ClosestPlaces
     problems: list[str]  # but whether the goal is met
 
     @property
@@ -84,29 +81,22 @@ def walk_legs(
     """
     space = JointSpace.of(scenario)
     pieces = walk_pieces(scenario, space, corners, accuracy, progress)
+    samples = joined_samples(scenario.robot, space, corners, pieces)
+    bounds = _bounds(scenario, samples, pieces)
     problems = [f"{other}."] if (other := other_start(scenario.robot, corners[0])) else []
     problems += problems_of_walk(scenario, space, corners, pieces)
     for look_closer in (closely_solved, in_every_friction_state):
-        if not problems:
-            pieces = look_closer(scenario, pieces)
-            problems = problems_of_walk(scenario, space, corners, pieces)
-            problems += _limits_broken(scenario, space, corners, pieces)
+        if problems:
+            break
+        pieces = look_closer(scenario, pieces)
+        samples = joined_samples(scenario.robot, space, corners, pieces)
+        problems = problems_of_walk(scenario, space, corners, pieces)
+        problems += problems_of_limits(scenario, pieces, samples, bounds)
     if not problems:
         lengths = [space.length_mm(piece.end - piece.start) for piece in pieces]
         found = other_equilibrium(scenario.robot, pieces, lengths)
         problems = [found.sentence] if found else []
-    samples = joined_samples(scenario.robot, space, corners, pieces)
-    light = [piece.light() for piece in pieces]
-    bounds = _bounds(scenario, samples, light)
-    return WalkedLegs(
-        scenario, corners, accuracy, light, samples, bounds, closest_places(scenario, light, samples), problems
-    )
-
-
-def _limits_broken(scenario: Scenario, space: JointSpace, corners: Array, pieces: list[Piece]) -> list[str]:
-    samples, limits = joined_samples(scenario.robot, space, corners, pieces), path_limits(scenario)
-    shares = shares_of_clearance(scenario, pieces, limits)
-    return problems_of_limits(scenario, samples, _bounds(scenario, samples, pieces), limits, shares)
+    return WalkedLegs(scenario, corners, accuracy, [piece.light() for piece in pieces], samples, bounds, problems)
 
 
 def _bounds(scenario: Scenario, samples: CertificateSamples, pieces: list[Piece]) -> StatedBounds:

@@ -41,7 +41,8 @@ class Piece:
     accuracy: Accuracy  # of the walk
     allowance_m: Array  # (K,) half the motion to the neighbours, uneven friction and play: not that of the mesh
     nominal_m: Array  # (K,) clearance of the frictionless shape as solved; inf in free space
-    clearance_m: Array  # (K,) of the solved shapes, then of every friction state; all allowances taken off
+    as_walked_m: Array  # (K,) clearance of the solved shapes on this mesh, all allowances taken off
+    clearance_m: Array  # (K,) the same, then on the certificate mesh where it matters, then of every friction state
     stability: Array  # (K,) likewise
     max_strain: Array  # (K,) likewise
     height_m: Array  # (K,) least of a body point over the front plate, beyond FROM_PLATE_M; inf where there is none
@@ -96,6 +97,7 @@ def walked(scenario: Scenario, space: JointSpace, leg: int, start: Array, end: A
     motion = np.maximum(samples.motion_m, np.append(samples.motion_m[1:], 0.0))  # on both sides of a sample
     allowance = motion / 2 + UNEVEN_FRICTION_M + play
     nominal, solved = _solved_clearances(scenario, samples)
+    as_walked = solved - allowance - mesh_allowance_m(scenario.robot, accuracy)
     return Piece(
         leg=leg,
         start=start,
@@ -106,7 +108,8 @@ def walked(scenario: Scenario, space: JointSpace, leg: int, start: Array, end: A
         accuracy=accuracy,
         allowance_m=allowance,
         nominal_m=nominal,
-        clearance_m=solved - allowance - mesh_allowance_m(scenario.robot, accuracy),
+        as_walked_m=as_walked,
+        clearance_m=as_walked,
         stability=samples.shape_stability.min(axis=1),
         max_strain=samples.max_strain,
         height_m=np.array([_height(body) for body in samples.bodies]),
