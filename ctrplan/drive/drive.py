@@ -19,6 +19,8 @@ DriveTerm = Callable[[Array, Array], tuple[Array, Array]]
 
 ANGLE_STEP, LENGTH_STEP = 1e-4, 1e-6  # rad, m: of differences, exact to about their square
 
+SAME_TURN = 1e-9  # rad or m by which collars may be off after a whole turn
+
 # Unit in files and on screens, and its value in SI.
 UNITS: dict[Kind, tuple[str, float]] = {"rotation": ("deg", math.pi / 180), "translation": ("mm", 1e-3)}
 
@@ -37,8 +39,8 @@ class Joint:
     max_jerk: float  # per s^3
 
     @property
-    def wraps(self) -> bool:
-        """An unlimited rotation, for which q and q + 2 pi are the same place."""
+    def is_unlimited(self) -> bool:
+        """A rotation without limits."""
         return math.isinf(self.lower)
 
     @property
@@ -131,9 +133,19 @@ class Drive:
         return self._each(lambda joint: joint.kind == "rotation")
 
     @cached_property
+    def is_unlimited(self) -> NDArray[np.bool_]:
+        """Whether each joint is a rotation without limits."""
+        return self._each(lambda joint: joint.is_unlimited)
+
+    @cached_property
     def wraps(self) -> NDArray[np.bool_]:
-        """Whether each joint is an unlimited rotation."""
-        return self._each(lambda joint: joint.wraps)
+        """Whether q and q + 2 pi of each joint are one place: of unlimited rotations that no effect or gear scales."""
+        joints, collars = len(self.joints), len(self.home_l_m)
+        here = np.hstack(self.collars(np.zeros((1, joints))))
+        moved = np.hstack(self.collars(2 * math.pi * np.eye(joints))) - here
+        off = np.abs(moved)
+        off[:, :collars] = np.abs(moved[:, :collars] - 2 * math.pi * np.round(moved[:, :collars] / (2 * math.pi)))
+        return read_only(self.is_unlimited & np.all(off < SAME_TURN, axis=1))
 
     @cached_property
     def lower(self) -> Array:

@@ -127,9 +127,12 @@ class JointSpace:
         return slope[touched], (self.nesting_h - self.nesting_G @ self.drive.collars(zero)[1][0])[touched]
 
     def wound_into_limits(self, q: Array) -> Array:
-        """q (K, m) with rotations taken by whole turns to where they are nearest to the middle of their range."""
+        """q (K, m) with rotations taken by whole turns to where they are nearest to the middle of their range.
+
+        Of rotations whose turns count only those with limits.
+        """
         low, high = self._ranges()
-        turns = np.where(self.drive.is_rotation, np.round((q - (low + high) / 2) / (2 * math.pi)), 0.0)
+        turns = np.where(self.drive.is_rotation & (self.drive.wraps | ~self.drive.is_unlimited), np.round((q - (low + high) / 2) / (2 * math.pi)), 0.0)
         return np.asarray(q - 2 * math.pi * turns)
 
     def sample(self, rng: np.random.Generator, count: int) -> Array:
@@ -146,8 +149,8 @@ class JointSpace:
 
     def _ranges(self) -> tuple[Array, Array]:
         """Limits (m,), (m,), of unlimited rotations -pi and pi."""
-        wraps = self.drive.wraps
-        return np.where(wraps, -math.pi, self.drive.lower), np.where(wraps, math.pi, self.drive.upper)
+        unlimited = self.drive.is_unlimited
+        return np.where(unlimited, -math.pi, self.drive.lower), np.where(unlimited, math.pi, self.drive.upper)
 
 
 @checked(scenario=Made("Scenario"))

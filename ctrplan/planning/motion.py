@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ctrplan.anatomy.anatomy_field import anatomy_field, shared_spacing_m
 from ctrplan.anatomy.clearance_grid import SignedDistanceField, field_bounds
-from ctrplan.base.arguments import Choice, Made, checked
+from ctrplan.base.arguments import Choice, Made, Number, checked
 from ctrplan.base.arrays import Array
 from ctrplan.mechanics.core import Field, PathDensity, PathLimits, PathSamples, Status
 from ctrplan.mechanics.friction_law import largest_deviation
@@ -62,6 +62,7 @@ class MotionChecker:
         style=Choice(*get_args(MotionStyle)),
         bound_table=Made("BoundTable"),
         meter=Made("WorkMeter"),
+        reserve_m=Number(0.0, 1.0, "m"),
     )
     def __init__(
         self,
@@ -69,8 +70,12 @@ class MotionChecker:
         style: MotionStyle = "rotations before translations",
         bound_table: BoundTable | None = None,
         meter: WorkMeter | None = None,
+        reserve_m: float = SEARCH_ROOM_M,
     ) -> None:
-        """With a `bound_table` of the robot motions are looked up; where it has no answer they are solved."""
+        """With a `bound_table` of the robot motions are looked up; where it has no answer they are solved.
+
+        `reserve_m` is kept beyond the margins, so that paths pass the certificate.
+        """
         self.scenario = scenario
         self.bound_table = bound_table
         self.style = style
@@ -78,7 +83,8 @@ class MotionChecker:
         self.mechanics = scenario.robot.mechanics
         self.field = robot_field(scenario)
         self.density = PathDensity(rotation_rad=0.26, translation_m=8e-3, motion_m=15e-3)
-        self.limits = search_limits(scenario)
+        self.reserve_m = reserve_m
+        self.limits = search_limits(scenario, reserve_m)
         self.calls = 0  # into the core
         self.meter = meter or WorkMeter()  # counts what is solved and asked
         self.watch = SearchWatch()  # asked before anything is solved
@@ -103,6 +109,10 @@ class MotionChecker:
         return (
             self.bound_table is None and self.space.allowed(corners) and self.rooms([corners])[0] < DEFINITE_COLLISION_M
         )
+
+    def with_reserve(self, reserve_m: float) -> MotionChecker:
+        """The same that keeps another reserve; it has checked nothing yet."""
+        return MotionChecker(self.scenario, self.style, self.bound_table, self.meter, reserve_m)
 
     def state(self, q: Array) -> Motion:
         """A single state as a motion of no length."""
@@ -263,10 +273,10 @@ def path_limits(scenario: Scenario) -> PathLimits:
     return PathLimits(scenario.margins.stability, strain, scenario.robot.model_error_m)
 
 
-def search_limits(scenario: Scenario) -> PathLimits:
+def search_limits(scenario: Scenario, reserve_m: float = SEARCH_ROOM_M) -> PathLimits:
     """Likewise for the search, which keeps a little more clearance so that its paths pass the certificate."""
     limits = path_limits(scenario)
-    room = SEARCH_ROOM_M + usual_play_shift(scenario.robot, JointSpace.of(scenario))
+    room = reserve_m + usual_play_shift(scenario.robot, JointSpace.of(scenario))
     return replace(limits, clearance_m=limits.clearance_m + room)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -22,7 +23,8 @@ from ctrplan.planning.certificate.walked_legs import WalkedLegs, walk_legs
 from ctrplan.planning.finish.compensate import compensate
 from ctrplan.planning.finish.oscillate_at_goal import settle
 from ctrplan.planning.finish.reorder import Reordered, as_given, assemble
-from ctrplan.planning.goals.clearances import refuse_impossible_margins, start_trouble
+from ctrplan.planning.goals.clearances import refuse_impossible_margins, start_room, start_trouble
+from ctrplan.planning.goals.goal_state import GoalState
 from ctrplan.planning.goals.goal_states import goal_states
 from ctrplan.planning.goals.goal_turns import is_at_goal, nearest_turn, turn_notes
 from ctrplan.planning.goals.line import follow_line, line_beginnings
@@ -73,9 +75,10 @@ def plan(
     began, report = time.monotonic(), progress or (lambda _: None)
     budget = float(scenario.planner.time_s if time_s is None else time_s)
     refuse_impossible_margins(scenario)
-    start, _ = MotionChecker(scenario).probe(scenario.start)
+    checker = MotionChecker(scenario, reserve_m=0.0)
+    start, _ = checker.probe(scenario.start)
     if not start.valid:
-        reason = start_trouble(MotionChecker(scenario)) or start.reason
+        reason = start_trouble(checker) or start.reason
         raise NoAnswerError(f"{scenario.path or scenario.name}: start: the start state is not valid: {reason}.")
     if other := other_start(scenario.robot, scenario.start):
         raise NoAnswerError(f"{scenario.path or scenario.name}: start: {other[0].lower()}{other[1:]}.")
@@ -169,7 +172,7 @@ def _stages(
             goal_states(checker, np.random.default_rng(asked.seed + k))  # refuses a state that is not allowed
             found.append(_without_motion(checker, asked.began))
         else:
-            goals = goal_states(checker, np.random.default_rng(asked.seed + k))
+            checker, goals = _with_goals(checker, asked.seed + k)
             if k + 1 < len(targets) and targets[k + 1].line_m is not None:
                 goals = line_beginnings(checker, goals, targets[k + 1])
             clock = SearchClock(checker.meter, asked.timed)
@@ -180,6 +183,17 @@ def _stages(
             ended_by = clock.name if clock.ran_out else ended_by
         start = found[-1][1].result.after[-1]
     return found, ended_by, spent
+
+
+def _with_goals(checker: MotionChecker, seed: int) -> tuple[MotionChecker, list[GoalState]]:
+    """Goal states, and the checker with the reserve that the start and they leave; NoAnswerError without any."""
+    start = start_room(checker)
+    with suppress(NoAnswerError):
+        if start >= checker.reserve_m:
+            return checker, goal_states(checker, np.random.default_rng(seed))
+    bare = checker.with_reserve(0.0)
+    goals = goal_states(bare, np.random.default_rng(seed))
+    return bare, goals
 
 
 def _along_line(checker: MotionChecker, began: float) -> tuple[Candidate, Candidate]:

@@ -166,7 +166,8 @@ def _random_waypoints(robot: Robot, rng: np.random.Generator) -> Array:
 
 def _ranges(drive: Drive) -> tuple[Array, Array]:
     """(m,), (m,) lowest and highest value of each joint, of unlimited rotations once round."""
-    return np.where(drive.wraps, -np.pi, drive.lower), np.where(drive.wraps, np.pi, drive.upper)
+    unlimited = drive.is_unlimited
+    return np.where(unlimited, -np.pi, drive.lower), np.where(unlimited, np.pi, drive.upper)
 
 
 def _nested(joints: Array, robot: Robot, G: Array, h: Array) -> Array:

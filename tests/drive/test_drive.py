@@ -183,3 +183,16 @@ def test_a_violation_names_tubes_joints_and_values(robot: Robot, l_mm: list[floa
 def test_collars_of_another_number_of_tubes_are_refused(robot: Robot, theta_b: Any, l_b: Any, key: str) -> None:
     with pytest.raises(InputError, match=rf"^{key}: must have one value per tube, shape \(3,\), not "):
         nesting_violation(robot, theta_b, l_b)
+
+
+def test_a_scaled_rotation_counts_its_turns() -> None:
+    """q and q + 360 deg were once taken for one place where joint_scale moves the collar by 3 % of a turn."""
+    content = load_robot(ROBOTS / "three_tube.toml").content
+    plain, scaled, bent = (
+        robot_from_dict({**content, "effects": effects}, file=str(ROBOTS / "made_up.toml")).drive
+        for effects in ({}, {"joint_scale": {"theta_3": 0.03}}, {"eccentricity": {"sin_3_deg": 5.0}})
+    )
+    assert plain.wraps.tolist() == plain.is_unlimited.tolist() == bent.wraps.tolist()
+    assert scaled.is_unlimited.tolist() == plain.is_unlimited.tolist()
+    assert scaled.wraps.tolist() == (plain.wraps & (plain.matrix_theta[2] == 0)).tolist()
+    assert 0 < scaled.wraps.sum() < plain.wraps.sum()

@@ -44,6 +44,14 @@ def blocked(scenario: Scenario, point: Array, needed_m: float, tolerance_m: floa
     return ""
 
 
+def start_room(checker: MotionChecker) -> float:
+    """Clearance [m] that a scenario's start leaves beyond the margins and the play, whatever the checker's reserve."""
+    _, samples = checker.probe(checker.scenario.start)
+    if samples is None:
+        return 0.0
+    return float(samples.clearance_m[-1]) - (checker.limits.clearance_m - checker.reserve_m)
+
+
 def start_trouble(checker: MotionChecker) -> str:
     """Where the start leaves the lumen or enters a structure, in words; empty where neither is the trouble."""
     scenario = checker.scenario

@@ -40,8 +40,9 @@ def turn_notes(scenario: Scenario, ends: Sequence[Array]) -> tuple[str, ...]:
     for goal, end in zip(scenario.targets, ends, strict=True):
         if goal.joints is None:
             continue
-        for joint, asked, reached in zip(scenario.robot.drive.joints, goal.joints, end, strict=True):
-            if joint.wraps and abs(asked - reached) > np.pi:
+        drive = scenario.robot.drive
+        for joint, wraps, asked, reached in zip(drive.joints, drive.wraps, goal.joints, end, strict=True):
+            if wraps and abs(asked - reached) > np.pi:
                 asked_deg, reached_deg = np.degrees([asked, reached])
                 found.append(
                     f"{joint.name} = {asked_deg:.6g} deg is reached at {reached_deg:.6g} deg, whole turns from it; "

@@ -12,17 +12,20 @@ from ctrplan.base.arrays import Array
 from ctrplan.planning.joint_space import JointSpace
 
 
+TURNS_RAD = 4 * math.pi  # either way, of unlimited rotations whose turns lead elsewhere
+
+
 def state_space(space: JointSpace) -> Any:
-    """One subspace a joint: SO(2) where a rotation is unlimited, an interval otherwise; distance in mm."""
-    compound = ob.CompoundStateSpace()
-    for joint, weight in zip(space.drive.joints, space.weights_mm, strict=True):
-        if joint.wraps:
+    """One subspace a joint: SO(2) where a turn leads to the same place, an interval otherwise; distance in mm."""
+    compound, drive = ob.CompoundStateSpace(), space.drive
+    for joint, wraps, weight in zip(drive.joints, drive.wraps, space.weights_mm, strict=True):
+        if wraps:
             subspace: Any = ob.SO2StateSpace()
         else:
             subspace = ob.RealVectorStateSpace(1)
             bounds = ob.RealVectorBounds(1)
-            bounds.setLow(joint.lower)
-            bounds.setHigh(joint.upper)
+            bounds.setLow(max(joint.lower, -TURNS_RAD) if joint.is_unlimited else joint.lower)
+            bounds.setHigh(min(joint.upper, TURNS_RAD) if joint.is_unlimited else joint.upper)
             subspace.setBounds(bounds)
         compound.addSubspace(subspace, float(weight))
     compound.lock()

@@ -92,18 +92,26 @@ class StageSearch:
         """The first certified path, as the first and the best."""
         self._first_path()
         if self.best is None:
+            self._without_reserve()
             self._sample(only_first=True)
         return self._answer()
 
     def run(self) -> tuple[Candidate, Candidate]:
         """The first and the best certified path."""
         roadmap = self._first_path()
-        if not self._is_enough():
+        if self.best is None:
+            self._without_reserve()
+        elif not self._is_enough():
             self._cheapest_of(roadmap)
         if self.best is not None and not self.best.tidied and not self._is_enough():
             self._tidied(self.checker, self.best.result.after, self.best.found_by)
         self._sample()
         return self._answer()
+
+    def _without_reserve(self) -> None:
+        """No path keeps more clearance than the certificate asks for: what keeps no more is looked for."""
+        if self.checker.reserve_m > 0:
+            self.checker = self.checker.with_reserve(0.0)
 
     def _answer(self) -> tuple[Candidate, Candidate]:
         """The first and the best that their own simulation does not contradict.
@@ -210,7 +218,9 @@ class StageSearch:
             if not problem.solve(stop, only_first=self.best is None):
                 if self.best or is_fallback:
                     break
-                checker = MotionChecker(checker.scenario, "simultaneous", checker.bound_table, checker.meter)
+                checker = MotionChecker(
+                    checker.scenario, "simultaneous", checker.bound_table, checker.meter, checker.reserve_m
+                )
                 continue
             if self.best is None:
                 if failed := self._certified(checker, problem.corners(), name):

@@ -43,7 +43,7 @@ class LiveState:
         rows = []
         for joint, value in zip(self.scenario.robot.drive.joints, self.start, strict=True):
             low, high = UNLIMITED
-            if not joint.wraps:
+            if not joint.is_unlimited:
                 low, high = joint.lower / joint.si_per_unit, joint.upper / joint.si_per_unit
             rows.append({"name": joint.name, "unit": joint.unit, "min": low, "max": high, "value": value})
         return rows
