@@ -23,7 +23,7 @@ from page_table import put_into_page
 import ctrplan
 from ctrplan.errors import CtrplanError
 from ctrplan.planning import MotionChecker, Plan
-from ctrplan.planning.certificate.prediction import goal_error
+from ctrplan.planning.certificate.prediction import goal_error, start_states
 from ctrplan.planning.finish.alternatives import translations_first
 from ctrplan.planning.finish.oscillate_at_goal import AMPLITUDES_DEG, oscillation, turnings
 
@@ -44,7 +44,10 @@ def settled(checker: MotionChecker, corners: np.ndarray) -> str:
             swing for swing in swings if checker.along(np.concatenate([corners[-1:], swing[:2], corners[-1:]])).valid
         ]
         if valid:
-            errors = [goal_error(checker.scenario.robot, np.concatenate([corners, swing])) for swing in valid]
+            errors = [
+                goal_error(checker.scenario.robot, np.concatenate([corners, swing]), start_states(checker.scenario))
+                for swing in valid
+            ]
             return f"{min(errors) * 1e3:.2f} mm ({degrees} deg)"
     return "no room"
 

@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast, get_args
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -23,13 +23,14 @@ from ctrplan.files.scenario_entries import (
     joint_values,
     planner_settings,
 )
-from ctrplan.planning.scenario import Cost, Goal, Margins, Scenario
+from ctrplan.planning.scenario import Cost, Goal, Margins, Scenario, StartFriction
 from ctrplan.robot.robot import Robot
 from ctrplan.storage.number_ranges import Vector, metres
 from ctrplan.storage.toml_document import Document, Step, checked_overrides, read_document
 from ctrplan.storage.toml_table import Table, file_inside
 
 ROBOT_PREFIX = "robot."
+FRICTION = "friction"  # the key of [start] that is no joint
 QUATERNION_TOLERANCE = 1e-3
 
 
@@ -75,7 +76,8 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool) ->
         robot=robot,
         base_position_m=read_only(np.multiply(entry.base.position_mm, 1e-3)),
         base_R=_rotation(entry.base, document),
-        start=joint_values(entry.start, robot, document, "start"),
+        start=joint_values({k: v for k, v in entry.start.items() if k != FRICTION}, robot, document, "start"),
+        start_friction=_start_friction(entry, document),
         goal=goals[-1],
         via=tuple(goals[:-1]),
         anatomy=tuple(anatomy_part(Table(document, ("anatomy", k), allow_outside)) for k in range(len(entry.anatomy))),
@@ -86,6 +88,13 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool) ->
         sha256=document.sha256,
         warnings=robot.warnings,
     )
+
+
+def _start_friction(entry: ScenarioEntry, document: Document) -> StartFriction:
+    value, known = entry.start.get(FRICTION, "unknown"), get_args(StartFriction)
+    if value not in known:
+        raise document.fault(f"must be one of {', '.join(known)}", "start", FRICTION)
+    return cast(StartFriction, value)
 
 
 def _rotation(base: BaseEntry, document: Document) -> Array:

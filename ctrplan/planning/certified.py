@@ -19,6 +19,7 @@ from ctrplan.planning.comparison import Difference, differences
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.core import Accuracy
+    from ctrplan.planning.scenario import StartFriction
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +114,7 @@ class Certificate:
     spacing_m: float  # largest motion of a body point of any shape between samples
     worst_play_m: float = 0.0  # how far play of the drive may move the robot
     goal_play_m: float = 0.0
+    start_friction: StartFriction = "unknown"  # what the figures assume of friction before the motion
     nominal: Closest | None = None  # the frictionless robot where it comes closest; None in free space
     closest: Closest | None = None  # the robot in any friction state
     targets: tuple[TargetReached, ...] = ()  # in the order reached, the goal last

@@ -132,7 +132,11 @@ class JointSpace:
         Of rotations whose turns count only those with limits.
         """
         low, high = self._ranges()
-        turns = np.where(self.drive.is_rotation & (self.drive.wraps | ~self.drive.is_unlimited), np.round((q - (low + high) / 2) / (2 * math.pi)), 0.0)
+        turns = np.where(
+            self.drive.is_rotation & (self.drive.wraps | ~self.drive.is_unlimited),
+            np.round((q - (low + high) / 2) / (2 * math.pi)),
+            0.0,
+        )
         return np.asarray(q - 2 * math.pi * turns)
 
     def sample(self, rng: np.random.Generator, count: int) -> Array:

@@ -80,7 +80,7 @@ def plan(
     if not start.valid:
         reason = start_trouble(checker) or start.reason
         raise NoAnswerError(f"{scenario.path or scenario.name}: start: the start state is not valid: {reason}.")
-    if other := other_start(scenario.robot, scenario.start):
+    if other := other_start(scenario, scenario.start):
         raise NoAnswerError(f"{scenario.path or scenario.name}: start: {other[0].lower()}{other[1:]}.")
     friction_law(scenario.robot)  # calibrated before the search's time begins, if it is not known yet
     with interrupt_event(interrupted) as interrupted:
@@ -164,7 +164,7 @@ def _stages(
     start, targets = scenario.start, scenario.targets
     share = asked.budget / max(1, sum(goal.line_m is None for goal in targets))  # lines to follow take none
     for k, goal in enumerate(targets):
-        stage = replace(scenario, start=start, goal=nearest_turn(scenario, start, goal), via=())
+        stage = replace(scenario.stage_from(start), goal=nearest_turn(scenario, start, goal))
         checker = MotionChecker(stage, bound_table=asked.bound_table)
         if goal.line_m is not None:
             found.append(_along_line(checker, asked.began))
@@ -244,7 +244,7 @@ class _Finish:
 def _finish(scenario: Scenario, best: Candidate, compensated: bool, report: Report) -> _Finish:
     """Settles and compensates the way to the last target where that is asked for."""
     corners, certificate = best.result.after, best.certificate
-    checker = MotionChecker(replace(scenario, start=corners[0], via=()))
+    checker = MotionChecker(scenario.stage_from(corners[0]))
     notes: tuple[str, ...] = ()
     report(Progress("search", 1.0, certificate.cost_mm))
 

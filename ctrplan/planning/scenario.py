@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.base.units import MM_PER_M
@@ -59,6 +61,10 @@ class Cost:
     stop: float = 2.0  # of each leg, at whose end the drive stops
 
 
+# What is known of friction before a plan: nothing; Section V-A's oscillation released it; there is none.
+StartFriction = Literal["unknown", "oscillated", "released"]
+
+
 @dataclass(frozen=True, eq=False)
 class Scenario:
     """A planning problem; SI units, positions in the anatomy's frame."""
@@ -76,9 +82,15 @@ class Scenario:
     path: str | None = None
     sha256: str = ""  # of the scenario file's content after overrides; the robot has its own
     warnings: tuple[str, ...] = ()  # the robot's included
+    start_friction: StartFriction = "unknown"
     via: tuple[Goal, ...] = ()  # goals to reach before `goal`, in this order
 
     @property
     def targets(self) -> tuple[Goal, ...]:
         """All goals in the order in which they are reached."""
         return (*self.via, self.goal)
+
+    def stage_from(self, start: Array) -> Scenario:
+        """The scenario to its last goal from joints (m,); elsewhere than at its start friction is unknown."""
+        known = np.array_equal(start, self.start)
+        return replace(self, start=start, via=(), start_friction=self.start_friction if known else "unknown")

@@ -136,11 +136,13 @@ def test_bodies_in_friction_states_are_those_of_single_solves() -> None:
 def test_a_start_with_a_second_equilibrium_is_told() -> None:
     """An approach by turns of 90 deg once left the robot 20.1 mm away where a bound of 3.74 mm was certified."""
     q = joints(69.388, 113.694, -56.0136, -82.526)
-    sentence = other_start(ROBOT, q)
+    case = with_sphere(q, (-80.0, 29.4, 149.8), 3.0)
+    sentence = other_start(case, q)
     assert "the tip stands 20.1 mm from the frictionless one, beyond the bound of 3.74 mm" in sentence
-    found = certify(with_sphere(q, (-80.0, 29.4, 149.8), 3.0), q[None])
+    found = certify(case, q[None])
     assert not found.valid and found.problems[0] == f"{sentence}."
-    assert other_start(ROBOT, joints(0, 0, 0, -28.8)) == ""  # aligned tubes have one equilibrium
+    assert other_start(replace(case, start_friction="released"), q) == ""  # nothing came before
+    assert other_start(case, joints(0, 0, 0, -28.8)) == ""  # aligned tubes have one equilibrium
 
 
 def test_half_the_motion_is_taken_off_on_both_sides_of_a_sample() -> None:

@@ -11,7 +11,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.planning.certificate.certify import certify
-from ctrplan.planning.certificate.prediction import predict, predict_end, predict_from
+from ctrplan.planning.certificate.prediction import predict, predict_end, predict_from, start_states
 from ctrplan.planning.finish.alternatives import held_back, translations_first
 from ctrplan.planning.finish.compensate import compensate, corrected
 from ctrplan.planning.finish.oscillate_at_goal import SHAPE, oscillation, settle, turnings
@@ -63,13 +63,13 @@ def test_predicted_error_stays_below_the_worst_case(reordered: Plan) -> None:
 
 def test_prediction_is_the_history_of_every_start() -> None:
     robot = pair().robot
-    whole = predict(robot, TURN_FIRST)
+    whole = predict(robot, TURN_FIRST, start_states(pair()))
     for tips, start in zip(whole.tip_m, ["released", (1.0,), (-1.0,)], strict=True):
         history = robot.history(start)
         for q in TURN_FIRST:
             step = history.advance(*robot.drive.collars(q))
         np.testing.assert_allclose(tips[-1], step.shape.tip_m, atol=1e-9)
-    _, states = predict_end(robot, TURN_FIRST[:2])
+    _, states = predict_end(robot, TURN_FIRST[:2], start_states(pair()))
     np.testing.assert_allclose(predict_from(robot, states, TURN_FIRST[1:]).tip_m[:, -1], whole.tip_m[:, -1], atol=5e-5)
 
 
@@ -131,7 +131,7 @@ def test_compensation_brings_the_predicted_tip_to_the_target(turned_last: Array)
     corners, after, compensation = compensate(checker, turned_last, before)
     assert after.valid and not compensation.note
     assert compensation.error_without_m > 4e-3 and compensation.error_with_m < 0.1e-3
-    end = predict(robot, corners).tip_m[:, -1]
+    end = predict(robot, corners, start_states(case)).tip_m[:, -1]
     np.testing.assert_allclose(end, np.broadcast_to(target * 1e-3, end.shape), atol=0.15e-3)
     assert after.goal_tip_error_m <= after.goal_bound_m  # the target stays inside the worst-case envelope
     np.testing.assert_allclose(corners[-1] - turned_last[-1], compensation.correction, atol=1e-12)
@@ -160,3 +160,23 @@ def test_correction_keeps_the_kinds_of_legs() -> None:
 def test_compensation_needs_a_tip_to_bring_somewhere() -> None:
     with pytest.raises(InputError, match="no single tip position"):
         ctrplan.plan(pair(), compensated=True)
+
+
+def test_what_is_known_of_the_start_lowers_predictions_and_no_bound() -> None:
+    """[start] friction: a released start is one of the unknown ones; the bound asks no history."""
+    found = {}
+    for friction in ("unknown", "oscillated", "released"):
+        case = pair(f'start.friction="{friction}"')
+        assert case.start_friction == friction
+        certificate = certify(case, TURN_FIRST[:2])
+        assert certificate.start_friction == friction
+        found[friction] = certificate.samples
+    for known in ("oscillated", "released"):
+        np.testing.assert_array_equal(found[known].bound_m, found["unknown"].bound_m)
+        np.testing.assert_array_equal(found[known].clearance_m, found["unknown"].clearance_m)
+        assert np.all(found[known].released_m <= found["unknown"].released_m + 1e-12)
+        assert found[known].predicted_m[0] < 0.1 * found["unknown"].predicted_m[0]
+    assert found["released"].predicted_m[0] < 1e-5 and found["released"].released_m[0] == 0
+    assert np.all(found["released"].predicted_m <= found["unknown"].predicted_m + 0.1e-3)
+    with pytest.raises(InputError, match="start.friction.*must be one of unknown, oscillated, released"):
+        pair('start.friction="gone"')

@@ -15,7 +15,7 @@ from ctrplan.mechanics.core import Accuracy
 from ctrplan.planning.certificate.allowances import BEYOND_BOUND_M
 from ctrplan.planning.certificate.closest import closest_places
 from ctrplan.planning.certificate.goal_miss import frictionless_miss, goal_miss_m, line_error_m
-from ctrplan.planning.certificate.prediction import Prediction, predict, rows_to_simulate
+from ctrplan.planning.certificate.prediction import Prediction, predict, rows_to_simulate, start_states
 from ctrplan.planning.certificate.walked_legs import WalkedLegs, walk_legs
 from ctrplan.planning.certificate.walked_piece import Piece
 from ctrplan.planning.certified import Certificate, CertificateSamples, TargetReached
@@ -94,6 +94,7 @@ def finished(walk: WalkedLegs, arrival: Arrival = frictionless_arrives) -> Certi
         worst_play_m=float(samples.play_m.max()),
         goal_play_m=float(samples.play_m[-1]),
         targets=(_target(walk, samples),),
+        start_friction=scenario.start_friction,
         nominal=closest.nominal,
         closest=closest.friction,
         walk_again=partial(_walked_again, scenario, walk.corners, walk.accuracy, arrival),
@@ -144,7 +145,7 @@ def _predicted(
     """Simulated histories along the samples, and the samples with their errors; the bound where a simulation failed."""
     robot = scenario.robot
     rows = rows_to_simulate(robot, samples.joints, samples.leg)
-    prediction = predict(robot, samples.joints[rows], accuracy)
+    prediction = predict(robot, samples.joints[rows], start_states(scenario), accuracy)
     frictionless = samples.tip_m[rows]
     finer = np.concatenate(
         [np.full(len(p.samples.fraction) - (k > 0), p.accuracy != accuracy) for k, p in enumerate(pieces)]

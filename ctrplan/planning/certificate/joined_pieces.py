@@ -2,32 +2,35 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.planning.certificate.prediction import start_load
 from ctrplan.planning.certificate.walked_piece import Piece
 from ctrplan.planning.certified import CertificateSamples
 from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.motion import released_error
 from ctrplan.robot.friction_calibration import friction_law
-from ctrplan.robot.robot import Robot
+
+if TYPE_CHECKING:
+    from ctrplan.planning.scenario import Scenario
 
 
-def joined_samples(robot: Robot, space: JointSpace, corners: Array, pieces: list[Piece]) -> CertificateSamples:
+def joined_samples(scenario: Scenario, space: JointSpace, corners: Array, pieces: list[Piece]) -> CertificateSamples:
     """One table over all pieces; the first sample of every piece but the first repeats the last one before it."""
     starts = np.concatenate([[0.0], np.cumsum([space.length_mm(d) for d in np.diff(corners, axis=0)])])
     columns: dict[str, list[NDArray[Any]]] = {name: [] for name in CertificateSamples.__dataclass_fields__}
-    load = np.ones(robot.n - 1)
+    load = start_load(scenario)
     for number, piece in enumerate(pieces):
         s = piece.samples
         keep = slice(0 if number == 0 else 1, None)
         joints = piece.start + s.fraction[:, None] * (piece.end - piece.start)
         travelled = [space.length_mm(q - corners[piece.leg]) for q in joints]
         ends = space.drive.collars(np.array([piece.start, piece.end]))
-        loads = friction_law(robot).load_left(load, *ends, s.fraction)
+        loads = friction_law(scenario.robot).load_left(load, *ends, s.fraction)
         load = loads[-1]
         rows: dict[str, NDArray[Any]] = {
             "leg": np.full(len(s.fraction), piece.leg),

@@ -16,10 +16,13 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import SolverError
+from ctrplan.mechanics.history import OSCILLATION_DEG
+from ctrplan.robot.friction_calibration import friction_law
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.core import Accuracy
     from ctrplan.mechanics.history import History, HistoryState, Start
+    from ctrplan.planning.scenario import Scenario
     from ctrplan.robot.robot import Robot
 
 STEP_RAD, STEP_M = 0.05, 1e-3  # between configurations at which the simulated tips are looked at
@@ -29,7 +32,7 @@ TIP_TOLERANCE_M = 0.05e-3  # of simulated tips (benchmarks/history.py)
 
 
 MOST_REMEMBERED = 100  # ends of paths
-_ENDS: WeakKeyDictionary[Robot, dict[bytes, _End]] = WeakKeyDictionary()
+_ENDS: WeakKeyDictionary[Robot, dict[tuple[Start, ...], dict[bytes, _End]]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,21 +67,34 @@ class Prediction:
         return float(np.linalg.norm(self.tip_m[:, -1] - self.end_middle_m, axis=1).max())
 
 
-def start_states(robot: Robot) -> list[Start]:
-    """What the robot's friction may be like before a path: released, or fully loaded in any corner."""
-    corners: list[Start] = list(itertools.product((1.0, -1.0), repeat=robot.n - 1)) if robot.n > 1 else []
+def start_states(scenario: Scenario) -> list[Start]:
+    """What the robot's friction may be like before a path: released or fully loaded in any corner, if unknown."""
+    if scenario.start_friction != "unknown":
+        return [scenario.start_friction]
+    pairs = scenario.robot.n - 1
+    corners: list[Start] = list(itertools.product((1.0, -1.0), repeat=pairs)) if pairs else []
     return ["released", *corners]
 
 
-def predict(robot: Robot, joints: Array, accuracy: Accuracy = "search") -> Prediction:
-    """The histories along configurations (K, m) of actuated joints."""
-    histories = [robot.history(start, accuracy=accuracy) for start in start_states(robot)]
+def start_load(scenario: Scenario) -> Array:
+    """(P,) largest |phi| of each pair that the friction law reckons with before a path."""
+    if scenario.start_friction == "released":
+        return np.zeros(scenario.robot.n - 1)
+    if scenario.start_friction == "oscillated":  # the last turn but none
+        last = np.radians(OSCILLATION_DEG[-2]) / friction_law(scenario.robot).loading_rad
+        return np.asarray(np.minimum(last, 1.0))
+    return np.ones(scenario.robot.n - 1)
+
+
+def predict(robot: Robot, joints: Array, starts: Sequence[Start], accuracy: Accuracy = "search") -> Prediction:
+    """The histories along configurations (K, m) of actuated joints, from start states."""
+    histories = [robot.history(start, accuracy=accuracy) for start in starts]
     return _follow(robot, histories, joints)
 
 
-def predict_end(robot: Robot, joints: Array, starts: int | None = None) -> tuple[Prediction, list[HistoryState]]:
-    """As `predict`, from the first few of the start states, and the states at the end, to go on from."""
-    histories = [robot.history(start) for start in start_states(robot)[:starts]]
+def predict_end(robot: Robot, joints: Array, starts: Sequence[Start]) -> tuple[Prediction, list[HistoryState]]:
+    """As `predict`, and the states at the end, to go on from."""
+    histories = [robot.history(start) for start in starts]
     prediction = _follow(robot, histories, joints)
     return prediction, _saved(histories)
 
@@ -88,29 +104,29 @@ def predict_from(robot: Robot, states: Sequence[HistoryState], joints: Array) ->
     return _follow(robot, _restored(robot, states), joints)
 
 
-def goal_error(robot: Robot, joints: Array) -> float:
+def goal_error(robot: Robot, joints: Array, starts: Sequence[Start]) -> float:
     """Largest distance [m] of a simulated tip from the frictionless one after the path (K, m); inf if any failed.
 
     Paths that begin alike share that part of their histories; a robot's last few are remembered.
     """
-    known = _ENDS.setdefault(robot, {})
+    known = _ENDS.setdefault(robot, {}).setdefault(tuple(starts), {})
     shared = next((k for k in range(len(joints), 0, -1) if joints[:k].tobytes() in known), 0)
     for k in range(shared, len(joints)):
         before = known[joints[:k].tobytes()] if k else None
         while len(known) >= MOST_REMEMBERED:
             known.pop(next(iter(known)))
-        known[joints[: k + 1].tobytes()] = _end_after(robot, joints[k], before)
+        known[joints[: k + 1].tobytes()] = _end_after(robot, joints[k], before, starts)
     theta_b, l_b = robot.drive.collars(joints[-1:])
     frictionless = robot.mechanics.tips_with_friction(theta_b, l_b, np.zeros((1, robot.n - 1))).position_m
     error = float(np.linalg.norm(known[joints.tobytes()].tip_m - frictionless, axis=1).max())
     return error if np.isfinite(error) else np.inf
 
 
-def _end_after(robot: Robot, q: Array, before: _End | None) -> _End:
+def _end_after(robot: Robot, q: Array, before: _End | None, starts: Sequence[Start]) -> _End:
     """Where histories are after moving on to q (m,) from where others ended, or at a start there."""
     if before is not None and not before.states:
         return before
-    histories = _restored(robot, before.states) if before else [robot.history(start) for start in start_states(robot)]
+    histories = _restored(robot, before.states) if before else [robot.history(start) for start in starts]
     tips = _follow(robot, histories, q[None]).tip_m[:, -1]
     return _End(tips, _saved(histories) if np.all(np.isfinite(tips)) else [])
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -20,13 +21,22 @@ from ctrplan.errors import SolverError
 from ctrplan.planning.certificate.allowances import BEYOND_BOUND_M
 from ctrplan.robot.robot import Robot
 
+if TYPE_CHECKING:
+    from ctrplan.planning.scenario import Scenario
+
 APPROACH_DEG = 90.0  # of Section V of Ha et al. 2019
 
 _KNOWN: WeakKeyDictionary[Robot, dict[bytes, str]] = WeakKeyDictionary()
 
 
-def other_start(robot: Robot, joints: Array) -> str:
-    """A sentence about an approach to joints (m,) that ends beyond the bound there; empty if none does."""
+def other_start(scenario: Scenario, joints: Array) -> str:
+    """A sentence about an approach to joints (m,) that ends beyond the bound there; empty if none does.
+
+    Where the scenario says what friction is like at its start, no approach comes before it.
+    """
+    robot = scenario.robot
+    if scenario.start_friction != "unknown":
+        return ""
     known = _KNOWN.setdefault(robot, {})
     key = joints.tobytes()
     if key not in known:

@@ -81,15 +81,15 @@ def walk_legs(
     """
     space = JointSpace.of(scenario)
     pieces = walk_pieces(scenario, space, corners, accuracy, progress)
-    samples = joined_samples(scenario.robot, space, corners, pieces)
+    samples = joined_samples(scenario, space, corners, pieces)
     bounds = _bounds(scenario, samples, pieces)
-    problems = [f"{other}."] if (other := other_start(scenario.robot, corners[0])) else []
+    problems = [f"{other}."] if (other := other_start(scenario, corners[0])) else []
     problems += problems_of_walk(scenario, space, corners, pieces)
     for look_closer in (closely_solved, in_every_friction_state):
         if problems:
             break
         pieces = look_closer(scenario, pieces)
-        samples = joined_samples(scenario.robot, space, corners, pieces)
+        samples = joined_samples(scenario, space, corners, pieces)
         problems = problems_of_walk(scenario, space, corners, pieces)
         problems += problems_of_limits(scenario, pieces, samples, bounds)
     if not problems:

@@ -7,7 +7,7 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.base.units import MM_PER_M
 from ctrplan.drive.legs import merge_legs
-from ctrplan.planning.certificate.prediction import goal_error
+from ctrplan.planning.certificate.prediction import goal_error, start_states
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.plan import ComparedWay, leg_kind
 
@@ -54,7 +54,8 @@ def straight_line(corners: Array) -> Array:
 def alternative(checker: MotionChecker, name: str, corners: Array) -> ComparedWay:
     """What a way (K, m) would leave at the goal, and why it must not be driven if so."""
     length = sum(checker.space.length_mm(step) for step in np.diff(corners, axis=0))
-    error = goal_error(checker.scenario.robot, corners) if checker.space.allowed(corners) else np.inf
+    scenario, is_allowed = checker.scenario, checker.space.allowed(corners)
+    error = goal_error(scenario.robot, corners, start_states(scenario)) if is_allowed else np.inf
     return ComparedWay(name, error, float(length), checker.along(corners).reason)
 
 

@@ -11,7 +11,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.base.progress import Progress, part_of
 from ctrplan.base.units import MM_PER_M
 from ctrplan.planning.certificate.certify import certify
-from ctrplan.planning.certificate.prediction import Prediction, predict_end, predict_from
+from ctrplan.planning.certificate.prediction import Prediction, predict_end, predict_from, start_states
 from ctrplan.planning.finish.oscillate_at_goal import settled_again
 from ctrplan.planning.goals.goal_state import target_in_robot_frame
 from ctrplan.planning.motion import MotionChecker
@@ -103,7 +103,7 @@ def _correction(checker: MotionChecker, corners: Array, legs: int, target: Array
     """
     robot, is_rotation = checker.scenario.robot, checker.space.drive.is_rotation
     unchanged = _unchanged(corners, legs, is_rotation)
-    _, states = predict_end(robot, corners[: unchanged + 1])
+    _, states = predict_end(robot, corners[: unchanged + 1], start_states(checker.scenario))
     delta: Array = np.zeros(corners.shape[1])
     best = (np.inf, delta)
     for _ in range(ITERATIONS):

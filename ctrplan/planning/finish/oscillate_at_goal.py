@@ -99,7 +99,7 @@ def _best_first(checker: MotionChecker, corners: Array, amplitude: float, ways: 
     if len(ways) < 2:
         return ways
     robot = checker.scenario.robot
-    _, states = predict_end(robot, corners, starts=1)
+    _, states = predict_end(robot, corners, ["released"])
     goal = robot.drive.collars(corners[-1:])
     tip = robot.mechanics.tips_with_friction(*goal, np.zeros((1, robot.n - 1))).position_m
     errors = []

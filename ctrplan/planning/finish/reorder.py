@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from ctrplan.drive.trajectory import PERIOD, time_parameterise
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.planning.certificate.certify import certify
 from ctrplan.planning.certificate.insertion import follow_the_leader_m
-from ctrplan.planning.certificate.prediction import TIP_TOLERANCE_M, goal_error
+from ctrplan.planning.certificate.prediction import TIP_TOLERANCE_M, goal_error, start_states
 from ctrplan.planning.finish.alternatives import alternative, changes, held_back, straight_line, translations_first
 from ctrplan.planning.motion import Motion, MotionChecker
 from ctrplan.planning.path_cost import path_cost_mm
@@ -79,7 +79,7 @@ def least_error(checker: MotionChecker, corners: Array) -> Reordered:
     before = given.motion_before
     if not before.valid or checker.scenario.cost.error_goal == 0:
         return given
-    robot, ways = checker.scenario.robot, [corners]
+    robot, ways, starts = checker.scenario.robot, [corners], start_states(checker.scenario)
     if not np.array_equal(given.after, corners):
         ways.append(given.after)
     others = [way for base in tuple(ways) for way in held_back(checker, base)]
@@ -88,7 +88,7 @@ def least_error(checker: MotionChecker, corners: Array) -> Reordered:
     ways += [others[k] for k in ranked[:MOST_SIMULATED]]
     if len(ways) == 1:
         return given
-    errors = np.array([goal_error(robot, way) for way in ways])
+    errors = np.array([goal_error(robot, way, starts) for way in ways])
     motions = [before, *(checker.along(way) for way in ways[1:])]
     costs = np.array([_way_cost(checker, motion) for motion in motions])
     open_to = (costs <= costs[0] + 1e-9) & np.isfinite(errors)
@@ -299,7 +299,7 @@ def _compared(scenario: Scenario, stage: Reordered, driven: Array) -> dict[str, 
     """
     if stage.on_line:
         return {}
-    checker = MotionChecker(replace(scenario, start=stage.after[0], via=()))
+    checker = MotionChecker(scenario.stage_from(stage.after[0]))
     ways = {
         "as given": stage.before,
         "as driven": driven,

@@ -11,7 +11,6 @@ from ompl import base as ob
 from ctrplan.base.arrays import Array
 from ctrplan.planning.joint_space import JointSpace
 
-
 TURNS_RAD = 4 * math.pi  # either way, of unlimited rotations whose turns lead elsewhere
 
 
