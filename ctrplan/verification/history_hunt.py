@@ -46,6 +46,7 @@ class HistoryHunt:
         ends = case.way.places_of(np.arange(len(case.plan.waypoints), dtype=np.float64))
         self.grid = np.unique(np.concatenate([np.linspace(0, 1, GRID), ends]))
         self.kept: dict[str, tuple[float, Before]] = {}
+        self.starts = [(0.0,) * case.pairs, *_corners(case.pairs)]
         self.number = 0
         self.snaps = 0  # of simulated robots on the way
         self.mesh: Accuracy = "certificate" if case.accuracy == "exact" else case.accuracy
@@ -68,34 +69,41 @@ class HistoryHunt:
         case.note([f for f in found if f.accuracy == self.mesh or f.claim == "predicted"])
 
     def _drawn(self) -> Before:
-        """The starts that certificates simulate first, then drawn ones, or the worst with other amplitudes."""
-        starts = [(0.0,) * self.case.pairs, *_corners(self.case.pairs)]
-        self.number += 1
-        none = np.empty((0, len(self.case.way.joints[0])))
-        if self.number <= len(starts):
-            return Before(none, starts[self.number - 1])
+        """The starts that certificates simulate, each second; else turns, or the worst ones with other amplitudes."""
+        number, self.number = self.number, self.number + 1
+        if number % 2 == 0 and number // 2 < len(self.starts):
+            return Before(np.empty((0, len(self.case.way.joints[0]))), self.starts[number // 2])
         if self.kept and self.rng.random() < KEPT:
-            _, worst = list(self.kept.values())[self.number % len(self.kept)]
+            _, worst = list(self.kept.values())[number % len(self.kept)]
             if len(worst.joints):
-                start = self.case.way.joints[0]
-                turns = (worst.joints - start) * self.rng.uniform(0.6, 1.5, worst.joints.shape)
-                return replace(worst, joints=self._limited(start + turns))
-        low, high = SMALL_DEG if self.number % 3 else LARGE_DEG
-        count = int(self.rng.integers(1, MOST_TURNS + 1))
-        amplitude = np.radians(np.exp(self.rng.uniform(np.log(low), np.log(high), (count, 1))))
-        rotates = self.case.robot.drive.is_rotation
-        turns = np.where(rotates, amplitude * self.rng.uniform(-1, 1, (count, len(rotates))), 0.0)
-        return Before(self._limited(self.case.way.joints[0] + turns), (0.0,) * self.case.pairs)
+                turns = worst.joints - self.case.way.joints[0]
+                return replace(worst, joints=self._turned(turns * self.rng.uniform(0.6, 1.5, turns.shape)))
+        return Before(self._turned(self._turns(*(LARGE_DEG if number % 4 < 2 else SMALL_DEG))), self.starts[0])
 
-    def _limited(self, joints: Array) -> Array:
+    def _turns(self, low_deg: float, high_deg: float) -> Array:
+        """(H, m) joint motions: some turns of amplitudes between the two, of all joints or of neighbours against each
+        other.
+        """
+        count = int(self.rng.integers(1, MOST_TURNS + 1))
+        amplitude = np.radians(np.exp(self.rng.uniform(np.log(low_deg), np.log(high_deg), (count, 1))))
+        rotates = self.case.robot.drive.is_rotation
+        share = self.rng.uniform(-1, 1, (count, len(rotates)))
+        if self.rng.integers(2):
+            relative = np.cumsum(self.rng.choice((-1.0, 1.0), (count, self.case.robot.n)), axis=1)
+            share = np.linalg.lstsq(self.case.robot.drive.matrix_theta, relative.T, rcond=None)[0].T
+        turns: Array = np.where(rotates, amplitude * share, 0.0)
+        return turns
+
+    def _turned(self, turns: Array) -> Array:
+        """(H, m) joints that turns (H, m) away from the start reach within limits."""
         drive = self.case.robot.drive
-        limited: Array = np.clip(joints, drive.lower, drive.upper)
-        return limited
+        joints: Array = np.clip(self.case.way.joints[0] + turns, drive.lower, drive.upper)
+        return joints
 
     def _end(self) -> float:
         """How far the way is followed: to its end, or to where little clearance was found."""
         tight = self.case.worst.get("clearance")
-        if self.number <= 1 + len(_corners(self.case.pairs)) or tight is None:
+        if self.number <= 2 * len(self.starts) or tight is None:
             return 1.0
         return (1.0, tight.place, float(self.rng.random() ** 2))[self.number % 3]
 

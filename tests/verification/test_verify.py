@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
+import csv
+import shlex
+import threading
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from places import SCENARIOS
+from claimed_plans import claiming, scene
 from scipy.spatial.transform import Rotation
 
-import ctrplan
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.sphere import Sphere
-from ctrplan.drive.trajectory import time_parameterise
+from ctrplan.cli import main
 from ctrplan.errors import InputError
-from ctrplan.files.bare_scenario import bare_scenario
 from ctrplan.files.plan_file import WrittenPlan
-from ctrplan.planning.certificate.certify import certify
-from ctrplan.planning.plan import Certificate, Leg, Plan, ReorderReport, leg_kind
-from ctrplan.planning.scenario import Scenario
+from ctrplan.planning.plan import Certificate, Plan
+from ctrplan.verification.scene import write_scene
 from ctrplan.verification.verify import Verification, verify
 
-LITTLE = 4_000  # units of work
+LITTLE = 5_000  # units of work
 SHORT_WAYPOINTS = [[0, 0, 0, -80], [0, 8, 12, -80], [0, 8, 12, -77]]
 
 
@@ -36,35 +37,6 @@ def short(make_plan: Callable[..., Plan]) -> Plan:
 @pytest.fixture(scope="module")
 def judged(short: Plan) -> Verification:
     return verify(short, work=LITTLE)
-
-
-def claiming(scenario: Scenario, end: list[float], change: Callable[[Certificate], Certificate] = lambda c: c) -> Plan:
-    """A plan with one leg whose certificate says that it is valid, whatever walking it found."""
-    drive = scenario.robot.drive
-    points = np.array([scenario.start, np.multiply(end, [joint.si_per_unit for joint in drive.joints])])
-    aimed = replace(scenario, goal=replace(scenario.goal, joints=points[1]))
-    certificate = replace(certify(aimed, points), valid=True, problems=())
-    return Plan(
-        scenario=aimed,
-        seed=0,
-        planner="given path",
-        style="simultaneous",
-        legs=(Leg(points[0], points[1], leg_kind(drive, *points)),),
-        certificate=change(certificate),
-        trajectory=time_parameterise(points, drive),
-        reorder=ReorderReport(0, 0, 0, 0, 0, 0, 0, 0),
-        search_time_s=0,
-        first_found_s=0,
-        first_certified_s=0,
-    )
-
-
-def scene(start_deg_mm: list[float], center_mm: list[float], radius_mm: float, margin_mm: float) -> Scenario:
-    """The robot of Table II beside a sphere."""
-    robot = ctrplan.load_robot(SCENARIOS / "robots" / "three_tube.toml")
-    sphere = AnatomyPart(Sphere(np.multiply(center_mm, 1e-3), radius_mm * 1e-3), margin_m=margin_mm * 1e-3)
-    start = np.multiply(start_deg_mm, [joint.si_per_unit for joint in robot.drive.joints])
-    return replace(bare_scenario(robot), anatomy=(sphere,), start=start)
 
 
 def test_what_holds_is_kept(judged: Verification) -> None:
@@ -187,14 +159,39 @@ def raised(certificate: Certificate) -> Certificate:
     return replace(certificate, min_clearance_m=0.14e-3)
 
 
-def test_second_equilibria_before_the_start_are_found() -> None:
+@pytest.fixture(scope="module")
+def second_branch() -> Verification:
     """H2 of issue 23: small turns before the start leave the robot 20 mm away, inside the obstacle."""
     given = scene([69.388, 113.694, -56.0136, -82.526], [-8.1, 29.4, 149.8], 3.0, 0.5)
-    plan = claiming(given, [69.388, 113.694, -53.0, -82.526])
-    found = verify(plan, work=5 * LITTLE)
-    assert {"clearance", "bound"} <= {broken.claim for broken in found.broken}
-    worst = found.counterexample
+    return verify(claiming(given, [69.388, 113.694, -53.0, -82.526]), work=12_000)
+
+
+def test_second_equilibria_before_the_start_are_found(second_branch: Verification) -> None:
+    assert {"clearance", "bound"} <= {broken.claim for broken in second_branch.broken}
+    worst = second_branch.counterexample
     assert worst is not None and worst.before is not None and worst.value < -3e-3
+
+
+def test_a_scene_of_a_history_replays(second_branch: Verification, tmp_path: Path) -> None:
+    found = second_branch.counterexample
+    assert found is not None
+    _, simulate = write_scene(tmp_path, second_branch, found)
+    assert main(shlex.split(simulate)[1:]) == 0
+    with (tmp_path / "replay" / "poses.csv").open() as stream:
+        *_, last = csv.DictReader(stream)
+    assert float(last["deviation_mm"]) > 15 and float(last["bound_mm"]) < 5
+
+
+def test_what_was_found_before_an_interruption_is_kept(short: Plan) -> None:
+    stop, asked = threading.Event(), [0]
+
+    def progress(stage: str, share: float) -> None:
+        asked[0] += stage == "hunting"
+        if asked[0] > 3:
+            stop.set()
+
+    found = verify(short, progress=progress, interrupted=stop)
+    assert found.interrupted and found.worst and found.work < LITTLE
 
 
 def test_files_that_are_no_plan_are_refused() -> None:
