@@ -59,9 +59,9 @@ def recomputed_differences(plan: WrittenPlan, progress: Progress | None = None) 
     fresh = json.loads(json.dumps(plan_to_json(again)))
     said = [key for key in KEYS if plan.content.get(key, ...) is not None]
     found = [d for key in said for d in _differences(key, plan.content.get(key, ...), fresh[key])]
-    settled = plan.content.get("settling"), fresh["settling"]
-    if None not in settled:
-        found += [d for key in SETTLED for d in _differences(f"settling.{key}", *(s.get(key, ...) for s in settled))]
+    stated, settled = plan.content.get("settling"), fresh["settling"]
+    if stated is not None and settled is not None:
+        found += [d for key in SETTLED for d in _differences(f"settling.{key}", stated.get(key, ...), settled[key])]
     return (*found, *_played(plan))
 
 
