@@ -3,9 +3,10 @@
 python benchmarks/certificate_hunt.py [--scenes 1000] [--processes 2] [--seed 1] [--only NUMBER] [--file RESULTS.jsonl]
 
 Scene by scene: one of seven robots (two, three and four tubes, loose and tight clearance), a short motion from a random
-configuration, one sphere, rod or plate. Of half of the scenes, "between", it stands beside a body point in a random
-friction state between the corners; of the others, "random", somewhere beside the frictionless body, farther off.
-`certify` walks the motion. Three judges look for a hit, with the distances of `ctrplan.verification`:
+configuration, one sphere, rod or plate. In half of the scenes, "between", it stands beside a body in a random friction
+state between the corners, up to 1.5 mm within it, and yet 0.2 mm clear of frictionless and corner shapes where such a
+place is found; in the others, "random", it stands somewhere beside the frictionless body, farther off. `certify` walks
+the motion. Three judges look for a hit, with the distances of `ctrplan.verification`:
 
 - grid: bodies on a grid of friction states at 5 places of the motion; 401 states of one pair, 41 x 41 of two, 9 x 9 x 9
   of three (coarser per pair);
@@ -68,6 +69,8 @@ NEAR_M = 1.5e-3  # on the coarse mesh, within which the fine one decides
 APART_M = 1e-3  # of every state: a certificate should not refuse such a scene
 BEYOND_M, BEYOND_SHARE = 0.3e-3, 0.02
 TURN_RAD, SLIDE_M = 0.2, 3e-3
+CLEAR_M = {"between": 0.2e-3, "random": 1e-3}  # of frictionless and corner shapes, in the middle of the motion
+MOST_DRAWN = 200  # obstacles, until one leaves these shapes so much
 
 
 @cache
@@ -149,16 +152,32 @@ def case(number: int, seed: int) -> Case:
         way = np.array([start, start + step])
         if space.allowed(way):
             break
-    phi = rng.uniform(-1, 1, (1, robot.n - 1)) * (kind == "between")
-    body = robot.mechanics.friction_bodies(*robot.drive.collars(way.mean(axis=0)), phi)
+    collars, least = robot.drive.collars(way.mean(axis=0)), CLEAR_M[kind]
+    for _ in range(MOST_DRAWN):
+        obstacle = ("sphere", "rod", "plate")[int(rng.integers(3))]
+        part = AnatomyPart(_beside(robot, collars, kind, obstacle, rng))
+        if _corner_room(robot, collars, part) >= least:
+            break
+    return Case(name, kind, obstacle, replace(bare_scenario(robot), anatomy=(part,), start=way[0]), way)
+
+
+def _beside(robot: Robot, collars: tuple[Array, Array], kind: str, obstacle: str, rng: np.random.Generator) -> Shape:
+    """An obstacle beside, or a little within, a body in a friction state; or farther off the frictionless one."""
+    between = kind == "between"
+    phi = rng.uniform(-1, 1, (1, robot.n - 1)) * between
+    body = robot.mechanics.friction_bodies(*collars, phi)
     place = len(body.radius_m) - 1 - int(rng.integers(len(body.radius_m) // 2 + 1))
     side = rng.standard_normal(3)
-    away = rng.uniform(0.0, 4e-3) if kind == "between" else rng.uniform(3e-3, 20e-3)
-    obstacle = ("sphere", "rod", "plate")[int(rng.integers(3))]
     side /= np.linalg.norm(side)
-    shape = _obstacle(obstacle, body.point_m[0, place], side, float(body.radius_m[place]) + away, rng)
-    part = AnatomyPart(shape)
-    return Case(name, kind, obstacle, replace(bare_scenario(robot), anatomy=(part,), start=way[0]), way)
+    away = rng.uniform(-1.5e-3, 2.5e-3) if between else rng.uniform(2e-3, 15e-3)
+    return _obstacle(obstacle, body.point_m[0, place], side, float(body.radius_m[place]) + away, rng)
+
+
+def _corner_room(robot: Robot, collars: tuple[Array, Array], part: AnatomyPart) -> float:
+    """Least clearance [m] of the frictionless and the corner shapes: what no certificate overlooks."""
+    phi = np.array([np.zeros(robot.n - 1), *itertools.product((1.0, -1.0), repeat=robot.n - 1)])
+    rooms, _ = _rooms(robot, collars, phi, RawAnatomy.of([part]), "search", 0.5e-3)
+    return float(rooms.min())
 
 
 def _obstacle(kind: str, point: Array, side: Array, away: float, rng: np.random.Generator) -> Shape:

@@ -53,20 +53,21 @@ class HistoryHunt:
 
     def round(self) -> Iterator[None]:
         """One history on the coarse mesh; once more on the judge's where it is the worst of its kind."""
-        case, before = self.case, self._drawn()
-        end = self._end()
-        found = self._driven(before, end, "search")
+        before = self._drawn()
+        found = self._driven(before, self._end(), "search")
+        self._note(found)
         yield
         for aim in ("clearance", "bound"):
             worst = max((f for f in found if f.claim == aim), key=worse, default=None)
             if worst is not None and worse(worst) > self.kept.get(aim, (-np.inf, before))[0]:
                 self.kept[aim] = worse(worst), before
                 if self.mesh != "search":
-                    found = [f for f in found if f.claim != aim]
-                    found += self._driven(before, worst.place, self.mesh, looks=(worst.place,))
+                    self._note(self._driven(before, worst.place, self.mesh, looks=(worst.place,)))
                 yield
-        # The certificate predicts on the coarse mesh, where it must come out again.
-        case.note([f for f in found if f.accuracy == self.mesh or f.claim == "predicted"])
+
+    def _note(self, found: list[Finding]) -> None:
+        """What counts: on the judge's mesh; predictions on the coarse one, where certificates make them."""
+        self.case.note([f for f in found if f.accuracy == ("search" if f.claim == "predicted" else self.mesh)])
 
     def _drawn(self) -> Before:
         """The starts that certificates simulate, each second; else turns, or the worst ones with other amplitudes."""

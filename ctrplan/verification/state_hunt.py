@@ -51,7 +51,7 @@ class StateHunt:
         """case: what is judged."""
         self.case = case
         self.rng = np.random.default_rng([seed, 1])
-        self.corners = np.array(list(itertools.product((1.0, -1.0), repeat=case.pairs))).reshape(-1, case.pairs)
+        self.corners = np.array(list(itertools.product((1.0, -1.0), repeat=case.pairs)))
         self.worst: dict[str, float] = dict.fromkeys(AIMS, -np.inf)
         self.at: dict[str, State] = {}
         self.drawn = 0

@@ -129,7 +129,7 @@ class _Budget:
 def _hunt(case: Case, states: StateHunt, histories: HistoryHunt, budget: _Budget) -> None:
     """Rounds of both, half of the work each; a robot of one tube has no friction states to come from."""
     spent: dict[StateHunt | HistoryHunt, int] = {states: 0, histories: 0}
-    hunts: Sequence[StateHunt | HistoryHunt] = (histories, states) if case.pairs else (states,)
+    hunts: Sequence[StateHunt | HistoryHunt] = (states, histories) if case.pairs else (states,)
     while True:
         hunt = min(hunts, key=lambda hunt: spent[hunt])
         before = case.work

@@ -39,9 +39,11 @@ def claiming(scenario: Scenario, end: list[float], change: Callable[[Certificate
     )
 
 
-def scene(start_deg_mm: list[float], center_mm: list[float], radius_mm: float, margin_mm: float) -> Scenario:
-    """The robot of Table II beside a sphere."""
-    robot = ctrplan.load_robot(SCENARIOS / "robots" / "three_tube.toml")
+def scene(
+    start_deg_mm: list[float], center_mm: list[float], radius_mm: float, margin_mm: float, *overrides: str
+) -> Scenario:
+    """The robot of Table II, its keys overridden, beside a sphere."""
+    robot = ctrplan.load_robot(SCENARIOS / "robots" / "three_tube.toml", overrides)
     sphere = AnatomyPart(Sphere(np.multiply(center_mm, 1e-3), radius_mm * 1e-3), margin_m=margin_mm * 1e-3)
     start = np.multiply(start_deg_mm, [joint.si_per_unit for joint in robot.drive.joints])
     return replace(bare_scenario(robot), anatomy=(sphere,), start=start)

@@ -16,11 +16,15 @@ from claimed_plans import claiming, scene
 from scipy.spatial.transform import Rotation
 
 from ctrplan.anatomy.parts import AnatomyPart
+from ctrplan.anatomy.shapes.capsule import Capsule
 from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.cli import main
 from ctrplan.errors import InputError
+from ctrplan.files.bare_scenario import bare_scenario
 from ctrplan.files.plan_file import WrittenPlan
+from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.planning.plan import Certificate, Plan
+from ctrplan.verification.interval_ends import robots_at_ends
 from ctrplan.verification.scene import write_scene
 from ctrplan.verification.verify import Verification, verify
 
@@ -192,6 +196,48 @@ def test_what_was_found_before_an_interruption_is_kept(short: Plan) -> None:
 
     found = verify(short, progress=progress, interrupted=stop)
     assert found.interrupted and found.worst and found.work < LITTLE
+
+
+BESIDE = ([0, 0, 0, -80], [68, 5, 147], 15, 0.0)
+
+
+def test_play_of_the_drive_is_taken_up() -> None:
+    """With it the robot comes nearer to the sphere; what was found is at an end of the play."""
+    given = [scene([0, 0, 0, -80], [49, 24, 147], 15, 0.0, *play) for play in ((), ("effects.backlash.theta_3_deg=8",))]
+    least = []
+    for scenario in given:
+        found = verify(claiming(scenario, [0, 2, 3, -80]), work=LITTLE)
+        least.append(next(found for found in found.worst if found.claim == "clearance"))
+    assert not least[0].play and set(map(abs, least[1].play)) == {1.0}
+    assert least[1].value < least[0].value - 0.3e-3
+
+
+def test_parameters_at_the_ends_of_their_intervals_are_told_beside_the_claims() -> None:
+    overrides = ["contact.1.friction_coefficient=[0.1, 0.2]", "effects.joint_scale.theta_3=0.01"]
+    given = scene(*BESIDE, *overrides, "effects.joint_scale.ci95={theta_3 = [-0.5, 0.02]}")
+    found = verify(claiming(given, [0, 2, 3, -80]), work=1_500)
+    named = [name for name, _ in robots_at_ends(given.robot)]
+    assert named == [
+        "contact.1.friction_coefficient = 0.1",
+        "effects.joint_scale.theta_3 = -0.5",
+        "effects.joint_scale.theta_3 = 0.02",
+    ]
+    assert found.is_kept and {name for name, _ in found.beside} <= set(named)
+    assert {f.claim for _, f in found.beside} >= {"bound", "clearance", "strain"}
+
+
+def test_a_single_tube_is_judged_on_the_exact_geometry() -> None:
+    """It has no friction states: its clearance to a capsule is that of its own shape, a circle's arc."""
+    section = {"length_mm": 50, "curvature_x_per_m": 0, "curvature_y_per_m": 10.0}
+    tube = {"outer_diameter_mm": 2, "inner_diameter_mm": 1.8, "bending_stiffness_Nm2": 0.01, "poisson_ratio": 0.3}
+    robot = robot_from_dict({"tube": [{**tube, "section": [section]}], "contact": []})
+    rod = Capsule(np.array([0.03, -0.01, 0.03]), np.array([0.03, 0.01, 0.03]), 2e-3)
+    scenario = replace(bare_scenario(robot), anatomy=(AnatomyPart(rod),))
+    found = verify(claiming(scenario, [0, 0]), work=300, accuracy="exact")
+    assert found.is_kept
+    (least,) = (f for f in found.worst if f.claim == "clearance")
+    away = np.hypot(0.03 - 0.1, 0.03) - 0.1  # of the axis from the circle about (0.1, 0, 0)
+    assert least.value == pytest.approx(abs(away) - 2e-3 - 1e-3, abs=1e-6)
 
 
 def test_files_that_are_no_plan_are_refused() -> None:
