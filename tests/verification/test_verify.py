@@ -203,7 +203,8 @@ BESIDE = ([0, 0, 0, -80], [68, 5, 147], 15, 0.0)
 
 def test_play_of_the_drive_is_taken_up() -> None:
     """With it the robot comes nearer to the sphere; what was found is at an end of the play."""
-    given = [scene([0, 0, 0, -80], [49, 24, 147], 15, 0.0, *play) for play in ((), ("effects.backlash.theta_3_deg=8",))]
+    widths = [f"effects.backlash.theta_{k}_deg=8" for k in (1, 2, 3)]
+    given = [scene([0, 0, 0, -80], [49, 24, 147], 15, 0.0, *play) for play in ((), widths)]
     least = []
     for scenario in given:
         found = verify(claiming(scenario, [0, 2, 3, -80]), work=LITTLE)
@@ -233,7 +234,7 @@ def test_a_single_tube_is_judged_on_the_exact_geometry() -> None:
     robot = robot_from_dict({"tube": [{**tube, "section": [section]}], "contact": []})
     rod = Capsule(np.array([0.03, -0.01, 0.03]), np.array([0.03, 0.01, 0.03]), 2e-3)
     scenario = replace(bare_scenario(robot), anatomy=(AnatomyPart(rod),))
-    found = verify(claiming(scenario, [0, 0]), work=300, accuracy="exact")
+    found = verify(claiming(scenario, [0, 0]), work=3_000, accuracy="exact")
     assert found.is_kept
     (least,) = (f for f in found.worst if f.claim == "clearance")
     away = np.hypot(0.03 - 0.1, 0.03) - 0.1  # of the axis from the circle about (0.1, 0, 0)
