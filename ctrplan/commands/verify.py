@@ -30,7 +30,8 @@ examples:
 """
 CLAIMS = {
     "clearance": "clearance",
-    "bound": "friction error beyond its bound",
+    "bound": "friction error at its place",
+    "worst bound": "largest friction error",
     "predicted": "predicted friction error",
     "stability": "least stability",
     "strain": "largest strain",

@@ -17,6 +17,12 @@ from ctrplan.verification.driven_way import DrivenWay
 from ctrplan.verification.finding import Finding
 from ctrplan.verification.raw_distance import RawAnatomy
 
+WHOLE_WAY = {  # claims about all of it, and their keys in plan.json
+    "clearance": "min_clearance_m",
+    "worst bound": "worst_bound_m",
+    "stability": "min_stability",
+    "strain": "max_strain",
+}
 COST: dict[Accuracy, int] = {"search": 15, "certificate": 30, "exact": 80}  # of a solve, in units of 0.1 ms or so
 
 
@@ -54,8 +60,7 @@ class Case:
             after = min(int(np.searchsorted(self.sample_place, place)), len(self.sample_place) - 1)
             column = self.bound_m if claim == "bound" else self.predicted_m
             return float(np.nanmax([column[max(after - 1, 0)], column[after], np.nan_to_num(column[after])]))
-        keys = {"clearance": "min_clearance_m", "stability": "min_stability", "strain": "max_strain"}
-        value = self.plan.certificate[keys[claim]]
+        value = self.plan.certificate[WHOLE_WAY[claim]]
         return np.nan if value is None else float(value)
 
     def collars(self, place: float, play: tuple[float, ...] = ()) -> tuple[Array, Array]:
@@ -90,14 +95,17 @@ class Case:
         self.work += 2 * COST[mesh]
         try:
             collars = self.collars(place, play)
-            free, shape = (self.robot.solve(*collars, state, accuracy=mesh) for state in (np.zeros(self.pairs), phi))
+            states = np.array([np.zeros(self.pairs), phi])
+            free, shape = (self.robot.solve(*collars, state, accuracy=mesh) for state in states)
+            bodies = self.robot.mechanics.friction_bodies(*collars, states, spacing_m=5e-3, accuracy=mesh)
         except CtrplanError:
             return []
         if Status.FAILED in (free.status, shape.status):
             return []
-        origin = self.finding("stability", float(free.stability), place, (0.0,) * self.pairs, free, play=play)
         found = self.of_shape(shape, None if play else free.tip_m, place, phi, play=play)
-        return [replace(f, accuracy=mesh) for f in ([*found, origin] if np.isfinite(free.stability) else found)]
+        for state, solved, stability in zip(states, (free, shape), bodies.stability, strict=True):
+            found.append(self.finding("stability", float(stability), place, tuple(state), solved, play=play))
+        return [replace(f, accuracy=mesh) for f in found]
 
     def of_shape(
         self,
@@ -117,7 +125,7 @@ class Case:
             found.append(replace(least, tube=tube, point_m=point))
         if free_tip_m is not None:
             off = float(np.linalg.norm(shape.tip_m - free_tip_m))
-            found.append(self.finding("bound", off, place, phi, shape, before=before))
+            found += [self.finding(claim, off, place, phi, shape, before=before) for claim in ("bound", "worst bound")]
         return found
 
     def finding(

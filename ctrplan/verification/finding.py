@@ -9,9 +9,16 @@ from ctrplan.base.units import MM_PER_M
 from ctrplan.mechanics.accuracy import Accuracy
 
 # By how much a figure may miss its claim, and what share of the claim comes on top: rounding, or what the meshes of
-# certificate and judge differ by. Clearances are claimed with their allowance for that (docs/planning.md).
-ALLOWED = {"clearance": 0.01e-3, "bound": 0.3e-3, "predicted": 0.3e-3, "stability": 0.01, "strain": 0.2e-3}
-SHARE = {"clearance": 0.0, "bound": 0.02, "predicted": 0.02, "stability": 0.02, "strain": 0.02}
+# certificate and judge differ by. Clearances and worst bounds are claimed with an allowance for that.
+ALLOWED = {
+    "clearance": 0.01e-3,
+    "worst bound": 0.01e-3,
+    "bound": 0.3e-3,
+    "predicted": 0.3e-3,
+    "stability": 0.01,
+    "strain": 0.2e-3,
+}
+SHARE = {"clearance": 0.0, "worst bound": 0.0, "bound": 0.02, "predicted": 0.02, "stability": 0.02, "strain": 0.02}
 SMALLER_IS_WORSE = ("clearance", "stability")
 
 

@@ -156,7 +156,7 @@ class HistoryHunt:
 
     def _tips(self, tips: Array, off: Array, places: Array, before: Before) -> list[Finding]:
         """The worst against the bound, and against the certificate's own prediction where it simulated the same."""
-        case, claims = self.case, ["bound"] if len(before.joints) else ["bound", "predicted"]
+        case, claims = self.case, ["bound", "worst bound", *([] if len(before.joints) else ["predicted"])]
         found = []
         for claim in claims:
             excess = np.array([d - case.stated(claim, p) for d, p in zip(off, places, strict=True)])

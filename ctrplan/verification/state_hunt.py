@@ -18,7 +18,7 @@ DRAWN = 8  # states at a place, besides the corners
 STEPS, FINE_STEPS = (0.4, 0.2, 0.1, 0.05, 0.02), (0.05,)  # of phi in a descent; on the judge's mesh
 PLACE_PER_PHI = 0.1  # step of the place for one of phi
 GOLDEN = 0.6180339887498949
-AIMS = ("clearance", "bound", "strain")
+AIMS = ("clearance", "bound", "strain", "stability")
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +37,7 @@ class Scores:
     clearance: Array  # (S,) less clearance [m]; -inf in free space, or where unsolved
     bound: Array  # (S,) tip's deviation beyond what is claimed [m]
     strain: Array  # (S,) beyond what is claimed
+    stability: Array  # (S,) less of it than claimed
 
     def of(self, aim: str) -> Array:
         """By the name of the claim."""
@@ -55,12 +56,10 @@ class StateHunt:
         self.worst: dict[str, float] = dict.fromkeys(AIMS, -np.inf)
         self.at: dict[str, State] = {}
         self.drawn = 0
-        self.steadiest = (np.inf, 0.0)  # least stability, and its place
 
     def round(self) -> Iterator[None]:
         """Looks at some places, and goes downhill from the worst state found there. Yields where it may be stopped."""
         best: dict[str, tuple[float, State]] = {}
-        self._steady()
         for place in self._places():
             phi = np.vstack([self.corners, self.rng.uniform(-1, 1, (DRAWN, self.case.pairs))])
             play = self._play()
@@ -71,7 +70,7 @@ class StateHunt:
                     best[aim] = max(best.get(aim, found), found, key=lambda pair: pair[0])
             yield
         for aim, (score, state) in best.items():
-            if aim == "strain" and score <= self.worst[aim]:
+            if aim in ("strain", "stability") and score <= self.worst[aim]:
                 continue
             descended, state = self._downhill(aim, score, state)
             yield
@@ -89,9 +88,9 @@ class StateHunt:
             states = np.vstack([np.zeros((1, case.pairs)), phi])
             bodies = case.robot.mechanics.friction_bodies(*collars, states, spacing_m=2e-3)
         except CtrplanError:
-            return Scores(none, none, none)
+            return Scores(none, none, none, none)
         if not bodies.solved[0]:
-            return Scores(none, none, none)
+            return Scores(none, none, none, none)
         off = np.linalg.norm(bodies.point_m[1:, -1] - bodies.point_m[0, -1], axis=1)
         excess = none if state.play else off - case.stated("bound", state.place)
         room = none
@@ -102,7 +101,9 @@ class StateHunt:
             case.work += len(phi)
         solved = bodies.solved[1:]
         strain = bodies.max_strain[1:] - np.nan_to_num(case.stated("strain", state.place))
-        return Scores(*(np.where(solved & ~np.isnan(s), s, -np.inf) for s in (room, excess, strain)))
+        stability = np.nan_to_num(case.stated("stability", state.place)) - bodies.stability[1:]
+        scores = (room, excess, strain, stability)
+        return Scores(*(np.where(solved & ~np.isnan(s), s, -np.inf) for s in scores))
 
     def _places(self) -> Iterator[float]:
         """The ends first; then spread evenly, every fourth near the worst so far."""
@@ -115,16 +116,6 @@ class StateHunt:
                 yield float(np.clip(near + 0.02 * self.rng.standard_normal(), 0, 1))
             else:
                 yield number * GOLDEN % 1.0
-
-    def _steady(self) -> None:
-        """The stability of the frictionless shape at a place, every other time near the least so far."""
-        least, there = self.steadiest
-        near = np.clip(there + 0.02 * self.rng.standard_normal(), 0, 1)
-        place = float(near if self.drawn % (2 * PLACES) and np.isfinite(least) else self.rng.random())
-        phi = (0.0,) * self.case.pairs
-        found = [f for f in self.case.solved(place, phi, accuracy="search") if f.claim == "stability"]
-        self.case.note(found)
-        self.steadiest = min([self.steadiest, *((f.value, place) for f in found)])
 
     def _play(self) -> tuple[float, ...]:
         """Either end of every collar's play, every other time; empty without play."""

@@ -53,7 +53,7 @@ class Verification:
     @property
     def counterexample(self) -> Finding | None:
         """The broken claim that says most: a clearance before all else."""
-        order = ("clearance", "bound", "stability", "strain", "predicted")
+        order = ("clearance", "worst bound", "bound", "stability", "strain", "predicted")
         return min(self.broken, key=lambda found: order.index(found.claim), default=None)
 
 
@@ -130,6 +130,7 @@ def _hunt(case: Case, states: StateHunt, histories: HistoryHunt, budget: _Budget
     """Rounds of both, half of the work each; a robot of one tube has no friction states to come from."""
     spent: dict[StateHunt | HistoryHunt, int] = {states: 0, histories: 0}
     hunts: Sequence[StateHunt | HistoryHunt] = (states, histories) if case.pairs else (states,)
+    case.note(case.solved(1.0, (1.0,) * case.pairs))  # something to tell, whenever the hunt is ended
     while True:
         hunt = min(hunts, key=lambda hunt: spent[hunt])
         before = case.work

@@ -24,6 +24,7 @@ from ctrplan.files.bare_scenario import bare_scenario
 from ctrplan.files.plan_file import WrittenPlan
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.planning.plan import Certificate, Plan
+from ctrplan.verification.finding import ALLOWED
 from ctrplan.verification.interval_ends import robots_at_ends
 from ctrplan.verification.scene import write_scene
 from ctrplan.verification.verify import Verification, verify
@@ -45,7 +46,7 @@ def judged(short: Plan) -> Verification:
 
 def test_what_holds_is_kept(judged: Verification) -> None:
     assert judged.is_kept and judged.counterexample is None
-    assert {found.claim for found in judged.worst} == {"clearance", "bound", "predicted", "stability", "strain"}
+    assert {found.claim for found in judged.worst} == set(ALLOWED)
     for found in judged.worst:
         assert np.isfinite(found.value) and np.isfinite(found.stated) and found.leg in (1, 2)
         assert 0 <= found.time_s <= judged.plan.time_s[-1]
