@@ -29,7 +29,7 @@ from ctrplan.verification.interval_ends import robots_at_ends
 from ctrplan.verification.scene import write_scene
 from ctrplan.verification.verify import Verification, verify
 
-LITTLE = 5_000  # units of work
+LITTLE = 4_000  # units of work
 SHORT_WAYPOINTS = [[0, 0, 0, -80], [0, 8, 12, -80], [0, 8, 12, -77]]
 
 
