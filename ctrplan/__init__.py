@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from ctrplan.errors import CtrplanError, InputError, NoAnswerError
     from ctrplan.experiment.measurements import Measurements
     from ctrplan.files.measurement_file import load_measurements
+    from ctrplan.files.plan_file import WrittenPlan, load_plan
     from ctrplan.files.robot_file import load_robot
     from ctrplan.files.scenario_file import load_scenario
     from ctrplan.mechanics.core import Bound, Bounds, Shape, Status
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from ctrplan.planning.planner import plan as plan
     from ctrplan.planning.scenario import Scenario
     from ctrplan.robot.robot import Robot
+    from ctrplan.verification.verify import Verification
+    from ctrplan.verification.verify import verify as verify
 
 _HOMES = {
     "Calibration": "calibration.calibrate",
@@ -48,6 +51,10 @@ _HOMES = {
     "load_robot": "files.robot_file",
     "Scenario": "planning.scenario",
     "load_scenario": "files.scenario_file",
+    "load_plan": "files.plan_file",
+    "WrittenPlan": "files.plan_file",
+    "Verification": "verification.verify",
+    "verify": "verification.verify",
     "Plan": "planning",
     "plan": "planning",
     "reorder": "planning",
@@ -68,14 +75,18 @@ __all__ = [
     "Scenario",
     "Shape",
     "Status",
+    "Verification",
+    "WrittenPlan",
     "calibrate",
     "diagnose",
     "load_measurements",
+    "load_plan",
     "load_robot",
     "load_scenario",
     "plan",
     "planning",
     "reorder",
+    "verify",
 ]
 
 

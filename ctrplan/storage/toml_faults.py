@@ -96,7 +96,9 @@ def _fault_in_table(table: dict[Any, Any], kind: inspect.StructType, path: Path)
         if not isinstance(key, str):
             return path, "must be a table whose keys are text"
         if key not in known:
-            return (*path, key), _unknown_key(key, known)
+            if kind.forbid_unknown_fields:
+                return (*path, key), _unknown_key(key, known)
+            continue
         if fault := _fault(value, known[key].type, (*path, key)):
             options = _options(next(f.type for f in msgspec.structs.fields(kind.cls) if f.encode_name == key))
             return ((*path, key), f"must be one of {', '.join(options)}") if options else fault

@@ -1,0 +1,132 @@
+"""`ctrplan verify`: judges a written plan, and shows what breaks it."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from ctrplan.base.arguments import SEED, Number
+from ctrplan.base.interrupts import INTERRUPTED, interrupt_event
+from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
+from ctrplan.commands.progress_bar import ProgressBar
+from ctrplan.storage.output_folder import output_folder
+
+if TYPE_CHECKING:
+    from ctrplan.verification.finding import Finding
+    from ctrplan.verification.verify import Verification
+
+DEFAULT_FOLDER = "counterexample"
+TIME = Number(0, 86400, "s", above=True)
+
+EXAMPLES = """The trajectory is trajectory.csv beside PLAN.json. Without SCENARIO.toml the plan says which one it is.
+Exit code 0: no claim was found broken; 1: one is; 2: the files are no plan of this scenario and robot.
+
+examples:
+  ctrplan verify out/plan.json
+  ctrplan verify out/plan.json scenarios/vessel.toml --time 60 --seed 3
+  ctrplan verify out/plan.json --accuracy exact -o broken --set robot.contact.1.friction_coefficient=0.3
+"""
+CLAIMS = {
+    "clearance": "clearance",
+    "bound": "friction error at its place",
+    "worst bound": "largest friction error",
+    "predicted": "predicted friction error",
+    "stability": "least stability",
+    "strain": "largest strain",
+}
+UNITS = {"stability": (1.0, ""), "strain": (100.0, " %")}
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command to the command line."""
+    parser = commands.add_parser(
+        "verify",
+        help="judge a written plan: hunt for what breaks its certificate",
+        description="Compute the figures of a plan.json anew, and hunt for a state or a history that breaks what its "
+        "certificate claims, apart from planner and certificate. What breaks it is written as a scene.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("plan", metavar="PLAN.json")
+    parser.add_argument("scenario", metavar="SCENARIO.toml", nargs="?")
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="DIR",
+        default=DEFAULT_FOLDER,
+        help="folder for a counter-example (default: %(default)s)",
+    )
+    add_number(parser, "--time", TIME, metavar="S", default=10.0, help="seconds of the hunt (default: 10)")
+    add_number(parser, "--seed", SEED, default=0, help="seed of the hunt (default: %(default)s)")
+    parser.add_argument(
+        "--accuracy",
+        choices=["search", "certificate", "exact"],
+        default="certificate",
+        help="mesh on which findings count (default: %(default)s)",
+    )
+    parser.add_argument("--trajectory", metavar="CSV", help="the trajectory, if it is not beside the plan")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    add_allow_outside_option(parser)
+    add_set_option(parser, "the scenario's key, or the robot's after robot., as the plan was made with")
+    parser.set_defaults(run=run_verify)
+
+
+def run_verify(arguments: argparse.Namespace) -> int:
+    """Runs the command; returns its exit code. Raises InputError for what is no plan."""
+    with interrupt_event() as interrupted:
+        from ctrplan.files.plan_file import load_plan
+        from ctrplan.verification.scene import outputs, write_scene
+        from ctrplan.verification.verify import verify
+
+        plan = load_plan(
+            arguments.plan,
+            arguments.scenario,
+            arguments.overrides,
+            trajectory=arguments.trajectory,
+            allow_outside=arguments.allow_outside,
+        )
+        folder = output_folder(arguments.output, list(outputs(plan.scenario)))
+        terminal = sys.stderr is not None and sys.stderr.isatty()
+        with ProgressBar(quiet=arguments.quiet or not terminal) as bar:
+            result = verify(
+                plan,
+                seed=arguments.seed,
+                time_s=arguments.time,
+                accuracy=arguments.accuracy,
+                progress=bar.show,
+                interrupted=interrupted,
+            )
+        print("\n".join(_report(result)))
+        if (found := result.counterexample) is not None:
+            commands = write_scene(folder, result, found)
+            print(
+                "\n  ".join(
+                    [f"a scene of the broken {found.claim} is in {folder}; look at it, and replay it, with", *commands]
+                )
+            )
+        return 1 if not result.is_kept else INTERRUPTED if result.interrupted else 0
+
+
+def _report(result: Verification) -> Iterator[str]:
+    name = result.plan.scenario.name
+    verdict = "no claim was found broken" if result.is_kept else "the certificate does not hold"
+    yield f"{name}: {verdict}{', interrupted' if result.interrupted else ''}"
+    if result.refusal:
+        yield f"  {result.refusal}"
+    for difference in result.differences:
+        yield f"  {difference.sentence}"
+    yield from (_line(found) for found in result.worst)
+    for parameter, found in result.beside:
+        yield f"{_line(found)}; with {parameter}, which is not claimed"
+    if result.snaps:
+        yield f"  simulated robots snapped {result.snaps} times"
+
+
+def _line(found: Finding) -> str:
+    factor, unit = UNITS.get(found.claim, (1e3, " mm"))
+    stated = "nothing" if found.stated != found.stated else f"{factor * found.stated:.2f}{unit}"
+    broken = "BROKEN: " if found.is_broken else ""
+    figures = f"{broken}{factor * found.value:.2f}{unit} found, {stated} claimed"
+    return f"  {CLAIMS[found.claim]:32} {figures}; {found.where}, {found.how}"

@@ -1,0 +1,183 @@
+"""plan.json and trajectory.csv -> WrittenPlan: a plan read back by strict rules, whoever wrote it."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ctrplan.base.arrays import Array
+from ctrplan.errors import InputError
+from ctrplan.files.plan_entries import PlanEntry
+from ctrplan.files.played_trajectory import places_on_legs, played_samples
+from ctrplan.files.scenario_file import load_scenario
+from ctrplan.planning.plan import Plan
+from ctrplan.planning.plan_json import SCHEMA_VERSION, SI_UNITS, plan_to_json
+from ctrplan.planning.scenario import Scenario
+from ctrplan.storage.file_bytes import file_bytes, file_name
+from ctrplan.storage.toml_document import Document
+
+LARGEST_FILE_BYTES = 200_000_000
+SAME = 1e-9  # of a number of a leg in its two units, and of where legs meet, rad or m
+
+
+@dataclass(frozen=True, eq=False)
+class WrittenPlan:
+    """A plan as it stands in plan.json and trajectory.csv: nothing of it is believed.
+
+    places are (leg + share of it) of the trajectory's samples and of the certificate's samples.
+    """
+
+    scenario: Scenario
+    content: dict[str, Any]  # of plan.json
+    waypoints: Array  # (L + 1, m) joints at the ends of the legs, rad or m
+    time_s: Array  # (T,) of the trajectory
+    position: Array  # (T, m)
+    places: Array  # (T,)
+    certified_places: Array  # (K,)
+    file: str | None = None
+
+    @classmethod
+    def of(cls, plan: Plan) -> WrittenPlan:
+        """The plan as it would be written. Raises InputError for legs that nothing could drive."""
+        content = json.loads(json.dumps(plan_to_json(plan)))
+        return _checked(plan.scenario, content, None, (plan.trajectory.time_s, plan.trajectory.position))
+
+    @property
+    def certificate(self) -> dict[str, Any]:
+        """What is claimed: the certificate's figures by their keys in plan.json."""
+        claimed: dict[str, Any] = self.content["certificate"]
+        return claimed
+
+    def column(self, name: str) -> Array:
+        """(K,) a column of the certificate's samples; NaN where it has no number."""
+        return np.array([np.nan if value is None else value for value in self.certificate["samples"][name]])
+
+
+def load_plan(
+    path: str | os.PathLike[str],
+    scenario: str | os.PathLike[str] | None = None,
+    overrides: Sequence[str] = (),
+    *,
+    trajectory: str | os.PathLike[str] | None = None,
+    allow_outside: bool = False,
+) -> WrittenPlan:
+    """The plan in a plan.json, with the trajectory.csv beside it, or the one named.
+
+    The scenario is that of the file named, or else of the one that the plan names, from here or from the plan's folder;
+    `overrides` are those that were planned with. Raises InputError, one sentence, for what is malformed, of an older
+    version, or of another scenario or robot; and for a trajectory that leaves the plan's legs.
+    """
+    file = file_name(path, "a plan.json")
+    content = _json_object(file)
+    entry = Document(content, file).to(PlanEntry)
+    found = load_scenario(scenario or _scenario_file(entry, file), overrides, allow_outside=allow_outside)
+    _check_origin(entry, found, file)
+    beside = Path(file).parent / "trajectory.csv"
+    return _checked(found, content, file, played_samples(trajectory or beside, found.robot.drive))
+
+
+def _json_object(file: str) -> dict[str, Any]:
+    """The content. Raises InputError unless it is a JSON object of the schema's version."""
+
+    def no_number(name: str) -> float:
+        raise InputError(f"holds {name}, all numbers must be finite", file=file)
+
+    try:
+        text = file_bytes(file, LARGEST_FILE_BYTES, "JSON", "plan").decode("utf-8-sig")
+        content = json.loads(text, parse_constant=no_number)
+    except UnicodeDecodeError as error:
+        raise InputError(f"is not UTF-8 text (byte {error.start})", file=file) from None
+    except json.JSONDecodeError as error:
+        raise InputError(f"is no JSON (line {error.lineno}: {error.msg})", file=file) from None
+    except (RecursionError, ValueError):  # thousands of brackets, or of digits
+        raise InputError("is no JSON that could be read", file=file) from None
+    if not isinstance(content, dict) or "schema_version" not in content:
+        raise InputError("is no plan: it has no schema_version", file=file)
+    version = content["schema_version"]
+    if version != SCHEMA_VERSION or isinstance(version, bool):
+        rule = f"must be {SCHEMA_VERSION}, the version this ctrplan writes: plan the scenario again"
+        raise InputError(rule, file=file, key="schema_version", value=version)
+    return content
+
+
+def _scenario_file(entry: PlanEntry, file: str) -> str:
+    """The scenario's file that the plan names. Raises InputError where there is none."""
+    named = entry.scenario.path
+    for place in [] if named is None else [Path(named), Path(file).parent / named]:
+        if place.is_file():
+            return str(place)
+    raise InputError(
+        "is not here, name the scenario's file after the plan", file=file, key="scenario.path", value=named
+    )
+
+
+def _check_origin(entry: PlanEntry, scenario: Scenario, file: str) -> None:
+    """Raises InputError for the plan of another scenario or robot."""
+    for key, stated, here in (("scenario", entry.scenario, scenario), ("robot", entry.robot, scenario.robot)):
+        if stated.sha256 != here.sha256:
+            place = here.path or here.name
+            rule = f"is that of another {key}: the content of {place} has {here.sha256[:12]}... (with other --set?)"
+            raise InputError(rule, file=file, key=f"{key}.sha256", value=stated.sha256)
+
+
+def _checked(scenario: Scenario, content: dict[str, Any], file: str | None, played: tuple[Array, Array]) -> WrittenPlan:
+    """The plan, if legs, samples and trajectory belong together. Raises InputError otherwise."""
+    document = Document(content, file)
+    entry = document.to(PlanEntry)
+    waypoints = _waypoints(entry, scenario, document)
+    _check_columns(entry, content, waypoints, document)
+    certified = np.array(entry.certificate.samples.joints)
+    rows = places_on_legs(certified, waypoints, file, "certificate.samples.joints")
+    return WrittenPlan(
+        scenario, content, waypoints, *played, places_on_legs(played[1], waypoints, file, "trajectory"), rows, file
+    )
+
+
+def _waypoints(entry: PlanEntry, scenario: Scenario, document: Document) -> Array:
+    """(L + 1, m). Raises InputError for legs that do not follow each other from the scenario's start."""
+    names, joints = [joint.name for joint in entry.joints], scenario.robot.drive.joints
+    if names != list(scenario.robot.drive.names):
+        raise document.fault(f"must be the robot's joints, {', '.join(scenario.robot.drive.names)}", "joints")
+    units = [(joint.name, joint.unit, joint.si_per_unit) for joint in joints]
+    ends = [(_joints(leg.start, units, document, k, "start"), _joints(leg.end, units, document, k, "end"))
+            for k, leg in enumerate(entry.legs)]  # fmt: skip
+    before = scenario.start
+    for k, (start, end) in enumerate(ends):
+        if np.abs(start - before).max() > SAME:
+            where = "the leg before ends" if k else "the scenario starts"
+            raise document.fault(f"must be where {where}", "legs", k, "start")
+        before = end
+    return np.array([ends[0][0], *(end for _, end in ends)])
+
+
+def _joints(
+    given: dict[str, dict[str, float]], units: list[tuple[str, str, float]], document: Document, k: int, end: str
+) -> Array:
+    values = []
+    for name, unit, si_per_unit in units:
+        both = given.get(name, {})
+        if set(both) != {unit, SI_UNITS[unit]}:
+            raise document.fault(f"must have {name!r} in {unit} and in {SI_UNITS[unit]}", "legs", k, end)
+        if abs(both[unit] * si_per_unit - both[SI_UNITS[unit]]) > SAME * max(1.0, abs(both[SI_UNITS[unit]])):
+            rule = f"contradicts itself, {both[unit]:.9g} {unit} is not {both[SI_UNITS[unit]]:.9g} {SI_UNITS[unit]}"
+            raise document.fault(rule, "legs", k, end, name)
+        values.append(both[SI_UNITS[unit]])
+    return np.array(values)
+
+
+def _check_columns(entry: PlanEntry, content: dict[str, Any], waypoints: Array, document: Document) -> None:
+    """Raises InputError for columns of samples of unlike lengths, or rows that are no joint values."""
+    columns, count = content["certificate"]["samples"], len(entry.certificate.samples.joints)
+    for name, column in columns.items():
+        if not isinstance(column, list) or len(column) != count:
+            raise document.fault(f"must hold {count} values, one per sample", "certificate", "samples", name)
+    for k, row in enumerate(entry.certificate.samples.joints):
+        if len(row) != waypoints.shape[1]:
+            rule = f"must be {waypoints.shape[1]} values, one per joint"
+            raise document.fault(rule, "certificate", "samples", "joints", k)
