@@ -24,9 +24,11 @@ if TYPE_CHECKING:
     from ctrplan.mechanics.history import History, HistoryStep
     from ctrplan.planning.finish.reorder import reorder as reorder
     from ctrplan.planning.plan import Plan
+    from ctrplan.planning.plan_uncertainty import uncertainty as uncertainty
     from ctrplan.planning.planner import plan as plan
     from ctrplan.planning.scenario import Scenario
     from ctrplan.robot.robot import Robot
+    from ctrplan.uncertain.bound import bound_with_parameters as bound_with_parameters
 
 _HOMES = {
     "Calibration": "calibration.calibrate",
@@ -51,6 +53,8 @@ _HOMES = {
     "Plan": "planning",
     "plan": "planning",
     "reorder": "planning",
+    "bound_with_parameters": "uncertain.bound",
+    "uncertainty": "planning.plan_uncertainty",
 }
 __all__ = [
     "Bound",
@@ -68,6 +72,7 @@ __all__ = [
     "Scenario",
     "Shape",
     "Status",
+    "bound_with_parameters",
     "calibrate",
     "diagnose",
     "load_measurements",
@@ -76,6 +81,7 @@ __all__ = [
     "plan",
     "planning",
     "reorder",
+    "uncertainty",
 ]
 
 

@@ -1,7 +1,7 @@
 """Bodies of a robot in every corner of friction, and where its uncertain parameters may displace them.
 
-The core differentiates tips, not bodies. Bodies are differenced: solved at the middle of the intervals and at one end of
-each axis of the box. The other end is taken to lie opposite; the worst combination is solved by whoever asks.
+The core differentiates tips, not bodies. Bodies are differenced: solved at the middle of the intervals and at one end
+of each axis of the box. The other end is taken to lie opposite; the worst combination is solved by whoever asks.
 """
 
 from __future__ import annotations

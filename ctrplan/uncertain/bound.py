@@ -52,11 +52,9 @@ def worst_bound_m(
     parameters: UncertainParameters,
     slopes: TipSlopes,
     theta: Array,
-    l: Array,
-    *,
-    solved: bool = True,  # noqa: E741
+    l: Array,  # noqa: E741 (as in the equations)
 ) -> tuple[Array, Array]:
-    """(K,) [m] to first order, and by how much the worst combination, solved, is off that; 0 where not `solved`."""
+    """(K,) [m] to first order, and by how much the worst combination of parameters, solved, is off that."""
     box, (count, states) = OffsetBox.of(parameters), slopes.tip_m.shape[:2]
     away = slopes.tip_m - slopes.tip_m[:, :1]
     lost = np.isnan(away).any(axis=(1, 2)) | np.isnan(slopes.by).any(axis=(1, 2, 3))
@@ -65,7 +63,7 @@ def worst_bound_m(
     length = found.length_m.reshape(count, states)
     state, rows = np.argmax(length, axis=1), np.arange(count)
     beyond = np.zeros(count)
-    for k in rows.tolist() if solved else ():
+    for k in rows.tolist():
         offset = box.middle + box.axes @ found.signs.reshape(count, states, -1)[k, state[k]]
         tip = tips_at(parameters, offset, theta[k : k + 1], l[k : k + 1])[0, state[k]]
         linear = slopes.tip_m[k, state[k]] + slopes.by[k, state[k]] @ offset

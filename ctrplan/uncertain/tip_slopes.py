@@ -1,8 +1,8 @@
 """Tips of a robot in every corner of friction, and their derivatives by its uncertain parameters.
 
-The mechanics differentiate exactly, by the numbers of the robot and by the collars. How these follow from the parameters
-is arithmetic, differenced and joined by the chain rule. Where collars touch, so that one of them can't be moved by
-itself, tips are differenced across the interval instead.
+The mechanics differentiate exactly, by the numbers of the robot and by the collars. How these follow from the
+parameters is arithmetic, differenced and joined by the chain rule. Where collars touch, so that one of them can't be
+moved by itself, tips are differenced across the interval instead.
 """
 
 from __future__ import annotations

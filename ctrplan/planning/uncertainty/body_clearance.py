@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.planning.motion import anatomy_grid
+from ctrplan.planning.anatomy_grid import anatomy_grid
 from ctrplan.uncertain.body_spread import BodySpread, alike, body_at, body_spread
 from ctrplan.uncertain.parameters import UncertainParameters
 from ctrplan.uncertain.worst_case import BaseBall, Farthest, OffsetBox, Sides, farthest, reach_m, rough_reach_m
@@ -29,7 +29,7 @@ class BodyClearance:
     scenario: Scenario
     parameters: UncertainParameters
     theta: Array  # (n,) commanded
-    l: Array  # (n,)
+    l: Array  # (n,)  # noqa: E741 (as in the equations)
     spread: BodySpread
     clearance_m: Array  # (B,) beyond the margins, outer radius taken off, by the anatomy's grid
 
@@ -103,7 +103,7 @@ class BodyClearance:
 
     @cached_property
     def beyond_first_order_m(self) -> float:
-        """Largest difference [m] of points near the anatomy between first order and a solve at the worst combination."""
+        """Largest difference [m] of points near the anatomy from first order, solved at the worst combination."""
         if not self.parameters.count:
             return 0.0
         solved = alike(body_at(self.parameters, self.worst_offset, self.theta, self.l)[0], self.spread.point_m)
@@ -120,12 +120,19 @@ class BodyClearance:
             return 0.0
         return float(self.reach_m[self.near].max()) + self.beyond_first_order_m
 
+    def clearance_at(self, points_m: Array, rows: NDArray[np.int_]) -> Array:
+        """(R,) of some of the points, were they elsewhere, (R, 3)."""
+        found: Array = _distance(self.scenario, points_m) - self._radius_m[rows]
+        return found
+
+    @property
+    def _radius_m(self) -> Array:
+        return np.tile(self.spread.radius_m, len(self.spread.point_m))
+
     def normals(self, rows: NDArray[np.int_]) -> Array:
         """(R, 3) gradients of the clearance at some points, robot frame."""
         shifts = GRADIENT_STEP_M * np.eye(3)
-        ends = [
-            [_distance(self.scenario, self.point_m[rows] + side * shift) for side in (1, -1)] for shift in shifts
-        ]
+        ends = [[_distance(self.scenario, self.point_m[rows] + side * shift) for side in (1, -1)] for shift in shifts]
         found: Array = np.array([(up - down) / (2 * GRADIENT_STEP_M) for up, down in ends]).T
         return found
 
