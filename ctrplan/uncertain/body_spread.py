@@ -29,8 +29,8 @@ class BodySpread:
 
     def sides(self) -> Sides:
         """Of all S N points, one state after the other."""
-        axes = self.sides_m.shape[3]
-        return Sides(self.middle_m.reshape(-1, 3), self.sides_m.reshape(-1, 3, axes))
+        states, count, _, axes = self.sides_m.shape
+        return Sides(self.middle_m.reshape(-1, 3), self.sides_m.reshape(states * count, 3, axes))
 
 
 def body_spread(parameters: UncertainParameters, theta: Array, l: Array) -> BodySpread:  # noqa: E741

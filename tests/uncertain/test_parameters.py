@@ -112,7 +112,10 @@ def calibrated() -> tuple[UncertainParameters, Array]:
     """Parameters read again from the file of a calibration, and the covariance of its fit."""
     truth = {"calibration": {"precurvature_factor_1_1": 1.05, "poisson_ratio_2": 0.35}, "friction": {"mu_1": 0.2}}
     data = measured(PAIR, waypoints(PAIR, 12), truth)
-    names = [*(p.name for p in chain_of(PAIR, data, {}).parameters if "factor_1" != p.name[-8:]), "effects.friction.mu_1"]
+    names = [
+        *(p.name for p in chain_of(PAIR, data, {}).parameters if p.name[-8:] != "factor_1"),
+        "effects.friction.mu_1",
+    ]
     found = calibrate(PAIR, data, names, held_out=0.0)
     return uncertain_parameters(robot_from_dict(found.robot_content())), found.fit.covariance
 
