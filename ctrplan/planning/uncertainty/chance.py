@@ -68,10 +68,15 @@ class Draws:
 
     @classmethod
     def of(
-        cls, parameters: UncertainParameters, registration: Registration, model_error_m: float, count: int = DRAWS
+        cls,
+        parameters: UncertainParameters,
+        registration: Registration,
+        model_error_m: float,
+        count: int = DRAWS,
+        seed: int = SEED,
     ) -> Draws:
         """The same ones every time."""
-        rng = np.random.default_rng(SEED)
+        rng = np.random.default_rng(seed)
         offset = parameters.drawn(rng, count)
         scales = registration.position_sigma_m, registration.rotation_sigma_rad, model_error_m / CHI95
         return cls(offset, *(scale * rng.standard_normal((count, 3)) for scale in scales))
