@@ -1,4 +1,4 @@
-"""Do plans keep what their uncertainty promises? Virtual robots drawn from the intervals of a calibrated file drive them.
+"""Do plans keep what their uncertainty promises? Virtual robots drawn from a calibrated file's intervals drive them.
 
 python benchmarks/coverage.py [--robots N] [--scenarios NAME ...] [--processes N] [--seed N]
 

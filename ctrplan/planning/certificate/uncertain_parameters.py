@@ -42,5 +42,5 @@ def with_parameters(
         parameter_clearance_m=clearance,
     )
     taken = float(clearance[int(np.argmin(found.clearance_m))]) * MM_PER_M
-    shares = f" (uncertain parameters and registration take {taken:.2f} of it)"
+    shares = f" (uncertain parameters and registration take {taken:.2f} mm)"
     return found, wider, problems_of_limits(scenario, found, wider, path_limits(scenario), shares)
