@@ -37,6 +37,7 @@ from ctrplan.planning.anatomy_grid import anatomy_grid
 from ctrplan.planning.certificate.prediction import rows_to_simulate, start_states
 from ctrplan.planning.scenario import Scenario
 from ctrplan.planning.uncertainty.chance import Draws, wilson
+from ctrplan.robot.robot import Robot
 from ctrplan.robot.stated_intervals import StatedIntervals
 from ctrplan.storage.toml_document import read_document
 from ctrplan.uncertain.parameters import uncertain_parameters
@@ -49,8 +50,10 @@ TRUTH = {
     "calibration": {"precurvature_factor_1_1": 1.03, "precurvature_factor_3_2": 0.98, "poisson_ratio_2": 0.34},
     "friction": {"mu_1": 0.21, "mu_2": 0.18},
 }
-NOISE = 1.0  # times 0.1 mm and 0.15 deg
-CONFIGURATIONS = 80
+NOISE = 3.0  # times 0.1 mm and 0.15 deg
+CONFIGURATIONS = 80  # of which those far from snapping are measured, as a laboratory would
+APPROACHES = 5  # of each: both ways of every pair, and an oscillation
+LEAST_STABILITY, LARGEST_BOUND_M = 1.0, 6e-3
 Content = dict[str, Any]
 
 
@@ -62,10 +65,22 @@ def calibrated(seed: int) -> Content:
     content = dict(read_document(ROOT / "scenarios" / "robots" / "three_tube.toml").content)
     noise = {"position_sigma_mm": NOISE * SIGMA_M * 1e3, "tangent_sigma_deg": float(np.degrees(NOISE * SIGMA_RAD))}
     robot = robot_from_dict(content | {"measurement": noise})
-    data = measured(robot, waypoints(robot, CONFIGURATIONS, seed), TRUTH, seed, NOISE)
+    asked = waypoints(robot, CONFIGURATIONS, seed)
+    asked = replace(asked, l_commanded=_inserted(robot, asked.sequence // APPROACHES, seed))
+    bounds = robot.bound_many(asked.theta_commanded[asked.rows], asked.l_commanded[asked.rows])
+    asked = asked.subset((bounds.stability > LEAST_STABILITY) & (bounds.position_m < LARGEST_BOUND_M))
+    data = measured(robot, asked, TRUTH, seed, NOISE)
     base = [p.name for p in BaseParameters().parameters(robot) if "friction" not in p.name]
     names = [name for name in base if name != "stiffness_factor_1"]
     return ctrplan.calibrate(robot, data, [*names, "effects.friction.mu_1", "effects.friction.mu_2"]).robot_content()
+
+
+def _inserted(robot: Robot, configuration: Array, seed: int) -> Array:
+    """(R, 3) base translations [m] of rows: the inner tube anywhere it can be, the same in a configuration's rows."""
+    joints, drive = np.zeros((int(configuration.max()) + 1, len(robot.drive.joints))), robot.drive
+    joints[:, -1] = np.random.default_rng(seed).uniform(drive.lower[-1], drive.upper[-1], len(joints))
+    translations: Array = drive.commanded(joints)[1][configuration]
+    return translations
 
 
 def placed(path: Path, robot: Content, folder: Path) -> Scenario:

@@ -43,7 +43,7 @@ def uncertainty_table(found: Fit, effects: Sequence[Term], before: Fit | None = 
     if len(names) > 1 and np.all(spread[own] > 0):
         shared = (found.covariance / np.outer(spread, spread))[np.ix_(own, own)]
         table["correlated"] = [_file_name(name) for name in names]
-        table["correlation"] = np.round(shared, 4).tolist()
+        table["correlation"] = np.round(shared, 6).tolist()
     return table
 
 

@@ -79,7 +79,7 @@ class UncertainParameters:
     @cached_property
     def is_correlated(self) -> NDArray[np.bool_]:
         """(P,) whether errors go with those of others."""
-        beside: NDArray[np.bool_] = (np.abs(self.correlation - np.eye(self.count)) > 1e-9).any(axis=1)
+        beside: NDArray[np.bool_] = np.any(np.abs(self.correlation - np.eye(self.count)) > 1e-9, axis=1)
         return beside
 
     @property

@@ -11,6 +11,7 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.effects.catalogue import CATALOGUE
@@ -54,8 +55,8 @@ def tips_at(parameters: UncertainParameters, offset: Array, theta: Array, l: Arr
     """
     robot = parameters.robot_at(offset)
     states = friction_states(robot)
-    rows = [np.repeat(part, len(states), axis=0) for part in held_collars(parameters, robot, theta, l)]
-    found = robot.mechanics.tips_with_friction(*rows, np.tile(states, (len(theta), 1)))
+    theta_b, l_b = (np.repeat(part, len(states), axis=0) for part in held_collars(parameters, robot, theta, l))
+    found = robot.mechanics.tips_with_friction(theta_b, l_b, np.tile(states, (len(theta), 1)))
     tip = np.where((found.status == Status.FAILED)[:, None], np.nan, found.position_m)
     return tip.reshape(len(theta), len(states), 3)
 
@@ -65,11 +66,12 @@ def tip_slopes(parameters: UncertainParameters, theta: Array, l: Array) -> TipSl
     robot, states = parameters.robot, friction_states(parameters.robot)
     names, numbers_by = _numbers(parameters)
     joints_by = _collars_by(parameters, theta, l)
-    moved = joints_by.any(axis=(0, 2))
+    moved: NDArray[np.bool_] = np.any(joints_by, axis=(0, 2))
     joints = [f"{kind}.{i + 1}" for kind in ("theta_b", "l_b") for i in range(robot.n)]
-    asked = [*names, *itertools.compress(joints, moved)]
-    rows = [np.repeat(part, len(states), axis=0) for part in held_collars(parameters, robot, theta, l)]
-    found = robot.mechanics.tips_with_friction(*rows, np.tile(states, (len(theta), 1)), parameters=tuple(asked))
+    asked = [*names, *itertools.compress(joints, moved.tolist())]
+    theta_b, l_b = (np.repeat(part, len(states), axis=0) for part in held_collars(parameters, robot, theta, l))
+    phi = np.tile(states, (len(theta), 1))
+    found = robot.mechanics.tips_with_friction(theta_b, l_b, phi, parameters=tuple(asked))
     shape = (len(theta), len(states), 3)
     tip = np.where((found.status == Status.FAILED)[:, None], np.nan, found.position_m).reshape(shape)
     core = found.position_by.reshape(*shape, len(asked))

@@ -113,7 +113,8 @@ def rough_reach_m(moved: Sides, base: BaseBall, lever_m: Array) -> Array:
     """(B,) [m] never less than `reach_m` but for the gaps' cosine: everything added up. Levers (B, 3)."""
     sides = np.linalg.norm(moved.sides, axis=1).sum(axis=1) + np.linalg.norm(moved.middle, axis=1)
     found: Array = sides + base.shift_m + base.rotation_rad * np.linalg.norm(lever_m, axis=1)
-    return found / np.cos(_gap(COVER))
+    found /= np.cos(_gap(COVER))
+    return found
 
 
 def _support_point(u: Array, middle: Array, sides: Array, base: BaseBall, arms: Array) -> Array:
@@ -127,7 +128,8 @@ def _support_point(u: Array, middle: Array, sides: Array, base: BaseBall, arms: 
 
 def _unit(vectors: Array) -> Array:
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)
+    unit: Array = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)
+    return unit
 
 
 def _sphere(count: int) -> Array:

@@ -48,8 +48,8 @@ def intervals(parameters: UncertainParameters) -> Iterator[ParameterInterval]:
     ends = zip(parameters.value, parameters.low, parameters.high, strict=True)
     for k, (value, low, high) in enumerate(ends):
         si, name = float(parameters.si[k]), parameters.names[k]
-        shown = (float(x) / si for x in (value, low, high))
-        yield ParameterInterval(name, parameters.title[k], *shown, parameters.unit[k])
+        unit, title = parameters.unit[k], parameters.title[k]
+        yield ParameterInterval(name, title, float(value) / si, float(low) / si, float(high) / si, unit)
 
 
 def _plain(value: Any) -> Any:
