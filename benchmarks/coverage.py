@@ -45,7 +45,7 @@ from ctrplan.uncertain.tip_slopes import held_collars
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENARIOS = ["ribs", "vessel", "heart_chamber", "airway", "deploy"]
-REGISTRATION = {"position_sigma_mm": 0.3, "rotation_sigma_deg": 0.15}
+REGISTRATION = {"position_sigma_mm": 0.15, "rotation_sigma_deg": 0.05}
 TRUTH = {
     "calibration": {"precurvature_factor_1_1": 1.03, "precurvature_factor_3_2": 0.98, "poisson_ratio_2": 0.34},
     "friction": {"mu_1": 0.21, "mu_2": 0.18},
