@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ctrplan.base.units import MM_PER_M
 from ctrplan.planning.certificate.allowances import bound_allowance_m
 from ctrplan.planning.certificate.problems import problems_of_limits
 from ctrplan.planning.certificate.stated_bounds import StatedBounds
+from ctrplan.planning.certificate.walked_piece import Piece
 from ctrplan.planning.certified import CertificateSamples
-from ctrplan.planning.motion import path_limits
 from ctrplan.planning.uncertainty.allowance import parameter_allowance
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def with_parameters(
-    scenario: Scenario, samples: CertificateSamples, bounds: StatedBounds
+    scenario: Scenario, pieces: Sequence[Piece], samples: CertificateSamples, bounds: StatedBounds
 ) -> tuple[CertificateSamples, StatedBounds, list[str]]:
     """Samples and bounds with what is uncertain in them, and sentences about the limits that this breaks.
 
@@ -41,6 +41,4 @@ def with_parameters(
         parameter_bound_m=bound,
         parameter_clearance_m=clearance,
     )
-    taken = float(clearance[int(np.argmin(found.clearance_m))]) * MM_PER_M
-    shares = f" (uncertain parameters and registration take {taken:.2f} mm)"
-    return found, wider, problems_of_limits(scenario, found, wider, path_limits(scenario), shares)
+    return found, wider, problems_of_limits(scenario, pieces, found, wider)
