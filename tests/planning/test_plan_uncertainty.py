@@ -191,7 +191,8 @@ def test_wilson_intervals_cover_as_they_should() -> None:
     rng, share = np.random.default_rng(3), 0.07
     ends = [wilson(rng.random(200) < share) for _ in range(1000)]
     assert np.mean([low <= share <= high for low, high in ends]) == pytest.approx(0.95, abs=0.025)
-    assert wilson(np.zeros(100, bool))[0] == 0.0
+    assert wilson(np.zeros(200, bool))[0] == 0.0
+    assert wilson(np.ones(200, bool))[1] == 1.0  # it was 1 - 1e-16, so that certain misses passed for contradicted
 
 
 @pytest.fixture(scope="module")

@@ -54,7 +54,8 @@ def wilson(events: NDArray[np.bool_]) -> tuple[float, float]:
     count, share, z2 = len(events), float(events.mean()), CI95**2
     middle = (share + z2 / (2 * count)) / (1 + z2 / count)
     half = CI95 / (1 + z2 / count) * float(np.sqrt(share * (1 - share) / count + z2 / (4 * count**2)))
-    return max(middle - half, 0.0), min(middle + half, 1.0)
+    # rounding must not shut out the ends
+    return (0.0 if share == 0 else max(middle - half, 0.0)), (1.0 if share == 1 else min(middle + half, 1.0))
 
 
 @dataclass(frozen=True, eq=False)

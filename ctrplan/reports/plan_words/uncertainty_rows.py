@@ -27,8 +27,10 @@ def uncertainty_rows(plan: Plan) -> Rows:
             chances.insert(0, f"{percent(found.goal.chance_by_history)} with friction as predicted")
         rows["chance to miss tolerance"] = ", ".join(chances)
     if found.closest:
-        off = f"{found.closest.sentence} taken off {millimetres(found.closest.nominal_m)}"
-        rows["room with uncertainty"] = f"{millimetres(found.closest.worst_m)} beyond the margins: {off}"
+        left, without = millimetres(found.closest.worst_m), millimetres(found.closest.nominal_m)
+        rows["room with uncertainty"] = (
+            f"{left} beyond the margins, {without} without it; it takes {found.closest.sentence}"
+        )
         margin, touch = percent(found.closest.chance_margin), percent(found.closest.chance_touch)
         rows["chance to lose room"] = f"{margin} to enter the margin, {touch} to touch"
     return rows
