@@ -25,9 +25,11 @@ if TYPE_CHECKING:
     from ctrplan.mechanics.history import History, HistoryStep
     from ctrplan.planning.finish.reorder import reorder as reorder
     from ctrplan.planning.plan import Plan
+    from ctrplan.planning.plan_uncertainty import uncertainty as uncertainty
     from ctrplan.planning.planner import plan as plan
     from ctrplan.planning.scenario import Scenario
     from ctrplan.robot.robot import Robot
+    from ctrplan.uncertain.bound import bound_with_parameters as bound_with_parameters
     from ctrplan.verification.verify import Verification
     from ctrplan.verification.verify import verify as verify
 
@@ -58,6 +60,8 @@ _HOMES = {
     "Plan": "planning",
     "plan": "planning",
     "reorder": "planning",
+    "bound_with_parameters": "uncertain.bound",
+    "uncertainty": "planning.plan_uncertainty",
 }
 __all__ = [
     "Bound",
@@ -77,6 +81,7 @@ __all__ = [
     "Status",
     "Verification",
     "WrittenPlan",
+    "bound_with_parameters",
     "calibrate",
     "diagnose",
     "load_measurements",
@@ -87,6 +92,7 @@ __all__ = [
     "planning",
     "reorder",
     "verify",
+    "uncertainty",
 ]
 
 

@@ -92,6 +92,7 @@ class Calibration:
     model_error_m: float
     notes: tuple[str, ...]
     data: Measurements
+    first: Fit | None = None  # of two passes
 
     @property
     def robot(self) -> Robot:
@@ -101,7 +102,7 @@ class Calibration:
     def robot_content(self) -> dict[str, Any]:
         """The content of the new robot file; the parent is not touched."""
         effects = [t for t in self.fit.chain.terms if not t.effect.of_the_file]
-        return calibrated_content(self.fit, effects, self.data, self.model_error_m)
+        return calibrated_content(self.fit, effects, self.data, self.model_error_m, self.first)
 
 
 @checked(
@@ -275,6 +276,7 @@ def _calibration(
             *noticed,
         ),
         data=data,
+        first=passes[0] if len(passes) > 1 else None,
     )
 
 

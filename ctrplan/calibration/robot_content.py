@@ -13,6 +13,7 @@ import numpy as np
 
 from ctrplan.base.version import __version__
 from ctrplan.calibration.estimates import estimates
+from ctrplan.calibration.fitted_intervals import uncertainty_table
 from ctrplan.calibration.least_squares import Fit, fit
 from ctrplan.effects.effect import Parameter
 from ctrplan.experiment.measurements import Measurements
@@ -41,11 +42,14 @@ def _possible(parameter: Parameter) -> Parameter:
     return replace(parameter, upper=min(parameter.upper, LARGEST_POISSON_RATIO)) if is_ratio else parameter
 
 
-def calibrated_content(found: Fit, effects: Sequence[Term], data: Measurements, model_error_m: float) -> dict[str, Any]:
+def calibrated_content(
+    found: Fit, effects: Sequence[Term], data: Measurements, model_error_m: float, before: Fit | None = None
+) -> dict[str, Any]:
     """The content of the new file: the parent's with the fitted numbers in it. The parent is not touched.
 
     Read again it is the robot of the fit: the file's own numbers are those before its effects, and of an effect that
-    the parent has already only what was fitted changes.
+    the parent has already only what was fitted changes. 95 % intervals of effects stand beside their values, those of
+    the file's own numbers in [uncertainty]; `before` is the first of two passes.
     """
     chain = found.chain
     content: dict[str, Any] = copy.deepcopy(dict(chain.robot.content))
@@ -63,6 +67,9 @@ def calibrated_content(found: Fit, effects: Sequence[Term], data: Measurements, 
         table["ci95"] = {**table.get("ci95", {}), **{name: list(e.ci95) for name, e in fitted.items()}}
     if not tables:
         del content["effects"]
+    content.pop("uncertainty", None)
+    if uncertainty := uncertainty_table(found, effects, before):
+        content["uncertainty"] = uncertainty
     content["model_error_mm"] = _rounded(model_error_m * 1e3)
     content["provenance"] = _provenance(chain, data)
     return content

@@ -157,6 +157,8 @@ def _targets(plan: Plan) -> dict[str, str]:
 
 
 def _figures(plan: Plan) -> dict[str, str]:
+    from ctrplan.reports.plan_words.uncertainty_rows import uncertainty_rows
+
     certificate, reordered = plan.certificate, plan.reorder
     goal_mm, worst_mm = certificate.goal_bound_m * 1e3, certificate.worst_bound_m * 1e3
     clearance_mm, spacing_mm = certificate.min_clearance_m * 1e3, certificate.spacing_m * 1e3
@@ -171,6 +173,7 @@ def _figures(plan: Plan) -> dict[str, str]:
         "worst-case friction error": f"{goal_mm:.2f} mm at the goal, {worst_mm:.2f} mm on the way",
         "predicted friction error": f"{predicted_mm:.2f} mm at the goal, {way_mm:.2f} mm on the way",
         **_extras(plan),
+        **uncertainty_rows(plan),
         "clearance, every friction state": clearance,
         "least stability": f"{certificate.min_stability:.2f}, largest strain {strain_percent:.2f} %",
         "cost": f"{certificate.cost_mm:.1f} mm{gain}",

@@ -56,6 +56,14 @@ class MeasurementEntry(Struct, forbid_unknown_fields=True):
     tangent_sigma_deg: Annotated[float, Meta(ge=1e-6, le=180)]
 
 
+class UncertaintyEntry(Struct, forbid_unknown_fields=True):
+    """[uncertainty]: 95 % intervals of the file's own numbers, and how errors go together."""
+
+    ci95: dict[str, Any] = {}
+    correlated: list[str] = []
+    correlation: list[list[float]] = []
+
+
 class RobotEntry(Struct, forbid_unknown_fields=True):
     """A robot file."""
 
@@ -66,6 +74,7 @@ class RobotEntry(Struct, forbid_unknown_fields=True):
     joint: Annotated[list[JointEntry], Meta(min_length=1)] | None = None
     model_error_mm: Annotated[float, Meta(ge=0, le=1000)] = 0.0
     measurement: MeasurementEntry | None = None
+    uncertainty: UncertaintyEntry | None = None
     effects: dict[str, Any] = {}
     provenance: dict[str, Any] = {}  # where calibrated values come from
 

@@ -13,6 +13,7 @@ import tomli_w
 
 from ctrplan.files.drive_file import HomeEntry, build_drive
 from ctrplan.files.robot_entries import MeasurementEntry, RobotEntry, build_contacts, build_tubes
+from ctrplan.files.uncertainty_entries import build_intervals
 from ctrplan.robot.nesting import never_nests
 from ctrplan.robot.robot import Robot, diametral_gap_m
 from ctrplan.sensor.noise import SensorNoise
@@ -60,7 +61,8 @@ def _build(document: Document) -> Robot:
     )
     if violation := never_nests(robot):
         raise document.fault(f"no joint values within limits nest the tubes, at home {violation}", "home", "l_mm")
-    robot = replace(robot, warnings=tuple(_clearance_warnings(robot, document)))
+    intervals = build_intervals(entry.uncertainty, robot, document)
+    robot = replace(robot, intervals=intervals, warnings=tuple(_clearance_warnings(robot, document)))
     if not robot.effects:
         return robot
     from ctrplan.pipeline.file_effects import check_effects

@@ -31,6 +31,8 @@ class BaseEntry(Struct, forbid_unknown_fields=True, frozen=True):
 
     position_mm: Point = (0.0, 0.0, 0.0)
     quaternion_wxyz: tuple[Share, Share, Share, Share] = (1.0, 0.0, 0.0, 0.0)
+    position_sigma_mm: Annotated[float, Meta(ge=0, le=1000)] = 0.0  # standard deviation of each coordinate
+    rotation_sigma_deg: Annotated[float, Meta(ge=0, le=180)] = 0.0  # of a small rotation about each axis
 
 
 class GoalEntry(Struct, forbid_unknown_fields=True):

@@ -23,7 +23,7 @@ from ctrplan.files.scenario_entries import (
     joint_values,
     planner_settings,
 )
-from ctrplan.planning.scenario import Cost, Goal, Margins, Scenario, StartFriction
+from ctrplan.planning.scenario import Cost, Goal, Margins, Registration, Scenario, StartFriction
 from ctrplan.robot.robot import Robot
 from ctrplan.storage.number_ranges import Vector, metres
 from ctrplan.storage.toml_document import Document, Step, checked_overrides, read_document
@@ -76,6 +76,7 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool) ->
         robot=robot,
         base_position_m=read_only(np.multiply(entry.base.position_mm, 1e-3)),
         base_R=_rotation(entry.base, document),
+        registration=Registration(entry.base.position_sigma_mm * 1e-3, math.radians(entry.base.rotation_sigma_deg)),
         start=joint_values({k: v for k, v in entry.start.items() if k != FRICTION}, robot, document, "start"),
         start_friction=_start_friction(entry, document),
         goal=goals[-1],

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from ctrplan.effects.catalogue import CATALOGUE
+from ctrplan.effects.effect import Parameter
 from ctrplan.pipeline.chain import NOTES
 from ctrplan.robot.robot import Robot
+from ctrplan.storage.interval import interval_fault
 from ctrplan.storage.toml_document import Document
 
 
@@ -24,3 +29,18 @@ def check_effects(robot: Robot, document: Document) -> None:
             low, high = known[key].lower, known[key].upper
             if not low <= value <= high:
                 raise document.fault(f"must be from {low:g} to {high:g}", "effects", name, key)
+        _check_intervals(name, table, known, document)
+
+
+def _check_intervals(name: str, table: Mapping[str, Any], known: Mapping[str, Parameter], document: Document) -> None:
+    intervals = table.get("ci95", {})
+    if not isinstance(intervals, dict):
+        raise document.fault("must be a table of intervals", "effects", name, "ci95")
+    for key, ends in intervals.items():
+        if key not in known:
+            raise document.fault(f"unknown parameter, known ones are {', '.join(known)}", "effects", name, "ci95", key)
+        if fault := interval_fault(ends, float(table.get(key, known[key].neutral))):
+            raise document.fault(fault, "effects", name, "ci95", key)
+        if not (known[key].lower <= ends[0] and ends[1] <= known[key].upper):
+            rule = f"must be from {known[key].lower:g} to {known[key].upper:g}"
+            raise document.fault(rule, "effects", name, "ci95", key)

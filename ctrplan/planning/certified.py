@@ -29,7 +29,7 @@ class CertificateSamples:
     leg: NDArray[np.int_]  # (K,) index of the leg
     joints: Array  # (K, m)
     path_mm: Array  # (K,) weighted joint length travelled
-    bound_m: Array  # (K,) worst-case friction error of the tip, on the mesh walked on
+    bound_m: Array  # (K,) worst-case friction error of the tip, on the mesh walked on, parameters in their intervals
     bound_rad: Array  # (K,) of the tip tangent
     stability: Array  # (K,) in every friction state
     max_strain: Array  # (K,) likewise
@@ -39,6 +39,8 @@ class CertificateSamples:
     released_m: Array  # (K,) as bound_m, less what translations released by the friction law; fully loaded at the start
     predicted_m: Array  # (K,) friction error by simulated history, the largest over the states it may start in
     play_m: Array  # (K,) how far play of the drive may move the robot
+    parameter_bound_m: Array  # (K,) what uncertain parameters add to the bound; in bound_m
+    parameter_clearance_m: Array  # (K,) what they and registration take off the clearance; off clearance_m
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,29 +4,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, get_args
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.anatomy.anatomy_field import anatomy_field, shared_spacing_m
-from ctrplan.anatomy.clearance_grid import SignedDistanceField, field_bounds
 from ctrplan.base.arguments import Choice, Made, Number, checked
 from ctrplan.base.arrays import Array
 from ctrplan.mechanics.core import Field, PathDensity, PathLimits, PathSamples, Status
 from ctrplan.mechanics.friction_law import largest_deviation
+from ctrplan.planning.anatomy_grid import anatomy_grid
 from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.path_cost import path_cost_mm
 from ctrplan.planning.plan import MotionStyle
 from ctrplan.planning.play import usual_play_shift
 from ctrplan.planning.search_clock import ASKED_NS, LOOKED_UP_NS, ROOM_NS, SHAPE_NS, WorkMeter
 from ctrplan.planning.search_watch import SearchWatch
+from ctrplan.planning.uncertainty.allowance import usual_allowance_m
 from ctrplan.robot.friction_calibration import friction_law
 
 if TYPE_CHECKING:
     from ctrplan.planning.bound_table import BoundTable
     from ctrplan.planning.scenario import Scenario
-    from ctrplan.robot.robot import Robot
 
 from ctrplan.base.units import MM_PER_M
 
@@ -37,6 +35,7 @@ SEARCH_ROOM_M = 0.5e-3
 # was valid (`benchmarks/zero_clearance_rooms.py`).
 DEFINITE_COLLISION_M = -1e-3
 JUMP, JUMP_M = 3.0, 5e-3  # times the steps of the tip beside, and more than that and the translation by
+SAMPLES, SEED = 8, 6  # configurations that say what a search has to allow for uncertain parameters
 FEW = 100  # shapes, which are not worth a thread
 DEFINITE_COLLISION = "a corner shape comes too close to the anatomy: so does the zero-clearance shape"
 
@@ -276,7 +275,9 @@ def path_limits(scenario: Scenario) -> PathLimits:
 def search_limits(scenario: Scenario, reserve_m: float = SEARCH_ROOM_M) -> PathLimits:
     """Likewise for the search, which keeps a little more clearance so that its paths pass the certificate."""
     limits = path_limits(scenario)
-    room = reserve_m + usual_play_shift(scenario.robot, JointSpace.of(scenario))
+    space = JointSpace.of(scenario)
+    room = reserve_m + usual_play_shift(scenario.robot, space)
+    room += usual_allowance_m(scenario, lambda: space.sample(np.random.default_rng(SEED), SAMPLES))
     return replace(limits, clearance_m=limits.clearance_m + room)
 
 
@@ -302,35 +303,6 @@ def robot_field(scenario: Scenario) -> Field | None:
     if grid is None:
         return None
     return Field(grid.values_m, grid.origin_m, float(grid.spacing_m), scenario.base_R, scenario.base_position_m)
-
-
-MOST_GRIDS = 4  # kept in memory for one robot, of different bases or anatomies
-_GRIDS: WeakKeyDictionary[Robot, dict[bytes, SignedDistanceField]] = WeakKeyDictionary()
-
-
-def anatomy_grid(scenario: Scenario) -> SignedDistanceField | None:
-    """The scenario's anatomy as a signed-distance field around the robot's reach, built once; None in free space."""
-    if not scenario.anatomy:
-        return None
-    grids = _GRIDS.setdefault(scenario.robot, {})
-    place = np.append(scenario.base_R.ravel(), scenario.base_position_m)
-    key = (
-        place.tobytes() + np.array([id(part) for part in scenario.anatomy]).tobytes()
-    )  # the grid keeps its parts alive
-    if key not in grids:
-        reach = max(tube.length_m for tube in scenario.robot.tubes) + scenario.robot.tubes[0].outer_diameter_m
-        lower, upper = field_bounds(scenario.anatomy, reach, scenario.base_position_m, scenario.base_R)
-        while len(grids) >= MOST_GRIDS:
-            del grids[next(iter(grids))]
-        grids[key] = anatomy_field(
-            scenario.anatomy,
-            lower,
-            upper,
-            shared_spacing_m(scenario.anatomy, reach),
-            base_position_m=scenario.base_position_m,
-            reach_m=reach,
-        )
-    return grids[key]
 
 
 def _jumps(tips: Array, l_b: Array) -> bool:

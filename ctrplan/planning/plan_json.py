@@ -54,6 +54,7 @@ def plan_to_json(plan: PlannedMotion) -> dict[str, Any]:
         "certificate": _certificate(plan.certificate),
         "follow_the_leader_m": plan.follow_the_leader_m,
         "settling": _settling(plan),
+        "uncertainty": None if plan.uncertainty is None else plan.uncertainty.to_json(),
         "compensation": _compensation(plan),
         "reorder": asdict(plan.reorder),
         "trajectory": _trajectory(plan),

@@ -15,6 +15,7 @@ from ctrplan.planning.search_clock import SearchEnd
 if TYPE_CHECKING:
     from ctrplan.drive.trajectory import Trajectory
     from ctrplan.planning.scenario import Scenario
+    from ctrplan.planning.uncertainty.result import Uncertainty
 
 LegKind = Literal["rotation", "translation", "simultaneous"]
 MotionStyle = Literal["rotations before translations", "simultaneous"]
@@ -87,6 +88,7 @@ class PlannedMotion:
     follow_the_leader_m: float | None = (
         None  # largest distance of the inserting body from its tip's track, frictionless
     )
+    uncertainty: Uncertainty | None = None  # None where nothing is stated to be uncertain
 
     @property
     def waypoints(self) -> Array:

@@ -30,6 +30,7 @@ from ctrplan.planning.goals.goal_turns import is_at_goal, nearest_turn, turn_not
 from ctrplan.planning.goals.line import follow_line, line_beginnings
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.plan import ENDED_BY_TIME, Certificate, Compensation, Plan
+from ctrplan.planning.plan_uncertainty import plan_uncertainty
 from ctrplan.planning.search.stage_search import Candidate, Progress, Report, StageSearch
 from ctrplan.planning.search_clock import SearchClock, SearchEnd
 from ctrplan.robot.friction_calibration import friction_law
@@ -110,6 +111,7 @@ def plan(
         compensation=finish.compensation,
         ended_by="interruption" if interrupted.is_set() else ended_by,
     )
+    finished = replace(finished, uncertainty=plan_uncertainty(finished))
     return replace(finished, interrupted=interrupted.is_set())
 
 

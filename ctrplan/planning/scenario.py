@@ -65,6 +65,19 @@ class Cost:
 StartFriction = Literal["unknown", "oscillated", "released"]
 
 
+@dataclass(frozen=True)
+class Registration:
+    """How well the robot's base is known in the anatomy's frame: normal errors, alike in all directions."""
+
+    position_sigma_m: float = 0.0  # of each coordinate of the base's origin
+    rotation_sigma_rad: float = 0.0  # of a small rotation about each axis through that origin
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether nothing is stated."""
+        return self.position_sigma_m == 0 and self.rotation_sigma_rad == 0
+
+
 @dataclass(frozen=True, eq=False)
 class Scenario:
     """A planning problem; SI units, positions in the anatomy's frame."""
@@ -83,6 +96,7 @@ class Scenario:
     sha256: str = ""  # of the scenario file's content after overrides; the robot has its own
     warnings: tuple[str, ...] = ()  # the robot's included
     start_friction: StartFriction = "unknown"
+    registration: Registration = Registration()
     via: tuple[Goal, ...] = ()  # goals to reach before `goal`, in this order
 
     @property

@@ -10,6 +10,8 @@ from ctrplan.errors import InputError
 from ctrplan.mechanics.tube import Contact, Tube, TubeSection
 from ctrplan.robot.robot import Robot
 
+MAGNITUDE = "curvature_per_m"  # of a section's precurvature, whose direction stays
+
 
 def value_of(robot: Robot, name: str) -> float:
     """The number behind a name, SI. Raises InputError for a name the robot does not have."""
@@ -51,6 +53,8 @@ def _read(robot: Robot, steps: list[str]) -> Any:
     owner: Any = {"tube": robot.tubes}[kind][index]
     if rest[0] == "section":
         owner, rest = owner.sections[_index(rest[1])], rest[2:]
+        if rest[0] == MAGNITUDE:
+            return owner.curvature_per_m
     if rest[0] not in [field.name for field in fields(owner)]:
         raise KeyError(rest[0])
     return getattr(owner, rest[0])
@@ -68,8 +72,12 @@ def _with_tube_value(tube: Tube, steps: list[str], value: float) -> Tube:
         changes: dict[str, Any] = {steps[0]: value}
         return replace(tube, **changes)
     sections: list[TubeSection] = list(tube.sections)
+    section = sections[int(steps[1]) - 1]
     section_changes: dict[str, Any] = {steps[2]: value}
-    sections[int(steps[1]) - 1] = replace(sections[int(steps[1]) - 1], **section_changes)
+    if steps[2] == MAGNITUDE:
+        scale = value / section.curvature_per_m if section.curvature_per_m else 0.0
+        section_changes = {key: scale * getattr(section, key) for key in ("curvature_x_per_m", "curvature_y_per_m")}
+    sections[int(steps[1]) - 1] = replace(section, **section_changes)
     return replace(tube, sections=tuple(sections))
 
 

@@ -15,6 +15,7 @@ from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
 from ctrplan.mechanics.loads import Loads
 from ctrplan.mechanics.tube import Contact, Tube
+from ctrplan.robot.stated_intervals import StatedIntervals
 from ctrplan.sensor.noise import SensorNoise
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ class Robot:
     measurement: SensorNoise | None = None
     loads: Loads = Loads()  # beyond the paper, set by [effects.*]
     effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # [effects.*] as in the file
+    intervals: StatedIntervals = StatedIntervals()  # [uncertainty] as in the file, SI
     ideal: Robot | None = None  # without the effects, where tubes, contacts, loads and drive have them at work
     provenance: Mapping[str, Any] = field(default_factory=dict)  # as in the file
     content: Mapping[str, Any] = field(default_factory=dict)  # of the file after overrides

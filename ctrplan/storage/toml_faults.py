@@ -34,7 +34,7 @@ _ANY_UNIT = re.compile(
     r"(?:_s[23]?|_ms)?$"
 )
 # Keys that files of one kind have and those of the other do not.
-_OF_ROBOTS = {"tube", "contact", "joint", "home", "measurement", "effects"}
+_OF_ROBOTS = {"tube", "contact", "joint", "home", "measurement", "uncertainty", "effects"}
 _OF_SCENARIOS = {"robot", "start", "goal", "target", "base", "anatomy", "margins", "cost", "planner"}
 _KINDS: tuple[tuple[Any, Any, str], ...] = (  # of a schema, the types that values of it have, and what people call it
     (inspect.FloatType, (int, float), "a number"),

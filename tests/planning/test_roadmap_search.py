@@ -14,10 +14,11 @@ from places import SCENARIOS
 from ctrplan.base.arrays import Array
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.core import PathSamples
+from ctrplan.planning.anatomy_grid import anatomy_grid
 from ctrplan.planning.bound_table import BoundTable
 from ctrplan.planning.goals.goal_descent import descended
 from ctrplan.planning.goals.goal_states import goal_states
-from ctrplan.planning.motion import MotionChecker, anatomy_grid
+from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.search.insertion_chains import Roadmap
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
 from ctrplan.planning.search.search_problem import SearchProblem

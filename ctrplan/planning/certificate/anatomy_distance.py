@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.base.arrays import Array
+from ctrplan.planning.anatomy_grid import anatomy_grid
 from ctrplan.planning.certificate.allowances import POINT_SPACING_M
 from ctrplan.planning.certificate.body_pieces import PARTS, around, beside
-from ctrplan.planning.motion import anatomy_grid
 
 if TYPE_CHECKING:
     from ctrplan.anatomy.distance_field import SignedDistanceField

@@ -115,7 +115,7 @@ def _contradictions(prediction: Prediction, samples: CertificateSamples) -> list
     if prediction.snaps:
         times = f"{prediction.snaps} times" if prediction.snaps > 1 else "once"
         found.append(f"Simulated robots snap to another equilibrium {times}.")
-    beyond = samples.predicted_m - samples.bound_m
+    beyond = samples.predicted_m - (samples.bound_m - samples.parameter_bound_m)  # of the file's robot
     worst = int(np.argmax(beyond))
     if beyond[worst] > BEYOND_BOUND_M:
         where = f"On leg {samples.leg[worst] + 1}"

@@ -46,6 +46,8 @@ def joined_samples(scenario: Scenario, space: JointSpace, corners: Array, pieces
             "released_m": released_error(s, loads),
             "predicted_m": s.position_m,  # until it is simulated
             "play_m": np.full(len(s.fraction), piece.play_m),
+            "parameter_bound_m": np.zeros(len(s.fraction)),  # until they are allowed for
+            "parameter_clearance_m": np.zeros(len(s.fraction)),
         }
         for name, values in rows.items():
             columns[name].append(values[keep])

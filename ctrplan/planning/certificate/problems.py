@@ -55,6 +55,9 @@ def problems_of_limits(
     """Which of the scenario's limits the samples of the pieces break."""
     limits = path_limits(scenario)
     shares = _shares_of_clearance(scenario, pieces, limits)
+    if taken_m := float(samples.parameter_clearance_m[int(np.argmin(samples.clearance_m))]):
+        opening = shares.removesuffix(")") + "," if shares else " (of which"
+        shares = f"{opening} uncertain parameters and registration {taken_m * MM_PER_M:.2f})"
     checks = [
         (samples.stability < limits.stability, "stability falls to {:.3g}, below the margin", samples.stability.min()),
         (samples.max_strain > limits.max_strain, "strain reaches {:.4g}, above the limit", samples.max_strain.max()),

@@ -19,6 +19,7 @@ from ctrplan.planning.certificate.other_equilibria import other_equilibrium
 from ctrplan.planning.certificate.problems import problems_of_limits, problems_of_walk
 from ctrplan.planning.certificate.start_branches import other_start
 from ctrplan.planning.certificate.stated_bounds import StatedBounds, stated_bounds
+from ctrplan.planning.certificate.uncertain_parameters import with_parameters
 from ctrplan.planning.certificate.walked_piece import Piece, walk_pieces
 from ctrplan.planning.certified import CertificateSamples
 from ctrplan.planning.joint_space import JointSpace
@@ -96,6 +97,8 @@ def walk_legs(
         lengths = [space.length_mm(piece.end - piece.start) for piece in pieces]
         found = other_equilibrium(scenario.robot, pieces, lengths)
         problems = [found.sentence] if found else []
+    if not problems:
+        samples, bounds, problems = with_parameters(scenario, pieces, samples, bounds)
     return WalkedLegs(scenario, corners, accuracy, [piece.light() for piece in pieces], samples, bounds, problems)
 
 

@@ -10,7 +10,8 @@ from ctrplan.anatomy.parts import AnatomyPart, surface_distance
 from ctrplan.base.arrays import Array
 from ctrplan.base.units import MM_PER_M
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.planning.motion import MotionChecker, anatomy_grid
+from ctrplan.planning.anatomy_grid import anatomy_grid
+from ctrplan.planning.motion import MotionChecker
 
 if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario

@@ -27,6 +27,7 @@ from ctrplan.reports.plan_page.tables import (
     reorder_tables,
     target_section,
 )
+from ctrplan.reports.plan_page.uncertainty import uncertainty_section
 from ctrplan.reports.plan_words.meaning import MEANING
 from ctrplan.reports.plan_words.numbers import digits, millimetres
 from ctrplan.reports.plan_words.verdict import standing, verdict
@@ -64,6 +65,7 @@ def plan_report_html(scene: PlanScene) -> str:
         motion_section(scene),
         _tiles(plan),
         section("Certificate", *(tag("p", text) for text in certificate_in_words(plan)), certificate_table(plan)),
+        uncertainty_section(plan),
         target_section(plan),
         _remarks("Remarks", tuple(dict.fromkeys((*plan.notes, *scenario.warnings)))),
         _errors_and_margins(plan),

@@ -1,0 +1,95 @@
+"""What a certificate allows for uncertain parameters and registration, at every sample of a path."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+from ctrplan.planning.uncertainty.body_clearance import BodyClearance
+from ctrplan.uncertain.bound import friction_bound_m, worst_bound_m
+from ctrplan.uncertain.parameters import UncertainParameters, uncertain_parameters
+from ctrplan.uncertain.tip_slopes import tip_slopes
+
+if TYPE_CHECKING:
+    from ctrplan.planning.scenario import Registration, Scenario
+    from ctrplan.robot.robot import Robot
+
+ROWS = 12  # samples of a path at which bodies are solved at the ends of every interval
+_USUAL: WeakKeyDictionary[Robot, dict[Registration, float]] = WeakKeyDictionary()
+INTERPOLATED = 1.1  # times the larger of the two around, in between; an allowance, see docs/planning.md
+
+
+def parameter_allowance(scenario: Scenario, joints: Array) -> tuple[Array, Array]:
+    """(K,) [m] to take off clearances, and (K,) [m] to add to bounds, at the samples of a path, joints (K, m).
+
+    Clearances: intervals of the robot's parameters and registration; `model_error_m` is required on top by the limits.
+    Bounds: parameters alone, for a base that stands elsewhere moves all shapes alike. Zero where nothing is uncertain;
+    inf where the robot has no equilibrium within the intervals.
+    """
+    parameters, nothing = uncertain_parameters(scenario.robot), np.zeros(len(joints))
+    if not parameters.count and scenario.registration.is_exact:
+        return nothing, nothing
+    rows = looked_at(len(joints))
+    bound = _between(rows, _bounds(parameters, joints[rows]), len(joints)) if parameters.count else nothing
+    if not scenario.anatomy:
+        return nothing, bound
+    bodies = bodies_at(scenario, parameters, joints[rows])
+    return _between(rows, np.array([body.allowance_m for body in bodies]), len(joints)), bound
+
+
+def usual_allowance_m(scenario: Scenario, sample: Callable[[], Array]) -> float:
+    """What nearly every state loses of its clearance [m], for searches, whose paths are certified after.
+
+    The lower quartile over configurations (R, m) that `sample` returns; asked for once for a robot and a registration.
+    """
+    parameters = uncertain_parameters(scenario.robot)
+    if not scenario.anatomy or (not parameters.count and scenario.registration.is_exact):
+        return 0.0
+    known = _USUAL.setdefault(scenario.robot, {})
+    if scenario.registration not in known:
+        found = [body.allowance_m for body in bodies_at(scenario, parameters, sample())]
+        known[scenario.registration] = float(np.quantile(found, 0.25, method="lower"))
+    return known[scenario.registration]
+
+
+def looked_at(count: int) -> NDArray[np.int_]:
+    """Samples of `count`, spread evenly, the first and the last among them."""
+    return np.unique(np.linspace(0, count - 1, min(count, ROWS)).round().astype(int))
+
+
+def bodies_at(scenario: Scenario, parameters: UncertainParameters, joints: Array) -> list[BodyClearance]:
+    """At joints (R, m), on every core; the scenario has an anatomy."""
+
+    def look(q: Array) -> BodyClearance:
+        found = BodyClearance.of(scenario, parameters, q)
+        _ = found.allowance_m  # solved here, on this thread
+        return found
+
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        return list(pool.map(look, joints))
+
+
+def _bounds(parameters: UncertainParameters, joints: Array) -> Array:
+    """(R,) [m] by how much the parameters widen the bound at joints (R, m)."""
+    theta, l = parameters.robot.drive.commanded(joints)  # noqa: E741 (as in the equations)
+    slopes = tip_slopes(parameters, theta, l)
+    worst, beyond = worst_bound_m(parameters, slopes, theta, l)
+    friction = friction_bound_m(slopes)
+    wider = np.maximum(worst + beyond - np.where(np.isinf(friction), np.nan, friction), 0.0)
+    return np.nan_to_num(wider, nan=np.inf)
+
+
+def _between(rows: NDArray[np.int_], values: Array, count: int) -> Array:
+    """(count,) values at `rows`; in between INTERPOLATED times the larger neighbour."""
+    right = np.searchsorted(rows, np.arange(count))
+    left = np.maximum(right - 1, 0)
+    found: Array = INTERPOLATED * np.maximum(values[left], values[right])
+    found[rows] = values
+    return found

@@ -1,0 +1,150 @@
+"""The clearance of one configuration's bodies, and how far uncertain parameters and the base may displace them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+from ctrplan.planning.anatomy_grid import anatomy_grid
+from ctrplan.uncertain.body_spread import BodySpread, alike, body_at, body_spread
+from ctrplan.uncertain.parameters import UncertainParameters
+from ctrplan.uncertain.worst_case import BaseBall, Farthest, OffsetBox, Sides, farthest, reach_m, rough_reach_m
+
+if TYPE_CHECKING:
+    from ctrplan.planning.scenario import Scenario
+
+NEAR_M = 1e-3  # beside what may be narrowest: friction states between the corners are not looked at here
+GRADIENT_STEP_M = 0.5e-3  # of the distance to the anatomy, differenced
+
+
+@dataclass(frozen=True, eq=False)
+class BodyClearance:
+    """B = S N points of the bodies in S friction states, one state after the other; frames are the robot's."""
+
+    scenario: Scenario
+    parameters: UncertainParameters
+    theta: Array  # (n,) commanded
+    l: Array  # (n,)  # noqa: E741 (as in the equations)
+    spread: BodySpread
+    clearance_m: Array  # (B,) beyond the margins, outer radius taken off, by the anatomy's grid
+
+    @classmethod
+    def of(cls, scenario: Scenario, parameters: UncertainParameters, joints: Array) -> BodyClearance:
+        """At joints (m,); the scenario has an anatomy."""
+        theta, l = scenario.robot.drive.commanded(joints)  # noqa: E741 (as in the equations)
+        spread = body_spread(parameters, theta, l)
+        points = spread.point_m.reshape(-1, 3)
+        radius = np.tile(spread.radius_m, len(spread.point_m))
+        return cls(scenario, parameters, theta, l, spread, _distance(scenario, points) - radius)
+
+    @property
+    def point_m(self) -> Array:
+        """(B, 3)."""
+        return self.spread.point_m.reshape(-1, 3)
+
+    @cached_property
+    def sides(self) -> Sides:
+        """Of all points."""
+        return self.spread.sides()
+
+    @cached_property
+    def base(self) -> BaseBall:
+        """The scenario's registration."""
+        registration = self.scenario.registration
+        return BaseBall.of(registration.position_sigma_m, registration.rotation_sigma_rad)
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether some body has no equilibrium within the intervals."""
+        return bool(np.isnan(self.spread.sides_m).any() or np.isnan(self.spread.middle_m).any())
+
+    @cached_property
+    def reach_m(self) -> Array:
+        """(B,) how far each point may be displaced, to first order; no less where that can't matter."""
+        found = rough_reach_m(self.sides, self.base, self.point_m)
+        rows = self.clearance_m - found - NEAR_M <= self.least_m
+        moved = Sides(self.sides.middle[rows], self.sides.sides[rows])
+        found[rows] = reach_m(moved, self.base, self.point_m[rows])
+        return found
+
+    @property
+    def least_m(self) -> float:
+        """The smallest clearance without errors."""
+        return float(self.clearance_m.min(initial=np.inf))
+
+    @cached_property
+    def near(self) -> NDArray[np.int_]:
+        """Points that may come to be the narrowest."""
+        return np.flatnonzero(self.clearance_m - self.reach_m - NEAR_M <= self.least_m)
+
+    @cached_property
+    def most_displaced(self) -> int:
+        """Of the points near the anatomy, the one that may move farthest."""
+        return int(self.near[np.argmax(self.reach_m[self.near])])
+
+    @cached_property
+    def worst(self) -> Farthest:
+        """How that point is displaced farthest."""
+        row = [self.most_displaced]
+        moved = Sides(self.sides.middle[row], self.sides.sides[row])
+        return farthest(np.zeros((1, 3)), moved, self.base, self.point_m[row])
+
+    @property
+    def worst_offset(self) -> Array:
+        """(P,) of the parameters there."""
+        box = OffsetBox.of(self.parameters)
+        found: Array = box.middle + box.axes @ self.worst.signs[0]
+        return found
+
+    @cached_property
+    def beyond_first_order_m(self) -> float:
+        """Largest difference [m] of points near the anatomy from first order, solved at the worst combination."""
+        if not self.parameters.count:
+            return 0.0
+        solved = alike(body_at(self.parameters, self.worst_offset, self.theta, self.l)[0], self.spread.point_m)
+        linear = self.point_m + self.sides.middle + self.sides.sides @ self.worst.signs[0]
+        apart = np.linalg.norm(solved.reshape(-1, 3) - linear, axis=1)[self.near]
+        return float(np.nan_to_num(apart, nan=np.inf).max(initial=0.0))
+
+    @property
+    def allowance_m(self) -> float:
+        """What errors may take off the clearance; inf where a body within the intervals has no equilibrium."""
+        if self.is_lost:
+            return np.inf
+        if not len(self.clearance_m):
+            return 0.0
+        return float(self.reach_m[self.near].max()) + self.beyond_first_order_m
+
+    def clearance_at(self, points_m: Array, rows: NDArray[np.int_]) -> Array:
+        """(R,) of some of the points, were they elsewhere, (R, 3)."""
+        found: Array = _distance(self.scenario, points_m) - self._radius_m[rows]
+        return found
+
+    @property
+    def _radius_m(self) -> Array:
+        return np.tile(self.spread.radius_m, len(self.spread.point_m))
+
+    def normals(self, rows: NDArray[np.int_]) -> Array:
+        """(R, 3) gradients of the clearance at some points, robot frame."""
+        shifts = GRADIENT_STEP_M * np.eye(3)
+        ends = [[_distance(self.scenario, self.point_m[rows] + side * shift) for side in (1, -1)] for shift in shifts]
+        found: Array = np.array([(up - down) / (2 * GRADIENT_STEP_M) for up, down in ends]).T
+        return found
+
+    def slopes(self, rows: NDArray[np.int_]) -> Array:
+        """(R, 3, P) of some points by the parameters."""
+        by: Array = self.sides.sides[rows] @ np.linalg.pinv(OffsetBox.of(self.parameters).axes)
+        return by
+
+
+def _distance(scenario: Scenario, points_m: Array) -> Array:
+    """(B,) [m] of points in the robot's frame beyond the anatomy's margins."""
+    grid = anatomy_grid(scenario)
+    if grid is None:
+        return np.full(len(points_m), np.inf)
+    return grid.sample(points_m @ scenario.base_R.T + scenario.base_position_m)

@@ -1,0 +1,161 @@
+"""Tips of a robot in every corner of friction, and their derivatives by its uncertain parameters.
+
+The mechanics differentiate exactly, by the numbers of the robot and by the collars. How these follow from the
+parameters is arithmetic, differenced and joined by the chain rule. Where collars touch, so that one of them can't be
+moved by itself, tips are differenced across the interval instead.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+from ctrplan.effects.catalogue import CATALOGUE
+from ctrplan.mechanics.shapes import Status
+from ctrplan.pipeline.chain import Chain
+from ctrplan.pipeline.tip_table import nested
+from ctrplan.robot.named_numbers import MAGNITUDE, value_of
+from ctrplan.robot.robot import Robot
+from ctrplan.uncertain.parameters import UncertainParameters
+
+STEP = 1e-4  # of half an interval
+
+
+@dataclass(frozen=True, eq=False)
+class TipSlopes:
+    """K configurations in S friction states: released, then every corner in the order of `Bound.corners`."""
+
+    tip_m: Array  # (K, S, 3) robot frame; NaN where there is no solution
+    by: Array  # (K, S, 3, P) per SI unit
+
+
+def friction_states(robot: Robot) -> Array:
+    """(S, n - 1) the released state, and every corner in the order of `Bound.corners`."""
+    pairs = robot.n - 1
+    return np.array([(0.0,) * pairs, *(itertools.product((1.0, -1.0), repeat=pairs) if pairs else ())])
+
+
+def held_collars(parameters: UncertainParameters, robot: Robot, theta: Array, l: Array) -> tuple[Array, Array]:  # noqa: E741
+    """(K, n) [rad], (K, n) [m] where the drive of `robot`, the parameters' at an offset, holds collars that nest.
+
+    They are commanded to theta, l (K, n). Play that is wider than stated counts as a displacement to one side.
+    """
+    held = _held(robot, theta, l) - _play(parameters.robot)
+    return held[:, : robot.n], nested(robot, held[:, robot.n :])
+
+
+def tips_at(parameters: UncertainParameters, offset: Array, theta: Array, l: Array) -> Array:  # noqa: E741
+    """(K, S, 3) tips [m] with parameters (P,) away from their values; NaN where a solve failed.
+
+    Collars are commanded to theta, l (K, n).
+    """
+    robot = parameters.robot_at(offset)
+    states = friction_states(robot)
+    theta_b, l_b = (np.repeat(part, len(states), axis=0) for part in held_collars(parameters, robot, theta, l))
+    found = robot.mechanics.tips_with_friction(theta_b, l_b, np.tile(states, (len(theta), 1)))
+    tip = np.where((found.status == Status.FAILED)[:, None], np.nan, found.position_m)
+    return tip.reshape(len(theta), len(states), 3)
+
+
+def tip_slopes(parameters: UncertainParameters, theta: Array, l: Array) -> TipSlopes:  # noqa: E741
+    """At commanded collars theta (K, n) [rad], l (K, n) [m]."""
+    robot, states = parameters.robot, friction_states(parameters.robot)
+    names, numbers_by = _numbers(parameters)
+    joints_by = _collars_by(parameters, theta, l)
+    moved: NDArray[np.bool_] = np.any(joints_by, axis=(0, 2))
+    joints = [f"{kind}.{i + 1}" for kind in ("theta_b", "l_b") for i in range(robot.n)]
+    asked = [*names, *itertools.compress(joints, moved.tolist())]
+    theta_b, l_b = (np.repeat(part, len(states), axis=0) for part in held_collars(parameters, robot, theta, l))
+    phi = np.tile(states, (len(theta), 1))
+    found = robot.mechanics.tips_with_friction(theta_b, l_b, phi, parameters=tuple(asked))
+    shape = (len(theta), len(states), 3)
+    tip = np.where((found.status == Status.FAILED)[:, None], np.nan, found.position_m).reshape(shape)
+    core = found.position_by.reshape(*shape, len(asked))
+    numbers = np.broadcast_to(numbers_by, (len(theta), *numbers_by.shape))
+    by = _chained(core[..., : len(names)], numbers) + _chained(core[..., len(names) :], joints_by[:, moved])
+    return TipSlopes(tip, _differenced(parameters, theta, l, by))
+
+
+def _chained(outer: Array, inner: Array) -> Array:
+    """(K, S, 3, P) of (K, S, 3, N) and (K, N, P); NaN where a factor is that matters."""
+    known: Array = np.einsum("kscn,knp->kscp", np.nan_to_num(outer), inner)
+    lost = np.einsum("kscn,knp->kscp", np.isnan(outer).astype(float), (inner != 0).astype(float)) > 0
+    return np.where(lost, np.nan, known)
+
+
+def _numbers(parameters: UncertainParameters) -> tuple[list[str], Array]:
+    """Names of the robot's numbers (N,) that the parameters change, and their derivatives (N, P)."""
+    names = _changing(parameters)
+    columns = []
+    for j in range(parameters.count):
+        up, down, width = _beside(parameters, j)
+        columns.append([(value_of(up, name) - value_of(down, name)) / width for name in names])
+    by = np.array(columns).reshape(parameters.count, len(names)).T
+    used = np.flatnonzero(by.any(axis=1)).tolist()
+    return [names[k] for k in used], by[used]
+
+
+def _changing(parameters: UncertainParameters) -> list[str]:
+    chain = Chain.of(parameters.robot)
+    of_effects = (given.effect.mechanics(given.values, chain.ideal) for given in chain.of_stage("mechanics"))
+    found = {name for named in of_effects for name in named}
+    for name in parameters.names:
+        kind, *rest = name.split(".")
+        if kind == "effects":
+            found |= _numbers_of_effect(parameters, rest)
+        elif rest[-1] == MAGNITUDE:
+            stem = name.rsplit(".", 1)[0]
+            found |= {f"{stem}.curvature_x_per_m", f"{stem}.curvature_y_per_m"}
+        else:
+            found.add(name)
+    return sorted(found)
+
+
+def _numbers_of_effect(parameters: UncertainParameters, place: list[str]) -> set[str]:
+    effect, ideal = CATALOGUE[place[0]], Chain.of(parameters.robot).ideal
+    at = parameters.value[parameters.names.index(f"effects.{place[0]}.{place[1]}")]
+    return set(effect.mechanics({place[1]: float(at)}, ideal)) if effect.stage == "mechanics" else set()
+
+
+def _collars_by(parameters: UncertainParameters, theta: Array, l: Array) -> Array:  # noqa: E741
+    """(K, 2 n, P) derivatives of theta_b, then of l_b; play, whose side nobody knows, counts as a displacement."""
+    columns = []
+    for j in range(parameters.count):
+        up, down, width = _beside(parameters, j)
+        columns.append((_held(up, theta, l) - _held(down, theta, l)) / width)
+    shape = (parameters.count, len(theta), 2 * parameters.robot.n)
+    found: Array = np.array(columns).reshape(shape).transpose(1, 2, 0)
+    return found
+
+
+def _held(robot: Robot, theta: Array, l: Array) -> Array:  # noqa: E741
+    return np.hstack(robot.drive.reached(theta, l)) + _play(robot)
+
+
+def _play(robot: Robot) -> Array:
+    """(2 n,) [rad], [m] half widths."""
+    return np.zeros(2 * robot.n) if robot.drive.play is None else np.concatenate(robot.drive.play)
+
+
+def _beside(parameters: UncertainParameters, j: int) -> tuple[Robot, Robot, float]:
+    """Robots on both sides of parameter j, and how far they are apart in it [SI]."""
+    step = STEP * parameters.half_width[j]
+    at = parameters.value[j]
+    ends = [float(np.clip(at + side * step, parameters.least[j], parameters.most[j]) - at) for side in (1, -1)]
+    unit = np.eye(parameters.count)[j]
+    return parameters.robot_at(ends[0] * unit), parameters.robot_at(ends[1] * unit), ends[0] - ends[1]
+
+
+def _differenced(parameters: UncertainParameters, theta: Array, l: Array, by: Array) -> Array:  # noqa: E741
+    """`by` with what the core can't tell by differences across the intervals."""
+    for j in np.flatnonzero(np.isnan(by).any(axis=(0, 1, 2))).tolist():
+        unit = np.eye(parameters.count)[j]
+        ends = [end - parameters.value[j] for end in (parameters.low[j], parameters.high[j])]
+        low, high = (tips_at(parameters, end * unit, theta, l) for end in ends)
+        across = (high - low) / (ends[1] - ends[0])
+        by[..., j] = np.where(np.isnan(by[..., j]), across, by[..., j])
+    return by
