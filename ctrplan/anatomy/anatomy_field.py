@@ -144,13 +144,13 @@ def _build(parts: Sequence[AnatomyPart], lattice: Lattice, index: Index) -> Grid
         return _clearance(parts, lattice, start, shape)
     values: Grid = np.empty(shape, dtype=np.float32)
     blocks = list(product(*(range(0, size - 1, BLOCK) for size in shape)))
-    shapes = [np.minimum(np.array(shape) - 1 - block, BLOCK) + 1 for block in blocks]
-    balls = [_ball(lattice, start + block, size) for block, size in zip(blocks, shapes, strict=True)]
+    shapes = [(np.minimum(np.array(shape) - 1 - block, BLOCK) + 1).astype(int) for block in blocks]
+    balls = [_ball(lattice, start + np.array(block), size) for block, size in zip(blocks, shapes, strict=True)]
     matter = nearby(parts, np.array([middle for middle, _ in balls]), max(radius for _, radius in balls))
     for block, size, few in zip(blocks, shapes, matter, strict=True):
         nx, ny, nz = size.tolist()
         values[_box(np.array(block), np.array(block) + size - 1)] = _clearance(
-            few, lattice, start + block, (nx, ny, nz)
+            few, lattice, start + np.array(block), (nx, ny, nz)
         )
     return values
 

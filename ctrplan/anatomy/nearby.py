@@ -29,7 +29,7 @@ def nearby(parts: Sequence[AnatomyPart], places_m: Array, radius_m: float) -> li
         clearance = sign * np.array([surface_distance(parts[k], places_m) for k in rows]) - margin
         behind = clearance - clearance.min(axis=0) if sign > 0 else clearance.max(axis=0) - clearance
         matters[rows] = behind <= 2 * radius_m
-    return [tuple(parts[k] for k in np.flatnonzero(column)) for column in matters.T]
+    return [tuple(parts[k] for k in np.flatnonzero(column).tolist()) for column in matters.T]
 
 
 def exact_clearance_of_many(parts: Sequence[AnatomyPart], points_m: Array) -> Array:

@@ -107,7 +107,7 @@ class Bound:
     @property
     def has_all_corners(self) -> bool:
         """Whether every corner was visited; of extreme ones alone the bound is what a search found."""
-        return len(self.corners) == 2 ** self.corner_phi.shape[1]
+        return len(self.corners) == 1 << int(self.corner_phi.shape[1])
 
 
 @dataclass(frozen=True, eq=False)

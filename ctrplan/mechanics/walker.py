@@ -47,8 +47,19 @@ class Walker:
         """
         with input_errors():
             found = self._core.step(joint_row(theta_b, self._n), joint_row(l_b, self._n))
-        *numbers, status, tip, tangent, cold, solves = found
-        return BoundStep(*numbers, Status(status), np.array(tip), np.array(tangent), cold, solves)
+        position_m, tangent_rad, stability, max_strain, residual, status, tip, tangent, cold, solves = found
+        return BoundStep(
+            position_m=position_m,
+            tangent_rad=tangent_rad,
+            stability=stability,
+            max_strain=max_strain,
+            residual=residual,
+            status=Status(status),
+            tip_m=np.array(tip),
+            tip_tangent=np.array(tangent),
+            started_cold=cold,
+            solves=solves,
+        )
 
     def shapes(self) -> Bound:
         """The shapes of the last step. Raises InputError before the first one."""
