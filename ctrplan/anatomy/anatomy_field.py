@@ -18,12 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 from ctrplan.anatomy.clearance_grid import content_key, default_spacing_m
 from ctrplan.anatomy.distance_field import Grid, SignedDistanceField
 from ctrplan.anatomy.grid_distance import COARSEST, grid_distance
-from ctrplan.anatomy.parts import AnatomyPart, combined_clearance
+from ctrplan.anatomy.nearby import FEW, nearby
+from ctrplan.anatomy.parts import AnatomyPart, combined_clearance, surface_distance
 from ctrplan.base.arrays import Array
 from ctrplan.base.progress import Progress
 from ctrplan.storage import cache
 
 BRICK = 48  # cells along an edge: 0.5 MB
+BLOCK = 12  # cells along an edge of what is asked for the same few of many parts, a multiple of COARSEST
 RUNGS = 3  # spacings to a factor of two, so that robots of much the same reach share them
 FINEST_M = 0.5e-3
 ROUNDING = 1e-9  # of a cell
@@ -135,11 +137,41 @@ def _bricks(
 
 
 def _build(parts: Sequence[AnatomyPart], lattice: Lattice, index: Index) -> Grid:
-    origin, shape = lattice.node_m(np.array(index) * BRICK), lattice.shape(index)
-    clearance = combined_clearance(
-        parts, lambda part: grid_distance(part, origin, lattice.spacing_m, shape, lambda _: None)
-    )
-    return clearance.astype(np.float32, copy=False)
+    start, shape = np.array(index) * BRICK, lattice.shape(index)
+    centre, radius = _ball(lattice, start, shape)
+    (parts,) = nearby(parts, centre[None], radius)
+    if len(parts) <= FEW:
+        return _clearance(parts, lattice, start, shape)
+    values: Grid = np.empty(shape, dtype=np.float32)
+    blocks = list(product(*(range(0, size - 1, BLOCK) for size in shape)))
+    shapes = [(np.minimum(np.array(shape) - 1 - block, BLOCK) + 1).astype(int) for block in blocks]
+    balls = [_ball(lattice, start + np.array(block), size) for block, size in zip(blocks, shapes, strict=True)]
+    matter = nearby(parts, np.array([middle for middle, _ in balls]), max(radius for _, radius in balls))
+    for block, size, few in zip(blocks, shapes, matter, strict=True):
+        nx, ny, nz = size.tolist()
+        values[_box(np.array(block), np.array(block) + size - 1)] = _clearance(
+            few, lattice, start + np.array(block), (nx, ny, nz)
+        )
+    return values
+
+
+def _clearance(parts: Sequence[AnatomyPart], lattice: Lattice, start: NDArray[np.int_], shape: Index) -> Grid:
+    """At the nodes from `start` on."""
+    origin = lattice.node_m(start)
+    nodes = origin + lattice.spacing_m * np.indices(shape).reshape(3, -1).T
+
+    def distance(part: AnatomyPart) -> NDArray[np.floating]:
+        if part.shape.is_formula:
+            return surface_distance(part, nodes).reshape(shape)
+        return grid_distance(part, origin, lattice.spacing_m, shape, lambda _: None)
+
+    return combined_clearance(parts, distance).astype(np.float32, copy=False)
+
+
+def _ball(lattice: Lattice, start: NDArray[np.int_], shape: ArrayLike) -> tuple[Array, float]:
+    """Centre (3,) and radius [m] around so many nodes, those that coarse levels ask for included."""
+    half = lattice.spacing_m * (np.asarray(shape) - 1) / 2
+    return lattice.node_m(start) + half, float(np.linalg.norm(half)) * (1 + 1e-9)
 
 
 def _lumens(parts: Sequence[AnatomyPart]) -> tuple[Array, Array] | None:

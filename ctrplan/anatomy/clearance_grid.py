@@ -32,7 +32,7 @@ __all__ = [
     "field_bounds",
 ]
 
-FORMAT = b"ctrplan distance field 1"  # part of the cache key: change it with anything that changes the values
+FORMAT = b"ctrplan distance field 2"  # part of the cache key: change it with anything that changes the values
 SPACINGS_M = (1e-6, 1.0)
 DEFAULT_NODES, MAX_DEFAULT_NODES, MAX_NODES = 2e6, 8e6, 5e8
 
@@ -126,8 +126,9 @@ def content_key(parts: Sequence[AnatomyPart], *grid: ArrayLike) -> str:
     """SHA-256 of everything that determines the values: numbers of anatomy and grid, the files that make distances."""
     content = hashlib.sha256(FORMAT)
     _add_numbers(content, grid)
+    sources = {kind: _source(kind) for kind in {type(part.shape) for part in parts}}
     for part in parts:
-        content.update(f"{part.shape.kind} {part.role};".encode() + _source(type(part.shape)))
+        content.update(f"{part.shape.kind} {part.role};".encode() + sources[type(part.shape)])
         _add_numbers(content, [part.margin_m, *part.shape.content()])
     return content.hexdigest()
 

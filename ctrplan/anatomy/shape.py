@@ -32,6 +32,9 @@ class Shape(ABC):
     """A closed body in the anatomy's frame. Subclasses are dataclasses, compared by identity."""
 
     kind: ClassVar[str]  # as a scenario file names it
+    is_formula: ClassVar[bool] = (
+        False  # whether distances cost next to nothing, so that none is interpolated to save it
+    )
 
     @abstractmethod
     def distance(self, points_m: Array) -> Array:

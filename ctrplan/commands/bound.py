@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import itertools
 import json
 import math
 import sys
@@ -17,6 +16,7 @@ from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 if TYPE_CHECKING:
     from ctrplan.base.arrays import Array
     from ctrplan.mechanics.core import Bound, Shape
+    from ctrplan.robot.robot import Robot
 
 EXAMPLES = """examples:
   ctrplan bound scenarios/robots/three_tube.toml --theta-deg 0 90 180 --l-mm 0 -17 -62.8
@@ -54,6 +54,12 @@ def add_parser(commands: Any) -> None:
         help="mesh; exact: the certificate's with the exact geometry, for clearances above about 0.1 mm (default: "
         "certificate; search with --sweep)",
     )
+    parser.add_argument(
+        "--corners",
+        choices=["all", "extreme"],
+        help="friction states to visit: all 2^(n-1) corners of n <= 10 tubes, or those that a search finds to move "
+        "the tip farthest (default: all up to 8 tubes)",
+    )
     parser.add_argument("--json", action="store_true", help="machine-readable output")
     add_set_option(parser, "the robot's key")
     parser.set_defaults(run=run_bound)
@@ -81,35 +87,58 @@ def run_bound(arguments: argparse.Namespace) -> int:
         raise InputError(sentence, key="--l-mm", value=arguments.l_mm, unit="mm")
     for warning in robot.warnings:
         print(f"ctrplan: warning: {warning}", file=sys.stderr)
-    found = robot.bound(theta_b, l_b, accuracy=arguments.accuracy or "certificate")
+    found = _bounded(robot, theta_b, l_b, arguments)
     play_mm = play_shift(robot, theta_b, l_b) * 1e3
     if arguments.json:
         collars = {"theta_deg": np.degrees(theta_b).tolist(), "l_mm": (l_b * 1e3).tolist()}
-        content = {**_bound_json(robot.n, found, play_mm), "collars": collars}
+        content = {**_bound_json(found, play_mm), "collars": collars}
         print(json.dumps(content, indent=1, allow_nan=False))
     else:
-        print(_bound_text(robot.n, found, play_mm))
+        print(_bound_text(found, play_mm))
         if robot.drive.terms:
             print(_collars_text(theta_b, l_b))
     if not math.isfinite(found.position_m):
-        raise SolverError("a solve did not reach its residual: no bound is promised at this configuration.")
+        reached = sum(shape.status is not Status.FAILED for shape in found.corners)
+        rule = f"{reached} of {len(found.corners)} friction corners reached their residual: no bound is promised"
+        raise SolverError(f"{rule} at this configuration.")
     if found.frictionless.status is Status.UNSTABLE:
         raise NoAnswerError("the configuration is elastically unstable: the robot snaps away, no bound is promised.")
     return 0
 
 
-def _corners(n: int, found: Bound) -> Iterator[tuple[tuple[int, ...], Shape]]:
+def _bounded(robot: Robot, theta_b: Array, l_b: Array, arguments: argparse.Namespace) -> Bound:
+    """The bound, with a word on its cost before and a bar meanwhile where it takes long."""
+    from ctrplan.commands.progress_bar import ProgressBar
+    from ctrplan.mechanics.core import MOST_TUBES_OF_ALL_CORNERS
+
+    all_corners, most = 2 ** (robot.n - 1), MOST_TUBES_OF_ALL_CORNERS
+    if arguments.corners == "all" and robot.n > most:
+        print(f"ctrplan: {all_corners} corners of {robot.n} tubes: this may take minutes", file=sys.stderr)
+    elif arguments.corners is None and robot.n > most:
+        print(f"ctrplan: the extreme ones of {all_corners} corners; all with --corners all", file=sys.stderr)
+    with ProgressBar(quiet=not sys.stderr.isatty(), patience_s=2.0) as bar:
+        return robot.bound(
+            theta_b,
+            l_b,
+            accuracy=arguments.accuracy or "certificate",
+            corners=arguments.corners,
+            progress=lambda share: bar.show("bound", share),
+        )
+
+
+def _corners(found: Bound) -> Iterator[tuple[tuple[int, ...], Shape]]:
     """Friction states, one sign for each of the n - 1 pairs of tubes, and their shapes."""
-    return zip(itertools.product((1, -1), repeat=n - 1), found.corners, strict=True)
+    signs = (tuple(row) for row in found.corner_phi.astype(int).tolist())
+    return zip(signs, found.corners, strict=True)
 
 
-def _bound_json(n: int, found: Bound, play_mm: float) -> dict[str, Any]:
+def _bound_json(found: Bound, play_mm: float) -> dict[str, Any]:
     return {
         "bound_position_mm": _finite(found.position_m * 1e3),
         "bound_tangent_deg": _finite(math.degrees(found.tangent_rad)),
         "play_mm": _finite(play_mm),
         "frictionless": _shape_json(found.frictionless),
-        "corners": [{"phi": list(phi), **_shape_json(shape)} for phi, shape in _corners(n, found)],
+        "corners": [{"phi": list(phi), **_shape_json(shape)} for phi, shape in _corners(found)],
     }
 
 
@@ -129,13 +158,13 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _bound_text(n: int, found: Bound, play_mm: float) -> str:
+def _bound_text(found: Bound, play_mm: float) -> str:
     free, position_mm, tangent_deg = found.frictionless, found.position_m * 1e3, math.degrees(found.tangent_rad)
     lines = [
         f"worst-case friction error of the tip: {position_mm:.3f} mm, {tangent_deg:.3f} deg",
         f"  frictionless    {_tip(free)}, stability {free.stability:.2f}",
     ]
-    for phi, shape in _corners(n, found):
+    for phi, shape in _corners(found):
         signs = " ".join("+" if sign > 0 else "-" for sign in phi) or "none"
         apart_mm = math.dist(shape.tip_m, free.tip_m) * 1e3
         lines.append(f"  phi = {signs:9} {_tip(shape)}, {apart_mm:.3f} mm from the frictionless tip")

@@ -33,6 +33,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except CtrplanError as error:
         print(f"ctrplan: {error}", file=sys.stderr)
         return error.exit_code
+    except MemoryError:
+        print("ctrplan: there is not enough memory for this.", file=sys.stderr)
+        return CtrplanError.exit_code
     except BrokenPipeError:  # the reader of our output went away
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1

@@ -111,6 +111,11 @@ def _tube(entry: TubeEntry, i: int, document: Document) -> Tube:
         max_strain=entry.max_strain,
         density_kg_m3=entry.density_kg_m3,
     )
+    for k, section in enumerate(sections):
+        if section.curvature_per_m * tube.outer_diameter_m / 2 >= 1:
+            bend = f"bends by a radius of {1e3 / section.curvature_per_m:.3g} mm"
+            rule = f"{bend}, must be more than the tube's own outer radius"
+            raise document.fault(rule, "tube", i, "section", k)
     if tube.length_m * 1e3 > LONGEST_TUBE_MM:
         rule = f"sections add up to {tube.length_m * 1e3:g} mm, must be at most 5000 mm, are they in millimetres?"
         raise document.fault(rule, "tube", i)

@@ -7,7 +7,7 @@ front plate, z along insertion, s = 0 at the plate.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 import ctrplan._model as _model
 from ctrplan.base.arguments import EXECUTOR, PROGRESS, Choice, Flag, Made, Number, Texts, Whole, checked, require
 from ctrplan.base.arrays import Array, numbers
-from ctrplan.base.progress import Progress
+from ctrplan.base.progress import Progress, part_of
 from ctrplan.errors import InputError
 from ctrplan.mechanics.accuracy import Accuracy
-from ctrplan.mechanics.batch import bounds_in_chunks, bounds_on_executor, rows_in_a_chunk
+from ctrplan.mechanics.batch import bounds_in_chunks, bounds_on_executor, chunks, rows_in_a_chunk
 from ctrplan.mechanics.core_arrays import (
     core_density,
     core_grid,
@@ -30,6 +30,7 @@ from ctrplan.mechanics.core_arrays import (
     joint_rows,
     joint_table,
     promised,
+    solved_bound,
     solved_shape,
     sound,
     worst,
@@ -66,6 +67,8 @@ __all__ = [
 ]
 
 MOST_THREADS = 1024
+TIPS_AT_ONCE = 1 << 16  # whose copies in the core take little memory, and no time to give up
+MOST_TUBES_OF_ALL_CORNERS = 8  # 128 corners, a second or so; beyond, the extreme ones unless all are asked for
 ACCURACY, FIRST_ORDER = Choice(*get_args(Accuracy)), Choice("search", "certificate")
 THREADS = Whole(0, MOST_THREADS, " (0: every core)")
 SPACING = Number(SHORTEST_STEP, 1, "m")
@@ -132,13 +135,27 @@ class Mechanics:
                 self._model.solve(self._row(theta_b), self._row(l_b), np.ascontiguousarray(state), accuracy, refinement)
             )
 
-    @checked(accuracy=ACCURACY)
-    def bound(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> Bound:
-        """Frictionless solution, every corner phi in {-1, 1}^(n-1), and the largest deviations between them."""
+    @checked(accuracy=ACCURACY, corners=Choice("all", "extreme"), progress=PROGRESS)
+    def bound(
+        self,
+        theta_b: ArrayLike,
+        l_b: ArrayLike,
+        *,
+        accuracy: Accuracy = "search",
+        corners: Literal["all", "extreme"] | None = None,
+        progress: Progress | None = None,
+    ) -> Bound:
+        """Frictionless solution, corners phi in {-1, 1}^(n-1), and the largest deviations between them.
+
+        corners: "all" 2^(n-1) of them, for at most 10 tubes, or those "extreme" ones that a search finds to move the
+        tip farthest by some n^2 solves: benchmarks/bound_sizes.py says what they miss. By default all of at most
+        MOST_TUBES_OF_ALL_CORNERS tubes. A corner without an equilibrium in reach leaves no bound: the others
+        that are hard to reach are FAILED then too. `progress` is told the finished share, 0 to 1.
+        """
+        which = corners or ("all" if self.n <= MOST_TUBES_OF_ALL_CORNERS else "extreme")
         with input_errors():
-            raw = self._model.bound(self._row(theta_b), self._row(l_b), accuracy)
-        corners = tuple(map(solved_shape, raw["corners"]))
-        return Bound(**raw | {"frictionless": solved_shape(raw["frictionless"]), "corners": corners})
+            raw = self._model.bound(self._row(theta_b), self._row(l_b), accuracy, which == "extreme", progress)
+        return solved_bound(raw)
 
     @checked(accuracy=ACCURACY, threads=THREADS, progress=PROGRESS, executor=EXECUTOR)
     def bound_many(
@@ -180,11 +197,23 @@ class Mechanics:
                 return k, str(refusal)
         return None
 
-    @checked(threads=THREADS)
-    def tips(self, theta_b: ArrayLike, l_b: ArrayLike, *, threads: int = 0) -> tuple[Array, Array, NDArray[np.int_]]:
-        """Zero-clearance tips (K, 3) [m], tangents (K, 3) and status (K,) of K configurations."""
-        with input_errors():
-            position_m, tangent, status = self._model.tips(self._rows(theta_b), self._rows(l_b), int(threads))
+    @checked(threads=THREADS, progress=PROGRESS)
+    def tips(
+        self, theta_b: ArrayLike, l_b: ArrayLike, *, threads: int = 0, progress: Progress | None = None
+    ) -> tuple[Array, Array, NDArray[np.int_]]:
+        """Zero-clearance tips (K, 3) [m], tangents (K, 3) and status (K,) of K configurations.
+
+        `progress` is told the finished share, 0 to 1.
+        """
+        thetas, ls = self._configurations(theta_b, l_b)
+        parts = chunks(len(thetas), TIPS_AT_ONCE)
+        if len(parts) > 1:  # nothing is solved before all is known to be well-formed
+            self._refuse(thetas, ls)
+        found = []
+        for k, rows in enumerate(parts):
+            with input_errors():
+                found.append(self._model.tips(thetas[rows], ls[rows], int(threads), part_of(progress, k, len(parts))))
+        position_m, tangent, status = map(np.concatenate, zip(*found, strict=True))
         return position_m, tangent, sound(status, position_m, tangent)
 
     @checked(field=Made("Field"), spacing_m=SPACING, threads=THREADS)
@@ -201,7 +230,7 @@ class Mechanics:
                 self._rows(theta_b), self._rows(l_b), core_grid(field), spacing_m, int(threads)
             )
 
-    @checked(parameters=Texts(), threads=THREADS, accuracy=FIRST_ORDER)
+    @checked(parameters=Texts(), threads=THREADS, accuracy=FIRST_ORDER, progress=PROGRESS)
     def tips_with_friction(
         self,
         theta_b: ArrayLike,
@@ -211,6 +240,7 @@ class Mechanics:
         parameters: Sequence[str] = (),
         threads: int = 0,
         accuracy: Accuracy = "search",
+        progress: Progress | None = None,
     ) -> Tips:
         """Tips of K friction states, theta_b, l_b (K, n), phi (K, n - 1), and their derivatives by P parameters.
 
@@ -228,7 +258,7 @@ class Mechanics:
             raise InputError("must lie in [-1, 1]", key="phi", value=worst(states))
         given = directions(parameters, self._given[0], self._model.number_names())
         with input_errors():
-            found = self._model.tips_with_friction(thetas, ls, states, given, accuracy, int(threads))
+            found = self._model.tips_with_friction(thetas, ls, states, given, accuracy, int(threads), progress)
         return promised(Tips(**found))
 
     def core_lookup(
@@ -237,6 +267,12 @@ class Mechanics:
         """The compiled lookup that `ctrplan.mechanics.bound_lookup.FieldLookup` asks."""
         with input_errors():
             return self._model.field_lookup(list(axes), np.ascontiguousarray(values), margin_m)
+
+    @checked(accuracy=ACCURACY)
+    def core_walker(self, accuracy: Accuracy) -> _model.Walker:
+        """The compiled part of `ctrplan.mechanics.walker.Walker`."""
+        with input_errors():
+            return _model.Walker(self._model, accuracy)
 
     def core_history(self, options: HistoryOptions, accuracy: Accuracy) -> _model.History:
         """The compiled simulation that `ctrplan.mechanics.history.History` drives."""

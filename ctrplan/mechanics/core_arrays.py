@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from ctrplan import _model
 from ctrplan.base.arrays import Array, numbers
 from ctrplan.errors import InputError
-from ctrplan.mechanics.shapes import Bounds, Shape, Status, Tips, TubeShape
+from ctrplan.mechanics.shapes import Bound, Bounds, Shape, Status, Tips, TubeShape
 from ctrplan.mechanics.walk import Field, PathDensity, PathLimits, PathSamples
 
 if TYPE_CHECKING:
@@ -135,6 +135,12 @@ def solved_shape(raw: dict[str, Any]) -> Shape:
     """The Shape of what a solve of the core returns; FAILED where it has no stability."""
     shape = shape_from_core(raw)
     return shape if np.isfinite(shape.stability) else replace(shape, status=Status.FAILED)
+
+
+def solved_bound(raw: dict[str, Any]) -> Bound:
+    """The Bound of what the core returns."""
+    corners = tuple(map(solved_shape, raw["corners"]))
+    return Bound(**raw | {"frictionless": solved_shape(raw["frictionless"]), "corners": corners})
 
 
 def shape_from_core(raw: dict[str, Any]) -> Shape:

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ctrplan.base.arguments import Choice, Made, checked
+from ctrplan.base.arguments import PROGRESS, Choice, Made, checked
 from ctrplan.base.arrays import Array, numbers
+from ctrplan.base.progress import Progress
 from ctrplan.errors import InputError, SolverError
 from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.mechanics.core import Mechanics
@@ -126,22 +127,26 @@ class History:
     def advance(self, theta_b: ArrayLike, l_b: ArrayLike) -> HistoryStep:
         """Moves all joints to base rotations (n,) [rad] and translations (n,) [m]; the first call starts there.
 
-        Raises SolverError where no equilibrium is found, with the history left where it got to.
+        Raises SolverError where no equilibrium is found, with the history left where it got to. Ctrl-C on the way
+        leaves it where it was, one after the way at its end.
         """
         rows = joint_row(theta_b, self._mechanics.n), joint_row(l_b, self._mechanics.n)
         moved = self._begin(*rows) if self._at is None else self._move(*rows)
+        self._at = rows
         return self._step(*rows, **moved)
 
-    def follow(self, theta_b: ArrayLike, l_b: ArrayLike) -> HistoryPath:
+    @checked(progress=PROGRESS)
+    def follow(self, theta_b: ArrayLike, l_b: ArrayLike, *, progress: Progress | None = None) -> HistoryPath:
         """Moves along K waypoints (K, n) [rad], (K, n) [m] in one call into the core, with tips only.
 
-        Rows after one that FAILED are NaN.
+        Rows after one that FAILED are NaN. `progress` is told the finished share, 0 to 1. Ctrl-C, and whatever
+        `progress` raises, leave the history where it was.
         """
         thetas, ls = joint_rows(theta_b, l_b, self._mechanics.n)
         if self._at is None and len(thetas):
             self._begin(thetas[0], ls[0])
         with input_errors():
-            path = HistoryPath(**self._core.follow(thetas, ls))
+            path = HistoryPath(**self._core.follow(thetas, ls, progress))
         reached = np.flatnonzero(path.status < Status.FAILED)
         if len(reached):
             self._at = (thetas[reached[-1]].copy(), ls[reached[-1]].copy())
@@ -176,20 +181,20 @@ class History:
             status = self._core.start(theta_b, l_b, self._phi)
         if status == Status.FAILED:
             raise SolverError("no equilibrium was found at the start of the history")
-        self._at = (theta_b, l_b)
-        if not self._oscillates:
-            return {"steps": 0, "snaps": 0, "energy": Energy()}
-        weights = np.arange(self._mechanics.n)  # every pair turns by the amplitude
-        for k, amplitude in enumerate(np.radians(OSCILLATION_DEG)):
-            self._move(theta_b + (-1) ** k * amplitude * weights, l_b)
-        return self._move(theta_b, l_b)
+        moved = {"steps": 0, "snaps": 0, "energy": Energy()}
+        if self._oscillates:
+            weights = np.arange(self._mechanics.n)  # every pair turns by the amplitude
+            for k, amplitude in enumerate(np.radians(OSCILLATION_DEG)):
+                self._move(theta_b + (-1) ** k * amplitude * weights, l_b)
+            moved = self._move(theta_b, l_b)
+        self._at = (theta_b, l_b)  # begun, once it is there
+        return moved
 
     def _move(self, theta_b: Array, l_b: Array) -> dict[str, Any]:
         with input_errors():
             moved = self._core.advance(theta_b, l_b)
         if moved["status"] == Status.FAILED:
             raise SolverError("no equilibrium was found along the path")
-        self._at = (theta_b, l_b)
         return {"steps": moved["steps"], "snaps": moved["snaps"], "energy": Energy(**moved["energy"])}
 
     def _step(self, theta_b: Array, l_b: Array, steps: int, snaps: int, energy: Energy) -> HistoryStep:

@@ -94,14 +94,20 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class Bound:
-    """Largest deviations that friction can cause, over all sign corners, from the frictionless clearance solution."""
+    """Largest deviations that friction can cause, over sign corners, from the frictionless clearance solution."""
 
     position_m: float  # of the tip
     tangent_rad: float  # of the tip tangent
     frictionless: Shape  # phi = 0
-    corners: tuple[Shape, ...]  # phi in itertools.product((1, -1), repeat=n - 1)
+    corners: tuple[Shape, ...]  # those visited: all, phi in itertools.product((1, -1), repeat=n - 1), or extreme ones
+    corner_phi: Array  # (C, n - 1) friction states of the corners, signs per pair, outermost first
     envelope_m: Array  # (N,) of the centreline, at frictionless.s_m
     worst_corner: int  # index of the corner that gives position_m
+
+    @property
+    def has_all_corners(self) -> bool:
+        """Whether every corner was visited; of extreme ones alone the bound is what a search found."""
+        return len(self.corners) == 1 << int(self.corner_phi.shape[1])
 
 
 @dataclass(frozen=True, eq=False)

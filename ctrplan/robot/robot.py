@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from ctrplan.base.progress import Progress
     from ctrplan.mechanics.core import Accuracy, Bound, Bounds, Mechanics, Shape
     from ctrplan.mechanics.history import History, HistoryOptions, Start
+    from ctrplan.mechanics.walker import Walker
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,9 +95,17 @@ class Robot:
         """
         return self.mechanics.solve(theta_b, l_b, phi, accuracy=accuracy)
 
-    def bound(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> Bound:
+    def bound(
+        self,
+        theta_b: ArrayLike,
+        l_b: ArrayLike,
+        *,
+        accuracy: Accuracy = "search",
+        corners: Literal["all", "extreme"] | None = None,
+        progress: Progress | None = None,
+    ) -> Bound:
         """Largest friction-induced deviations with collars at (n,) [rad], (n,) [m]. See `Mechanics.bound`."""
-        return self.mechanics.bound(theta_b, l_b, accuracy=accuracy)
+        return self.mechanics.bound(theta_b, l_b, accuracy=accuracy, corners=corners, progress=progress)
 
     def bound_many(
         self,
@@ -115,6 +124,12 @@ class Robot:
         return self.mechanics.bound_many(
             theta_b, l_b, accuracy=accuracy, threads=threads, progress=progress, executor=executor
         )
+
+    def walker(self, *, accuracy: Accuracy = "search") -> Walker:
+        """Bounds along a path of the collars, step by step, each from the one before. See `Walker`."""
+        from ctrplan.mechanics.walker import Walker
+
+        return Walker(self.mechanics.core_walker(accuracy), self.n)
 
     def history(
         self, start: Start = "released", *, accuracy: Accuracy = "search", options: HistoryOptions | None = None

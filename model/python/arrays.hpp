@@ -70,9 +70,3 @@ inline ctr::Accuracy accuracy(const std::string& name) {
     throw ctr::InvalidInput("there is no accuracy \"" + name + "\"");
 }
 
-// What work returns, done without the interpreter's lock.
-template <class Work>
-auto unlocked(const Work& work) {
-    nb::gil_scoped_release release;
-    return work();
-}

@@ -25,6 +25,7 @@ inline std::vector<ctr::Configuration> configurations(const Matrix& theta, const
 inline std::vector<ctr::Configuration> valid_configurations(const ctr::Robot& robot, const Matrix& theta, const Matrix& l) {
     std::vector<ctr::Configuration> all = configurations(theta, l, robot.count());
     for (std::size_t k = 0; k < all.size(); ++k) {
+        if (k % 4096 == 0 && PyErr_CheckSignals() != 0) throw nb::python_error();
         try {
             ctr::validate(robot, all[k]);
         } catch (const ctr::InvalidInput& reason) {

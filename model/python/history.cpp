@@ -5,6 +5,7 @@
 #include "bindings.hpp"
 #include "configurations.hpp"
 #include "shapes.hpp"
+#include "unlocked.hpp"
 
 // Nobody waits here with the interpreter's lock, so that the holder can always take it.
 std::unique_lock<std::mutex> PathHistory::hold() const {
@@ -38,10 +39,10 @@ nb::dict PathHistory::advance(Vector theta, Vector l) {
     return made;
 }
 
-nb::dict PathHistory::follow(Matrix theta, Matrix l) {
+nb::dict PathHistory::follow(Matrix theta, Matrix l, const nb::object& progress) {
     const std::vector<ctr::Configuration> path = valid_configurations(robot_, theta, l);
     const std::unique_lock<std::mutex> lock = hold();
-    ctr::WaypointRows rows = unlocked([&] { return history_.follow(path); });
+    ctr::WaypointRows rows = unlocked([&] { return history_.follow(path); }, progress);
     nb::dict made;
     made["position_m"] = array(std::move(rows.tip));
     made["tangent"] = array(std::move(rows.tangent));
@@ -96,7 +97,7 @@ void bind_history(nb::module_& m) {
     nb::class_<PathHistory>(m, "History")
         .def("start", &PathHistory::start, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert())
         .def("advance", &PathHistory::advance, "theta_b"_a.noconvert(), "l_b"_a.noconvert())
-        .def("follow", &PathHistory::follow, "theta_b"_a.noconvert(), "l_b"_a.noconvert())
+        .def("follow", &PathHistory::follow, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "progress"_a.none())
         .def("shape", &PathHistory::shape)
         .def("friction", &PathHistory::friction)
         .def("beside", &PathHistory::beside, "phi"_a.noconvert())

@@ -6,9 +6,11 @@
 
 #include "bindings.hpp"
 #include "bound_lookup.hpp"
+#include "bounds.hpp"
 #include "configurations.hpp"
 #include "history.hpp"
 #include "shapes.hpp"
+#include "unlocked.hpp"
 #include "walk.hpp"
 
 namespace {
@@ -31,40 +33,20 @@ nb::dict solve(Model& model, Vector theta, Vector l, Vector phi, const std::stri
     return to_python(unlocked([&] { return model.solve(q, accuracy(level).refined(refinement), friction); }));
 }
 
-nb::dict bound(Model& model, Vector theta, Vector l, const std::string& level) {
+nb::dict bound(Model& model, Vector theta, Vector l, const std::string& level, bool extremes_only, const nb::object& progress) {
     const ctr::Configuration q = valid_configuration(model.robot(), theta, l);
-    ctr::BoundShapes found = unlocked([&] { return model.bound(q, accuracy(level)); });
-    nb::list corners;
-    for (ctr::Shape& corner : found.corners) corners.append(to_python(std::move(corner)));
-    nb::dict made;
-    made["position_m"] = found.position;
-    made["tangent_rad"] = found.tangent;
-    made["frictionless"] = to_python(std::move(found.frictionless));
-    made["corners"] = corners;
-    made["envelope_m"] = array(std::move(found.envelope));
-    made["worst_corner"] = found.worst_corner;
-    return made;
+    return to_python(unlocked([&] { return model.bound(q, accuracy(level), extremes_only); }, progress));
 }
 
 nb::dict bound_many(Model& model, Matrix theta, Matrix l, const std::string& level, int threads) {
     const std::vector<ctr::Configuration> all = valid_configurations(model.robot(), theta, l);
-    ctr::BoundRows rows = unlocked([&] { return model.bounds(all, accuracy(level), threads); });
-    nb::dict made;
-    made["position_m"] = array(std::move(rows.position_bound));
-    made["tangent_rad"] = array(std::move(rows.tangent_bound));
-    made["stability"] = array(std::move(rows.stability));
-    made["max_strain"] = array(std::move(rows.max_strain));
-    made["residual"] = array(std::move(rows.residual));
-    made["status"] = array(rows.status);
-    made["tip_m"] = array(std::move(rows.tip));
-    made["tip_tangent"] = array(std::move(rows.tangent));
-    return made;
+    return to_python(unlocked([&] { return model.bounds(all, accuracy(level), threads); }));
 }
 
 // Zero-clearance tips, tangents and status.
-nb::tuple tips(Model& model, Matrix theta, Matrix l, int threads) {
+nb::tuple tips(Model& model, Matrix theta, Matrix l, int threads, const nb::object& progress) {
     const std::vector<ctr::Configuration> all = valid_configurations(model.robot(), theta, l);
-    ctr::TipRows rows = unlocked([&] { return model.zero_clearance_tips(all, threads); });
+    ctr::TipRows rows = unlocked([&] { return model.zero_clearance_tips(all, threads); }, progress);
     return nb::make_tuple(array(std::move(rows.tip)), array(std::move(rows.tangent)), array(rows.status));
 }
 
@@ -87,12 +69,14 @@ std::vector<ctr::Direction> read(const Directions& given, int names) {
     return directions;
 }
 
-nb::dict tips_with_friction(const Model& model, Matrix theta, Matrix l, Matrix phi, const Directions& given, const std::string& level, int threads) {
+nb::dict tips_with_friction(const Model& model, Matrix theta, Matrix l, Matrix phi, const Directions& given, const std::string& level, int threads,
+                           const nb::object& progress) {
     const std::vector<ctr::Configuration> all = valid_configurations(model.robot(), theta, l);
     if (phi.shape(0) != all.size() || phi.shape(1) != model.robot().pairs.size())
         throw ctr::InvalidInput("phi needs one row per configuration, one value per pair");
     const std::vector<ctr::Direction> directions = read(given, static_cast<int>(ctr::number_names(model.robot()).size()));
-    ctr::FrictionTipRows rows = unlocked([&] { return model.friction_tips(all, phi.data(), directions, accuracy(level), threads); });
+    ctr::FrictionTipRows rows = unlocked([&] { return model.friction_tips(all, phi.data(), directions, accuracy(level), threads); },
+                                           progress);
     nb::dict made;
     made["position_m"] = array(std::move(rows.tip));
     made["tangent"] = array(std::move(rows.tangent));
@@ -155,16 +139,16 @@ void bind_model(nb::module_& m) {
         .def("__init__", &make_model, "tubes"_a, "pairs"_a, "loads"_a)
         .def("zero_clearance", &zero_clearance, "theta_b"_a.noconvert(), "l_b"_a.noconvert())
         .def("solve", &solve, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(), "accuracy"_a, "refinement"_a)
-        .def("bound", &bound, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "accuracy"_a)
+        .def("bound", &bound, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "accuracy"_a, "extremes_only"_a, "progress"_a.none())
         .def("bound_many", &bound_many, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "accuracy"_a, "threads"_a)
-        .def("tips", &tips, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "threads"_a)
+        .def("tips", &tips, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "threads"_a, "progress"_a.none())
         .def("clearances", &clearances, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "field"_a.none(), "step"_a, "threads"_a)
         .def("field_entries", &field_entries, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "threads"_a)
         .def("field_lookup", &field_lookup, "axes"_a, "values"_a.noconvert(), "margin"_a)
         .def("history", &history, "accuracy"_a, "breakaway"_a, "rotation"_a, "translation"_a, "state_change"_a)
         .def("number_names", [](const Model& model) { return ctr::number_names(model.robot()); })
         .def("tips_with_friction", &tips_with_friction, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(), "directions"_a,
-             "accuracy"_a, "threads"_a)
+             "accuracy"_a, "threads"_a, "progress"_a.none())
         .def("check_path", &check_path, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "field"_a.none(), "density"_a, "limits"_a, "accuracy"_a,
              "shapes"_a)
         .def("friction_bodies", &friction_bodies, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(), "spacing"_a, "accuracy"_a)

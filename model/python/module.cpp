@@ -19,4 +19,5 @@ NB_MODULE(_model, m) {
     bind_bound_lookup(m);
     bind_history(m);
     bind_model(m);
+    bind_walker(m);
 }

@@ -2,6 +2,7 @@
 //   cmake -S model -B build/core -DCTR_PYTHON=OFF -DCTR_TESTS=ON && cmake --build build/core && build/core/core_test [SOLVES]
 #include <algorithm>
 #include <atomic>
+#include <chrono>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
@@ -20,8 +21,11 @@ using tests::Case;
 using tests::expect;
 using tests::random_case;
 
+constexpr int kMostTubes = 6;
+
 struct Tally {
-    int status[4] = {};
+    int status[2][kMostTubes + 1][4] = {};  // ordinary and extreme robots, by number of tubes
+    double longest = 0;                     // s, of a bound
     int walks = 0, lost = 0, snaps = 0;
 };
 
@@ -55,22 +59,29 @@ void walk(int seed, const Case& made, std::mt19937& random, Tally& tally) {
 // One robot: residuals, common rotation, no friction no bound, following a rotation agrees with solving afresh.
 void check(int seed, Tally& tally) {
     std::mt19937 random(seed);
-    const int n = 1 + seed % 4;
-    const Case made = random_case(random, n);
+    const int n = 1 + seed % kMostTubes;
+    const bool extreme = seed / kMostTubes % 2;
+    const Case made = extreme ? tests::extreme_case(random, n) : random_case(random, n);
     const ctr::Accuracy accuracy = ctr::Accuracy::search();
     ctr::validate(made.robot);
     ctr::validate(made.robot, made.q);
     ctr::BoundSolver solver(made.robot);
+    const auto begun = std::chrono::steady_clock::now();
     solver.solve(made.q, accuracy);
+    tally.longest = std::max(tally.longest, std::chrono::duration<double>(std::chrono::steady_clock::now() - begun).count());
     solver.search_others();
     const ctr::Status status = solver.all_converged() ? solver.status() : ctr::Status::failed;
-    ++tally.status[static_cast<int>(status)];
+    ++tally.status[extreme][n][static_cast<int>(status)];
     if (status == ctr::Status::failed) return;
-    expect(solver.frictionless().residual < 1e-8, "residual below 1e-8 without friction", seed);
-    for (int k = 0; k < solver.corners(); ++k) expect(solver.corner(k).residual < 1e-8, "residual below 1e-8 in a corner", seed);
+    const double tolerance = solver.solver().tolerance();
+    const ctr::KernelProblem& mesh = solver.solver().mesh().problem();
+    const bool coarse = *std::min_element(mesh.length, mesh.length + mesh.elements) > 2e-4;
+    expect(tolerance == 1e-8 || (!coarse && tolerance <= 1e-6), "residual below 1e-8 where no element is short", seed);
+    expect(solver.frictionless().residual < tolerance, "residual reached without friction", seed);
+    for (int k = 0; k < solver.corners(); ++k) expect(solver.corner(k).residual < tolerance, "residual reached in a corner", seed);
     if (n == 1) expect(solver.position == 0, "one tube has no friction error", seed);
-    walk(seed, made, random, tally);
-    if (status != ctr::Status::converged) return;
+    if (!extreme && n <= 4) walk(seed, made, random, tally);
+    if (status != ctr::Status::converged || extreme || n > 4) return;
     ctr::Configuration turned = made.q;
     for (double& theta : turned.theta) theta += 0.7;
     ctr::BoundSolver second(made.robot);
@@ -94,11 +105,23 @@ int main(int count, char** arguments) {
     std::thread other(work, std::ref(tallies[1]));
     work(tallies[0]);
     other.join();
-    int status[4];
-    for (int k = 0; k < 4; ++k) status[k] = tallies[0].status[k] + tallies[1].status[k];
-    std::printf("%d random robots of 1 to 4 tubes: %d CONVERGED, %d MULTIPLE, %d UNSTABLE, %d FAILED; %d laws broken\n", solves,
-                status[0], status[1], status[2], status[3], tests::failures.load());
+    auto count_of = [&](int extreme, int n, int k) { return tallies[0].status[extreme][n][k] + tallies[1].status[extreme][n][k]; };
+    int failed[2] = {}, made[2] = {};
+    std::printf("tubes  ordinary: robots FAILED UNSTABLE MULTIPLE   extreme: robots FAILED UNSTABLE MULTIPLE\n");
+    for (int n = 1; n <= kMostTubes; ++n) {
+        std::printf("%5d", n);
+        for (int extreme = 0; extreme < 2; ++extreme) {
+            int robots = 0;
+            for (int k = 0; k < 4; ++k) robots += count_of(extreme, n, k);
+            made[extreme] += robots;
+            failed[extreme] += count_of(extreme, n, 3);
+            std::printf("  %18d %6d %8d %8d", robots, count_of(extreme, n, 3), count_of(extreme, n, 2), count_of(extreme, n, 1));
+        }
+        std::printf("\n");
+    }
+    std::printf("%d random robots of 1 to %d tubes: FAILED %d of %d ordinary, %d of %d extreme ones; longest bound %.1f s; %d laws broken\n", solves,
+                kMostTubes, failed[0], made[0], failed[1], made[1], std::max(tallies[0].longest, tallies[1].longest), tests::failures.load());
     const int walks = tallies[0].walks + tallies[1].walks, lost = tallies[0].lost + tallies[1].lost;
     std::printf("%d histories of 4 legs: %d without an equilibrium to go on to, %d snaps\n", walks, lost, tallies[0].snaps + tallies[1].snaps);
-    return tests::failures || status[3] * 1000 > solves || lost * 100 > walks;
+    return tests::failures || (failed[0] + failed[1]) * 1000 > std::max(solves, 1000) || lost * 100 > walks;
 }

@@ -47,6 +47,48 @@ inline Case random_case(std::mt19937& random, int n) {
     return made;
 }
 
+// n tubes at the ends of what somebody can make: one to three sections each, bent up to half round and up to what the material
+// bears when they are straightened (8 %), neighbours up to 100 times as stiff, clearances 5 um to 3 mm or 2 % of the radius of
+// curvature, mu 0 to 0.5, nu -0.9 to 0.5, 20 mm to half a metre long, collars anywhere or all together, tips 0.01 mm apart.
+// Where tubes bend once round and mu goes to 2, friction locks them: full friction then has no equilibrium.
+inline Case extreme_case(std::mt19937& random, int n) {
+    auto uniform = [&](double a, double b) { return std::uniform_real_distribution<double>(a, b)(random); };
+    auto log_uniform = [&](double a, double b) { return std::pow(10.0, uniform(std::log10(a), std::log10(b))); };
+    constexpr double kMostStrain = 0.08;
+    Case made;
+    std::vector<double> outer_radius(n), sharpest(n);
+    double radius = log_uniform(2e-4, 1e-3);
+    for (int i = n - 1; i >= 0; --i) outer_radius[i] = radius *= uniform(1.1, 1.6);
+    const bool together = uniform(0, 1) < 0.3, gently = uniform(0, 1) < 0.5;
+    double base = -uniform(0, 0.05), tip = log_uniform(0.02, 0.2);
+    for (int i = 0; i < n; ++i) {
+        const double EI = log_uniform(1e-3, 0.1), length = tip - base;
+        made.robot.tubes.push_back({outer_radius[i], outer_radius[i] / 1.09, EI, EI / (1 + uniform(-0.9, 0.5)), 0.001, {}});
+        std::vector<double> parts;
+        double sum = 0;
+        for (int k = 1 + static_cast<int>(uniform(0, 3)); k > 0; --k) sum += parts.emplace_back(uniform(0.1, 1));
+        double left = M_PI;  // rad
+        for (const double part : parts) {
+            const double long_ = length * part / sum, most = std::min(kMostStrain / outer_radius[i], left / long_);
+            const double curvature = uniform(0, 1) < 0.3 ? 0 : gently ? uniform(0, std::min(most, 20.0)) : uniform(0, most);
+            const double towards = uniform(-M_PI, M_PI);
+            left -= curvature * long_;
+            sharpest[i] = std::max(sharpest[i], curvature);
+            made.robot.tubes[i].sections.push_back({long_, curvature * std::cos(towards), curvature * std::sin(towards)});
+        }
+        made.q.theta.push_back(uniform(-M_PI, M_PI));
+        made.q.l.push_back(base);
+        base -= together ? uniform(0.001, 0.002) : uniform(0.001, 0.1);
+        tip += uniform(0, 1) < 0.3 ? 1e-5 : together ? uniform(0, 0.002) : uniform(0, 0.06);
+    }
+    for (int i = 0; i + 1 < n; ++i) {
+        const double most = std::min(3e-3, 0.02 / std::max({sharpest[i], sharpest[i + 1], 1.0}));
+        const double friction = uniform(0, 0.5);
+        made.robot.pairs.push_back({log_uniform(5e-6, most), friction, outer_radius[i] / 1.09, outer_radius[i + 1]});
+    }
+    return made;
+}
+
 inline std::atomic<int> checks = 0, failures = 0;
 
 inline void expect(bool holds, const char* law, int seed) {

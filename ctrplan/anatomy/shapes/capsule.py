@@ -21,6 +21,7 @@ class Capsule(Shape):
     """
 
     kind = "capsule"
+    is_formula = True
     from_m: Array
     to_m: Array
     radius_m: float

@@ -18,6 +18,7 @@ class Sphere(Shape):
     """center_m (3,), radius_m, in the anatomy's frame. Raises InputError for what is no sphere."""
 
     kind = "sphere"
+    is_formula = True
     center_m: Array
     radius_m: float
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.anatomy.parts import exact_clearance
+from ctrplan.anatomy.nearby import exact_clearance_of_many
 from ctrplan.base.arrays import Array
 from ctrplan.planning.anatomy_grid import anatomy_grid
 from ctrplan.planning.certificate.allowances import POINT_SPACING_M
@@ -46,7 +46,7 @@ class AnatomyDistance:
         found: Array = rough - self._doubt(rough)
         near = found < needed_m
         if near.any():
-            found[near] = exact_clearance(self.scenario.anatomy, located[near])
+            found[near] = exact_clearance_of_many(self.scenario.anatomy, located[near])
         return found
 
     def least(self, points_m: Array, radius_m: Array, owner: NDArray[np.intp], count: int) -> Array:
@@ -60,12 +60,12 @@ class AnatomyDistance:
         ceiling = np.full(count, np.inf)
         np.minimum.at(ceiling, owner, rough + doubt - radius_m)
         near = np.flatnonzero(beside(rough - doubt, HALF_M) - radius_m <= ceiling[owner])
-        at_points = exact_clearance(self.scenario.anatomy, located[near])
+        at_points = exact_clearance_of_many(self.scenario.anatomy, located[near])
         least = np.full(count, np.inf)
         np.minimum.at(least, owner[near], at_points - radius_m[near])
         open_ = near[beside(at_points, HALF_M) - radius_m[near] < least[owner[near]]]
         begins = np.append(True, np.any(np.diff(located, axis=0) ** 2 > POINT_SPACING_M**2, axis=1))
-        pieces = exact_clearance(self.scenario.anatomy, around(located, open_, begins))
+        pieces = exact_clearance_of_many(self.scenario.anatomy, around(located, open_, begins))
         values = beside(pieces, HALF_M / PARTS) - np.tile(radius_m[open_], PARTS)
         np.minimum.at(least, np.tile(owner[open_], PARTS), values)
         return least

@@ -48,14 +48,24 @@ class BoundSolver {
     // across opposed precurvatures, confirmed on the frictionless clearance model. status() then says multiple.
     void search_others();
 
+    // All corners, as a new solver has them (of robots of at most kMostTubesOfAllCorners; those of more have none), or these
+    // alone, signs [corner][pair].
+    void visit_all_corners();
+    void visit_corners(std::vector<signed char> signs);
+    static constexpr int kMostTubesOfAllCorners = 10;
+
     int corners() const { return corners_; }
     // Corner signs in itertools.product((1, -1)) order, outermost pair first.
-    int sign(int corner, int pair) const { return (corner >> (pairs_ - 1 - pair)) & 1 ? -1 : 1; }
+    int sign(int corner, int pair) const {
+        if (!signs_.empty()) return signs_[static_cast<std::size_t>(corner) * pairs_ + pair];
+        return (corner >> (pairs_ - 1 - pair)) & 1 ? -1 : 1;
+    }
     const LaneState& corner_state(int corner) const { return *batches_[corner / kLanes]; }
     int corner_lane(int corner) const { return corner % kLanes; }
     const LaneState& frictionless_state() const { return frictionless_; }
     const Convergence& frictionless() const { return frictionless_convergence_; }
     const Convergence& corner(int k) const { return corner_convergence_[k]; }
+    bool started_cold() const { return cold_; }  // the last solve or follow, from nothing
     bool all_converged() const;
     double stability() const { return stability_; }
     std::vector<double> shape_stabilities();  // frictionless, then every corner with its friction
@@ -79,6 +89,10 @@ class BoundSolver {
     void prepare(const Configuration& q, const Accuracy& accuracy);
     void solve_frictionless();
     void solve_corners();
+    void lay_out(int corners);
+    bool shares_steps() const { return batches_.size() > 4; }  // memory counts from six tubes on: factors of the last batch alone
+    void grant_far_steps();
+    void reach_far(LaneState& state, double level, Convergence& result);
     void reach_corner(std::size_t batch, int lane);
     BarrierPath set_out(LaneState& state);
     void set_corner_phi(std::size_t batch);
@@ -92,6 +106,8 @@ class BoundSolver {
     BackboneTracer tracer_;
     ZeroClearance zero_;
     int pairs_, corners_;
+    std::vector<signed char> signs_;  // empty: all corners
+    int far_steps_ = 0;               // left for corners that are hard to reach
     LaneState frictionless_, shared_;  // shared_: the frictionless iterate where the friction states part
     bool shared_is_good_ = false;
     std::vector<std::unique_ptr<LaneState>> batches_;
@@ -103,8 +119,8 @@ class BoundSolver {
     bool multiple_ = false;
     ZeroClearance other_;
     LaneState trial_;
-    bool have_solution_ = false;
-    std::vector<bool> unfactored_;  // batches a lane of which came from elsewhere
+    bool have_solution_ = false, cold_ = true;
+    std::vector<bool> unfactored_;  // batches a lane of which came from elsewhere, or whose factors others have overwritten
     std::vector<CarriedState> carried_;  // what follow() starts from: frictionless, then the batches
     std::unique_ptr<Predictor> predictor_;
     std::vector<double> phi_;

@@ -73,11 +73,13 @@ class FrictionSolver {
     // Newton steps down the barrier path; every lane ends at path.last. converged is filled per lane.
     void solve(LaneState& state, const BarrierPath& path, Convergence* result);
     // One lane, for what solve() does not reach from an iterate near the central path at the given level: by easing the
-    // softening of the tubes, where they soften, else by sliding.
-    void reach(LaneState& state, double level, Convergence& result);
+    // softening of the tubes, where they soften, else by friction that grows from none, else by sliding.
+    // Gives up after about `most_steps` Newton steps; returns whether it got there.
+    bool reach(LaneState& state, double level, Convergence& result, int most_steps = kMostSteps);
     // One lane, from an iterate near the central path at the given level: follows the way the robot would slide, off folds
     // and onto a stable branch, by implicit steps in time. Slow.
-    void slide(LaneState& state, double level, Convergence& result);
+    void slide(LaneState& state, double level, Convergence& result, int most_steps = kMostSteps);
+    static constexpr int kMostSteps = 3000;
     // The frictionless torsional second variation's smallest eigenvalue over GJ / L^2 of the innermost tube; uses the
     // factors left in a one-lane state by solve(). Negative pivots are counted into `negative`.
     double stability(LaneState& state, int& negative);
@@ -99,12 +101,15 @@ class FrictionSolver {
     const Robot& robot() const { return robot_; }
     double base_l() const { return base_l_; }  // m, of the innermost tube
     double moment_scale() const { return moment_scale_; }
+    double tolerance() const { return tolerance_; }        // of residuals: 1e-8, or what rounding leaves on this mesh
     double last_barrier() const { return last_barrier_; }  // of the accuracy built for
     double last_level() const { return last_barrier_ * barrier_unit_; }  // N/m
 
   private:
+    double rounding() const;
     void scale(const Configuration& q, const Accuracy& accuracy);
     void lengthen(LaneState& state, double* primal, double* dual);
+    bool load_friction(LaneState& state, double level, Convergence& result);
     bool ease(LaneState& state, double level, Convergence& result);
     bool settle(LaneState& state, double level, double damping, int& steps);
     double moved(const LaneState& state) const;  // rad, since the anchor
@@ -114,6 +119,7 @@ class FrictionSolver {
     Mesh mesh_, left_;  // left_: where move_along() came from
     double moment_scale_ = 1, barrier_unit_ = 1, last_barrier_ = 1;  // N m, N/m, in units
     double base_l_ = 0;
+    double tolerance_ = 1e-8;  // of the residual
     std::unique_ptr<LoadMoments> loads_;  // null without loads
     std::array<double, kLanes> load_change_{};  // per lane, the last one of the moments of the loads, over their size
     std::vector<double> load_begun_, load_step_, load_step_before_;  // of converge_load_moments()

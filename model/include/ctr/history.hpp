@@ -55,6 +55,7 @@ class History {
     // Begins at a configuration with every contact of a pair at phi, e.g. 0 released, +-1 fully loaded in a corner.
     Status start(const Configuration& q, const std::vector<double>& phi);
     // Moves all joints together to a configuration. A step that no equilibrium continues ends where the robot slides to.
+    // Called off, this and follow() leave the history where it was before.
     Status advance(const Configuration& q);
 
     // Waypoint after waypoint.
@@ -109,6 +110,11 @@ class History {
     struct OldContact {
         double phi = 0, psi = 0, direction[2] = {0, 0};
     };
+    template <class Work>
+    auto put_back_if_interrupted(const Work& work);
+    Status move(const Configuration& target);
+    bool go_beside(const std::vector<double>& phi, Backbone& backbone);
+    WaypointRows move_along(const std::vector<Configuration>& path);
     void identify();
     Iterate iterate() const;
     void put(const Iterate& iterate);

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <memory>
 #include <vector>
 
 #include "ctr/aligned.hpp"
@@ -10,9 +11,18 @@
 
 namespace ctr {
 
+// What a Newton step of an iterate needs on its way: most of the memory by far.
+struct StepMemory {
+    AlignedArray step, multiplier_step, slack_step, corrected_step, corrected_multiplier_step, corrected_slack_step;
+    AlignedArray diagonal, upper, lower, rhs;
+};
+
 // The iterate of one or four friction states on a mesh. Values are interleaved, lane fastest (kernel.hpp).
 class LaneState {
   public:
+    LaneState() : memory_(std::make_shared<StepMemory>()) {}
+    // Iterates of as many lanes that are solved one after the other need the memory of their steps once.
+    void share_steps(const LaneState& with) { memory_ = with.memory_; }
     void resize(const KernelProblem& problem, int lanes);
     void set_phi(const Robot& robot, const KernelProblem& problem, int lane, const double* phi);  // phi per pair, outermost first
     int lanes() const { return lanes_; }
@@ -34,10 +44,10 @@ class LaneState {
     double& load_moment(int element, int gauss, int tube, int plane, int lane) { return load_moment_[bend_index(element, gauss, tube, plane, lane)]; }
     double load_moment(int element, int gauss, int tube, int plane, int lane) const { return load_moment_[bend_index(element, gauss, tube, plane, lane)]; }
     double& tip_torque(int lane) { return load_moment_[load_moment_.size() - lanes_ + lane]; }
-    double& rhs(int node, int index, int lane) { return rhs_[(static_cast<std::size_t>(node) * stride_ + index) * lanes_ + lane]; }
-    double step(int node, int index, int lane) const { return step_[(static_cast<std::size_t>(node) * stride_ + index) * lanes_ + lane]; }
+    double& rhs(int node, int index, int lane) { return memory_->rhs[(static_cast<std::size_t>(node) * stride_ + index) * lanes_ + lane]; }
+    double step(int node, int index, int lane) const { return memory_->step[(static_cast<std::size_t>(node) * stride_ + index) * lanes_ + lane]; }
     double inverse_pivot(int node, int index, int lane) const {
-        return diagonal_[((static_cast<std::size_t>(node) * stride_ + index) * block_stride_ + index) * lanes_ + lane];
+        return memory_->diagonal[((static_cast<std::size_t>(node) * stride_ + index) * block_stride_ + index) * lanes_ + lane];
     }
     KernelState view(const LaneState* anchor = nullptr);
     KernelState corrected_view();         // with steps of its own
@@ -80,7 +90,8 @@ class LaneState {
     bool is_exact_ = false;
     AlignedArray shift_, load_, bend_, need_;  // [contact][2] m, [node][stride], [element][gauss][tube][2] 1/m, [node][pair][2] m
     const SlipLaw* slip_ = nullptr;
-    AlignedArray unknowns_, multiplier_, slack_, phi_mu_, step_, multiplier_step_, slack_step_, corrected_step_, corrected_multiplier_step_, corrected_slack_step_, diagonal_, upper_, lower_, rhs_, load_moment_;
+    AlignedArray unknowns_, multiplier_, slack_, phi_mu_, load_moment_;
+    std::shared_ptr<StepMemory> memory_;
 };
 
 }  // namespace ctr

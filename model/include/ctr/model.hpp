@@ -19,7 +19,8 @@ class SolverPool;
 struct BoundShapes {
     double position = 0, tangent = 0;  // m, rad
     Shape frictionless;
-    std::vector<Shape> corners;        // signs in itertools.product((1, -1)) order, outermost pair first
+    std::vector<Shape> corners;
+    std::vector<double> phi;           // [corner][pair] signs in itertools.product((1, -1)) order, outermost pair first
     std::vector<double> envelope;      // (N) m
     int worst_corner = 0;
 };
@@ -75,7 +76,9 @@ class Model {
 
     Shape zero_clearance(const Configuration& q) const;
     Shape solve(const Configuration& q, const Accuracy& accuracy, const std::vector<double>& phi);  // phi per pair, outermost first
-    BoundShapes bound(const Configuration& q, const Accuracy& accuracy);
+    // Over all corners, or over those that move the tip farthest, which may miss a part of the bound but take n^2 solves at most.
+    // Throws InvalidInput, as all that needs all corners, for robots of too many tubes.
+    BoundShapes bound(const Configuration& q, const Accuracy& accuracy, bool extremes_only = false);
     Body body(const Configuration& q, const Accuracy& accuracy);
     // phi: [state][pair], outermost pair first; points no farther apart than `spacing`.
     FrictionBodies friction_bodies(const Configuration& q, const Accuracy& accuracy, const double* phi, std::size_t states, double spacing);

@@ -6,11 +6,16 @@
 
 #include "bound/carried_state.hpp"
 #include "bound/predictor.hpp"
+#include "ctr/watch.hpp"
 
 namespace ctr {
 namespace {
 
 constexpr double kDistinct = 0.1;  // rad between angles of different equilibria
+// For all corners of a bound that Newton's method does not reach by itself: Newton steps, and numbers eliminated in them, which
+// take ten seconds or so.
+constexpr int kFarSteps = 6000;
+constexpr double kFarWork = 5e8;
 
 double largest_distance(const Backbone& a, const Backbone& b) {
     double most = 0;
@@ -24,13 +29,33 @@ double largest_distance(const Backbone& a, const Backbone& b) {
 }  // namespace
 
 BoundSolver::BoundSolver(const Robot& robot)
-    : solver_(robot), pairs_(robot.count() - 1), corners_(1 << (robot.count() - 1)), predictor_(std::make_unique<Predictor>()) {
-    corner_convergence_.resize((corners_ + kLanes - 1) / kLanes * kLanes);
-    for (int k = 0; k < corners_; k += kLanes) batches_.push_back(std::make_unique<LaneState>());
-    states_.push_back(&frictionless_);
+    : solver_(robot), pairs_(robot.count() - 1), predictor_(std::make_unique<Predictor>()) {
+    phi_.resize(std::max(pairs_, 1));
+    visit_all_corners();
+}
+
+void BoundSolver::visit_all_corners() {
+    signs_.clear();
+    lay_out(pairs_ < kMostTubesOfAllCorners ? 1 << pairs_ : 0);
+}
+
+void BoundSolver::visit_corners(std::vector<signed char> signs) {
+    signs_ = std::move(signs);
+    lay_out(pairs_ ? static_cast<int>(signs_.size()) / pairs_ : 1);
+}
+
+void BoundSolver::lay_out(int corners) {
+    corners_ = corners;
+    have_solution_ = false;
+    const std::size_t batches = std::max(1, (corners_ + kLanes - 1) / kLanes);
+    corner_convergence_.assign(batches * kLanes, {});
+    batches_.resize(std::min(batches, batches_.size()));
+    while (batches_.size() < batches) batches_.push_back(std::make_unique<LaneState>());
+    if (shares_steps())
+        for (const auto& batch : batches_) batch->share_steps(*batches_.front());
+    states_.assign(1, &frictionless_);
     for (const auto& batch : batches_) states_.push_back(batch.get());
     corner_backbones.resize(corners_);
-    phi_.resize(std::max(pairs_, 1));
 }
 
 BoundSolver::~BoundSolver() = default;
@@ -86,8 +111,10 @@ BarrierPath BoundSolver::set_out(LaneState& state) {
 
 void BoundSolver::solve_corners() {
     const KernelProblem& pb = solver_.mesh().problem();
-    unfactored_.assign(batches_.size(), false);
+    grant_far_steps();
+    unfactored_.assign(batches_.size(), shares_steps());
     for (std::size_t b = 0; b < batches_.size(); ++b) {
+        Watch::tell(static_cast<double>(b) / static_cast<double>(batches_.size()));
         LaneState& state = *batches_[b];
         state.resize(pb, kLanes);
         set_corner_phi(b);
@@ -97,6 +124,18 @@ void BoundSolver::solve_corners() {
         for (int lane = 0; lane < kLanes; ++lane)
             if (!result[lane].converged) reach_corner(b, lane);
     }
+}
+
+void BoundSolver::grant_far_steps() {
+    const KernelProblem& pb = solver_.mesh().problem();
+    far_steps_ = static_cast<int>(std::min<double>(kFarSteps, kFarWork / (static_cast<double>(pb.nodes) * pb.stride * pb.stride)));
+}
+
+// Within what is left of the effort granted; one friction state that is not reached leaves no bound, and no more effort.
+void BoundSolver::reach_far(LaneState& state, double level, Convergence& result) {
+    if (far_steps_ <= 0) return;
+    const bool found = solver_.reach(state, level, result, std::min(far_steps_, FrictionSolver::kMostSteps));
+    far_steps_ = found ? far_steps_ - result.iterations : 0;
 }
 
 // Where friction leaves no equilibrium near the frictionless one, or Newton's method does not find it.
@@ -112,13 +151,15 @@ void BoundSolver::reach_corner(std::size_t batch, int lane) {
     for (int pair = 0; pair < pairs_; ++pair) phi_[pair] = sign(corner, pair);
     trial_.set_phi(solver_.robot(), pb, 0, phi_.data());
     const BarrierPath path = set_out(trial_);
-    solver_.reach(trial_, path.first, corner_convergence_[corner]);
+    reach_far(trial_, path.first, corner_convergence_[corner]);
     solver_.copy(trial_, *batches_[batch], lane);
     if (corner < corners_ - 1) return;
     for (int spare = lane + 1; spare < kLanes; ++spare) solver_.copy(trial_, *batches_[batch], spare);
 }
 
 void BoundSolver::solve(const Configuration& q, const Accuracy& accuracy) {
+    cold_ = true;
+    have_solution_ = false;  // until there is one: the work may be called off
     predictor_->forget();
     zero_.solve(solver_.robot(), q);
     prepare(q, accuracy);
@@ -167,7 +208,7 @@ bool BoundSolver::advance(std::size_t index, LaneState& state, bool predicted, C
 }
 
 bool BoundSolver::follow_from(bool predicted) {
-    unfactored_.assign(batches_.size(), false);
+    unfactored_.assign(batches_.size(), shares_steps());
     const KernelProblem& pb = solver_.mesh().problem();
     frictionless_.resize(pb, 1);
     std::fill(phi_.begin(), phi_.end(), 0.0);
@@ -187,6 +228,7 @@ void BoundSolver::follow(const Configuration& q, const Accuracy& accuracy, bool 
     prepare(q, accuracy);
     const bool predicted = predictor_->reaches(q, solver_.mesh()) && follow_from(true);
     if (!predicted && !follow_last()) return solve(q, accuracy);
+    cold_ = false;
     stability_ = solver_.stability(frictionless_, negative_);
     measure();
 }
@@ -215,6 +257,7 @@ void BoundSolver::solve_states(const Configuration& q, const Accuracy& accuracy,
     have_solution_ = false;
     const KernelProblem& pb = solver_.mesh().problem();
     LaneState& state = *batches_.front();
+    grant_far_steps();
     Convergence result[kLanes];
     Backbone shapes[kLanes];
     double stability[kLanes];
@@ -231,7 +274,7 @@ void BoundSolver::solve_states(const Configuration& q, const Accuracy& accuracy,
             trial_.resize(pb, 1);
             trial_.set_phi(solver_.robot(), pb, 0, phi_of(lane));
             const BarrierPath again = set_out(trial_);
-            solver_.reach(trial_, again.first, result[lane]);
+            reach_far(trial_, again.first, result[lane]);
             if (result[lane].converged) solver_.stabilities(trial_, &stability[lane]);
             solver_.copy(trial_, state, lane);
         }

@@ -5,6 +5,7 @@
 
 #include "contact/load_moments.hpp"
 #include "ctr/friction_solver.hpp"
+#include "ctr/watch.hpp"
 #include "exact/exact_geometry.hpp"
 
 namespace ctr {
@@ -17,19 +18,70 @@ constexpr double kLeastDamping = 3, kMostDamping = 1e7;
 constexpr double kTrust = 0.3;            // rad that a step in time may turn a tube
 constexpr double kSettled = 1e-3;         // rad, last Newton step of a step in time
 constexpr double kAtRest = 0.01;          // rad, a step in time after which equilibrium is near
-constexpr int kSlidingSteps = 3000;       // Newton steps in all
+constexpr int kShortSlide = 400;          // that most slides need, before other ways are tried
 
 }  // namespace
 
-void FrictionSolver::reach(LaneState& state, double level, Convergence& result) {
-    if (robot_.softens()) {
-        begun_.resize(mesh_.problem(), 1);
-        copy(state, begun_, 0);
-        if (ease(state, level, result)) return;
-        copy(begun_, state, 0);
-        weigh(state);
+bool FrictionSolver::reach(LaneState& state, double level, Convergence& result, int most_steps) {
+    begun_.resize(mesh_.problem(), 1);
+    copy(state, begun_, 0);
+    int steps = 0;
+    bool is_first = true;
+    auto goes = [&](auto way) {  // from where it began
+        if (steps >= most_steps) return false;
+        if (!is_first) {
+            copy(begun_, state, 0);
+            weigh(state);
+        }
+        is_first = false;
+        way();
+        steps += result.iterations;
+        return result.converged;
+    };
+    const bool found = (robot_.softens() && goes([&] { ease(state, level, result); })) ||
+                       goes([&] { slide(state, level, result, std::min(kShortSlide, most_steps - steps)); }) ||
+                       goes([&] { load_friction(state, level, result); }) ||
+                       goes([&] { slide(state, level, result, most_steps - steps); });
+    result.iterations = steps;
+    return result.converged = found;
+}
+
+// From no friction to all of it, each solution from the one before, by shorter steps where the next one is not reached.
+bool FrictionSolver::load_friction(LaneState& state, double level, Convergence& result) {
+    constexpr double kFirst = 0.5, kLeast = 1.0 / 64, kMotion = 10;
+    const KernelProblem& pb = mesh_.problem();
+    std::vector<double> whole(pb.contacts);
+    double most = 0;
+    for (int k = 0; k < pb.contacts; ++k) most = std::max(most, std::fabs(whole[k] = state.phi_mu(k, 0)));
+    auto load = [&](double share) {
+        for (int k = 0; k < pb.contacts; ++k) state.set_phi_mu(k, 0, share * whole[k]);
+    };
+    if (most == 0) return false;
+    kept_.resize(pb, 1);
+    load(0);
+    solve(state, BarrierPath{level, last_barrier_}, &result);
+    int steps = result.iterations;
+    double share = 0, ahead = kFirst;
+    for (bool reached = result.converged; reached && share < 1 && ahead >= kLeast;) {
+        const double next = std::min(1.0, share + ahead);
+        copy(state, kept_, 0);
+        load(next);
+        const BarrierPath path = BarrierPath::warm(kMotion * ahead / kFirst, last_barrier_);
+        recentre(state, path.first);
+        solve(state, path, &result);
+        steps += result.iterations;
+        if (result.converged) {
+            share = next;
+            ahead *= 2;
+        } else {
+            copy(kept_, state, 0);
+            ahead *= 0.5;
+        }
     }
-    slide(state, level, result);
+    load(1);
+    result.converged = share == 1;
+    result.iterations = steps;
+    return result.converged;
 }
 
 // From tubes that bend linearly to those that soften, each solution from the one before, with the softening kept where the
@@ -67,14 +119,14 @@ bool FrictionSolver::ease(LaneState& state, double level, Convergence& result) {
     return result.converged;
 }
 
-void FrictionSolver::slide(LaneState& state, double level, Convergence& result) {
+void FrictionSolver::slide(LaneState& state, double level, Convergence& result, int most_steps) {
     const KernelProblem& pb = mesh_.problem();
     double damping = 0;
     int steps = 0, saddles = 0, wait = 0, patience = 1;  // steps in time before equilibrium is asked for again
     result = {};
     result.residual = result.complementarity = std::numeric_limits<double>::infinity();  // until equilibrium is reached
     kept_.resize(pb, 1);
-    while (steps < kSlidingSteps && damping < kMostDamping) {
+    while (steps < most_steps && damping < kMostDamping) {
         copy(state, kept_, 0);
         const bool settled = settle(state, level, damping, steps) && moved(state) < kTrust;
         const bool saddle = settled && damping == 0 && turns_away(state, 0) && ++saddles < 5;
@@ -110,6 +162,7 @@ bool FrictionSolver::settle(LaneState& state, double level, double damping, int&
     const KernelTable& run = kernel(1);
     const double barrier = level * barrier_unit_;
     for (int k = 0; k < kMost; ++k) {
+        Watch::look();
         double primal, dual;
         run.newton(pb, view, &barrier, &damping);
         ++steps;

@@ -12,6 +12,10 @@ namespace {
 constexpr double kHardClearance = 3e-3;   // of the innermost tube's length. The tip error of the barrier goes with the
                                           // clearance, rounding in the gaps with its inverse: smaller ones get a softer barrier
 
+constexpr double kResidual = 1e-8;        // of EI * precurvature
+constexpr double kMostRounding = 1e-6;    // of the same, where elements are so short that rounding leaves more
+constexpr double kDigits = 512 * 2.2e-16;
+
 }  // namespace
 
 FrictionSolver::FrictionSolver(const Robot& robot) : robot_(robot) {
@@ -48,11 +52,23 @@ void FrictionSolver::scale(const Configuration& q, const Accuracy& accuracy) {
             moment_scale_ = std::max(moment_scale_, tube.bending_stiffness * std::hypot(section.curvature_x, section.curvature_y));
     const double length = robot_.tubes.back().length();
     barrier_unit_ = moment_scale_ / (length * length);
+    tolerance_ = std::clamp(rounding(), kResidual, kMostRounding);
+}
+
+// What the digits of the offsets leave of the balance: they are of the size of clearances, and the curvature of an element
+// takes their differences over the square of its length.
+double FrictionSolver::rounding() const {
+    double clearance = 0, stiffest = 0, shortest = 1e300;
+    for (const Pair& pair : robot_.pairs) clearance += pair.clearance;
+    for (const Tube& tube : robot_.tubes) stiffest = std::max(stiffest, tube.bending_stiffness);
+    for (int e = 0; e < mesh_.problem().elements; ++e) shortest = std::min(shortest, mesh_.problem().length[e]);
+    return kDigits * stiffest * clearance / (shortest * shortest) / moment_scale_;
 }
 
 bool FrictionSolver::move(const FrictionSolver& from, const Robot& robot, const Configuration& q) {
     robot_ = robot;
     moment_scale_ = from.moment_scale_;
+    tolerance_ = from.tolerance_;
     barrier_unit_ = from.barrier_unit_;
     last_barrier_ = from.last_barrier_;
     base_l_ = q.l.back();

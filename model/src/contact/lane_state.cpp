@@ -15,21 +15,16 @@ void LaneState::resize(const KernelProblem& problem, int lanes) {
     const std::size_t vector = static_cast<std::size_t>(problem.nodes) * stride_ * lanes, block = vector * block_stride_;
     const std::size_t contacts = static_cast<std::size_t>(problem.contacts) * lanes + kLanes;
     unknowns_.resize(vector);
-    for (AlignedArray* step : {&step_, &corrected_step_}) {  // with finite values behind the end
+    StepMemory& memory = *memory_;
+    for (AlignedArray* step : {&memory.step, &memory.corrected_step}) {  // with finite values behind the end
         step->resize(vector + kLanes);
         std::fill(step->data() + vector, step->data() + vector + kLanes, 0.0);
     }
-    rhs_.resize(vector);
-    diagonal_.resize(block);
-    upper_.resize(block);
-    lower_.resize(block);
-    multiplier_.resize(contacts);
-    multiplier_step_.resize(contacts);
-    slack_.resize(contacts);
-    slack_step_.resize(contacts);
-    corrected_multiplier_step_.resize(contacts);
-    corrected_slack_step_.resize(contacts);
-    phi_mu_.resize(contacts);
+    memory.rhs.resize(vector);
+    for (AlignedArray* blocks : {&memory.diagonal, &memory.upper, &memory.lower}) blocks->resize(block);
+    for (AlignedArray* values : {&memory.multiplier_step, &memory.slack_step, &memory.corrected_multiplier_step, &memory.corrected_slack_step})
+        values->resize(contacts);
+    for (AlignedArray* values : {&multiplier_, &slack_, &phi_mu_}) values->resize(contacts);
     tubes_ = problem.tubes;
     load_moment_.resize((static_cast<std::size_t>(problem.elements) * 4 * tubes_ + 1) * lanes);
     load_moment_.fill(0.0);
@@ -116,34 +111,36 @@ void LaneState::put(const Kept& kept, const KernelProblem& problem) {
 }
 
 KernelState LaneState::view(const LaneState* anchor) {
-    return {unknowns_.data(),        multiplier_.data(), slack_.data(),    phi_mu_.data(), step_.data(),
-            multiplier_step_.data(), slack_step_.data(), diagonal_.data(), upper_.data(),  lower_.data(), rhs_.data(),
+    StepMemory& memory = *memory_;
+    return {unknowns_.data(), multiplier_.data(), slack_.data(), phi_mu_.data(), memory.step.data(), memory.multiplier_step.data(),
+            memory.slack_step.data(), memory.diagonal.data(), memory.upper.data(), memory.lower.data(), memory.rhs.data(),
             load_moment_.data(), slip_, anchor ? anchor->unknowns_.data() : nullptr, block_stride_,
             is_exact_ ? shift_.data() : nullptr, is_exact_ ? load_.data() : nullptr};
 }
 
 KernelState LaneState::corrected_view() {
     KernelState state = view();
-    state.step = corrected_step_.data();
-    state.multiplier_step = corrected_multiplier_step_.data();
-    state.slack_step = corrected_slack_step_.data();
+    state.step = memory_->corrected_step.data();
+    state.multiplier_step = memory_->corrected_multiplier_step.data();
+    state.slack_step = memory_->corrected_slack_step.data();
     return state;
 }
 
 void LaneState::take_corrected(const bool* take) {
+    StepMemory& memory = *memory_;
     if (std::all_of(take, take + lanes_, [](bool t) { return t; })) {
-        std::swap(step_, corrected_step_);
-        std::swap(multiplier_step_, corrected_multiplier_step_);
-        std::swap(slack_step_, corrected_slack_step_);
+        std::swap(memory.step, memory.corrected_step);
+        std::swap(memory.multiplier_step, memory.corrected_multiplier_step);
+        std::swap(memory.slack_step, memory.corrected_slack_step);
         return;
     }
     auto copy = [&](const AlignedArray& from, AlignedArray& to) {
         for (int lane = 0; lane < lanes_; ++lane)
             for (std::size_t i = lane; take[lane] && i < from.size(); i += lanes_) to[i] = from[i];
     };
-    copy(corrected_step_, step_);
-    copy(corrected_multiplier_step_, multiplier_step_);
-    copy(corrected_slack_step_, slack_step_);
+    copy(memory.corrected_step, memory.step);
+    copy(memory.corrected_multiplier_step, memory.multiplier_step);
+    copy(memory.corrected_slack_step, memory.slack_step);
 }
 
 }  // namespace ctr

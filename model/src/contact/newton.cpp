@@ -5,6 +5,7 @@
 
 #include "contact/load_moments.hpp"
 #include "ctr/friction_solver.hpp"
+#include "ctr/watch.hpp"
 #include "exact/exact_geometry.hpp"
 
 namespace ctr {
@@ -13,7 +14,6 @@ namespace {
 #include "contact/newton_limits.hpp"
 
 constexpr double kNearlyFull = 0.99;      // of a step, below which no residual vanishes
-constexpr double kResidual = 1e-8;        // of EI * precurvature
 constexpr double kExactComplementarity = 0.03;  // of a barrier ten to a hundred times lower
 constexpr int kExactSteps = 40;           // more, since convergence is linear
 constexpr double kComplementarity = 1e-3; // of the last barrier level, itself far below any contact force
@@ -43,6 +43,7 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
     const int most = path.max_steps + (is_exact_ ? kExactSteps : 0);
     const double centred = is_exact_ ? kExactComplementarity : kComplementarity;
     for (int k = 0; k < most; ++k) {
+        Watch::look();
         run.newton(pb, state.view(), level, nullptr);
         run.step_length(pb, state.view(), kKeep, primal, dual);
         lengthen(state, primal, dual);
@@ -82,8 +83,8 @@ void FrictionSolver::solve(LaneState& state, const BarrierPath& path, Convergenc
             if (done[lane]) continue;
             result[lane].residual = std::max(std::max(moment[lane], bend_error[lane]) / moment_scale_, loads_ ? load_change_[lane] : 0.0);
             result[lane].complementarity = gap[lane];
-            const bool weighed = !loads_ || load_change_[lane] < kResidual;  // NaN is not
-            if (level[lane] <= last && result[lane].residual < kResidual && gap[lane] < centred && weighed)
+            const bool weighed = !loads_ || load_change_[lane] < tolerance_;  // NaN is not
+            if (level[lane] <= last && result[lane].residual < tolerance_ && gap[lane] < centred && weighed)
                 done[lane] = result[lane].converged = true;
             all = all && done[lane];
         }

@@ -4,6 +4,7 @@ namespace ctr {
 
 void TipSolver::begin(const Configuration& q, const Accuracy& accuracy) {
     if (begun_ && q.theta == q_.theta && q.l == q_.l && accuracy == accuracy_) return;
+    begun_ = false;  // until it has: the work may be called off
     q_ = q;
     accuracy_ = accuracy;
     zero_.solve(solver_.robot(), q);

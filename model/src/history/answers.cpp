@@ -3,6 +3,8 @@
 #include <memory>
 
 #include "ctr/history.hpp"
+#include "ctr/watch.hpp"
+#include "history/put_back.hpp"
 
 namespace ctr {
 namespace {
@@ -15,11 +17,16 @@ WaypointRows::WaypointRows(std::size_t rows, std::size_t pairs)
     : status(rows, Status::failed), snaps(rows, kNaN), tip(rows, Vec3{kNaN, kNaN, kNaN}), tangent(tip), phi(rows * pairs, kNaN) {}
 
 WaypointRows History::follow(const std::vector<Configuration>& path) {
+    return put_back_if_interrupted([&] { return move_along(path); });
+}
+
+WaypointRows History::move_along(const std::vector<Configuration>& path) {
     const std::size_t pairs = inner_arm_.size();
     WaypointRows out(path.size(), pairs);
     Backbone backbone;
     for (std::size_t k = 0; k < path.size(); ++k) {
-        out.status[k] = advance(path[k]);
+        Watch::tell(static_cast<double>(k) / static_cast<double>(path.size()));
+        out.status[k] = move(path[k]);
         if (status_ == Status::failed) break;
         tracer_.trace(solver_, state_, 0, 1, path[k].l.back(), &backbone);
         out.snaps[k] = snaps_;

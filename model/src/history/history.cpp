@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "bound/carried_state.hpp"
+#include "history/put_back.hpp"
 
 namespace ctr {
 namespace {
@@ -47,6 +48,7 @@ History::History(const Robot& robot, const Accuracy& accuracy, const HistoryOpti
 History::~History() = default;
 
 Status History::start(const Configuration& q, const std::vector<double>& phi) {
+    status_ = Status::failed;  // until it is there, if it gets there
     status_ = starter_.solve(q, accuracy_, phi);
     convergence_ = starter_.convergence();
     q_ = q;
@@ -124,6 +126,10 @@ History::Crossing History::find_crossing(const Configuration& from, const Config
 }
 
 Status History::advance(const Configuration& target) {
+    return put_back_if_interrupted([&] { return move(target); });
+}
+
+Status History::move(const Configuration& target) {
     energy_ = {};
     steps_ = snaps_ = 0;
     if (status_ == Status::failed) return status_;

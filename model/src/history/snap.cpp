@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "bound/carried_state.hpp"
+#include "history/put_back.hpp"
 
 namespace ctr {
 void History::hold(const std::vector<double>& phi) {
@@ -23,6 +24,10 @@ bool History::slide_with(const std::vector<double>& phi) {
 }
 
 bool History::solve_beside(const std::vector<double>& phi, Backbone& backbone) {
+    return put_back_if_interrupted([&] { return go_beside(phi, backbone); });
+}
+
+bool History::go_beside(const std::vector<double>& phi, Backbone& backbone) {
     constexpr double kSmallestPart = 0.01;
     const State kept = save();
     const KernelProblem& pb = solver_.mesh().problem();

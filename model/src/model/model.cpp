@@ -2,8 +2,11 @@
 #include "ctr/model.hpp"
 
 #include <algorithm>
+#include <string>
 
+#include "bound/extreme_corners.hpp"
 #include "ctr/zero_clearance.hpp"
+#include "model/answers.hpp"
 #include "model/solver_pool.hpp"
 
 namespace ctr {
@@ -33,6 +36,22 @@ Shape corner_shape(const BoundSolver& solver, const std::shared_ptr<const Settin
 
 }  // namespace
 
+void require_all_corners(const Robot& robot) {
+    if (robot.count() > BoundSolver::kMostTubesOfAllCorners)
+        throw InvalidInput("bounds over all corners are for robots of at most 10 tubes, this one has " + std::to_string(robot.count()) +
+                           " and 2^" + std::to_string(robot.count() - 1) + " corners: bound one configuration at a time by its extreme corners");
+}
+
+BoundShapes bound_shapes(const BoundSolver& solver) {
+    const std::shared_ptr<const Setting> shared = setting(solver);
+    BoundShapes found{solver.position, solver.tangent, frictionless_shape(solver, shared), {}, {}, solver.envelope, solver.worst_corner};
+    for (int k = 0; k < solver.corners(); ++k) {
+        found.corners.push_back(corner_shape(solver, shared, k));
+        for (int pair = 0; pair + 1 < solver.solver().robot().count(); ++pair) found.phi.push_back(solver.sign(k, pair));
+    }
+    return found;
+}
+
 Model::Model(const Robot& robot) : robot_(robot), solvers_(std::make_unique<SolverPool>(robot_)) {
     validate(robot_);
     if (robot_.count() > kMaxTubes) throw InvalidInput("at most 12 tubes are supported");
@@ -57,17 +76,19 @@ Shape Model::solve(const Configuration& q, const Accuracy& accuracy, const std::
     return frictionless_shape(*solver, setting(*solver));
 }
 
-BoundShapes Model::bound(const Configuration& q, const Accuracy& accuracy) {
+BoundShapes Model::bound(const Configuration& q, const Accuracy& accuracy, bool extremes_only) {
     SolverPool::Loan solver(*solvers_);
+    if (extremes_only) solver->visit_corners(extreme_corners(*solver, q, accuracy));
+    else require_all_corners(robot_);
     solver->solve(q, accuracy);
     solver->search_others();
-    const std::shared_ptr<const Setting> shared = setting(*solver);
-    BoundShapes found{solver->position, solver->tangent, frictionless_shape(*solver, shared), {}, solver->envelope, solver->worst_corner};
-    for (int k = 0; k < solver->corners(); ++k) found.corners.push_back(corner_shape(*solver, shared, k));
+    BoundShapes found = bound_shapes(*solver);
+    if (extremes_only) solver->visit_all_corners();
     return found;
 }
 
 Body Model::body(const Configuration& q, const Accuracy& accuracy) {
+    require_all_corners(robot_);
     SolverPool::Loan solver(*solvers_);
     solver->solve(q, accuracy);
     const Mesh& mesh = solver->solver().mesh();
@@ -99,12 +120,14 @@ FrictionBodies Model::friction_bodies(const Configuration& q, const Accuracy& ac
 }
 
 std::vector<double> Model::corners_apart(const Configuration& q, const Accuracy& accuracy) {
+    require_all_corners(robot_);
     SolverPool::Loan solver(*solvers_);
     return solver->corners_apart(q, accuracy);
 }
 
 std::vector<PathSample> Model::check_path(const std::vector<Configuration>& corners, const Accuracy& accuracy, const SignedDistanceField& field,
                                           const PathDensity& density, const PathLimits& limits, bool keep_shapes) {
+    require_all_corners(robot_);
     SolverPool::Loan solver(*solvers_);
     return ctr::check_path(*solver, corners, accuracy, field, density, limits, keep_shapes);
 }

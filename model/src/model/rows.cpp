@@ -5,6 +5,7 @@
 #include "ctr/model.hpp"
 #include "ctr/tip_solver.hpp"
 #include "ctr/zero_clearance.hpp"
+#include "model/answers.hpp"
 #include "model/solver_pool.hpp"
 
 namespace ctr {
@@ -12,20 +13,6 @@ namespace {
 
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 constexpr Vec3 kNowhere{kNaN, kNaN, kNaN};
-
-void fill_bound(const BoundSolver& solver, std::size_t k, BoundRows& out) {
-    const bool found = solver.frictionless().converged;
-    const Frame& tip = solver.backbone.frame.back();
-    out.position_bound[k] = solver.position;
-    out.tangent_bound[k] = solver.tangent;
-    out.stability[k] = found ? solver.stability() : kNaN;
-    out.max_strain[k] = found ? solver.max_strain : kNaN;
-    out.residual[k] = solver.frictionless().residual;
-    for (int c = 0; c < solver.corners(); ++c) out.residual[k] = std::max(out.residual[k], solver.corner(c).residual);
-    out.status[k] = solver.all_converged() ? solver.status() : Status::failed;
-    out.tip[k] = found ? tip.p : kNowhere;
-    out.tangent[k] = found ? tip.tangent() : kNowhere;
-}
 
 void fill_tip(const TipSolver& solver, Status status, std::size_t k, FrictionTipRows& out) {
     out.tip[k] = solver.tip().p;
@@ -54,6 +41,20 @@ std::vector<std::size_t> runs(const std::vector<Configuration>& all) {
 
 }  // namespace
 
+void fill_bound(const BoundSolver& solver, std::size_t k, BoundRows& out) {
+    const bool found = solver.frictionless().converged;
+    const Frame& tip = solver.backbone.frame.back();
+    out.position_bound[k] = solver.position;
+    out.tangent_bound[k] = solver.tangent;
+    out.stability[k] = found ? solver.stability() : kNaN;
+    out.max_strain[k] = found ? solver.max_strain : kNaN;
+    out.residual[k] = solver.frictionless().residual;
+    for (int c = 0; c < solver.corners(); ++c) out.residual[k] = std::max(out.residual[k], solver.corner(c).residual);
+    out.status[k] = solver.all_converged() ? solver.status() : Status::failed;
+    out.tip[k] = found ? tip.p : kNowhere;
+    out.tangent[k] = found ? tip.tangent() : kNowhere;
+}
+
 BoundRows::BoundRows(std::size_t rows)
     : TipRows(rows), position_bound(rows), tangent_bound(rows), stability(rows), max_strain(rows), residual(rows) {}
 
@@ -61,6 +62,7 @@ FrictionTipRows::FrictionTipRows(std::size_t rows, std::size_t count)
     : TipRows(rows), residual(rows), max_strain(rows), tip_by(rows * 3 * count, kNaN), tangent_by(rows * 3 * count, kNaN), parameters(count) {}
 
 BoundRows Model::bounds(const std::vector<Configuration>& all, const Accuracy& accuracy, int threads) {
+    require_all_corners(robot_);
     BoundRows out(all.size());
     solvers_->parallel(all.size(), threads, [&](BoundSolver& solver, std::size_t k) {
         solver.solve(all[k], accuracy);
@@ -116,6 +118,7 @@ FrictionTipRows Model::friction_tips(const std::vector<Configuration>& all, cons
 }
 
 std::vector<FieldEntry> Model::field_entries(const std::vector<Configuration>& all, int threads) {
+    require_all_corners(robot_);
     std::vector<FieldEntry> out(all.size());
     solvers_->parallel(all.size(), threads, [&](BoundSolver& solver, std::size_t k) { out[k] = field_entry(solver, all[k], Accuracy::search()); });
     return out;

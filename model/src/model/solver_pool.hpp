@@ -1,6 +1,7 @@
 // Solvers for whoever asks at the same time.
 #pragma once
 
+#include <exception>
 #include <memory>
 #include <mutex>
 #include <vector>
@@ -27,6 +28,7 @@ class SolverPool {
             if (!solver_) solver_ = std::make_unique<BoundSolver>(pool.robot_);
         }
         ~Loan() {
+            if (std::uncaught_exceptions() > exceptions_) return;  // left in the middle of a solve, or without memory for one
             const std::lock_guard lock(pool_.mutex_);
             pool_.solvers_.push_back(std::move(solver_));
         }
@@ -36,6 +38,7 @@ class SolverPool {
       private:
         SolverPool& pool_;
         std::unique_ptr<BoundSolver> solver_;
+        const int exceptions_ = std::uncaught_exceptions();
     };
 
     // work(solver, k) for every k below count.

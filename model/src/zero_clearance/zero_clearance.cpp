@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "ctr/watch.hpp"
+
 namespace ctr {
 namespace {
 
@@ -22,6 +24,7 @@ double larger(double most, double value) { return value <= most ? most : value; 
 bool ZeroClearance::correct(double scale, double first_step_limit) {
     double previous = 1e300;
     for (int k = 0; k < kMaxNewton; ++k) {
+        Watch::look();
         residual_ = assemble(scale, true);
         if (!std::isfinite(residual_)) return false;
         const double imbalance = residual_;

@@ -1,0 +1,58 @@
+"""Walkers: warm bounds are those of cold solves, on the branch of the path, and say when they started cold."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ctrplan
+from ctrplan.errors import InputError
+from ctrplan.mechanics.shapes import Status
+
+ROBOTS = Path(ctrplan.__file__).parent / "scenarios" / "robots"
+SAME_M = 1e-8
+START = np.array([0.0, 0.4, -0.9]), np.array([0.0, -0.017, -0.0628])
+
+
+def test_warm_bounds_are_those_of_cold_solves() -> None:
+    robot, random = ctrplan.load_robot(ROBOTS / "three_tube.toml"), np.random.default_rng(4)
+    walker = robot.walker()
+    theta, l = (array.copy() for array in START)  # noqa: E741
+    for k in range(60):
+        theta += random.uniform(-1, 1, 3) * np.radians(1 if k % 7 else 12)
+        l[2] += random.uniform(-1, 1) * 0.5e-3
+        step, cold = walker.bound(theta, l), robot.bound(theta, l)
+        assert step.started_cold == (k == 0) and step.status is Status.CONVERGED
+        assert step.position_m == pytest.approx(cold.position_m, abs=SAME_M)
+        assert step.tangent_rad == pytest.approx(cold.tangent_rad, abs=1e-6)
+        np.testing.assert_allclose(step.tip_m, cold.frictionless.tip_m, rtol=0, atol=SAME_M)
+        if k % 20 == 0:
+            for mine, afresh in zip(walker.shapes().corners, cold.corners, strict=True):
+                np.testing.assert_allclose(mine.centreline_m[-1], afresh.tip_m, rtol=0, atol=SAME_M)
+
+
+def test_a_long_way_is_the_branch_of_its_steps_and_the_same_twice() -> None:
+    """Which solution is found depends on the way, not on the length of the calls."""
+    robot = ctrplan.load_robot(ROBOTS / "table_1_pair.toml")
+    l = np.array([0.0, -0.017])  # noqa: E741
+    ends = []
+    for count in (1, 1, 30):
+        walker = robot.walker()
+        walker.bound([0.0, 0.0], l)
+        for angle in np.linspace(0, 2.9, count + 1)[1:]:
+            step = walker.bound([0.0, angle], l)
+        ends.append((step.position_m, *step.tip_m))
+        assert not step.started_cold and step.solves == (29 if count == 1 else 1)
+    assert ends[0] == ends[1]
+    np.testing.assert_allclose(ends[0], ends[2], rtol=0, atol=SAME_M)
+
+
+def test_a_walker_starts_cold_after_a_way_that_is_too_long_and_stands_nowhere_at_first() -> None:
+    walker = ctrplan.load_robot(ROBOTS / "three_tube.toml").walker()
+    with pytest.raises(InputError, match="^a walker stands nowhere before its first step"):
+        walker.shapes()
+    assert walker.bound(*START).started_cold
+    assert not walker.bound(START[0] + [0, 0.01, 0], START[1]).started_cold
+    assert walker.bound(START[0] + [0, 300.0, 0], START[1]).started_cold
