@@ -26,6 +26,7 @@ from ctrplan.planning.certificate.body_pieces import PARTS, around, beside
 ERROR_FACTOR = 1.5  # times the difference in a cell's middle
 BEYOND = 10  # points towards the tip whose difference counts too
 DEPTH = 3  # halvings: 9 states along every pair
+NUMBERS_DEPTH = 6  # where only stability or strain ask for them: near a fold both bend sharply
 HALVINGS = 9  # of the states of one interpolated point
 HALF_M = POINT_SPACING_M / 2  # of the body around a point
 PIECE_M = HALF_M / PARTS  # of a piece around its middle
@@ -134,7 +135,8 @@ def least_of_states(
         halved: list[_Cell] = []
         for cell in cells:
             found = _cell(cell, known, radius_m, distance, needed)
-            if not found.keeps(needed) and cell.depth < depth and np.isfinite(found.clearance_m):
+            deepest = depth if found.clearance_m < needed.clearance_m else depth and NUMBERS_DEPTH
+            if not found.keeps(needed) and cell.depth < deepest and np.isfinite(found.stability):
                 halved += cell.halves()
             else:
                 least = least.with_less_of(found)
@@ -158,8 +160,9 @@ def _cell(
 
 
 def _most(corners: list[float], middle: float) -> float:
-    """What a number may rise to over a cell."""
-    return max(*corners, middle) + ERROR_FACTOR * abs(middle - float(np.mean(corners)))
+    """What a number may rise to over a cell; inf where one is not known."""
+    most = max(*corners, middle) + ERROR_FACTOR * abs(middle - float(np.mean(corners)))
+    return most if np.isfinite(most + float(np.sum(corners))) else np.inf
 
 
 def _cell_clearance(

@@ -110,7 +110,7 @@ def walked(scenario: Scenario, space: JointSpace, leg: int, start: Array, end: A
         nominal_m=nominal,
         as_walked_m=as_walked,
         clearance_m=as_walked,
-        stability=samples.shape_stability.min(axis=1),
+        stability=np.nan_to_num(samples.shape_stability, nan=-np.inf).min(axis=1),
         max_strain=samples.max_strain,
         height_m=np.array([_height(body) for body in samples.bodies]),
         phi=np.zeros((len(place), scenario.robot.n - 1)),
