@@ -152,6 +152,12 @@ class History:
             self._at = (thetas[reached[-1]].copy(), ls[reached[-1]].copy())
         return path
 
+    def shape(self) -> Shape:
+        """The robot where the history stands; InputError before the first advance."""
+        if self._at is None:
+            raise InputError("a history has no state before its first advance", key="history")
+        return shape_from_core(self._core.shape())
+
     def tip_beside(self, phi: ArrayLike) -> Array:
         """Tip (3,) [m] with the contacts of each pair at phi (n - 1,), on the branch that the history is on.
 

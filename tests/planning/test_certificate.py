@@ -16,11 +16,12 @@ from ctrplan.base.arrays import Array
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.files.scenario_file import scenario_from_dict
 from ctrplan.mechanics.core import Accuracy
-from ctrplan.planning.certificate.allowances import SAME_BRANCH_M, bound_allowance_m, mesh_allowance_m
+from ctrplan.planning.certificate.allowances import POINT_SPACING_M, SAME_BRANCH_M, bound_allowance_m, mesh_allowance_m
 from ctrplan.planning.certificate.body_pieces import PARTS, around, beside
 from ctrplan.planning.certificate.certify import certify
 from ctrplan.planning.certificate.friction_cube import Needed, Solved, corner_states, least_of_states
 from ctrplan.planning.certificate.other_equilibria import other_equilibrium
+from ctrplan.planning.certificate.simulated_bodies import SimulatedBodies
 from ctrplan.planning.certificate.walked_piece import walk_pieces
 from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.play import play_reach, play_shift
@@ -204,3 +205,21 @@ def test_a_refusal_says_how_much_is_anatomy_friction_and_allowance() -> None:
     )
     short = float(words.split("comes ")[1].split()[0])
     assert nominal - friction - allowed == pytest.approx(-short, abs=0.02)
+
+
+def test_the_body_of_a_simulated_robot_in_the_anatomy_refuses_the_motion() -> None:
+    """Once only its tip was looked at."""
+    turn = np.array([AT, AT + joints(0, 40, -40, 0)])
+    history = ROBOT.history((1.0, 1.0))
+    history.follow(*ROBOT.drive.collars(turn))
+    shape = history.shape()
+    assert np.linalg.norm(shape.tip_m - history.advance(*ROBOT.drive.collars(turn[-1])).shape.tip_m) < 1e-6
+    k = len(shape.s_m) * 3 // 4
+    sphere = {"kind": "sphere", "center_mm": (shape.centreline_m[k] * 1e3).tolist(), "radius_mm": 1.5}
+    bodies = SimulatedBodies.of(resting(AT, [sphere]))
+    assert bodies is not None and bodies.sentence == ""
+    bodies(shape)
+    deep = -1.5e-3 - shape.radius_m[k]
+    assert deep - POINT_SPACING_M / 2 / PARTS - 1e-9 <= bodies.clearances_m[0] <= deep
+    found = certify(resting(AT, [sphere]), turn)
+    assert not found.valid and any("A simulated robot comes" in problem for problem in found.problems)

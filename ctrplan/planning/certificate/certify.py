@@ -16,6 +16,7 @@ from ctrplan.planning.certificate.allowances import BEYOND_BOUND_M
 from ctrplan.planning.certificate.closest import closest_places
 from ctrplan.planning.certificate.goal_miss import frictionless_miss, goal_miss_m, line_error_m
 from ctrplan.planning.certificate.prediction import Prediction, predict, rows_to_simulate, start_states
+from ctrplan.planning.certificate.simulated_bodies import SimulatedBodies
 from ctrplan.planning.certificate.walked_legs import WalkedLegs, walk_legs
 from ctrplan.planning.certificate.walked_piece import Piece
 from ctrplan.planning.certified import Certificate, CertificateSamples, TargetReached
@@ -65,9 +66,11 @@ def certify(
 def finished(walk: WalkedLegs, arrival: Arrival = frictionless_arrives) -> Certificate:
     """The certificate of walked legs, histories simulated."""
     scenario = walk.scenario
-    prediction, samples = _predicted(scenario, walk.pieces, walk.samples, walk.accuracy)
+    bodies = SimulatedBodies.of(scenario)
+    prediction, samples = _predicted(scenario, walk.pieces, walk.samples, walk.accuracy, bodies)
     closest = closest_places(scenario, walk.pieces, samples)
     problems = walk.problems + arrival(scenario, samples, prediction) + _contradictions(prediction, samples)
+    problems += [bodies.sentence] if bodies and bodies.sentence else []
     return Certificate(
         samples=samples,
         valid=not problems,
@@ -140,12 +143,16 @@ def _target(walk: WalkedLegs, samples: CertificateSamples) -> TargetReached:
 
 
 def _predicted(
-    scenario: Scenario, pieces: list[Piece], samples: CertificateSamples, accuracy: Accuracy
+    scenario: Scenario,
+    pieces: list[Piece],
+    samples: CertificateSamples,
+    accuracy: Accuracy,
+    bodies: SimulatedBodies | None,
 ) -> tuple[Prediction, CertificateSamples]:
     """Simulated histories along the samples, and the samples with their errors; the bound where a simulation failed."""
     robot = scenario.robot
     rows = rows_to_simulate(robot, samples.joints, samples.leg)
-    prediction = predict(robot, samples.joints[rows], start_states(scenario), accuracy)
+    prediction = predict(robot, samples.joints[rows], start_states(scenario), accuracy, bodies)
     frictionless = samples.tip_m[rows]
     finer = np.concatenate(
         [np.full(len(p.samples.fraction) - (k > 0), p.accuracy != accuracy) for k, p in enumerate(pieces)]

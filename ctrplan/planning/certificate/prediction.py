@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -16,21 +16,24 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import SolverError
+from ctrplan.mechanics.core import Status
 from ctrplan.mechanics.history import OSCILLATION_DEG
 from ctrplan.robot.friction_calibration import friction_law
 
 if TYPE_CHECKING:
-    from ctrplan.mechanics.core import Accuracy
+    from ctrplan.mechanics.core import Accuracy, Shape
     from ctrplan.mechanics.history import History, HistoryState, Start
     from ctrplan.planning.scenario import Scenario
     from ctrplan.robot.robot import Robot
 
 STEP_RAD, STEP_M = 0.05, 1e-3  # between configurations at which the simulated tips are looked at
 BLOCK = 20  # configurations after which histories are compared
+LOOK_EVERY = 5  # configurations after which a body is looked at
 SAME = 1e-3  # difference of friction, of 0.01 mm and of 1 mrad at the tip, below which they have become one
 TIP_TOLERANCE_M = 0.05e-3  # of simulated tips (benchmarks/history.py)
 
 
+Look = Callable[["Shape"], None]
 MOST_REMEMBERED = 100  # ends of paths
 _ENDS: WeakKeyDictionary[Robot, dict[tuple[Start, ...], dict[bytes, _End]]] = WeakKeyDictionary()
 
@@ -86,10 +89,15 @@ def start_load(scenario: Scenario) -> Array:
     return np.ones(scenario.robot.n - 1)
 
 
-def predict(robot: Robot, joints: Array, starts: Sequence[Start], accuracy: Accuracy = "search") -> Prediction:
-    """The histories along configurations (K, m) of actuated joints, from start states."""
+def predict(
+    robot: Robot, joints: Array, starts: Sequence[Start], accuracy: Accuracy = "search", look: Look | None = None
+) -> Prediction:
+    """The histories along configurations (K, m) of actuated joints, from start states.
+
+    `look` is shown the shape of each simulated robot every LOOK_EVERY configurations, from several threads.
+    """
     histories = [robot.history(start, accuracy=accuracy) for start in starts]
-    return _follow(robot, histories, joints)
+    return _follow(robot, histories, joints, look)
 
 
 def predict_end(robot: Robot, joints: Array, starts: Sequence[Start]) -> tuple[Prediction, list[HistoryState]]:
@@ -158,7 +166,7 @@ def rows_to_simulate(robot: Robot, joints: Array, leg: NDArray[np.int_]) -> NDAr
     return np.flatnonzero(wanted)
 
 
-def _follow(robot: Robot, histories: list[History], joints: Array) -> Prediction:
+def _follow(robot: Robot, histories: list[History], joints: Array, look: Look | None = None) -> Prediction:
     """Tips of the histories along joints (K, m).
 
     Rotation wipes out where they came from: those that have become the same are followed once from there on, and stand
@@ -172,7 +180,7 @@ def _follow(robot: Robot, histories: list[History], joints: Array) -> Prediction
             apart = list(dict.fromkeys(histories))
             ends: list[Array] = []
             for history, (found, count, end) in zip(
-                apart, pool.map(partial(_block, theta_b[rows], l_b[rows]), apart), strict=True
+                apart, pool.map(partial(_block, theta_b[rows], l_b[rows], look), apart), strict=True
             ):
                 alike = [k for k, other in enumerate(histories) if other is history]
                 tips[alike, rows], snaps = found, snaps + count * len(alike)
@@ -183,11 +191,17 @@ def _follow(robot: Robot, histories: list[History], joints: Array) -> Prediction
     return Prediction(tips, snaps)
 
 
-def _block(theta_b: Array, l_b: Array, history: History) -> tuple[Array, int, Array]:
+def _block(theta_b: Array, l_b: Array, look: Look | None, history: History) -> tuple[Array, int, Array]:
     """Tips (K, 3), snaps, and what tells the end state from others: tip [0.01 mm] and friction of each pair."""
-    try:
-        path = history.follow(theta_b, l_b)
-    except SolverError:
-        return np.full((len(theta_b), 3), np.nan), 0, np.array([np.nan])
+    tips, snaps, step = np.full((len(theta_b), 3), np.nan), 0, LOOK_EVERY if look else len(theta_b)
+    for begin in range(0, len(theta_b), step):
+        rows = slice(begin, begin + step)
+        try:
+            path = history.follow(theta_b[rows], l_b[rows])
+        except SolverError:
+            return np.full((len(theta_b), 3), np.nan), 0, np.array([np.nan])
+        tips[rows], snaps = path.position_m, snaps + int(np.nansum(path.snaps))
+        if look and path.status[-1] < Status.FAILED:
+            look(history.shape())
     end = np.concatenate([path.position_m[-1] / 1e-5, path.tangent[-1] / 1e-3, path.phi[-1]])
-    return path.position_m, int(np.nansum(path.snaps)), end
+    return tips, snaps, end
