@@ -61,7 +61,7 @@ class UncertaintyEntry(Struct, forbid_unknown_fields=True):
 
     ci95: dict[str, Any] = {}
     correlated: list[str] = []
-    correlation: list[list[float]] = []
+    correlation: list[list[Annotated[float, Meta(ge=-1.001, le=1.001)]]] = []  # rounded ones too
 
 
 class RobotEntry(Struct, forbid_unknown_fields=True):

@@ -38,7 +38,8 @@ def error_panel(plan: Plan) -> Panel:
         Series("worst case", time_s, bound_mm, palette.BOUND),
         Series("predicted by history", time_s, samples.predicted_m * MM_PER_M, palette.BOUND, "dotted"),
     )
-    at_goal = Mark(f"at the goal\n{millimetres(samples.bound_m[-1])}", float(bound_mm[-1]), palette.GOAL, True)
+    stated_m = plan.certificate.goal_bound_m
+    at_goal = Mark(f"at the goal\n{millimetres(stated_m)}", stated_m * MM_PER_M, palette.GOAL, True)
     title = "Friction error of the tip"
     if limit_m is None:
         return Panel(title, "error", "mm", series, marks=(at_goal,))
