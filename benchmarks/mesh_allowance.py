@@ -64,9 +64,7 @@ def main() -> None:
     parser.add_argument("--clearances-mm", type=float, nargs="*", default=[0.3, 1.0, 3.0])
     options = parser.parse_args()
     use_own_cache()
-    print(
-        "| robot | clearance, mm | mesh | solved | other equilibria | bodies, mm (allowed) | bounds short, mm (allowed) |"
-    )
+    print("| robot | clearance, mm | mesh | solved | other equilibria | bodies, mm (allowed) | bounds, mm (allowed) |")
     print("|---|---|---|---|---|---|---|")
     for name, clearance_mm in itertools.product(NAMES, [None, *options.clearances_mm]):
         plain = load_robot(ROBOTS / f"{name}.toml")

@@ -20,6 +20,7 @@ from ctrplan.planning.certificate.allowances import POINT_SPACING_M, SAME_BRANCH
 from ctrplan.planning.certificate.anatomy_distance import AnatomyDistance
 from ctrplan.planning.certificate.friction_cube import (
     DEPTH,
+    LEAST_DEPTH,
     LeastOfStates,
     Needed,
     Solved,
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
     from ctrplan.mechanics.accuracy import Accuracy
     from ctrplan.planning.scenario import Scenario
 
+# Samples whose cells are all halved once more: a fold that fills a cell's corner lasts for more than a few mm of motion.
+CLOSE_EVERY, CLOSE_DEPTH = 8, 2
 CHUNK = 4  # samples at a time
 MOST_AGAIN = 60  # samples solved on the certificate mesh only to report the least clearance more closely
 
@@ -184,7 +187,7 @@ def _least(
     The search mesh decides where one look is enough.
     """
     states = SampleStates(scenario, piece, sample, piece.accuracy)
-    depth = 0 if piece.accuracy == "search" else DEPTH
+    depth = LEAST_DEPTH if piece.accuracy == "search" else DEPTH
     is_hopeful = piece.as_walked_m[sample] >= needed.clearance_m
     if piece.accuracy == "search" and not is_hopeful:
         return _least_of(states, distance, needed, DEPTH, "certificate")
@@ -199,8 +202,9 @@ def _least_of(
     walked: SampleStates, distance: AnatomyDistance | None, needed: Needed, depth: int, accuracy: Accuracy
 ) -> tuple[LeastOfStates, float]:
     states = SampleStates(walked.scenario, walked.piece, walked.sample, accuracy)
+    least_depth = CLOSE_DEPTH if walked.sample % CLOSE_EVERY == 0 else LEAST_DEPTH
     offset = float(walked.piece.offset_m(walked.scenario, accuracy)[walked.sample])
     known, radius = states.known()
     asked = replace(needed, clearance_m=needed.clearance_m + offset)
-    found = least_of_states(known, radius, states, distance, asked, depth)
+    found = least_of_states(known, radius, states, distance, asked, depth, least_depth)
     return replace(found, clearance_m=found.clearance_m - offset), states.apart_m

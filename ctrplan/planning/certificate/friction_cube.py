@@ -26,6 +26,7 @@ from ctrplan.planning.certificate.body_pieces import PARTS, around, beside
 ERROR_FACTOR = 1.5  # times the difference in a cell's middle
 BEYOND = 10  # points towards the tip whose difference counts too
 DEPTH = 3  # halvings: 9 states along every pair
+LEAST_DEPTH = 1  # the middle of the cube alone is where errors may vanish by symmetry, beside a fold
 NUMBERS_DEPTH = 6  # where only stability or strain ask for them: near a fold both bend sharply
 HALVINGS = 9  # of the states of one interpolated point
 HALF_M = POINT_SPACING_M / 2  # of the body around a point
@@ -118,8 +119,11 @@ def least_of_states(
     distance: Distance | None,
     needed: Needed,
     depth: int = DEPTH,
+    least_depth: int = LEAST_DEPTH,
 ) -> LeastOfStates:
     """Whether every state keeps what is needed, cells being halved until they do, `depth` times at most.
+
+    All cells are halved `least_depth` times.
 
     `known`: phi = 0 and every sign corner; outer radii (N,). Bodies are looked at where they come near enough to the
     anatomy to matter, not at all without a `distance`.
@@ -135,8 +139,9 @@ def least_of_states(
         halved: list[_Cell] = []
         for cell in cells:
             found = _cell(cell, known, radius_m, distance, needed)
-            deepest = depth if found.clearance_m < needed.clearance_m else depth and NUMBERS_DEPTH
-            if not found.keeps(needed) and cell.depth < deepest and np.isfinite(found.stability):
+            deepest = max(depth, least_depth) if found.clearance_m < needed.clearance_m else NUMBERS_DEPTH
+            is_open = cell.depth < least_depth or not found.keeps(needed)
+            if is_open and cell.depth < deepest and np.isfinite(found.stability):
                 halved += cell.halves()
             else:
                 least = least.with_less_of(found)
