@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from ctrplan.mechanics.accuracy import Accuracy
     from ctrplan.planning.scenario import Scenario
 
-# Samples whose cells are all halved once more: a fold that fills a cell's corner lasts for more than a few mm of motion.
+# Samples whose cells are all halved once more: a fold in the corner of a cell lasts for more than a few mm of motion.
 CLOSE_EVERY, CLOSE_DEPTH = 8, 2
 CHUNK = 4  # samples at a time
 MOST_AGAIN = 60  # samples solved on the certificate mesh only to report the least clearance more closely
