@@ -1,0 +1,93 @@
+"""Where the robot comes closest to the anatomy, in the report: in the scene, and as a table of three numbers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from ctrplan.reports import palette
+from ctrplan.reports import scene_looks as looks
+from ctrplan.reports.glossary import term
+from ctrplan.reports.html_page import Markup, table, tag
+from ctrplan.reports.plan_words.clearance_rows import START_FRICTION, ClearanceRow, clearance_rows, point_words
+from ctrplan.reports.plan_words.numbers import millimetres
+from ctrplan.reports.scene_traces import SIDES, mesh_trace, xyz
+
+if TYPE_CHECKING:
+    from ctrplan.planning.plan import Plan
+    from ctrplan.reports.narrowest_pose import NarrowestPose
+
+WITHIN = 0.95  # of its radius: hidden where the moving robot is
+FAR_MM = 10.0  # clearances beyond look alike
+SCALE = [[share, colour] for share, colour in zip((0.0, 0.3, 1.0), palette.CLEARANCES, strict=True)]
+
+
+def narrowest_traces(pose: NarrowestPose) -> list[Any]:
+    """The body coloured by its clearance, and the gap at its narrowest with its number."""
+    return [_body(pose), _gap(pose)]
+
+
+def _body(pose: NarrowestPose) -> Any:
+    slim = replace(pose.body, radius_m=WITHIN * pose.body.radius_m)
+    trace = mesh_trace(slim.surface(SIDES), looks.NARROW_BODY.colour, 1.0, looks.NARROW_BODY.name)
+    clearance_mm = np.concatenate([np.repeat(pose.clearance_m, SIDES), pose.clearance_m[[0, -1]]]) * 1e3
+    bar = {
+        "title": {"text": "closest pose:<br>clearance (mm)", "font": {"size": 11}},
+        "thickness": 10,
+        "len": 0.42,
+        "x": 0.0,
+        "xanchor": "left",
+        "y": 0.24,
+        "tickfont": {"size": 11},
+    }
+    most = float(np.clip(clearance_mm.max(), 1e-3, FAR_MM))
+    trace.update(
+        intensity=clearance_mm.astype(np.float32),
+        colorscale=SCALE,
+        cmin=min(0.0, float(clearance_mm.min())),
+        cmax=most,
+        colorbar=bar,
+    )
+    return trace
+
+
+def _gap(pose: NarrowestPose) -> Any:
+    number = millimetres(pose.place.clearance_m)
+    return go.Scatter3d(
+        **xyz(pose.gap_m),
+        mode="lines+markers+text",
+        line={"color": looks.NARROWEST.colour, "width": 5},
+        marker={"color": looks.NARROWEST.colour, "size": 4},
+        text=["", f"<b>{number}</b>"],
+        textposition="top center",
+        textfont={"color": looks.NARROWEST.colour, "size": 14},
+        name=f"{looks.NARROWEST.name}: {number} beyond the margin",
+        hovertemplate=f"clearance {number} beyond the margin, in the worst friction state<extra></extra>",
+    )
+
+
+def clearance_table(plan: Plan) -> Markup:
+    """Three numbers with their places, and what is assumed of friction before the start; nothing in free space."""
+    rows = clearance_rows(plan)
+    if not rows:
+        return Markup()
+    header = ("Clearance beyond the margins", "", "Nearest", "Point (mm)", "When", "Friction")
+    start = f"Friction before the start: {START_FRICTION[plan.certificate.start_friction]}."
+    return Markup("").join([table(header, map(_cells, rows)), tag("p", start, kind="quiet small")])
+
+
+def _cells(row: ClearanceRow) -> tuple[Markup | str, ...]:
+    name = {"nominal": "clearance without friction", "closest": "clearance in the worst friction state"}.get(
+        row.kind, "certified clearance"
+    )
+    return (
+        term(name),
+        tag("b", millimetres(row.clearance_m)),
+        f"tube {row.place.tube} to {row.place.part}",
+        point_words(row.place.point_m).removesuffix(" mm"),
+        row.when,
+        row.friction,
+    )
