@@ -40,9 +40,10 @@ class PlanScene:
 
 
 def plan_scene(plan: Plan, frames: int = FRAMES) -> PlanScene:
-    """The scene of a plan; solves the model `frames` times, and once where it is closest to the anatomy. Raises SolverError where no pose has a solution.
+    """The scene of a plan; solves the model `frames` times, and once where the robot is closest to the anatomy.
 
-    Left out are poses where the model has none: a plan that is not certified may have some.
+    Raises SolverError where no pose has a solution. Left out are poses where the model has none: a plan that is not
+    certified may have some.
     """
     duration_s = plan.trajectory.duration_s
     times = np.linspace(0.0, duration_s, frames if duration_s > 0 else 1)

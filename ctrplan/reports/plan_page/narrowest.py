@@ -11,7 +11,7 @@ import plotly.graph_objects as go
 from ctrplan.reports import palette
 from ctrplan.reports import scene_looks as looks
 from ctrplan.reports.glossary import term
-from ctrplan.reports.html_page import Markup, table, tag
+from ctrplan.reports.html_page import Markup, section, table, tag
 from ctrplan.reports.plan_words.clearance_rows import START_FRICTION, ClearanceRow, clearance_rows, point_words
 from ctrplan.reports.plan_words.numbers import millimetres
 from ctrplan.reports.scene_traces import SIDES, mesh_trace, xyz
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 WITHIN = 0.95  # of its radius: hidden where the moving robot is
 FAR_MM = 10.0  # clearances beyond look alike
+NAME = f"{looks.NARROW_BODY.name}: red none, blue {FAR_MM:g} mm"  # a colour bar would cover the robot in small windows
 SCALE = [[share, colour] for share, colour in zip((0.0, 0.3, 1.0), palette.CLEARANCES, strict=True)]
 
 
@@ -32,25 +33,10 @@ def narrowest_traces(pose: NarrowestPose) -> list[Any]:
 
 def _body(pose: NarrowestPose) -> Any:
     slim = replace(pose.body, radius_m=WITHIN * pose.body.radius_m)
-    trace = mesh_trace(slim.surface(SIDES), looks.NARROW_BODY.colour, 1.0, looks.NARROW_BODY.name)
+    trace = mesh_trace(slim.surface(SIDES), looks.NARROW_BODY.colour, 1.0, NAME)
     clearance_mm = np.concatenate([np.repeat(pose.clearance_m, SIDES), pose.clearance_m[[0, -1]]]) * 1e3
-    bar = {
-        "title": {"text": "closest pose:<br>clearance (mm)", "font": {"size": 11}},
-        "thickness": 10,
-        "len": 0.42,
-        "x": 0.0,
-        "xanchor": "left",
-        "y": 0.24,
-        "tickfont": {"size": 11},
-    }
-    most = float(np.clip(clearance_mm.max(), 1e-3, FAR_MM))
-    trace.update(
-        intensity=clearance_mm.astype(np.float32),
-        colorscale=SCALE,
-        cmin=min(0.0, float(clearance_mm.min())),
-        cmax=most,
-        colorbar=bar,
-    )
+    trace.update(intensity=clearance_mm.astype(np.float32), colorscale=SCALE, cmin=0.0, cmax=FAR_MM, showscale=False)
+    trace.update(hoverinfo=None, hovertemplate="clearance %{intensity:.2f} mm<extra></extra>")
     return trace
 
 
@@ -69,14 +55,14 @@ def _gap(pose: NarrowestPose) -> Any:
     )
 
 
-def clearance_table(plan: Plan) -> Markup:
+def clearance_section(plan: Plan) -> Markup:
     """Three numbers with their places, and what is assumed of friction before the start; nothing in free space."""
     rows = clearance_rows(plan)
     if not rows:
         return Markup()
     header = ("Clearance beyond the margins", "", "Nearest", "Point (mm)", "When", "Friction")
     start = f"Friction before the start: {START_FRICTION[plan.certificate.start_friction]}."
-    return Markup("").join([table(header, map(_cells, rows)), tag("p", start, kind="quiet small")])
+    return section("How near it comes to the anatomy", table(header, map(_cells, rows)), tag("p", start, kind="quiet"))
 
 
 def _cells(row: ClearanceRow) -> tuple[Markup | str, ...]:

@@ -19,7 +19,7 @@ from ctrplan.reports.plan_curves import (
     timeline,
 )
 from ctrplan.reports.plan_page.motion import motion_section
-from ctrplan.reports.plan_page.narrowest import clearance_table
+from ctrplan.reports.plan_page.narrowest import clearance_section
 from ctrplan.reports.plan_page.panels import stacked_figure
 from ctrplan.reports.plan_page.tables import (
     certificate_table,
@@ -66,7 +66,7 @@ def plan_report_html(scene: PlanScene) -> str:
         _remarks("What is wrong", plan.certificate.problems),
         motion_section(scene),
         _tiles(plan),
-        _clearances(plan),
+        clearance_section(plan),
         section("Certificate", *(tag("p", text) for text in certificate_in_words(plan)), certificate_table(plan)),
         uncertainty_section(plan),
         target_section(plan),
@@ -93,11 +93,6 @@ def joints_figure(plan: Plan) -> go.Figure:
 
 def _remarks(title: str, texts: Sequence[str]) -> Markup:
     return section(title, tag("ul", *(tag("li", text) for text in texts))) if texts else Markup()
-
-
-def _clearances(plan: Plan) -> Markup:
-    rows = clearance_table(plan)
-    return section("How near it comes to the anatomy", rows) if rows else Markup()
 
 
 def _tiles(plan: Plan) -> Markup:
