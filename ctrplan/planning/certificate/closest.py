@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ctrplan.anatomy.parts import surface_distance
 from ctrplan.base.arrays import Array
+from ctrplan.planning.certificate.allowances import TIGHT_M
 from ctrplan.planning.certificate.anatomy_distance import AnatomyDistance
 from ctrplan.planning.certificate.friction_cube import State, corner_states
 from ctrplan.planning.certificate.walked_piece import Piece
@@ -37,8 +38,8 @@ class ClosestPlaces:
 
 
 def closest_places(scenario: Scenario, pieces: Sequence[Piece], samples: CertificateSamples) -> ClosestPlaces:
-    """Of the frictionless robot, of the robot in all friction states that were found to be narrow, and at the sample
-    that is certified with the least clearance. None where a walk failed.
+    """Of the frictionless robot, of the robot in all friction states that were found to be narrow, and where the least
+    clearance is certified, of samples that are certified alike the one that comes closest. None where a walk failed.
     """
     distance = AnatomyDistance.of(scenario)
     if distance is None:
@@ -55,7 +56,8 @@ def closest_places(scenario: Scenario, pieces: Sequence[Piece], samples: Certifi
         k: _closest(distance, samples, k, [*rest, *corners, tuple(phi[k].tolist())])
         for k in dict.fromkeys([*narrow.tolist(), certified])
     }
-    return ClosestPlaces(_least(found), _least([*by_row.values(), *found]), by_row[certified])
+    tied = [place for k, place in by_row.items() if samples.clearance_m[k] <= samples.clearance_m[certified] + TIGHT_M]
+    return ClosestPlaces(_least(found), _least([*by_row.values(), *found]), _least(tied))
 
 
 def _least(found: list[Closest | None]) -> Closest | None:

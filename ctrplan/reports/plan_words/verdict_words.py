@@ -115,8 +115,8 @@ def _elastic(plan: Plan, times: Array) -> str:
     when = digits(times[int(np.nanargmin(samples.stability))]) if np.isfinite(samples.stability).any() else "?"
     return (
         f"In whatever friction state, the robot is nearest to snapping at {when} s, with a stability of "
-        f"{digits(certificate.min_stability)} (0 is the limit, {plan.scenario.margins.stability:g} the margin), and its tubes are strained by at most "
-        f"{digits(100 * certificate.max_strain)} %."
+        f"{digits(certificate.min_stability)} (0 is the limit, {plan.scenario.margins.stability:g} the margin), "
+        f"and its tubes are strained by at most {digits(100 * certificate.max_strain)} %."
     )
 
 
