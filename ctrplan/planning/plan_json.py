@@ -110,7 +110,7 @@ def _certificate(plan: PlannedMotion) -> dict[str, Any]:
 
 def _place(plan: PlannedMotion, place: Closest | None) -> dict[str, Any] | None:
     """Where the robot comes closest, and when; None in free space."""
-    return place and {**asdict(place), "time_s": place_time_s(plan, place)}
+    return None if place is None else {**asdict(place), "time_s": place_time_s(plan, place)}
 
 
 def _settling(plan: PlannedMotion) -> dict[str, Any] | None:
