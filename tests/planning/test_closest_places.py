@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.interpolate import CubicHermiteSpline
 from ctrplan.anatomy.parts import surface_distance
 from ctrplan.planning.certificate.allowances import TIGHT_M
 from ctrplan.planning.certificate.certify import certify
+from ctrplan.planning.certificate.tour import joined_certificates
 from ctrplan.planning.certified import Certificate, Closest
 from ctrplan.planning.plan import Plan
 from ctrplan.planning.plan_timing import joints_at
@@ -125,6 +127,19 @@ def test_both_meshes_say_the_same(near: Plan) -> None:
     for one, other in zip(places(near.certificate), places(fine), strict=True):
         assert other.clearance_m == pytest.approx(one.clearance_m, abs=0.1e-3)
     assert fine.min_clearance_m == pytest.approx(near.certificate.min_clearance_m, abs=0.1e-3)
+
+
+def test_a_tour_has_the_places_of_its_narrowest_stage_and_the_start_of_its_first(near: Plan) -> None:
+    second = near.certificate
+    wide = {
+        kind: replace(one, clearance_m=one.clearance_m + 1e-3) for kind, one in zip(KINDS, places(second), strict=True)
+    }
+    first = replace(second, start_friction="released", min_clearance_m=second.min_clearance_m + 1e-3, **wide)
+    tour, legs = joined_certificates([first, second]), int(first.samples.leg[-1]) + 1
+    assert tour.start_friction == "released" and tour.min_clearance_m == second.min_clearance_m
+    for one, of_stage in zip(places(tour), places(second), strict=True):
+        assert one.clearance_m == of_stage.clearance_m and one.leg == of_stage.leg + legs
+        assert one.path_mm == pytest.approx(of_stage.path_mm + first.length_mm)
 
 
 def test_a_path_that_touches_has_places_too(make_plan: PlanMaker) -> None:
