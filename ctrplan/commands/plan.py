@@ -161,10 +161,9 @@ def _figures(plan: Plan) -> dict[str, str]:
 
     certificate, reordered = plan.certificate, plan.reorder
     goal_mm, worst_mm = certificate.goal_bound_m * 1e3, certificate.worst_bound_m * 1e3
-    clearance_mm, spacing_mm = certificate.min_clearance_m * 1e3, certificate.spacing_m * 1e3
+    spacing_mm = certificate.spacing_m * 1e3
     before_mm, after_mm = reordered.cost_before_mm, reordered.cost_after_mm
     count, strain_percent = len(certificate.samples.leg), 100 * certificate.max_strain
-    clearance = "free space" if math.isinf(clearance_mm) else f"{clearance_mm:.2f} mm beyond the margins"
     predicted_mm, way_mm = certificate.goal_predicted_m * 1e3, certificate.worst_predicted_m * 1e3
     changed = f"{before_mm:.1f}" != f"{after_mm:.1f}"
     gain = f"; reordering took {before_mm:.1f} to {after_mm:.1f} mm" if changed else ""
@@ -174,11 +173,20 @@ def _figures(plan: Plan) -> dict[str, str]:
         "predicted friction error": f"{predicted_mm:.2f} mm at the goal, {way_mm:.2f} mm on the way",
         **_extras(plan),
         **uncertainty_rows(plan),
-        "clearance, every friction state": clearance,
+        **_clearances(plan),
         "least stability": f"{certificate.min_stability:.2f}, largest strain {strain_percent:.2f} %",
         "cost": f"{certificate.cost_mm:.1f} mm{gain}",
         "certified on": f"{count} samples, no point moves more than {spacing_mm:.2f} mm between two",
     }
+
+
+def _clearances(plan: Plan) -> dict[str, str]:
+    """Without friction, in its worst state, and as certified; what is assumed of friction at the start."""
+    from ctrplan.reports.plan_words.clearance_rows import LABELS, START_FRICTION, clearance_rows
+
+    rows = {LABELS[row.kind]: row.sentence for row in clearance_rows(plan)}
+    start = START_FRICTION[plan.certificate.start_friction]
+    return {**(rows or {"clearance": "free space"}), "friction before the start": start}
 
 
 def _misses(plan: Plan) -> dict[str, str]:

@@ -119,6 +119,7 @@ class Certificate:
     start_friction: StartFriction = "unknown"  # what the figures assume of friction before the motion
     nominal: Closest | None = None  # the frictionless robot where it comes closest; None in free space
     closest: Closest | None = None  # the robot in any friction state
+    narrowest: Closest | None = None  # where min_clearance_m is left, in the friction state that comes closest there
     targets: tuple[TargetReached, ...] = ()  # in the order reached, the goal last
     settling: Settling | None = None
     walk_again: Callable[[Accuracy | None], Certificate] | None = None  # the same legs; on the same mesh if None

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ctrplan.planning.certified import Certificate, CertificateSamples, Recheck, Settling, TargetReached
+from ctrplan.planning.certified import Certificate, CertificateSamples, Closest, Recheck, Settling, TargetReached
 from ctrplan.planning.comparison import path_differences
 from ctrplan.planning.plan_json import plan_to_json
+from ctrplan.planning.plan_timing import place_time_s
 from ctrplan.planning.planned_motion import (
     ComparedWay,
     Compensation,
@@ -22,6 +23,7 @@ from ctrplan.planning.planned_motion import (
 __all__ = [
     "Certificate",
     "CertificateSamples",
+    "Closest",
     "ComparedWay",
     "Compensation",
     "Leg",
@@ -50,6 +52,10 @@ class Plan(PlannedMotion):
         found = self.certificate.recheck()
         apart = path_differences(self.waypoints, self.trajectory.position, found.fresh.samples.joints)
         return replace(found, differences=(*apart, *found.differences))
+
+    def time_of(self, place: Closest) -> float:
+        """When [s] the trajectory passes a place of the certificate: `plan.time_of(plan.certificate.closest)`."""
+        return place_time_s(self, place)
 
     def to_json(self) -> dict[str, Any]:
         """The content of plan.json, plain types only; the schema is in docs/plan.schema.json."""

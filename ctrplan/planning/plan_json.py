@@ -13,11 +13,11 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.base.version import __version__
 from ctrplan.drive.drive import Drive
-from ctrplan.planning.plan_timing import settling_duration_s
+from ctrplan.planning.plan_timing import place_time_s, settling_duration_s
 from ctrplan.storage.atomic_write import write_atomically
 
 if TYPE_CHECKING:
-    from ctrplan.planning.certified import Certificate
+    from ctrplan.planning.certified import Closest
     from ctrplan.planning.planned_motion import Leg, PlannedMotion
     from ctrplan.planning.scenario import Goal, Scenario
 
@@ -51,7 +51,7 @@ def plan_to_json(plan: PlannedMotion) -> dict[str, Any]:
         "cost": asdict(scenario.cost),
         "joints": [{"name": joint.name, "kind": joint.kind, "unit": joint.unit} for joint in drive.joints],
         "legs": [_leg(leg, drive) for leg in plan.legs],
-        "certificate": _certificate(plan.certificate),
+        "certificate": _certificate(plan),
         "follow_the_leader_m": plan.follow_the_leader_m,
         "settling": _settling(plan),
         "uncertainty": None if plan.uncertainty is None else plan.uncertainty.to_json(),
@@ -97,14 +97,20 @@ def _joint_values(q: Array, drive: Drive) -> dict[str, dict[str, float]]:
     }
 
 
-def _certificate(certificate: Certificate) -> dict[str, Any]:
+def _certificate(plan: PlannedMotion) -> dict[str, Any]:
     """The summary, and the samples as columns of equal length."""
+    certificate = plan.certificate
     names = [entry.name for entry in fields(certificate) if entry.name not in ("samples", "settling", "walk_again")]
     columns = {entry.name: getattr(certificate.samples, entry.name) for entry in fields(certificate.samples)}
     summary = {name: getattr(certificate, name) for name in names}
-    places = {name: summary[name] and asdict(summary[name]) for name in ("nominal", "closest")}
+    places = {name: _place(plan, getattr(certificate, name)) for name in ("nominal", "closest", "narrowest")}
     targets = [asdict(target) for target in certificate.targets]
     return {**summary, **places, "targets": targets, "samples": columns}
+
+
+def _place(plan: PlannedMotion, place: Closest | None) -> dict[str, Any] | None:
+    """Where the robot comes closest, and when; None in free space."""
+    return None if place is None else {**asdict(place), "time_s": place_time_s(plan, place)}
 
 
 def _settling(plan: PlannedMotion) -> dict[str, Any] | None:

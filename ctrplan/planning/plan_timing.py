@@ -10,12 +10,18 @@ from ctrplan.base.arrays import Array
 
 if TYPE_CHECKING:
     from ctrplan.drive.trajectory import Trajectory
+    from ctrplan.planning.certified import Closest
     from ctrplan.planning.planned_motion import PlannedMotion
 
 
 def sample_time_s(plan: PlannedMotion) -> Array:
     """(K,) [s] when the trajectory passes the samples of the certificate."""
     return _time_at(plan, _travelled(plan, plan.certificate.samples.joints))
+
+
+def place_time_s(plan: PlannedMotion, place: Closest) -> float:
+    """When [s] the trajectory passes a place of closest approach."""
+    return float(np.interp(place.path_mm, plan.certificate.samples.path_mm, sample_time_s(plan)))
 
 
 def leg_end_s(plan: PlannedMotion) -> Array:

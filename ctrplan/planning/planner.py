@@ -20,6 +20,7 @@ from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.planning.certificate.start_branches import other_start
 from ctrplan.planning.certificate.tour import joined_certificates
 from ctrplan.planning.certificate.walked_legs import WalkedLegs, walk_legs
+from ctrplan.planning.clearance_shares import with_shares
 from ctrplan.planning.finish.compensate import compensate
 from ctrplan.planning.finish.oscillate_at_goal import settle
 from ctrplan.planning.finish.reorder import Reordered, as_given, assemble
@@ -77,9 +78,10 @@ def plan(
     budget = float(scenario.planner.time_s if time_s is None else time_s)
     refuse_impossible_margins(scenario)
     checker = MotionChecker(scenario, reserve_m=0.0)
-    start, _ = checker.probe(scenario.start)
+    start, samples = checker.probe(scenario.start)
     if not start.valid:
-        reason = start_trouble(checker) or start.reason
+        least_m = np.nan if samples is None else float(samples.clearance_m[-1])
+        reason = start_trouble(checker) or with_shares(checker, scenario.start, start.reason, least_m)
         raise NoAnswerError(f"{scenario.path or scenario.name}: start: the start state is not valid: {reason}.")
     if other := other_start(scenario, scenario.start):
         raise NoAnswerError(f"{scenario.path or scenario.name}: start: {other[0].lower()}{other[1:]}.")

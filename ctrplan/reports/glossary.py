@@ -15,9 +15,18 @@ TERMS = {
     "envelope of friction": "Space in which the robot is, whatever friction does: the tubes, thickened by the "
     "worst-case error at each place along them.",
     "corner shapes": "The robot with friction at its limit, one shape for each combination of directions.",
-    "clearance": "Smallest distance of all these shapes from the anatomy, less the margin that the scenario asks for.",
-    "stability": "How far the robot is from snapping into another shape; at 0 it snaps.",
-    "strain": "Largest stretch of a tube's material; beyond the limit it stays bent.",
+    "clearance": "Smallest distance from the anatomy of every shape that friction allows, less the margin that the "
+    "scenario asks for.",
+    "clearance without friction": "That of the shape that the robot has without friction, as solved.",
+    "clearance in the worst friction state": "That of the friction state which brings the robot closest, as solved. "
+    "This is the number to compare plans by: it does not depend on how closely the certificate looked.",
+    "certified clearance": "What is left once everything that was not solved is taken off: motion between the samples, "
+    "the model's discretisation, friction that differs along a contact, play of the drive, uncertain parameters.",
+    "friction state": "Share of its Coulomb limit that friction between two tubes has, from -1 to 1; a number for each "
+    "pair of neighbours, the outermost first.",
+    "stability": "How far the robot is from snapping into another shape, the least of every friction state; at 0 it "
+    "snaps.",
+    "strain": "Largest stretch of a tube's material in any friction state; beyond the limit it stays bent.",
     "play": "What the drive may move a tube without being asked to, backlash for example.",
     "noise": "How much a measurement of one and the same tip scatters.",
     "rms": "Root of the mean square: the usual size of an error, large ones counting more.",

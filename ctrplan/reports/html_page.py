@@ -35,7 +35,7 @@ p {{ margin: 6px 0 10px; max-width: 75ch; }}
 .caution {{ color: {palette.CAUTION}; }} .quiet {{ color: {palette.MUTED}; }}
 .tiles {{ display: grid; grid-template-columns: repeat(auto-fit, minmax(140px, 1fr)); gap: 12px; margin: 0 0 18px; }}
 .tile {{ background: #fff; border-radius: 8px; padding: 12px 14px; }}
-.tile b {{ display: block; font-size: 1.5rem; line-height: 1.3; }}
+.tile b {{ display: block; font-size: 1.5rem; line-height: 1.3; white-space: nowrap; }}
 .tile > span {{ color: {palette.MUTED}; font-size: 0.9rem; }}
 section {{ background: #fff; border-radius: 8px; padding: 18px 22px; margin: 0 0 18px; }}
 table {{ border-collapse: collapse; width: 100%; font-size: 0.95rem; }}

@@ -11,6 +11,7 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.errors import SolverError
 from ctrplan.planning.plan_timing import joints_at
+from ctrplan.reports.narrowest_pose import NarrowestPose, narrowest_pose
 from ctrplan.reports.pose import Pose, pose, to_anatomy
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ class PlanScene:
 
     plan: Plan
     path: tuple[Pose, ...]  # at equal steps of the trajectory's time, both ends included; one if it takes no time
+    narrowest: NarrowestPose | None = None  # in free space
 
     @property
     def start(self) -> Pose:
@@ -38,9 +40,10 @@ class PlanScene:
 
 
 def plan_scene(plan: Plan, frames: int = FRAMES) -> PlanScene:
-    """The scene of a plan; solves the model `frames` times. Raises SolverError where no pose has a solution.
+    """The scene of a plan; solves the model `frames` times, and once where the robot is closest to the anatomy.
 
-    Left out are poses where the model has none: a plan that is not certified may have some.
+    Raises SolverError where no pose has a solution. Left out are poses where the model has none: a plan that is not
+    certified may have some.
     """
     duration_s = plan.trajectory.duration_s
     times = np.linspace(0.0, duration_s, frames if duration_s > 0 else 1)
@@ -50,7 +53,7 @@ def plan_scene(plan: Plan, frames: int = FRAMES) -> PlanScene:
             path.append(pose(plan.scenario, joints, time_s))
     if not path:
         raise SolverError("The model has no solution anywhere on the plan's trajectory.")
-    return PlanScene(plan, tuple(path))
+    return PlanScene(plan, tuple(path), narrowest_pose(plan))
 
 
 def tip_path(plan: Plan) -> Array:

@@ -26,6 +26,8 @@ AT_GOAL = Look("robot at the goal", palette.START)
 PLATE = Look("front plate", palette.PLATE)
 TIP_PATH = Look("path of the tip", palette.BOUND)
 GOAL = Look("goal", palette.GOAL)
+NARROWEST = Look("closest to the anatomy", palette.LIMIT)
+NARROW_BODY = Look("closest pose by clearance", palette.CLEARANCE)
 ANATOMY = {
     "avoid": Look("anatomy to avoid", palette.ANATOMY["avoid"]),
     "inside": Look("lumen to stay inside", palette.ANATOMY["inside"]),

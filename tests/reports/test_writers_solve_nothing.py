@@ -30,7 +30,9 @@ def test_a_writer_solves_nothing(
     assert called == [] and (tmp_path / name).stat().st_size > 0
 
 
-def test_a_scene_is_solved_once_for_every_frame(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scene_is_solved_once_for_every_frame_and_where_it_is_narrowest(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
     called = count_calls(monkeypatch)
     plan_scene(plan)
-    assert called == ["bound"] * FRAMES
+    assert called == ["bound"] * FRAMES + ["friction_bodies"]

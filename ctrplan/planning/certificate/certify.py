@@ -100,6 +100,7 @@ def finished(walk: WalkedLegs, arrival: Arrival = frictionless_arrives) -> Certi
         start_friction=scenario.start_friction,
         nominal=closest.nominal,
         closest=closest.friction,
+        narrowest=closest.certified,
         walk_again=partial(_walked_again, scenario, walk.corners, walk.accuracy, arrival),
     )
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ctrplan.anatomy.parts import surface_distance
 from ctrplan.base.arrays import Array
+from ctrplan.planning.certificate.allowances import TIGHT_M
 from ctrplan.planning.certificate.anatomy_distance import AnatomyDistance
 from ctrplan.planning.certificate.friction_cube import State, corner_states
 from ctrplan.planning.certificate.walked_piece import Piece
@@ -33,10 +34,13 @@ class ClosestPlaces:
 
     nominal: Closest | None = None
     friction: Closest | None = None
+    certified: Closest | None = None
 
 
 def closest_places(scenario: Scenario, pieces: Sequence[Piece], samples: CertificateSamples) -> ClosestPlaces:
-    """Of the frictionless robot, and of the robot in all friction states that were found to be narrow."""
+    """Of the frictionless robot, of the robot in all friction states that were found to be narrow, and where the least
+    clearance is certified, of samples that are certified alike the one that comes closest. None where a walk failed.
+    """
     distance = AnatomyDistance.of(scenario)
     if distance is None:
         return ClosestPlaces()
@@ -47,28 +51,35 @@ def closest_places(scenario: Scenario, pieces: Sequence[Piece], samples: Certifi
     rest: list[State] = [(0.0,) * pairs]
     found = [_closest(distance, samples, k, rest) for k in nominal]
     corners = corner_states(pairs) if scenario.robot.friction.any() else []
-    states = [[*rest, *corners, tuple(phi[k].tolist())] for k in narrow]
-    found_with = [_closest(distance, samples, k, row) for k, row in zip(narrow, states, strict=True)] + found
-    return ClosestPlaces(_least(found), _least(found_with))
+    certified = int(np.argmin(samples.clearance_m))
+    by_row = {
+        k: _closest(distance, samples, k, [*rest, *corners, tuple(phi[k].tolist())])
+        for k in dict.fromkeys([*narrow.tolist(), certified])
+    }
+    tied = [place for k, place in by_row.items() if samples.clearance_m[k] <= samples.clearance_m[certified] + TIGHT_M]
+    return ClosestPlaces(_least(found), _least([*by_row.values(), *found]), _least(tied))
 
 
-def _least(found: list[Closest]) -> Closest:
-    return min(found, key=lambda place: place.clearance_m)
+def _least(found: list[Closest | None]) -> Closest | None:
+    """Of those that were solved."""
+    return min(filter(None, found), key=lambda place: place.clearance_m, default=None)
 
 
 def _rows(clearance_m: Array) -> NDArray[np.intp]:
     """Indices of the narrowest samples (K,)."""
-    near = np.flatnonzero(clearance_m <= clearance_m.min() + NEAR_M)
+    near = np.flatnonzero(clearance_m <= np.nanmin(clearance_m) + NEAR_M)
     return near[np.argsort(clearance_m[near], kind="stable")][:MOST]
 
 
-def _closest(distance: AnatomyDistance, samples: CertificateSamples, row: int, states: list[State]) -> Closest:
-    """Of a sample in friction states."""
+def _closest(distance: AnatomyDistance, samples: CertificateSamples, row: int, states: list[State]) -> Closest | None:
+    """Of a sample in friction states; None where none of them has an equilibrium."""
     scenario, joints = distance.scenario, samples.joints[row]
     robot = scenario.robot
     bodies = robot.mechanics.friction_bodies(
         *robot.drive.collars(joints), np.array(list(dict.fromkeys(states))), spacing_m=POINT_M, accuracy="certificate"
     )
+    if not bodies.solved.any():
+        return None
     points, count = bodies.point_m[bodies.solved].reshape(-1, 3), len(bodies.radius_m)
     near = distance.near(points, np.tile(bodies.radius_m, int(bodies.solved.sum())))
     located = points[near] @ scenario.base_R.T + scenario.base_position_m

@@ -15,6 +15,7 @@ from ctrplan.planning.certificate.goal_miss import line_error_m
 from ctrplan.planning.certificate.stated_bounds import StatedBounds
 from ctrplan.planning.certificate.walked_piece import Piece
 from ctrplan.planning.certified import CertificateSamples
+from ctrplan.planning.clearance_shares import shares_in_words
 from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.motion import breach, path_limits
 
@@ -96,10 +97,7 @@ def _shares_of_clearance(scenario: Scenario, pieces: Sequence[Piece], limits: Pa
         return ""
     offset = float(piece.offset_m(scenario, "certificate")[k])
     friction, allowed = max(0.0, nominal - least - offset), offset + limits.clearance_m
-    return (
-        f" (the frictionless one is {nominal * MM_PER_M:.2f} mm beyond the margins, friction takes "
-        f"{friction * MM_PER_M:.2f}, allowances {allowed * MM_PER_M:.2f})"
-    )
+    return shares_in_words(nominal, friction, allowed)
 
 
 def _apart(scenario: Scenario, before: Piece, after: Piece) -> float:

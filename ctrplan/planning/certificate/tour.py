@@ -40,23 +40,27 @@ def joined_certificates(stages: list[Certificate]) -> Certificate:
         cost_mm=sum(stage.cost_mm for stage in stages),
         spacing_m=max(stage.spacing_m for stage in stages),
         worst_play_m=max(stage.worst_play_m for stage in stages),
+        start_friction=stages[0].start_friction,  # where it is known, later stages go on from any that it leads to
         nominal=_closest(stages, "nominal"),
         closest=_closest(stages, "closest"),
+        narrowest=_closest(stages, "narrowest"),
         targets=targets,
         walk_again=_all_again(stages),
         settling=last.settling and replace(last.settling, first_leg=last.settling.first_leg + before),
     )
 
 
-def _closest(stages: list[Certificate], name: Literal["nominal", "closest"]) -> Closest | None:
-    """The narrowest of all stages, its leg and path those of the tour."""
-    found, legs, travelled = [], 0, 0.0
+def _closest(stages: list[Certificate], name: Literal["nominal", "closest", "narrowest"]) -> Closest | None:
+    """The closest of all stages, that of least certified clearance for "narrowest"; leg and path are the tour's."""
+    found: list[tuple[float, Closest]] = []
+    legs, travelled = 0, 0.0
     for stage in stages:
         place: Closest | None = getattr(stage, name)
         if place is not None:
-            found.append(replace(place, leg=place.leg + legs, path_mm=place.path_mm + travelled))
+            left_m = stage.min_clearance_m if name == "narrowest" else place.clearance_m
+            found.append((left_m, replace(place, leg=place.leg + legs, path_mm=place.path_mm + travelled)))
         legs, travelled = legs + _legs(stage), travelled + stage.length_mm
-    return min(found, key=lambda place: place.clearance_m, default=None)
+    return min(found, key=lambda one: one[0])[1] if found else None
 
 
 def _all_again(stages: list[Certificate]) -> Callable[[Accuracy | None], Certificate] | None:

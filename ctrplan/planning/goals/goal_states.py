@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +12,8 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.base.units import MM_PER_M
 from ctrplan.errors import NoAnswerError
-from ctrplan.planning.goals.branches import Reach, distinct_rows, reach
+from ctrplan.planning.clearance_shares import with_shares
+from ctrplan.planning.goals.branches import Configuration, Reach, distinct_rows, reach
 from ctrplan.planning.goals.clearances import refuse_blocked_target
 from ctrplan.planning.goals.goal_descent import descended
 from ctrplan.planning.goals.goal_state import GoalState, tip_target
@@ -61,9 +64,11 @@ def _choice(checker: MotionChecker, states: list[GoalState]) -> list[GoalState]:
 
 
 def _joint_goal(checker: MotionChecker, joints: Array) -> GoalState:
-    state, _ = checker.probe(joints)
+    state, samples = checker.probe(joints)
     if not state.valid:
-        raise _no_answer(checker, f"the goal state is not valid: {state.reason}")
+        least_m = np.nan if samples is None else float(samples.clearance_m[-1])
+        reason = with_shares(checker, joints, state.reason, least_m)
+        raise _no_answer(checker, f"the goal state is not valid: {reason}")
     return GoalState(joints, state.end_bound_m, 0.0)
 
 
@@ -75,10 +80,22 @@ def _tip_goals(checker: MotionChecker, rng: np.random.Generator) -> list[GoalSta
         raise _no_answer(checker, _unreached(scenario, found))
     valid = [c for c in found.configurations if c.valid]
     if not valid:
-        reasons = Counter(c.reason.split(" by ")[0] for c in found.configurations)
-        usual = reasons.most_common(1)[0][0]
+        usual = _usual_reason(checker, found.configurations)
         raise _no_answer(checker, f"every configuration found that reaches it is invalid, most often because {usual}")
     return [GoalState(c.joints, c.bound_m, c.tip_error_m) for c in valid]
+
+
+def _usual_reason(checker: MotionChecker, configurations: Sequence[Configuration]) -> str:
+    """The commonest one, numbers aside, with those of the configuration that has most clearance."""
+    kinds = Counter(_kind(c.reason) for c in configurations)
+    usual = kinds.most_common(1)[0][0]
+    best = max((c for c in configurations if _kind(c.reason) == usual), key=lambda c: c.clearance_m)
+    return with_shares(checker, best.joints, best.reason, best.clearance_m)
+
+
+def _kind(reason: str) -> str:
+    """A reason without its numbers."""
+    return re.sub(r"-?\d[\d.]*", "", reason)
 
 
 def _unreached(scenario: Scenario, found: Reach) -> str:

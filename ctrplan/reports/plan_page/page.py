@@ -19,6 +19,7 @@ from ctrplan.reports.plan_curves import (
     timeline,
 )
 from ctrplan.reports.plan_page.motion import motion_section
+from ctrplan.reports.plan_page.narrowest import clearance_section
 from ctrplan.reports.plan_page.panels import stacked_figure
 from ctrplan.reports.plan_page.tables import (
     certificate_table,
@@ -43,7 +44,8 @@ if TYPE_CHECKING:
 
 WORDS = (
     "worst-case friction error", "predicted friction error", "worst case at the target", "tolerance",
-    "envelope of friction", "corner shapes", "clearance", "stability", "strain", "play", "Coulomb friction",
+    "envelope of friction", "corner shapes", "friction state", "clearance", "clearance without friction",
+    "clearance in the worst friction state", "certified clearance", "stability", "strain", "play", "Coulomb friction",
 )  # fmt: skip
 SHADES = "Legs are shaded: rotations blue, translations yellow, simultaneous motions violet."
 
@@ -64,6 +66,7 @@ def plan_report_html(scene: PlanScene) -> str:
         _remarks("What is wrong", plan.certificate.problems),
         motion_section(scene),
         _tiles(plan),
+        clearance_section(plan),
         section("Certificate", *(tag("p", text) for text in certificate_in_words(plan)), certificate_table(plan)),
         uncertainty_section(plan),
         target_section(plan),
@@ -109,7 +112,10 @@ def _target_tiles(plan: Plan) -> Iterator[tuple[str, str]]:
 
 def _figure_tiles(plan: Plan) -> list[tuple[str, str]]:
     certificate = plan.certificate
-    clearance = (millimetres(certificate.min_clearance_m), term("clearance", "smallest clearance beyond the margins"))
+    clearance = (
+        millimetres(certificate.min_clearance_m),
+        term("certified clearance", "certified clearance beyond the margins"),
+    )
     if np.isinf(certificate.min_clearance_m):
         clearance = ("free space", escaped("no anatomy to stay clear of"))
     return [

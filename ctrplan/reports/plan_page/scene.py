@@ -11,6 +11,7 @@ import plotly.graph_objects as go
 
 from ctrplan.reports import scene_looks as looks
 from ctrplan.reports.framing import view_box
+from ctrplan.reports.plan_page.narrowest import narrowest_traces
 from ctrplan.reports.plan_scene import PlanScene, goal_tip, tip_path
 from ctrplan.reports.plan_words.numbers import millimetres
 from ctrplan.reports.pose import plate
@@ -52,7 +53,8 @@ def _still(scene: PlanScene, anatomy: list[Surface]) -> list[Any]:
         for i, rod in enumerate(slim)
     ]
     disc = mesh_trace(plate(scenario).surface(32), looks.PLATE.colour, 1.0, looks.PLATE.name)
-    return [*ghost, disc, _tip_path(plan), *_goal(plan), *anatomy_traces(scenario, anatomy)]
+    narrow = narrowest_traces(scene.narrowest) if scene.narrowest else []
+    return [*ghost, disc, _tip_path(plan), *_goal(plan), *narrow, *anatomy_traces(scenario, anatomy)]
 
 
 def _tip_path(plan: Plan) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib import patheffects
 from matplotlib.colors import LightSource
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -16,6 +17,7 @@ from ctrplan.reports import palette
 from ctrplan.reports import scene_looks as looks
 from ctrplan.reports.framing import side_azimuth_rad, view_box
 from ctrplan.reports.plan_scene import goal_tip, tip_path
+from ctrplan.reports.plan_words.numbers import millimetres
 from ctrplan.reports.pose import Pose, plate
 from ctrplan.reports.surface import Surface, anatomy_surface
 from ctrplan.reports.tube_ends import end_ring
@@ -23,7 +25,7 @@ from ctrplan.reports.tube_ends import end_ring
 if TYPE_CHECKING:
     from mpl_toolkits.mplot3d import Axes3D
 
-    from ctrplan.planning.plan import Plan
+    from ctrplan.reports.narrowest_pose import NarrowestPose
     from ctrplan.reports.plan_scene import PlanScene
 
 TRIANGLES = 6000  # per part of the anatomy: all are sorted and drawn in Python
@@ -48,7 +50,9 @@ def draw_scene(ax: Axes3D, scene: PlanScene) -> None:
     _draw_robot(ax, goal, 5, [looks.tube_look(tube).colour for tube in range(len(goal.tubes))])
     ax.plot(*path_mm.T, color=looks.TIP_PATH.colour, linewidth=1.4, zorder=7)
     ax.plot(*goal_mm[:, None], marker="X", markersize=10, color=looks.GOAL.colour, markeredgecolor="white", zorder=8)
-    _legend(ax, plan)
+    if scene.narrowest:
+        _draw_narrowest(ax, scene.narrowest)
+    _legend(ax, scene)
 
 
 def _points(pose: Pose) -> Array:
@@ -95,6 +99,15 @@ def _draw_robot(ax: Axes3D, pose: Pose, zorder: int, colours: list[str]) -> None
                     solid_capstyle="butt")  # fmt: skip
 
 
+def _draw_narrowest(ax: Axes3D, pose: NarrowestPose) -> None:
+    """The gap to the anatomy with its number, on top of everything."""
+    ends, colour = pose.gap_m * 1e3, looks.NARROWEST.colour
+    ax.plot(*ends.T, color=colour, linewidth=1.6, marker="o", markersize=3.5, zorder=9)
+    around = [patheffects.withStroke(linewidth=2.5, foreground="white")]
+    style: dict[str, Any] = {"color": colour, "fontsize": 11, "fontweight": "bold", "path_effects": around}
+    ax.text(*ends[1], f"  {millimetres(pose.place.clearance_m)}", zorder=10, va="center", **style)
+
+
 def _points_per_mm(ax: Axes3D) -> float:
     """Length on paper of a vertical millimetre, which the view from above foreshortens."""
     ax.apply_aspect()
@@ -105,7 +118,8 @@ def _points_per_mm(ax: Axes3D) -> float:
     return float(pixels / foreshortened * 72 / ax.figure.dpi)
 
 
-def _legend(ax: Axes3D, plan: Plan) -> None:
+def _legend(ax: Axes3D, scene: PlanScene) -> None:
+    plan = scene.plan
     tubes = map(looks.tube_look, range(plan.scenario.robot.n))
     entries: list[tuple[Line2D | Patch, str]] = [
         (Line2D([], [], color=tube.colour, linewidth=4), f"{tube.name} at the goal") for tube in tubes
@@ -117,6 +131,8 @@ def _legend(ax: Axes3D, plan: Plan) -> None:
         (Line2D([], [], color=looks.TIP_PATH.colour, linewidth=1.6), looks.TIP_PATH.name),
         (Line2D([], [], color=looks.GOAL.colour, marker="X", markersize=9, linestyle=""), looks.GOAL.name),
     ]
+    if scene.narrowest:
+        entries.append((Line2D([], [], color=looks.NARROWEST.colour, marker="o", markersize=4), looks.NARROWEST.name))
     entries += [(Patch(facecolor=look.colour, alpha=0.6), look.name) for look in looks.anatomy_looks(plan.scenario)]
     handles, labels = zip(*entries, strict=True)
     place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (-0.1, 1.02), "ncols": 4}

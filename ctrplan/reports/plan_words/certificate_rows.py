@@ -82,17 +82,25 @@ def _margins(plan: Plan) -> list[CertificateRow]:
     clearance_m, stable, strain = certificate.min_clearance_m, certificate.min_stability, certificate.max_strain
     clearance = CertificateRow("Clearance to the anatomy", "free space", "", None)
     if not math.isinf(clearance_m):
-        quantity = "Smallest clearance to the anatomy, beyond its margins"
+        quantity = "Clearance to the anatomy in every friction state, beyond its margins"
         least = f"at least {limits.clearance_m * 1e3:g} mm{' (model error)' if limits.clearance_m else ''}"
         clearance = CertificateRow(quantity, millimetres(clearance_m), least, bool(clearance_m >= limits.clearance_m))
     stability = CertificateRow(
-        "Smallest stability", digits(stable), f"at least {limits.stability:g}", bool(stable >= limits.stability)
+        "Smallest stability in every friction state",
+        digits(stable),
+        f"at least {limits.stability:g}",
+        bool(stable >= limits.stability),
     )
     most = f"at most {100 * limits.max_strain:g} %"
     return [
         clearance,
         stability,
-        CertificateRow("Largest strain", f"{digits(100 * strain)} %", most, bool(strain <= limits.max_strain)),
+        CertificateRow(
+            "Largest strain in every friction state",
+            f"{digits(100 * strain)} %",
+            most,
+            bool(strain <= limits.max_strain),
+        ),
     ]
 
 

@@ -36,7 +36,8 @@ def _checked(plan: Plan) -> str:
         f"The finished motion was driven again through the full model at {len(certificate.samples.leg)} places, so "
         f"close together that no point of the robot moves more than {millimetres(certificate.spacing_m)} from one to "
         "the next. At each of them the robot was solved without friction and with friction at its limit in all "
-        f"{corners} combinations of directions."
+        f"{corners} combinations of directions. Of the friction states between these as many were solved as it took to "
+        "know their clearance, stability and strain."
     )
 
 
@@ -93,9 +94,19 @@ def _room(plan: Plan, times: Array) -> str:
             f"The margins to the anatomy are not kept: {millimetres(-certificate.min_clearance_m)} short at {when} s."
         )
     return (
-        "All these shapes keep their margins to the anatomy, measured to its surface and not on a grid, and "
-        f"{millimetres(certificate.min_clearance_m)} more; the narrowest place comes at {when} s. Half the motion "
-        "between places and an allowance for the discretisation are already taken off."
+        "In every friction state the robot keeps its margins to the anatomy, measured to its surface and not on a "
+        f"grid, and {millimetres(certificate.min_clearance_m)} more; the narrowest place comes at {when} s. Half the "
+        f"motion between places and allowances for all that was not solved are already taken off.{_solved(plan)}"
+    )
+
+
+def _solved(plan: Plan) -> str:
+    closest, nominal = plan.certificate.closest, plan.certificate.nominal
+    if closest is None or nominal is None:
+        return ""
+    return (
+        f" As solved it comes within {millimetres(closest.clearance_m)} of the margins in the worst friction state, "
+        f"and within {millimetres(nominal.clearance_m)} without friction."
     )
 
 
@@ -103,9 +114,9 @@ def _elastic(plan: Plan, times: Array) -> str:
     samples, certificate = plan.certificate.samples, plan.certificate
     when = digits(times[int(np.nanargmin(samples.stability))]) if np.isfinite(samples.stability).any() else "?"
     return (
-        f"The robot is nearest to snapping at {when} s, with a stability of {digits(certificate.min_stability)} (0 is "
-        f"the limit, {plan.scenario.margins.stability:g} the margin), and its tubes are strained by at most "
-        f"{digits(100 * certificate.max_strain)} %."
+        f"In whatever friction state, the robot is nearest to snapping at {when} s, with a stability of "
+        f"{digits(certificate.min_stability)} (0 is the limit, {plan.scenario.margins.stability:g} the margin), "
+        f"and its tubes are strained by at most {digits(100 * certificate.max_strain)} %."
     )
 
 
