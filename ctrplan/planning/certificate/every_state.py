@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 # Samples whose cells are all halved once more: a fold in the corner of a cell lasts for more than a few mm of motion.
 CLOSE_EVERY, CLOSE_DEPTH = 8, 2
 CHUNK = 4  # samples at a time
-MOST_AGAIN = 60  # samples solved on the certificate mesh only to report the least clearance more closely
+MOST_AGAIN = 120  # samples solved on the certificate mesh only to report the least clearance more closely
 
 
 @dataclass(eq=False)
