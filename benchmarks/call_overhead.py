@@ -76,7 +76,7 @@ MEASURED: dict[str, tuple[Callable[[], float], Callable[[], float]]] = {
     ),
     "walker, steps of 1 degree": (
         walked,
-        lambda: at_once(lambda: ROBOT.mechanics.check_path(TURNED[[0, -1]], STAYING[[0, -1]])),
+        lambda: at_once(lambda: ROBOT.mechanics.check_path(TURNED, STAYING)),
     ),
 }
 

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from ctrplan import _model
 
 
-ARRAYS = frozenset({"tubes", "radius_m", "contact_s_m", "contact_force_N", "contact_angle_rad"})  # of a Shape
+# What a Shape has along its tubes
+ALONG = frozenset({"tubes", "radius_m", "contact_s_m", "contact_force_N", "contact_angle_rad", "max_strain"})
 
 
 class Status(enum.IntEnum):
@@ -70,13 +71,12 @@ class Shape:
 
     @classmethod
     def of_core(cls, kept: _model.Shape, status: Status) -> Shape:
-        """What the core keeps of a shape; its arrays are made when somebody looks at them."""
+        """What the core keeps of a shape; what it has along its tubes is made when somebody looks at it."""
         shape = cls.__new__(cls)
         vars(shape).update(
             status=status,
             residual=kept.residual,
             stability=kept.stability,
-            max_strain=kept.max_strain,
             equilibrium=kept.equilibrium,
             _kept=kept,
         )
@@ -85,9 +85,9 @@ class Shape:
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            """An array that nobody has looked at before."""
+            """What nobody has looked at before."""
             kept = vars(self).get("_kept")
-            if kept is None or name not in ARRAYS:
+            if kept is None or name not in ALONG:
                 raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
             found = tuple(TubeShape(**tube) for tube in kept.tubes()) if name == "tubes" else getattr(kept, name)
             return vars(self).setdefault(name, found)

@@ -1,5 +1,4 @@
 // A shape that Python holds. Most callers look at the tip alone: nothing else is converted before somebody does.
-#include <algorithm>
 #include <cmath>
 
 #include "bindings.hpp"
@@ -10,7 +9,11 @@ namespace {
 using ctr::Shape;
 using Self = nb::handle_t<Shape>;
 
-Shape& of(Self self) { return nb::cast<Shape&>(self); }
+Shape& of(Self self) {
+    Shape& shape = nb::cast<Shape&>(self);
+    shape.lay_out();
+    return shape;
+}
 
 // Values of the shape, which the array keeps alive.
 template <class Element>
@@ -43,18 +46,12 @@ nb::tuple contacts(Self self) {
     return nb::tuple(all);
 }
 
-nb::object tip(const Shape& shape) { return array(std::vector<double>(shape.tubes.back().position.back().begin(), shape.tubes.back().position.back().end())); }
+nb::object vector(const ctr::Vec3& at) { return array(std::vector<double>(at.begin(), at.end())); }
 
-nb::object tip_tangent(const Shape& shape) {
-    const std::array<double, 9>& frame = shape.tubes.back().frame.back();
-    return array(std::vector<double>{frame[2], frame[5], frame[8]});
-}
-
-// Whether every number is finite that a solution must have.
+// Whether every number is finite that a solution must have: the tip is not where a place or an angle before it is not.
 bool is_finite(const Shape& shape) {
     auto finite = [](const ctr::Vec3& at) { return std::isfinite(at[0]) && std::isfinite(at[1]) && std::isfinite(at[2]); };
-    const std::vector<ctr::Vec3>& line = shape.tubes.back().position;
-    return std::isfinite(shape.residual) && std::isfinite(shape.max_strain) && std::all_of(line.begin(), line.end(), finite);
+    return std::isfinite(shape.residual) && std::isfinite(shape.max_strain) && finite(shape.tip) && finite(shape.tip_tangent);
 }
 
 }  // namespace
@@ -64,11 +61,11 @@ void bind_shape(nb::module_& m) {
         .def_prop_ro("status", [](const Shape& shape) { return static_cast<int>(shape.status); })
         .def_ro("residual", &Shape::residual)
         .def_ro("stability", &Shape::stability)
-        .def_ro("max_strain", &Shape::max_strain)
+        .def_prop_ro("max_strain", [](Self self) { return of(self).max_strain; })
         .def_ro("equilibrium", &Shape::equilibrium)
         .def_prop_ro("is_finite", &is_finite)
-        .def_prop_ro("tip_m", &tip)
-        .def_prop_ro("tip_tangent", &tip_tangent)
+        .def_prop_ro("tip_m", [](const Shape& shape) { return vector(shape.tip); })
+        .def_prop_ro("tip_tangent", [](const Shape& shape) { return vector(shape.tip_tangent); })
         .def("tubes", &tubes)
         .def_prop_ro("radius_m", &radius)
         .def_prop_ro("contact_s_m", &contacts<&ctr::ContactForces::s>)
