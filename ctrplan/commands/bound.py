@@ -15,7 +15,7 @@ from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 
 if TYPE_CHECKING:
     from ctrplan.base.arrays import Array
-    from ctrplan.mechanics.core import Bound, Shape
+    from ctrplan.mechanics.core import Accuracy, Bound, Shape
     from ctrplan.robot.robot import Robot
 
 EXAMPLES = """examples:
@@ -111,7 +111,7 @@ def _bounded(robot: Robot, theta_b: Array, l_b: Array, arguments: argparse.Names
     from ctrplan.commands.bound_time import sentence_beforehand
     from ctrplan.commands.progress_bar import ProgressBar
 
-    accuracy = arguments.accuracy or "certificate"
+    accuracy: Accuracy = arguments.accuracy or "certificate"
     if said := sentence_beforehand(robot, theta_b, l_b, accuracy, arguments.corners):
         print(f"ctrplan: {said}", file=sys.stderr)
     with ProgressBar(quiet=not sys.stderr.isatty(), patience_s=2.0) as bar:

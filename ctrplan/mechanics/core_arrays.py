@@ -132,8 +132,8 @@ def promised(table: Table) -> Table:
     return replace(table, status=sound(table.status, *columns))
 
 
-def solved_shape(raw: _model.Shape) -> Shape:
-    """The Shape of what a solve of the core returns; FAILED where it has no stability."""
+def solved_shape(raw: Any) -> Shape:
+    """The Shape of what a solve of the core returns, a _model.Shape; FAILED where it has no stability."""
     return Shape.of_core(raw, Status(raw.status) if raw.is_finite and isfinite(raw.stability) else Status.FAILED)
 
 
@@ -143,6 +143,6 @@ def solved_bound(raw: dict[str, Any]) -> Bound:
     return Bound(**raw | {"frictionless": solved_shape(raw["frictionless"]), "corners": corners})
 
 
-def shape_from_core(raw: _model.Shape) -> Shape:
-    """The Shape of what the core returns, under the same names; histories do not know the stability."""
+def shape_from_core(raw: Any) -> Shape:
+    """The Shape of what the core returns, a _model.Shape; histories do not know the stability."""
     return Shape.of_core(raw, Status(raw.status) if raw.is_finite else Status.FAILED)
