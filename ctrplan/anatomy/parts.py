@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,6 +41,11 @@ class AnatomyPart:
             raise InputError("must be 'avoid' or 'inside'", key="role", value=self.role)
         if not (np.isfinite(self.margin_m) and self.margin_m >= 0):
             raise InputError("must be a finite number, zero or more", key="margin_m", value=self.margin_m, unit="m")
+
+    @cached_property
+    def box(self) -> tuple[Array, Array]:
+        """Lower and upper corner (3,), (3,) [m] of what the shape lies within."""
+        return self.shape.box()
 
 
 def surface_distance(part: AnatomyPart, points_m: Array) -> Array:

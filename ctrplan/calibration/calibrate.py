@@ -7,7 +7,7 @@ squared apart, which is the likelihood of independent Gaussian errors. With weig
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -18,6 +18,7 @@ from ctrplan.base.arguments import SEED, Choice, Interval, Made, Number, Table, 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.base_parameters import ABSOLUTE_STIFFNESS, BaseParameters
 from ctrplan.calibration.estimates import Estimate, estimates
+from ctrplan.calibration.gross_outliers import gross_outliers, outlier_sentences, too_many
 from ctrplan.calibration.identifiability import Combination, combinations
 from ctrplan.calibration.least_squares import Fit, fit
 from ctrplan.calibration.pose_errors import Errors, distances, summary
@@ -135,6 +136,7 @@ def calibrate(
     Names: a number of the robot such as tube.2.poisson_ratio (SI), effects.friction.mu_1 for one of an effect,
     or one of the base parameters; None: all of those (precurvature magnitudes, stiffness ratios, Poisson's ratios).
     `priors` are standard deviations and `bounds` limits, by name. `held_out` is the share of configurations kept aside.
+    Poses that went wrong, `gross_outliers.py`, are left out of all fits and errors, and a note names their rows.
     Raises InputError for unknown names, for names given twice and for too few poses.
     """
     names = _base_names(robot) if parameters is None else list(parameters)
@@ -144,13 +146,29 @@ def calibrate(
     noise = _noise(robot, weighting)
     group = groups(measurements)
     aside = _aside(group, held_out, seed)
-    data = measurements.subset(~aside)
-    _check_count(data, group[~aside], len(names) + len(second_pass))
     terms = _terms(robot, names, priors or {}, bounds or {})
-    passes = [_fitted(ParametricChain(robot, data, terms), noise, starts, seed)]
-    if second_pass:
-        passes.append(_second(passes[0], _terms(robot, second_pass, priors or {}, bounds or {})))
-    return _calibration(passes, measurements, group, aside)
+    more = _terms(robot, second_pass, priors or {}, bounds or {}) if second_pass else []
+
+    def fitted(poses: NDArray[np.bool_]) -> list[Fit]:
+        _check_count(measurements.subset(poses), group[poses], len(names) + len(second_pass))
+        first = _fitted(ParametricChain(robot, measurements.subset(poses), terms), noise, starts, seed)
+        return [first, _second(first, more)] if more else [first]
+
+    passes, wrong = _without_outliers(fitted, measurements, aside)
+    return _calibration(passes, measurements, group, aside, wrong)
+
+
+def _without_outliers(
+    fitted: Callable[[NDArray[np.bool_]], list[Fit]], data: Measurements, aside: NDArray[np.bool_]
+) -> tuple[list[Fit], NDArray[np.bool_]]:
+    """The passes fitted to poses that are right, and which of all (K,) went wrong."""
+    wrong = np.zeros(data.count, bool)
+    while True:
+        passes = fitted(~aside & ~wrong)
+        more = gross_outliers(passes[-1], data, ~wrong)
+        if not more.any() or too_many(wrong | more, np.ones_like(wrong)):
+            return passes, wrong
+        wrong |= more
 
 
 def _base_names(robot: Robot) -> list[str]:
@@ -241,8 +259,14 @@ def _held(parameter: Parameter, value: float) -> Parameter:
 
 
 def _calibration(
-    passes: Sequence[Fit], data: Measurements, group: NDArray[np.int_], aside: NDArray[np.bool_]
+    passes: Sequence[Fit],
+    everything: Measurements,
+    everyones: NDArray[np.int_],
+    apart: NDArray[np.bool_],
+    wrong: NDArray[np.bool_],
 ) -> Calibration:
+    """Of all poses, their groups, those kept aside and those that went wrong, (K,) each."""
+    data, group, aside = everything.subset(~wrong), everyones[~wrong], apart[~wrong]
     passes, noticed = [*passes[:-1], within_file(passes[-1])], symptoms(passes[0])
     first, found = passes[0], passes[-1]
     robot, terms = found.chain.robot, found.chain.terms
@@ -273,9 +297,10 @@ def _calibration(
             *unknown,
             *unsolved_sentence(data, nominal.failed, nominal.counted, "with the file's values"),
             *_unsolved(data, aside, trained, held),
+            *outlier_sentences(found, everything, wrong),
             *noticed,
         ),
-        data=data,
+        data=everything,
         first=passes[0] if len(passes) > 1 else None,
     )
 

@@ -15,7 +15,7 @@ from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 
 if TYPE_CHECKING:
     from ctrplan.base.arrays import Array
-    from ctrplan.mechanics.core import Bound, Shape
+    from ctrplan.mechanics.core import Accuracy, Bound, Shape
     from ctrplan.robot.robot import Robot
 
 EXAMPLES = """examples:
@@ -107,20 +107,18 @@ def run_bound(arguments: argparse.Namespace) -> int:
 
 
 def _bounded(robot: Robot, theta_b: Array, l_b: Array, arguments: argparse.Namespace) -> Bound:
-    """The bound, with a word on its cost before and a bar meanwhile where it takes long."""
+    """The bound, with its time said before and a bar meanwhile where it takes long."""
+    from ctrplan.commands.bound_time import sentence_beforehand
     from ctrplan.commands.progress_bar import ProgressBar
-    from ctrplan.mechanics.core import MOST_TUBES_OF_ALL_CORNERS
 
-    all_corners, most = 2 ** (robot.n - 1), MOST_TUBES_OF_ALL_CORNERS
-    if arguments.corners == "all" and robot.n > most:
-        print(f"ctrplan: {all_corners} corners of {robot.n} tubes: this may take minutes", file=sys.stderr)
-    elif arguments.corners is None and robot.n > most:
-        print(f"ctrplan: the extreme ones of {all_corners} corners; all with --corners all", file=sys.stderr)
+    accuracy: Accuracy = arguments.accuracy or "certificate"
+    if said := sentence_beforehand(robot, theta_b, l_b, accuracy, arguments.corners):
+        print(f"ctrplan: {said}", file=sys.stderr)
     with ProgressBar(quiet=not sys.stderr.isatty(), patience_s=2.0) as bar:
         return robot.bound(
             theta_b,
             l_b,
-            accuracy=arguments.accuracy or "certificate",
+            accuracy=accuracy,
             corners=arguments.corners,
             progress=lambda share: bar.show("bound", share),
         )

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from ctrplan.base.arrays import Array
+from ctrplan.calibration.gross_outliers import OUTLIER
 from ctrplan.calibration.residuals import PER_POSE, information_inverse
 from ctrplan.calibration.unsolved import excused
 from ctrplan.diagnosis.held_out import Linear
 from ctrplan.diagnosis.workbench import Scored, Workbench, linear
 
 REJECTED = 1e-3  # probability below which a chi-square is no chance
-OUTLIER = 5.6  # norm of a pose's five numbers: once in 10^5
 MOST_OUTLIERS = 0.03  # of the poses, and one in any case; more are no outliers but a misfit
 
 

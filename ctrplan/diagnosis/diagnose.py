@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arguments import EVENT, PROGRESS, Made, Texts, checked
 from ctrplan.base.arrays import Array
 from ctrplan.base.progress import StageProgress
+from ctrplan.calibration.gross_outliers import gross_outliers, outlier_sentences, too_many
 from ctrplan.calibration.pose_errors import distances
 from ctrplan.calibration.residuals import Noise, Residuals
 from ctrplan.calibration.robot_content import within_file
@@ -22,7 +23,6 @@ from ctrplan.diagnosis.agreement import contradiction
 from ctrplan.diagnosis.candidates import Candidates, candidates, reduced
 from ctrplan.diagnosis.chi_square import ignored, remains
 from ctrplan.diagnosis.gap import Gap, open_held_out_set
-from ctrplan.diagnosis.gross_outliers import gross_outliers, outlier_sentences, too_many
 from ctrplan.diagnosis.localise import Place, localise
 from ctrplan.diagnosis.next_experiment import next_experiment
 from ctrplan.diagnosis.noise_floor import noise_floor

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import isfinite
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from ctrplan import _model
 from ctrplan.base.arrays import Array, numbers
 from ctrplan.errors import InputError
-from ctrplan.mechanics.shapes import Bound, Bounds, Shape, Status, Tips, TubeShape
+from ctrplan.mechanics.shapes import Bound, Bounds, Shape, Status, Tips
 from ctrplan.mechanics.walk import Field, PathDensity, PathLimits, PathSamples
 
 if TYPE_CHECKING:
@@ -131,10 +132,9 @@ def promised(table: Table) -> Table:
     return replace(table, status=sound(table.status, *columns))
 
 
-def solved_shape(raw: dict[str, Any]) -> Shape:
-    """The Shape of what a solve of the core returns; FAILED where it has no stability."""
-    shape = shape_from_core(raw)
-    return shape if np.isfinite(shape.stability) else replace(shape, status=Status.FAILED)
+def solved_shape(raw: Any) -> Shape:
+    """The Shape of what a solve of the core returns, a _model.Shape; FAILED where it has no stability."""
+    return Shape.of_core(raw, Status(raw.status) if raw.is_finite and isfinite(raw.stability) else Status.FAILED)
 
 
 def solved_bound(raw: dict[str, Any]) -> Bound:
@@ -143,9 +143,6 @@ def solved_bound(raw: dict[str, Any]) -> Bound:
     return Bound(**raw | {"frictionless": solved_shape(raw["frictionless"]), "corners": corners})
 
 
-def shape_from_core(raw: dict[str, Any]) -> Shape:
-    """The Shape of what the core returns, under the same names; histories do not know the stability."""
-    tubes = tuple(TubeShape(**tube) for tube in raw["tubes"])
-    needed = np.array([raw["residual"], raw["max_strain"], *tubes[-1].centreline_m.ravel()])
-    status = Status(int(sound(np.array([raw["status"]]), needed[None])[0]))
-    return Shape(**raw | {"tubes": tubes, "status": status})
+def shape_from_core(raw: Any) -> Shape:
+    """The Shape of what the core returns, a _model.Shape; histories do not know the stability."""
+    return Shape.of_core(raw, Status(raw.status) if raw.is_finite else Status.FAILED)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +15,10 @@ from ctrplan.mechanics.core_errors import input_errors
 
 if TYPE_CHECKING:
     from ctrplan import _model
+
+
+# What a Shape has along its tubes
+ALONG = frozenset({"tubes", "radius_m", "contact_s_m", "contact_force_N", "contact_angle_rad", "max_strain"})
 
 
 class Status(enum.IntEnum):
@@ -65,9 +69,32 @@ class Shape:
         with input_errors():
             return self.equilibrium.residual([tube.theta_rad for tube in self.tubes], self.contact_force_N)
 
+    @classmethod
+    def of_core(cls, kept: _model.Shape, status: Status) -> Shape:
+        """What the core keeps of a shape; what it has along its tubes is made when somebody looks at it."""
+        shape = cls.__new__(cls)
+        vars(shape).update(
+            status=status,
+            residual=kept.residual,
+            stability=kept.stability,
+            equilibrium=kept.equilibrium,
+            _kept=kept,
+        )
+        return shape
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """What nobody has looked at before."""
+            kept = vars(self).get("_kept")
+            if kept is None or name not in ALONG:
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+            found = tuple(TubeShape(**tube) for tube in kept.tubes()) if name == "tubes" else getattr(kept, name)
+            return vars(self).setdefault(name, found)
+
     def __getstate__(self) -> dict[str, Any]:
-        """Without the solution, which lives in this process."""
-        return {name: value for name, value in vars(self).items() if name != "equilibrium"}
+        """All fields but the solution, which lives in this process."""
+        return {each.name: getattr(self, each.name) for each in fields(self) if each.name != "equilibrium"}
 
     @property
     def s_m(self) -> Array:
@@ -82,13 +109,15 @@ class Shape:
     @property
     def tip_m(self) -> Array:
         """(3,) tip of the innermost tube, world frame."""
-        tip: Array = self.centreline_m[-1]
+        kept = vars(self).get("_kept")
+        tip: Array = self.centreline_m[-1] if kept is None else kept.tip_m
         return tip
 
     @property
     def tip_tangent(self) -> Array:
         """(3,) unit tangent at the tip, world frame."""
-        tangent: Array = self.tubes[-1].frames[-1, :, 2]
+        kept = vars(self).get("_kept")
+        tangent: Array = self.tubes[-1].frames[-1, :, 2] if kept is None else kept.tip_tangent
         return tangent
 
 

@@ -52,7 +52,7 @@ nb::dict PathHistory::follow(Matrix theta, Matrix l, const nb::object& progress)
     return made;
 }
 
-nb::dict PathHistory::shape() const {
+nb::object PathHistory::shape() const {
     const std::unique_lock<std::mutex> lock = hold();
     return to_python(history_.shape());
 }

@@ -14,7 +14,7 @@ class PathHistory {
     int start(Vector theta, Vector l, Vector phi);
     nb::dict advance(Vector theta, Vector l);
     nb::dict follow(Matrix theta, Matrix l, const nb::object& progress);
-    nb::dict shape() const;
+    nb::object shape() const;
     nb::list friction() const;
     nb::object beside(Vector phi);
     ctr::History::State save() const;

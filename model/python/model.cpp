@@ -22,12 +22,12 @@ void make_model(Model* self, const std::vector<ctr::Tube>& tubes, const std::vec
     new (self) Model(ctr::Robot{tubes, pairs, loads});
 }
 
-nb::dict zero_clearance(const Model& model, Vector theta, Vector l) {
+nb::object zero_clearance(const Model& model, Vector theta, Vector l) {
     const ctr::Configuration q = valid_configuration(model.robot(), theta, l);
     return to_python(unlocked([&] { return model.zero_clearance(q); }));
 }
 
-nb::dict solve(Model& model, Vector theta, Vector l, Vector phi, const std::string& level, double refinement) {
+nb::object solve(Model& model, Vector theta, Vector l, Vector phi, const std::string& level, double refinement) {
     const ctr::Configuration q = valid_configuration(model.robot(), theta, l);
     const std::vector<double> friction = friction_state(model.robot(), phi);
     return to_python(unlocked([&] { return model.solve(q, accuracy(level).refined(refinement), friction); }));

@@ -16,6 +16,7 @@ NB_MODULE(_model, m) {
     bind_robot(m);
     bind_walk(m);
     bind_equilibrium(m);
+    bind_shape(m);
     bind_bound_lookup(m);
     bind_history(m);
     bind_model(m);

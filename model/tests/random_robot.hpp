@@ -47,11 +47,17 @@ inline Case random_case(std::mt19937& random, int n) {
     return made;
 }
 
+// How far extremes go: largest friction coefficient, bend of a tube (rad), bending stiffnesses (N m^2).
+struct Ends {
+    double friction, bend, softest, stiffest;
+};
+constexpr Ends kMakeable = {0.5, M_PI, 1e-3, 0.1};
+constexpr Ends kWide = {2, 2 * M_PI, 1e-4, 1};  // beyond: friction may lock the tubes, so that they have to snap
+
 // n tubes at the ends of what somebody can make: one to three sections each, bent up to half round and up to what the material
 // bears when they are straightened (8 %), neighbours up to 100 times as stiff, clearances 5 um to 3 mm or 2 % of the radius of
 // curvature, mu 0 to 0.5, nu -0.9 to 0.5, 20 mm to half a metre long, collars anywhere or all together, tips 0.01 mm apart.
-// Where tubes bend once round and mu goes to 2, friction locks them: full friction then has no equilibrium.
-inline Case extreme_case(std::mt19937& random, int n) {
+inline Case extreme_case(std::mt19937& random, int n, const Ends& ends = kMakeable) {
     auto uniform = [&](double a, double b) { return std::uniform_real_distribution<double>(a, b)(random); };
     auto log_uniform = [&](double a, double b) { return std::pow(10.0, uniform(std::log10(a), std::log10(b))); };
     constexpr double kMostStrain = 0.08;
@@ -62,12 +68,12 @@ inline Case extreme_case(std::mt19937& random, int n) {
     const bool together = uniform(0, 1) < 0.3, gently = uniform(0, 1) < 0.5;
     double base = -uniform(0, 0.05), tip = log_uniform(0.02, 0.2);
     for (int i = 0; i < n; ++i) {
-        const double EI = log_uniform(1e-3, 0.1), length = tip - base;
+        const double EI = log_uniform(ends.softest, ends.stiffest), length = tip - base;
         made.robot.tubes.push_back({outer_radius[i], outer_radius[i] / 1.09, EI, EI / (1 + uniform(-0.9, 0.5)), 0.001, {}});
         std::vector<double> parts;
         double sum = 0;
         for (int k = 1 + static_cast<int>(uniform(0, 3)); k > 0; --k) sum += parts.emplace_back(uniform(0.1, 1));
-        double left = M_PI;  // rad
+        double left = ends.bend;  // rad
         for (const double part : parts) {
             const double long_ = length * part / sum, most = std::min(kMostStrain / outer_radius[i], left / long_);
             const double curvature = uniform(0, 1) < 0.3 ? 0 : gently ? uniform(0, std::min(most, 20.0)) : uniform(0, most);
@@ -83,7 +89,7 @@ inline Case extreme_case(std::mt19937& random, int n) {
     }
     for (int i = 0; i + 1 < n; ++i) {
         const double most = std::min(3e-3, 0.02 / std::max({sharpest[i], sharpest[i + 1], 1.0}));
-        const double friction = uniform(0, 0.5);
+        const double friction = uniform(0, ends.friction);
         made.robot.pairs.push_back({log_uniform(5e-6, most), friction, outer_radius[i] / 1.09, outer_radius[i + 1]});
     }
     return made;

@@ -9,7 +9,7 @@ import pytest
 
 from ctrplan.anatomy.anatomy_field import anatomy_field
 from ctrplan.anatomy.clearance_grid import AnatomyPart, exact_clearance
-from ctrplan.anatomy.nearby import exact_clearance_of_many
+from ctrplan.anatomy.nearby import exact_clearance_of_many, nearby
 from ctrplan.anatomy.shapes.sphere import Sphere
 
 
@@ -29,6 +29,18 @@ def spheres(count: int, seed: int, lumens: int = 0) -> list[AnatomyPart]:
 def test_clearances_of_many_parts_are_those_of_asking_all(lumens: int) -> None:
     parts, points = spheres(300, 1, lumens), np.random.default_rng(2).uniform(-0.12, 0.12, (2000, 3))
     np.testing.assert_array_equal(exact_clearance_of_many(parts, points), exact_clearance(parts, points))
+
+
+@pytest.mark.parametrize("places", [1, 3, 40])
+@pytest.mark.parametrize("radius_m", [1e-4, 5e-3, 0.05])
+def test_boxes_leave_out_no_part_that_matters(places: int, radius_m: float) -> None:
+    """Around every place the parts left decide all clearances."""
+    random = np.random.default_rng(places)
+    parts, centres = spheres(400, 5, 10), random.uniform(-0.12, 0.12, (places, 3))
+    for centre, few in zip(centres, nearby(parts, centres, radius_m), strict=True):
+        apart = random.normal(size=(50, 3))
+        points = centre + radius_m * apart / np.linalg.norm(apart, axis=1)[:, None]
+        np.testing.assert_array_equal(exact_clearance(few, points), exact_clearance(parts, points))
 
 
 def test_a_field_of_three_thousand_spheres_takes_seconds_and_is_exact_near_them(

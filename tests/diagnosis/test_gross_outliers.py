@@ -13,10 +13,10 @@ from made_up_input import FUZZ
 from measured_data import SIGMA_M, measured, pair_robot, waypoints
 from numpy.typing import NDArray
 
+from ctrplan.calibration.gross_outliers import LEAST, far_from_all
 from ctrplan.calibration.residuals import MODEL_POSITION_M
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
 from ctrplan.diagnosis.agreement import LARGEST_REST, times_noise
-from ctrplan.diagnosis.gross_outliers import LEAST, far_from_all
 from ctrplan.diagnosis.sentences import verdict_sentence
 from ctrplan.experiment.measurements import Measurements
 

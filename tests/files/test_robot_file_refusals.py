@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import math
 from pathlib import Path
 from typing import Any
 
@@ -204,6 +205,26 @@ def test_every_fault_is_one_sentence_with_file_key_value_and_rule(folder: Path, 
         load_robot("robot.toml")
     assert str(caught.value) == f"robot.toml: {sentence}"
     assert caught.value.exit_code == 2
+
+
+@pytest.mark.parametrize("share", [0.5, 0.999, 1.001, 1.4])
+@pytest.mark.parametrize("towards", [0.0, 0.7, 2.5])
+def test_a_section_that_bends_within_the_tube_s_own_radius_is_refused(
+    folder: Path, share: float, towards: float
+) -> None:
+    """However its curvature is divided between the axes: of a tube of 2 mm outer radius, above 500 1/m."""
+    bend = share / 2e-3
+    text = PAIR.replace("outer_diameter_mm = 1.3", "outer_diameter_mm = 4", 1)
+    text = text.replace("curvature_x_per_m = 0", f"curvature_x_per_m = {bend * math.sin(towards)!r}", 1)
+    text = text.replace("curvature_y_per_m = 6.5", f"curvature_y_per_m = {bend * math.cos(towards)!r}", 1)
+    (folder / "robot.toml").write_text(text)
+    if share < 1:
+        assert load_robot("robot.toml").tubes[0].sections[0].curvature_per_m == pytest.approx(bend)
+        return
+    with pytest.raises(InputError) as caught:
+        load_robot("robot.toml")
+    place = f"robot.toml: tube.1.section.1: bends by a radius of {1e3 / bend:.3g} mm"
+    assert str(caught.value) == f"{place}, must be more than the tube's own outer radius."
 
 
 def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:

@@ -88,3 +88,24 @@ def test_what_does_not_fit_or_was_not_kept_is_refused() -> None:
     np.testing.assert_array_equal(copied.tip_m, shape.tip_m)
     with pytest.raises(InputError, match="keeps no solution"):
         copied.recheck()
+
+
+@pytest.mark.parametrize("loads", [None, CARRYING])
+@pytest.mark.parametrize("accuracy", ["search", "certificate", "exact"])
+def test_what_is_made_when_it_is_looked_at_is_what_the_tip_is_the_end_of(
+    accuracy: Accuracy, loads: Loads | None
+) -> None:
+    """The tip is known before the shape is; both are of one solution, and pickling keeps all of it."""
+    if accuracy == "exact" and loads:
+        return
+    robot = Mechanics(ROBOT.tubes, ROBOT.clearance_m, ROBOT.friction[:, 1], loads)
+    bound, single = robot.bound(THETA, L, accuracy=accuracy), robot.solve(THETA, L, accuracy=accuracy)
+    for shape in (bound.frictionless, *bound.corners, single, robot.zero_clearance(THETA, L)):
+        tip, tangent = shape.tip_m, shape.tip_tangent
+        assert "tubes" not in vars(shape)
+        copied = copy.deepcopy(shape)
+        np.testing.assert_array_equal(tip, shape.centreline_m[-1])
+        np.testing.assert_array_equal(tangent, shape.tubes[-1].frames[-1, :, 2])
+        np.testing.assert_array_equal(copied.centreline_m, shape.centreline_m)
+        assert shape.max_strain == max(tube.strain.max() for tube in shape.tubes) == copied.max_strain
+    np.testing.assert_allclose(bound.frictionless.centreline_m, single.centreline_m, rtol=0, atol=1e-12)

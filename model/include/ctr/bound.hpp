@@ -94,6 +94,8 @@ class BoundSolver {
     void grant_far_steps();
     void reach_far(LaneState& state, double level, Convergence& result);
     void reach_corner(std::size_t batch, int lane);
+    bool reach_from_neighbour(int corner, Convergence& result);
+    int neighbour(int corner, int pair) const;  // that with the sign of one pair turned; the corner itself if it is not visited
     BarrierPath set_out(LaneState& state);
     void set_corner_phi(std::size_t batch);
     void measure();
@@ -108,6 +110,7 @@ class BoundSolver {
     int pairs_, corners_;
     std::vector<signed char> signs_;  // empty: all corners
     int far_steps_ = 0;               // left for corners that are hard to reach
+    bool took_long_ = false;          // to reach one of them
     LaneState frictionless_, shared_;  // shared_: the frictionless iterate where the friction states part
     bool shared_is_good_ = false;
     std::vector<std::unique_ptr<LaneState>> batches_;

@@ -12,6 +12,7 @@ namespace ctr {
 
 class FrictionSolver;
 class ZeroClearance;
+struct Shape;
 
 class Equilibrium {
   public:
@@ -21,6 +22,8 @@ class Equilibrium {
     // Largest imbalance of moments over the robot's own, EI * precurvature. theta: angles of each tube at its stations, rad;
     // force: normal forces of each pair at its contact points, N; outermost first, as a Shape has them.
     virtual double residual(const Values& theta, const Values& force) const = 0;
+    // Fills in what a Shape has along its tubes.
+    virtual void lay_out(Shape&) const {}
 };
 
 // Where a solve with contacts takes place: shared by the friction states of one configuration.
@@ -36,6 +39,7 @@ class ContactEquilibrium : public Equilibrium {
   public:
     ContactEquilibrium(std::shared_ptr<const Setting> setting, const LaneState& state, int lane);
     double residual(const Values& theta, const Values& force) const override;
+    void lay_out(Shape& shape) const override;
 
   private:
     void set_angles(const Values& theta, LaneState& state) const;

@@ -109,7 +109,7 @@ class FrictionSolver {
     double rounding() const;
     void scale(const Configuration& q, const Accuracy& accuracy);
     void lengthen(LaneState& state, double* primal, double* dual);
-    bool load_friction(LaneState& state, double level, Convergence& result);
+    bool load_friction(LaneState& state, double level, Convergence& result, int most_steps);
     bool ease(LaneState& state, double level, Convergence& result);
     bool settle(LaneState& state, double level, double damping, int& steps);
     double moved(const LaneState& state) const;  // rad, since the anchor
@@ -127,6 +127,7 @@ class FrictionSolver {
     LaneState begun_;  // of reach(): where it began
     std::unique_ptr<ExactGeometry> exact_;
     bool is_exact_ = false;  // accuracy built for
+    bool loads_first_ = false;  // of reach(): on this mesh friction that grows got there where sliding did not
     std::vector<double> modes_;  // of stability(), [node][tube] each
 };
 

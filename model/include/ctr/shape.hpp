@@ -31,12 +31,18 @@ struct ContactForces {
 };
 
 struct Shape {
-    std::vector<TubeShape> tubes;         // outermost first
+    Vec3 tip, tip_tangent;                // of the innermost tube, world
+    std::vector<TubeShape> tubes;         // outermost first; empty, as contacts, radius and max_strain are, until laid out
     std::vector<ContactForces> contacts;  // outermost pair first
     std::vector<double> radius;           // (N) outer radius of what is there, at the innermost tube's s
     Status status = Status::failed;
     double residual = 0, stability = 0, max_strain = 0;
     std::shared_ptr<const Equilibrium> equilibrium;  // null where nobody kept it
+
+    void lay_out() {
+        if (tubes.empty() && equilibrium) equilibrium->lay_out(*this);
+    }
+    void end_at(const Frame& frame) { tip = frame.p, tip_tangent = frame.tangent(); }
 };
 
 // The innermost centreline alone, with what the planner needs along it; memory is reused.

@@ -16,6 +16,7 @@ constexpr double kDistinct = 0.1;  // rad between angles of different equilibria
 // take ten seconds or so.
 constexpr int kFarSteps = 6000;
 constexpr double kFarWork = 5e8;
+constexpr int kLong = 1000;  // Newton steps in which a corner was reached
 
 double largest_distance(const Backbone& a, const Backbone& b) {
     double most = 0;
@@ -113,6 +114,7 @@ void BoundSolver::solve_corners() {
     const KernelProblem& pb = solver_.mesh().problem();
     grant_far_steps();
     unfactored_.assign(batches_.size(), shares_steps());
+    std::fill(corner_convergence_.begin(), corner_convergence_.end(), Convergence());
     for (std::size_t b = 0; b < batches_.size(); ++b) {
         Watch::tell(static_cast<double>(b) / static_cast<double>(batches_.size()));
         LaneState& state = *batches_[b];
@@ -128,6 +130,7 @@ void BoundSolver::solve_corners() {
 
 void BoundSolver::grant_far_steps() {
     const KernelProblem& pb = solver_.mesh().problem();
+    took_long_ = false;
     far_steps_ = static_cast<int>(std::min<double>(kFarSteps, kFarWork / (static_cast<double>(pb.nodes) * pb.stride * pb.stride)));
 }
 
@@ -151,10 +154,42 @@ void BoundSolver::reach_corner(std::size_t batch, int lane) {
     for (int pair = 0; pair < pairs_; ++pair) phi_[pair] = sign(corner, pair);
     trial_.set_phi(solver_.robot(), pb, 0, phi_.data());
     const BarrierPath path = set_out(trial_);
-    reach_far(trial_, path.first, corner_convergence_[corner]);
+    Convergence& result = corner_convergence_[corner];
+    if (!took_long_ || !reach_from_neighbour(corner, result)) {
+        if (took_long_) set_out(trial_);
+        reach_far(trial_, path.first, result);
+        took_long_ = took_long_ || result.iterations > kLong;
+    }
     solver_.copy(trial_, *batches_[batch], lane);
     if (corner < corners_ - 1) return;
     for (int spare = lane + 1; spare < kLanes; ++spare) solver_.copy(trial_, *batches_[batch], spare);
+}
+
+int BoundSolver::neighbour(int corner, int pair) const {
+    if (signs_.empty()) return corner ^ (1 << (pairs_ - 1 - pair));
+    for (int k = 0; k < corners_; ++k) {
+        bool turned = true;
+        for (int p = 0; p < pairs_ && turned; ++p) turned = (sign(k, p) == sign(corner, p)) != (p == pair);
+        if (turned) return k;
+    }
+    return corner;
+}
+
+// Into trial_, from a corner that was reached and in which the friction of one pair has the other sign. Once friction has made
+// the robot snap in one corner, which takes a thousand steps to follow, most others lie beyond the same snap.
+bool BoundSolver::reach_from_neighbour(int corner, Convergence& result) {
+    constexpr double kMotion = 10;  // in degrees, what turned friction is like
+    const BarrierPath path = BarrierPath::warm(kMotion, solver_.last_barrier());
+    for (int pair = 0; pair < pairs_ && far_steps_ > 0; ++pair) {
+        const int from = neighbour(corner, pair);
+        if (from == corner || !corner_convergence_[from].converged) continue;
+        trial_.copy_lane(corner_state(from), corner_lane(from), 0, solver_.mesh().problem());
+        solver_.recentre(trial_, path.first);
+        solver_.solve(trial_, path, &result);
+        far_steps_ -= result.iterations;
+        if (result.converged && !solver_.turns_away(trial_)) return true;
+    }
+    return result.converged = false;
 }
 
 void BoundSolver::solve(const Configuration& q, const Accuracy& accuracy) {

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "ctr/friction_solver.hpp"
+#include "ctr/shape.hpp"
 #include "ctr/zero_clearance.hpp"
 
 namespace ctr {
@@ -39,6 +40,19 @@ double ContactEquilibrium::residual(const Values& theta, const Values& force) co
     set_angles(theta, state);
     set_forces(force, state);
     return solver.imbalance(state);
+}
+
+void ContactEquilibrium::lay_out(Shape& shape) const {
+    FrictionSolver solver(setting_->robot);
+    solver.adopt(setting_->mesh, setting_->q, setting_->accuracy);
+    LaneState state;
+    state.resize(solver.mesh().problem(), 1);
+    state.put(kept_, solver.mesh().problem());
+    Shape whole = make_shape(solver, state, 0, setting_->q);
+    shape.tubes = std::move(whole.tubes);
+    shape.contacts = std::move(whole.contacts);
+    shape.radius = std::move(whole.radius);
+    shape.max_strain = whole.max_strain;
 }
 
 void ContactEquilibrium::set_angles(const Values& theta, LaneState& state) const {

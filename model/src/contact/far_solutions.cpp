@@ -38,17 +38,24 @@ bool FrictionSolver::reach(LaneState& state, double level, Convergence& result, 
         steps += result.iterations;
         return result.converged;
     };
-    const bool found = (robot_.softens() && goes([&] { ease(state, level, result); })) ||
-                       goes([&] { slide(state, level, result, std::min(kShortSlide, most_steps - steps)); }) ||
-                       goes([&] { load_friction(state, level, result); }) ||
-                       goes([&] { slide(state, level, result, most_steps - steps); });
+    auto eases = [&] { return robot_.softens() && goes([&] { ease(state, level, result); }); };
+    auto slides = [&](int most) { return goes([&] { slide(state, level, result, std::min(most, most_steps - steps)); }); };
+    auto loads = [&] { return goes([&] { load_friction(state, level, result, most_steps - steps); }); };
+    bool found;
+    if (loads_first_) {
+        found = eases() || loads() || slides(most_steps);
+    } else {
+        found = eases() || slides(kShortSlide);
+        if (!found && (loads_first_ = loads())) found = true;
+        found = found || slides(most_steps);
+    }
     result.iterations = steps;
     return result.converged = found;
 }
 
 // From no friction to all of it, each solution from the one before, by shorter steps where the next one is not reached.
-bool FrictionSolver::load_friction(LaneState& state, double level, Convergence& result) {
-    constexpr double kFirst = 0.5, kLeast = 1.0 / 64, kMotion = 10;
+bool FrictionSolver::load_friction(LaneState& state, double level, Convergence& result, int most_steps) {
+    constexpr double kFirst = 0.5, kLeast = 1.0 / 64, kMotion = 10, kNearly = 0.9;
     const KernelProblem& pb = mesh_.problem();
     std::vector<double> whole(pb.contacts);
     double most = 0;
@@ -61,8 +68,8 @@ bool FrictionSolver::load_friction(LaneState& state, double level, Convergence& 
     load(0);
     solve(state, BarrierPath{level, last_barrier_}, &result);
     int steps = result.iterations;
-    double share = 0, ahead = kFirst;
-    for (bool reached = result.converged; reached && share < 1 && ahead >= kLeast;) {
+    double share = 0, ahead = kFirst, too_far = 1;  // too_far: the last step that was not reached
+    for (bool reached = result.converged; reached && share < 1 && ahead >= kLeast && steps < most_steps;) {
         const double next = std::min(1.0, share + ahead);
         copy(state, kept_, 0);
         load(next);
@@ -72,10 +79,11 @@ bool FrictionSolver::load_friction(LaneState& state, double level, Convergence& 
         steps += result.iterations;
         if (result.converged) {
             share = next;
-            ahead *= 2;
+            ahead = std::min(1.5 * ahead, kNearly * too_far);
         } else {
             copy(kept_, state, 0);
-            ahead *= 0.5;
+            too_far = next - share;
+            ahead = 0.5 * too_far;
         }
     }
     load(1);

@@ -14,7 +14,8 @@ constexpr double kHardClearance = 3e-3;   // of the innermost tube's length. The
 
 constexpr double kResidual = 1e-8;        // of EI * precurvature
 constexpr double kMostRounding = 1e-6;    // of the same, where elements are so short that rounding leaves more
-constexpr double kDigits = 512 * 2.2e-16;
+constexpr double kShort = 2e-4;            // m, elements below which rounding leaves more
+constexpr double kDigits = 2048 * 2.2e-16;
 
 }  // namespace
 
@@ -36,6 +37,7 @@ void FrictionSolver::adopt(const Mesh& mesh, const Configuration& q, const Accur
 
 void FrictionSolver::scale(const Configuration& q, const Accuracy& accuracy) {
     base_l_ = q.l.back();
+    loads_first_ = false;
     last_barrier_ = accuracy.barrier;
     is_exact_ = accuracy.exact;
     if (is_exact_) {
@@ -62,6 +64,7 @@ double FrictionSolver::rounding() const {
     for (const Pair& pair : robot_.pairs) clearance += pair.clearance;
     for (const Tube& tube : robot_.tubes) stiffest = std::max(stiffest, tube.bending_stiffness);
     for (int e = 0; e < mesh_.problem().elements; ++e) shortest = std::min(shortest, mesh_.problem().length[e]);
+    if (shortest > kShort) return 0;
     return kDigits * stiffest * clearance / (shortest * shortest) / moment_scale_;
 }
 

@@ -16,8 +16,15 @@ std::shared_ptr<const Setting> setting(const BoundSolver& solver) {
     return std::make_shared<Setting>(Setting{solver.solver().robot(), solver.configuration(), solver.accuracy(), solver.solver().mesh()});
 }
 
-Shape frictionless_shape(const BoundSolver& solver, const std::shared_ptr<const Setting>& setting) {
-    Shape shape = make_shape(solver.solver(), solver.frictionless_state(), 0, solver.configuration());
+// Its end alone, the rest when somebody looks at it; the moments of loads, which bend a shape, are not kept.
+Shape shape_of(const BoundSolver& solver, const LaneState& state, int lane, const Backbone& backbone) {
+    if (solver.solver().robot().loaded()) return make_shape(solver.solver(), state, lane, solver.configuration());
+    Shape shape;
+    shape.end_at(backbone.frame.back());
+    return shape;
+}
+
+Shape frictionless_shape(const BoundSolver& solver, const std::shared_ptr<const Setting>& setting, Shape shape) {
     shape.status = solver.status();
     shape.stability = solver.stability();
     shape.residual = solver.frictionless().residual;
@@ -26,7 +33,7 @@ Shape frictionless_shape(const BoundSolver& solver, const std::shared_ptr<const 
 }
 
 Shape corner_shape(const BoundSolver& solver, const std::shared_ptr<const Setting>& setting, int corner) {
-    Shape shape = make_shape(solver.solver(), solver.corner_state(corner), solver.corner_lane(corner), solver.configuration());
+    Shape shape = shape_of(solver, solver.corner_state(corner), solver.corner_lane(corner), solver.corner_backbones[corner]);
     shape.status = solver.corner(corner).converged ? solver.status() : Status::failed;
     shape.stability = solver.stability();
     shape.residual = solver.corner(corner).residual;
@@ -44,7 +51,7 @@ void require_all_corners(const Robot& robot) {
 
 BoundShapes bound_shapes(const BoundSolver& solver) {
     const std::shared_ptr<const Setting> shared = setting(solver);
-    BoundShapes found{solver.position, solver.tangent, frictionless_shape(solver, shared), {}, {}, solver.envelope, solver.worst_corner};
+    BoundShapes found{solver.position, solver.tangent, frictionless_shape(solver, shared, shape_of(solver, solver.frictionless_state(), 0, solver.backbone)), {}, {}, solver.envelope, solver.worst_corner};
     for (int k = 0; k < solver.corners(); ++k) {
         found.corners.push_back(corner_shape(solver, shared, k));
         for (int pair = 0; pair + 1 < solver.solver().robot().count(); ++pair) found.phi.push_back(solver.sign(k, pair));
@@ -73,7 +80,7 @@ Shape Model::zero_clearance(const Configuration& q) const {
 Shape Model::solve(const Configuration& q, const Accuracy& accuracy, const std::vector<double>& phi) {
     SolverPool::Loan solver(*solvers_);
     solver->solve_single(q, accuracy, phi);
-    return frictionless_shape(*solver, setting(*solver));
+    return frictionless_shape(*solver, setting(*solver), make_shape(solver->solver(), solver->frictionless_state(), 0, q));
 }
 
 BoundShapes Model::bound(const Configuration& q, const Accuracy& accuracy, bool extremes_only) {

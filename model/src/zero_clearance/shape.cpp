@@ -60,6 +60,7 @@ Shape make_shape(const Robot& robot, const ZeroClearance& solution, const Config
             Frame start = frame;
             ctr::advance(frame, first, second, h);
             for (int side = 0; side < 2; ++side) {
+                if (side == 0 && k > 0) continue;  // where the step before ended
                 common(s + side * h, middle, kappa, rotated);
                 for (int i = 0; i < n; ++i) {
                     if (middle < q.l[i] || middle > q.l[i] + robot.tubes[i].length()) continue;
@@ -71,6 +72,7 @@ Shape make_shape(const Robot& robot, const ZeroClearance& solution, const Config
             }
         }
     }
+    shape.end_at(frame);
     for (const TubeShape& tube : shape.tubes)
         for (double strain : tube.strain) shape.max_strain = std::max(shape.max_strain, strain);
     for (double at : shape.tubes[n - 1].s) shape.radius.push_back(outermost_radius(robot, q, at));

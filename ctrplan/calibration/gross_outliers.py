@@ -1,4 +1,4 @@
-"""Poses that went wrong: found before effects are sought, and again once they are, by rules that no effect fulfils.
+"""Poses that went wrong: found by a fit, and again once effects were sought, by rules that no effect fulfils.
 
 A pose has gone wrong if it is far off for noise, far off compared with the others, and far off compared with its
 companions: what a model lacks shows in other approaches of the same configuration, or just before and after, as well.
@@ -15,11 +15,11 @@ from ctrplan.calibration.least_squares import Fit
 from ctrplan.calibration.pose_errors import distances
 from ctrplan.calibration.residuals import residuals
 from ctrplan.calibration.unsolved import excused
-from ctrplan.diagnosis.chi_square import OUTLIER
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.pipeline.friction_path import friction_correction
 from ctrplan.pipeline.parametric_chain import ParametricChain
 
+OUTLIER = 5.6  # norm of a pose's five numbers: once in 10^5
 LEAST = 2 * OUTLIER  # norm of a pose's five numbers; nearer ones are the business of chi-squares
 TIMES = 4.0  # farther than what is typical of all, and of the companions
 MOST_WRONG = 0.1  # of the poses; more are a misfit
