@@ -35,10 +35,11 @@ if TYPE_CHECKING:
     from ctrplan.mechanics.accuracy import Accuracy
     from ctrplan.planning.scenario import Scenario
 
-# Samples whose cells are all halved once more: a fold in the corner of a cell lasts for more than a few mm of motion.
-CLOSE_EVERY, CLOSE_DEPTH = 8, 2
+# Of samples near the anatomy all cells are halved once, of the others those of every few samples, some of them twice: a
+# fold in the corner of a cell lasts for more than a few mm of motion.
+NEAR_M, LOOK_EVERY, CLOSE_EVERY, CLOSE_DEPTH = 3e-3, 4, 16, 2
 CHUNK = 4  # samples at a time
-MOST_AGAIN = 120  # samples solved on the certificate mesh only to report the least clearance more closely
+MOST_AGAIN = 60  # samples solved on the certificate mesh only to report the least clearance more closely
 
 
 @dataclass(eq=False)
@@ -198,13 +199,20 @@ def _least(
     return finer, max(apart, apart_finer)
 
 
+def _least_depth(walked: SampleStates, needed: Needed) -> int:
+    """How often all cells of a sample are halved."""
+    if walked.sample % CLOSE_EVERY == 0:
+        return CLOSE_DEPTH
+    is_near = walked.piece.as_walked_m[walked.sample] < needed.clearance_m + NEAR_M
+    return LEAST_DEPTH if is_near or walked.sample % LOOK_EVERY == 0 else 0
+
+
 def _least_of(
     walked: SampleStates, distance: AnatomyDistance | None, needed: Needed, depth: int, accuracy: Accuracy
 ) -> tuple[LeastOfStates, float]:
     states = SampleStates(walked.scenario, walked.piece, walked.sample, accuracy)
-    least_depth = CLOSE_DEPTH if walked.sample % CLOSE_EVERY == 0 else LEAST_DEPTH
     offset = float(walked.piece.offset_m(walked.scenario, accuracy)[walked.sample])
     known, radius = states.known()
     asked = replace(needed, clearance_m=needed.clearance_m + offset)
-    found = least_of_states(known, radius, states, distance, asked, depth, least_depth)
+    found = least_of_states(known, radius, states, distance, asked, depth, _least_depth(walked, needed))
     return replace(found, clearance_m=found.clearance_m - offset), states.apart_m
