@@ -49,8 +49,8 @@ def add_parser(commands: Any) -> None:
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("plan", metavar="PLAN.json")
-    parser.add_argument("scenario", metavar="SCENARIO.toml", nargs="?")
+    parser.add_argument("plan", metavar="PLAN.json", help="a plan that ctrplan plan or a program wrote")
+    parser.add_argument("scenario", metavar="SCENARIO.toml", nargs="?", help="the scenario it was planned for")
     parser.add_argument(
         "-o",
         "--output",
