@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ctrplan.planning.motion import path_limits
-from ctrplan.planning.plan_timing import sample_time_s
+from ctrplan.planning.plan_timing import place_time_s, sample_time_s
 from ctrplan.reports.plan_words.numbers import degrees, digits, millimetres
 
 if TYPE_CHECKING:
@@ -88,7 +88,8 @@ def _room(plan: Plan, times: Array) -> str:
     certificate = plan.certificate
     if math.isinf(certificate.min_clearance_m):
         return "There is no anatomy to keep clear of."
-    when = digits(times[int(np.argmin(certificate.samples.clearance_m))])
+    narrowest, least = certificate.narrowest, times[int(np.argmin(certificate.samples.clearance_m))]
+    when = digits(least if narrowest is None else place_time_s(plan, narrowest))
     if certificate.min_clearance_m < path_limits(plan.scenario).clearance_m:
         return (
             f"The margins to the anatomy are not kept: {millimetres(-certificate.min_clearance_m)} short at {when} s."
