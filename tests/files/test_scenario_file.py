@@ -2,33 +2,25 @@
 
 from __future__ import annotations
 
-import contextlib
-import copy
 import os
 import re
 import shutil
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from places import ROBOTS
 from refusals import refusals
+from written_scenario import SCENARIO, place
 
-from ctrplan.anatomy.mesh_file import load_mesh
 from ctrplan.anatomy.shapes.capsule import Capsule
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.errors import InputError
-from ctrplan.files.joint_path_file import load_joint_path
-from ctrplan.files.measurement_file import load_measurements
-from ctrplan.files.robot_file import load_robot, robot_from_dict
-from ctrplan.files.scenario_file import load_scenario, scenario_from_dict
-from ctrplan.planning.scenario import Cost, Margins, Scenario
+from ctrplan.files.robot_file import load_robot
+from ctrplan.files.scenario_file import load_scenario
+from ctrplan.planning.scenario import Cost, Margins
 from ctrplan.planning.search.planners.bit_star import BITStar
 from ctrplan.planning.search.planners.rrt_star import RRTStar
 from ctrplan.storage.toml_document import Document
@@ -39,52 +31,6 @@ else:
     import tomli as tomllib
 
 
-SCENARIO = """
-name = "past the ribs"
-robot = "robots/three_tube.toml"
-[base]
-position_mm = [1, 2, 3]
-quaternion_wxyz = [0.7071067811865476, 0, 0, 0.7071067811865476]
-[start]
-"rotate outer" = 0
-"rotate middle" = 90
-"rotate inner" = -720
-"translate inner" = -86.4
-[goal]
-tip_mm = [12, 40, 190]
-tolerance_mm = 0.5
-direction = [0, 3, 4]
-direction_tolerance_deg = 10
-[[anatomy]]
-kind = "sphere"
-center_mm = [10, 20, 30]
-radius_mm = 5
-[[anatomy]]
-kind = "capsule"
-from_mm = [0, 0, -10]
-to_mm = [0, 0, 200]
-radius_mm = 60
-role = "inside"
-margin_mm = 1.5
-[[anatomy]]
-kind = "mesh"
-file = "meshes/wedge.stl"
-unit = "cm"
-[margins]
-stability = 0.2
-max_strain = 0.05
-[cost]
-path = 2
-mm_per_rad = 10
-error_along = 3
-error_goal = 4
-max_error_goal_mm = 1.5
-[planner]
-name = "RRT*"
-time_s = 2.5
-settle = "oscillate"
-goal_bias = 0.2
-"""
 JOINT_GOAL = """[goal]
 joints = { "rotate outer" = 0, "rotate middle" = 0, "rotate inner" = 0, "translate inner" = 0 }
 """
@@ -182,25 +128,6 @@ settle = "oscillate" -> settle = true
 
 def with_joint_goal(text: str = SCENARIO) -> str:
     return re.sub(r"\[goal\]\n.*?(?=\[\[)", lambda match: JOINT_GOAL, text, flags=re.DOTALL)
-
-
-def wedge() -> str:
-    """A closed tetrahedron of 1 unit as ASCII STL."""
-    corners = ("0 0 0", "1 0 0", "0 1 0", "0 0 1")
-    facets = [[corners[i] for i in face] for face in ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))]
-    loops = "".join(
-        "facet normal 0 0 0\nouter loop\n" + "".join(f"vertex {c}\n" for c in f) + "endloop\nendfacet\n" for f in facets
-    )
-    return f"solid wedge\n{loops}endsolid wedge\n"
-
-
-def place(folder: Path) -> None:
-    """Everything that SCENARIO names."""
-    for name in ("robots", "meshes"):
-        (folder / name).mkdir(parents=True)
-    shutil.copy(ROBOTS / "three_tube.toml", folder / "robots")
-    (folder / "meshes" / "wedge.stl").write_text(wedge())
-    (folder / "scenario.toml").write_text(SCENARIO)
 
 
 @pytest.fixture
@@ -363,73 +290,3 @@ def test_a_bad_override_names_the_file_it_went_to(folder: Path) -> None:
 def test_warnings_of_the_robot_are_passed_on(folder: Path) -> None:
     (warning,) = load_scenario("scenario.toml", ["robot.contact.1.clearance_mm=0.2"]).warnings
     assert warning.startswith(str(Path("robots/three_tube.toml")) + ": contact.1: radial clearance 0.2 mm is used, but")
-
-
-def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """Paths of everything within a document."""
-    yield path
-    for key, item in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
-        yield from places(item, (*path, key))
-
-
-CONTENT = tomllib.loads(SCENARIO)
-VALUES = st.one_of(
-    st.booleans(),
-    st.integers(),
-    st.floats(),
-    st.text(max_size=5),
-    st.lists(st.floats() | st.integers(-9, 9), max_size=4),
-    st.dictionaries(st.text(max_size=3) | st.sampled_from(["rotate outer", "tip_mm", "name"]), st.floats(), max_size=3),
-)
-
-
-@pytest.fixture(scope="module")
-def scenario_path(tmp_path_factory: pytest.TempPathFactory) -> str:
-    folder = tmp_path_factory.mktemp("shared") / "case"
-    place(folder)
-    return str(folder / "scenario.toml")
-
-
-@settings(max_examples=200, deadline=None)
-@given(changes=st.lists(st.tuples(st.sampled_from(list(places(CONTENT))[1:]), VALUES), min_size=1, max_size=3))
-def test_any_content_gives_a_scenario_or_an_input_error(
-    scenario_path: str, changes: list[tuple[tuple[Any, ...], Any]]
-) -> None:
-    content = copy.deepcopy(CONTENT)
-    for path, value in changes:
-        with contextlib.suppress(KeyError, IndexError, TypeError):  # a place that an earlier change removed
-            table = content
-            for key in path[:-1]:
-                table = table[key]
-            table[path[-1]] = value
-    try:
-        assert isinstance(scenario_from_dict(content, file=scenario_path), Scenario)
-    except InputError as error:
-        assert str(error).isprintable()
-
-
-@pytest.mark.parametrize(
-    ("call", "sentence"),
-    [
-        (lambda: scenario_from_dict(None), "must be a mapping with the keys of a scenario file"),
-        (lambda: scenario_from_dict([("name", 1)]), "must be a mapping with the keys of a scenario file"),
-        (lambda: robot_from_dict(None), "must be a mapping with the keys of a robot file"),
-        (lambda: scenario_from_dict({}, overrides=None), "overrides"),
-        (lambda: scenario_from_dict({}, overrides=[1]), "overrides"),
-        (lambda: robot_from_dict({}, overrides=None), "overrides"),
-        (lambda: load_scenario(None), "must be the path of a TOML file"),
-        (lambda: load_robot(b"robot.toml"), "must be the path of a TOML file"),
-        (lambda: load_measurements(None, None), "must be the path of a CSV file"),
-        (lambda: load_joint_path(3, None), "must be the path of a CSV file"),
-        (lambda: load_mesh(None), "must be the path of a mesh"),
-    ],
-)
-def test_what_is_no_file_and_no_content_is_refused_in_one_sentence(call: Callable[[], object], sentence: str) -> None:
-    with pytest.raises(InputError) as caught:
-        call()
-    assert sentence in str(caught.value) and str(caught.value).isprintable()
-
-
-def test_numbers_of_numpy_are_numbers(scenario_path: str) -> None:
-    content = {**CONTENT, "base": {**CONTENT["base"], "position_mm": np.array([1, 2, 3])}}
-    np.testing.assert_allclose(scenario_from_dict(content, file=scenario_path).base_position_m, [1e-3, 2e-3, 3e-3])

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 # Of samples near the anatomy all cells are halved once, of the others those of every few samples, some of them twice: a
 # fold in the corner of a cell lasts for more than a few mm of motion.
 NEAR_M, LOOK_EVERY, CLOSE_EVERY, CLOSE_DEPTH = 3e-3, 4, 16, 2
+CLOSE_TUBES = 4  # of five tubes, cells halved twice have 881 corners and middles
 CHUNK = 4  # samples at a time
 MOST_AGAIN = 60  # samples solved on the certificate mesh only to report the least clearance more closely
 
@@ -201,7 +202,7 @@ def _least(
 
 def _least_depth(walked: SampleStates, needed: Needed) -> int:
     """How often all cells of a sample are halved."""
-    if walked.sample % CLOSE_EVERY == 0:
+    if walked.sample % CLOSE_EVERY == 0 and walked.scenario.robot.n <= CLOSE_TUBES:
         return CLOSE_DEPTH
     is_near = walked.piece.as_walked_m[walked.sample] < needed.clearance_m + NEAR_M
     return LEAST_DEPTH if is_near or walked.sample % LOOK_EVERY == 0 else 0

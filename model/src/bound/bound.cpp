@@ -11,21 +11,11 @@
 namespace ctr {
 namespace {
 
-constexpr double kDistinct = 0.1;  // rad between angles of different equilibria
 // For all corners of a bound that Newton's method does not reach by itself: Newton steps, and numbers eliminated in them, which
 // take ten seconds or so.
 constexpr int kFarSteps = 6000;
 constexpr double kFarWork = 5e8;
 constexpr int kLong = 1000;  // Newton steps in which a corner was reached
-
-double largest_distance(const Backbone& a, const Backbone& b) {
-    double most = 0;
-    for (std::size_t i = 0; i < a.frame.size(); ++i) {
-        const Vec3 &p = a.frame[i].p, &r = b.frame[i].p;
-        most = std::max(most, std::hypot(p[0] - r[0], p[1] - r[1], p[2] - r[2]));
-    }
-    return most;
-}
 
 }  // namespace
 
@@ -268,90 +258,6 @@ void BoundSolver::follow(const Configuration& q, const Accuracy& accuracy, bool 
     measure();
 }
 
-void BoundSolver::solve_single(const Configuration& q, const Accuracy& accuracy, const std::vector<double>& phi) {
-    zero_.solve(solver_.robot(), q);
-    prepare(q, accuracy);
-    solve_frictionless();
-    have_solution_ = false;
-    search_others();
-    if (std::all_of(phi.begin(), phi.end(), [](double value) { return value == 0; })) return;
-    const KernelProblem& pb = solver_.mesh().problem();
-    frictionless_.set_phi(solver_.robot(), pb, 0, phi.data());
-    const BarrierPath path = set_out(frictionless_);
-    solver_.solve(frictionless_, path, &frictionless_convergence_);
-    if (frictionless_convergence_.converged) return;
-    set_out(frictionless_);
-    solver_.reach(frictionless_, path.first, frictionless_convergence_);
-}
-
-void BoundSolver::solve_states(const Configuration& q, const Accuracy& accuracy, const double* phi, std::size_t rows,
-                               const std::function<void(std::size_t row, const FrictionShape&)>& show) {
-    zero_.solve(solver_.robot(), q);
-    prepare(q, accuracy);
-    solve_frictionless();
-    have_solution_ = false;
-    const KernelProblem& pb = solver_.mesh().problem();
-    LaneState& state = *batches_.front();
-    grant_far_steps();
-    Convergence result[kLanes];
-    Backbone shapes[kLanes];
-    double stability[kLanes];
-    for (std::size_t first = 0; first < rows; first += kLanes) {
-        const int count = static_cast<int>(std::min<std::size_t>(kLanes, rows - first));
-        auto phi_of = [&](int lane) { return phi + (first + std::min(lane, count - 1)) * pairs_; };  // spare lanes repeat the last
-        state.resize(pb, kLanes);
-        for (int lane = 0; lane < kLanes; ++lane) state.set_phi(solver_.robot(), pb, lane, phi_of(lane));
-        const BarrierPath path = set_out(state);
-        solver_.solve(state, path, result);
-        solver_.stabilities(state, stability);
-        for (int lane = 0; lane < count; ++lane) {
-            if (result[lane].converged) continue;
-            trial_.resize(pb, 1);
-            trial_.set_phi(solver_.robot(), pb, 0, phi_of(lane));
-            const BarrierPath again = set_out(trial_);
-            reach_far(trial_, again.first, result[lane]);
-            if (result[lane].converged) solver_.stabilities(trial_, &stability[lane]);
-            solver_.copy(trial_, state, lane);
-        }
-        tracer_.trace(solver_, state, 0, count, q.l.back(), shapes);
-        for (int lane = 0; lane < count; ++lane) show(first + lane, {shapes[lane], result[lane], stability[lane]});
-    }
-}
-
-// Equilibria of corner k from the iterate of corner k ^ turned, for every `turned` but 0. Those at which a pivot is
-// negative, where the robot would not rest, do not count.
-std::vector<double> BoundSolver::corners_apart(const Configuration& q, const Accuracy& accuracy) {
-    solve(q, accuracy);
-    std::vector<double> apart(corners_, 0.0);
-    if (!all_converged()) return std::vector<double>(corners_, std::numeric_limits<double>::infinity());
-    const KernelProblem& pb = solver_.mesh().problem();
-    LaneState other;
-    Convergence result[kLanes];
-    Backbone shapes[kLanes];
-    double stability[kLanes];
-    for (int turned = 1; turned < corners_; ++turned)
-        for (std::size_t b = 0; b < batches_.size(); ++b) {
-            other.resize(pb, kLanes);
-            for (int lane = 0; lane < kLanes; ++lane) {
-                const int corner = std::min(static_cast<int>(b) * kLanes + lane, corners_ - 1), from = corner ^ turned;
-                for (int pair = 0; pair < pairs_; ++pair) phi_[pair] = sign(corner, pair);
-                other.set_phi(solver_.robot(), pb, lane, phi_.data());
-                other.copy_lane(corner_state(from), corner_lane(from), lane, pb);
-            }
-            const BarrierPath path = BarrierPath::parted(solver_.last_barrier());
-            solver_.recentre(other, path.first);
-            solver_.solve(other, path, result);
-            solver_.stabilities(other, stability);
-            tracer_.trace(solver_, other, 0, kLanes, q.l.back(), shapes);
-            for (int lane = 0; lane < kLanes; ++lane) {
-                const std::size_t corner = b * kLanes + lane;
-                if (corner >= apart.size() || !result[lane].converged || stability[lane] <= 0) continue;
-                apart[corner] = std::max(apart[corner], largest_distance(shapes[lane], corner_backbones[corner]));
-            }
-        }
-    return apart;
-}
-
 std::vector<double> BoundSolver::shape_stabilities() {
     std::vector<double> found{stability_};
     double stability[kLanes];
@@ -361,27 +267,6 @@ std::vector<double> BoundSolver::shape_stabilities() {
         for (int lane = 0; lane < kLanes && static_cast<int>(found.size()) <= corners_; ++lane) found.push_back(stability[lane]);
     }
     return found;
-}
-
-void BoundSolver::search_others() {
-    multiple_ = false;
-    if (!frictionless_convergence_.converged) return;
-    const KernelProblem& pb = solver_.mesh().problem();
-    int attempt = -1;
-    while (!multiple_ && (attempt = zero_.search_other(attempt + 1, other_)) >= 0) {
-        trial_.resize(pb, 1);
-        std::fill(phi_.begin(), phi_.end(), 0.0);
-        trial_.set_phi(solver_.robot(), pb, 0, phi_.data());
-        Convergence found;
-        const BarrierPath path = BarrierPath::cold(solver_.last_barrier());
-        solver_.start(trial_, q_, other_, path.first);
-        solver_.solve(trial_, path, &found);
-        int negative = 0;
-        if (!found.converged || solver_.stability(trial_, negative) <= 0 || negative > 0) continue;
-        for (int k = 0; k < pb.nodes; ++k)
-            for (int t = 0; t < pb.tubes; ++t)
-                multiple_ = multiple_ || std::fabs(trial_.unknown(k, 5 * t, 0) - frictionless_.unknown(k, 5 * t, 0)) > kDistinct;
-    }
 }
 
 bool BoundSolver::all_converged() const {
