@@ -17,6 +17,7 @@ from ctrplan.base.interrupts import interrupt_event
 from ctrplan.base.progress import part_of
 from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import InputError, NoAnswerError
+from ctrplan.planning.certificate.friction_cube import refuse_many_tubes
 from ctrplan.planning.certificate.start_branches import other_start
 from ctrplan.planning.certificate.tour import joined_certificates
 from ctrplan.planning.certificate.walked_legs import WalkedLegs, walk_legs
@@ -76,6 +77,7 @@ def plan(
         raise InputError(rule, file=scenario.path, key=scenario.goal.table)
     began, report = time.monotonic(), progress or (lambda _: None)
     budget = float(scenario.planner.time_s if time_s is None else time_s)
+    refuse_many_tubes(scenario.robot)
     refuse_impossible_margins(scenario)
     checker = MotionChecker(scenario, reserve_m=0.0)
     start, samples = checker.probe(scenario.start)

@@ -13,6 +13,7 @@ from places import ROBOTS
 
 import ctrplan
 from ctrplan.base.arrays import Array
+from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.files.scenario_file import scenario_from_dict
 from ctrplan.mechanics.core import Accuracy
@@ -223,3 +224,15 @@ def test_the_body_of_a_simulated_robot_in_the_anatomy_refuses_the_motion() -> No
     assert deep - POINT_SPACING_M / 2 / PARTS - 1e-9 <= bodies.clearances_m[0] <= deep
     found = certify(resting(AT, [sphere]), turn)
     assert not found.valid and any("A simulated robot comes" in problem for problem in found.problems)
+
+
+def test_more_tubes_than_friction_states_can_be_looked_at_are_refused_at_once() -> None:
+    tube = {"bending_stiffness_Nm2": 0.02, "poisson_ratio": 0.3}
+    sizes = [{"outer_diameter_mm": 6 - 0.5 * k, "inner_diameter_mm": 5.6 - 0.5 * k} for k in range(9)]
+    sections = [{"length_mm": 60 + 12 * k, "curvature_x_per_m": 0, "curvature_y_per_m": 1.5} for k in range(9)]
+    tubes = [{**tube, **size, "section": [section]} for size, section in zip(sizes, sections, strict=True)]
+    many = robot_from_dict({"name": "many", "tube": tubes, "contact": [{"friction_coefficient": 0.2}] * 8})
+    case = replace(resting(AT), robot=many, start=np.zeros(18))
+    for call in (lambda: certify(case, np.zeros((1, 18))), lambda: ctrplan.plan(case)):
+        with pytest.raises(InputError, match="tube: has 9 tubes: certificates look at every friction state of at most"):
+            call()

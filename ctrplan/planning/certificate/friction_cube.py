@@ -20,14 +20,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.errors import InputError
 from ctrplan.planning.certificate.allowances import POINT_SPACING_M
 from ctrplan.planning.certificate.body_pieces import PARTS, around, beside
+from ctrplan.robot.robot import Robot
 
 ERROR_FACTOR = 1.5  # times the difference in a cell's middle
 BEYOND = 10  # points towards the tip whose difference counts too
 DEPTH = 3  # halvings: 9 states along every pair
 LEAST_DEPTH = 1  # the middle of the cube alone is where errors may vanish by symmetry, beside a fold
 NUMBERS_DEPTH = 6  # where only stability or strain ask for them: near a fold both bend sharply
+MOST_TUBES = 6  # whose cube, halved once, has 275 corners and middles; of seven 793
 HALVINGS = 9  # of the states of one interpolated point
 HALF_M = POINT_SPACING_M / 2  # of the body around a point
 PIECE_M = HALF_M / PARTS  # of a piece around its middle
@@ -110,6 +113,13 @@ class _Cell:
         ends = list(zip(self.low, self.middle, self.high, strict=True))
         parts = itertools.product(*(((a, m), (m, b)) for a, m, b in ends))
         return [_Cell(tuple(p[0] for p in part), tuple(p[1] for p in part), self.depth + 1) for part in parts]
+
+
+def refuse_many_tubes(robot: Robot) -> None:
+    """Raises InputError for a robot with more friction states than can be looked at."""
+    if robot.n > MOST_TUBES:
+        rule = f"has {robot.n} tubes: certificates look at every friction state of at most {MOST_TUBES}"
+        raise InputError(rule, file=robot.path, key="tube")
 
 
 def least_of_states(

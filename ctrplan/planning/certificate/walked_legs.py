@@ -13,6 +13,7 @@ from ctrplan.base.units import MM_PER_M
 from ctrplan.drive.legs import merge_legs
 from ctrplan.mechanics.core import Accuracy
 from ctrplan.planning.certificate.every_state import closely_solved, in_every_friction_state
+from ctrplan.planning.certificate.friction_cube import refuse_many_tubes
 from ctrplan.planning.certificate.goal_miss import frictionless_miss
 from ctrplan.planning.certificate.joined_pieces import joined_samples
 from ctrplan.planning.certificate.other_equilibria import other_equilibrium
@@ -78,8 +79,9 @@ def walk_legs(
 ) -> WalkedLegs:
     """What decides whether the polyline `corners` (K, m) is valid, see `certify`.
 
-    What is refused already is not looked at more closely.
+    What is refused already is not looked at more closely. Raises InputError for too many tubes.
     """
+    refuse_many_tubes(scenario.robot)
     space = JointSpace.of(scenario)
     pieces = walk_pieces(scenario, space, corners, accuracy, progress)
     samples = joined_samples(scenario, space, corners, pieces)
