@@ -42,7 +42,10 @@ class SignedDistanceField:
         node = np.minimum(clamped.astype(np.int64), top - 1)
         weight = clamped - node
         result = -self.spacing_m * np.linalg.norm(position - clamped, axis=1)
-        for corner in np.ndindex(2, 2, 2):
-            share = np.where(corner, weight, 1.0 - weight).prod(axis=1)
-            result += share * self.values_m[tuple((node + corner).T)]
+        strides = np.array([self.values_m.shape[1] * self.values_m.shape[2], self.values_m.shape[2], 1])
+        values, first = self.values_m.reshape(-1), node @ strides
+        sides = 1.0 - weight, weight
+        for i, j, k in np.ndindex(2, 2, 2):
+            share = sides[i][:, 0] * sides[j][:, 1] * sides[k][:, 2]
+            result += share * values[first + (i * strides[0] + j * strides[1] + k)]
         return np.asarray(result)

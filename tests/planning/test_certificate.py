@@ -20,7 +20,8 @@ from ctrplan.mechanics.core import Accuracy
 from ctrplan.planning.certificate.allowances import POINT_SPACING_M, SAME_BRANCH_M, bound_allowance_m, mesh_allowance_m
 from ctrplan.planning.certificate.body_pieces import PARTS, around, beside
 from ctrplan.planning.certificate.certify import certify
-from ctrplan.planning.certificate.friction_cube import Needed, Solved, corner_states, least_of_states
+from ctrplan.planning.certificate.friction_cube import Needed, least_of_states
+from ctrplan.planning.certificate.friction_states import Solved, corner_states
 from ctrplan.planning.certificate.other_equilibria import other_equilibrium
 from ctrplan.planning.certificate.simulated_bodies import SimulatedBodies
 from ctrplan.planning.certificate.walked_piece import walk_pieces

@@ -16,7 +16,8 @@ from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.files.scenario_file import scenario_from_dict
 from ctrplan.planning.certificate.allowances import UNEVEN_FRICTION_M, mesh_allowance_m
 from ctrplan.planning.certificate.certify import _contradictions, certify
-from ctrplan.planning.certificate.friction_cube import Needed, Solved, corner_states, least_of_states
+from ctrplan.planning.certificate.friction_cube import Needed, least_of_states
+from ctrplan.planning.certificate.friction_states import Solved, State, corner_states
 from ctrplan.planning.certificate.prediction import Prediction
 from ctrplan.planning.certificate.start_branches import other_start
 from ctrplan.planning.certificate.walked_piece import walk_pieces
@@ -46,9 +47,9 @@ def curled(phi: Array) -> Array:
     return np.stack([x, y, np.broadcast_to(s, x.shape)], axis=2)
 
 
-def solved(phi: Array) -> list[Solved]:
+def solved(states: Sequence[State]) -> list[Solved]:
     """The same, as stable and as strained as one another."""
-    return [Solved(body, 1.0, 0.01) for body in curled(phi)]
+    return [Solved(body, 1.0, 0.01) for body in curled(np.array(states))]
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -62,7 +63,7 @@ def test_what_is_enough_is_so_for_every_state_and_little_is_refused(seed: int) -
     true = float((spheres(bodies.reshape(-1, 3), np.zeros(1)) - 1e-3).min())
     states = [(0.0, 0.0), *corner_states(2)]
     for enough in (true - 5e-3, true - 1e-3, true + 1e-3):
-        known = dict(zip(states, solved(np.array(states)), strict=True))
+        known = dict(zip(states, solved(states), strict=True))
         found = least_of_states(known, radius, solved, spheres, Needed(enough))
         assert found.clearance_m < enough or true >= found.clearance_m - 1e-9
         assert found.clearance_m >= enough or true < enough + 0.6e-3
@@ -70,7 +71,7 @@ def test_what_is_enough_is_so_for_every_state_and_little_is_refused(seed: int) -
 
 def test_a_state_without_an_equilibrium_is_no_clearance_at_all() -> None:
     states = [(0.0, 0.0), *corner_states(2)]
-    known = dict(zip(states, solved(np.array(states)), strict=True))
+    known = dict(zip(states, solved(states), strict=True))
     near = Spheres(curled(np.array([[0.5, 0.5]]))[:, -1], 1e-3)
     nowhere = Solved(np.full((60, 3), np.nan), np.nan, np.nan)
     found = least_of_states(known, np.full(60, 1e-3), lambda phi: [nowhere] * len(phi), near, Needed(0.0))

@@ -16,6 +16,9 @@ POINT_SPACING_M = 1e-3  # between the points of a shape
 UNEVEN_FRICTION_M = 0.05e-3
 TIGHT_M = 0.1e-3  # how much less than the clearance of solved shapes is reported where nothing was found below it
 SAME_BRANCH_M = 0.5e-3  # between bodies of one friction state, walked to and solved from scratch
+# Of bodies that were not solved but interpolated along the path: shares of how much their bending away from the sign
+# corners changes over the samples, of that bending, and once more of it from one mesh to another.
+BEND_CHANGE, BEND_SHARE, BEND_MESH, BEND_SPREAD = 0.5, 0.05, 0.2, 0.03
 BEYOND_BOUND_M = 0.3e-3  # of a simulated tip: histories and bounds may be of different meshes
 
 # Of bodies, against the model of exact geometry: 0.27 mm at most on the search mesh, 0.17 on the certificate mesh, for

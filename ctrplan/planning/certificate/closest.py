@@ -16,7 +16,7 @@ from ctrplan.anatomy.parts import surface_distance
 from ctrplan.base.arrays import Array
 from ctrplan.planning.certificate.allowances import TIGHT_M
 from ctrplan.planning.certificate.anatomy_distance import AnatomyDistance
-from ctrplan.planning.certificate.friction_cube import State, corner_states
+from ctrplan.planning.certificate.friction_states import State, corner_states
 from ctrplan.planning.certificate.walked_piece import Piece
 from ctrplan.planning.certified import CertificateSamples, Closest
 

@@ -1,13 +1,13 @@
 """What walked pieces keep in every friction state, not in the solved shapes alone.
 
-Pieces are walked on the mesh of the search. A sample whose clearance that mesh's allowance would take too much from is
-solved once more on the certificate mesh.
+Every few samples are solved in states of the cube, those between them are interpolated along the path
+(`states_between.py`). What that, or the mesh of the search, would refuse is solved itself on the certificate mesh.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -16,124 +16,25 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.mechanics.core import PathLimits
-from ctrplan.planning.certificate.allowances import POINT_SPACING_M, SAME_BRANCH_M, TIGHT_M, mesh_allowance_m
+from ctrplan.planning.certificate.allowances import TIGHT_M
 from ctrplan.planning.certificate.anatomy_distance import AnatomyDistance
-from ctrplan.planning.certificate.friction_cube import (
-    DEPTH,
-    LEAST_DEPTH,
-    LeastOfStates,
-    Needed,
-    Solved,
-    State,
-    corner_states,
-    least_of_states,
-)
-from ctrplan.planning.certificate.walked_piece import Piece, least_of, shapes_of
+from ctrplan.planning.certificate.friction_cube import DEPTH, LEAST_DEPTH, LeastOfStates, Needed, least_of_states
+from ctrplan.planning.certificate.friction_states import Solved, State
+from ctrplan.planning.certificate.sample_states import SampleStates
+from ctrplan.planning.certificate.states_between import StatesBetween
+from ctrplan.planning.certificate.walked_piece import Piece, least_of
 from ctrplan.planning.motion import path_limits
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.accuracy import Accuracy
     from ctrplan.planning.scenario import Scenario
 
-# Of samples near the anatomy all cells are halved once, of the others those of every few samples, some of them twice: a
-# fold in the corner of a cell lasts for more than a few mm of motion.
+# Cells of every few samples and of those near the anatomy are halved once, some of them twice: a fold in the corner of
+# a cell lasts for more than a few mm of motion.
 NEAR_M, LOOK_EVERY, CLOSE_EVERY, CLOSE_DEPTH = 3e-3, 4, 16, 2
+FIRST = 4  # narrowest samples
+SPARE_M = 0.15e-3  # of a sample that may be interpolated: with less, what is taken off for that is too much
 CLOSE_TUBES = 4  # of five tubes, cells halved twice have 881 corners and middles
-CHUNK = 4  # samples at a time
-MOST_AGAIN = 60  # samples solved on the certificate mesh only to report the least clearance more closely
-
-
-@dataclass(eq=False)
-class SampleStates:
-    """A sample of a piece in its friction states, at an accuracy; compares what is solved with what was walked to."""
-
-    scenario: Scenario
-    piece: Piece
-    sample: int
-    accuracy: Accuracy
-    apart_m: float = 0.0  # of bodies solved from scratch from those walked to, less what meshes differ by
-    _compared: bool = field(default=False, repr=False)
-
-    @property
-    def states(self) -> list[State]:
-        """phi = 0 and the sign corners, which were walked to."""
-        pairs = self.scenario.robot.n - 1
-        return [(0.0,) * pairs, *corner_states(pairs)]
-
-    def known(self) -> tuple[dict[State, Solved], Array]:
-        """The states that were walked to, on the certificate mesh solved once more, and outer radii (N,)."""
-        bodies, radius = self.walked
-        samples, k = self.piece.samples, self.sample
-        if self.accuracy == self.piece.accuracy:
-            numbers = zip(bodies, samples.shape_stability[k], samples.shape_max_strain[k], strict=True)
-            solved = [Solved(body, float(stability), float(strain)) for body, stability, strain in numbers]
-        else:
-            bodies, radius, solved = self.solve(np.array(self.states))
-            self.compare(bodies)
-        return dict(zip(self.states, solved, strict=True)), radius
-
-    @property
-    def walked(self) -> tuple[Array, Array]:
-        """Points (1 + C, N, 3) and outer radii (N,)."""
-        return shapes_of(self.scenario, self.piece.samples.bodies[self.sample])
-
-    def solve(self, phi: Array) -> tuple[Array, Array, list[Solved]]:
-        """Points (S, N, 3), NaN where no equilibrium was found, radii (N,), and all of it by state."""
-        found = self.scenario.robot.mechanics.friction_bodies(
-            self.piece.theta_b[self.sample],
-            self.piece.l_b[self.sample],
-            phi,
-            spacing_m=POINT_SPACING_M,
-            accuracy=self.accuracy,
-        )
-        bodies = np.where(found.solved[:, None, None], found.point_m, np.nan)
-        numbers = zip(bodies, found.stability.tolist(), found.max_strain.tolist(), strict=True)
-        return bodies, found.radius_m, [Solved(*row) for row in numbers]
-
-    def __call__(self, phi: Array) -> list[Solved]:
-        """States (S, P); without a body where no equilibrium was found on the branch that was walked to."""
-        first = np.empty((0, phi.shape[1])) if self._compared else np.array(self.states)
-        bodies, _, solved = self.solve(np.vstack([first, phi]))
-        if len(first):
-            self.compare(bodies[: len(first)])
-        if self.apart_m <= SAME_BRANCH_M:
-            return solved[len(first) :]
-        return [replace(one, body_m=np.full_like(one.body_m, np.nan)) for one in solved[len(first) :]]
-
-    def compare(self, bodies: Array) -> None:
-        """Those of `states` with what was walked to: whole bodies on the same mesh, tips on another one."""
-        self._compared, walked = True, self.walked[0]
-        if bodies.shape == walked.shape and self.accuracy == self.piece.accuracy:
-            apart, allowed = np.linalg.norm(bodies - walked, axis=2), 0.0
-        else:
-            apart = np.linalg.norm(bodies[:, -1] - walked[:, -1], axis=1)
-            allowed = mesh_allowance_m(self.scenario.robot, self.piece.accuracy)
-        self.apart_m = max(0.0, float(np.nan_to_num(apart.max(), nan=np.inf)) - allowed)
-
-
-def closely_solved(scenario: Scenario, pieces: Sequence[Piece]) -> list[Piece]:
-    """The narrowest samples solved on the certificate mesh: all that the search mesh refuses, and some of the others.
-
-    So that the least clearance does not depend on the mesh that a sample happened to be walked on.
-    """
-    distance, limits = AnatomyDistance.of(scenario), path_limits(scenario)
-    if distance is None:
-        return list(pieces)
-    closer = [piece.clearance_m.copy() for piece in pieces]
-    rows = sorted((float(c), p, k) for p, piece in enumerate(pieces) for k, c in enumerate(piece.clearance_m))
-    narrow = [row for row in rows if pieces[row[1]].accuracy == "search"]
-    must = sum(value < limits.clearance_m for value, *_ in narrow)
-    ceiling = np.inf  # of the least clearance
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        for begin in range(0, min(len(narrow), must + MOST_AGAIN), CHUNK):
-            if narrow[begin][0] >= ceiling or ceiling < limits.clearance_m:
-                break
-            chunk = narrow[begin : begin + CHUNK]
-            values = pool.map(lambda row: _on_certificate_mesh(scenario, distance, pieces[row[1]], row[2]), chunk)
-            for (value, p, k), found in zip(chunk, values, strict=True):
-                closer[p][k] = max(value, found)
-                ceiling = min(ceiling, closer[p][k])
-    return [replace(piece, clearance_m=values) for piece, values in zip(pieces, closer, strict=True)]
 
 
 def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece]) -> list[Piece]:
@@ -145,75 +46,128 @@ def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece]) -> list
     limits = path_limits(scenario)
     if scenario.robot.n == 1 or not scenario.robot.friction.any():
         return list(pieces)
-    solved = least_of(pieces)
+    solved, distance = least_of(pieces), AnatomyDistance.of(scenario)
     enough = limits.clearance_m if solved < limits.clearance_m else max(limits.clearance_m, solved - TIGHT_M)
+    needed = Needed(enough, limits.stability, limits.max_strain)
+    looks = [_Look(scenario, piece, needed, distance) for piece in pieces]
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        return list(pool.map(lambda piece: _in_every_state(scenario, piece, enough, limits), pieces))
+        narrowest = pool.map(lambda row: looks[row[0]].least(row[1]).clearance_m, _narrowest(pieces))
+        enough = max(limits.clearance_m, min([enough, *narrowest]))
+        return list(pool.map(lambda look: _in_every_state(look, enough, limits), looks))
 
 
-def _on_certificate_mesh(scenario: Scenario, distance: AnatomyDistance, piece: Piece, sample: int) -> float:
-    """Clearance of the solved shapes of a sample, all allowances taken off; -inf on another branch."""
-    states = SampleStates(scenario, piece, sample, "certificate")
-    bodies, radius, _ = states.solve(np.array(states.states))
-    states.compare(bodies)
-    if states.apart_m > SAME_BRANCH_M:
-        return -np.inf
-    points, count = bodies.reshape(-1, 3), len(bodies)
-    owner = np.zeros(len(points), dtype=np.intp)
-    least = float(distance.least(points, np.tile(radius, count), owner, 1)[0])
-    return least - float(piece.offset_m(scenario, "certificate")[sample])
+def _narrowest(pieces: Sequence[Piece]) -> list[tuple[int, int]]:
+    """Pieces and samples that come first: less than what they keep is not asked of any other sample."""
+    rows = sorted((float(c), p, k) for p, piece in enumerate(pieces) for k, c in enumerate(piece.clearance_m))
+    return [row[1:] for row in rows[:FIRST] if np.isfinite(row[0])]
 
 
-def _in_every_state(scenario: Scenario, piece: Piece, enough_m: float, limits: PathLimits) -> Piece:
+def _in_every_state(look: _Look, enough_m: float, limits: PathLimits) -> Piece:
     """Down to `enough_m` of clearance; ends at the first sample that breaks a limit."""
-    distance = AnatomyDistance.of(scenario)
+    piece, look.needed = look.piece, replace(look.needed, clearance_m=enough_m)
     clearance, stability, strain = piece.clearance_m.copy(), piece.stability.copy(), piece.max_strain.copy()
-    phi, apart = piece.phi.copy(), 0.0
+    phi = piece.phi.copy()
     for k in range(len(clearance)):
-        found, apart_here = _least(scenario, distance, piece, k, Needed(enough_m, limits.stability, limits.max_strain))
+        found = look.least(k)
         if found.clearance_m < clearance[k]:
             clearance[k], phi[k] = found.clearance_m, found.phi
         stability[k] = min(stability[k], found.stability)
         strain[k] = max(strain[k], found.max_strain)
-        apart = max(apart, apart_here)
         if clearance[k] < limits.clearance_m or stability[k] < limits.stability or strain[k] > limits.max_strain:
             break
-    return replace(piece, clearance_m=clearance, stability=stability, max_strain=strain, phi=phi, apart_m=apart)
+    return replace(
+        piece, clearance_m=clearance, stability=stability, max_strain=strain, phi=phi, apart_m=look.apart_m, finer={}
+    )
 
 
-def _least(
-    scenario: Scenario, distance: AnatomyDistance | None, piece: Piece, sample: int, needed: Needed
-) -> tuple[LeastOfStates, float]:
-    """Of a sample, all allowances taken off the clearance; and how far its shapes lay from those walked to.
+@dataclass(eq=False)
+class _Look:
+    """At a piece in all friction states; keeps the states of its samples."""
 
-    The search mesh decides where one look is enough.
-    """
-    states = SampleStates(scenario, piece, sample, piece.accuracy)
-    depth = LEAST_DEPTH if piece.accuracy == "search" else DEPTH
-    is_hopeful = piece.as_walked_m[sample] >= needed.clearance_m
-    if piece.accuracy == "search" and not is_hopeful:
-        return _least_of(states, distance, needed, DEPTH, "certificate")
-    found, apart = _least_of(states, distance, needed, depth, piece.accuracy)
-    if piece.accuracy != "search" or found.keeps(needed) or not np.isfinite(found.clearance_m):
-        return found, apart
-    finer, apart_finer = _least_of(states, distance, needed, DEPTH, "certificate")
-    return finer, max(apart, apart_finer)
+    scenario: Scenario
+    piece: Piece
+    needed: Needed
+    distance: AnatomyDistance | None
+    _states: dict[tuple[int, Accuracy], SampleStates] = field(default_factory=dict)
+    _found: dict[int, LeastOfStates] = field(default_factory=dict)
 
+    @property
+    def apart_m(self) -> float:
+        """Largest distance of bodies solved from scratch from those walked to."""
+        return max((states.apart_m for states in self._states.values()), default=0.0)
 
-def _least_depth(walked: SampleStates, needed: Needed) -> int:
-    """How often all cells of a sample are halved."""
-    if walked.sample % CLOSE_EVERY == 0 and walked.scenario.robot.n <= CLOSE_TUBES:
-        return CLOSE_DEPTH
-    is_near = walked.piece.as_walked_m[walked.sample] < needed.clearance_m + NEAR_M
-    return LEAST_DEPTH if is_near or walked.sample % LOOK_EVERY == 0 else 0
+    def least(self, sample: int) -> LeastOfStates:
+        """All allowances taken off the clearance."""
+        if sample not in self._found:
+            for found in self._tries(sample):
+                self._found[sample] = found
+                if found.keeps(self.needed):
+                    break
+        return self._found[sample]
 
+    def _tries(self, sample: int) -> Iterator[LeastOfStates]:
+        """From the cheapest on; what the last says holds."""
+        own, is_walked_closely = self.piece.accuracy, self.piece.accuracy == "certificate"
+        if is_walked_closely or self.piece.as_walked_m[sample] >= self.needed.clearance_m:
+            depth = DEPTH if is_walked_closely else LEAST_DEPTH
+            if sample % LOOK_EVERY:
+                yield self._between(sample, own, depth)
+            if is_walked_closely or not sample % LOOK_EVERY:
+                solved = self._solved(sample, own, depth)
+                yield solved
+                if is_walked_closely or not np.isfinite(solved.clearance_m):
+                    return
+        if self.piece.clearance_m[sample] >= self.needed.clearance_m + SPARE_M:
+            yield self._between(sample, "certificate", DEPTH)
+        yield self._solved(sample, "certificate", DEPTH)
 
-def _least_of(
-    walked: SampleStates, distance: AnatomyDistance | None, needed: Needed, depth: int, accuracy: Accuracy
-) -> tuple[LeastOfStates, float]:
-    states = SampleStates(walked.scenario, walked.piece, walked.sample, accuracy)
-    offset = float(walked.piece.offset_m(walked.scenario, accuracy)[walked.sample])
-    known, radius = states.known()
-    asked = replace(needed, clearance_m=needed.clearance_m + offset)
-    found = least_of_states(known, radius, states, distance, asked, depth, _least_depth(walked, needed))
-    return replace(found, clearance_m=found.clearance_m - offset), states.apart_m
+    def _solved(self, sample: int, accuracy: Accuracy, depth: int) -> LeastOfStates:
+        states = self._of(sample, accuracy)
+        known, radius = states.known()
+        return self._least(sample, accuracy, depth, known, radius, states)
+
+    def _between(self, sample: int, accuracy: Accuracy, depth: int) -> LeastOfStates:
+        known, radius = self._of(sample, accuracy).known()
+        first = sample - sample % LOOK_EVERY
+        last = min(first + LOOK_EVERY if sample > first else first, len(self.piece.l_b) - 1)
+        ends = self._of(first, self.piece.accuracy), self._of(last, self.piece.accuracy)
+        share = (sample - first) / max(last - first, 1)
+        between = StatesBetween(known, ends, share, accuracy != self.piece.accuracy)
+        return self._least(sample, accuracy, depth, known, radius, between)
+
+    def _least(
+        self,
+        sample: int,
+        accuracy: Accuracy,
+        depth: int,
+        known: dict[State, Solved],
+        radius_m: Array,
+        solve: SampleStates | StatesBetween,
+    ) -> LeastOfStates:
+        """Only what is solved for itself is looked at in all cells, whatever is found in some."""
+        offset = float(self.piece.offset_m(self.scenario, accuracy)[sample])
+        asked = replace(self.needed, clearance_m=self.needed.clearance_m + offset)
+        found = least_of_states(
+            known,
+            radius_m,
+            solve,
+            self.distance,
+            asked,
+            depth,
+            self._least_depth(sample),
+            is_attempt=isinstance(solve, StatesBetween),
+        )
+        return replace(found, clearance_m=found.clearance_m - offset)
+
+    def _least_depth(self, sample: int) -> int:
+        """How often all cells of a sample are halved."""
+        if sample % CLOSE_EVERY == 0 and self.scenario.robot.n <= CLOSE_TUBES:
+            return CLOSE_DEPTH
+        is_near = self.piece.as_walked_m[sample] < self.needed.clearance_m + NEAR_M
+        return LEAST_DEPTH if is_near or sample % LOOK_EVERY == 0 else 0
+
+    def _of(self, sample: int, accuracy: Accuracy) -> SampleStates:
+        key = sample, accuracy
+        if key not in self._states:
+            self._states[key] = SampleStates(self.scenario, self.piece, sample, accuracy)
+        return self._states[key]

@@ -1,0 +1,84 @@
+"""Friction states: points phi of the cube [-1, 1]^P, one number per pair of tubes; its corners and cells."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+
+State = tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A robot in one friction state."""
+
+    body_m: Array  # (N, 3) NaN where no equilibrium was found
+    stability: float
+    max_strain: float
+    doubt_m: Array | float = 0.0  # (N,) what the body may be off by where it was not solved itself
+
+    def with_radius(self, radius_m: Array) -> Array:
+        """(N, 4) the body and the radii (N,) around it that it may fill."""
+        return np.column_stack([self.body_m, radius_m + self.doubt_m])
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A box of friction states, halved `depth` times from the cube."""
+
+    low: State
+    high: State
+    depth: int
+
+    @property
+    def middle(self) -> State:
+        """Halfway between both ends."""
+        return tuple((a + b) / 2 for a, b in zip(self.low, self.high, strict=True))
+
+    @property
+    def corners(self) -> list[State]:
+        """In the order of `unit_weights`: the last pair fastest, low before high."""
+        return list(itertools.product(*zip(self.low, self.high, strict=True)))
+
+    def at(self, unit: Array) -> State:
+        """The state at shares (P,), 0 to 1, of the way from low to high."""
+        low, high = np.array(self.low), np.array(self.high)
+        return tuple((low + unit * (high - low)).tolist())
+
+    def halves(self) -> list[Cell]:
+        """Its 2^P parts."""
+        ends = list(zip(self.low, self.middle, self.high, strict=True))
+        parts = itertools.product(*(((a, m), (m, b)) for a, m, b in ends))
+        return [Cell(tuple(p[0] for p in part), tuple(p[1] for p in part), self.depth + 1) for part in parts]
+
+
+def corner_states(pairs: int) -> Sequence[State]:
+    """Friction states of the sign corners in the order of `Bound.corners`."""
+    return list(itertools.product((1.0, -1.0), repeat=pairs))
+
+
+def corner_weights(phi: Array) -> Array:
+    """(S, 2^P) multilinear weights of the sign corners, in the order of `corner_states`, at states (S, P)."""
+    signs = np.array(corner_states(phi.shape[1]))
+    weights: Array = np.prod((1 + phi[:, None] * signs) / 2, axis=2)
+    return weights
+
+
+def unit_weights(unit: Array) -> Array:
+    """(A, 2^P) multilinear weights of a cell's corners at states (A, P), 0 to 1."""
+    signs = unit_corners(unit.shape[1])
+    weights: Array = np.prod(np.where(signs > 0, unit[:, None], 1 - unit[:, None]), axis=2)
+    return weights
+
+
+@cache
+def unit_corners(pairs: int) -> NDArray[np.float64]:
+    """(2^P, P) 0 and 1, the last pair fastest."""
+    return np.array(list(itertools.product((0.0, 1.0), repeat=pairs)))

@@ -1,0 +1,94 @@
+"""A sample of a walked piece in its friction states."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ctrplan.base.arrays import Array
+from ctrplan.planning.certificate.allowances import POINT_SPACING_M, SAME_BRANCH_M, mesh_allowance_m
+from ctrplan.planning.certificate.friction_states import Solved, State, corner_states
+from ctrplan.planning.certificate.walked_piece import Piece, shapes_of
+
+if TYPE_CHECKING:
+    from ctrplan.mechanics.accuracy import Accuracy
+    from ctrplan.planning.scenario import Scenario
+
+
+@dataclass(eq=False)
+class SampleStates:
+    """A sample of a piece in its friction states, at an accuracy; compares what is solved with what was walked to."""
+
+    scenario: Scenario
+    piece: Piece
+    sample: int
+    accuracy: Accuracy
+    apart_m: float = 0.0  # of bodies solved from scratch from those walked to, less what meshes differ by
+    _compared: bool = field(default=False, repr=False)
+    _solved: dict[State, Solved] = field(default_factory=dict, repr=False)
+
+    @property
+    def states(self) -> list[State]:
+        """phi = 0 and the sign corners, which were walked to."""
+        pairs = self.scenario.robot.n - 1
+        return [(0.0,) * pairs, *corner_states(pairs)]
+
+    def known(self) -> tuple[dict[State, Solved], Array]:
+        """The states that were walked to, on the certificate mesh solved once more, and outer radii (N,)."""
+        bodies, radius = self.walked
+        samples, k = self.piece.samples, self.sample
+        if self.accuracy == self.piece.accuracy:
+            numbers = zip(bodies, samples.shape_stability[k], samples.shape_max_strain[k], strict=True)
+            solved = [Solved(body, float(stability), float(strain)) for body, stability, strain in numbers]
+        elif k in self.piece.finer:
+            self._compared = True
+            return self.piece.finer[k]
+        else:
+            bodies, radius, solved = self.solve(self.states)
+            self._compare(bodies)
+        return dict(zip(self.states, solved, strict=True)), radius
+
+    @property
+    def walked(self) -> tuple[Array, Array]:
+        """Points (1 + C, N, 3) and outer radii (N,)."""
+        return shapes_of(self.scenario, self.piece.samples.bodies[self.sample])
+
+    def solve(self, phi: Iterable[State]) -> tuple[Array, Array, list[Solved]]:
+        """Points (S, N, 3), NaN where no equilibrium was found, radii (N,), and all of it by state."""
+        found = self.scenario.robot.mechanics.friction_bodies(
+            self.piece.theta_b[self.sample],
+            self.piece.l_b[self.sample],
+            np.array(list(phi)),
+            spacing_m=POINT_SPACING_M,
+            accuracy=self.accuracy,
+        )
+        bodies = np.where(found.solved[:, None, None], found.point_m, np.nan)
+        numbers = zip(bodies, found.stability.tolist(), found.max_strain.tolist(), strict=True)
+        return bodies, found.radius_m, [Solved(*row) for row in numbers]
+
+    def __call__(self, phi: Iterable[State]) -> list[Solved]:
+        """Without a body where no equilibrium was found on the branch that was walked to."""
+        asked = list(phi)
+        if wanted := [state for state in asked if state not in self._solved]:
+            first = [] if self._compared else self.states
+            bodies, _, solved = self.solve([*first, *wanted])
+            if first:
+                self._compare(bodies[: len(first)])
+            self._solved |= dict(zip(wanted, solved[len(first) :], strict=True))
+        found = [self._solved[state] for state in asked]
+        if self.apart_m <= SAME_BRANCH_M:
+            return found
+        return [replace(one, body_m=np.full_like(one.body_m, np.nan)) for one in found]
+
+    def _compare(self, bodies: Array) -> None:
+        """Those of `states` with what was walked to: whole bodies on the same mesh, tips on another one."""
+        self._compared, walked = True, self.walked[0]
+        if bodies.shape == walked.shape and self.accuracy == self.piece.accuracy:
+            apart, allowed = np.linalg.norm(bodies - walked, axis=2), 0.0
+        else:
+            apart = np.linalg.norm(bodies[:, -1] - walked[:, -1], axis=1)
+            allowed = mesh_allowance_m(self.scenario.robot, self.piece.accuracy)
+        self.apart_m = max(0.0, float(np.nan_to_num(apart.max(), nan=np.inf)) - allowed)

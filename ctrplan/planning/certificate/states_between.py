@@ -1,0 +1,73 @@
+"""Friction states of a sample from those of the samples beside it.
+
+Bodies in friction states bend away from the multilinear interpolation of the sign corners' bodies. How they do changes
+slowly along a path and little with the mesh. A sample whose corners were solved takes it from the solved states of
+the samples on both sides; what that may be off by is taken off the clearance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ctrplan.base.arrays import Array
+from ctrplan.planning.certificate.allowances import BEND_CHANGE, BEND_MESH, BEND_SHARE, BEND_SPREAD
+from ctrplan.planning.certificate.cell_clearances import most_up_to
+from ctrplan.planning.certificate.friction_states import Solved, State, corner_states, corner_weights
+from ctrplan.planning.certificate.sample_states import SampleStates
+
+
+@dataclass(frozen=True, eq=False)
+class StatesBetween:
+    """Bodies by interpolation; stability and strain are those of the corners, multilinearly."""
+
+    shapes: dict[State, Solved]  # solved of the sample: phi = 0 and the sign corners
+    ends: tuple[SampleStates, SampleStates]  # on both sides
+    share: float  # of the way from the first to the second
+    is_finer: bool  # the sample's shapes are of a finer mesh than the ends
+
+    def __call__(self, phi: Iterable[State]) -> list[Solved]:
+        """Without a body where a sample beside this one has none."""
+        states = list(phi)
+        weights, pairs = corner_weights(np.array(states)), len(states[0])
+        corners, rest = [self.shapes[state] for state in corner_states(pairs)], self.shapes[(0.0,) * pairs].body_m
+        stability = weights @ [corner.stability for corner in corners]
+        strain = weights @ [corner.max_strain for corner in corners]
+        first, last = (_bend(end, states, weights, rest) for end in self.ends)
+        bend = (1 - self.share) * first + self.share * last
+        share = BEND_SHARE + (BEND_MESH if self.is_finer else 0.0)
+        doubt = BEND_CHANGE * np.linalg.norm(first - last, axis=2) + share * np.linalg.norm(bend, axis=2)
+        spread = np.linalg.norm([corner.body_m - rest for corner in corners], axis=2).max(axis=0)
+        doubt += BEND_SPREAD * spread
+        bodies = _mixed(weights, corners) + bend
+        rows = zip(bodies, stability.tolist(), strain.tolist(), most_up_to(doubt), strict=True)
+        return [Solved(*row) for row in rows]
+
+
+def _bend(end: SampleStates, states: list[State], weights: Array, like: Array) -> Array:
+    """(S, N, 3) of bodies of a sample from its corners' interpolation, at the points of another body (N, 3)."""
+    known, _ = end.known()
+    bend = np.array([one.body_m for one in end(states)]) - _mixed(
+        weights, [known[state] for state in corner_states(len(states[0]))]
+    )
+    own, wanted = _along(known[(0.0,) * len(states[0])].body_m), _along(like)
+    after = np.clip(np.searchsorted(own, wanted), 1, len(own) - 1)
+    part = ((wanted - own[after - 1]) / (own[after] - own[after - 1]))[:, None]
+    found: Array = bend[:, after - 1] * (1 - part) + bend[:, after] * part
+    return found
+
+
+def _mixed(weights: Array, corners: list[Solved]) -> Array:
+    """(S, N, 3) bodies of corners by weights (S, C)."""
+    bodies = np.array([corner.body_m for corner in corners])
+    mixed: Array = np.tensordot(weights, bodies, axes=1)
+    return mixed
+
+
+def _along(body: Array) -> Array:
+    """(N,) share of a body's length at its points (N, 3)."""
+    length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(body, axis=0), axis=1)))
+    share: Array = length / length[-1]
+    return share
