@@ -1,5 +1,6 @@
 // Single friction states, each solved from scratch.
 #include <algorithm>
+#include <vector>
 
 #include "ctr/bound.hpp"
 
@@ -27,15 +28,31 @@ void BoundSolver::solve_states(const Configuration& q, const Accuracy& accuracy,
     prepare(q, accuracy);
     solve_frictionless();
     have_solution_ = false;
+    std::vector<std::size_t> with_friction;
+    for (std::size_t row = 0; row < rows; ++row) {
+        const double* own = phi + row * pairs_;
+        if (std::any_of(own, own + pairs_, [](double value) { return value != 0; })) with_friction.push_back(row);
+    }
+    Backbone rest;  // known already: a lane of its own would cost as much as any other
+    double rest_stability = 0;
+    if (with_friction.size() < rows) {
+        solver_.stabilities(frictionless_, &rest_stability);
+        tracer_.trace(solver_, frictionless_, 0, 1, q.l.back(), &rest);
+    }
+    std::size_t shown = 0;
+    auto show_rest_up_to = [&](std::size_t row) {
+        for (; shown < row; ++shown) show(shown, {rest, frictionless_convergence_, rest_stability});
+    };
     const KernelProblem& pb = solver_.mesh().problem();
     LaneState& state = *batches_.front();
     grant_far_steps();
     Convergence result[kLanes];
     Backbone shapes[kLanes];
     double stability[kLanes];
-    for (std::size_t first = 0; first < rows; first += kLanes) {
-        const int count = static_cast<int>(std::min<std::size_t>(kLanes, rows - first));
-        auto phi_of = [&](int lane) { return phi + (first + std::min(lane, count - 1)) * pairs_; };  // spare lanes repeat the last
+    for (std::size_t first = 0; first < with_friction.size(); first += kLanes) {
+        const int count = static_cast<int>(std::min<std::size_t>(kLanes, with_friction.size() - first));
+        auto row_of = [&](int lane) { return with_friction[first + std::min(lane, count - 1)]; };  // spare lanes repeat the last
+        auto phi_of = [&](int lane) { return phi + row_of(lane) * pairs_; };
         state.resize(pb, kLanes);
         for (int lane = 0; lane < kLanes; ++lane) state.set_phi(solver_.robot(), pb, lane, phi_of(lane));
         const BarrierPath path = set_out(state);
@@ -51,8 +68,12 @@ void BoundSolver::solve_states(const Configuration& q, const Accuracy& accuracy,
             solver_.copy(trial_, state, lane);
         }
         tracer_.trace(solver_, state, 0, count, q.l.back(), shapes);
-        for (int lane = 0; lane < count; ++lane) show(first + lane, {shapes[lane], result[lane], stability[lane]});
+        for (int lane = 0; lane < count; ++lane) {
+            show_rest_up_to(row_of(lane));
+            show(shown++, {shapes[lane], result[lane], stability[lane]});
+        }
     }
+    show_rest_up_to(rows);
 }
 
 }  // namespace ctr
