@@ -329,11 +329,15 @@ class Mechanics:
     ) -> FrictionBodies:
         """Bodies in S friction states phi (S, n - 1) of one configuration, points `spacing_m` apart at most.
 
-        The points are those of `check_path` with bodies: at the same arc lengths in every state.
+        Friction that differs along a contact has phi of shape (S, G, n - 1): of G equally long parts of each pair, from
+        the plate to the end of its outer tube. The points are those of `check_path` with bodies: at the same arc
+        lengths in every state.
         """
         states = np.atleast_2d(numbers(phi, "phi"))
-        if states.ndim != 2 or states.shape[1] != self.n - 1 or not np.all(np.abs(states) <= 1):
-            raise InputError(f"must have shape (S, {self.n - 1}) and lie in [-1, 1]", key="phi")
+        states = states[:, None] if states.ndim == 2 else states
+        if states.ndim != 3 or not states.shape[1] or states.shape[2] != self.n - 1 or not np.all(np.abs(states) <= 1):
+            rule = f"must have shape (S, {self.n - 1}) or (S, G, {self.n - 1}) and lie in [-1, 1]"
+            raise InputError(rule, key="phi")
         with input_errors():
             points, status, strain, stability = self._model.friction_bodies(
                 self._row(theta_b), self._row(l_b), np.ascontiguousarray(states), float(spacing_m), accuracy

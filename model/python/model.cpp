@@ -108,11 +108,12 @@ nb::tuple body(Model& model, Vector theta, Vector l, const std::string& level) {
 }
 
 // Points (states, N, 4) with outer radii, status, largest strain and stability of each state.
-nb::tuple friction_bodies(Model& model, Vector theta, Vector l, Matrix phi, double spacing, const std::string& level) {
+nb::tuple friction_bodies(Model& model, Vector theta, Vector l, Tensor phi, double spacing, const std::string& level) {
     const ctr::Configuration q = valid_configuration(model.robot(), theta, l);
-    if (phi.shape(1) != model.robot().pairs.size()) throw ctr::InvalidInput("phi needs one value per pair");
+    if (phi.shape(2) != model.robot().pairs.size() || phi.shape(1) == 0) throw ctr::InvalidInput("phi needs one value per pair");
     const std::size_t states = phi.shape(0);
-    ctr::FrictionBodies found = unlocked([&] { return model.friction_bodies(q, accuracy(level), phi.data(), states, spacing); });
+    const ctr::FrictionStates of{phi.data(), states, static_cast<int>(phi.shape(1))};
+    ctr::FrictionBodies found = unlocked([&] { return model.friction_bodies(q, accuracy(level), of, spacing); });
     const std::size_t count = states ? found.point.size() / (4 * states) : 0;
     return nb::make_tuple(array(std::move(found.point), {states, count, 4}), array(found.status), array(std::move(found.max_strain)),
                           array(std::move(found.stability)));

@@ -14,6 +14,14 @@ namespace ctr {
 class CarriedState;
 class Predictor;
 
+// Friction states phi [row][section][pair], outermost pair first: of equally long parts of each pair, from the plate to the
+// end of its outer tube.
+struct FrictionStates {
+    const double* phi;
+    std::size_t rows;
+    int sections;
+};
+
 // A solution in one friction state.
 struct FrictionShape {
     const Backbone& backbone;
@@ -37,8 +45,8 @@ class BoundSolver {
     // One solution for given friction states, phi per pair, outermost first.
     void solve_single(const Configuration& q, const Accuracy& accuracy, const std::vector<double>& phi);
 
-    // Solutions for `rows` friction states, phi [row][pair], all from scratch; each is shown as it stands there.
-    void solve_states(const Configuration& q, const Accuracy& accuracy, const double* phi, std::size_t rows,
+    // Solutions for friction states, all from scratch; each is shown as it stands there.
+    void solve_states(const Configuration& q, const Accuracy& accuracy, const FrictionStates& states,
                       const std::function<void(std::size_t row, const FrictionShape&)>& show);
     // Solves from scratch, then every corner from every other one: how far [m] a stable equilibrium found so lies from the
     // corner's own, the largest per corner; 0 where all agree, inf where a corner was not solved.
@@ -86,6 +94,7 @@ class BoundSolver {
     std::vector<Backbone> corner_backbones;
 
   private:
+    std::vector<int> sections_of_contacts(int sections) const;
     void prepare(const Configuration& q, const Accuracy& accuracy);
     void solve_frictionless();
     void solve_corners();

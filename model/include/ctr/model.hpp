@@ -80,8 +80,8 @@ class Model {
     // Throws InvalidInput, as all that needs all corners, for robots of too many tubes.
     BoundShapes bound(const Configuration& q, const Accuracy& accuracy, bool extremes_only = false);
     Body body(const Configuration& q, const Accuracy& accuracy);
-    // phi: [state][pair], outermost pair first; points no farther apart than `spacing`.
-    FrictionBodies friction_bodies(const Configuration& q, const Accuracy& accuracy, const double* phi, std::size_t states, double spacing);
+    // Points no farther apart than `spacing`.
+    FrictionBodies friction_bodies(const Configuration& q, const Accuracy& accuracy, const FrictionStates& states, double spacing);
     // (C) m, see BoundSolver.
     std::vector<double> corners_apart(const Configuration& q, const Accuracy& accuracy);
     std::vector<PathSample> check_path(const std::vector<Configuration>& corners, const Accuracy& accuracy, const SignedDistanceField& field,

@@ -38,7 +38,7 @@ class Search {
 
   private:
     void solve(const std::vector<double>& phi, const std::function<void(std::size_t, const Backbone&, bool)>& show) {
-        solver_.solve_states(q_, accuracy_, phi.data(), phi.size() / pairs_, [&](std::size_t row, const FrictionShape& found) {
+        solver_.solve_states(q_, accuracy_, {phi.data(), phi.size() / pairs_, 1}, [&](std::size_t row, const FrictionShape& found) {
             show(row, found.backbone, found.convergence.converged);
         });
     }

@@ -22,16 +22,32 @@ void BoundSolver::solve_single(const Configuration& q, const Accuracy& accuracy,
     solver_.reach(frictionless_, path.first, frictionless_convergence_);
 }
 
-void BoundSolver::solve_states(const Configuration& q, const Accuracy& accuracy, const double* phi, std::size_t rows,
+// The part of each contact along its pair, from the plate to the end of the outer tube; what is behind the plate is in the first.
+std::vector<int> BoundSolver::sections_of_contacts(int sections) const {
+    const KernelProblem& pb = solver_.mesh().problem();
+    std::vector<double> s(pb.contacts), end(pairs_, 0.0);
+    for (int e = 0; e < pb.elements; ++e)
+        for (int k = pb.contact_begin[e]; k < pb.contact_begin[e + 1]; ++k) {
+            s[k] = solver_.mesh().s()[e] + pb.contact_xi[k] * pb.length[e];
+            end[pb.contact_pair[k]] = std::max(end[pb.contact_pair[k]], s[k]);
+        }
+    std::vector<int> section(pb.contacts, 0);
+    for (int k = 0; k < pb.contacts; ++k)
+        if (s[k] > 0) section[k] = std::min(sections - 1, static_cast<int>(sections * s[k] / end[pb.contact_pair[k]]));
+    return section;
+}
+
+void BoundSolver::solve_states(const Configuration& q, const Accuracy& accuracy, const FrictionStates& states,
                                const std::function<void(std::size_t row, const FrictionShape&)>& show) {
     zero_.solve(solver_.robot(), q);
     prepare(q, accuracy);
     solve_frictionless();
     have_solution_ = false;
+    const std::size_t rows = states.rows, numbers = static_cast<std::size_t>(states.sections) * pairs_;
     std::vector<std::size_t> with_friction;
     for (std::size_t row = 0; row < rows; ++row) {
-        const double* own = phi + row * pairs_;
-        if (std::any_of(own, own + pairs_, [](double value) { return value != 0; })) with_friction.push_back(row);
+        const double* own = states.phi + row * numbers;
+        if (std::any_of(own, own + numbers, [](double value) { return value != 0; })) with_friction.push_back(row);
     }
     Backbone rest;  // known already: a lane of its own would cost as much as any other
     double rest_stability = 0;
@@ -45,6 +61,13 @@ void BoundSolver::solve_states(const Configuration& q, const Accuracy& accuracy,
     };
     const KernelProblem& pb = solver_.mesh().problem();
     LaneState& state = *batches_.front();
+    const std::vector<int> section = sections_of_contacts(states.sections);
+    auto set_phi = [&](LaneState& to, int lane, std::size_t row) {
+        for (int k = 0; k < pb.contacts; ++k) {
+            const int pair = pairs_ - 1 - pb.contact_pair[k];
+            to.set_phi_mu(k, lane, states.phi[row * numbers + section[k] * pairs_ + pair] * solver_.robot().pairs[pair].friction);
+        }
+    };
     grant_far_steps();
     Convergence result[kLanes];
     Backbone shapes[kLanes];
@@ -52,16 +75,15 @@ void BoundSolver::solve_states(const Configuration& q, const Accuracy& accuracy,
     for (std::size_t first = 0; first < with_friction.size(); first += kLanes) {
         const int count = static_cast<int>(std::min<std::size_t>(kLanes, with_friction.size() - first));
         auto row_of = [&](int lane) { return with_friction[first + std::min(lane, count - 1)]; };  // spare lanes repeat the last
-        auto phi_of = [&](int lane) { return phi + row_of(lane) * pairs_; };
         state.resize(pb, kLanes);
-        for (int lane = 0; lane < kLanes; ++lane) state.set_phi(solver_.robot(), pb, lane, phi_of(lane));
+        for (int lane = 0; lane < kLanes; ++lane) set_phi(state, lane, row_of(lane));
         const BarrierPath path = set_out(state);
         solver_.solve(state, path, result);
         solver_.stabilities(state, stability);
         for (int lane = 0; lane < count; ++lane) {
             if (result[lane].converged) continue;
             trial_.resize(pb, 1);
-            trial_.set_phi(solver_.robot(), pb, 0, phi_of(lane));
+            set_phi(trial_, 0, row_of(lane));
             const BarrierPath again = set_out(trial_);
             reach_far(trial_, again.first, result[lane]);
             if (result[lane].converged) solver_.stabilities(trial_, &stability[lane]);
