@@ -22,6 +22,7 @@ from ctrplan.planning.certificate.problems import problems_of_limits, problems_o
 from ctrplan.planning.certificate.start_branches import other_start
 from ctrplan.planning.certificate.stated_bounds import StatedBounds, stated_bounds
 from ctrplan.planning.certificate.uncertain_parameters import with_parameters
+from ctrplan.planning.certificate.uneven_friction import with_uneven_friction
 from ctrplan.planning.certificate.walked_piece import Piece, walk_pieces
 from ctrplan.planning.certified import CertificateSamples
 from ctrplan.planning.joint_space import JointSpace
@@ -89,7 +90,7 @@ def walk_legs(
     bounds = _bounds(scenario, samples, pieces)
     problems = [f"{other}."] if (other := other_start(scenario, corners[0])) else []
     problems += problems_of_walk(scenario, space, corners, pieces)
-    for look_closer in (closely_solved, in_every_friction_state):
+    for look_closer in (closely_solved, in_every_friction_state, with_uneven_friction):
         if problems:
             break
         pieces = look_closer(scenario, pieces)
