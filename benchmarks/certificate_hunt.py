@@ -6,10 +6,12 @@ Scene by scene: one of seven robots (two, three and four tubes, loose and tight 
 configuration, one sphere, rod or plate. In half of the scenes, "between", it stands beside a body in a random friction
 state between the corners, up to 1.5 mm within it, and yet 0.2 mm clear of frictionless and corner shapes where such a
 place is found; in the others, "random", it stands somewhere beside the frictionless body, farther off. `certify` walks
-the motion. Three judges look for a hit, with the distances of `ctrplan.verification`:
+the motion. Four judges look for a hit, with the distances of `ctrplan.verification`:
 
 - grid: bodies on a grid of friction states at 5 places of the motion; 401 states of one pair, 41 x 41 of two, 9 x 9 x 9
   of three (coarser per pair);
+- contacts: friction that differs along the contacts of each pair, in 8 parts: at the same places 150 states of random
+  extremes, and 150 with random parts of the worst state of the grid at an extreme;
 - histories: 10 simulations of small turns back and forth (1 to 30 deg) before the start, followed along the motion;
 - branches: 6 simulations of large turns (30 to 180 deg) before the start, which lead to other equilibria, if there are.
 
@@ -64,6 +66,7 @@ RESULTS = ROOT / "build" / "certificate_hunt.jsonl"
 GRID = {1: 401, 2: 41, 3: 9}  # states along a pair
 PLACES, HISTORIES, BRANCHES = 5, 10, 6
 SMALL_DEG, LARGE_DEG = (1.0, 30.0), (30.0, 180.0)
+UNEVEN, PARTS = 150, 8  # states of friction that differs along contacts, and parts of each contact
 MOST_FINE = 200  # states of a place, the worst on the coarse mesh
 NEAR_M = 1.5e-3  # on the coarse mesh, within which the fine one decides
 APART_M = 1e-3  # of every state: a certificate should not refuse such a scene
@@ -71,6 +74,9 @@ BEYOND_M, BEYOND_SHARE = 0.3e-3, 0.02
 TURN_RAD, SLIDE_M = 0.2, 3e-3
 CLEAR_M = {"between": 0.2e-3, "random": 1e-3}  # of frictionless and corner shapes, in the middle of the motion
 MOST_DRAWN = 200  # obstacles, until one leaves these shapes so much
+
+
+JUDGES = ("grid", "contacts", "histories", "branches")
 
 
 @cache
@@ -210,6 +216,8 @@ def judged(number: int, seed: int) -> Result:
     _grid(given, anatomy, result)
     if not result.certified and result.least_mm["grid"] < 1e3 * APART_M:
         return result  # it is refused, and rightly so: nothing more is asked
+    if result.where:
+        _contacts(given, anatomy, result, np.random.default_rng([seed, number, 3]))
     rng = np.random.default_rng([seed, number, 2])
     for judge, count, degrees in (("histories", HISTORIES, SMALL_DEG), ("branches", BRANCHES, LARGE_DEG)):
         for _ in range(count):
@@ -237,6 +245,24 @@ def _grid(given: Case, anatomy: RawAnatomy, result: Result) -> None:
             result.least_mm["grid"] = 1e3 * least
             result.where["grid"] = {"share": float(share), "phi": grid[k].tolist()}
     result.true_mm = None if unsolved else 1e3 * least
+
+
+def _contacts(given: Case, anatomy: RawAnatomy, result: Result, rng: np.random.Generator) -> None:
+    robot, shape = given.scenario.robot, (UNEVEN, PARTS, given.scenario.robot.n - 1)
+    extremes = rng.choice((-1.0, 1.0), (2, *shape))
+    worst = np.array(result.where["grid"]["phi"])
+    phi = np.concatenate([extremes[0], np.where(rng.random(shape) < rng.random((UNEVEN, 1, 1)), extremes[1], worst)])
+    for share in np.linspace(0, 1, PLACES):
+        collars = robot.drive.collars(given.way[0] + share * (given.way[1] - given.way[0]))
+        rooms, solved = _rooms(robot, collars, phi, anatomy, "search", 1e-3)
+        near = np.argsort(rooms)[:MOST_FINE]
+        near = near[solved[near] & (rooms[near] < NEAR_M)]
+        if not len(near):
+            continue
+        fine, solved = _rooms(robot, collars, phi[near], anatomy, "certificate", 0.3e-3)
+        least = 1e3 * float(np.where(solved, fine, np.inf).min())
+        if least < result.least_mm.get("contacts", np.inf):
+            result.least_mm["contacts"], result.where["contacts"] = least, {"share": float(share)}
 
 
 def _rooms(
@@ -307,15 +333,16 @@ def known(file: Path, seed: int) -> dict[int, Result]:
 
 def table(results: list[Result]) -> Iterator[str]:
     """Counts by robot and kind, and of all."""
-    yield "| robot | kind | scenes | certified | hit by grid | by histories | by branches | beyond the bound | " + (
-        "1 mm clear | of these certified | largest excess, mm |"
+    yield (
+        "| robot | kind | scenes | certified | hit by grid | by contacts | by histories | by branches | beyond the bound | "
+        + ("1 mm clear | of these certified | largest excess, mm |")
     )
-    yield "|" + "---|" * 11
+    yield "|" + "---|" * 12
     groups = [(name, kind) for name in robots() for kind in ("between", "random")]
     for name, kind in [*groups, ("all", "between"), ("all", "random")]:
         mine = [r for r in results if name in (r.robot, "all") and r.kind == kind]
         sure = [r for r in mine if r.certified]
-        hits = [sum(r.least_mm.get(judge, np.inf) < 0 for r in sure) for judge in ("grid", "histories", "branches")]
+        hits = [sum(r.least_mm.get(judge, np.inf) < 0 for r in sure) for judge in JUDGES]
         beyond = sum(r.beyond_bound_mm > 0 for r in sure)
         clear = [r for r in mine if r.true_mm is not None and min(r.true_mm, *r.least_mm.values()) > 1e3 * APART_M]
         share = f"{100 * sum(r.certified for r in clear) / len(clear):.1f} %" if clear else "-"
