@@ -333,9 +333,9 @@ def known(file: Path, seed: int) -> dict[int, Result]:
 
 def table(results: list[Result]) -> Iterator[str]:
     """Counts by robot and kind, and of all."""
-    yield (
-        "| robot | kind | scenes | certified | hit by grid | by contacts | by histories | by branches | beyond the bound | "
-        + ("1 mm clear | of these certified | largest excess, mm |")
+    hits_by = " | ".join(f"hit by {judge}" for judge in JUDGES)
+    yield f"| robot | kind | scenes | certified | {hits_by} | beyond the bound | " + (
+        "1 mm clear | of these certified | largest excess, mm |"
     )
     yield "|" + "---|" * 12
     groups = [(name, kind) for name in robots() for kind in ("between", "random")]
