@@ -62,7 +62,10 @@ ROWS = (
     ("strain_percent", term("strain", "largest strain")),
     ("nominal_mm", term("clearance", "clearance without friction")),
     ("friction_mm", term("clearance", "clearance, worst friction")),
-    ("clearance_mm", explained("the same, allowances taken off", "Less what grid and mesh may be off by.")),
+    (
+        "sure_mm",
+        explained("same, allowances taken off", "Less what certificates take off for what is not proven."),
+    ),
     ("tip_mm", escaped("tip without friction")),
     ("target_free", escaped("from the goal without friction")),
     ("target_worst", term("worst case at the target", "from the goal at worst")),

@@ -111,11 +111,15 @@ class LiveState:
         return np.array([value * joint.si_per_unit for value, joint in zip(values, joints, strict=True)])
 
     def _clearances(self, joints: Array) -> dict[str, float | None]:
-        """[mm] without friction and of the worst friction state; None in free space."""
+        """[mm] without friction, of the worst friction state, and that less allowances; None in free space."""
         found = pose_clearances(self.scenario, joints)
         if found is None:
-            return {"nominal_mm": None, "friction_mm": None}
-        return {"nominal_mm": found.nominal_m * 1e3, "friction_mm": found.friction_m * 1e3}
+            return dict.fromkeys(("nominal_mm", "friction_mm", "sure_mm"))
+        return {
+            "nominal_mm": found.nominal_m * 1e3,
+            "friction_mm": found.friction_m * 1e3,
+            "sure_mm": found.sure_m * 1e3,
+        }
 
     def _shown(self, q: Array) -> list[float]:
         return [float(x) / joint.si_per_unit for x, joint in zip(q, self.scenario.robot.drive.joints, strict=True)]
