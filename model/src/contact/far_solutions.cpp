@@ -26,7 +26,7 @@ bool FrictionSolver::reach(LaneState& state, double level, Convergence& result, 
     begun_.resize(mesh_.problem(), 1);
     copy(state, begun_, 0);
     int steps = 0;
-    bool is_first = true;
+    bool is_first = true, overtwists = false;
     auto goes = [&](auto way) {  // from where it began
         if (steps >= most_steps) return false;
         if (!is_first) {
@@ -36,6 +36,7 @@ bool FrictionSolver::reach(LaneState& state, double level, Convergence& result, 
         is_first = false;
         way();
         steps += result.iterations;
+        overtwists = overtwists || result.overtwisted;
         return result.converged;
     };
     auto eases = [&] { return robot_.softens() && goes([&] { ease(state, level, result); }); };
@@ -47,9 +48,10 @@ bool FrictionSolver::reach(LaneState& state, double level, Convergence& result, 
     } else {
         found = eases() || slides(kShortSlide);
         if (!found && (loads_first_ = loads())) found = true;
-        found = found || slides(most_steps);
+        found = found || (!overtwists && slides(most_steps));
     }
     result.iterations = steps;
+    result.overtwisted = overtwists && !found;
     return result.converged = found;
 }
 
@@ -138,6 +140,10 @@ void FrictionSolver::slide(LaneState& state, double level, Convergence& result, 
         copy(state, kept_, 0);
         const bool settled = settle(state, level, damping, steps) && moved(state) < kTrust;
         const bool saddle = settled && damping == 0 && turns_away(state, 0) && ++saddles < 5;
+        if (settled && largest_shear(state) > kMostShear) {
+            result.overtwisted = true;
+            break;
+        }
         if (!settled || saddle) {
             copy(kept_, state, 0);
             weigh(state);
@@ -192,6 +198,15 @@ double FrictionSolver::moved(const LaneState& state) const {
     for (int node = 0; node < pb.nodes; ++node)
         for (int t = 0; t < pb.tubes; ++t)
             most = std::max(most, std::fabs(state.unknown(node, 5 * t, 0) - kept_.unknown(node, 5 * t, 0)));
+    return most;
+}
+
+double FrictionSolver::largest_shear(const LaneState& state) const {
+    const KernelProblem& pb = mesh_.problem();
+    double most = 0;
+    for (int e = 0; e < pb.elements; ++e)
+        for (int t = 0; t < pb.element_tubes[e]; ++t)
+            most = std::max(most, pb.outer_radius[t] * std::fabs(state.unknown(e + 1, 5 * t, 0) - state.unknown(e, 5 * t, 0)) / pb.length[e]);
     return most;
 }
 
