@@ -15,7 +15,7 @@ namespace {
 // take ten seconds or so.
 constexpr int kFarSteps = 6000;
 constexpr double kFarWork = 5e8;
-constexpr int kLong = 1000;  // Newton steps in which a corner was reached
+constexpr int kLong = 100;  // Newton steps of a corner after which the next ones are tried from those that were reached
 
 }  // namespace
 
@@ -179,7 +179,7 @@ int BoundSolver::neighbour(int corner, int pair) const {
 }
 
 // Into trial_, from a corner that was reached and in which the friction of one pair has the other sign. Once friction has made
-// the robot snap in one corner, which takes a thousand steps to follow, most others lie beyond the same snap.
+// the robot snap in one corner, which takes hundreds of steps to follow, most others lie beyond the same snap.
 bool BoundSolver::reach_from_neighbour(int corner, Convergence& result) {
     constexpr double kMotion = 10;  // in degrees, what turned friction is like
     const BarrierPath path = BarrierPath::warm(kMotion, solver_.last_barrier());
