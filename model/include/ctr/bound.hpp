@@ -102,7 +102,7 @@ class BoundSolver {
     void solve_corners();
     void lay_out(int corners);
     bool shares_steps() const { return batches_.size() > 4; }  // memory counts from six tubes on: factors of the last batch alone
-    void grant_far_steps();
+    void grant_far_steps(double share);
     void reach_far(LaneState& state, double level, Convergence& result);
     void reach_corner(std::size_t batch, int lane);
     bool reach_from_neighbour(int corner, Convergence& result);

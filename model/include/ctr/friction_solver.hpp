@@ -110,11 +110,13 @@ class FrictionSolver {
     double last_level() const { return last_barrier_ * barrier_unit_; }  // N/m
 
   private:
+    struct SlideState;  // of a slide that may be gone on with
     double rounding() const;
     void scale(const Configuration& q, const Accuracy& accuracy);
     void lengthen(LaneState& state, double* primal, double* dual);
     bool load_friction(LaneState& state, double level, Convergence& result, int most_steps);
     bool ease(LaneState& state, double level, Convergence& result);
+    void slide_on(LaneState& state, SlideState& at, Convergence& result, int most_steps);
     bool settle(LaneState& state, double level, double damping, int& steps);
     double moved(const LaneState& state) const;  // rad, since the anchor
     double largest_shear(const LaneState& state) const;  // of one lane: r_out * twist rate
@@ -129,7 +131,7 @@ class FrictionSolver {
     std::array<double, kLanes> load_change_{};  // per lane, the last one of the moments of the loads, over their size
     std::vector<double> load_begun_, load_step_, load_step_before_;  // of converge_load_moments()
     LaneState kept_;  // of slide() and ease(): the iterate to go back to, and the anchor
-    LaneState begun_;  // of reach(): where it began
+    LaneState begun_, slid_;  // of reach(): where it began, and where a slide stopped short
     std::unique_ptr<ExactGeometry> exact_;
     bool is_exact_ = false;  // accuracy built for
     bool loads_first_ = false;  // of reach(): on this mesh friction that grows got there where sliding did not

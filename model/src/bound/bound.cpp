@@ -11,10 +11,10 @@
 namespace ctr {
 namespace {
 
-// For all corners of a bound that Newton's method does not reach by itself: Newton steps, and numbers eliminated in them, which
-// take ten seconds or so.
-constexpr int kFarSteps = 6000;
-constexpr double kFarWork = 5e8;
+// For all corners of a bound that Newton's method does not reach by itself: operations of an elimination, which take ten seconds
+// or so.
+constexpr double kFarWork = 1e10;
+constexpr double kRest = 0.25;  // of it, for corners that are tried from those that were reached
 constexpr int kLong = 100;  // Newton steps of a corner after which the next ones are tried from those that were reached
 
 }  // namespace
@@ -102,7 +102,7 @@ BarrierPath BoundSolver::set_out(LaneState& state) {
 
 void BoundSolver::solve_corners() {
     const KernelProblem& pb = solver_.mesh().problem();
-    grant_far_steps();
+    grant_far_steps(1 - kRest);
     unfactored_.assign(batches_.size(), shares_steps());
     std::fill(corner_convergence_.begin(), corner_convergence_.end(), Convergence());
     for (std::size_t b = 0; b < batches_.size(); ++b) {
@@ -119,10 +119,10 @@ void BoundSolver::solve_corners() {
     if (!all_converged() && frictionless_convergence_.converged) reach_rest();
 }
 
-void BoundSolver::grant_far_steps() {
+void BoundSolver::grant_far_steps(double share) {
     const KernelProblem& pb = solver_.mesh().problem();
     took_long_ = false;
-    far_steps_ = static_cast<int>(std::min<double>(kFarSteps, kFarWork / (static_cast<double>(pb.nodes) * pb.stride * pb.stride)));
+    far_steps_ = static_cast<int>(share * kFarWork / (static_cast<double>(pb.nodes) * pb.stride * pb.stride * pb.stride));
 }
 
 // Within what is left of the effort granted; one friction state that is not reached leaves no bound, and no more effort.
@@ -195,9 +195,9 @@ bool BoundSolver::reach_from_neighbour(int corner, Convergence& result) {
     return result.converged = false;
 }
 
-// Once all effort is spent and some corners were reached, the others are tried from these, with as much effort again.
+// Once effort is spent and some corners were reached, the others are tried from these.
 void BoundSolver::reach_rest() {
-    grant_far_steps();
+    grant_far_steps(kRest);
     while (far_steps_ > 0 && reach_from_neighbours() && !all_converged()) {}
     for (int corner = 0; corner < corners_ && far_steps_ > 0 && !overtwisted(); ++corner) {
         Convergence& result = corner_convergence_[corner];

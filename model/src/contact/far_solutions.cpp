@@ -22,6 +22,11 @@ constexpr int kShortSlide = 400;          // that most slides need, before other
 
 }  // namespace
 
+struct FrictionSolver::SlideState {
+    double level, damping = 0;
+    int saddles = 0, wait = 0, patience = 1;  // wait: steps in time before equilibrium is asked for again
+};
+
 bool FrictionSolver::reach(LaneState& state, double level, Convergence& result, int most_steps) {
     begun_.resize(mesh_.problem(), 1);
     copy(state, begun_, 0);
@@ -40,15 +45,28 @@ bool FrictionSolver::reach(LaneState& state, double level, Convergence& result, 
         return result.converged;
     };
     auto eases = [&] { return robot_.softens() && goes([&] { ease(state, level, result); }); };
-    auto slides = [&](int most) { return goes([&] { slide(state, level, result, std::min(most, most_steps - steps)); }); };
+    SlideState at{level};
+    auto slides = [&](int most) { return goes([&] { slide_on(state, at, result, std::min(most, most_steps - steps)); }); };
+    auto slides_on = [&] {
+        return at.damping < kMostDamping && goes([&] {
+            copy(slid_, state, 0);
+            weigh(state);
+            slide_on(state, at, result, most_steps - steps);
+        });
+    };
     auto loads = [&] { return goes([&] { load_friction(state, level, result, most_steps - steps); }); };
     bool found;
     if (loads_first_) {
         found = eases() || loads() || slides(most_steps);
     } else {
         found = eases() || slides(kShortSlide);
+        if (!found) {
+            slid_.share_steps(begun_);
+            slid_.resize(mesh_.problem(), 1);
+            copy(state, slid_, 0);
+        }
         if (!found && (loads_first_ = loads())) found = true;
-        found = found || (!overtwists && slides(most_steps));
+        found = found || (!overtwists && slides_on());
     }
     result.iterations = steps;
     result.overtwisted = overtwists && !found;
@@ -130,9 +148,14 @@ bool FrictionSolver::ease(LaneState& state, double level, Convergence& result) {
 }
 
 void FrictionSolver::slide(LaneState& state, double level, Convergence& result, int most_steps) {
+    SlideState at{level};
+    slide_on(state, at, result, most_steps);
+}
+
+void FrictionSolver::slide_on(LaneState& state, SlideState& at, Convergence& result, int most_steps) {
     const KernelProblem& pb = mesh_.problem();
-    double damping = 0;
-    int steps = 0, saddles = 0, wait = 0, patience = 1;  // steps in time before equilibrium is asked for again
+    auto& [level, damping, saddles, wait, patience] = at;
+    int steps = 0;
     result = {};
     result.residual = result.complementarity = std::numeric_limits<double>::infinity();  // until equilibrium is reached
     kept_.resize(pb, 1);
