@@ -111,11 +111,12 @@ def _no_bound(found: Bound) -> str:
     statuses = [found.frictionless.status, *(shape.status for shape in found.corners)]
     if Status.OVERTWISTED in statuses:
         return (
-            "friction at its full limit would wind a tube up, to a shear strain of more than 0.5 (nitinol bears about 0.14), "
-            "before the robot rests: there is no bound at this configuration; less friction, softer curves or other joints have one."
+            "friction at its full limit would wind a tube up, to a shear strain of more than 0.5 (nitinol bears about "
+            "0.14), before the robot rests: no bound at this configuration; less friction or other joints may have one."
         )
     reached = sum(status < Status.FAILED for status in statuses[1:])
-    return f"{reached} of {len(found.corners)} friction corners reached their residual: no bound is promised at this configuration."
+    rule = f"{reached} of {len(found.corners)} friction corners reached their residual: no bound is promised"
+    return f"{rule} at this configuration."
 
 
 def _bounded(robot: Robot, theta_b: Array, l_b: Array, arguments: argparse.Namespace) -> Bound:
