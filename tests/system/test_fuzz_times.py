@@ -1,6 +1,7 @@
 """No robot that a file may hold keeps a command longer than docs/performance.md states.
 
-Robots lie at the ends of what can be made, inputs are small; a few here, 200 of each command with CTRPLAN_FUZZ set (diagnose: 10).
+Robots lie at the ends of what can be made, inputs are small; a few here, with CTRPLAN_FUZZ set
+200 of each command and 10 of diagnose.
 Whatever else is on the terminal than an answer or one sentence is a fault too: warnings are errors.
 """
 
@@ -41,7 +42,7 @@ MOST_TUBES = {
     "field": 3,
     "calibrate": 4,
     "diagnose": 4,
-}  # of others six: grids of more are too large, fits have rows by the dozen
+}  # of others six; larger grids are refused
 MANY = {"diagnose": 10}  # a minute each
 SEEDS = {"ik": 2, "bound --sweep": 2, "simulate": 1, "field": 2, "calibrate": 1, "diagnose": 0, "view": 2}
 
