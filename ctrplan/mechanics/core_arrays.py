@@ -134,7 +134,8 @@ def promised(table: Table) -> Table:
 
 def solved_shape(raw: Any) -> Shape:
     """The Shape of what a solve of the core returns, a _model.Shape; FAILED where it has no stability."""
-    return Shape.of_core(raw, Status(raw.status) if raw.is_finite and isfinite(raw.stability) else Status.FAILED)
+    is_known = raw.status == Status.OVERTWISTED or (raw.is_finite and isfinite(raw.stability))
+    return Shape.of_core(raw, Status(raw.status) if is_known else Status.FAILED)
 
 
 def solved_bound(raw: dict[str, Any]) -> Bound:
