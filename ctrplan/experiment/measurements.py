@@ -30,7 +30,7 @@ class Measurements:
     l_commanded: Array  # (R, n) commanded base translations, m
     rows: NDArray[np.int_]  # (K,) the measured waypoints
     position_m: Array  # (K, 3) tip
-    tangent: Array  # (K, 3) unit tip tangent
+    tangent: Array  # (K, 3) unit tip tangent; NaN where none was measured, one NaN: seen along that axis, `given`
     time_s: Array | None = None  # (R,) clock of the whole experiment
     is_stream: bool = False  # joints and poses logged together on a continuous motion, nothing settles
     more: Mapping[str, Array] = field(default_factory=dict)  # other columns (R,), for localising only
@@ -47,6 +47,21 @@ class Measurements:
     def count(self) -> int:
         """K, the number of poses."""
         return len(self.rows)
+
+    @cached_property
+    def given(self) -> NDArray[np.bool_]:
+        """(K, 5) which of a pose's five numbers were measured: three of the position, two of the tangent.
+
+        A tangent of two components is its direction in the plane of these two axes, as a camera sees it: one number.
+        """
+        components = np.isfinite(self.tangent).sum(axis=1)
+        given: NDArray[np.bool_] = np.column_stack([np.ones((self.count, 3), bool), components >= 2, components == 3])
+        return given
+
+    @property
+    def has_tangents(self) -> bool:
+        """Whether any pose has more than a position."""
+        return bool(self.given[:, 3].any())
 
     @cached_property
     def configuration(self) -> NDArray[np.int_]:

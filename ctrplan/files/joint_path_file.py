@@ -38,8 +38,8 @@ def load_joint_path(path: str | os.PathLike[str], robot: Robot) -> JointPath:
     return joint_path(CsvTable(file_name(path, "a CSV file"), "joint path"), robot)
 
 
-def joint_path(table: CsvTable, robot: Robot, needed: Sequence[str] = ()) -> JointPath:
-    """The waypoints of `robot` in a table, checked; `needed` are columns that must be there besides."""
+def joint_path(table: CsvTable, robot: Robot, needed: Sequence[str] = (), known: Sequence[str] = ()) -> JointPath:
+    """The waypoints of `robot` in a table, checked; `needed` are columns that must be there besides, `known` may be."""
     rotations, translations = joint_columns(robot.n)
     _check_columns(table, robot.n, (*rotations, *translations, *needed))
     theta = np.column_stack([table.numbers(name) for name in rotations])
@@ -48,8 +48,8 @@ def joint_path(table: CsvTable, robot: Robot, needed: Sequence[str] = ()) -> Joi
     time_s = table.numbers("time_s") if "time_s" in table.header else None
     _check_order(table, sequence, time_s)
     _check_joints(table, theta, l, robot)
-    known = {"sequence", "time_s", *rotations, *translations, *needed}
-    return JointPath(theta, l, sequence.astype(int), time_s, table.file, table.others(known))
+    read = {"sequence", "time_s", *rotations, *translations, *needed, *known}
+    return JointPath(theta, l, sequence.astype(int), time_s, table.file, table.others(read))
 
 
 def _check_columns(table: CsvTable, n: int, needed: Sequence[str]) -> None:

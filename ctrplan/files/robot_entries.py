@@ -53,7 +53,7 @@ class MeasurementEntry(Struct, forbid_unknown_fields=True):
     """[measurement]: standard deviations of each coordinate and of a rotation of the tangent about each axis."""
 
     position_sigma_mm: Annotated[float, Meta(ge=1e-6, le=1000)]
-    tangent_sigma_deg: Annotated[float, Meta(ge=1e-6, le=180)]
+    tangent_sigma_deg: Annotated[float, Meta(ge=1e-6, le=180)] | None = None  # of a tracker of positions alone
 
 
 class UncertaintyEntry(Struct, forbid_unknown_fields=True):
