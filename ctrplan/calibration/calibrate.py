@@ -135,12 +135,14 @@ def calibrate(
     """Fits `parameters`, then with these held `second_pass`, to measured poses.
 
     Names: a number of the robot such as tube.2.poisson_ratio (SI), effects.friction.mu_1 for one of an effect,
-    or one of the base parameters; None: all of those (precurvature magnitudes, stiffness ratios, Poisson's ratios).
+    effects.friction for all of them that the data can test, or one of the base parameters, "calibration" for all;
+    None: all of those (precurvature magnitudes, stiffness ratios, Poisson's ratios).
     `priors` are standard deviations and `bounds` limits, by name. `held_out` is the share of configurations kept aside.
     Poses that went wrong, `gross_outliers.py`, are left out of all fits and errors, and a note names their rows.
     Raises InputError for unknown names, for names given twice and for too few poses.
     """
-    names = _base_names(robot) if parameters is None else list(parameters)
+    names = _spelled_out(["calibration"] if parameters is None else parameters, robot, measurements)
+    second_pass = _spelled_out(second_pass, robot, measurements)
     for name in names:
         if [*names, *second_pass].count(name) > 1:
             raise InputError("is named twice", key=name)
@@ -174,6 +176,23 @@ def _without_outliers(
 
 def _base_names(robot: Robot) -> list[str]:
     return [p.name for p in BaseParameters().parameters(robot) if p.name != ABSOLUTE_STIFFNESS]
+
+
+def _spelled_out(names: Sequence[str], robot: Robot, data: Measurements) -> list[str]:
+    """Names with "calibration" and whole effects in the place of their parameters."""
+    spelled: list[str] = []
+    for name in names:
+        kind, _, effect = name.partition(".")
+        if name == BaseParameters.name:
+            spelled += _base_names(robot)
+        elif kind == "effects" and effect in CATALOGUE:
+            if reason := CATALOGUE[effect].untestable(robot, data):
+                raise InputError(f"can't be fitted: {reason}", file=data.file, key=name)
+            widest = max(CATALOGUE[effect].variants(robot, data), key=len)
+            spelled += [f"{name}.{parameter}" for parameter in widest]
+        else:
+            spelled.append(name)
+    return spelled
 
 
 def _terms(

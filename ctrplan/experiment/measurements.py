@@ -37,6 +37,8 @@ class Measurements:
     file: str | None = None
     sha256: str = ""
     warnings: tuple[str, ...] = ()
+    frame: NDArray[np.int_] | None = None  # (R,) number, from 1, of the tracker's frame where it was set up anew
+    of_collars: bool = False  # whether joints are those of the collars, so that the drive's effects are in them
 
     @property
     def n(self) -> int:
@@ -47,6 +49,11 @@ class Measurements:
     def count(self) -> int:
         """K, the number of poses."""
         return len(self.rows)
+
+    @property
+    def frames(self) -> NDArray[np.int_]:
+        """(R,) number, from 1, of the tracker's frame at each waypoint."""
+        return np.ones(len(self.sequence), int) if self.frame is None else self.frame
 
     @cached_property
     def given(self) -> NDArray[np.bool_]:

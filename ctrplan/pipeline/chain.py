@@ -53,10 +53,15 @@ class Chain:
                 ideal = with_values(ideal, given.effect.mechanics(given.values, ideal))
         return cls(ideal, tuple(given for given in acting if not given.effect.sets_outright))
 
-    def on(self, time_s: Array | None, more: Mapping[str, Array]) -> Chain:
-        """The same without effects that need a column which these data do not have."""
+    def on(self, time_s: Array | None, more: Mapping[str, Array], *, of_collars: bool = False) -> Chain:
+        """The same without effects that need a column which these data do not have.
+
+        of_collars: joints are those of the collars, which the drive has moved already.
+        """
         able = [given for given in self.acting if not given.effect.missing_columns(time_s, more)]
-        return replace(self, acting=tuple(able))
+        return replace(
+            self, acting=tuple(given for given in able if not (of_collars and given.effect.stage == "drive"))
+        )
 
     def collars(self, data: Measurements, directions: Array) -> Collars:
         """Where the collars stand, (K, n), when the K poses are taken; `directions` (K, 2 n) of the last motions."""

@@ -26,6 +26,7 @@ from ctrplan.robot.named_numbers import value_of, with_values
 from ctrplan.robot.robot import Robot
 from ctrplan.sensor.poses import Poses, frames_along
 
+DRIVEN_ALREADY = "the file has the joints of the collars, the drive's effects are in them"
 STEP = 1e-4  # of a parameter's prior, for the stages that are arithmetic
 COARSE_STEP = 0.02  # of a parameter's prior, where the mechanics are differenced
 
@@ -87,11 +88,13 @@ class ParametricChain:
         self.lower = np.array([p.lower for p in self.parameters]) * self.si
         self.upper = np.array([p.upper for p in self.parameters]) * self.si
         self.correction: tuple[Array, Array] | None = None  # (K, 3) each: what a finer mesh adds to position, tangent
-        self._in_file = Chain.of(robot).on(data.time_s, data.more)
+        self._in_file = Chain.of(robot).on(data.time_s, data.more, of_collars=data.of_collars)
         self._across: Array | None = None
         for t in self.terms:
             if missing := t.effect.missing_columns(data.time_s, data.more):
                 raise InputError(f"needs a column {', '.join(missing)}", file=data.file, key=f"effects.{t.name}")
+            if data.of_collars and t.effect.stage == "drive":
+                raise InputError(DRIVEN_ALREADY, file=data.file, key=f"effects.{t.name}")
 
     @property
     def start(self) -> Array:

@@ -102,7 +102,7 @@ def simulate(
     """
     told, stop = progress or (lambda *_: None), interrupted or threading.Event()
     rows: list[Array] = []
-    count, chain = len(path.theta_commanded), Chain.of(robot).on(path.time_s, path.more)
+    count, chain = len(path.theta_commanded), Chain.of(robot).on(path.time_s, path.more, of_collars=path.of_collars)
     for run in path.runs:
         history = History(robot.mechanics, start, accuracy=accuracy)
         for place, *commanded, theta, l in _driven_legs(robot, chain, path, run):  # noqa: E741 (as in the equations)
@@ -225,7 +225,7 @@ def _simulation(
     bounds = robot.bound_many(theta, l, accuracy=accuracy, progress=lambda share: told("bounds", share))
     every = Chain.of(robot)
     chain, samples = (
-        every.on(path.time_s, path.more),
+        every.on(path.time_s, path.more, of_collars=path.of_collars),
         _samples(path, place[:, 0], Collars(theta_commanded, l_commanded)),
     )
     return Simulation(
@@ -242,5 +242,5 @@ def _simulation(
         status=status[:, 0].astype(int),
         bounds=bounds,
         measured=_measured(chain, samples, collars, phi, np.hstack([position_m, tangent])),
-        warnings=tuple(_left_out(every, path)),
+        warnings=(*path.notes, *_left_out(every, path)),
     )
