@@ -19,7 +19,8 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.calibrate import PAPER
 from ctrplan.calibration.residuals import Noise
 from ctrplan.experiment.friction_states import friction_state, last_directions
-from ctrplan.experiment.measurements import LONGEST_LAG_S, SAME_ROTATION_RAD, SAME_TRANSLATION_M, Measurements
+from ctrplan.experiment.measurements import LONGEST_LAG_S, Measurements
+from ctrplan.experiment.motion import rest_began
 
 LEAST_SPARE = 20  # repeats beyond the first of their kind: the noise is then known to about 10 %
 LEAST_WINDOWS = 100  # of differences, which overlap
@@ -69,16 +70,12 @@ def repeats(data: Measurements) -> NDArray[np.int_]:
 
 def standstills(data: Measurements) -> NDArray[np.int_]:
     """(K,) number that a few consecutive poses share between which no joint moved, once a late tracker has settled."""
-    joints = np.hstack([data.theta_commanded, data.l_commanded])
-    limit = np.repeat([SAME_ROTATION_RAD, SAME_TRANSLATION_M], data.n)
-    moved = np.any(np.abs(np.diff(joints, axis=0)) > limit, axis=1) | (np.diff(data.sequence) != 0)
-    rest = np.cumsum(np.concatenate([[True], moved]))  # (R,) number of the standstill that each waypoint belongs to
-    began = np.flatnonzero(np.concatenate([[True], moved]))[rest - 1]
-    time_s = np.arange(len(rest)) * LONGEST_LAG_S / 2 if data.time_s is None else data.time_s
+    began = rest_began(data)
+    time_s = np.arange(len(began)) * LONGEST_LAG_S / 2 if data.time_s is None else data.time_s
     settled = (time_s - time_s[began] > LONGEST_LAG_S)[data.rows]
     part = (data.rows - began[data.rows]) // STILL_POSES
     alone = np.arange(data.count) + data.rows.max() + 1  # a kind of its own
-    marks = np.column_stack([rest[data.rows], np.where(settled, part, alone)])
+    marks = np.column_stack([began[data.rows], np.where(settled, part, alone)])
     number: NDArray[np.int_] = np.unique(marks, axis=0, return_inverse=True)[1].ravel()
     return number
 
