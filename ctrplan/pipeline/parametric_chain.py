@@ -172,7 +172,7 @@ class ParametricChain:
         if derivatives:
             upstream = np.concatenate([table.position_by, table.tangent_by], axis=1)
             by += upstream[:, :, : len(names)] @ numbers_by
-            self._joint_columns(p, len(names), upstream, by)
+            self._joint_columns(p, upstream[:, :, len(names) : len(names) + len(joints)], by)
             self._changing_columns(p, upstream[:, :, len(names) + len(joints) :], list(changes), by)
             self._release_columns(p, robot, collars, table, by)
             self._sensor_columns(p, poses, collars, seen, by)
@@ -214,14 +214,16 @@ class ParametricChain:
         changed = np.flatnonzero(by.any(axis=1)).tolist()
         return [names[k] for k in changed], by[changed]
 
-    def _joint_columns(self, p: Array, first: int, upstream: Array, by: Array) -> None:
+    def _joint_columns(self, p: Array, upstream: Array, by: Array) -> None:
+        """Of clock and drive, (K, 6, 2 n) the tips by the collars."""
+
         def joints(p: Array) -> Array:
             collars = self.collars(p)
             return np.hstack([collars.theta, collars.l])
 
         staged = self._stages()
         for j in (*staged["clock"], *staged["drive"]):
-            by[:, :, j] = np.einsum("kcj,kj->kc", upstream[:, :, first:], self._difference(joints, p, j))
+            by[:, :, j] = np.einsum("kcj,kj->kc", upstream, self._difference(joints, p, j))
 
     def _changing_columns(self, p: Array, upstream: Array, names: Sequence[str], by: Array) -> None:
         """Of numbers that differ from pose to pose, (K, 6, C) the tips by them."""
