@@ -72,13 +72,14 @@ def test_tubes_in_one_plane_bend_as_those_that_are_there(count: int, seed: int) 
     robot, rng = robot_of(count), np.random.default_rng(seed)
     lengths = np.array([tube.length_m for tube in robot.tubes])
     l_b = -np.sort(rng.uniform(0, 1, count)) * (lengths - 5e-3)  # tips in any order, in front of the plate
+    l_b[-1] = -lengths[-1] + 0.02 if seed % 2 else l_b[-1]  # or the innermost one drawn back for sure
     l_b = np.minimum.accumulate(l_b)
     expected = planar_tip(robot, l_b)
     np.testing.assert_allclose(robot.zero_clearance(np.zeros(count), l_b).tip_m, expected, atol=2e-6)
     shapes = [robot_of(count, clearance_mm=c).solve(np.zeros(count), l_b) for c in (0.08, 0.005)]
     off = [np.linalg.norm(shape.tip_m - expected) for shape in shapes]
     assert all(shape.status <= Status.MULTIPLE for shape in shapes)
-    assert off[0] < 1e-3 and off[1] < 0.1e-3  # clearance lets tubes tilt; the rest is the solver's
+    assert off[0] < 1e-3 and off[1] < 0.25e-3  # clearance lets tubes tilt, in order or not
     np.testing.assert_allclose(shapes[0].centreline_m[-1], shapes[0].tip_m, atol=1e-9)
 
 
