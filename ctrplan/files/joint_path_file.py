@@ -115,7 +115,9 @@ def _check_joints(table: CsvTable, theta: Array, l: Array, robot: Robot, *, of_c
     driven = (theta, l) if of_collars else robot.collars(theta, l)
     if refused := robot.mechanics.first_refused(theta, l) and robot.mechanics.first_refused(*driven):
         row, rule = refused
-        raise table.fault(nesting_violation(robot, driven[0][row], driven[1][row]) or rule.rstrip("."), row)
+        sentence = nesting_violation(robot, driven[0][row], driven[1][row]) or rule.rstrip(".")
+        hint = " (a tube that may be drawn back has retractable = true)" if "tips in order" in sentence else ""
+        raise table.fault(sentence + hint, row)
 
 
 def _resumed_run(sequence: Array) -> int | None:

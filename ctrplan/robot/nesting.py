@@ -53,8 +53,7 @@ def _sentence(robot: Robot, row: int, l_b: Array) -> str:
         needed = f"the collar of tube {i + 2}" if is_collar else f"room for the compliant shaft of tube {i + 1}"
         return f"{bases} must be at least {apart_m * 1e3:.6g} mm apart, {needed}"
     ends = [f"{(l + tube.length_m) * 1e3:.6g} mm" for l, tube in zip(l_b[i : i + 2], (outer, inner), strict=True)]  # noqa: E741
-    rule = f"{bases} must keep the tips in order, but tube {i + 2} ends at {ends[1]} and tube {i + 1} at {ends[0]}"
-    return f"{rule} (retractable = true in the robot file allows it)"
+    return f"{bases} must keep the tips in order, but tube {i + 2} ends at {ends[1]} and tube {i + 1} at {ends[0]}"
 
 
 def _base(robot: Robot, i: int, l_b: Array) -> str:
