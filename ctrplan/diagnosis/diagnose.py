@@ -212,7 +212,7 @@ def _searched(bench: Workbench, known: Candidates, teller: _Teller) -> tuple[Sel
         teller("calibrating")
         selector.run()
         judgement = judge(selector, selector.found)
-        scaled, note = rescaled_noise(judgement.adequacy, bench.noise, _norms(selector.found.chosen))
+        scaled, note = rescaled_noise(judgement.adequacy, bench.noise, *_norms(selector.found.chosen))
         notes += [note] if note else []
         if scaled is not None:
             again = Workbench(bench.robot, bench.data, scaled, bench.group, bench.fold)
@@ -247,16 +247,16 @@ def _after_held_out_set(
     return replace(judgement, verdict="unexplained", findings=kept), [doubt or note]
 
 
-def _norms(scored: Scored) -> Array:
-    """Of the residuals per pose, without outliers."""
-    norms: Array = scored.fit.residuals.norm[~ignored(scored)]
-    return norms
+def _norms(scored: Scored) -> tuple[Array, Array]:
+    """Of the residuals per pose, without outliers, and how many measured numbers each has."""
+    parts, kept = scored.fit.residuals, ~ignored(scored)
+    return parts.norm[kept], parts.given[kept].sum(axis=1)
 
 
 def _solved(scored: Scored) -> Residuals:
     """Residuals of the poses that chi-squares are of, outliers among them."""
     parts, kept = scored.fit.residuals, ~excused(scored.failed)
-    return Residuals(parts.r[kept], parts.J[kept], parts.weight[kept], parts.raw_norm[kept])
+    return Residuals(parts.r[kept], parts.J[kept], parts.weight[kept], parts.raw_norm[kept], parts.given[kept])
 
 
 def _written(bench: Workbench, chosen: Scored, judgement: Judgement) -> Scored:

@@ -196,7 +196,7 @@ class Workbench:
         p = np.array([known.get(key, value) for key, value in zip(keys, neutral, strict=True)])
         found = residuals(self.data, chain.predict(p), self.noise, self.whitening_group)
         weight = here.fit.residuals.weight
-        whole = Linear(found.r, found.J, weight, 1 / chain.prior**2, p - chain.neutral)
+        whole = Linear(found.r, found.J, weight, 1 / chain.prior**2, p - chain.neutral, found.given)
         screened = []
         for other in others:
             if not other.effect.is_linear:
@@ -237,7 +237,7 @@ def _widened(t: Term, p: Array) -> Term:
 def linear(found: Fit) -> Linear:
     """A fit's own linearisation."""
     parts = found.residuals
-    return Linear(parts.r, parts.J, parts.weight, found.precision, found.p - found.chain.neutral)
+    return Linear(parts.r, parts.J, parts.weight, found.precision, found.p - found.chain.neutral, parts.given)
 
 
 def values_by_name(found: Fit) -> dict[tuple[str, str], float]:

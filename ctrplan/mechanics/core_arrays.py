@@ -69,6 +69,7 @@ def core_tube(tube: Tube) -> _model.Tube:
         softening_fraction=tube.softening_fraction,
         shaft_compliance=tube.shaft_compliance_rad_per_Nm,
         mass_per_length=tube.mass_per_length_kg_m,
+        retractable=tube.retractable,
     )
 
 
