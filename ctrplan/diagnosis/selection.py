@@ -67,8 +67,8 @@ class Selector:
         screened = self.bench.screened(here, self._others(here), self.candidates.completed)
         if not screened:
             return False
-        found.threshold = null_threshold(linear(here.fit), [s.linear for s in screened], self.bench.fold)
-        needed = found.threshold * (CAUTION if remains(self.bench, here).is_adequate else 1.0)
+        found.threshold = self._threshold(here, screened)
+        needed = self._needed(here, found.threshold)
         tried = self.fitted(here, screened)
         if not tried:
             first = screened[0]
@@ -110,8 +110,15 @@ class Selector:
         screened = self.bench.screened(first, self._others(first), self.candidates.completed)
         if not screened:
             return []
-        needed = threshold + null_threshold(linear(first.fit), [s.linear for s in screened], self.bench.fold)
+        needed = threshold + self._threshold(first, screened)
         return [(scored, needed) for scored in self.fitted(first, screened[:SECOND_OF_PAIRS])]
+
+    def _needed(self, here: Scored, threshold: float) -> float:
+        return threshold * (CAUTION if remains(self.bench, here).is_adequate else 1.0)
+
+    def _threshold(self, here: Scored, screened: Sequence[Screened]) -> float:
+        beside = [s.linear for s in screened]
+        return null_threshold(linear(here.fit), beside, self.bench.fold, self.bench.null_draws(here))
 
     def _is_certain(self, candidate: Scored, gain: float, error: float) -> bool:
         """Whether a gain is no matter of a few configurations, or leaves nothing to gain."""

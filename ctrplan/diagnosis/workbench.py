@@ -13,6 +13,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.base_parameters import ABSOLUTE_STIFFNESS, BaseParameters
 from ctrplan.calibration.least_squares import Fit, fit, fit_at
 from ctrplan.calibration.residuals import UNSOUND, Noise, residuals, robust_square
+from ctrplan.diagnosis.chance import white
 from ctrplan.diagnosis.held_out import Linear, held_out_loss
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.pipeline.friction_path import friction_correction
@@ -83,6 +84,14 @@ class Workbench:
         names = [parameter.name for parameter in effect.parameters(self.robot)]
         return term(effect, [name for name in names if loaded or name != ABSOLUTE_STIFFNESS], self.robot)
 
+    def basis(self, terms: Sequence[Term]) -> list[Term]:
+        """What is fitted besides `terms`, whatever they are."""
+        return [self.base(terms)]
+
+    def null_draws(self, here: Scored) -> Array:
+        """(5 K, D) residuals as they would be if nothing were missing beside a fit."""
+        return white(here.fit.residuals.r.size)
+
     def scored(self, terms: Sequence[Term], *near: Fit | None) -> Scored:
         """The base and `terms` fitted together, from the values of a fit in `near` where it has them.
 
@@ -96,7 +105,7 @@ class Workbench:
         if known is None or places:
             self.pause()
             tried += places
-            chain = self._chain([self.base(terms), *terms])
+            chain = self._chain([*self.basis(terms), *terms])
             start, promised = self._start(chain, places, compared=known is not None)
             if known is None or promised < known.fit.residuals.loss - WORTH_ANOTHER:
                 found = self._fitted(tuple(terms), chain, start)
@@ -176,8 +185,7 @@ class Workbench:
             ]
             if all(a is b for a, b in zip(terms, chain.terms, strict=True)):
                 break
-            wide = ParametricChain(self.robot, self.data, terms)
-            wide.correction = chain.correction
+            wide = chain.with_terms(terms)
             scored = replace(scored, fit=fit(wide, self.noise, self.whitening_group, p))
         return scored
 
@@ -189,7 +197,7 @@ class Workbench:
         `completed` adds what a variant needs to the terms that it stands beside.
         """
         merged = _merged([*here.terms, *others], self.robot)
-        chain = self._chain([self.base(merged), *merged])
+        chain = self._chain([*self.basis(merged), *merged])
         known = values_by_name(here.fit)
         keys = [(t.name, p.name) for t in chain.terms for p in t.parameters]
         neutral = [_vanishing(p.start, p.neutral) * p.si for p in chain.parameters]
@@ -203,7 +211,7 @@ class Workbench:
                 screened.append(self._tried_out(here, other, completed))
                 continue
             same = [t for t in here.terms if t.name != other.name]
-            wanted = {(t.name, q.name) for t in (self.base([*same, other]), *same, other) for q in t.parameters}
+            wanted = {(t.name, q.name) for t in (*self.basis([*same, other]), *same, other) for q in t.parameters}
             columns = whole.columns([k for k, key in enumerate(keys) if key in wanted]).refitted()
             screened.append(Screened(other, columns, float(-held_out_loss(columns, self.fold).sum() / 2)))
         return sorted(screened, key=lambda s: -s.score)
@@ -213,7 +221,7 @@ class Workbench:
     ) -> Screened:
         """A variant that does not act in proportion, linearised where its first step promises most."""
         terms = completed([t for t in here.terms if t.name != other.name], other)
-        chain = self._chain([self.base(terms), *terms])
+        chain = self._chain([*self.basis(terms), *terms])
         start, _ = self._start(chain, [here.fit])
         there = linear(fit_at(chain, self.noise, self.whitening_group, start)).refitted()
         return Screened(other, there, float(-held_out_loss(there, self.fold).sum() / 2))
