@@ -22,9 +22,7 @@ def white(count: int) -> Array:
     return noise
 
 
-def null_threshold(
-    here: Linear, beside: Sequence[Linear], fold: NDArray[np.int_], draws: Array | None = None
-) -> float:
+def null_threshold(here: Linear, beside: Sequence[Linear], fold: NDArray[np.int_], draws: Array | None = None) -> float:
     """Gain in held-out log-likelihood that the best of all candidates exceeds in 2 % of draws (5 K, D) of noise.
 
     Without any, the draws are white.

@@ -67,7 +67,7 @@ class CorrelatedBench(Workbench):
 
     def null_draws(self, here: Scored) -> Array:
         """(5 K, D) surrogates of what remains of a fit, whitened as that is."""
-        left = self._coloured(here.fit.residuals.r)
+        left = self.coloured(here.fit.residuals.r)
         if self.data.is_stream:
             drawn = surrogates.of_motion(left, self._run, DRAWS)
         else:
@@ -78,7 +78,7 @@ class CorrelatedBench(Workbench):
 
     def left_out_m(self, fit: Fit) -> Array:
         """(K, 3) [m] errors of the position when a pose's fold had not been fitted."""
-        left = self._coloured(held_out_residuals(linear(fit), self.fold))
+        left = self.coloured(held_out_residuals(linear(fit), self.fold))
         errors: Array = left[:, :3] * self.plain.position_m
         return errors
 
@@ -91,21 +91,23 @@ class CorrelatedBench(Workbench):
         run: NDArray[np.int_] = self.data.sequence[self.data.rows]
         return run
 
-    def _coloured(self, values: Array) -> Array:
+    def coloured(self, values: Array) -> Array:
+        """Whitened numbers (K, 5, ...) as they are over the noise alone."""
         return self._discrepancy.coloured(values) if self._discrepancy else values
 
     def _settled(self, scored: Scored) -> Scored:
         """States and discrepancy as a fit has them, and the set fitted again with both."""
         if self.data.is_stream and self.robot.n > 1:
             self._phi = self._followed(scored)
-        self.noise = replace(self.plain, discrepancy=self._estimated(scored))
+        self.noise = replace(self.plain, discrepancy=self.estimated(scored))
         self._done.clear()
         self._tried.clear()
         return self.scored(scored.terms, scored.fit)
 
-    def _estimated(self, scored: Scored) -> Discrepancy:
+    def estimated(self, scored: Scored) -> Discrepancy:
+        """The most probable discrepancy beside a fit."""
         parts, solved = scored.fit.residuals, ~scored.failed[:, None]
-        r, J = self._coloured(parts.r) * solved, self._coloured(parts.J) * solved[:, :, None]
+        r, J = self.coloured(parts.r) * solved, self.coloured(parts.J) * solved[:, :, None]
         offset = scored.fit.p - scored.fit.chain.neutral
         left = Linearised(r + J @ offset, J, scored.fit.precision)
         if not self.data.is_stream or self.data.time_s is None:

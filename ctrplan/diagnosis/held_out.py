@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.residuals import PER_POSE, robust_square
+from ctrplan.calibration.residuals import PER_POSE, information_inverse, robust_square
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +34,12 @@ class Linear:
         H, gradient = self._system()
         step = _solved(H, gradient - self.precision * self.offset)
         return Linear(self.r - self.J @ step, self.J, self.weight, self.precision, self.offset + step)
+
+    def covariance(self) -> Array:
+        """(P, P) of the parameters."""
+        root = information_inverse(self.J, self.weight, self.precision)
+        covariance: Array = root @ root.T
+        return covariance
 
     def _system(self) -> tuple[Array, Array]:
         J, w = self.J.reshape(-1, self.J.shape[2]), np.repeat(self.weight, PER_POSE)

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from ctrplan.diagnosis.candidates import Candidates
 from ctrplan.diagnosis.correlated_bench import FRAME, CorrelatedBench
-from ctrplan.diagnosis.selection import Report, Selection, Selector
+from ctrplan.diagnosis.selection import Report, Selection, Selector, step
 from ctrplan.diagnosis.workbench import Scored
 
 MOST_PARTS = 5  # effects named beside a rest that nothing explains
 TIMES_CHANCE = 3.0  # the gain that surrogates of the residual exceed in 2 % of draws
-LEAST_Z = 4.0  # standard errors over blocks
+CERTAIN_AT_FIRST = 3.0  # standard errors over blocks, while what is still missing is part of the discrepancy
 
 
 class PartialSelector(Selector):
     """Searches a `CorrelatedBench`, where a residual never has to look like noise."""
 
     def __init__(self, bench: CorrelatedBench, candidates: Candidates, tell: Report = lambda _: None) -> None:
+        """bench: with nothing estimated yet; tell: called with a sentence before each round of fits."""
         super().__init__(bench, testable_beside(candidates, bench), tell)
+        self.partial_bench = bench
         self.found.chosen = bench.begun()
 
     def run(self) -> Selection:
@@ -25,15 +27,29 @@ class PartialSelector(Selector):
             pass
         return self.found
 
-    def _needed(self, here: Scored, threshold: float) -> float:
-        return TIMES_CHANCE * threshold
+    def chance(self, chosen: Scored) -> float:
+        """Gain of the best candidate beside a set that surrogates of its residual exceed in 2 % of draws."""
+        others = self._others(chosen)
+        screened = self.bench.screened(chosen, others, self.candidates.completed)
+        return self._threshold(chosen, screened) if screened else 0.0
 
-    def _is_certain(self, candidate: Scored, gain: float, error: float) -> bool:
-        return gain > LEAST_Z * error
-
-    def _grow_by_two(self, found: Selection, tried: object) -> bool:
-        """No pairs: where a rest remains in any case, two that need each other stand in for something else."""
-        return False
+    def _grow(self, found: Selection) -> bool:
+        """The first of the best candidates that is certain; another one may need it to become so."""
+        here = found.chosen
+        self.tell("trying effects beside " + (", ".join(here.names) or "a rest"))
+        screened = self.bench.screened(here, self._others(here), self.candidates.completed)
+        if not screened:
+            return False
+        found.threshold = TIMES_CHANCE * self._threshold(here, screened)
+        taken = None
+        for candidate in self.fitted(here, screened):
+            gain, error = self.bench.difference(candidate, here)
+            passes = taken is None and gain > max(found.threshold, CERTAIN_AT_FIRST * error)
+            taken = candidate if passes else taken
+            found.path.append(step("add", candidate.terms[-1], gain, error, found.threshold, passes))
+        if taken is not None:
+            found.chosen = self.bench.corrected(taken)
+        return taken is not None
 
 
 def testable_beside(known: Candidates, bench: CorrelatedBench) -> Candidates:

@@ -60,6 +60,33 @@ class Screened:
     score: float
 
 
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """A linearisation in the parameters of many effects, (effect, parameter), of which any set can be asked."""
+
+    keys: tuple[tuple[str, str], ...]
+    whole: Linear
+    variants: tuple[Term, ...]  # that were asked for besides the fit's own terms
+
+    def of(self, terms: Sequence[Term]) -> Linear:
+        """Of the parameters of some terms; the others stay where they are."""
+        wanted = {(t.name, q.name) for t in terms for q in t.parameters}
+        return self.whole.columns([k for k, key in enumerate(self.keys) if key in wanted])
+
+    def without(self, gone: Term) -> Panel:
+        """With one of its effects taken back to where it does nothing, and none of its parameters."""
+        mine = np.array([name == gone.name for name, _ in self.keys])
+        w = self.whole
+        left = Linear(w.r + w.J[:, :, mine] @ w.offset[mine], w.J, w.weight, w.precision, w.offset)
+        rest = np.flatnonzero(~mine).tolist()
+        return Panel(tuple(self.keys[k] for k in rest), left.columns(rest), self.variants)
+
+    def others(self, among: Sequence[Term]) -> list[Term]:
+        """Variants of effects that are not among the terms."""
+        names = {t.name for t in among}
+        return [t for t in self.variants if t.name not in names]
+
+
 class Workbench:
     """Everything that stays the same while sets of effects are compared."""
 
@@ -196,6 +223,19 @@ class Workbench:
 
         `completed` adds what a variant needs to the terms that it stands beside.
         """
+        panel = self.panel(here, others)
+        screened = []
+        for other in others:
+            if not other.effect.is_linear:
+                screened.append(self._tried_out(here, other, completed))
+                continue
+            same = [t for t in here.terms if t.name != other.name]
+            columns = panel.of([*self.basis([*same, other]), *same, other]).refitted()
+            screened.append(Screened(other, columns, float(-held_out_loss(columns, self.fold).sum() / 2)))
+        return sorted(screened, key=lambda s: -s.score)
+
+    def panel(self, here: Scored, others: Sequence[Term]) -> Panel:
+        """A fit linearised in its own parameters and those of other variants, which vanish there."""
         merged = _merged([*here.terms, *others], self.robot)
         chain = self._chain([*self.basis(merged), *merged])
         known = values_by_name(here.fit)
@@ -205,16 +245,7 @@ class Workbench:
         found = residuals(self.data, chain.predict(p), self.noise, self.whitening_group)
         weight = here.fit.residuals.weight
         whole = Linear(found.r, found.J, weight, 1 / chain.prior**2, p - chain.neutral)
-        screened = []
-        for other in others:
-            if not other.effect.is_linear:
-                screened.append(self._tried_out(here, other, completed))
-                continue
-            same = [t for t in here.terms if t.name != other.name]
-            wanted = {(t.name, q.name) for t in (*self.basis([*same, other]), *same, other) for q in t.parameters}
-            columns = whole.columns([k for k, key in enumerate(keys) if key in wanted]).refitted()
-            screened.append(Screened(other, columns, float(-held_out_loss(columns, self.fold).sum() / 2)))
-        return sorted(screened, key=lambda s: -s.score)
+        return Panel(tuple(keys), whole, tuple(others))
 
     def _tried_out(
         self, here: Scored, other: Term, completed: Callable[[Sequence[Term], Term], Sequence[Term]]
