@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.calibration import discrepancy
 from ctrplan.calibration.discrepancy import Discrepancy, Linearised
-from ctrplan.calibration.least_squares import Fit
+from ctrplan.calibration.least_squares import Fit, fit, fit_at
 from ctrplan.calibration.residuals import Noise
 from ctrplan.calibration.symptoms import PHYSICAL_POISSON
 from ctrplan.diagnosis import surrogates
@@ -29,6 +29,7 @@ from ctrplan.pipeline.parametric_chain import ParametricChain, Term, term
 from ctrplan.robot.robot import Robot
 
 FRAME = "base_misalignment"  # of the robot in the tracker's frame, free in every fit
+HELD = 1e-4  # of a prior, which holds a parameter
 USUAL_FRICTION = 0.2  # coefficient at which states are simulated while nobody knows any
 
 
@@ -42,6 +43,7 @@ class CorrelatedBench(Workbench):
         super().__init__(robot, data, noise, block, fold)
         self.plain, self.restarts = noise, 0
         self._phi: Array | None = None
+        self._handed: dict[Scored, Fit] = {}
 
     def base(self, terms: Sequence[Term]) -> Term:
         """Ordinary calibration with Poisson's ratios that tubes have: nothing unexplained may hide in others."""
@@ -76,11 +78,34 @@ class CorrelatedBench(Workbench):
         flat: Array = whitened.reshape(-1, DRAWS)
         return flat
 
-    def left_out_m(self, fit: Fit) -> Array:
-        """(K, 3) [m] errors of the position when a pose's fold had not been fitted."""
-        left = self.coloured(held_out_residuals(linear(fit), self.fold))
-        errors: Array = left[:, :3] * self.plain.position_m
+    def handed_over(self, scored: Scored) -> Scored:
+        """The set with its effects as they are and all else calibrated anew, every pose counting alike.
+
+        Beside a discrepancy, differences between poses count most, and tell an effect from others. For predictions the
+        rest is an error as any other. The uncertainty stays the one beside the discrepancy.
+        """
+        chain, alike = scored.fit.chain, self._alike(scored)
+        fit = fit_at(chain, self.noise, self.whitening_group, np.clip(alike.p, chain.lower, chain.upper))
+        return replace(scored, fit=fit)
+
+    def left_out_m(self, scored: Scored) -> Array:
+        """(K, 3) [m] errors of the position when a pose's fold had not been fitted, of what is handed over."""
+        alike = self._alike(scored)
+        errors: Array = held_out_residuals(linear(alike), self.fold)[:, :3] * alike.noise.position_m
         return errors
+
+    def _alike(self, scored: Scored) -> Fit:
+        if scored not in self._handed:
+            found = self._discrepancy
+            sizes = (np.hypot(1, found.position), np.hypot(1, found.tangent)) if found else (1.0, 1.0)
+            noise = Noise(self.plain.position_m * sizes[0], self.plain.tangent_rad * sizes[1])
+            chain, p = scored.fit.chain, scored.fit.p
+            terms = [
+                held(t, p[place]) if t.name in scored.names else t
+                for t, place in zip(chain.terms, chain.slices(), strict=True)
+            ]
+            self._handed[scored] = fit(chain.with_terms(terms), noise, self.whitening_group, p)
+        return self._handed[scored]
 
     @property
     def _discrepancy(self) -> Discrepancy | None:
@@ -137,6 +162,14 @@ class CorrelatedBench(Workbench):
         self.restarts = path.restarts
         rule = ParametricChain(self.robot, self.data, chain.terms).friction_state(p)
         return np.where(np.isfinite(path.phi), path.phi, rule)
+
+
+def held(t: Term, p: Array) -> Term:
+    """With priors that leave its parameters (P,) where they are."""
+    held = [
+        replace(q, prior=HELD * q.prior, neutral=float(value) / q.si) for q, value in zip(t.parameters, p, strict=True)
+    ]
+    return Term(t.effect, tuple(held))
 
 
 def frame(robot: Robot) -> Term:

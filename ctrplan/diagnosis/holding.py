@@ -9,7 +9,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.diagnosis.held_out import Linear, held_out_loss
-from ctrplan.diagnosis.workbench import Panel, Workbench
+from ctrplan.diagnosis.workbench import Panel, Workbench, certainty
 from ctrplan.pipeline.parametric_chain import Term
 
 LEAST_Z = 4.0  # standard errors over blocks that the gain of an effect must exceed zero by
@@ -27,6 +27,7 @@ class Evidence:
     term: Term
     gain: float
     error: float  # standard error over blocks
+    z: float  # standard errors by which gains of blocks, or their signed roots, lie above zero
     chance: float  # what surrogates of the residual exceed in 2 % of draws
     winning: float  # share of the blocks that it predicts better, of those that say something
     weakest_z: float  # beside the competitor that leaves the least
@@ -35,16 +36,11 @@ class Evidence:
     shifted_by: str
 
     @property
-    def z(self) -> float:
-        """The gain over its standard error."""
-        return self.gain / max(self.error, 1e-9)
-
-    @property
     def doubts(self) -> list[str]:
         """Why it does not hold; empty if it does."""
         found = []
         if self.z < LEAST_Z:
-            found.append(f"its gain of {self.gain:.0f} is {self.z:.1f} standard errors over blocks")
+            found.append(f"its gain of {self.gain:.0f} is {self.z:.1f} standard errors above zero over blocks")
         if self.gain < TIMES_CHANCE * self.chance:
             found.append(f"its gain of {self.gain:.0f} is below {TIMES_CHANCE:g} times that of surrogates")
         if self.winning < LEAST_WINNING:
@@ -70,13 +66,14 @@ def evidence(bench: Workbench, panel: Panel, among: Sequence[Term], t: Term, cha
     for other in others:
         both, alone = panel.of([*rest, t, other]), gone.of([*rest, other])
         kept, moved = beside.get(other.name, (np.inf, 0.0))
-        beside[other.name] = min(kept, z(_gains(bench, both, alone))), max(moved, _shift(panel, rest, t, other))
+        beside[other.name] = min(kept, certainty(_gains(bench, both, alone))), max(moved, _shift(panel, rest, t, other))
     weakest = min(beside, key=lambda name: beside[name][0], default="")
     mover = max(beside, key=lambda name: beside[name][1], default="")
     telling = gains[np.abs(gains) > SAYS_SOMETHING]
     return Evidence(
         t,
         *summed(gains),
+        certainty(gains),
         chance,
         float((telling > 0).mean()) if len(telling) else 0.0,
         beside[weakest][0] if weakest else np.inf,
@@ -98,19 +95,12 @@ def in_its_place(bench: Workbench, panel: Panel, among: Sequence[Term], t: Term)
 def _gains(bench: Workbench, with_it: Linear, without_it: Linear) -> Array:
     """(B,) by block, of refits to first order."""
     losses = [held_out_loss(system.refitted(), bench.fold) for system in (with_it, without_it)]
-    number = np.unique(bench.group, return_inverse=True)[1].ravel()
-    return np.asarray(np.bincount(number, weights=(losses[1] - losses[0]) / 2), dtype=np.float64)
+    return bench.by_group((losses[1] - losses[0]) / 2)
 
 
 def summed(gains: Array) -> tuple[float, float]:
     """The sum over blocks (B,) and its standard error."""
     return float(gains.sum()), float(np.sqrt(len(gains)) * gains.std(ddof=1))
-
-
-def z(gains: Array) -> float:
-    """The sum over blocks (B,) over its standard error."""
-    gain, error = summed(gains)
-    return gain / max(error, 1e-9)
 
 
 def _shift(panel: Panel, rest: Sequence[Term], t: Term, other: Term) -> float:
@@ -119,7 +109,8 @@ def _shift(panel: Panel, rest: Sequence[Term], t: Term, other: Term) -> float:
     mine = [_places(panel, terms, t) for terms in ([*rest, t], [*rest, t, other])]
     moved = more.refitted().offset[mine[1]] - plain.refitted().offset[mine[0]]
     spread = plain.covariance()[np.ix_(mine[0], mine[0])]
-    return float(np.sqrt(max(moved @ np.linalg.pinv(spread, hermitian=True) @ moved, 0.0) / len(moved)))
+    distance = float(moved @ np.linalg.pinv(spread, hermitian=True) @ moved)
+    return float(np.sqrt(max(distance, 0.0) / len(moved)))
 
 
 def _places(panel: Panel, terms: Sequence[Term], t: Term) -> list[int]:

@@ -13,6 +13,7 @@ from ctrplan.diagnosis.answer import Answer
 from ctrplan.diagnosis.chi_square import ignored, remains
 from ctrplan.diagnosis.gap import Gap, open_held_out_set
 from ctrplan.diagnosis.localise import Place, localise
+from ctrplan.diagnosis.partly import Partly
 from ctrplan.diagnosis.rescaled_noise import held_out_probability
 from ctrplan.diagnosis.verdict import Judgement, specific
 from ctrplan.diagnosis.workbench import Scored
@@ -35,6 +36,8 @@ class Opened:
 def opened(answer: Answer, data: Measurements) -> Opened:
     """What the poses kept aside say of an answer."""
     kept = answer.split.held_out_set
+    if answer.partly:
+        answer = replace(answer, chosen=_beside_a_rest(answer.partly, answer.chosen))
     aside, group = data.subset(kept), answer.group[kept]
     gap = open_held_out_set(answer.base.fit, answer.chosen.fit, aside, group, answer.noise)
     place = _place(answer, gap)
@@ -78,9 +81,18 @@ def _written(answer: Answer, judgement: Judgement) -> Scored:
     bench, chosen = answer.bench, answer.chosen
     listed = {finding.term.key for finding in judgement.findings}
     kept = [t for t in chosen.terms if t.key in listed]
+    if answer.partly and len(kept) == len(chosen.terms):
+        return chosen
+    if answer.partly:
+        return _beside_a_rest(answer.partly, answer.partly.bench.scored(kept, chosen.fit))
     scored = bench.sized(chosen if len(kept) == len(chosen.terms) else bench.scored(kept, chosen.fit))
     inside = within_file(scored.fit)
     return scored if inside is scored.fit else replace(scored, fit=inside)
+
+
+def _beside_a_rest(found: Partly, scored: Scored) -> Scored:
+    """A set as it is handed over where something remains."""
+    return found.bench.handed_over(found.bench.sized(scored))
 
 
 def _place(answer: Answer, gap: Gap) -> Place:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ctrplan.diagnosis.candidates import Candidates
 from ctrplan.diagnosis.correlated_bench import FRAME, CorrelatedBench
 from ctrplan.diagnosis.selection import Report, Selection, Selector, step
-from ctrplan.diagnosis.workbench import Scored
+from ctrplan.diagnosis.workbench import Scored, certainty
 
 MOST_PARTS = 5  # effects named beside a rest that nothing explains
 TIMES_CHANCE = 3.0  # the gain that surrogates of the residual exceed in 2 % of draws
@@ -44,7 +44,8 @@ class PartialSelector(Selector):
         taken = None
         for candidate in self.fitted(here, screened):
             gain, error = self.bench.difference(candidate, here)
-            passes = taken is None and gain > max(found.threshold, CERTAIN_AT_FIRST * error)
+            sure = certainty(self.bench.by_group((here.held_out - candidate.held_out) / 2)) > CERTAIN_AT_FIRST
+            passes = taken is None and gain > found.threshold and sure
             taken = candidate if passes else taken
             found.path.append(step("add", candidate.terms[-1], gain, error, found.threshold, passes))
         if taken is not None:

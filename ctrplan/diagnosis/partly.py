@@ -12,21 +12,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import rest
 from ctrplan.diagnosis.blocks import block_split, blocks
 from ctrplan.diagnosis.candidates import Candidates
 from ctrplan.diagnosis.chi_square import remains
 from ctrplan.diagnosis.correlated_bench import FRAME, CorrelatedBench
-from ctrplan.diagnosis.held_out import held_out_residuals
 from ctrplan.diagnosis.holding import Evidence, evidence, in_its_place
 from ctrplan.diagnosis.localise import localise
 from ctrplan.diagnosis.partial_search import PartialSelector
 from ctrplan.diagnosis.rest import Rest
 from ctrplan.diagnosis.selection import Report, Step
+from ctrplan.diagnosis.shares import Part, mean_square, part_of
 from ctrplan.diagnosis.verdict import MOST_RIVALS, Alternative, Finding, Judgement, is_close
-from ctrplan.diagnosis.workbench import Panel, Scored, Workbench, linear
+from ctrplan.diagnosis.workbench import Scored, Workbench
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.experiment.split import Split
 from ctrplan.pipeline.parametric_chain import Term
@@ -34,15 +33,6 @@ from ctrplan.robot.robot import Robot
 
 MOST_POSES = 260  # of a continuous motion that are compared; the others stand near them and say the same
 TRIED = 3  # effects that are fitted in the place of one that holds
-
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """An effect of the verdict, with the share of the gap (in squares) that it closes alone, and last of all."""
-
-    evidence: Evidence
-    alone: float
-    last: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +103,7 @@ def partly(
     kept = tuple(f for f in findings if len(f.alternatives) <= MOST_RIVALS)
     left = remains(bench, chosen)
     judgement = Judgement("partial" if kept else "unexplained", kept, left, (), ())
-    shares = tuple(_part(bench, base, chosen, e) for e in found if e.term.key in {f.term.key for f in kept})
+    shares = tuple(part_of(bench, base, chosen, e) for e in found if e.term.key in {f.term.key for f in kept})
     return Partly(
         bench, parts, block, base, chosen, judgement, shares, _rest(bench, chosen, noise), tuple(path), doubted
     )
@@ -180,33 +170,10 @@ def _alternatives(selector: PartialSelector, chosen: Scored, t: Term) -> tuple[A
     return tuple(found)
 
 
-def _part(bench: CorrelatedBench, base: Scored, chosen: Scored, found: Evidence) -> Part:
-    whole = held_out_residuals(linear(base.fit), bench.fold)[:, :3] * bench.plain.position_m
-    before, floor = _square(whole), bench.plain.floor_m**2
-    gap = max(before - floor, 1e-12)
-    after = _square(bench.left_out_m(chosen.fit))
-    if found.term.name == FRAME:
-        alone = _square(bench.left_out_m(bench.scored([]).fit))
-        among = [*bench.basis(chosen.terms), *chosen.terms]
-        panel: Panel = bench.panel(chosen, []).without(found.term)
-        without = panel.of([t for t in among if t.name != FRAME]).refitted()
-        last = _square(bench.coloured(held_out_residuals(without, bench.fold))[:, :3] * bench.plain.position_m)
-        return Part(found, (before - alone) / gap, (last - after) / gap)
-    free = _square(bench.left_out_m(bench.scored([]).fit))
-    alone = _square(bench.left_out_m(bench.scored([found.term], chosen.fit).fit))
-    rest_of = [t for t in chosen.terms if t is not found.term]
-    last = _square(bench.left_out_m(bench.scored(rest_of, chosen.fit).fit))
-    return Part(found, (free - alone) / gap, (last - after) / gap)
-
-
-def _square(error_m: Array) -> float:
-    return float((error_m**2).sum(axis=1).mean())
-
-
 def _rest(bench: CorrelatedBench, chosen: Scored, noise: Noise) -> Rest:
     data, found = bench.data, bench.noise.discrepancy
-    error, floor = bench.left_out_m(chosen.fit), noise.floor_m
-    size = float(np.sqrt(max(_square(error) - floor**2, 0.0)))
+    error, floor = bench.left_out_m(chosen), noise.floor_m
+    size = float(np.sqrt(max(mean_square(error) - floor**2, 0.0)))
     distance = np.linalg.norm(error, axis=1)
     place = localise(data, bench.coloured(chosen.fit.residuals.r), bench.group, distance, floor, "With these effects")
     if data.is_stream:

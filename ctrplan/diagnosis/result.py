@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -27,6 +27,17 @@ from ctrplan.pipeline.parametric_chain import Term
 from ctrplan.robot.robot import Robot
 
 SCHEMA_VERSION = 1
+
+
+class Confirmed(Protocol):
+    """What other runs say of a diagnosis, `confirmation.py`."""
+
+    @property
+    def sentence(self) -> str:
+        """Effect by effect."""
+
+    def to_json(self) -> dict[str, Any]:
+        """For diagnosis.json."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +64,7 @@ class Diagnosis:
     interrupted: bool
     time_s: float
     partly: Partly | None = None  # what remains beside the effects, where that is the verdict
+    confirmations: tuple[Confirmed, ...] = ()  # on other runs, asked once
 
     @property
     def listed(self) -> tuple[Term, ...]:
@@ -90,6 +102,7 @@ class Diagnosis:
             | {"vault": _chi_square(self.gap.chi_square)},
             "path": [asdict(step) for step in self.path],
             "proposals": [_proposal(p) for p in self.proposals],
+            "confirmations": [confirmation.to_json() for confirmation in self.confirmations],
             "notes": list(self.notes),
             "coverage": self.coverage,
             "outlier_rows": list(self.outlier_rows),

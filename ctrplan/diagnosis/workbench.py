@@ -257,11 +257,25 @@ class Workbench:
         there = linear(fit_at(chain, self.noise, self.whitening_group, start)).refitted()
         return Screened(other, there, float(-held_out_loss(there, self.fold).sum() / 2))
 
+    def by_group(self, gain: Array) -> Array:
+        """(B,) sums over poses that count as one, of values (K,)."""
+        number = np.unique(self.group, return_inverse=True)[1].ravel()
+        return np.asarray(np.bincount(number, weights=gain), dtype=np.float64)
+
     def difference(self, a: Scored, b: Scored) -> tuple[float, float]:
         """How much better `a` predicts than `b` (log-likelihood), and the standard error of that over groups."""
-        gain = (b.held_out - a.held_out) / 2
-        by_group = np.bincount(np.unique(self.group, return_inverse=True)[1], weights=gain)
-        return float(gain.sum()), float(np.sqrt(len(by_group)) * by_group.std(ddof=1))
+        by_group = self.by_group((b.held_out - a.held_out) / 2)
+        return float(by_group.sum()), float(np.sqrt(len(by_group)) * by_group.std(ddof=1))
+
+
+def certainty(gains: Array) -> float:
+    """How many standard errors blocks' gains (B,) lie above zero on average, themselves or their signed roots.
+
+    A gain is half the square of how far an effect stands out: where it stands out much in few blocks, roots are nearer
+    to Gaussian.
+    """
+    roots = np.sign(gains) * np.sqrt(np.abs(gains))
+    return max(float(np.sqrt(len(x)) * x.mean() / max(float(x.std(ddof=1)), 1e-9)) for x in (gains, roots))
 
 
 def _widened(t: Term, p: Array) -> Term:
