@@ -61,7 +61,8 @@ def answer(
         if first.interrupted or (first.partly and not first.partly.is_noise):
             return first
     found = _ordinary(data, usable, wrong, bench, parts, known, teller)
-    if found.judgement.verdict != "unexplained" or found.interrupted or is_long:
+    explained = found.judgement.verdict != "unexplained" or found.judgement.adequacy.is_adequate
+    if explained or found.interrupted or is_long:
         return found
     part = _beside_a_rest(found, data, usable, noise, known, teller)
     return part if part.judgement.verdict == "partial" or part.interrupted else found

@@ -101,10 +101,9 @@ def confirm(found: Diagnosis, data: Measurements) -> Confirmation:
     asked = data.subset(some)
     memory = found.partly.rest.memory_s if found.partly else None
     block = blocks(asked, memory or 1.0)
-    if len(np.unique(block)) < LEAST_BLOCKS:
-        rule = (
-            f"has {len(np.unique(block))} usable blocks of poses, too few to confirm anything: at least {LEAST_BLOCKS}"
-        )
+    count = len(np.unique(block))
+    if count < LEAST_BLOCKS:
+        rule = f"has {count} usable blocks of poses, too few to confirm anything: at least {LEAST_BLOCKS}"
         raise InputError(rule, file=data.file)
     noise = _noise(found)
     whole, listed = _predicted(found.chosen.fit, asked, noise), {t.key for t in found.listed}
@@ -114,10 +113,9 @@ def confirm(found: Diagnosis, data: Measurements) -> Confirmation:
         if t.key in listed
     )
     before = _predicted(found.base.fit, asked, noise)
-    errors = [
-        summary(p.distance_m[p.counted & whole.counted], block[p.counted & whole.counted]) for p in (before, whole)
-    ]
-    return Confirmation(data.file or "", data.sha256, asked.count, len(np.unique(block)), *errors, effects)
+    both = before.counted & whole.counted
+    without, with_them = (summary(p.distance_m[both], block[both]) for p in (before, whole))
+    return Confirmation(data.file or "", data.sha256, asked.count, count, without, with_them, effects)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +128,7 @@ class _Predicted:
 def _confirmed(t: Term, whole: _Predicted, rest: _Predicted, block: NDArray[np.int_]) -> Confirmed:
     counted = whole.counted & rest.counted
     number = np.unique(block[counted], return_inverse=True)[1].ravel()
-    gains = np.bincount(number, weights=(rest.loss - whole.loss)[counted] / 2)
+    gains: Array = np.asarray(np.bincount(number, weights=(rest.loss - whole.loss)[counted] / 2), dtype=np.float64)
     z = certainty(gains) if gains.sum() > 0 else -certainty(-gains)
     verdict = "confirmed" if z > CONFIRMED else "contradicted" if z < CONTRADICTED else "not confirmed"
     return Confirmed(t.name, *summed(gains), z, summary(rest.distance_m[counted], block[counted]), verdict)

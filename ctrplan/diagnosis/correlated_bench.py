@@ -88,6 +88,10 @@ class CorrelatedBench(Workbench):
         fit = fit_at(chain, self.noise, self.whitening_group, np.clip(alike.p, chain.lower, chain.upper))
         return replace(scored, fit=fit)
 
+    def over_noise(self, scored: Scored) -> Scored:
+        """The set as it stands against the noise alone, so that what remains shows."""
+        return replace(scored, fit=fit_at(scored.fit.chain, self.plain, self.whitening_group, scored.fit.p))
+
     def left_out_m(self, scored: Scored) -> Array:
         """(K, 3) [m] errors of the position when a pose's fold had not been fitted, of what is handed over."""
         alike = self._alike(scored)

@@ -101,7 +101,7 @@ def partly(
     base = Workbench(robot, bench.data, noise, bench.group, bench.fold).scored([])
     findings = tuple(Finding(e.term, _alternatives(selector, chosen, e.term)) for e in found)
     kept = tuple(f for f in findings if len(f.alternatives) <= MOST_RIVALS)
-    left = remains(bench, chosen)
+    left = remains(bench, bench.over_noise(chosen))
     judgement = Judgement("partial" if kept else "unexplained", kept, left, (), ())
     shares = tuple(part_of(bench, base, chosen, e) for e in found if e.term.key in {f.term.key for f in kept})
     return Partly(

@@ -24,7 +24,7 @@ def streamed(theta: np.ndarray) -> Measurements:
 
 
 def test_a_block_lasts_at_least_two_memories() -> None:
-    data = streamed(np.linspace(0.0, 6.0, 1200))
+    data = streamed(np.linspace(0.1, 3.0, 1200))
     found = blocks(data, memory_s=3.0)
     lasts = [np.ptp(data.time_s[found == number]) for number in np.unique(found)]
     assert min(lasts) > 5.8 and len(lasts) == 19
