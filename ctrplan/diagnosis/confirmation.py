@@ -20,7 +20,7 @@ from ctrplan.calibration.pose_errors import Errors, distances, summary
 from ctrplan.calibration.residuals import Noise, residuals, robust_square
 from ctrplan.calibration.unsolved import excused
 from ctrplan.diagnosis.blocks import blocks
-from ctrplan.diagnosis.correlated_bench import FRAME, frame, held
+from ctrplan.diagnosis.correlated_bench import FRAME, fixed, frame
 from ctrplan.diagnosis.holding import summed
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.usable_poses import usable_poses
@@ -155,7 +155,7 @@ def _without(found: Diagnosis, gone: Term) -> Fit:
 def _predicted(found: Fit, data: Measurements, noise: Noise) -> _Predicted:
     """New poses by a fit that has not seen them, with a frame of their own."""
     terms = [
-        t if t.name == FRAME else held(t, found.p[place])
+        t if t.name == FRAME else fixed(t, found.p[place])
         for t, place in zip(found.chain.terms, found.chain.slices(), strict=True)
     ]
     has_frame = any(t.name == FRAME for t in terms)

@@ -105,7 +105,7 @@ class CorrelatedBench(Workbench):
             noise = Noise(self.plain.position_m * sizes[0], self.plain.tangent_rad * sizes[1])
             chain, p = scored.fit.chain, scored.fit.p
             terms = [
-                held(t, p[place]) if t.name in scored.names else t
+                fixed(t, p[place]) if t.name in scored.names else t
                 for t, place in zip(chain.terms, chain.slices(), strict=True)
             ]
             self._handed[scored] = fit(chain.with_terms(terms), noise, self.whitening_group, p)
@@ -168,7 +168,7 @@ class CorrelatedBench(Workbench):
         return np.where(np.isfinite(path.phi), path.phi, rule)
 
 
-def held(t: Term, p: Array) -> Term:
+def fixed(t: Term, p: Array) -> Term:
     """With priors that leave its parameters (P,) where they are."""
     held = [
         replace(q, prior=HELD * q.prior, neutral=float(value) / q.si) for q, value in zip(t.parameters, p, strict=True)

@@ -17,14 +17,15 @@ from ctrplan.diagnosis import rest
 from ctrplan.diagnosis.blocks import block_split, blocks
 from ctrplan.diagnosis.candidates import Candidates
 from ctrplan.diagnosis.chi_square import remains
-from ctrplan.diagnosis.correlated_bench import FRAME, CorrelatedBench
-from ctrplan.diagnosis.holding import Evidence, evidence, in_its_place
+from ctrplan.diagnosis.correlated_bench import CorrelatedBench
+from ctrplan.diagnosis.held import finding, held
+from ctrplan.diagnosis.holding import Evidence
 from ctrplan.diagnosis.localise import localise
 from ctrplan.diagnosis.partial_search import PartialSelector
 from ctrplan.diagnosis.rest import Rest
 from ctrplan.diagnosis.selection import Report, Step
 from ctrplan.diagnosis.shares import Part, mean_square, part_of
-from ctrplan.diagnosis.verdict import MOST_RIVALS, Alternative, Finding, Judgement, is_close
+from ctrplan.diagnosis.verdict import MOST_RIVALS, Judgement
 from ctrplan.diagnosis.workbench import Scored, Workbench
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.experiment.split import Split
@@ -32,7 +33,6 @@ from ctrplan.pipeline.parametric_chain import Term
 from ctrplan.robot.robot import Robot
 
 MOST_POSES = 260  # of a continuous motion that are compared; the others stand near them and say the same
-TRIED = 3  # effects that are fitted in the place of one that holds
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,16 +96,20 @@ def partly(
     parts = _thinned(block_split(data, usable, block), data)
     bench = CorrelatedBench(robot, data.subset(parts.selection), noise, block[parts.selection], parts.fold)
     selector = PartialSelector(bench, known, tell)
-    path = list(selector.run().path)
-    chosen, found, doubted = _holding(selector, path, tell)
+    searched = selector.run()
+    found = held(selector, searched.chosen)
+    chosen = found.chosen
     base = Workbench(robot, bench.data, noise, bench.group, bench.fold).scored([])
-    findings = tuple(Finding(e.term, _alternatives(selector, chosen, e.term)) for e in found)
-    kept = tuple(f for f in findings if len(f.alternatives) <= MOST_RIVALS)
+    asked = [finding(selector, found, e.term) for e in found.found]
+    kept = tuple(f for f, _ in asked if len(f.alternatives) <= MOST_RIVALS)
+    compared = tuple(a for _, tried in asked for a in tried)
     left = remains(bench, bench.over_noise(chosen))
-    judgement = Judgement("partial" if kept else "unexplained", kept, left, (), ())
-    shares = tuple(part_of(bench, base, chosen, e) for e in found if e.term.key in {f.term.key for f in kept})
+    judgement = Judgement("partial" if kept else "unexplained", kept, left, compared)
+    names = {f.term.key for f in kept}
+    shares = tuple(part_of(bench, base, chosen, e) for e in found.found if e.term.key in names)
+    path = (*searched.path, *found.dropped)
     return Partly(
-        bench, parts, block, base, chosen, judgement, shares, _rest(bench, chosen, noise), tuple(path), doubted
+        bench, parts, block, base, chosen, judgement, shares, _rest(bench, chosen, noise), path, found.doubted
     )
 
 
@@ -130,44 +134,6 @@ def _thinned(parts: Split, data: Measurements) -> Split:
 
 def _step(count: int) -> int:
     return max(1, -(-count // MOST_POSES))
-
-
-def _holding(
-    selector: PartialSelector, path: list[Step], tell: Report
-) -> tuple[Scored, list[Evidence], tuple[Evidence, ...]]:
-    """The set without what does not hold, the least certain dropped first, and the evidence for both."""
-    bench, chosen = selector.partial_bench, selector.found.chosen
-    doubted: list[Evidence] = []
-    while True:
-        tell(f"asking what holds of {', '.join(chosen.names)}" if chosen.terms else "asking what holds")
-        chance = selector.chance(chosen)
-        among = [*bench.basis(chosen.terms), *chosen.terms]
-        panel = bench.panel(chosen, selector.candidates.beside(chosen.terms))
-        asked = [t for t in among if t.name == FRAME or t in chosen.terms]
-        found = [evidence(bench, panel, among, t, chance) for t in asked]
-        failing = [e for e in found if not e.holds and e.term in chosen.terms]
-        if not failing:
-            return chosen, [e for e in found if e.holds], tuple(doubted)
-        worst = min(failing, key=lambda e: e.z)
-        doubted.append(worst)
-        path.append(Step("drop", worst.term.name, (), round(worst.gain, 2), round(worst.error, 2), 0.0, True))
-        rest_of = [t for t in chosen.terms if t is not worst.term]
-        chosen = bench.corrected(bench.scored(rest_of, chosen.fit))
-
-
-def _alternatives(selector: PartialSelector, chosen: Scored, t: Term) -> tuple[Alternative, ...]:
-    """Other effects that do as well in the place of `t`, refitted."""
-    bench = selector.partial_bench
-    among = [*bench.basis(chosen.terms), *chosen.terms]
-    panel = bench.panel(chosen, selector.candidates.beside(chosen.terms))
-    others = [other for other in chosen.terms if other is not t]
-    found = []
-    for other, _, _ in in_its_place(bench, panel, among, t)[:TRIED]:
-        scored = bench.scored([*others, other], chosen.fit)
-        alternative = Alternative(other, scored, *bench.difference(chosen, scored))
-        if t.name != FRAME and is_close(alternative, chosen):
-            found.append(alternative)
-    return tuple(found)
 
 
 def _rest(bench: CorrelatedBench, chosen: Scored, noise: Noise) -> Rest:
