@@ -116,12 +116,9 @@ def _most_probable(
     best, highest = None, -np.inf
     for memory in memories.tolist():
         blocks = tuple(_block(poses, correlation(poses, memory)) for poses in rows)
-        spectrum = _Spectrum(fit, blocks)
-        for position in spectrum.position:
-            for tangent in spectrum.tangent:
-                value = spectrum.evidence(position, tangent)
-                if value > highest:
-                    best, highest = Discrepancy(position.size, tangent.size, memory, blocks), value
+        value, position, tangent = _Spectrum(fit, blocks).highest()
+        if value > highest:
+            best, highest = Discrepancy(position, tangent, memory, blocks), value
     assert best is not None
     return best
 
@@ -163,6 +160,16 @@ class _Spectrum:
             fits = float(np.log(weight).sum() - weight @ y**2)
             found.append(_Part(size, weighted.T @ flat, weighted.T @ y, fits))
         return found
+
+    def highest(self) -> tuple[float, float, float]:
+        """The highest evidence, and the sizes of position and tangent that it has: one by one, until both stay."""
+        position, tangent = self.position[0], self.tangent[0]
+        while True:
+            better = max(self.position, key=lambda part: self.evidence(part, tangent))
+            best = max(self.tangent, key=lambda part: self.evidence(better, part))
+            if better is position and best is tangent:
+                return self.evidence(position, tangent), position.size, tangent.size
+            position, tangent = better, best
 
     def evidence(self, position: _Part, tangent: _Part) -> float:
         """Twice the logarithm of it, up to a constant."""

@@ -22,7 +22,7 @@ from ctrplan.reports.diagnosis_page.page import diagnosis_report_html
 from ctrplan.reports.diagnosis_page.selection_errors import selection_errors
 
 ROBOT = pair_robot()
-PLAN, OTHERS = waypoints(ROBOT, 20), waypoints(ROBOT, 10, seed=5)
+PLAN, OTHERS = waypoints(ROBOT, 18), waypoints(ROBOT, 8, seed=5)
 QUICK = {name: CATALOGUE[name] for name in ("backlash", "tip_load", "joint_scale", "base_misalignment")}
 KNOWN = {"backlash": {"theta_2_deg": 8.0}}
 
