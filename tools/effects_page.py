@@ -27,6 +27,12 @@ writes what would be measured (`measured_x_m` ...) beside where the tip is.
 Backlash depends on the way. `ctrplan simulate` follows it along its path. `ctrplan bound` and plans say how far it
 may move the robot, and plans take that off every clearance.
 
+Effects that turn the front plate (`plate_clearance`, `plate_compliance`, `bent_base`) act in fits and on what
+`simulate` writes as measured. Bounds and shapes stand on a plate that keeps still; the largest turn times the robot's
+length is added to `model_error_mm`. Effects of speed, rest and use (`friction_speed`, `relaxation`,
+`precurvature_loss`) act in fits: a shape at rest is that of full friction and of the tubes as they were at the last
+pose. Bounds hold for less.
+
 This page is made by `python tools/effects_page.py` from the files under `ctrplan/effects/`. How to write another
 effect: [diagnosis](diagnosis.md#a-new-effect).
 """

@@ -22,7 +22,7 @@ from ctrplan.calibration.gross_outliers import gross_outliers, outlier_sentences
 from ctrplan.calibration.identifiability import Combination, combinations
 from ctrplan.calibration.least_squares import Fit, fit
 from ctrplan.calibration.pose_errors import Errors, distances, summary
-from ctrplan.calibration.residuals import PER_POSE, Noise
+from ctrplan.calibration.residuals import Noise
 from ctrplan.calibration.robot_content import calibrated_content, model_error_m, within_file
 from ctrplan.calibration.symptoms import symptoms
 from ctrplan.calibration.unsolved import excused, unsolved_sentence
@@ -39,6 +39,7 @@ from ctrplan.robot.robot import Robot
 Weighting = Literal["stated", "paper"]
 
 PAPER = Noise(1e-3, float(np.radians(1.0)))  # 1 deg of the tangent weighs as much as 1 mm, text at (49)
+NO_TANGENT_SIGMA = "is missing, needed for the tangents of these measurements"
 RELATIVE_PRIOR, LEAST_PRIOR = 0.2, 0.2  # of a named number whose size is known, and of one that is zero
 IN_FILES = (  # keys that a robot file has
     "bending_stiffness_Nm2",
@@ -134,16 +135,18 @@ def calibrate(
     """Fits `parameters`, then with these held `second_pass`, to measured poses.
 
     Names: a number of the robot such as tube.2.poisson_ratio (SI), effects.friction.mu_1 for one of an effect,
-    or one of the base parameters; None: all of those (precurvature magnitudes, stiffness ratios, Poisson's ratios).
+    effects.friction for all of them that the data can test, or one of the base parameters, "calibration" for all;
+    None: all of those (precurvature magnitudes, stiffness ratios, Poisson's ratios).
     `priors` are standard deviations and `bounds` limits, by name. `held_out` is the share of configurations kept aside.
     Poses that went wrong, `gross_outliers.py`, are left out of all fits and errors, and a note names their rows.
     Raises InputError for unknown names, for names given twice and for too few poses.
     """
-    names = _base_names(robot) if parameters is None else list(parameters)
+    names = _spelled_out(["calibration"] if parameters is None else parameters, robot, measurements)
+    second_pass = _spelled_out(second_pass, robot, measurements)
     for name in names:
         if [*names, *second_pass].count(name) > 1:
             raise InputError("is named twice", key=name)
-    noise = _noise(robot, weighting)
+    noise = _noise(robot, measurements, weighting)
     group = groups(measurements)
     aside = _aside(group, held_out, seed)
     terms = _terms(robot, names, priors or {}, bounds or {})
@@ -173,6 +176,23 @@ def _without_outliers(
 
 def _base_names(robot: Robot) -> list[str]:
     return [p.name for p in BaseParameters().parameters(robot) if p.name != ABSOLUTE_STIFFNESS]
+
+
+def _spelled_out(names: Sequence[str], robot: Robot, data: Measurements) -> list[str]:
+    """Names with "calibration" and whole effects in the place of their parameters."""
+    spelled: list[str] = []
+    for name in names:
+        kind, _, effect = name.partition(".")
+        if name == BaseParameters.name:
+            spelled += _base_names(robot)
+        elif kind == "effects" and effect in CATALOGUE:
+            if reason := CATALOGUE[effect].untestable(robot, data):
+                raise InputError(f"can't be fitted: {reason}", file=data.file, key=name)
+            widest = max(CATALOGUE[effect].variants(robot, data), key=len)
+            spelled += [f"{name}.{parameter}" for parameter in widest]
+        else:
+            spelled.append(name)
+    return spelled
 
 
 def _terms(
@@ -205,13 +225,15 @@ def _check_named(robot: Robot, name: str) -> None:
         raise InputError(rule, key=name)
 
 
-def _noise(robot: Robot, weighting: Weighting | None) -> Noise:
+def _noise(robot: Robot, data: Measurements, weighting: Weighting | None) -> Noise:
     stated = robot.measurement
     if weighting == "stated" and stated is None:
         raise InputError("is missing, needed for weights from the stated noise", file=robot.path, key="measurement")
     if stated is None or weighting == "paper":
         return PAPER
-    return Noise(stated.position_sigma_m, stated.tangent_sigma_rad)
+    if stated.tangent_sigma_rad is None and data.has_tangents:
+        raise InputError(NO_TANGENT_SIGMA, file=robot.path, key="measurement.tangent_sigma_deg")
+    return Noise(stated.position_sigma_m, stated.tangent_sigma_rad or PAPER.tangent_rad)
 
 
 def _aside(group: NDArray[np.int_], share: float, seed: int) -> NDArray[np.bool_]:
@@ -224,8 +246,9 @@ def _aside(group: NDArray[np.int_], share: float, seed: int) -> NDArray[np.bool_
 
 def _check_count(data: Measurements, group: NDArray[np.int_], parameters: int) -> None:
     count = len(np.unique(group))
-    if count * PER_POSE < 2 * parameters:
-        least = -(-2 * parameters // PER_POSE)
+    each = int(np.ceil(data.given.sum(axis=1).mean()))  # numbers of a pose
+    if count * each < 2 * parameters:
+        least = -(-2 * parameters // each)
         rule = f"has {count} configurations to fit, too few for {parameters} parameters: at least {least}"
         raise InputError(rule, file=data.file)
 

@@ -1,7 +1,9 @@
 """Differences of measured and predicted poses over the noise.
 
 A pose has five numbers: three of its position, over the standard deviation of a coordinate, and the two components of
-the measured tangent in the plane normal to the predicted one, over the standard deviation of a small rotation.
+the measured tangent in the plane normal to the predicted one, over the standard deviation of a small rotation. Of a
+tangent seen along an axis it is one: how far the predicted tangent is turned out of the plane of sight; one along the
+line of sight says nothing. What was not measured is zero, changes with no parameter, and counts nowhere: `given`.
 Poses of one configuration share the model's own numerical error; their common part counts for less accordingly.
 """
 
@@ -53,6 +55,7 @@ class Residuals:
     J: Array
     weight: Array  # (K,) 1, less for outliers
     raw_norm: Array  # (K,) norm of each pose's five numbers before those of its configuration took their part
+    given: NDArray[np.bool_]  # (K, 5) numbers that were measured; the others are zero in r and J
 
     @property
     def norm(self) -> Array:
@@ -77,27 +80,48 @@ def residuals(
     data: Measurements, prediction: Prediction, noise: Noise, group: Sequence[int] | NDArray[np.int_]
 ) -> Residuals:
     """Residuals of all poses; `group` (K,) numbers the configurations."""
-    plane = _normal_plane(prediction.tangent, data.tangent)
+    given = data.given
+    measured, plane = _compared(prediction.tangent, data.tangent)
     position = (data.position_m - prediction.position_m) / noise.position_m
-    tangent = _tangent_error(prediction.tangent, data.tangent, plane) / noise.tangent_rad
+    tangent = np.where(given[:, 3:], _tangent_error(prediction.tangent, measured, plane) / noise.tangent_rad, 0.0)
     position_by = prediction.position_by / noise.position_m
-    tangent_by = np.einsum("kcx,kxp->kcp", plane, prediction.tangent_by) / noise.tangent_rad
+    tangent_by = np.einsum("kcx,kxp->kcp", plane, prediction.tangent_by) / noise.tangent_rad * given[:, 3:, None]
     r = np.hstack([position, tangent])
     J = np.concatenate([position_by, tangent_by], axis=1)
     shares = np.repeat([MODEL_POSITION_M / noise.position_m, MODEL_TANGENT_RAD / noise.tangent_rad], [3, 2])
-    r, J = _unsound(r, J, prediction.sound)
+    r, J = _unsound(r, J, prediction.sound, given)
     raw_norm = np.linalg.norm(r, axis=1)
-    trust = _weight(raw_norm)
+    trust = _weight(raw_norm)[:, None] * given
     r, J = _whitened(r, np.asarray(group), shares, trust), _whitened(J, np.asarray(group), shares[:, None], trust)
     if noise.discrepancy is not None:
         r, J = noise.discrepancy.whitened(r), noise.discrepancy.whitened(J)
-    return Residuals(r, J, _weight(np.linalg.norm(r, axis=1)), raw_norm)
+    return Residuals(r, J, _weight(np.linalg.norm(r, axis=1)), raw_norm, given)
 
 
 def _weight(norm: Array) -> Array:
     """Huber's weights of norms, (K,)."""
     weight: Array = np.minimum(1.0, ROBUST_LIMIT / np.maximum(norm, 1e-12))
     return weight
+
+
+def _compared(tangent: Array, measured: Array) -> tuple[Array, Array]:
+    """Measured tangents (K, 3) and the axes (K, 2, 3) along which predicted ones are compared with them.
+
+    A tangent without one component is completed by the predicted one's, which leaves the angle between the two in the
+    plane that was seen, times the share of the predicted tangent in that plane.
+    """
+    missing = ~np.isfinite(measured)
+    seen = np.where(missing, 0.0, measured)
+    flat = missing.sum(axis=1) == 1
+    inside = np.linalg.norm(np.where(missing, 0.0, tangent), axis=1, keepdims=True)
+    seen = np.where(flat[:, None], np.where(missing, tangent, inside * seen), seen)
+    whole = np.where((missing.sum(axis=1) > 1)[:, None], tangent, seen)
+    plane = _normal_plane(tangent, whole)
+    sight = np.cross(missing.astype(float), whole)  # across the line of sight and the measured direction
+    across = sight - np.sum(sight * tangent, axis=1, keepdims=True) * tangent
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+    plane[flat, 0] = across[flat]
+    return whole, plane
 
 
 def _normal_plane(tangent: Array, measured: Array) -> Array:
@@ -120,22 +144,22 @@ def _tangent_error(tangent: Array, measured: Array, plane: Array) -> Array:
 def _whitened(values: Array, group: NDArray[np.int_], share: Array, trust: Array) -> Array:
     """Unit covariance after 1 + share^2 within groups: the mean of a group of m shrinks by 1 / sqrt(1 + m share^2).
 
-    `trust` (K,) keeps an outlier out of the mean that its neighbours share.
+    `trust` (K, 5) keeps an outlier, and what was not measured, out of the mean that its neighbours share.
     """
     numbers, number = np.unique(group, return_inverse=True)
-    column = trust.reshape(-1, *[1] * (values.ndim - 1))
-    sums = np.zeros((len(numbers), *values.shape[1:]))
+    column = trust.reshape(*trust.shape, *[1] * (values.ndim - 2))
+    sums, m = np.zeros((len(numbers), *values.shape[1:])), np.zeros((len(numbers), *column.shape[1:]))
     np.add.at(sums, number, column * values)
-    m = np.bincount(number, weights=trust).reshape(-1, *[1] * (values.ndim - 1))
-    pull = (1 - 1 / np.sqrt(1 + m * share**2)) * sums / m
-    whitened: Array = values - pull[number]
+    np.add.at(m, number, column)
+    pull = (1 - 1 / np.sqrt(1 + m * share**2)) * sums / np.maximum(m, 1e-12)
+    whitened: Array = values - np.where(column > 0, pull[number], 0.0)
     return whitened
 
 
-def _unsound(r: Array, J: Array, sound: NDArray[np.bool_]) -> tuple[Array, Array]:
+def _unsound(r: Array, J: Array, sound: NDArray[np.bool_], given: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Poses that were not solved carry a large residual that no parameter changes."""
     r, J = np.nan_to_num(r), np.nan_to_num(J)
-    r[~sound], J[~sound] = UNSOUND / np.sqrt(PER_POSE), 0.0
+    r[~sound], J[~sound] = (UNSOUND * given / np.sqrt(given.sum(axis=1, keepdims=True)))[~sound], 0.0
     return r, J
 
 

@@ -98,12 +98,25 @@ def run_bound(arguments: argparse.Namespace) -> int:
         if robot.drive.terms:
             print(_collars_text(theta_b, l_b))
     if not math.isfinite(found.position_m):
-        reached = sum(shape.status is not Status.FAILED for shape in found.corners)
-        rule = f"{reached} of {len(found.corners)} friction corners reached their residual: no bound is promised"
-        raise SolverError(f"{rule} at this configuration.")
+        raise SolverError(_no_bound(found))
     if found.frictionless.status is Status.UNSTABLE:
         raise NoAnswerError("the configuration is elastically unstable: the robot snaps away, no bound is promised.")
     return 0
+
+
+def _no_bound(found: Bound) -> str:
+    """Why there is none, in one sentence."""
+    from ctrplan.mechanics.core import Status
+
+    statuses = [found.frictionless.status, *(shape.status for shape in found.corners)]
+    if Status.OVERTWISTED in statuses:
+        return (
+            "friction at its full limit would wind a tube up, to a shear strain of more than 0.5 (nitinol bears about "
+            "0.14), before the robot rests: no bound at this configuration; less friction or other joints may have one."
+        )
+    reached = sum(status < Status.FAILED for status in statuses[1:])
+    rule = f"{reached} of {len(found.corners)} friction corners reached their residual: no bound is promised"
+    return f"{rule} at this configuration."
 
 
 def _bounded(robot: Robot, theta_b: Array, l_b: Array, arguments: argparse.Namespace) -> Bound:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 OUTPUTS = ("robot.toml", "calibration.json", "report.html")
 EXAMPLES = """examples:
   ctrplan calibrate robot.toml measurements.csv -o out
+  ctrplan calibrate robot.toml measurements.toml -o out --parameters calibration effects.base_misalignment
   ctrplan calibrate robot.toml measurements.csv -o out --parameters tube.2.poisson_ratio \
 tube.3.section.2.curvature_y_per_m --second-pass contact.1.friction_coefficient contact.2.friction_coefficient
 """
@@ -38,7 +39,9 @@ def add_parser(commands: Any) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("robot", metavar="ROBOT.toml")
-    parser.add_argument("measurements", metavar="MEASUREMENTS.csv")
+    parser.add_argument(
+        "measurements", metavar="MEASUREMENTS.csv", help="or a mapping file (TOML): docs/measurements.md"
+    )
     parser.add_argument("--parameters", nargs="+", metavar="NAME", help="default: precurvatures, stiffness ratios, nu")
     parser.add_argument("--second-pass", nargs="+", metavar="NAME", default=[], help="fitted with the others held")
     parser.add_argument("--weighting", choices=["stated", "paper"], help="stated noise, or 1 deg = 1 mm as at (49)")

@@ -40,7 +40,9 @@ def add_parser(commands: Any) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("robot", metavar="ROBOT.toml")
-    parser.add_argument("measurements", metavar="MEASUREMENTS.csv")
+    parser.add_argument(
+        "measurements", metavar="MEASUREMENTS.csv", help="or a mapping file (TOML): docs/measurements.md"
+    )
     parser.add_argument(
         "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder for the results (default: %(default)s)"
     )

@@ -44,7 +44,7 @@ def add_parser(commands: Any) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("robot", metavar="ROBOT.toml")
-    parser.add_argument("path", metavar="PATH.csv")
+    parser.add_argument("path", metavar="PATH.csv", help="or a mapping file (TOML): docs/measurements.md")
     parser.add_argument(
         "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder for the results (default: %(default)s)"
     )

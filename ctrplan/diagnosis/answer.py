@@ -151,7 +151,7 @@ def _searched(bench: Workbench, known: Candidates, teller: Teller) -> tuple[Sele
         teller("calibrating")
         selector.run()
         judgement = judge(selector, selector.found)
-        scaled, note = rescaled_noise(judgement.adequacy, bench.noise, _norms(selector.found.chosen))
+        scaled, note = rescaled_noise(judgement.adequacy, bench.noise, *_norms(selector.found.chosen))
         notes += [note] if note else []
         if scaled is not None:
             again = Workbench(bench.robot, bench.data, scaled, bench.group, bench.fold)
@@ -167,7 +167,7 @@ def _searched(bench: Workbench, known: Candidates, teller: Teller) -> tuple[Sele
     return selector, judgement, notes, False
 
 
-def _norms(scored: Scored) -> Array:
-    """Of the residuals per pose, without outliers."""
-    norms: Array = scored.fit.residuals.norm[~ignored(scored)]
-    return norms
+def _norms(scored: Scored) -> tuple[Array, Array]:
+    """Of the residuals per pose, without outliers, and how many measured numbers each has."""
+    parts, kept = scored.fit.residuals, ~ignored(scored)
+    return parts.norm[kept], parts.given[kept].sum(axis=1)

@@ -9,7 +9,7 @@ from ctrplan.effects.catalogue import CATALOGUE
 from ctrplan.effects.effect import Effect
 from ctrplan.errors import InputError
 from ctrplan.experiment.measurements import Measurements
-from ctrplan.pipeline.parametric_chain import Term, term
+from ctrplan.pipeline.parametric_chain import DRIVEN_ALREADY, Term, term
 from ctrplan.robot.robot import Robot
 
 __all__ = ["CATALOGUE", "Candidates", "candidates"]
@@ -47,7 +47,8 @@ def candidates(robot: Robot, data: Measurements, catalogue: Mapping[str, Effect]
     terms: list[Term] = []
     reasons: dict[str, str] = {}
     for name, effect in catalogue.items():
-        if reason := effect.untestable(robot, data):
+        driven = data.of_collars and effect.stage == "drive"
+        if reason := DRIVEN_ALREADY if driven else effect.untestable(robot, data):
             reasons[name] = reason
         elif name in robot.effects:
             reasons[name] = "is in the robot file already"

@@ -74,16 +74,19 @@ def ignored(scored: Scored) -> NDArray[np.bool_]:
 
 def adequacy(fit: Linear, group: NDArray[np.int_], ignored: NDArray[np.bool_]) -> Adequacy:
     """Of a linearised fit's residuals; `group` (K,) numbers configurations; some poses (K,) are left out."""
-    r, J, group = fit.r[~ignored], fit.J[~ignored], group[~ignored]
+    r, J, group, given = fit.r[~ignored], fit.J[~ignored], group[~ignored], fit.given[~ignored]
     root = information_inverse(fit.J, fit.weight, fit.precision)
     hat = J @ root  # (K, 5, P): hat hat^T is the share of noise that the fit took
-    means, mean_hats = _group_means(r, group), _group_means(hat, group)
-    total = ChiSquare(float((r**2).sum()), r.size - float((hat**2).sum()))
-    between = ChiSquare(float((means**2).sum()), means.size - float((mean_hats**2).sum()))
+    means, mean_hats = _group_means(r, group, given), _group_means(hat, group, given)
+    total = ChiSquare(float((r**2).sum()), given.sum() - float((hat**2).sum()))
+    between = ChiSquare(
+        float((means**2).sum()), _group_sums(given, group).astype(bool).sum() - float((mean_hats**2).sum())
+    )
     within = ChiSquare(total.value - between.value, total.dof - between.dof)
     parts = (slice(0, 3), slice(3, PER_POSE))
     position, tangent = (
-        ChiSquare(float((r[:, part] ** 2).sum()), r[:, part].size - float((hat[:, part] ** 2).sum())) for part in parts
+        ChiSquare(float((r[:, part] ** 2).sum()), given[:, part].sum() - float((hat[:, part] ** 2).sum()))
+        for part in parts
     )
     return Adequacy(total, between, within, position, tangent)
 
@@ -93,10 +96,15 @@ def remains(bench: Workbench, scored: Scored) -> Adequacy:
     return adequacy(linear(scored.fit), bench.group, ignored(scored))
 
 
-def _group_means(values: Array, group: NDArray[np.int_]) -> Array:
-    """Sums over groups over the root of their size: an orthonormal projection of independent poses."""
-    _, number, count = np.unique(group, return_inverse=True, return_counts=True)
-    sums = np.zeros((len(count), *values.shape[1:]))
-    np.add.at(sums, number, values)
-    means: Array = sums / np.sqrt(count.reshape(-1, *[1] * (values.ndim - 1)))
+def _group_means(values: Array, group: NDArray[np.int_], given: NDArray[np.bool_]) -> Array:
+    """Sums over groups over the root of what was measured there: an orthonormal projection of independent poses."""
+    count = np.maximum(_group_sums(given, group), 1)
+    means: Array = _group_sums(values, group) / np.sqrt(count.reshape(*count.shape, *[1] * (values.ndim - 2)))
     return means
+
+
+def _group_sums(values: Array | NDArray[np.bool_], group: NDArray[np.int_]) -> Array:
+    numbers, number = np.unique(group, return_inverse=True)
+    sums = np.zeros((len(numbers), *values.shape[1:]))
+    np.add.at(sums, number, values)
+    return sums

@@ -60,7 +60,7 @@ def open_held_out_set(
         for name, inside in _regions(held_out_set).items()
     }
     nominal, calibrated, effective = (summary(e, group) for e in errors)
-    chi_square = _predictive(found.r[near].ravel(), found.J[near].reshape(-1, found.J.shape[2]), after)
+    chi_square = _predictive(found.r[near][found.given[near]], found.J[near][found.given[near]], after)
     return Gap(
         nominal, calibrated, effective, noise.floor_m, regions, errors[1], errors[2], chi_square, failed, outlying
     )

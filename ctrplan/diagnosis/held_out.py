@@ -24,16 +24,19 @@ class Linear:
     weight: Array
     precision: Array
     offset: Array  # (P,) distance of the parameters from the priors' centres
+    given: NDArray[np.bool_]  # (K, 5) numbers that were measured; the others are zero in r and J
 
     def columns(self, chosen: list[int]) -> Linear:
         """The same fit with some of the parameters only."""
-        return Linear(self.r, self.J[:, :, chosen], self.weight, self.precision[chosen], self.offset[chosen])
+        return Linear(
+            self.r, self.J[:, :, chosen], self.weight, self.precision[chosen], self.offset[chosen], self.given
+        )
 
     def refitted(self) -> Linear:
         """After one Gauss-Newton step."""
         H, gradient = self._system()
         step = _solved(H, gradient - self.precision * self.offset)
-        return Linear(self.r - self.J @ step, self.J, self.weight, self.precision, self.offset + step)
+        return Linear(self.r - self.J @ step, self.J, self.weight, self.precision, self.offset + step, self.given)
 
     def covariance(self) -> Array:
         """(P, P) of the parameters."""
@@ -66,6 +69,7 @@ def null_scores(fit: Linear, fold: NDArray[np.int_], noise: Array) -> Array:
     """(D,) held-out log-likelihood of D draws of pure noise (5 K, D) after a fit of the same parameters."""
     J = fit.J.reshape(-1, fit.J.shape[2])
     H = J.T @ J + np.diag(fit.precision)
+    noise = noise * fit.given.reshape(-1, 1)
     r = noise - J @ _solved(H, J.T @ noise)
     score = np.zeros(noise.shape[1])
     ones = np.ones(len(fit.r))

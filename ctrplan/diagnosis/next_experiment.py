@@ -37,7 +37,8 @@ def proposals(chosen: Scored, other: Alternative, data: Measurements, noise: Noi
     predictions = [
         chain.predict(f.p, derivatives=False) for chain, f in zip(chains, (chosen.fit, other.scored.fit), strict=True)
     ]
-    seen = replace(pool, position_m=predictions[0].position_m, tangent=predictions[0].tangent)
+    tangent = predictions[0].tangent if data.has_tangents else np.full_like(predictions[0].tangent, np.nan)
+    seen = replace(pool, position_m=predictions[0].position_m, tangent=tangent)
     apart = residuals(seen, predictions[1], noise, np.arange(seen.count)).norm ** 2 / 2
     sound = predictions[0].sound & predictions[1].sound
     odds = np.bincount(pool.configuration, weights=np.where(sound, apart, 0.0))

@@ -1,67 +1,76 @@
-"""The noise of the measurement: as the robot file states it, or from repeats. Never assumed.
+"""The noise of the measurement: as the robot file states it, and as the data show it. Never assumed.
 
-Repeats are poses of one configuration that were approached alike: the model says the same of them, whatever it lacks.
+What data show of it, `shown_noise.py`, misses what a tracker's filter takes away and what changes slowly; what a file
+states may be a data sheet's. Each is a lower bound, and the largest counts.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ctrplan.base.arrays import Array
+from ctrplan.calibration.calibrate import NO_TANGENT_SIGMA, PAPER
 from ctrplan.calibration.residuals import Noise
+from ctrplan.calibration.shown_noise import LEAST_SPARE, ShownNoise, repeats, shown_noises
 from ctrplan.errors import InputError
-from ctrplan.experiment.friction_states import friction_state, last_directions
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
-LEAST_SPARE = 20  # repeats beyond the first of their kind: the noise is then known to about 10 %
-FAR = 4.5  # times the typical distance of a repeat from its mean, beyond which one says nothing about noise
-SAME_STATE = 1e-3
-
 
 def noise_floor(robot: Robot, data: Measurements) -> tuple[Noise, str]:
-    """Noise, and a sentence about it if it is from repeats. Raises InputError where neither file nor data have it."""
-    if robot.measurement is not None:
-        return Noise(robot.measurement.position_sigma_m, robot.measurement.tangent_sigma_rad), ""
-    kind = repeats(data)
-    spare = len(kind) - len(np.unique(kind))
-    if data.is_stream or spare < LEAST_SPARE:
-        have = "a continuous motion has none" if data.is_stream else f"these data have {spare}"
+    """Noise, and a sentence about it where it is not as stated. Raises InputError where neither file nor data have it.
+
+    Of data without tangents the noise of tangents is of no matter.
+    """
+    stated, shown = robot.measurement, list(shown_noises(data))
+    if stated is None and not shown:
         rule = (
             "is missing: state position_sigma_mm and tangent_sigma_deg, or measure at least "
-            f"{LEAST_SPARE} poses again, approached the same way ({have})"
+            f"{LEAST_SPARE} poses again, approached the same way ({_too_little(data)})"
         )
         raise InputError(rule, file=robot.path, key="measurement")
-    found = Noise(spread(data.position_m, kind, 3), spread(data.tangent, kind, 2))
-    sentence = (
-        f"The robot file states no noise; {spare} repeated poses say {found.position_m * 1e3:.3g} mm and "
-        f"{math.degrees(found.tangent_rad):.3g} deg."
-    )
-    return found, sentence
+    if stated is None:
+        return _of_data(shown, data.has_tangents)
+    tangent_rad = stated.tangent_sigma_rad
+    if tangent_rad is None and data.has_tangents:
+        if not shown:
+            raise InputError(NO_TANGENT_SIGMA, file=robot.path, key="measurement.tangent_sigma_deg")
+        tangent_rad = max(one.noise.tangent_rad for one in shown)
+    floor = Noise(stated.position_sigma_m, PAPER.tangent_rad if tangent_rad is None else tangent_rad)
+    return _enlarged(floor, shown, data.has_tangents)
 
 
-def repeats(data: Measurements) -> NDArray[np.int_]:
-    """(K,) number that poses share which have configuration, last directions and friction state in common."""
-    states = np.round(friction_state(data) / SAME_STATE).astype(np.int64)
-    marks = np.column_stack([data.configuration, last_directions(data).astype(np.int64), states])
-    return np.unique(marks, axis=0, return_inverse=True)[1].ravel()
+def _too_little(data: Measurements) -> str:
+    if data.is_stream:
+        return "a continuous motion has none, and this one is too short or too uneven in time to show its noise"
+    kind = repeats(data)
+    return f"these data have {len(kind) - len(np.unique(kind))}"
 
 
-def spread(vectors: Array, kind: NDArray[np.int_], axes: int) -> float:
-    """Standard deviation of each of `axes` coordinates of vectors (K, 3) within kinds (K,); far ones are left out."""
-    count: Array = np.bincount(kind).astype(np.float64)
-    used = count[kind] > 1
-    while True:
-        count = np.asarray(np.bincount(kind, weights=used), dtype=np.float64)
-        means = np.stack([np.bincount(kind, weights=used * column) for column in vectors.T], axis=1)
-        away = vectors - (means / np.maximum(count, 1)[:, None])[kind]
-        share = np.maximum(1 - 1 / np.maximum(count, 1), 0.5)[kind]  # of the variance, the rest is the mean's
-        distance = np.linalg.norm(away, axis=1) / np.sqrt(share)
-        far = used & (distance > FAR * np.median(distance[used]))
-        if not far.any():
-            spare = float(np.sum(np.maximum(count - 1, 0)))
-            return float(np.sqrt(np.sum(away[used] ** 2) / (axes * spare)))
-        used &= ~far
+def _of_data(shown: Sequence[ShownNoise], has_tangents: bool) -> tuple[Noise, str]:
+    """The largest that the data show."""
+    found = Noise(max(one.noise.position_m for one in shown), max(one.noise.tangent_rad for one in shown))
+    by = " and ".join(one.by for one in shown)
+    return found, f"The robot file states no noise; {by} say {_words(found, has_tangents)}."
+
+
+def _enlarged(stated: Noise, shown: Sequence[ShownNoise], has_tangents: bool) -> tuple[Noise, str]:
+    """The stated noise, or what data show where it is clearly more."""
+    found, by = stated, list[str]()
+    for one in shown:
+        factors = one.noise.position_m / stated.position_m, one.noise.tangent_rad / stated.tangent_rad
+        if max(factors[: 1 + has_tangents]) > 1 + one.doubt:
+            tangent_rad = max(found.tangent_rad, one.noise.tangent_rad) if has_tangents else found.tangent_rad
+            found = Noise(max(found.position_m, one.noise.position_m), tangent_rad)
+            by.append(one.by)
+    if not by:
+        return stated, ""
+    more = f"{' and '.join(by)} say {_words(found, has_tangents)}, the file states {_words(stated, has_tangents)}"
+    return found, f"The noise is larger than stated: {more}."
+
+
+def _words(noise: Noise, has_tangents: bool) -> str:
+    tangent = f" and {math.degrees(noise.tangent_rad):.3g} deg" if has_tangents else ""
+    return f"{noise.position_m * 1e3:.3g} mm{tangent}"

@@ -73,7 +73,7 @@ def _after_held_out_set(answer: Answer, gap: Gap, place: Place) -> tuple[Judgeme
 def _solved(scored: Scored) -> Residuals:
     """Residuals of the poses that chi-squares are of, outliers among them."""
     parts, kept = scored.fit.residuals, ~excused(scored.failed)
-    return Residuals(parts.r[kept], parts.J[kept], parts.weight[kept], parts.raw_norm[kept])
+    return Residuals(parts.r[kept], parts.J[kept], parts.weight[kept], parts.raw_norm[kept], parts.given[kept])
 
 
 def _written(answer: Answer, judgement: Judgement) -> Scored:

@@ -77,7 +77,7 @@ class Panel:
         """With one of its effects taken back to where it does nothing, and none of its parameters."""
         mine = np.array([name == gone.name for name, _ in self.keys])
         w = self.whole
-        left = Linear(w.r + w.J[:, :, mine] @ w.offset[mine], w.J, w.weight, w.precision, w.offset)
+        left = Linear(w.r + w.J[:, :, mine] @ w.offset[mine], w.J, w.weight, w.precision, w.offset, w.given)
         rest = np.flatnonzero(~mine).tolist()
         return Panel(tuple(self.keys[k] for k in rest), left.columns(rest), self.variants)
 
@@ -244,7 +244,7 @@ class Workbench:
         p = np.array([known.get(key, value) for key, value in zip(keys, neutral, strict=True)])
         found = residuals(self.data, chain.predict(p), self.noise, self.whitening_group)
         weight = here.fit.residuals.weight
-        whole = Linear(found.r, found.J, weight, 1 / chain.prior**2, p - chain.neutral)
+        whole = Linear(found.r, found.J, weight, 1 / chain.prior**2, p - chain.neutral, found.given)
         return Panel(tuple(keys), whole, tuple(others))
 
     def _tried_out(
@@ -290,7 +290,7 @@ def _widened(t: Term, p: Array) -> Term:
 def linear(found: Fit) -> Linear:
     """A fit's own linearisation."""
     parts = found.residuals
-    return Linear(parts.r, parts.J, parts.weight, found.precision, found.p - found.chain.neutral)
+    return Linear(parts.r, parts.J, parts.weight, found.precision, found.p - found.chain.neutral, parts.given)
 
 
 def values_by_name(found: Fit) -> dict[tuple[str, str], float]:

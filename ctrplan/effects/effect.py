@@ -52,7 +52,7 @@ class Effect(ABC):
     experiment: ClassVar[str]  # what separates it from them
     is_linear: ClassVar[bool] = True  # whether tips change nearly in proportion to its parameters
     scales_with_stiffness: ClassVar[bool] = False  # its parameters are known only as well as the stiffness of tube 1
-    acts_at_rest: ClassVar[bool] = True  # of the drive: whether it moves collars however they came there
+    acts_at_rest: ClassVar[bool] = True  # of drive and mechanics: whether a shape at rest has it, however it came there
     needs: ClassVar[str] = ""  # an effect without which it does nothing
     depends_on_history: ClassVar[bool] = False  # acts on differences between approaches of one configuration
 
@@ -98,6 +98,10 @@ class Effect(ABC):
         """Of the clock: how much earlier [s] the joints are that a pose belongs to; several delays add up."""
         return 0.0
 
+    def drive_delays_s(self, values: Values, n: int) -> Array:
+        """Of the clock: (2 n,) how much later [s] than commanded each rotation, then each translation, happens."""
+        return np.zeros(2 * n)
+
     def drive(self, values: Values, collars: Collars, directions: Array) -> Collars:
         """Where collars stand when the drive has gone to `collars`; values are SI by name.
 
@@ -109,6 +113,25 @@ class Effect(ABC):
         """Named numbers of the robot (`named_numbers.py`) that differ from what `robot` has."""
         return {}
 
+    def changing(self, values: Values, robot: Robot, data: Measurements) -> Mapping[str, Array]:
+        """Of the mechanics: by how much (K,) named numbers differ at each pose from what `robot` has.
+
+        Small changes: tips follow them to first order.
+        """
+        return {}
+
+    def plate_turn(self, values: Values, robot: Robot, collars: Collars) -> Array | None:
+        """Of the mechanics: rotation vectors (K, 3) [rad] of all that is in front of the plate, about its middle."""
+        return None
+
+    def largest_turn_rad(self, values: Values, robot: Robot) -> float:
+        """Of the mechanics: what no `plate_turn` exceeds. Bounds and plans allow for it as for a model error."""
+        return 0.0
+
+    def friction_share(self, values: Values, data: Measurements) -> Array | float:
+        """Of the mechanics: (K, n - 1) or one share of the friction state that is left when a pose is taken."""
+        return 1.0
+
     def friction_release_m(self, values: Values) -> float:
         """Relative translation [m] that leaves 1/e of the circumferential friction; infinite if none does."""
         return np.inf
@@ -116,6 +139,10 @@ class Effect(ABC):
     def sensor(self, values: Values, poses: Poses, data: Measurements) -> Poses:
         """What is measured of `poses`, the K of `data` in the robot's frame."""
         return poses
+
+    def overrides(self, method: str) -> bool:
+        """Whether it has a `method` of its own."""
+        return getattr(type(self), method) is not getattr(Effect, method)
 
 
 E_ = TypeVar("E_", bound=type[Effect])

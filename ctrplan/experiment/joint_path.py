@@ -21,6 +21,8 @@ class JointPath:
     time_s: Array | None = None  # (K,)
     file: str | None = None
     more: Mapping[str, Array] = field(default_factory=dict)  # other columns (K,), NaN where blank
+    notes: tuple[str, ...] = ()  # how the file was read, a sentence each
+    of_collars: bool = False  # whether joints are those of the collars, so that the drive's effects are in them
 
     @property
     def runs(self) -> list[slice]:

@@ -30,13 +30,15 @@ class Measurements:
     l_commanded: Array  # (R, n) commanded base translations, m
     rows: NDArray[np.int_]  # (K,) the measured waypoints
     position_m: Array  # (K, 3) tip
-    tangent: Array  # (K, 3) unit tip tangent
+    tangent: Array  # (K, 3) unit tip tangent; NaN where none was measured, one NaN: seen along that axis, `given`
     time_s: Array | None = None  # (R,) clock of the whole experiment
     is_stream: bool = False  # joints and poses logged together on a continuous motion, nothing settles
     more: Mapping[str, Array] = field(default_factory=dict)  # other columns (R,), for localising only
     file: str | None = None
     sha256: str = ""
     warnings: tuple[str, ...] = ()
+    frame: NDArray[np.int_] | None = None  # (R,) number, from 1, of the tracker's frame where it was set up anew
+    of_collars: bool = False  # whether joints are those of the collars, so that the drive's effects are in them
 
     @property
     def n(self) -> int:
@@ -47,6 +49,26 @@ class Measurements:
     def count(self) -> int:
         """K, the number of poses."""
         return len(self.rows)
+
+    @property
+    def frames(self) -> NDArray[np.int_]:
+        """(R,) number, from 1, of the tracker's frame at each waypoint."""
+        return np.ones(len(self.sequence), int) if self.frame is None else self.frame
+
+    @cached_property
+    def given(self) -> NDArray[np.bool_]:
+        """(K, 5) which of a pose's five numbers were measured: three of the position, two of the tangent.
+
+        A tangent of two components is its direction in the plane of these two axes, as a camera sees it: one number.
+        """
+        components = np.isfinite(self.tangent).sum(axis=1)
+        given: NDArray[np.bool_] = np.column_stack([np.ones((self.count, 3), bool), components >= 2, components == 3])
+        return given
+
+    @property
+    def has_tangents(self) -> bool:
+        """Whether any pose has more than a position."""
+        return bool(self.given[:, 3].any())
 
     @cached_property
     def configuration(self) -> NDArray[np.int_]:

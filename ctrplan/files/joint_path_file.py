@@ -12,13 +12,16 @@ import re
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.experiment.joined import joined_paths
 from ctrplan.experiment.joint_path import JointPath
+from ctrplan.experiment.turns import jumps, looks_wrapped, unwrapped
+from ctrplan.files.sources import Source, sources
 from ctrplan.robot.nesting import nesting_violation
 from ctrplan.robot.robot import Robot
 from ctrplan.storage.csv_table import CsvTable
-from ctrplan.storage.file_bytes import file_name
 
 LARGEST_TIME_S = 1e12  # stamps in ns or ms are no seconds
 MOST_TURNS = 50  # of a tube; more are most likely degrees
@@ -34,12 +37,13 @@ def joint_columns(n: int) -> tuple[list[str], list[str]]:
 
 
 def load_joint_path(path: str | os.PathLike[str], robot: Robot) -> JointPath:
-    """The waypoints of a CSV file that goes with `robot`; InputError for anything malformed or contradictory."""
-    return joint_path(CsvTable(file_name(path, "a CSV file"), "joint path"), robot)
+    """The waypoints of a CSV or mapping file that goes with `robot`; InputError for what is malformed."""
+    return joined_paths([joint_path(source, robot) for source in sources(path, robot, "joint path")])
 
 
-def joint_path(table: CsvTable, robot: Robot, needed: Sequence[str] = ()) -> JointPath:
-    """The waypoints of `robot` in a table, checked; `needed` are columns that must be there besides."""
+def joint_path(source: Source, robot: Robot, needed: Sequence[str] = (), known: Sequence[str] = ()) -> JointPath:
+    """The waypoints of `robot` in a table, checked; `needed` are columns that must be there besides, `known` may be."""
+    table = source.table
     rotations, translations = joint_columns(robot.n)
     _check_columns(table, robot.n, (*rotations, *translations, *needed))
     theta = np.column_stack([table.numbers(name) for name in rotations])
@@ -47,9 +51,27 @@ def joint_path(table: CsvTable, robot: Robot, needed: Sequence[str] = ()) -> Joi
     sequence = table.numbers("sequence") if "sequence" in table.header else np.zeros(len(theta))
     time_s = table.numbers("time_s") if "time_s" in table.header else None
     _check_order(table, sequence, time_s)
-    _check_joints(table, theta, l, robot)
-    known = {"sequence", "time_s", *rotations, *translations, *needed}
-    return JointPath(theta, l, sequence.astype(int), time_s, table.file, table.others(known))
+    theta, notes = _whole_turns(source, theta, sequence.astype(int))
+    _check_joints(table, theta, l, robot, of_collars=source.of_collars)
+    read = {"sequence", "time_s", *rotations, *translations, *needed, *known}
+    others = table.others(read)
+    return JointPath(theta, l, sequence.astype(int), time_s, table.file, others, notes, source.of_collars)
+
+
+def _whole_turns(source: Source, theta: Array, sequence: NDArray[np.int_]) -> tuple[Array, tuple[str, ...]]:
+    """Rotations (R, n) without the jumps of wrapped angles, and a note for each tube that had some."""
+    notes, whole = [], theta.copy()
+    for i in range(theta.shape[1]):
+        wrapped = looks_wrapped(theta[:, i], sequence) if source.wrapped is None else source.wrapped
+        name, rows = f"theta_{i + 1}_rad", jumps(theta[:, i], sequence)
+        if wrapped is None:
+            turn = np.degrees(abs(theta[rows[0], i] - theta[rows[0] - 1, i]))
+            rule = f"turns by {turn:.0f} deg at once: is it wrapped? Unwrap it, or give a row halfway if it is not"
+            raise source.table.fault(rule, int(rows[0]), name, float(theta[rows[0], i]))
+        if wrapped and len(rows):
+            whole[:, i] = unwrapped(theta[:, i], sequence)
+            notes.append(f"{source.table.file}: {name} is wrapped: {len(rows)} steps of nearly a turn were taken out.")
+    return whole, tuple(notes)
 
 
 def _check_columns(table: CsvTable, n: int, needed: Sequence[str]) -> None:
@@ -80,7 +102,7 @@ def _check_order(table: CsvTable, sequence: Array, time_s: Array | None) -> None
             raise table.fault(rule, row, "time_s", float(time_s[row]))
 
 
-def _check_joints(table: CsvTable, theta: Array, l: Array, robot: Robot) -> None:  # noqa: E741
+def _check_joints(table: CsvTable, theta: Array, l: Array, robot: Robot, *, of_collars: bool) -> None:  # noqa: E741
     """Commanded values; tubes nest as commanded or where the drive puts them."""
     rotations, translations = joint_columns(robot.n)
     longest_m = max(tube.length_m for tube in robot.tubes)
@@ -90,10 +112,12 @@ def _check_joints(table: CsvTable, theta: Array, l: Array, robot: Robot) -> None
     for row, i in np.argwhere(np.abs(l) > MOST_LENGTHS * longest_m).tolist():
         rule = f"must be in metres and is beyond {MOST_LENGTHS} lengths of the robot, are these millimetres?"
         raise table.fault(rule, row, translations[i], float(l[row, i]))
-    if refused := robot.mechanics.first_refused(theta, l) and robot.mechanics.first_refused(*robot.collars(theta, l)):
+    driven = (theta, l) if of_collars else robot.collars(theta, l)
+    if refused := robot.mechanics.first_refused(theta, l) and robot.mechanics.first_refused(*driven):
         row, rule = refused
-        theta_b, l_b = robot.collars(theta[row], l[row])
-        raise table.fault(nesting_violation(robot, theta_b, l_b) or rule.rstrip("."), row)
+        sentence = nesting_violation(robot, driven[0][row], driven[1][row]) or rule.rstrip(".")
+        hint = " (a tube that may be drawn back has retractable = true)" if "tips in order" in sentence else ""
+        raise table.fault(sentence + hint, row)
 
 
 def _resumed_run(sequence: Array) -> int | None:

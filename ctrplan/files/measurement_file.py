@@ -1,81 +1,116 @@
-"""measurements.csv -> Measurements. Every fault is one sentence with file, row, column, value and rule."""
+"""measurements.csv, or a mapping file -> Measurements. Every fault is one sentence: file, row, column, value, rule."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.experiment.joint_path import JointPath
+from ctrplan.experiment.joined import joined_measurements
 from ctrplan.experiment.measurements import Measurements, is_streamed
 from ctrplan.files.joint_path_file import joint_path
+from ctrplan.files.mapped_table import POSITION, TANGENT
+from ctrplan.files.sources import Source, sources
 from ctrplan.pipeline.chain import Chain
+from ctrplan.pipeline.registration import registered
 from ctrplan.robot.robot import Robot
 from ctrplan.storage.csv_table import CsvTable
-from ctrplan.storage.file_bytes import file_name
 
-POSE = ("x_m", "y_m", "z_m", "tx", "ty", "tz")
 TANGENT_TOLERANCE = 0.01  # of its length: files are rounded
 FURTHEST = 2.0  # tip from the base, in lengths of the longest tube
 STILL_RAD, STILL_M = 1e-6, 1e-8
 
 
 def load_measurements(path: str | os.PathLike[str], robot: Robot) -> Measurements:
-    """The waypoints and poses of a CSV file that goes with `robot`.
+    """The waypoints and poses of a CSV file, or of the files that a mapping file names, which go with `robot`.
 
     Raises InputError, one sentence with file, row, column, value and rule, for anything malformed or contradictory.
     """
-    table = CsvTable(file_name(path, "a CSV file"), "file of measurements")
-    joints = joint_path(table, robot, needed=("sequence", *POSE))
-    pose, rows = _poses(table)
-    theta_b, l_b = joints.theta_commanded, joints.l_commanded
-    if np.ptp(theta_b, axis=0).max() < STILL_RAD and np.ptp(l_b, axis=0).max() < STILL_M:
-        raise table.fault("all joints are constant: one configuration says nothing about a model")
-    _check_poses(table, pose, rows, robot)
+    given = sources(path, robot, "file of measurements")
+    parts = [_measurements(source, robot) for source in given]
+    data = joined_measurements(parts, [source.tracker for source in given])
+    if np.ptp(data.theta_commanded, axis=0).max() < STILL_RAD and np.ptp(data.l_commanded, axis=0).max() < STILL_M:
+        raise given[0].table.fault("all joints are constant: one configuration says nothing about a model")
+    unknown = dict.fromkeys(source.tracker for source in given if not source.is_registered)
+    trackers = list(dict.fromkeys(source.tracker for source in given))
+    data = registered(robot, data, {trackers.index(name) + 1: name for name in unknown})
+    theta, l = data.theta_commanded[data.rows], data.l_commanded[data.rows]  # noqa: E741 (as in the equations)
+    return replace(data, warnings=(*data.warnings, *_still_joints(theta, l, str(data.file)), *_left_out(robot, data)))
+
+
+def _measurements(source: Source, robot: Robot) -> Measurements:
+    """One table's."""
+    table = source.table
+    joints = joint_path(source, robot, needed=("sequence", *POSITION), known=TANGENT)
+    position, tangent, rows = _poses(table)
+    _check_positions(table, position, rows, robot, anywhere=not source.is_registered)
     return Measurements(
         sequence=joints.sequence,
-        theta_commanded=theta_b,
-        l_commanded=l_b,
+        theta_commanded=joints.theta_commanded,
+        l_commanded=joints.l_commanded,
         rows=rows,
-        position_m=pose[:, :3],
-        tangent=pose[:, 3:] / np.linalg.norm(pose[:, 3:], axis=1, keepdims=True),
+        position_m=position,
+        tangent=tangent,
         time_s=joints.time_s,
-        is_stream=is_streamed(joints.sequence, rows, np.hstack([theta_b, l_b])),
+        is_stream=is_streamed(joints.sequence, rows, np.hstack([joints.theta_commanded, joints.l_commanded])),
         more=joints.more,
         file=table.file,
         sha256=table.sha256,
-        warnings=(*_still_joints(theta_b[rows], l_b[rows], table.file), *_left_out(robot, joints)),
+        warnings=(*joints.notes, *_seen(table)),
+        of_collars=joints.of_collars,
     )
 
 
-def _poses(table: CsvTable) -> tuple[Array, Any]:
-    pose = np.column_stack([table.numbers(name, blanks=True) for name in POSE])
+def _poses(table: CsvTable) -> tuple[Array, Array, NDArray[np.int_]]:
+    """Positions (K, 3) [m], tangents (K, 3) with NaN for what was not measured, and the rows (K,) they stand in."""
+    seen = [name for name in TANGENT if name in table.header]
+    if len(seen) == 1:
+        raise table.fault("one component of a tangent says nothing, give two, all three or none", column=seen[0])
+    names = (*POSITION, *seen)
+    pose = np.column_stack([table.numbers(name, blanks=True) for name in names])
     given = np.isfinite(pose)
-    for row in np.flatnonzero(given.any(axis=1) & ~given.all(axis=1)).tolist():
-        rule = "is empty, a pose needs all of x_m, y_m, z_m, tx, ty, tz"
-        raise table.fault(rule, row, POSE[int(given[row].argmin())])
-    rows = np.flatnonzero(given.all(axis=1))
+    bare = given[:, :3].all(axis=1) & ~given[:, 3:].any(axis=1)  # a position alone
+    for row in np.flatnonzero(given.any(axis=1) & ~given.all(axis=1) & ~bare).tolist():
+        rule = f"is empty, a pose needs all of {', '.join(names)}" + (", or the first three alone" if seen else "")
+        raise table.fault(rule, row, names[int(given[row].argmin())])
+    rows = np.flatnonzero(given[:, :3].all(axis=1))
     if not len(rows):
-        raise table.fault("holds no pose: x_m, y_m, z_m, tx, ty, tz are empty in every row")
-    return pose[rows], rows
+        raise table.fault(f"holds no pose: {', '.join(names)} are empty in every row")
+    tangent = np.full((len(rows), 3), np.nan)
+    if seen:
+        tangent[:, [TANGENT.index(name) for name in seen]] = _unit(table, pose[rows, 3:], rows, seen)
+    return pose[rows, :3], tangent, rows
 
 
-def _check_poses(table: CsvTable, pose: Array, rows: Sequence[int], robot: Robot) -> None:
+def _unit(table: CsvTable, tangent: Array, rows: NDArray[np.int_], names: Sequence[str]) -> Array:
+    """Of unit length; two components are a direction in their plane, whatever their length."""
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(tangent, axis=1, keepdims=True)
+    whole, given = len(names) == len(TANGENT), np.isfinite(tangent).all(axis=1)
+    wrong = np.abs(length - 1) > TANGENT_TOLERANCE if whole else ~((length > 1e-6) & (length < 1 + TANGENT_TOLERANCE))
+    for k in np.flatnonzero(wrong[:, 0] & given).tolist():
+        rule = "must be a unit vector" if whole else "seen in a plane it must be above 0 and at most 1"
+        shown = f"tangent has length {length[k, 0]:.4g}, {rule}"
+        raise table.fault(shown, int(rows[k]), names[0], tangent[k, 0])
+    unit: Array = tangent / length
+    return unit
+
+
+def _check_positions(table: CsvTable, position: Array, rows: NDArray[np.int_], robot: Robot, *, anywhere: bool) -> None:
+    """Within reach of the base; `anywhere`: of their own middle, where nobody knows the base."""
     with np.errstate(over="ignore"):  # what is beyond all numbers is too far
-        far, length = (np.linalg.norm(vectors, axis=1) for vectors in (pose[:, :3], pose[:, 3:]))
+        far = np.linalg.norm(position - (np.median(position, axis=0) if anywhere else 0.0), axis=1)
     limit = FURTHEST * max(tube.length_m for tube in robot.tubes)
     for k in np.flatnonzero(far > limit).tolist():
         unit = ", are these millimetres?" if np.median(far) > 100 * limit else ""
         rule = f"tip is {far[k]:g} m from the base, beyond the reach of {limit:.3g} m{unit}"
-        raise table.fault(rule, int(rows[k]), "x_m", pose[k, 0])
-    if np.median(far) < limit / 2000:
+        raise table.fault(rule, int(rows[k]), "x_m", position[k, 0])
+    if np.median(far) < limit / 2000 and not anywhere:
         raise table.fault(f"tips are {np.median(far):.2g} m from the base, are these metres?", column="x_m")
-    for k in np.flatnonzero(np.abs(length - 1) > TANGENT_TOLERANCE).tolist():
-        rule = f"tangent has length {length[k]:.4g}, must be a unit vector"
-        raise table.fault(rule, int(rows[k]), "tx", pose[k, 3])
 
 
 def _still_joints(theta_b: Array, l_b: Array, file: str) -> list[str]:
@@ -89,14 +124,21 @@ def _still_joints(theta_b: Array, l_b: Array, file: str) -> list[str]:
     return still
 
 
-def _left_out(robot: Robot, joints: JointPath) -> list[str]:
+def _seen(table: CsvTable) -> list[str]:
+    """A sentence about tangents that have two components, which may be meant so or be a lost column."""
+    missing = [name for name in TANGENT if name not in table.header]
+    if len(missing) != 1:
+        return []
+    return [f"{table.file}: there is no {missing[0]}: tangents are taken for directions seen along {missing[0][1]}."]
+
+
+def _left_out(robot: Robot, data: Measurements) -> list[str]:
     """One sentence per effect of the robot file that these data say too little for."""
     lacking = (
-        (given.effect.name, given.effect.missing_columns(joints.time_s, joints.more))
-        for given in Chain.of(robot).acting
+        (given.effect.name, given.effect.missing_columns(data.time_s, data.more)) for given in Chain.of(robot).acting
     )
     return [
-        f"{joints.file}: without a column {', '.join(missing)} the robot's {name} is left out."
+        f"{data.file}: without a column {', '.join(missing)} the robot's {name} is left out."
         for name, missing in lacking
         if missing
     ]

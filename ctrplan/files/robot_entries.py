@@ -39,6 +39,7 @@ class TubeEntry(Struct, forbid_unknown_fields=True):
     collar_length_mm: Annotated[float, Meta(ge=0, le=LONGEST_TUBE_MM)] = 0.0
     max_strain: Annotated[float, Meta(gt=0, le=1)] = 0.08
     density_kg_m3: Annotated[float, Meta(ge=0, le=1e5)] = 0.0
+    retractable: bool = False
 
 
 class ContactEntry(Struct, forbid_unknown_fields=True):
@@ -53,7 +54,7 @@ class MeasurementEntry(Struct, forbid_unknown_fields=True):
     """[measurement]: standard deviations of each coordinate and of a rotation of the tangent about each axis."""
 
     position_sigma_mm: Annotated[float, Meta(ge=1e-6, le=1000)]
-    tangent_sigma_deg: Annotated[float, Meta(ge=1e-6, le=180)]
+    tangent_sigma_deg: Annotated[float, Meta(ge=1e-6, le=180)] | None = None  # of a tracker of positions alone
 
 
 class UncertaintyEntry(Struct, forbid_unknown_fields=True):
@@ -110,6 +111,7 @@ def _tube(entry: TubeEntry, i: int, document: Document) -> Tube:
         collar_length_m=entry.collar_length_mm * 1e-3,
         max_strain=entry.max_strain,
         density_kg_m3=entry.density_kg_m3,
+        retractable=entry.retractable,
     )
     for k, section in enumerate(sections):
         if section.curvature_per_m * tube.outer_diameter_m / 2 >= 1:
@@ -139,7 +141,7 @@ def _check_fit(outer: Tube, inner: Tube, i: int, document: Document) -> None:
         rule = f"must be smaller than tube.{i}.inner_diameter_mm = {outer.inner_diameter_m * 1e3:g} mm"
         raise document.fault(rule, "tube", i, "outer_diameter_mm")
     needed = outer.length_m + inner.collar_length_m
-    if inner.length_m < needed - LENGTH_TOLERANCE_M:
+    if inner.length_m < needed - LENGTH_TOLERANCE_M and not inner.retractable:
         rule = (
             f"sections add up to {inner.length_m * 1e3:g} mm, must be at least {needed * 1e3:g} mm: the length of "
             f"tube {i} ({outer.length_m * 1e3:g} mm) and this tube's collar ({inner.collar_length_m * 1e3:g} mm)"

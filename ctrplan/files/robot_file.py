@@ -75,7 +75,8 @@ def _build(document: Document) -> Robot:
 def _measurement(entry: MeasurementEntry | None) -> SensorNoise | None:
     if entry is None:
         return None
-    return SensorNoise(entry.position_sigma_mm * 1e-3, math.radians(entry.tangent_sigma_deg))
+    degrees = entry.tangent_sigma_deg
+    return SensorNoise(entry.position_sigma_mm * 1e-3, None if degrees is None else math.radians(degrees))
 
 
 def _clearance_warnings(robot: Robot, document: Document) -> Iterator[str]:

@@ -69,6 +69,7 @@ def core_tube(tube: Tube) -> _model.Tube:
         softening_fraction=tube.softening_fraction,
         shaft_compliance=tube.shaft_compliance_rad_per_Nm,
         mass_per_length=tube.mass_per_length_kg_m,
+        retractable=tube.retractable,
     )
 
 
@@ -134,7 +135,8 @@ def promised(table: Table) -> Table:
 
 def solved_shape(raw: Any) -> Shape:
     """The Shape of what a solve of the core returns, a _model.Shape; FAILED where it has no stability."""
-    return Shape.of_core(raw, Status(raw.status) if raw.is_finite and isfinite(raw.stability) else Status.FAILED)
+    is_known = raw.status == Status.OVERTWISTED or (raw.is_finite and isfinite(raw.stability))
+    return Shape.of_core(raw, Status(raw.status) if is_known else Status.FAILED)
 
 
 def solved_bound(raw: dict[str, Any]) -> Bound:

@@ -1,4 +1,8 @@
-"""The rule of nesting: bases and tips keep their order, collars apart, no base in front of the plate."""
+"""The rule of nesting: bases and tips keep their order, collars apart, no base in front of the plate.
+
+Tips of retractable tubes need not: such a tube may end inside the one around it. The planner keeps them in order all
+the same, for its certificates are of tips in order.
+"""
 
 from __future__ import annotations
 
@@ -23,21 +27,23 @@ def least_distance_m(outer: Tube, inner: Tube) -> float:
     return max(inner.collar_length_m, room)
 
 
-def nesting_inequalities(tubes: Sequence[Tube]) -> tuple[Array, Array]:
+def nesting_inequalities(tubes: Sequence[Tube], *, tips_in_order: bool = False) -> tuple[Array, Array]:
     """G (2n - 1, n) and h (2n - 1,) [m] such that base translations l_b nest if and only if G @ l_b <= h.
 
     Rows: l_1b <= 0; then for every pair the bases, l_{i+1,b} <= l_ib - collar_{i+1}, or the room that a compliant shaft
-    needs; then for every pair the tips, l_ib + length_i <= l_{i+1,b} + length_{i+1}.
+    needs; then for every pair the tips, l_ib + length_i <= l_{i+1,b} + length_{i+1}, which holds for retractable tubes
+    in any case unless `tips_in_order`.
     """
     behind = np.diff(np.eye(len(tubes)), axis=0)  # row i: l_{i+1} - l_i
     apart = [-least_distance_m(*pair) for pair in pairwise(tubes)]
     longer = np.diff([tube.length_m for tube in tubes])
+    longer[[tube.retractable and not tips_in_order for tube in tubes[1:]]] = np.inf
     return np.vstack([np.eye(len(tubes))[:1], behind, -behind]), np.concatenate([[0.0], apart, longer])
 
 
 def reach_inequalities(tubes: Sequence[Tube]) -> tuple[Array, Array]:
     """The inequalities (2n, n), (2n,) [m] of nesting, and below them that of an outermost tip in front of the plate."""
-    G, h = nesting_inequalities(tubes)
+    G, h = nesting_inequalities(tubes, tips_in_order=True)
     return np.vstack([G, -G[:1]]), np.append(h, tubes[0].length_m - 3 * TOLERANCE_M)
 
 
@@ -68,6 +74,7 @@ def _ordered(tubes: Sequence[Tube], l_b: Array, apart_m: Sequence[float]) -> Arr
     l = l_b.copy()  # noqa: E741 (as in the equations)
     l[:, 0] = np.minimum(l[:, 0], 0.0)
     for i, (outer, inner) in enumerate(pairwise(tubes)):
-        l[:, i + 1] = np.maximum(l[:, i + 1], l[:, i] + outer.length_m - inner.length_m)
+        if not inner.retractable:
+            l[:, i + 1] = np.maximum(l[:, i + 1], l[:, i] + outer.length_m - inner.length_m)
         l[:, i + 1] = np.minimum(l[:, i + 1], l[:, i] - apart_m[i])
     return l

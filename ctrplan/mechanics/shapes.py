@@ -28,6 +28,9 @@ class Status(enum.IntEnum):
     MULTIPLE = 1  # as CONVERGED, and another stable solution is known
     UNSTABLE = 2  # an equilibrium, but not a minimum of the energy: the robot would snap away from it
     FAILED = 3  # residual not reached
+    # as FAILED, of single shapes only: on the way to its equilibrium friction at its full limit twists a tube by a
+    # shear strain of more than 0.5, several times what any tube bears
+    OVERTWISTED = 4
 
 
 @dataclass(frozen=True, eq=False)

@@ -65,6 +65,7 @@ class Tube:
     softening_strain: float = math.inf  # of r_out |u - u_hat|, where the bending stiffness drops (NiTi)
     softening_fraction: float = 1.0  # tangent stiffness beyond it over EI
     shaft_compliance_rad_per_Nm: float = 0.0  # torsion between actuator and collar
+    retractable: bool = False  # whether its tip may be drawn back behind that of the tube around it
 
     @property
     def mass_per_length_kg_m(self) -> float:

@@ -24,7 +24,7 @@ from ctrplan.experiment.friction_states import friction_state
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.robot.named_numbers import with_values
 from ctrplan.robot.robot import Robot
-from ctrplan.sensor.poses import Poses
+from ctrplan.sensor.poses import Poses, moved_rigidly
 
 NOTES = ("ci95", "provenance")  # keys of an effect's table that say where its values come from
 
@@ -53,10 +53,15 @@ class Chain:
                 ideal = with_values(ideal, given.effect.mechanics(given.values, ideal))
         return cls(ideal, tuple(given for given in acting if not given.effect.sets_outright))
 
-    def on(self, time_s: Array | None, more: Mapping[str, Array]) -> Chain:
-        """The same without effects that need a column which these data do not have."""
+    def on(self, time_s: Array | None, more: Mapping[str, Array], *, of_collars: bool = False) -> Chain:
+        """The same without effects that need a column which these data do not have.
+
+        of_collars: joints are those of the collars, which the drive has moved already.
+        """
         able = [given for given in self.acting if not given.effect.missing_columns(time_s, more)]
-        return replace(self, acting=tuple(able))
+        return replace(
+            self, acting=tuple(given for given in able if not (of_collars and given.effect.stage == "drive"))
+        )
 
     def collars(self, data: Measurements, directions: Array) -> Collars:
         """Where the collars stand, (K, n), when the K poses are taken; `directions` (K, 2 n) of the last motions."""
@@ -64,7 +69,14 @@ class Chain:
 
     def clock(self, data: Measurements) -> Collars:
         """What was commanded, (K, n), at the instants that the K poses belong to."""
-        commanded = at_instants(data, np.hstack([data.theta_commanded, data.l_commanded]), self.delay_s)
+        delays_s = self.delay_s + self.drive_delays_s(data.n)
+        commanded = at_instants(data, np.hstack([data.theta_commanded, data.l_commanded]), delays_s)
+        return Collars(commanded[:, : data.n], commanded[:, data.n :])
+
+    def late(self, data: Measurements) -> Collars:
+        """Where the drive is told to be, (K, n), at the K poses: what was commanded, as late as it follows."""
+        table = np.hstack([data.theta_commanded, data.l_commanded])
+        commanded = at_instants(data, table, self.drive_delays_s(data.n))
         return Collars(commanded[:, : data.n], commanded[:, data.n :])
 
     def drive(self, commanded: Collars, directions: Array) -> Collars:
@@ -92,6 +104,31 @@ class Chain:
             poses = given.effect.sensor(given.values, poses, data)
         return poses
 
+    def plate_turn(self, collars: Collars) -> Array | None:
+        """(K, 3) [rad] by which what is in front of the plate is turned at K collars; None where nothing turns it."""
+        robot = self.mechanics
+        turns = [given.effect.plate_turn(given.values, robot, collars) for given in self.of_stage("mechanics")]
+        found = [turn for turn in turns if turn is not None]
+        return np.sum(found, axis=0) if found else None
+
+    def seen(self, poses: Poses, collars: Collars, data: Measurements) -> Poses:
+        """What is measured of the K poses of the tip: turned with the plate, then as the sensor has them."""
+        turn = self.plate_turn(collars)
+        return self.sensor(poses if turn is None else moved_rigidly(poses, turn, np.zeros(3)), data)
+
+    def changing(self, data: Measurements) -> dict[str, Array]:
+        """By how much (K,) named numbers of the mechanics differ at each pose."""
+        changes: dict[str, Array] = {}
+        for given in self.of_stage("mechanics"):
+            for name, change in given.effect.changing(given.values, self.mechanics, data).items():
+                changes[name] = changes.get(name, 0.0) + change
+        return changes
+
+    def drive_delays_s(self, n: int) -> Array:
+        """(2 n,) how much later [s] than commanded each rotation, then each translation, happens."""
+        delays: Array = np.zeros(2 * n) + sum(g.effect.drive_delays_s(g.values, n) for g in self.of_stage("clock"))
+        return delays
+
     @property
     def delay_s(self) -> float:
         """How much earlier [s] the joints are that a pose belongs to."""
@@ -109,7 +146,14 @@ class Chain:
 
     def friction_state(self, data: Measurements) -> Array:
         """(K, n - 1) circumferential share of the Coulomb limit of each pair, of poses at rest."""
-        return friction_state(data, self.release_m)
+        return self.friction_share(data) * friction_state(data, self.release_m)
+
+    def friction_share(self, data: Measurements) -> Array:
+        """(K, n - 1) of the friction state that is left at each pose."""
+        share = np.ones((data.count, data.n - 1))
+        for given in self.of_stage("mechanics"):
+            share = share * given.effect.friction_share(given.values, data)
+        return share
 
     def of_stage(self, stage: Stage) -> tuple[Acting, ...]:
         """The effects of one stage, in the order in which they act."""
@@ -147,16 +191,17 @@ def taken_along(
     return changed
 
 
-def at_instants(data: Measurements, table: Array, delay_s: float) -> Array:
-    """Rows of `table` (R, c), one for each waypoint, at the times of the K poses less `delay_s`.
+def at_instants(data: Measurements, table: Array, delay_s: Array | float) -> Array:
+    """Rows of `table` (R, c), one for each waypoint, at the times of the K poses less `delay_s`, one or (c,).
 
     Linear between waypoints; before a run begins and after it ends, the robot rests.
     """
-    if not delay_s or data.time_s is None:
+    if not np.any(delay_s) or data.time_s is None:
         return table[data.rows]
     found = np.empty((data.count, table.shape[1]))
     for run in np.unique(data.sequence[data.rows]).tolist():
         waypoints, poses = np.flatnonzero(data.sequence == run), data.sequence[data.rows] == run
-        wanted = data.time_s[data.rows[poses]] - delay_s
-        found[poses] = np.column_stack([np.interp(wanted, data.time_s[waypoints], c) for c in table[waypoints].T])
+        times, delays = data.time_s[data.rows[poses]], np.broadcast_to(delay_s, table.shape[1])
+        columns = zip(delays, table[waypoints].T, strict=True)
+        found[poses] = np.column_stack([np.interp(times - late, data.time_s[waypoints], c) for late, c in columns])
     return found

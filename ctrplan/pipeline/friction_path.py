@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ctrplan.base.arrays import Array
+from ctrplan.experiment.friction_states import friction_state
 from ctrplan.pipeline.followed_runs import followed
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.tip_table import tip_table
@@ -21,7 +22,8 @@ def friction_correction(chain: ParametricChain, p: Array) -> tuple[Array, Array]
     robot = chain.at(p).mechanics
     if not robot.friction.any():
         return None
-    collars, phi = chain.collars(p), chain.friction_state(p)
+    # friction that a rest or a speed has changed is as much less in the states as in the history, to first order
+    collars, phi = chain.collars(p), friction_state(chain.data, chain.at(p).release_m)
     coarse = tip_table(robot, collars.theta, collars.l, phi)
     if chain.data.is_stream:
         path = followed(chain, p)

@@ -25,7 +25,17 @@ def with_chain(robot: Robot, chain: Chain) -> Robot:
     """`robot` with the mechanics and the drive of a chain."""
     built = chain.mechanics
     drive = replace(built.drive, terms=_at_rest(chain), play=_play(chain))
-    return replace(robot, tubes=built.tubes, contacts=built.contacts, loads=built.loads, drive=drive, ideal=chain.ideal)
+    given = replace(
+        robot, tubes=built.tubes, contacts=built.contacts, loads=built.loads, drive=drive, ideal=chain.ideal
+    )
+    return replace(given, model_error_m=robot.model_error_m + _turned_m(chain))
+
+
+def _turned_m(chain: Chain) -> float:
+    """How far [m] the plate, turned by effects, may move any point of the robot: its length at the largest angle."""
+    robot = chain.mechanics
+    turn_rad = sum(given.effect.largest_turn_rad(given.values, robot) for given in chain.of_stage("mechanics"))
+    return turn_rad * max(tube.length_m for tube in robot.tubes)
 
 
 def _at_rest(chain: Chain) -> tuple[DriveAtRest, ...]:

@@ -6,7 +6,7 @@ them are joined by the chain rule.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -26,8 +26,9 @@ from ctrplan.robot.named_numbers import value_of, with_values
 from ctrplan.robot.robot import Robot
 from ctrplan.sensor.poses import Poses, frames_along
 
+DRIVEN_ALREADY = "the file has the joints of the collars, the drive's effects are in them"
 STEP = 1e-4  # of a parameter's prior, for the stages that are arithmetic
-COARSE_STEP = 0.02  # of a parameter's prior, where the mechanics are differenced
+COARSE_STEP = 0.005  # of a parameter's prior, where the mechanics are differenced
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,11 +89,13 @@ class ParametricChain:
         self.upper = np.array([p.upper for p in self.parameters]) * self.si
         self.correction: tuple[Array, Array] | None = None  # (K, 3) each: what a finer mesh adds to position, tangent
         self.followed_phi: Array | None = None  # (K, n - 1) friction states of a simulated history, not of the rule
-        self._in_file = Chain.of(robot).on(data.time_s, data.more)
+        self._in_file = Chain.of(robot).on(data.time_s, data.more, of_collars=data.of_collars)
         self._across: Array | None = None
         for t in self.terms:
             if missing := t.effect.missing_columns(data.time_s, data.more):
                 raise InputError(f"needs a column {', '.join(missing)}", file=data.file, key=f"effects.{t.name}")
+            if data.of_collars and t.effect.stage == "drive":
+                raise InputError(DRIVEN_ALREADY, file=data.file, key=f"effects.{t.name}")
 
     def with_terms(self, terms: Sequence[Term]) -> ParametricChain:
         """Other terms for the same data, friction as simulated for these."""
@@ -154,10 +157,11 @@ class ParametricChain:
 
     def friction_state(self, p: Array) -> Array:
         """(K, n - 1) circumferential share of the Coulomb limit of each pair."""
+        chain = self.at(p)
         if self.followed_phi is not None:
-            return self.followed_phi
-        release_m = self.at(p).release_m
-        return self._plain_phi if np.isinf(release_m) else friction_state(self.data, release_m)
+            return self.followed_phi * chain.friction_share(self.data)
+        plain = self._plain_phi if np.isinf(chain.release_m) else friction_state(self.data, chain.release_m)
+        return plain * chain.friction_share(self.data)
 
     def predict(self, p: Array, *, derivatives: bool = True) -> Prediction:
         """Poses at parameters (P,), in the order of the terms."""
@@ -166,19 +170,21 @@ class ParametricChain:
         staged = self._stages()
         names, numbers_by = self._numbers(p) if derivatives else ([], np.zeros((0, 0)))
         joints = self._joint_names() if derivatives and (staged["drive"] or staged["clock"]) else []
-        table = tip_table(robot, collars.theta, collars.l, phi, [*names, *joints])
-        position, tangent = table.position_m, table.tangent
+        changes = chain.changing(self.data)
+        table = tip_table(robot, collars.theta, collars.l, phi, [*names, *joints, *changes])
+        position, tangent = _followed(table, changes)
         if self.correction is not None:
             position, tangent = position + self.correction[0], _unit(tangent + self.correction[1])
         poses = Poses(position, frames_along(tangent, self._tip_x(chain, collars, phi, tangent)))
-        seen = chain.sensor(poses, self.data)
+        seen = chain.seen(poses, collars, self.data)
         by = np.zeros((len(position), 6, len(self.parameters) if derivatives else 0))
         if derivatives:
             upstream = np.concatenate([table.position_by, table.tangent_by], axis=1)
             by += upstream[:, :, : len(names)] @ numbers_by
-            self._joint_columns(p, len(names), upstream, by)
+            self._joint_columns(p, upstream[:, :, len(names) : len(names) + len(joints)], by)
+            self._changing_columns(p, upstream[:, :, len(names) + len(joints) :], list(changes), by)
             self._release_columns(p, robot, collars, table, by)
-            self._sensor_columns(p, poses, seen, by)
+            self._sensor_columns(p, poses, collars, seen, by)
         return Prediction(seen.position, seen.frame[:, :, 2], table.sound, table.failed, by[:, :3], by[:, 3:])
 
     @cached_property
@@ -217,35 +223,53 @@ class ParametricChain:
         changed = np.flatnonzero(by.any(axis=1)).tolist()
         return [names[k] for k in changed], by[changed]
 
-    def _joint_columns(self, p: Array, first: int, upstream: Array, by: Array) -> None:
+    def _joint_columns(self, p: Array, upstream: Array, by: Array) -> None:
+        """Of clock and drive, (K, 6, 2 n) the tips by the collars."""
+
         def joints(p: Array) -> Array:
             collars = self.collars(p)
             return np.hstack([collars.theta, collars.l])
 
         staged = self._stages()
         for j in (*staged["clock"], *staged["drive"]):
-            by[:, :, j] = np.einsum("kcj,kj->kc", upstream[:, :, first:], self._difference(joints, p, j))
+            by[:, :, j] = np.einsum("kcj,kj->kc", upstream, self._difference(joints, p, j))
+
+    def _changing_columns(self, p: Array, upstream: Array, names: Sequence[str], by: Array) -> None:
+        """Of numbers that differ from pose to pose, (K, 6, C) the tips by them."""
+        if not names:
+            return
+
+        def changes(p: Array) -> Array:
+            return np.column_stack(list(self.at(p).changing(self.data).values()))
+
+        for t, s in zip(self.terms, self.slices(), strict=True):
+            if t.effect.overrides("changing"):
+                for j in range(s.start, s.stop):
+                    by[:, :, j] += np.einsum("kcj,kj->kc", upstream, self._difference(changes, p, j))
 
     def _release_columns(self, p: Array, robot: Robot, collars: Collars, table: TipTable, by: Array) -> None:
         """Friction states change by differences of whole solves: few effects have them."""
         for t, s in zip(self.terms, self.slices(), strict=True):
-            if type(t.effect).friction_release_m is not Effect.friction_release_m and robot.friction.any():
+            if any(map(t.effect.overrides, ("friction_release_m", "friction_share"))) and robot.friction.any():
                 for j in range(s.start, s.stop):
                     moved, h = p.copy(), COARSE_STEP * self.prior[j]
+                    h = h if p[j] + h <= self.upper[j] else -h
                     moved[j] += h
                     other = tip_table(robot, collars.theta, collars.l, self.friction_state(moved))
                     by[:, :3, j] = (other.position_m - table.position_m) / h
                     by[:, 3:, j] = (other.tangent - table.tangent) / h
 
-    def _sensor_columns(self, p: Array, poses: Poses, seen: Poses, by: Array) -> None:
+    def _sensor_columns(self, p: Array, poses: Poses, collars: Collars, seen: Poses, by: Array) -> None:
         chain = self.at(p)
-        if not chain.of_stage("sensor"):
+        if not chain.of_stage("sensor") and chain.plate_turn(collars) is None:
             return
-        staged = self._stages()
+        turning = [j for t, s in zip(self.terms, self.slices(), strict=True) if t.effect.overrides("plate_turn")
+                   for j in range(s.start, s.stop)]  # fmt: skip
+        direct = {*self._stages()["sensor"], *turning}
         h = 1e-5  # m and rad alike
         for j in range(by.shape[2]):
-            if j in staged["sensor"]:
-                by[:, :, j] = self._difference(lambda p: _stacked(self.at(p).sensor(poses, self.data)), p, j)
+            if j in direct:
+                by[:, :, j] = self._difference(lambda p: _stacked(self.at(p).seen(poses, collars, self.data)), p, j)
             else:
                 size = max(float(np.abs(by[:, :, j]).max()), 1e-12)
                 step = h / size * by[:, :, j]
@@ -253,7 +277,7 @@ class ParametricChain:
                     poses.position + step[:, :3],
                     frames_along(_unit(poses.frame[:, :, 2] + step[:, 3:]), poses.frame[:, :, 0]),
                 )
-                by[:, :, j] = (_stacked(chain.sensor(moved, self.data)) - _stacked(seen)) * size / h
+                by[:, :, j] = (_stacked(chain.seen(moved, collars, self.data)) - _stacked(seen)) * size / h
 
     def _difference(self, of: Callable[[Array], Array], p: Array, j: int) -> Array:
         """Central difference of a cheap stage, one-sided at a bound."""
@@ -276,6 +300,15 @@ class ParametricChain:
             rows = zip(collars.theta, nested(robot, collars.l), phi, strict=True)
             self._across = np.array([robot.solve(*row).tubes[-1].frames[-1, :, 0] for row in rows])
         return self._across
+
+
+def _followed(table: TipTable, changes: Mapping[str, Array]) -> tuple[Array, Array]:
+    """Positions and tangents (K, 3) of a table whose last derivatives are by numbers that change by (K,) each."""
+    if not changes:
+        return table.position_m, table.tangent
+    by, amount = len(changes), np.column_stack(list(changes.values()))
+    position = table.position_m + np.einsum("kxc,kc->kx", table.position_by[:, :, -by:], amount)
+    return position, _unit(table.tangent + np.einsum("kxc,kc->kx", table.tangent_by[:, :, -by:], amount))
 
 
 def _unit(vectors: Array) -> Array:

@@ -151,7 +151,7 @@ def _simulate(robot: Robot, joints: Array) -> SimulatedPath | None:
 
 def _random_waypoints(robot: Robot, rng: np.random.Generator) -> Array:
     """(LEGS + 1, m) joint values from a random start, nested where limits and luck allow."""
-    drive, (G, h) = robot.drive, nesting_inequalities(robot.tubes)
+    drive, (G, h) = robot.drive, nesting_inequalities(robot.tubes, tips_in_order=True)
     low, high = _ranges(drive)
     points = [_nested(rng.uniform(low, high, (200, len(low))), robot, G, h)]
     for _ in range(LEGS):

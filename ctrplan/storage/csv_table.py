@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -25,22 +25,25 @@ class CsvTable:
     Blank rows, of commas alone too, are none.
     """
 
-    def __init__(self, file: str, what: str) -> None:
-        """Reads the whole file, which is a `what`.
+    def __init__(self, file: str, what: str, *, separator: str = ",", header: bool = True) -> None:
+        """Reads the whole file, which is a `what`; `separator` of the columns, " " for any blanks.
 
-        Raises InputError unless it is a table: readable, one header, all rows as long.
+        Without a header columns are called 1, 2 and so on; a separator at the end of all rows ends no column. Raises
+        InputError unless it is a table: readable, one header, all rows as long.
         """
         data = file_bytes(file, LARGEST_FILE_BYTES, "CSV", what)
         self.file, self.sha256 = file, hashlib.sha256(data).hexdigest()
         try:
-            lines = csv.reader(data.decode("utf-8-sig").splitlines(), strict=True)
+            lines = _split(data.decode("utf-8-sig").splitlines(), separator)
             filled = [row for row in lines if any(map(str.strip, row))]
         except UnicodeDecodeError as error:
             raise InputError(f"is not UTF-8 text (byte {error.start})", file=file) from None
         except csv.Error as error:
             raise InputError(f"is no readable CSV file ({error})", file=file) from None
-        if len(filled) < 2:
-            raise InputError("must have a header and at least one row", file=file)
+        if len(filled) < 1 + header:
+            raise InputError(f"must have {'a header and ' if header else ''}at least one row", file=file)
+        if not header:
+            filled = _numbered(filled)
         self.header = _column_names(filled[0], file)
         self.rows = filled[1:]
         for name, count in Counter(self.header).items():
@@ -88,6 +91,19 @@ class CsvTable:
         if abs(value) > LARGEST_NUMBER:
             raise self.fault(f"must be from {-LARGEST_NUMBER:g} to {LARGEST_NUMBER:g}", row, name, text)
         return value
+
+
+def _split(lines: Sequence[str], separator: str) -> Iterable[list[str]]:
+    if separator == " ":
+        return (line.split() for line in lines)
+    return csv.reader(lines, strict=True, delimiter=separator)
+
+
+def _numbered(rows: list[list[str]]) -> list[list[str]]:
+    """With numbers for names of the columns; without a last column that is empty throughout."""
+    if len(rows[0]) > 1 and all(len(row) == len(rows[0]) and not row[-1].strip() for row in rows):
+        rows = [row[:-1] for row in rows]
+    return [[str(k + 1) for k in range(len(rows[0]))], *rows]
 
 
 def _column_names(header: Sequence[str], file: str) -> list[str]:

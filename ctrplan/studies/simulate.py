@@ -102,7 +102,7 @@ def simulate(
     """
     told, stop = progress or (lambda *_: None), interrupted or threading.Event()
     rows: list[Array] = []
-    count, chain = len(path.theta_commanded), Chain.of(robot).on(path.time_s, path.more)
+    count, chain = len(path.theta_commanded), Chain.of(robot).on(path.time_s, path.more, of_collars=path.of_collars)
     for run in path.runs:
         history = History(robot.mechanics, start, accuracy=accuracy)
         for place, *commanded, theta, l in _driven_legs(robot, chain, path, run):  # noqa: E741 (as in the equations)
@@ -165,7 +165,8 @@ def _driven_legs(robot: Robot, chain: Chain, path: JointPath, run: slice) -> Ite
     """Places, commanded rotations and translations, and those that the drive makes of them, leg by leg."""
     legs = list(_legs(path, run))
     place, theta, l = (np.concatenate(parts) for parts in zip(*legs, strict=True))  # noqa: E741
-    collars = chain.drive(Collars(theta, l), last_directions(_samples(path, place, Collars(theta, l))))
+    samples = _samples(path, place, Collars(theta, l))
+    collars = chain.drive(chain.late(samples), last_directions(samples))
     if chain.of_stage("drive"):
         _check_collars(robot, path, place, collars)
     ends = np.cumsum([len(leg[0]) for leg in legs])[:-1]
@@ -185,7 +186,8 @@ def _samples(path: JointPath, place: Array, commanded: Collars) -> Measurements:
 
 def _measured(chain: Chain, samples: Measurements, collars: Collars, phi: Array, tips: Array) -> Poses | None:
     """What a tracker reports of tips and tangents (S, 6); None where nothing stands between tip and report."""
-    if not chain.of_stage("clock") and not chain.of_stage("sensor"):
+    turn = chain.plate_turn(collars)
+    if not chain.of_stage("clock") and not chain.of_stage("sensor") and turn is None:
         return None
     across = np.eye(3)[np.argmin(np.abs(tips[:, 3:]), axis=1)]
     if chain.turns_with_tip:  # for others any direction across the tangent will do
@@ -194,7 +196,7 @@ def _measured(chain: Chain, samples: Measurements, collars: Collars, phi: Array,
         across = np.array([robot.solve(*row).tubes[-1].frames[-1, :, 0] for row in rows])
     seen = at_instants(samples, np.hstack([tips, across]), chain.delay_s)
     tangent = seen[:, 3:6] / np.linalg.norm(seen[:, 3:6], axis=1, keepdims=True)
-    return chain.sensor(Poses(seen[:, :3], frames_along(tangent, seen[:, 6:])), samples)
+    return chain.seen(Poses(seen[:, :3], frames_along(tangent, seen[:, 6:])), collars, samples)
 
 
 def _left_out(chain: Chain, path: JointPath) -> Iterator[str]:
@@ -203,6 +205,8 @@ def _left_out(chain: Chain, path: JointPath) -> Iterator[str]:
         if missing := given.effect.missing_columns(path.time_s, path.more):
             lacking = f"without a column {', '.join(missing)}"
             yield f"{path.file}: {lacking} the robot's {given.effect.name} is left out."
+        elif given.effect.overrides("friction_share") or given.effect.overrides("changing"):
+            yield f"{path.file}: a simulated history has no {given.effect.name}: it acts in fits alone."
 
 
 def _check_collars(robot: Robot, path: JointPath, place: Array, collars: Collars) -> None:
@@ -225,7 +229,7 @@ def _simulation(
     bounds = robot.bound_many(theta, l, accuracy=accuracy, progress=lambda share: told("bounds", share))
     every = Chain.of(robot)
     chain, samples = (
-        every.on(path.time_s, path.more),
+        every.on(path.time_s, path.more, of_collars=path.of_collars),
         _samples(path, place[:, 0], Collars(theta_commanded, l_commanded)),
     )
     return Simulation(
@@ -242,5 +246,5 @@ def _simulation(
         status=status[:, 0].astype(int),
         bounds=bounds,
         measured=_measured(chain, samples, collars, phi, np.hstack([position_m, tangent])),
-        warnings=tuple(_left_out(every, path)),
+        warnings=(*path.notes, *_left_out(every, path)),
     )

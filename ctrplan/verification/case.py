@@ -100,7 +100,7 @@ class Case:
             bodies = self.robot.mechanics.friction_bodies(*collars, states, spacing_m=5e-3, accuracy=mesh)
         except CtrplanError:
             return []
-        if Status.FAILED in (free.status, shape.status):
+        if max(free.status, shape.status) >= Status.FAILED:
             return []
         found = self.of_shape(shape, None if play else free.tip_m, place, phi, play=play)
         for state, solved, stability in zip(states, (free, shape), bodies.stability, strict=True):

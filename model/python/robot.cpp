@@ -7,9 +7,9 @@ namespace {
 
 void make_tube(ctr::Tube* self, double outer_radius, double inner_radius, double bending_stiffness, double torsional_stiffness,
                double collar_length, const std::vector<ctr::Section>& sections, double ovality, double ovality_axis, double softening_strain,
-               double softening_fraction, double shaft_compliance, double mass_per_length) {
+               double softening_fraction, double shaft_compliance, double mass_per_length, bool retractable) {
     new (self) ctr::Tube{outer_radius, inner_radius, bending_stiffness, torsional_stiffness, collar_length,    sections,
-                         ovality,      ovality_axis, softening_strain,  softening_fraction,  shaft_compliance, mass_per_length};
+                         ovality,      ovality_axis, softening_strain,  softening_fraction,  shaft_compliance, mass_per_length, retractable};
 }
 
 void make_loads(ctr::Loads* self, const std::array<double, 3>& tip_force, const std::array<double, 3>& tip_moment,
@@ -30,7 +30,7 @@ void bind_robot(nb::module_& m) {
     nb::class_<ctr::Tube>(m, "Tube")
         .def("__init__", &make_tube, nb::kw_only(), "outer_radius"_a, "inner_radius"_a, "bending_stiffness"_a, "torsional_stiffness"_a,
              "collar_length"_a, "sections"_a, "ovality"_a, "ovality_axis"_a, "softening_strain"_a, "softening_fraction"_a,
-             "shaft_compliance"_a, "mass_per_length"_a);
+             "shaft_compliance"_a, "mass_per_length"_a, "retractable"_a);
     nb::class_<ctr::Pair>(m, "Pair")
         .def("__init__", [](ctr::Pair* self, double clearance, double friction, double outer_inner_radius, double inner_outer_radius) {
             new (self) ctr::Pair{clearance, friction, outer_inner_radius, inner_outer_radius};

@@ -21,7 +21,7 @@ def problem(parameters: int, seed: int, r: Array | None = None) -> Linear:
     rng = np.random.default_rng(seed)
     J = rng.standard_normal((POSES, PER_POSE, parameters)) * np.logspace(-3, 3, parameters)
     r = rng.standard_normal((POSES, PER_POSE)) if r is None else r
-    return Linear(r, J, np.ones(POSES), np.full(parameters, 1e-12), np.zeros(parameters))
+    return Linear(r, J, np.ones(POSES), np.full(parameters, 1e-12), np.zeros(parameters), np.ones((POSES, 5), bool))
 
 
 def test_leaving_a_fold_out_is_the_refit_without_it() -> None:
@@ -55,7 +55,7 @@ def test_null_scores_are_the_scores_of_pure_noise() -> None:
 def test_noise_passes_the_threshold_as_rarely_as_it_says() -> None:
     base = problem(3, 3)
     wider = [np.concatenate([base.J, problem(2, k).J], axis=2) for k in range(10, 22)]
-    others = [Linear(base.r, J, base.weight, np.full(5, 1e-12), np.zeros(5)) for J in wider]
+    others = [Linear(base.r, J, base.weight, np.full(5, 1e-12), np.zeros(5), base.given) for J in wider]
     threshold = null_threshold(base, others, FOLD)
     noise = np.random.default_rng(99).standard_normal((POSES * PER_POSE, 600))
     best = np.max([null_scores(o, FOLD, noise) for o in others], axis=0) - null_scores(base, FOLD, noise)
@@ -74,7 +74,7 @@ def test_noise_is_adequate_and_structure_is_not(seed: int) -> None:
     spoilt = adequacy(problem(6, seed, rng.standard_normal((POSES, PER_POSE)) + shared).refitted(), GROUP, nothing)
     assert not spoilt.is_adequate and not spoilt.between.is_noise and spoilt.within.is_noise
     assert (
-        rescaled_noise(spoilt, Noise(1e-3, 1e-2), np.full(POSES, 2.0))[0] is None
+        rescaled_noise(spoilt, Noise(1e-3, 1e-2), np.full(POSES, 2.0), np.full(POSES, PER_POSE))[0] is None
     )  # structure is never taken for larger noise
 
 
@@ -82,7 +82,7 @@ def test_noise_of_another_size_is_recognised() -> None:
     rng = np.random.default_rng(7)
     r = rng.standard_normal((POSES, PER_POSE)) * [1.6, 1.6, 1.6, 1.0, 1.0]
     left = adequacy(problem(4, 7, r).refitted(), GROUP, np.zeros(POSES, bool))
-    found, sentence = rescaled_noise(left, Noise(0.4e-3, 0.01), np.linalg.norm(r, axis=1))
+    found, sentence = rescaled_noise(left, Noise(0.4e-3, 0.01), np.linalg.norm(r, axis=1), np.full(POSES, PER_POSE))
     assert found is not None and "not as stated" in sentence
     assert found.position_m == pytest.approx(1.6 * 0.4e-3, rel=0.08)
     assert found.tangent_rad == pytest.approx(0.01, rel=0.1)
@@ -96,7 +96,7 @@ def test_a_small_middle_with_heavy_tails_is_noise_of_the_stated_size() -> None:
         far = np.linalg.norm(r, axis=1) > 5.6
         left = adequacy(problem(4, 8, r).refitted(), GROUP, far)
         assert left.total.ratio < 0.8
-        found, sentence = rescaled_noise(left, stated, np.linalg.norm(r[~far], axis=1))
+        found, sentence = rescaled_noise(left, stated, np.linalg.norm(r[~far], axis=1), np.full((~far).sum(), PER_POSE))
         assert (found is None) == bool(np.ptp(scale)) and ("tails" in sentence) == bool(np.ptp(scale))
 
 
@@ -122,7 +122,7 @@ def test_a_vault_like_the_selection_agrees_with_it_whatever_the_tails(
         left, held_out_set = ChiSquare(float(square[:60].sum()), 300.0), float(square[60:].sum())
         size = left.ratio if estimated else 1.0  # the noise as the selection shows it, or as stated
         norm = np.sqrt(square[:60] / size)
-        parts = Residuals(np.zeros((60, 5)), np.zeros((60, 5, 0)), np.ones(60), norm)
+        parts = Residuals(np.zeros((60, 5)), np.zeros((60, 5, 0)), np.ones(60), norm, np.ones((60, 5), bool))
         parts.r[:, 0] = norm
         left = ChiSquare(left.value / size, 300.0)
         chances = [

@@ -14,7 +14,9 @@ from made_up_input import NUMBERS, assert_names_the_fault, cases
 from places import SCENARIOS
 
 from ctrplan.errors import CtrplanError, InputError
+from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.bare_scenario import bare_scenario
+from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.planning.scenario import Scenario
@@ -111,6 +113,56 @@ def test_bytes_lost_and_put_into_a_robot_file(folder: Path, name: str, at: int, 
     content = ROBOTS[name].encode()
     at %= len(content)
     check_reading(load_robot, Robot, folder / "robot.toml", content[:at] + new + content[at + lost :])
+
+
+MAPPING = """
+header = false
+separator = ";"
+tubes = "innermost first"
+values = "commanded"
+rotations = "wrapped"
+
+[[run]]
+file = "log.txt"
+tracker = "a"
+frame = { position_mm = [1, 2, 3], quaternion_wxyz = [1, 0, 0, 0] }
+[[run]]
+joints = "log.txt"
+poses = "log.txt"
+tracker = "b"
+frame = "unknown"
+
+[columns]
+time = 1
+theta = [3, 2]
+l = ["-5", "4"]
+position = [6, 7, 8]
+tangent = ["", 9, 10]
+more = { load = 11 }
+
+[units]
+theta = "deg"
+l = "mm"
+position = "mm"
+time = "ms"
+
+[zero]
+theta_deg = [0, 10]
+l_mm = [-1, 0]
+"""
+
+
+@cases(150)
+@given(DAMAGE)
+def test_a_damaged_mapping_file_is_read_or_refused_in_one_sentence(
+    folder: Path, changes: list[tuple[str, float, str]]
+) -> None:
+    robot = load_robot(folder / "robots" / "table_1_pair.toml")
+    rows = [f"{k};{5 * k};{7 * k};-1;{20 + k};{k};{-k};{100 + k};0.6;0.8;{k}" for k in range(1, 9)]
+    (folder / "log.txt").write_text("\n".join(rows))
+    check_reading(
+        lambda file: load_measurements(file, robot), Measurements, folder / "mapping.toml", damaged(MAPPING, changes)
+    )
 
 
 @cases(30)

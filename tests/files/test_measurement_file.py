@@ -67,6 +67,11 @@ def _drop(column: str) -> Callable[[Table], None]:
     return change
 
 
+def _drop_two(table: Table) -> None:
+    _drop("ty")(table)
+    _drop("tz")(table)
+
+
 def _repeat_header(table: Table) -> None:
     table.insert(5, list(table[0]))
 
@@ -95,7 +100,7 @@ def _no_pose(table: Table) -> None:
 REFUSED = {
     "missing column": (_drop("l_2_m"), "l_2_m: is missing"),
     "other unit": (_rename("l_2_m", "l_2_mm"), "l_2_m: is missing, found l_2_mm: columns are in rad and m"),
-    "no tangent": (_drop("tz"), "tz: is missing"),
+    "one of a tangent": (_drop_two, "tx: one component of a tangent says nothing"),
     "millimetres": (_scale(("x_m", "y_m", "z_m"), 1000.0), "are these millimetres?"),
     "metres of kilometres": (_scale(("x_m", "y_m", "z_m"), 1e-5), "are these metres?"),
     "translations in mm": (_scale(("l_2_m",), 1000.0), "are these millimetres?"),

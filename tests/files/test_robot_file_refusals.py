@@ -112,8 +112,8 @@ friction_coefficient = 0.2 -> friction_coefficient = 0.2\nclearance_mm = 0
     contact.1.clearance_mm = 0 mm: must be above 0 and at most 1000.
 tangent_sigma_deg = 0.5 -> tangent_sigma_rad = 0.01
     measurement.tangent_sigma_rad = 0.01: unknown key, expected tangent_sigma_deg (in deg).
-tangent_sigma_deg = 0.5 ->
-    measurement.tangent_sigma_deg: is missing.
+tangent_sigma_deg = 0.5 -> tangent_sigma_deg = 0
+    measurement.tangent_sigma_deg = 0 deg: must be from 1e-06 to 180.
 theta_deg = [0, 90] -> theta_rad = [0, 1.57]
     home.theta_rad = [0, 1.57]: unknown key, expected theta_deg (in deg).
 theta_deg = [0, 90] -> theta_deg = [0]

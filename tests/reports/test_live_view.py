@@ -26,6 +26,7 @@ from places import SCENARIOS
 
 from ctrplan.cli import main
 from ctrplan.files.bare_scenario import load_robot_or_scenario
+from ctrplan.planning.certificate.certify import certify
 from ctrplan.reports.live.server import LiveServer
 from ctrplan.reports.live.state import LiveState
 
@@ -91,6 +92,12 @@ def test_pose_says_what_the_mechanics_say(server: LiveServer) -> None:
     inner = np.array([answer["traces"][2][axis] for axis in "xyz"]).T
     assert np.linalg.norm(inner - bound.frictionless.tip_m * 1e3, axis=1).min() < 0.01  # the vertex in its end's middle
     assert answer["clearance_mm"] > 0 and len(answer["traces"]) == 5
+    assert answer["nominal_mm"] >= answer["friction_mm"] > answer["sure_mm"] > 0
+    certified = certify(scenario, scenario.start[None])
+    assert certified.nominal is not None and certified.closest is not None
+    assert answer["nominal_mm"] == pytest.approx(certified.nominal.clearance_m * 1e3, abs=0.02)
+    assert answer["sure_mm"] == pytest.approx(certified.min_clearance_m * 1e3, abs=0.15)
+    assert answer["friction_mm"] == pytest.approx(certified.closest.clearance_m * 1e3, abs=0.02)
 
 
 def test_pose_says_how_far_from_the_target_it_may_be(server: LiveServer) -> None:

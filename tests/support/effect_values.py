@@ -10,7 +10,7 @@ from ctrplan.effects.catalogue import CATALOGUE
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
-OF_CONTINUOUS_MOTIONS = ("lag", "translation_release")
+OF_CONTINUOUS_MOTIONS = ("lag", "drive_lag", "translation_release", "friction_speed", "relaxation")
 
 
 def table(name: str, robot: Robot, share: float = 0.2) -> dict[str, float]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from hard_robots import content
 from made_up_input import FUZZ
 
 from ctrplan.cli import main
@@ -18,35 +18,6 @@ from ctrplan.files.robot_file import write_robot
 TUBES = 8
 RATIO = 4.0  # of the time said and taken: the machine is not ours alone
 ROBOTS = 400 if FUZZ else 4
-
-
-def content(n: int, random: np.random.Generator) -> dict[str, Any]:
-    """A robot at the ends of what can be made: stiff and soft tubes, bent up to half round, friction up to 0.5."""
-    outer_mm, tubes, tip_mm = 0.4 * 1.5 ** np.arange(n)[::-1], [], random.uniform(20, 100)
-    for i in range(n):
-        length_mm = tip_mm + 20.0 * i
-        bend, towards = (
-            random.uniform(0, min(np.pi / length_mm * 1e3, 160 / outer_mm[i])),
-            random.uniform(-np.pi, np.pi),
-        )
-        section = {
-            "length_mm": length_mm,
-            "curvature_x_per_m": float(bend * np.cos(towards)),
-            "curvature_y_per_m": float(bend * np.sin(towards)),
-        }
-        tubes.append(
-            {
-                "outer_diameter_mm": float(outer_mm[i]),
-                "inner_diameter_mm": float(outer_mm[i] / 1.2),
-                "bending_stiffness_Nm2": float(10 ** random.uniform(-3, -1)),
-                "poisson_ratio": float(random.uniform(-0.9, 0.5)),
-                "collar_length_mm": 1.0,
-                "section": [section],
-            }
-        )
-        tip_mm += random.choice([0.01, random.uniform(0.1, 40)])
-    contacts = [{"friction_coefficient": float(random.uniform(0, 0.5))} for _ in range(n - 1)]
-    return {"name": "made up", "tube": tubes, "contact": contacts}
 
 
 def command(file: Path, n: int, random: np.random.Generator) -> list[str]:

@@ -32,7 +32,7 @@ class SensorOffset(Effect):
 
     def variants(self, robot: Robot, data: Measurements) -> Sequence[Sequence[str]]:
         names = [parameter.name for parameter in self.parameters(robot)]
-        return [names[:3], names]
+        return [names[:3], names] if data.has_tangents else [names[:3]]
 
     def sensor(self, values: Values, poses: Poses, data: Measurements) -> Poses:
         offset = np.array([values.get(f"offset_{axis}_mm", 0.0) for axis in "xyz"])

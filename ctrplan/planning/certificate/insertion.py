@@ -40,7 +40,7 @@ def _bodies(robot: Robot, trajectory: Trajectory) -> list[Array] | None:
     found = []
     for joints in joints_at(trajectory, np.linspace(0.0, trajectory.duration_s, POSES)):
         shape = robot.mechanics.solve(*robot.drive.collars(joints))
-        if shape.status == Status.FAILED:
+        if shape.status >= Status.FAILED:
             return None
         ahead = shape.centreline_m[shape.s_m >= 0]
         found.append(ahead if len(ahead) > 1 else np.zeros((2, 3)))

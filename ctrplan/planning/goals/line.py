@@ -80,7 +80,7 @@ def _shift(checker: MotionChecker, q: Array) -> Array | None:
     theta_b, l_b = checker.space.drive.collars(q)
     shape = checker.mechanics.solve(theta_b, l_b)
     tip, _, status = checker.mechanics.tips(theta_b[None], l_b[None])
-    if shape.status in (Status.FAILED, Status.UNSTABLE) or status[0] != Status.CONVERGED:
+    if shape.status >= Status.UNSTABLE or status[0] != Status.CONVERGED:
         return None
     shift: Array = tip[0] - shape.tip_m
     return shift

@@ -60,7 +60,12 @@ ROWS = (
     ("bound_deg", explained("error of the direction", "By how much friction can turn the tip's direction.")),
     ("stability", term("stability")),
     ("strain_percent", term("strain", "largest strain")),
-    ("clearance_mm", term("clearance", "clearance beyond margins")),
+    ("nominal_mm", term("clearance", "clearance without friction")),
+    ("friction_mm", term("clearance", "clearance, worst friction")),
+    (
+        "sure_mm",
+        explained("same, allowances taken off", "Less what certificates take off for what is not proven."),
+    ),
     ("tip_mm", escaped("tip without friction")),
     ("target_free", escaped("from the goal without friction")),
     ("target_worst", term("worst case at the target", "from the goal at worst")),

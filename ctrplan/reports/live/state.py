@@ -14,6 +14,7 @@ from ctrplan.planning.motion import MotionChecker, path_limits
 from ctrplan.planning.play import play_shift
 from ctrplan.reports import scene_looks as looks
 from ctrplan.reports.framing import view_box
+from ctrplan.reports.live.clearances import pose_clearances
 from ctrplan.reports.plan_words.worst_miss import WorstMiss
 from ctrplan.reports.pose import plate, pose, to_anatomy
 from ctrplan.reports.scene_traces import anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces, xyz
@@ -93,6 +94,7 @@ class LiveState:
             "stability": _finite(float(samples.stability[-1])),
             "strain_percent": _finite(100 * float(samples.max_strain[-1])),
             "clearance_mm": clearance_mm,
+            **self._clearances(joints),
             "target": self._from_target(joints, shown.tip_m, float(samples.position_m[-1])),
             "status": Status(int(samples.status[-1])).name,
             "valid": motion.valid,
@@ -107,6 +109,17 @@ class LiveState:
             if abs(value) > MOST:
                 raise InputError(f"must be at most {MOST:g} {joint.unit} either way", key=joint.name, value=value)
         return np.array([value * joint.si_per_unit for value, joint in zip(values, joints, strict=True)])
+
+    def _clearances(self, joints: Array) -> dict[str, float | None]:
+        """[mm] without friction, of the worst friction state, and that less allowances; None in free space."""
+        found = pose_clearances(self.scenario, joints)
+        if found is None:
+            return dict.fromkeys(("nominal_mm", "friction_mm", "sure_mm"))
+        return {
+            "nominal_mm": found.nominal_m * 1e3,
+            "friction_mm": found.friction_m * 1e3,
+            "sure_mm": found.sure_m * 1e3,
+        }
 
     def _shown(self, q: Array) -> list[float]:
         return [float(x) / joint.si_per_unit for x, joint in zip(q, self.scenario.robot.drive.joints, strict=True)]

@@ -104,7 +104,8 @@ function say(pose) {
   byId("bound_deg").textContent = shown(pose.bound_deg, 2, "°");
   byId("stability").textContent = shown(pose.stability, 2, "");
   byId("strain_percent").textContent = shown(pose.strain_percent, 2, "%");
-  byId("clearance_mm").textContent = pose.refusal ? "–" : pose.clearance_mm === null ? "free space" : shown(pose.clearance_mm, 2, "mm");
+  for (const name of ["nominal_mm", "friction_mm", "sure_mm"])
+    byId(name).textContent = pose.refusal ? "–" : pose[name] === null ? "free space" : shown(pose[name], 2, "mm");
   fromTarget(pose.refusal ? null : pose.target);
   byId("tip_mm").textContent = pose.tip_mm ? pose.tip_mm.map((x) => x.toFixed(1)).join(", ") + " mm" : "–";
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import textwrap
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,10 @@ from ctrplan.studies.sweep_axis import SweepAxis
 SIZE_IN, DPI = (10.0, 7.0), 120
 BOUND_LABEL = "worst-case friction error of the tip (mm)"
 MOST_MARKERS = 60
+WIDEST_CAPTION, WIDEST_NAME = (
+    110,
+    70,
+)  # letters across the figure; wider ones leave the axes no room
 PLAIN: dict[str, Any] = {"parse_math": False}
 UNUSABLE = {  # status -> colour, hatch, words
     Status.UNSTABLE: (palette.UNSTABLE, "///", "unstable: the robot would snap"),
@@ -33,8 +38,10 @@ def sweep_figure(result: Sweep) -> Figure:
     """The bound over the axes; where there is none, grey says why. Made without pyplot, no global state."""
     figure = Figure(figsize=SIZE_IN, dpi=DPI, facecolor="white", layout="constrained")
     ax = figure.add_subplot()
-    ax.set_title(result.robot.name, loc="left", fontsize=14, fontweight="bold", color=palette.INK, pad=26, **PLAIN)
-    ax.text(0, 1.02, _caption(result), transform=ax.transAxes, color=palette.MUTED, fontsize=10)
+    caption = textwrap.wrap(_caption(result), WIDEST_CAPTION)
+    name, pad = textwrap.shorten(result.robot.name, WIDEST_NAME, placeholder=" ..."), 12 + 14 * max(1, len(caption))
+    ax.set_title(name, loc="left", fontsize=14, fontweight="bold", color=palette.INK, pad=pad, **PLAIN)
+    ax.text(0, 1.02, "\n".join(caption), transform=ax.transAxes, color=palette.MUTED, fontsize=10)
     ax.set_xlabel(result.axes[0].label, **PLAIN)
     (_draw_curve if len(result.axes) == 1 else _draw_map)(ax, result)
     shown = [status for status in UNUSABLE if status in _status(result)]

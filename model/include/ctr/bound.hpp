@@ -77,7 +77,9 @@ class BoundSolver {
     bool all_converged() const;
     double stability() const { return stability_; }
     std::vector<double> shape_stabilities();  // frictionless, then every corner with its friction
-    Status status() const;
+    Status status() const;  // of the frictionless solution
+    Status corner_status(int k) const;
+    bool overtwisted() const;  // a friction state was not reached because of that
     int iterations() const;
     const FrictionSolver& solver() const { return solver_; }
     const Configuration& configuration() const { return q_; }
@@ -100,10 +102,14 @@ class BoundSolver {
     void solve_corners();
     void lay_out(int corners);
     bool shares_steps() const { return batches_.size() > 4; }  // memory counts from six tubes on: factors of the last batch alone
-    void grant_far_steps();
+    void grant_far_steps(double share);
     void reach_far(LaneState& state, double level, Convergence& result);
     void reach_corner(std::size_t batch, int lane);
     bool reach_from_neighbour(int corner, Convergence& result);
+    void set_trial(int corner);
+    void keep_trial(int corner);
+    void reach_rest();
+    bool reach_from_neighbours();
     int neighbour(int corner, int pair) const;  // that with the sign of one pair turned; the corner itself if it is not visited
     BarrierPath set_out(LaneState& state);
     void set_corner_phi(std::size_t batch);

@@ -25,6 +25,7 @@ struct Convergence {
     double residual = 0;         // largest imbalance of force * element length, moment, torque over EI * precurvature; or change of loads
     double complementarity = 0;  // largest |lambda w - eps| / eps
     int iterations = 0;
+    bool overtwisted = false;    // not converged: on its way there a tube was twisted far beyond what any bears
 };
 
 // Barrier levels, in units of the robot's own force per length (largest EI * precurvature over the innermost tube's length
@@ -80,6 +81,9 @@ class FrictionSolver {
     // and onto a stable branch, by implicit steps in time. Slow.
     void slide(LaneState& state, double level, Convergence& result, int most_steps = kMostSteps);
     static constexpr int kMostSteps = 3000;
+    // Shear strain of a tube's outside, r_out * twist rate, at which sliding gives up. Friction at its full limit everywhere winds
+    // up some robots by tens of turns; nitinol bears a shear of 0.14 or so, and no tube one of 0.5.
+    static constexpr double kMostShear = 0.5;
     // The frictionless torsional second variation's smallest eigenvalue over GJ / L^2 of the innermost tube; uses the
     // factors left in a one-lane state by solve(). Negative pivots are counted into `negative`.
     double stability(LaneState& state, int& negative);
@@ -106,13 +110,16 @@ class FrictionSolver {
     double last_level() const { return last_barrier_ * barrier_unit_; }  // N/m
 
   private:
+    struct SlideState;  // of a slide that may be gone on with
     double rounding() const;
     void scale(const Configuration& q, const Accuracy& accuracy);
     void lengthen(LaneState& state, double* primal, double* dual);
     bool load_friction(LaneState& state, double level, Convergence& result, int most_steps);
     bool ease(LaneState& state, double level, Convergence& result);
+    void slide_on(LaneState& state, SlideState& at, Convergence& result, int most_steps);
     bool settle(LaneState& state, double level, double damping, int& steps);
     double moved(const LaneState& state) const;  // rad, since the anchor
+    double largest_shear(const LaneState& state) const;  // of one lane: r_out * twist rate
     double largest_twist(const LaneState& state, int lane) const;  // rad, of the last step
 
     Robot robot_;
@@ -124,7 +131,7 @@ class FrictionSolver {
     std::array<double, kLanes> load_change_{};  // per lane, the last one of the moments of the loads, over their size
     std::vector<double> load_begun_, load_step_, load_step_before_;  // of converge_load_moments()
     LaneState kept_;  // of slide() and ease(): the iterate to go back to, and the anchor
-    LaneState begun_;  // of reach(): where it began
+    LaneState begun_, slid_;  // of reach(): where it began, and where a slide stopped short
     std::unique_ptr<ExactGeometry> exact_;
     bool is_exact_ = false;  // accuracy built for
     bool loads_first_ = false;  // of reach(): on this mesh friction that grows got there where sliding did not

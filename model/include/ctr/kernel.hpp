@@ -32,16 +32,16 @@ struct KernelProblem {
     const int* node_unknowns;     // [node] leading unknowns that are free
     const int* element_tubes;     // [element] number of tubes present
     const int* element_unknowns;  // [element] unknowns per node: 5 m - 4, or 5 m behind the outermost collar
-    const int* element_regime;    // [element] row of P, C, D
+    const int* element_regime;    // [element] row of P, C, D; half of it is the row of what is the same behind the plate
     const double* length;         // [element] m
     const double* precurvature;   // [element][Gauss point][tube][2] v = (u_y, -u_x), 1/m
     const double* stiffness;      // P [regime][tube][tube], N m^2
     const double* pair_stiffness; // C [regime][pair][pair]
     const double* mixed_stiffness;// D [regime][pair][tube]
     const double* torsional_stiffness;  // [tube] N m^2
-    const double* bending_stiffness;    // [tube] N m^2
-    const double* outer_radius;         // [tube] m
-    const BendingLaw* law;        // [tube], or null where all tubes are linear and round and nothing pulls
+    const double* bending_stiffness;    // [row][tube] N m^2; the first rows are of tubes without ghosts (robot.hpp)
+    const double* outer_radius;         // [row][tube] m; 0 of ghosts, which have no strain
+    const BendingLaw* law;        // [row][tube], or null where all tubes are linear and round and nothing pulls
     const double* shaft_stiffness;// [tube] between actuator and collar, N m / rad; 0: rigid
     const double* shaft_angle;    // [tube] of the actuator, rad
     const int* shaft_node;        // [tube] where the tube begins

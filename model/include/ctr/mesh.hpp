@@ -49,6 +49,7 @@ struct MeshArrays {
     std::vector<BendingLaw> laws_;
     std::vector<double> contact_shape_, contact_xi_, contact_weight_, contact_s_, half_square_, outer_arm_, inner_arm_, scale_;
     std::vector<int> node_unknowns_, element_tubes_, element_contacts_, element_unknowns_, element_regime_, contact_begin_, contact_pair_, shaft_node_;
+    std::vector<std::pair<int, unsigned>> ghosts_;  // rows of stiffness beyond one for each number of tubes: tubes present, which are ghosts
     int tubes_ = 0;
     bool has_laws_ = false;  // cross sections obey laws of their own
 };
@@ -89,6 +90,11 @@ class Mesh : private MeshArrays {
     const std::vector<int>& element_tubes() const { return element_tubes_; }
     // True where the mean bending is free (in front of the plate); behind it tubes bend against the axis.
     bool mean_is_free(int element) const { return element_regime_[element] % 2 == 0; }
+    bool has_ghosts() const { return !ghosts_.empty(); }
+    bool is_ghost(int element, int tube) const {
+        const int row = element_regime_[element] / 2;
+        return row >= tubes_ && (ghosts_[row - tubes_].second >> tube & 1);
+    }
     const std::vector<double>& contact_s() const { return contact_s_; }
     const std::vector<double>& contact_weight() const { return contact_weight_; }
 
@@ -97,6 +103,7 @@ class Mesh : private MeshArrays {
     void place_nodes(const Robot& robot, const Configuration& q, const Accuracy& accuracy);
     void fill_elements(const Robot& robot, const Configuration& q);
     void place_contacts();
+    int stiffness_row(const Robot& robot, const Configuration& q, int tubes, double middle);
     void fill_pairs(const Robot& robot);
     void fill_regimes(const Robot& robot);
     void fill_laws(const Robot& robot);

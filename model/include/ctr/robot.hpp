@@ -28,12 +28,18 @@ struct Tube {
     double softening_fraction = 1;            // tangent stiffness beyond it over EI
     double shaft_compliance = 0;              // between actuator and collar, rad / (N m)
     double mass_per_length = 0;               // kg/m
+    bool retractable = false;                 // its tip may be drawn back behind that of the tube around it
     double length() const {
         double sum = 0;
         for (const Section& section : sections) sum += section.length;
         return sum;
     }
 };
+
+// Where a retractable tube has ended inside another one a ghost of it goes on: straight, and so soft that it only follows.
+// The tubes present stay a prefix, counted from the innermost, and the unknowns of the kernels with them.
+constexpr double kGhostShare = 1e-5;  // of the bending stiffness
+inline bool is_ghost(const Tube& tube, double from_base) { return tube.retractable && from_base > tube.length(); }
 
 // The section at a distance from the tube's base; the last one beyond the tip. `begin` is where it begins.
 const Section& section_at(const Tube& tube, double from_base);
@@ -73,6 +79,11 @@ struct Robot {
 struct Configuration {
     std::vector<double> theta, l;
 };
+
+// Where the foremost tube ends: the robot's tip. m from the plate.
+double tip_s(const Robot& robot, const Configuration& q);
+// Whether a tube ends inside another one.
+bool is_retracted(const Robot& robot, const Configuration& q);
 
 // A value handed in breaks a rule; the Python layer turns it into ctrplan.errors.InputError.
 struct InvalidInput : std::runtime_error {

@@ -13,7 +13,8 @@
 namespace ctr {
 
 // Numbers are part of the Python contract (ctrplan.mechanics.Status).
-enum class Status { converged = 0, multiple = 1, unstable = 2, failed = 3 };
+// overtwisted: of single shapes only, where rows say failed.
+enum class Status { converged = 0, multiple = 1, unstable = 2, failed = 3, overtwisted = 4 };
 
 struct TubeShape {
     std::vector<double> s;          // (N) m from the plate

@@ -38,7 +38,8 @@ class ZeroClearance {
 
   private:
     void build(const Robot& robot, const Configuration& q);
-    void place_nodes(const Robot& robot, const std::vector<double>& breaks);
+    void place_nodes(const Robot& robot, const std::vector<double>& breaks, bool retracted);
+    int stiffness_row(int tubes, unsigned ghosts);
     double turn_rate(const Robot& robot, double middle) const;
     void clear_blocks();
     void add_transmissions(bool matrix);
@@ -58,8 +59,8 @@ class ZeroClearance {
     double transmission_stiffness(int t) const;  // from the actuator to the plate, N m / rad
 
     int n_ = 0, nodes_ = 0, ld_ = 0;
-    std::vector<double> s_, v_, P_, ei_, gj_, base_theta_, base_l_, end_s_, shaft_, breaks_;
-    std::vector<int> tubes_;
+    std::vector<double> s_, v_, P_, ei_row_, ei_, gj_, base_theta_, base_l_, end_s_, shaft_, breaks_;
+    std::vector<int> tubes_, row_;  // [element] tubes present; row of P and EI, more than the tubes where some are ghosts
     std::vector<double> tip_v_, tip_s_;  // the innermost tube beyond the last node: precurvature and end of its sections
     std::vector<double> x_, best_, r_, A_, U_, step_, tangent_;
     double residual_ = 0, scale_moment_ = 1;

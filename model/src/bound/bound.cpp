@@ -11,11 +11,11 @@
 namespace ctr {
 namespace {
 
-// For all corners of a bound that Newton's method does not reach by itself: Newton steps, and numbers eliminated in them, which
-// take ten seconds or so.
-constexpr int kFarSteps = 6000;
-constexpr double kFarWork = 5e8;
-constexpr int kLong = 1000;  // Newton steps in which a corner was reached
+// For all corners of a bound that Newton's method does not reach by itself: operations of an elimination, which take ten seconds
+// or so.
+constexpr double kFarWork = 1e10;
+constexpr double kRest = 0.25;  // of it, for corners that are tried from those that were reached
+constexpr int kLong = 100;  // Newton steps of a corner after which the next ones are tried from those that were reached
 
 }  // namespace
 
@@ -102,7 +102,7 @@ BarrierPath BoundSolver::set_out(LaneState& state) {
 
 void BoundSolver::solve_corners() {
     const KernelProblem& pb = solver_.mesh().problem();
-    grant_far_steps();
+    grant_far_steps(1 - kRest);
     unfactored_.assign(batches_.size(), shares_steps());
     std::fill(corner_convergence_.begin(), corner_convergence_.end(), Convergence());
     for (std::size_t b = 0; b < batches_.size(); ++b) {
@@ -116,12 +116,13 @@ void BoundSolver::solve_corners() {
         for (int lane = 0; lane < kLanes; ++lane)
             if (!result[lane].converged) reach_corner(b, lane);
     }
+    if (!all_converged() && frictionless_convergence_.converged) reach_rest();
 }
 
-void BoundSolver::grant_far_steps() {
+void BoundSolver::grant_far_steps(double share) {
     const KernelProblem& pb = solver_.mesh().problem();
     took_long_ = false;
-    far_steps_ = static_cast<int>(std::min<double>(kFarSteps, kFarWork / (static_cast<double>(pb.nodes) * pb.stride * pb.stride)));
+    far_steps_ = static_cast<int>(share * kFarWork / (static_cast<double>(pb.nodes) * pb.stride * pb.stride * pb.stride));
 }
 
 // Within what is left of the effort granted; one friction state that is not reached leaves no bound, and no more effort.
@@ -139,10 +140,7 @@ void BoundSolver::reach_corner(std::size_t batch, int lane) {
         return;
     }
     unfactored_[batch] = true;
-    const KernelProblem& pb = solver_.mesh().problem();
-    trial_.resize(pb, 1);
-    for (int pair = 0; pair < pairs_; ++pair) phi_[pair] = sign(corner, pair);
-    trial_.set_phi(solver_.robot(), pb, 0, phi_.data());
+    set_trial(corner);
     const BarrierPath path = set_out(trial_);
     Convergence& result = corner_convergence_[corner];
     if (!took_long_ || !reach_from_neighbour(corner, result)) {
@@ -150,9 +148,24 @@ void BoundSolver::reach_corner(std::size_t batch, int lane) {
         reach_far(trial_, path.first, result);
         took_long_ = took_long_ || result.iterations > kLong;
     }
-    solver_.copy(trial_, *batches_[batch], lane);
-    if (corner < corners_ - 1) return;
-    for (int spare = lane + 1; spare < kLanes; ++spare) solver_.copy(trial_, *batches_[batch], spare);
+    keep_trial(corner);
+}
+
+void BoundSolver::set_trial(int corner) {
+    const KernelProblem& pb = solver_.mesh().problem();
+    trial_.resize(pb, 1);
+    for (int pair = 0; pair < pairs_; ++pair) phi_[pair] = sign(corner, pair);
+    trial_.set_phi(solver_.robot(), pb, 0, phi_.data());
+}
+
+// As the solution of a corner; spare lanes repeat the last one.
+void BoundSolver::keep_trial(int corner) {
+    LaneState& batch = *batches_[corner / kLanes];
+    const int lane = corner % kLanes, lanes = corner < corners_ - 1 ? lane + 1 : kLanes;
+    for (int k = lane; k < lanes; ++k) {
+        solver_.copy(trial_, batch, k);
+        corner_convergence_[corner - lane + k] = corner_convergence_[corner];
+    }
 }
 
 int BoundSolver::neighbour(int corner, int pair) const {
@@ -166,7 +179,7 @@ int BoundSolver::neighbour(int corner, int pair) const {
 }
 
 // Into trial_, from a corner that was reached and in which the friction of one pair has the other sign. Once friction has made
-// the robot snap in one corner, which takes a thousand steps to follow, most others lie beyond the same snap.
+// the robot snap in one corner, which takes hundreds of steps to follow, most others lie beyond the same snap.
 bool BoundSolver::reach_from_neighbour(int corner, Convergence& result) {
     constexpr double kMotion = 10;  // in degrees, what turned friction is like
     const BarrierPath path = BarrierPath::warm(kMotion, solver_.last_barrier());
@@ -180,6 +193,37 @@ bool BoundSolver::reach_from_neighbour(int corner, Convergence& result) {
         if (result.converged && !solver_.turns_away(trial_)) return true;
     }
     return result.converged = false;
+}
+
+// Once effort is spent and some corners were reached, the others are tried from these.
+void BoundSolver::reach_rest() {
+    grant_far_steps(kRest);
+    while (far_steps_ > 0 && reach_from_neighbours() && !all_converged()) {}
+    for (int corner = 0; corner < corners_ && far_steps_ > 0 && !overtwisted(); ++corner) {
+        Convergence& result = corner_convergence_[corner];
+        if (result.converged) continue;
+        set_trial(corner);
+        const BarrierPath path = set_out(trial_);
+        reach_far(trial_, path.first, result);
+        keep_trial(corner);
+        while (result.converged && far_steps_ > 0 && reach_from_neighbours()) {}
+    }
+}
+
+// Every corner that was not reached; whether one was.
+bool BoundSolver::reach_from_neighbours() {
+    bool any = false;
+    for (int corner = 0; corner < corners_; ++corner) {
+        if (corner_convergence_[corner].converged) continue;
+        Convergence result;
+        set_trial(corner);
+        if (!reach_from_neighbour(corner, result)) continue;
+        any = true;
+        corner_convergence_[corner] = result;
+        unfactored_[corner / kLanes] = true;
+        keep_trial(corner);
+    }
+    return any;
 }
 
 void BoundSolver::solve(const Configuration& q, const Accuracy& accuracy) {
@@ -275,9 +319,19 @@ bool BoundSolver::all_converged() const {
 }
 
 Status BoundSolver::status() const {
-    if (!frictionless_convergence_.converged) return Status::failed;
+    if (!frictionless_convergence_.converged) return frictionless_convergence_.overtwisted ? Status::overtwisted : Status::failed;
     if (negative_ > 0 || stability_ <= 0) return Status::unstable;
     return multiple_ ? Status::multiple : Status::converged;
+}
+
+Status BoundSolver::corner_status(int k) const {
+    if (corner_convergence_[k].converged) return status();
+    return corner_convergence_[k].overtwisted ? Status::overtwisted : Status::failed;
+}
+
+bool BoundSolver::overtwisted() const {
+    return frictionless_convergence_.overtwisted ||
+           std::any_of(corner_convergence_.begin(), corner_convergence_.end(), [](const Convergence& c) { return c.overtwisted; });
 }
 
 int BoundSolver::iterations() const {

@@ -68,7 +68,7 @@ void BoundSolver::solve_states(const Configuration& q, const Accuracy& accuracy,
             to.set_phi_mu(k, lane, states.phi[row * numbers + section[k] * pairs_ + pair] * solver_.robot().pairs[pair].friction);
         }
     };
-    grant_far_steps();
+    grant_far_steps(1);
     Convergence result[kLanes];
     Backbone shapes[kLanes];
     double stability[kLanes];

@@ -22,11 +22,16 @@ constexpr int kShortSlide = 400;          // that most slides need, before other
 
 }  // namespace
 
+struct FrictionSolver::SlideState {
+    double level, damping = 0;
+    int saddles = 0, wait = 0, patience = 1;  // wait: steps in time before equilibrium is asked for again
+};
+
 bool FrictionSolver::reach(LaneState& state, double level, Convergence& result, int most_steps) {
     begun_.resize(mesh_.problem(), 1);
     copy(state, begun_, 0);
     int steps = 0;
-    bool is_first = true;
+    bool is_first = true, overtwists = false;
     auto goes = [&](auto way) {  // from where it began
         if (steps >= most_steps) return false;
         if (!is_first) {
@@ -36,20 +41,35 @@ bool FrictionSolver::reach(LaneState& state, double level, Convergence& result, 
         is_first = false;
         way();
         steps += result.iterations;
+        overtwists = overtwists || result.overtwisted;
         return result.converged;
     };
     auto eases = [&] { return robot_.softens() && goes([&] { ease(state, level, result); }); };
-    auto slides = [&](int most) { return goes([&] { slide(state, level, result, std::min(most, most_steps - steps)); }); };
+    SlideState at{level};
+    auto slides = [&](int most) { return goes([&] { slide_on(state, at, result, std::min(most, most_steps - steps)); }); };
+    auto slides_on = [&] {
+        return at.damping < kMostDamping && goes([&] {
+            copy(slid_, state, 0);
+            weigh(state);
+            slide_on(state, at, result, most_steps - steps);
+        });
+    };
     auto loads = [&] { return goes([&] { load_friction(state, level, result, most_steps - steps); }); };
     bool found;
     if (loads_first_) {
         found = eases() || loads() || slides(most_steps);
     } else {
         found = eases() || slides(kShortSlide);
+        if (!found) {
+            slid_.share_steps(begun_);
+            slid_.resize(mesh_.problem(), 1);
+            copy(state, slid_, 0);
+        }
         if (!found && (loads_first_ = loads())) found = true;
-        found = found || slides(most_steps);
+        found = found || (!overtwists && slides_on());
     }
     result.iterations = steps;
+    result.overtwisted = overtwists && !found;
     return result.converged = found;
 }
 
@@ -128,9 +148,14 @@ bool FrictionSolver::ease(LaneState& state, double level, Convergence& result) {
 }
 
 void FrictionSolver::slide(LaneState& state, double level, Convergence& result, int most_steps) {
+    SlideState at{level};
+    slide_on(state, at, result, most_steps);
+}
+
+void FrictionSolver::slide_on(LaneState& state, SlideState& at, Convergence& result, int most_steps) {
     const KernelProblem& pb = mesh_.problem();
-    double damping = 0;
-    int steps = 0, saddles = 0, wait = 0, patience = 1;  // steps in time before equilibrium is asked for again
+    auto& [level, damping, saddles, wait, patience] = at;
+    int steps = 0;
     result = {};
     result.residual = result.complementarity = std::numeric_limits<double>::infinity();  // until equilibrium is reached
     kept_.resize(pb, 1);
@@ -138,6 +163,10 @@ void FrictionSolver::slide(LaneState& state, double level, Convergence& result, 
         copy(state, kept_, 0);
         const bool settled = settle(state, level, damping, steps) && moved(state) < kTrust;
         const bool saddle = settled && damping == 0 && turns_away(state, 0) && ++saddles < 5;
+        if (settled && largest_shear(state) > kMostShear) {
+            result.overtwisted = true;
+            break;
+        }
         if (!settled || saddle) {
             copy(kept_, state, 0);
             weigh(state);
@@ -192,6 +221,15 @@ double FrictionSolver::moved(const LaneState& state) const {
     for (int node = 0; node < pb.nodes; ++node)
         for (int t = 0; t < pb.tubes; ++t)
             most = std::max(most, std::fabs(state.unknown(node, 5 * t, 0) - kept_.unknown(node, 5 * t, 0)));
+    return most;
+}
+
+double FrictionSolver::largest_shear(const LaneState& state) const {
+    const KernelProblem& pb = mesh_.problem();
+    double most = 0;
+    for (int e = 0; e < pb.elements; ++e)
+        for (int t = 0; t < pb.element_tubes[e]; ++t)
+            most = std::max(most, pb.outer_radius[t] * std::fabs(state.unknown(e + 1, 5 * t, 0) - state.unknown(e, 5 * t, 0)) / pb.length[e]);
     return most;
 }
 

@@ -36,7 +36,7 @@ Vec3 seen_from(const Frame& frame, const Vec3& v) { return {dot(frame.column(0),
 }  // namespace
 
 bool TipGradient::applies(const FrictionSolver& solver, const LaneState& state) {
-    return !solver.mesh().problem().law && !state.is_exact();
+    return !solver.mesh().problem().law && !state.is_exact() && !solver.mesh().has_ghosts();
 }
 
 void TipGradient::compute(const FrictionSolver& solver, LaneState& state, const std::vector<double>& phi) {

@@ -108,7 +108,7 @@ void Alignment::bend(const FrictionSolver& solver, LaneState& state, int lane, i
             const int m = pb.element_tubes[e];
             double inside = 0, total = 0;
             for (int t = 0; t < m; ++t) {
-                const double EI = solver.robot().tubes[pb.tubes - 1 - t].bending_stiffness;
+                const double EI = pb.bending_stiffness[pb.element_regime[e] / 2 * pb.tubes + t];
                 total += EI;
                 if (t <= pair) inside += EI;
             }

@@ -43,7 +43,7 @@ double History::elastic_energy() const {
                 const double x = kappa[t][0] - rotated[t][0], y = kappa[t][1] - rotated[t][1];
                 const double k0 = std::cos(axis) * x + std::sin(axis) * y, k1 = std::cos(axis) * y - std::sin(axis) * x;
                 const double rho = std::sqrt((1 + tube.ovality) * k0 * k0 + (1 - tube.ovality) * k1 * k1);
-                energy += 0.5 * h * tube.bending_stiffness * bending(rho, tube.softening_strain / tube.outer_radius, tube.softening_fraction);
+                energy += 0.5 * h * pb.bending_stiffness[pb.element_regime[e] / 2 * pb.tubes + t] * bending(rho, tube.softening_strain / tube.outer_radius, tube.softening_fraction);
             }
         }
     }

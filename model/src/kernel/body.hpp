@@ -238,7 +238,8 @@ void bending(const KernelProblem& pb, const double* unknowns, double* innermost,
     V largest = zero_of(V{});
     for (int e = 0; e < pb.elements; ++e) {
         const int M = pb.element_tubes[e], offsets = offsets_of(pb, e);
-        const double* EI = pb.bending_stiffness;
+        const double* EI = pb.bending_stiffness + pb.element_regime[e] / 2 * pb.tubes;
+        const double* radius = pb.outer_radius + pb.element_regime[e] / 2 * pb.tubes;
         double total = 0, b[4];
         for (int t = 0; t < M; ++t) total += EI[t];
         const double share = pb.element_regime[e] % 2 == 0 ? 1 / total : 0.0;  // behind the plate no bending is common
@@ -259,7 +260,7 @@ void bending(const KernelProblem& pb, const double* unknowns, double* innermost,
                 }
             for (int t = 0; t < M; ++t) {
                 const V bent[2] = {against[t][0] + common[0], against[t][1] + common[1]};
-                largest = larger(largest, (pb.outer_radius[t] * pb.outer_radius[t]) * (bent[0] * bent[0] + bent[1] * bent[1]));
+                largest = larger(largest, (radius[t] * radius[t]) * (bent[0] * bent[0] + bent[1] * bent[1]));
             }
             for (int plane = 0; plane < 2; ++plane) out[4 * e + 2 * g + plane] = running[plane] + common[plane];
         }

@@ -50,6 +50,7 @@ inline void add_bending_point(const KernelProblem& pb, const KernelState& st, in
     const bool free = pb.element_regime[e] % 2 == 0;
     const double h = pb.length[e], xi = kGauss[gauss], weight = 0.5 * h, linear[2] = {1 - xi, xi};
     const double* v = pb.precurvature + (e * 2 + gauss) * n * 2;
+    const BendingLaw* law = pb.law + pb.element_regime[e] / 2 * n;
     const V zero = zero_of(V{});
     double b[4];
     hermite_second(xi, h, b);
@@ -62,7 +63,7 @@ inline void add_bending_point(const KernelProblem& pb, const KernelState& st, in
                                   b[2] * el.x[1][offset_index(t, plane)] + b[3] * el.x[1][slope_index(t, plane)];
             against[t][plane] = running[plane];
         }
-        turn_section<V>(pb.law[t], v + 2 * t, linear[0] * el.x[0][theta_index(t)] + linear[1] * el.x[1][theta_index(t)], section[t]);
+        turn_section<V>(law[t], v + 2 * t, linear[0] * el.x[0][theta_index(t)] + linear[1] * el.x[1][theta_index(t)], section[t]);
     }
     V mean[2] = {zero, zero};
     const V* share = reinterpret_cast<const V*>(st.load_moment) + (e * 2 + gauss) * 2 * n;  // of the loads, per tube
@@ -70,9 +71,9 @@ inline void add_bending_point(const KernelProblem& pb, const KernelState& st, in
         V load[2] = {zero, zero};
         for (int t = 0; t < M; ++t)
             for (int plane = 0; plane < 2; ++plane) load[plane] += share[2 * t + plane];
-        free_mean<V>(M, pb.law, against, load, section, mean, inverse);
+        free_mean<V>(M, law, against, load, section, mean, inverse);
     } else {
-        for (int t = 0; t < M; ++t) bend(pb.law[t], against[t], section[t]);
+        for (int t = 0; t < M; ++t) bend(law[t], against[t], section[t]);
     }
     for (int t = 0; t < M; ++t)
         for (int plane = 0; plane < 2; ++plane) kappa[t][plane] = mean[plane] + against[t][plane];

@@ -36,7 +36,7 @@ void Mesh::find_breaks(const Robot& robot, const Configuration& q) {
     breaks_.push_back({0.0, member(breaks_.size())});
     for (Break& b : breaks_)
         if (std::fabs(b.s) <= kMergeDistance) b.s = 0;  // the plate draws from both sides, before others are merged
-    const double first = q.l[n - 1], last = q.l[n - 1] + robot.tubes[n - 1].length();
+    const double first = q.l[n - 1], last = tip_s(robot, q);
     std::sort(breaks_.begin(), breaks_.end(), [](const Break& a, const Break& b) { return a.s < b.s; });
     std::vector<Break>& merged = found_;
     merged.clear();
@@ -66,10 +66,9 @@ void Mesh::place_nodes(const Robot& robot, const Configuration& q, const Accurac
     element_contacts_.clear();
     for (std::size_t b = 0; b + 1 < breaks_.size(); ++b) {
         const double from = breaks_[b].s, to = breaks_[b + 1].s, middle = 0.5 * (from + to), span = to - from;
-        int present = 0;
-        for (int i = 0; i < n; ++i)
-            if (q.l[i] < middle && middle < q.l[i] + robot.tubes[i].length()) ++present;
-        present = std::max(present, 1);
+        int outermost = 0;  // of those that are there; what has ended inside it goes on as a ghost
+        while (outermost < n - 1 && !(q.l[outermost] < middle && middle < q.l[outermost] + robot.tubes[outermost].length())) ++outermost;
+        const int present = n - outermost;
         // count = integral of ds / h(s), h growing linearly from both ends of the interval
         auto cumulative = [&](double x) {
             const double reach = (accuracy.coarsest - accuracy.finest) / accuracy.growth;

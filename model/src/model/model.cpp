@@ -34,7 +34,7 @@ Shape frictionless_shape(const BoundSolver& solver, const std::shared_ptr<const 
 
 Shape corner_shape(const BoundSolver& solver, const std::shared_ptr<const Setting>& setting, int corner) {
     Shape shape = shape_of(solver, solver.corner_state(corner), solver.corner_lane(corner), solver.corner_backbones[corner]);
-    shape.status = solver.corner(corner).converged ? solver.status() : Status::failed;
+    shape.status = solver.corner_status(corner);
     shape.stability = solver.stability();
     shape.residual = solver.corner(corner).residual;
     shape.equilibrium = std::make_shared<ContactEquilibrium>(setting, solver.corner_state(corner), solver.corner_lane(corner));

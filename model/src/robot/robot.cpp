@@ -33,11 +33,29 @@ const Section& section_at(const Tube& tube, double from_base) {
 }
 
 void precurvature_at(const Tube& tube, double from_base, double inside, double* v) {
+    if (is_ghost(tube, inside)) {
+        v[0] = v[1] = 0;
+        return;
+    }
     double begin;
     const Section& section = section_at(tube, inside, begin);
     const double factor = 1 + section.gradient * (2 * (from_base - begin) / section.length - 1);
     v[0] = factor * section.curvature_y;
     v[1] = -factor * section.curvature_x;
+}
+
+double tip_s(const Robot& robot, const Configuration& q) {
+    const std::size_t n = robot.tubes.size();
+    double last = q.l[n - 1] + robot.tubes[n - 1].length();
+    for (std::size_t i = 0; i + 1 < n; ++i)
+        if (robot.tubes[i + 1].retractable) last = std::max(last, q.l[i] + robot.tubes[i].length());
+    return last;
+}
+
+bool is_retracted(const Robot& robot, const Configuration& q) {
+    for (std::size_t i = 0; i + 1 < robot.tubes.size(); ++i)
+        if (q.l[i] + robot.tubes[i].length() > q.l[i + 1] + robot.tubes[i + 1].length() + kNestingTolerance) return true;
+    return false;
 }
 
 bool Robot::loaded() const {
@@ -122,9 +140,10 @@ void validate(const Robot& robot, const Configuration& q) {
         // the angle of a compliant shaft's collar is an unknown, for which a node has room once
         if (robot.tubes[i].shaft_compliance > 0 && q.l[i] - q.l[i + 1] < kCollarDistance)
             reject("l_b", i + 1, q.l[i + 1], "m", "must lie 0.02 mm behind the outer tube's base, whose shaft is compliant");
-        if (q.l[i] + robot.tubes[i].length() > q.l[i + 1] + robot.tubes[i + 1].length() + kNestingTolerance)
+        if (!robot.tubes[i + 1].retractable && q.l[i] + robot.tubes[i].length() > q.l[i + 1] + robot.tubes[i + 1].length() + kNestingTolerance)
             reject("l_b", i + 1, q.l[i + 1], "m", "must let the tube's tip reach at least as far as the outer tube's");
     }
+    if (robot.loaded() && is_retracted(robot, q)) throw InvalidInput("a robot that carries loads has its tips in order");
 }
 
 }  // namespace ctr

@@ -18,7 +18,8 @@ double innermost_bending(const FrictionSolver& solver, const LaneState& state, i
         element_curvature(solver, state, lane, e, kGauss[g], kappa, rotated);
         for (int t = 0; t < pb.element_tubes[e]; ++t) {
             const double x = kappa[t][0] - rotated[t][0], y = kappa[t][1] - rotated[t][1];
-            square = std::max(square, pb.outer_radius[t] * pb.outer_radius[t] * (x * x + y * y));
+            const double radius = pb.outer_radius[pb.element_regime[e] / 2 * pb.tubes + t];
+            square = std::max(square, radius * radius * (x * x + y * y));
         }
         for (int plane = 0; plane < 2; ++plane) innermost[g][plane] = kappa[0][plane];
     }

@@ -33,7 +33,9 @@ Shape make_shape(const FrictionSolver& solver, const LaneState& state, int lane,
         for (int t = 0; t < m; ++t) {
             const int i = n - 1 - t;
             TubeShape& tube = shape.tubes[i];
-            const double radius = robot.tubes[i].outer_radius;
+            const bool ghost = solver.mesh().is_ghost(e, t);
+            if (ghost && t > 0) continue;  // the innermost one's goes on to the robot's tip, as its centreline
+            const double radius = ghost ? 0.0 : robot.tubes[i].outer_radius;
             const double rate = (state.unknown(e + 1, 5 * t, lane) - state.unknown(e, 5 * t, lane)) / pb.length[e];
             if (tube.s.empty()) {
                 frame[i].p = {0, 0, q.l[i]};

@@ -66,8 +66,9 @@ Frame ZeroClearance::trace(double longest, bool whole, const Visit& visit) const
     for (int e = 0; e + 1 < nodes_; ++e) {
         const int m = tubes_[e], count = static_cast<int>(std::ceil((s_[e + 1] - s_[e]) / longest));
         const double h = s_[e + 1] - s_[e], *a = &x_[e * ld_], *b = a + ld_;
+        const double* EI = &ei_row_[static_cast<std::size_t>(row_[e]) * n_];
         double total = 0;
-        for (int t = 0; t < m; ++t) total += ei_[t];
+        for (int t = 0; t < m; ++t) total += EI[t];
         for (int k = 0; k < count; ++k) {
             for (int g = 0; g < 2; ++g) {
                 const double x = (k + 0.5 + (g ? kHalf : -kHalf)) / count, x2 = x * x, x3 = x2 * x;
@@ -84,7 +85,7 @@ Frame ZeroClearance::trace(double longest, bool whole, const Visit& visit) const
                 double v[2 * kMaxTubes];
                 for (int i = 0; i < 2 * m; ++i) v[i] = first[i] + part * (last[i] - first[i]);
                 for (int t = 0; t < m; ++t) {
-                    const double s = ei_[t] / total * sine[g * m + t], c = ei_[t] / total * cosine[g * m + t];
+                    const double s = EI[t] / total * sine[g * m + t], c = EI[t] / total * cosine[g * m + t];
                     kappa[g][0] += c * v[2 * t] - s * v[2 * t + 1];
                     kappa[g][1] += s * v[2 * t] + c * v[2 * t + 1];
                 }

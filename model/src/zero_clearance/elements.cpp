@@ -40,9 +40,9 @@ double ZeroClearance::turn_rate(const Robot& robot, double middle) const {
     return std::sqrt(most);
 }
 
-void ZeroClearance::place_nodes(const Robot& robot, const std::vector<double>& breaks) {
+void ZeroClearance::place_nodes(const Robot& robot, const std::vector<double>& breaks, bool retracted) {
     // beyond the second longest tube nothing twists
-    const double end = n_ > 1 ? end_s_[1] : 0.0;
+    const double end = retracted ? *std::max_element(end_s_.begin(), end_s_.end()) : n_ > 1 ? end_s_[1] : 0.0;
     s_.assign(1, 0.0);
     for (double b : breaks) {
         if (b > end + kMergeDistance) break;
@@ -53,6 +53,19 @@ void ZeroClearance::place_nodes(const Robot& robot, const std::vector<double>& b
         for (int k = 1; k <= count; ++k) s_.push_back(from + span * k / count);
     }
     nodes_ = static_cast<int>(s_.size());
+}
+
+// Row of P and EI for so many tubes, some of which are ghosts (bits); made where it is not there yet.
+int ZeroClearance::stiffness_row(int tubes, unsigned ghosts) {
+    const int row = ghosts ? static_cast<int>(P_.size()) / (n_ * n_) : tubes;
+    if (ghosts) P_.resize(P_.size() + static_cast<std::size_t>(n_) * n_);
+    ei_row_.resize(P_.size() / n_, 0.0);
+    double total = 0;
+    for (int t = 0; t < tubes; ++t) total += ei_row_[row * n_ + t] = ei_[t] * (ghosts >> t & 1 ? kGhostShare : 1.0);
+    const double* EI = &ei_row_[static_cast<std::size_t>(row) * n_];
+    for (int t = 0; t < tubes; ++t)
+        for (int l = 0; l < tubes; ++l) P_[(row * n_ + t) * n_ + l] = (t == l ? EI[t] : 0.0) - EI[t] * EI[l] / total;
+    return row;
 }
 
 void ZeroClearance::build(const Robot& robot, const Configuration& q) {
@@ -83,22 +96,25 @@ void ZeroClearance::build(const Robot& robot, const Configuration& q) {
         end_s_[t] = s;
     }
     std::sort(breaks_.begin(), breaks_.end());
-    place_nodes(robot, breaks_);
+    place_nodes(robot, breaks_, is_retracted(robot, q));
     tubes_.assign(nodes_, n_);
+    row_.assign(nodes_, n_);
     v_.assign(static_cast<std::size_t>(nodes_) * kGaussPoints * n_ * 2, 0.0);
     P_.assign(static_cast<std::size_t>(n_ + 1) * n_ * n_, 0.0);
-    for (int m = 1; m <= n_; ++m) {
-        double total = 0;
-        for (int t = 0; t < m; ++t) total += ei_[t];
-        for (int t = 0; t < m; ++t)
-            for (int l = 0; l < m; ++l) P_[(m * n_ + t) * n_ + l] = (t == l ? ei_[t] : 0.0) - ei_[t] * ei_[l] / total;
-    }
+    ei_row_.clear();
+    for (int m = 1; m <= n_; ++m) stiffness_row(m, 0);
+    unsigned last_ghosts = 0;
     for (int e = 0; e + 1 < nodes_; ++e) {
         const double middle = 0.5 * (s_[e] + s_[e + 1]);
         int m = 0;
+        unsigned ghosts = 0;
         for (int t = 0; t < n_; ++t)
-            if (middle < end_s_[t]) ++m;
+            if (middle < end_s_[t]) m = t + 1;
+        for (int t = 0; t < m; ++t)
+            if (middle > end_s_[t]) ghosts |= 1u << t;
         tubes_[e] = m;
+        row_[e] = ghosts && e > 0 && tubes_[e - 1] == m && ghosts == last_ghosts ? row_[e - 1] : stiffness_row(m, ghosts);
+        last_ghosts = ghosts;
         for (int t = 0; t < m; ++t)
             for (int g = 0; g < kGaussPoints; ++g)
                 precurvature_at(robot.tubes[n_ - 1 - t], s_[e] + kPoint[g] * (s_[e + 1] - s_[e]) - base_l_[t], middle - base_l_[t],

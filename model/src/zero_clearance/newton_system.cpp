@@ -67,7 +67,7 @@ double ZeroClearance::assemble(double scale, bool matrix) {
     add_transmissions(matrix);
     const int block = ld_ * ld_;
     for (int e = 0; e + 1 < nodes_; ++e) {
-        const ElementData data{s_[e + 1] - s_[e], &P_[tubes_[e] * n_ * n_], gj_.data(), &v_[e * kGaussPoints * n_ * 2],
+        const ElementData data{s_[e + 1] - s_[e], &P_[row_[e] * n_ * n_], gj_.data(), &v_[e * kGaussPoints * n_ * 2],
                                &x_[e * ld_], &x_[(e + 1) * ld_], &r_[e * ld_], &r_[(e + 1) * ld_],
                                &A_[e * block], &U_[e * block], &A_[(e + 1) * block], n_, ld_};
         if (matrix) with_constant(tubes_[e], [&](int m) __attribute__((always_inline)) { add_element(m, data, scale, true); });
@@ -82,7 +82,7 @@ bool ZeroClearance::is_convex() {
     add_transmissions(true);
     const int block = ld_ * ld_;
     for (int e = 0; e + 1 < nodes_; ++e) {
-        const ElementData data{s_[e + 1] - s_[e], &P_[tubes_[e] * n_ * n_], gj_.data(), &v_[e * kGaussPoints * n_ * 2],
+        const ElementData data{s_[e + 1] - s_[e], &P_[row_[e] * n_ * n_], gj_.data(), &v_[e * kGaussPoints * n_ * 2],
                                &x_[e * ld_], &x_[(e + 1) * ld_], &r_[e * ld_], &r_[(e + 1) * ld_],
                                &A_[e * block], &U_[e * block], &A_[(e + 1) * block], n_, ld_};
         with_constant(tubes_[e], [&](int m) __attribute__((always_inline)) { add_least(m, data, kConvexity); });

@@ -1,0 +1,101 @@
+"""Several files as one experiment: runs one after another, each approached afresh."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import accumulate
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+from ctrplan.errors import InputError
+from ctrplan.experiment.joint_path import JointPath
+from ctrplan.experiment.measurements import Measurements, is_streamed
+
+PAUSE_S = 1.0  # between files whose clocks begin anew: nobody knows it
+
+
+def joined_paths(parts: Sequence[JointPath]) -> JointPath:
+    """The waypoints of all; one path is itself. Raises InputError where some have a clock and some none."""
+    if len(parts) == 1:
+        return parts[0]
+    time_s, notes = _clock(parts)
+    return JointPath(
+        np.concatenate([part.theta_commanded for part in parts]),
+        np.concatenate([part.l_commanded for part in parts]),
+        _runs(parts),
+        time_s,
+        parts[0].file,
+        _more(parts),
+        (*(note for part in parts for note in part.notes), *notes),
+        parts[0].of_collars,
+    )
+
+
+def joined_measurements(parts: Sequence[Measurements], trackers: Sequence[str]) -> Measurements:
+    """All of them; parts of one tracker share a frame. One part is itself. Raises InputError as `joined_paths`."""
+    if len(parts) == 1:
+        return parts[0]
+    time_s, notes = _clock(parts)
+    first = list(accumulate((len(part.sequence) for part in parts), initial=0))
+    rows = np.concatenate([part.rows + start for part, start in zip(parts, first, strict=False)])
+    theta, l = (np.concatenate([getattr(p, f"{k}_commanded") for p in parts]) for k in ("theta", "l"))  # noqa: E741
+    sequence, names = _runs(parts), list(dict.fromkeys(trackers))
+    frame = [np.full(len(p.sequence), names.index(t) + 1) for p, t in zip(parts, trackers, strict=True)]
+    return replace(
+        parts[0],
+        sequence=sequence,
+        theta_commanded=theta,
+        l_commanded=l,
+        rows=rows,
+        position_m=np.concatenate([part.position_m for part in parts]),
+        tangent=np.concatenate([part.tangent for part in parts]),
+        time_s=time_s,
+        is_stream=is_streamed(sequence, rows, np.hstack([theta, l])),
+        more=_more(parts),
+        sha256=hashlib.sha256("".join(part.sha256 for part in parts).encode()).hexdigest(),
+        warnings=(*dict.fromkeys(warning for part in parts for warning in part.warnings), *notes),
+        frame=np.concatenate(frame) if len(names) > 1 else None,
+    )
+
+
+def _runs(parts: Sequence[JointPath] | Sequence[Measurements]) -> NDArray[np.int_]:
+    """(R,) runs counted from 0 over all files."""
+    numbers, first = [], 0
+    for part in parts:
+        changes = np.cumsum(np.diff(part.sequence, prepend=part.sequence[0]) != 0)
+        numbers.append(changes + first)
+        first += int(changes[-1]) + 1
+    return np.concatenate(numbers)
+
+
+def _clock(parts: Sequence[JointPath] | Sequence[Measurements]) -> tuple[Array | None, list[str]]:
+    """(R,) times [s] that do not run backwards, and a note where clocks had to be put one after another."""
+    times = [part.time_s for part in parts]
+    for part in parts:
+        if (part.time_s is None) != (times[0] is None):
+            lacking = part if part.time_s is None else parts[0]
+            raise InputError("is missing, other files have it", file=lacking.file, key="time_s")
+    given = [time_s for time_s in times if time_s is not None]
+    if not given:
+        return None, []
+    if all(later[0] >= earlier[-1] for earlier, later in zip(given, given[1:], strict=False)):
+        return np.concatenate(given), []
+    shifted, end = [], 0.0
+    for time_s in given:
+        shifted.append(time_s - time_s[0] + end)
+        end = float(shifted[-1][-1]) + PAUSE_S
+    note = f"{parts[0].file}: clocks of {len(parts)} files overlap and were put one after another, which hides drifts."
+    return np.concatenate(shifted), [note]
+
+
+def _more(parts: Sequence[JointPath] | Sequence[Measurements]) -> Mapping[str, Array]:
+    """Other columns of all files, NaN where a file has none of the name."""
+    names = dict.fromkeys(name for part in parts for name in part.more)
+    return {
+        name: np.concatenate([part.more.get(name, np.full(len(part.sequence), np.nan)) for part in parts])
+        for name in names
+    }
