@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.calibration.discrepancy import Discrepancy
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.pipeline.parametric_chain import Prediction
 
@@ -27,10 +28,14 @@ UNSOUND = 20.0  # norm given to a pose that the model could not solve
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations of a coordinate of the position and of a small rotation of the tangent about an axis."""
+    """Standard deviations of a coordinate of the position and of a small rotation of the tangent about an axis.
+
+    Where poses have a discrepancy besides, `discrepancy` is that of the poses that are asked about, in their order.
+    """
 
     position_m: float
     tangent_rad: float
+    discrepancy: Discrepancy | None = None
 
     @property
     def floor_m(self) -> float:
@@ -88,6 +93,8 @@ def residuals(
     raw_norm = np.linalg.norm(r, axis=1)
     trust = _weight(raw_norm)[:, None] * given
     r, J = _whitened(r, np.asarray(group), shares, trust), _whitened(J, np.asarray(group), shares[:, None], trust)
+    if noise.discrepancy is not None:
+        r, J = noise.discrepancy.whitened(r), noise.discrepancy.whitened(J)
     return Residuals(r, J, _weight(np.linalg.norm(r, axis=1)), raw_norm, given)
 
 

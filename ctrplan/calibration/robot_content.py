@@ -30,10 +30,9 @@ def within_file(found: Fit) -> Fit:
     """`found`; where it has a Poisson's ratio that no tube has, refitted without, for a robot file can't say that."""
     chain = found.chain
     terms = [Term(t.effect, tuple(_possible(p) for p in t.parameters)) for t in chain.terms]
-    inside = ParametricChain(chain.robot, chain.data, terms)
+    inside = chain.with_terms(terms)
     if np.all(found.p <= inside.upper):
         return found
-    inside.correction = chain.correction
     return fit(inside, found.noise, found.group, found.p)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,7 @@ OUTPUTS = ("diagnosis.json", "robot.toml", "report.html")
 EXAMPLES = """examples:
   ctrplan diagnose robot.toml measurements.csv -o out
   ctrplan diagnose robot.toml measurements.csv -o out --without friction --without backlash
+  ctrplan diagnose robot.toml monday.csv --confirm tuesday.csv -o out
   ctrplan bound out/robot.toml --theta-deg 0 90 180 --l-mm 0 -17 -62.8
 """
 
@@ -51,6 +53,14 @@ def add_parser(commands: Any) -> None:
         default=[],
         help="leave an effect out of the catalogue, to see what would be said if it were unknown; repeatable",
     )
+    parser.add_argument(
+        "--confirm",
+        metavar="OTHER.csv",
+        action="append",
+        default=[],
+        help="runs that nothing reads until the verdict is given, then once: confirmed or not, effect by effect; "
+        "repeatable",
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     add_set_option(parser, "the robot's key")
     parser.set_defaults(run=run_diagnose)
@@ -61,18 +71,22 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     with interrupt_event() as interrupted:
         from ctrplan.diagnosis import CATALOGUE, diagnose
         from ctrplan.diagnosis.candidates import reduced
+        from ctrplan.diagnosis.confirmation import confirm
         from ctrplan.files.measurement_file import load_measurements
         from ctrplan.files.robot_file import load_robot
 
         reduced(CATALOGUE, arguments.without, key="--without")
         robot = load_robot(arguments.robot, arguments.overrides)
         data = load_measurements(arguments.measurements, robot)
+        others = [load_measurements(path, robot) for path in arguments.confirm]
         folder = output_folder(arguments.output, OUTPUTS)
         for warning in (*robot.warnings, *data.warnings):
             print(f"ctrplan: warning: {warning}", file=sys.stderr)
         terminal = sys.stderr is not None and sys.stderr.isatty()
         with ProgressBar(quiet=arguments.quiet or not terminal) as bar:
             found = diagnose(robot, data, bar.show, without=arguments.without, interrupted=interrupted)
+            confirmed = tuple(confirm(found, other) for other in others if not found.interrupted)
+            found = replace(found, confirmations=confirmed)
         _write(folder, found)
         print(summary(folder, found))
         return INTERRUPTED if found.interrupted else 0
@@ -103,6 +117,7 @@ def summary(folder: Path, found: Diagnosis) -> str:
         f"{gap.after.rms_m * 1e3:.2f} mm with the effects, noise {gap.floor_m * 1e3:.2f} mm"
     )
     lines += [f"  {found.place.sentence}", f"  next: {found.next_experiment}"]
+    lines += [f"  {confirmation.sentence}" for confirmation in found.confirmations]
     lines += [f"  note: {note}" for note in found.notes]
     lines.append(f"  written to {folder}/{', '.join(OUTPUTS)}")
     return "\n".join(lines)

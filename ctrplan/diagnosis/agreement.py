@@ -22,7 +22,10 @@ def contradiction(verdict: Verdict, gap: Gap, place: Place) -> str:
 
     On the poses kept aside it is the error with the effects; where none is missing, on the others that without any.
     """
-    if verdict == "unexplained":
+    if verdict == "partial" and gap.after.rms_m >= gap.before.rms_m:
+        off = f"{gap.before.rms_m * 1e3:.2f} mm off (rms) without them and {gap.after.rms_m * 1e3:.2f} mm with them"
+        return f"The figures contradict the effects found: on the poses kept aside tips are {off}."
+    if verdict in ("partial", "unexplained"):
         return ""
     shown = {"the poses kept aside": gap.after.rms_m}
     if verdict == "no_missing_effect":

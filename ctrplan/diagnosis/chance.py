@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrplan.base.arrays import Array
 from ctrplan.diagnosis.held_out import Linear, null_scores
 
 DRAWS = 400
@@ -15,9 +16,18 @@ SEED = 1
 LEAST_THRESHOLD = 3.0  # log-likelihood: what a single pair of odds of 20 to 1 weighs
 
 
-def null_threshold(here: Linear, beside: Sequence[Linear], fold: NDArray[np.int_]) -> float:
-    """Gain in held-out log-likelihood that the best of all candidates exceeds in 2 % of pure noise."""
-    noise = np.random.default_rng(SEED).standard_normal((here.r.size, DRAWS))
+def white(count: int) -> Array:
+    """(5 K, D) pure noise of `count` = 5 K numbers."""
+    noise: Array = np.random.default_rng(SEED).standard_normal((count, DRAWS))
+    return noise
+
+
+def null_threshold(here: Linear, beside: Sequence[Linear], fold: NDArray[np.int_], draws: Array | None = None) -> float:
+    """Gain in held-out log-likelihood that the best of all candidates exceeds in 2 % of draws (5 K, D) of noise.
+
+    Without any, the draws are white.
+    """
+    noise = white(here.r.size) if draws is None else draws
     plain = null_scores(here, fold, noise)
     best = np.max([null_scores(candidate, fold, noise) for candidate in beside], axis=0) - plain
     return max(LEAST_THRESHOLD, float(np.quantile(best, 1 - ALARM_RATE)))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.residuals import PER_POSE, robust_square
+from ctrplan.calibration.residuals import PER_POSE, information_inverse, robust_square
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,20 +38,31 @@ class Linear:
         step = _solved(H, gradient - self.precision * self.offset)
         return Linear(self.r - self.J @ step, self.J, self.weight, self.precision, self.offset + step, self.given)
 
+    def covariance(self) -> Array:
+        """(P, P) of the parameters."""
+        root = information_inverse(self.J, self.weight, self.precision)
+        covariance: Array = root @ root.T
+        return covariance
+
     def _system(self) -> tuple[Array, Array]:
         J, w = self.J.reshape(-1, self.J.shape[2]), np.repeat(self.weight, PER_POSE)
         return J.T @ (w[:, None] * J) + np.diag(self.precision), J.T @ (w * self.r.ravel())
 
 
-def held_out_loss(fit: Linear, fold: NDArray[np.int_]) -> Array:
-    """(K,) robust square of every pose's residual when its fold (K,) had not been fitted."""
+def held_out_residuals(fit: Linear, fold: NDArray[np.int_]) -> Array:
+    """(K, 5) every pose's residual when its fold (K,) had not been fitted."""
     H, _ = fit._system()
-    loss = np.empty(len(fit.r))
+    left = np.empty_like(fit.r)
     for number in np.unique(fold):
         inside = fold == number
         moved = _left_out(fit.J[inside], fit.weight[inside], H, fit.r[inside].reshape(-1, 1))
-        loss[inside] = robust_square(np.linalg.norm(moved.reshape(-1, PER_POSE), axis=1))
-    return loss
+        left[inside] = moved.reshape(-1, PER_POSE)
+    return left
+
+
+def held_out_loss(fit: Linear, fold: NDArray[np.int_]) -> Array:
+    """(K,) robust square of every pose's residual when its fold (K,) had not been fitted."""
+    return robust_square(np.linalg.norm(held_out_residuals(fit, fold), axis=1))
 
 
 def null_scores(fit: Linear, fold: NDArray[np.int_], noise: Array) -> Array:

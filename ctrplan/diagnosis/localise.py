@@ -63,8 +63,15 @@ def quantities(data: Measurements) -> Mapping[str, Array]:
     return {name: values for name, values in found.items() if _differs(values)}
 
 
-def localise(data: Measurements, r: Array, group: NDArray[np.int_], error_m: Array, floor_m: float) -> Place:
-    """From whitened residuals (K, 5) and distances (K,) of the calibrated model."""
+def localise(
+    data: Measurements,
+    r: Array,
+    group: NDArray[np.int_],
+    error_m: Array,
+    floor_m: float,
+    opening: str = "After calibration",
+) -> Place:
+    """From whitened residuals (K, 5) and distances (K,) of the calibrated model, or of another that `opening` names."""
     known, r = quantities(data), _bounded(r)
     parts = {name: _quarters(values) for name, values in known.items()}
     observed = np.array([_share(r, part) for part in parts.values()])
@@ -80,14 +87,19 @@ def localise(data: Measurements, r: Array, group: NDArray[np.int_], error_m: Arr
     ranked = tuple(trends[k] for k in order)
     between = _share(r, np.unique(group, return_inverse=True)[1])
     rms_m = float(np.sqrt(np.mean(error_m**2)))
-    return Place(ranked, _sentence(ranked, known, error_m, floor_m, between), between, rms_m)
+    return Place(ranked, _sentence(opening, ranked, known, error_m, floor_m, between), between, rms_m)
 
 
 def _sentence(
-    ranked: tuple[Trend, ...], known: Mapping[str, Array], error_m: Array, floor_m: float, between: float
+    opening: str,
+    ranked: tuple[Trend, ...],
+    known: Mapping[str, Array],
+    error_m: Array,
+    floor_m: float,
+    between: float,
 ) -> str:
     rms = float(np.sqrt(np.mean(error_m**2)))
-    start = f"After calibration tips are {rms * 1e3:.2f} mm off (rms, noise {floor_m * 1e3:.2f} mm)"
+    start = f"{opening} tips are {rms * 1e3:.2f} mm off (rms, noise {floor_m * 1e3:.2f} mm)"
     clear = [trend for trend in ranked if trend.p < CHANCE][:2]
     if not clear:
         return f"{start}; the rest goes along with none of {len(ranked)} quantities looked at."

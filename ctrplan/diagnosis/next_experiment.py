@@ -64,6 +64,9 @@ def next_experiment(
             proposed += found
             sentences.append(_separating(finding.term.name, other, found))
             sentences.append(f"{finding.term.name} shows itself so: {finding.term.effect.experiment}.")
+    if judgement.verdict == "partial":
+        sentences += [f"To confirm {f.term.name}: {f.term.effect.experiment}." for f in judgement.findings]
+        sentences.append("Then measure another run, which nothing has read, and ask it with --confirm.")
     if judgement.verdict == "unexplained":
         sentences.append(
             "Something outside the catalogue acts: repeat the configurations with the largest errors, each several "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -14,9 +14,11 @@ from ctrplan.calibration.pose_errors import Errors
 from ctrplan.calibration.residuals import Noise
 from ctrplan.calibration.robot_content import calibrated_content, model_error_m
 from ctrplan.diagnosis.chi_square import ChiSquare
+from ctrplan.diagnosis.correlated_bench import FRAME
 from ctrplan.diagnosis.gap import Gap
 from ctrplan.diagnosis.localise import Place
 from ctrplan.diagnosis.next_experiment import Proposal
+from ctrplan.diagnosis.partly import Partly
 from ctrplan.diagnosis.selection import Step
 from ctrplan.diagnosis.verdict import Judgement, Verdict
 from ctrplan.diagnosis.workbench import Scored
@@ -25,6 +27,17 @@ from ctrplan.pipeline.parametric_chain import Term
 from ctrplan.robot.robot import Robot
 
 SCHEMA_VERSION = 1
+
+
+class Confirmed(Protocol):
+    """What other runs say of a diagnosis, `confirmation.py`."""
+
+    @property
+    def sentence(self) -> str:
+        """Effect by effect."""
+
+    def to_json(self) -> dict[str, Any]:
+        """For diagnosis.json."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +63,8 @@ class Diagnosis:
     outlier_rows: tuple[int, ...]  # rows of the file, from 1
     interrupted: bool
     time_s: float
+    partly: Partly | None = None  # what remains beside the effects, where that is the verdict
+    confirmations: tuple[Confirmed, ...] = ()  # on other runs, asked once
 
     @property
     def listed(self) -> tuple[Term, ...]:
@@ -57,8 +72,9 @@ class Diagnosis:
         return tuple(finding.term for finding in self.judgement.findings)
 
     def robot_content(self) -> dict[str, Any]:
-        """The content of the new robot file: calibrated, with the effects of the verdict in it."""
-        return calibrated_content(self.chosen.fit, self.listed, self.data, self.model_error_m)
+        """The content of the new robot file: calibrated, with the effects of the verdict and a free frame in it."""
+        frame = [t for t in self.chosen.fit.chain.terms if t.name == FRAME and t not in self.listed]
+        return calibrated_content(self.chosen.fit, [*self.listed, *frame], self.data, self.model_error_m)
 
     @property
     def model_error_m(self) -> float:
@@ -72,6 +88,7 @@ class Diagnosis:
             "effects": [self._effect(k) for k in range(len(self.judgement.findings))],
             "gap": _gap(self.gap),
             "where": self.place.sentence,
+            "rest": self.partly.to_json() if self.partly else None,
             "next_experiment": self.next_experiment,
             "not_testable": dict(self.not_testable),
             "without": list(self.without),
@@ -85,6 +102,7 @@ class Diagnosis:
             | {"vault": _chi_square(self.gap.chi_square)},
             "path": [asdict(step) for step in self.path],
             "proposals": [_proposal(p) for p in self.proposals],
+            "confirmations": [confirmation.to_json() for confirmation in self.confirmations],
             "notes": list(self.notes),
             "coverage": self.coverage,
             "outlier_rows": list(self.outlier_rows),
@@ -113,6 +131,7 @@ class Diagnosis:
                 for a in self.judgement.compared
                 if finding.term.key not in {t.key for t in a.scored.terms}
             ],
+            **(self.partly.evidence_json(finding.term) if self.partly else {}),
         }
 
 

@@ -67,16 +67,16 @@ class Selector:
         screened = self.bench.screened(here, self._others(here), self.candidates.completed)
         if not screened:
             return False
-        found.threshold = null_threshold(linear(here.fit), [s.linear for s in screened], self.bench.fold)
-        needed = found.threshold * (CAUTION if remains(self.bench, here).is_adequate else 1.0)
+        found.threshold = self._threshold(here, screened)
+        needed = self._needed(here, found.threshold)
         tried = self.fitted(here, screened)
         if not tried:
             first = screened[0]
-            found.path.append(_step("add", first.term, first.score - here.score, 0.0, needed, False))
+            found.path.append(step("add", first.term, first.score - here.score, 0.0, needed, False))
         for candidate in tried:
             gain, error = self.bench.difference(candidate, here)
             best = candidate is tried[0] and gain > needed and self._is_certain(candidate, gain, error)
-            found.path.append(_step("add", candidate.terms[-1], gain, error, needed, best))
+            found.path.append(step("add", candidate.terms[-1], gain, error, needed, best))
         if not tried or not found.path[-len(tried)].taken:
             return self._grow_by_two(found, tried)
         found.chosen = self.bench.corrected(tried[0])
@@ -99,7 +99,7 @@ class Selector:
         gain, error = self.bench.difference(best, here)
         taken = gain > max(needed, CERTAIN * error) and remains(self.bench, best).is_adequate
         first, second = best.terms[-2:]
-        found.path.append(_step("add", second, gain, error, needed, taken, beside=first))
+        found.path.append(step("add", second, gain, error, needed, taken, beside=first))
         if taken:
             found.chosen = self.bench.corrected(best)
         return taken
@@ -110,8 +110,15 @@ class Selector:
         screened = self.bench.screened(first, self._others(first), self.candidates.completed)
         if not screened:
             return []
-        needed = threshold + null_threshold(linear(first.fit), [s.linear for s in screened], self.bench.fold)
+        needed = threshold + self._threshold(first, screened)
         return [(scored, needed) for scored in self.fitted(first, screened[:SECOND_OF_PAIRS])]
+
+    def _needed(self, here: Scored, threshold: float) -> float:
+        return threshold * (CAUTION if remains(self.bench, here).is_adequate else 1.0)
+
+    def _threshold(self, here: Scored, screened: Sequence[Screened]) -> float:
+        beside = [s.linear for s in screened]
+        return null_threshold(linear(here.fit), beside, self.bench.fold, self.bench.null_draws(here))
 
     def _is_certain(self, candidate: Scored, gain: float, error: float) -> bool:
         """Whether a gain is no matter of a few configurations, or leaves nothing to gain."""
@@ -140,7 +147,7 @@ class Selector:
                 rest = self.without(found.chosen, t)
                 gain, error = self.bench.difference(rest, found.chosen)
                 if gain > -found.threshold:
-                    found.path.append(_step("drop", t, gain, error, -found.threshold, True))
+                    found.path.append(step("drop", t, gain, error, -found.threshold, True))
                     found.chosen, dropped = rest, True
                     break
 
@@ -150,7 +157,7 @@ class Selector:
             for candidate in self.replacements(found.chosen, t):
                 gain, error = self.bench.difference(candidate, found.chosen)
                 if gain > 0:
-                    found.path.append(_step("swap", candidate.terms[-1], gain, error, 0.0, True))
+                    found.path.append(step("swap", candidate.terms[-1], gain, error, 0.0, True))
                     found.chosen = candidate
                     return
 
@@ -184,9 +191,10 @@ def _best_of_each(tried: Sequence[Scored]) -> list[Scored]:
     return list({scored.terms[-1].name: scored for scored in reversed(tried)}.values())[::-1]
 
 
-def _step(
+def step(
     action: str, t: Term, gain: float, error: float, threshold: float, taken: bool, beside: Term | None = None
 ) -> Step:
+    """Of the path: what was done with an effect, or with two."""
     terms = [t] if beside is None else [beside, t]
     names = tuple(parameter.name for term in terms for parameter in term.parameters)
     effect = " and ".join(term.name for term in terms)

@@ -17,6 +17,9 @@ def verdict_sentence(found: Diagnosis) -> str:
         return f"No missing effect: calibrated, the model agrees with the measurements to their noise{_but(found)}."
     if found.verdict == "named":
         return f"Missing: {names}. With it the model agrees with the measurements to their noise{_but(found)}."
+    if found.partly:
+        closed = f"{found.gap.before.rms_m * 1e3:.2f} mm off without and {found.gap.after.rms_m * 1e3:.2f} mm with"
+        return f"In part: {names}. Tips are {closed}; something remains that nothing in the catalogue explains."
     if found.verdict == "ambiguous":
         return f"Missing: {names}. The data can't tell them apart, both would explain them."
     rest = f"what remains is {left:.1f} times the noise"
@@ -34,7 +37,7 @@ def effect_lines(found: Diagnosis) -> list[str]:
             for name, e in estimates(found.chosen.fit, t).items()
         )
         lines.append(f"{t.name} ({t.effect.stage}): {', '.join(values)}")
-    return lines
+    return lines + ([found.partly.rest.sentence] if found.partly else [])
 
 
 def _but(found: Diagnosis) -> str:
@@ -63,7 +66,7 @@ def headline(found: Diagnosis) -> str:
         " or ".join(t.effect.title for t in (finding.term, *(a.term for a in finding.alternatives)))
         for finding in found.judgement.findings
     ]
-    if found.verdict == "unexplained":
+    if found.verdict in ("partial", "unexplained"):
         titles.append("something that the catalogue does not have" if not titles else "something more")
     text = " and ".join(titles)
     return text[:1].upper() + text[1:]

@@ -1,4 +1,4 @@
-"""From a selected set of effects to a verdict: named, ambiguous, unexplained, or nothing missing.
+"""From a selected set of effects to a verdict: named, ambiguous, unexplained, or nothing missing; partial: `partly.py`.
 
 A name is given only when what remains looks like noise, on the poses of the selection and in the held-out set. Where
 it does not, the best of the wrong names would be given with confidence; then only effects stay listed whose evidence
@@ -17,7 +17,7 @@ from ctrplan.diagnosis.selection import Selection, Selector
 from ctrplan.diagnosis.workbench import Scored, Workbench
 from ctrplan.pipeline.parametric_chain import Term, term
 
-Verdict = Literal["named", "no_missing_effect", "ambiguous", "unexplained"]
+Verdict = Literal["named", "no_missing_effect", "ambiguous", "partial", "unexplained"]
 
 CLOSE = 3.0  # log-likelihood: an alternative that predicts nearly as well
 CLOSE_ERRORS = 1.0  # or worse by less than this many standard errors of the comparison
@@ -63,7 +63,7 @@ def judge(selector: Selector, found: Selection) -> Judgement:
     compared = [a for t in chosen.terms for a in _compared(selector, found, t)]
     findings = tuple(_finding(bench, chosen, t, compared, left) for t in chosen.terms)
     if not left.is_adequate or is_strained(chosen.fit):  # a fit that needs impossible tubes proves nothing
-        kept = () if _is_enlarged(bench) else specific(bench, found, findings, left)
+        kept = () if _is_enlarged(bench) else specific(bench, chosen, findings, left)
         return Judgement("unexplained", kept, left, tuple(compared))
     clear = tuple(f for f in findings if len(f.alternatives) <= MOST_RIVALS)
     if len(findings) > 1 and len(clear) < len(findings):  # beside others, what anything can stand in for is nothing
@@ -95,14 +95,14 @@ def _finding(bench: Workbench, chosen: Scored, t: Term, compared: Sequence[Alter
     rivals: dict[str, Alternative] = {}
     for a in sorted(compared, key=lambda a: a.behind):
         same_place = {other.key for other in a.scored.terms[:-1]} == rest
-        if same_place and a.term.name not in rivals and _is_close(a, chosen):
+        if same_place and a.term.name not in rivals and is_close(a, chosen):
             after = remains(bench, a.scored)
             if after.is_adequate or not left.is_adequate:
                 rivals[a.term.name] = a
     return Finding(t, tuple(rivals.values()))
 
 
-def _is_close(a: Alternative, chosen: Scored) -> bool:
+def is_close(a: Alternative, chosen: Scored) -> bool:
     """Whether it predicts or fits as well; badly determined parameters predict badly, true or not."""
     worse_fit = (a.scored.fit.residuals.loss - chosen.fit.residuals.loss) / 2
     return min(a.behind, worse_fit) < max(CLOSE, CLOSE_ERRORS * a.error)
@@ -116,7 +116,7 @@ def _is_shared(bench: Workbench, chosen: Scored, t: Term) -> bool:
     part = term(t.effect, names, bench.robot)
     scored = bench.scored([part if other is t else other for other in chosen.terms], chosen.fit)
     alone = Alternative(part, scored, *bench.difference(chosen, scored))
-    return _is_close(alone, chosen) and remains(bench, scored).is_adequate
+    return is_close(alone, chosen) and remains(bench, scored).is_adequate
 
 
 def _disbelieved(t: Term) -> str:
@@ -127,14 +127,14 @@ def _disbelieved(t: Term) -> str:
     )
 
 
-def specific(bench: Workbench, found: Selection, findings: Sequence[Finding], left: Adequacy) -> tuple[Finding, ...]:
+def specific(bench: Workbench, chosen: Scored, findings: Sequence[Finding], left: Adequacy) -> tuple[Finding, ...]:
     """Findings that explain all of the differences between approaches, or all between configurations, alone."""
     kept = []
     for finding in findings:
         history = finding.term.effect.depends_on_history
         explained = left.within.is_noise if history else left.between.is_noise
-        others = [t for t in found.chosen.terms if t is not finding.term]
-        gain, error = bench.difference(found.chosen, bench.scored(others, found.chosen.fit))
+        others = [t for t in chosen.terms if t is not finding.term]
+        gain, error = bench.difference(chosen, bench.scored(others, chosen.fit))
         if explained and gain > max(OVERWHELMING, 3 * error):
             kept.append(finding)
     return tuple(kept)

@@ -13,6 +13,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.base_parameters import ABSOLUTE_STIFFNESS, BaseParameters
 from ctrplan.calibration.least_squares import Fit, fit, fit_at
 from ctrplan.calibration.residuals import UNSOUND, Noise, residuals, robust_square
+from ctrplan.diagnosis.chance import white
 from ctrplan.diagnosis.held_out import Linear, held_out_loss
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.pipeline.friction_path import friction_correction
@@ -59,6 +60,33 @@ class Screened:
     score: float
 
 
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """A linearisation in the parameters of many effects, (effect, parameter), of which any set can be asked."""
+
+    keys: tuple[tuple[str, str], ...]
+    whole: Linear
+    variants: tuple[Term, ...]  # that were asked for besides the fit's own terms
+
+    def of(self, terms: Sequence[Term]) -> Linear:
+        """Of the parameters of some terms; the others stay where they are."""
+        wanted = {(t.name, q.name) for t in terms for q in t.parameters}
+        return self.whole.columns([k for k, key in enumerate(self.keys) if key in wanted])
+
+    def without(self, gone: Term) -> Panel:
+        """With one of its effects taken back to where it does nothing, and none of its parameters."""
+        mine = np.array([name == gone.name for name, _ in self.keys])
+        w = self.whole
+        left = Linear(w.r + w.J[:, :, mine] @ w.offset[mine], w.J, w.weight, w.precision, w.offset, w.given)
+        rest = np.flatnonzero(~mine).tolist()
+        return Panel(tuple(self.keys[k] for k in rest), left.columns(rest), self.variants)
+
+    def others(self, among: Sequence[Term]) -> list[Term]:
+        """Variants of effects that are not among the terms."""
+        names = {t.name for t in among}
+        return [t for t in self.variants if t.name not in names]
+
+
 class Workbench:
     """Everything that stays the same while sets of effects are compared."""
 
@@ -83,6 +111,14 @@ class Workbench:
         names = [parameter.name for parameter in effect.parameters(self.robot)]
         return term(effect, [name for name in names if loaded or name != ABSOLUTE_STIFFNESS], self.robot)
 
+    def basis(self, terms: Sequence[Term]) -> list[Term]:
+        """What is fitted besides `terms`, whatever they are."""
+        return [self.base(terms)]
+
+    def null_draws(self, here: Scored) -> Array:
+        """(5 K, D) residuals as they would be if nothing were missing beside a fit."""
+        return white(here.fit.residuals.r.size)
+
     def scored(self, terms: Sequence[Term], *near: Fit | None) -> Scored:
         """The base and `terms` fitted together, from the values of a fit in `near` where it has them.
 
@@ -96,7 +132,7 @@ class Workbench:
         if known is None or places:
             self.pause()
             tried += places
-            chain = self._chain([self.base(terms), *terms])
+            chain = self._chain([*self.basis(terms), *terms])
             start, promised = self._start(chain, places, compared=known is not None)
             if known is None or promised < known.fit.residuals.loss - WORTH_ANOTHER:
                 found = self._fitted(tuple(terms), chain, start)
@@ -176,8 +212,7 @@ class Workbench:
             ]
             if all(a is b for a, b in zip(terms, chain.terms, strict=True)):
                 break
-            wide = ParametricChain(self.robot, self.data, terms)
-            wide.correction = chain.correction
+            wide = chain.with_terms(terms)
             scored = replace(scored, fit=fit(wide, self.noise, self.whitening_group, p))
         return scored
 
@@ -188,8 +223,21 @@ class Workbench:
 
         `completed` adds what a variant needs to the terms that it stands beside.
         """
+        panel = self.panel(here, others)
+        screened = []
+        for other in others:
+            if not other.effect.is_linear:
+                screened.append(self._tried_out(here, other, completed))
+                continue
+            same = [t for t in here.terms if t.name != other.name]
+            columns = panel.of([*self.basis([*same, other]), *same, other]).refitted()
+            screened.append(Screened(other, columns, float(-held_out_loss(columns, self.fold).sum() / 2)))
+        return sorted(screened, key=lambda s: -s.score)
+
+    def panel(self, here: Scored, others: Sequence[Term]) -> Panel:
+        """A fit linearised in its own parameters and those of other variants, which vanish there."""
         merged = _merged([*here.terms, *others], self.robot)
-        chain = self._chain([self.base(merged), *merged])
+        chain = self._chain([*self.basis(merged), *merged])
         known = values_by_name(here.fit)
         keys = [(t.name, p.name) for t in chain.terms for p in t.parameters]
         neutral = [_vanishing(p.start, p.neutral) * p.si for p in chain.parameters]
@@ -197,32 +245,37 @@ class Workbench:
         found = residuals(self.data, chain.predict(p), self.noise, self.whitening_group)
         weight = here.fit.residuals.weight
         whole = Linear(found.r, found.J, weight, 1 / chain.prior**2, p - chain.neutral, found.given)
-        screened = []
-        for other in others:
-            if not other.effect.is_linear:
-                screened.append(self._tried_out(here, other, completed))
-                continue
-            same = [t for t in here.terms if t.name != other.name]
-            wanted = {(t.name, q.name) for t in (self.base([*same, other]), *same, other) for q in t.parameters}
-            columns = whole.columns([k for k, key in enumerate(keys) if key in wanted]).refitted()
-            screened.append(Screened(other, columns, float(-held_out_loss(columns, self.fold).sum() / 2)))
-        return sorted(screened, key=lambda s: -s.score)
+        return Panel(tuple(keys), whole, tuple(others))
 
     def _tried_out(
         self, here: Scored, other: Term, completed: Callable[[Sequence[Term], Term], Sequence[Term]]
     ) -> Screened:
         """A variant that does not act in proportion, linearised where its first step promises most."""
         terms = completed([t for t in here.terms if t.name != other.name], other)
-        chain = self._chain([self.base(terms), *terms])
+        chain = self._chain([*self.basis(terms), *terms])
         start, _ = self._start(chain, [here.fit])
         there = linear(fit_at(chain, self.noise, self.whitening_group, start)).refitted()
         return Screened(other, there, float(-held_out_loss(there, self.fold).sum() / 2))
 
+    def by_group(self, gain: Array) -> Array:
+        """(B,) sums over poses that count as one, of values (K,)."""
+        number = np.unique(self.group, return_inverse=True)[1].ravel()
+        return np.asarray(np.bincount(number, weights=gain), dtype=np.float64)
+
     def difference(self, a: Scored, b: Scored) -> tuple[float, float]:
         """How much better `a` predicts than `b` (log-likelihood), and the standard error of that over groups."""
-        gain = (b.held_out - a.held_out) / 2
-        by_group = np.bincount(np.unique(self.group, return_inverse=True)[1], weights=gain)
-        return float(gain.sum()), float(np.sqrt(len(by_group)) * by_group.std(ddof=1))
+        by_group = self.by_group((b.held_out - a.held_out) / 2)
+        return float(by_group.sum()), float(np.sqrt(len(by_group)) * by_group.std(ddof=1))
+
+
+def certainty(gains: Array) -> float:
+    """How many standard errors blocks' gains (B,) lie above zero on average, themselves or their signed roots.
+
+    A gain is half the square of how far an effect stands out: where it stands out much in few blocks, roots are nearer
+    to Gaussian.
+    """
+    roots = np.sign(gains) * np.sqrt(np.abs(gains))
+    return max(float(np.sqrt(len(x)) * x.mean() / max(float(x.std(ddof=1)), 1e-9)) for x in (gains, roots))
 
 
 def _widened(t: Term, p: Array) -> Term:

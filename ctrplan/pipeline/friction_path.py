@@ -6,16 +6,13 @@ friction is spread unevenly along the tubes, and the whole path is simulated.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.errors import SolverError
 from ctrplan.experiment.friction_states import friction_state
-from ctrplan.mechanics.shapes import Status
+from ctrplan.pipeline.followed_runs import followed
 from ctrplan.pipeline.parametric_chain import ParametricChain
-from ctrplan.pipeline.tip_table import nested, tip_table
+from ctrplan.pipeline.tip_table import tip_table
 
 LARGEST_M = 5e-3  # corrections beyond it are a path that snapped, and are left out
 
@@ -29,7 +26,8 @@ def friction_correction(chain: ParametricChain, p: Array) -> tuple[Array, Array]
     collars, phi = chain.collars(p), friction_state(chain.data, chain.at(p).release_m)
     coarse = tip_table(robot, collars.theta, collars.l, phi)
     if chain.data.is_stream:
-        position, tangent = _simulated(chain, p)
+        path = followed(chain, p)
+        position, tangent = path.position_m, path.tangent
     else:
         fine = tip_table(robot, collars.theta, collars.l, phi, accuracy="certificate")
         position, tangent = fine.position_m, fine.tangent
@@ -37,23 +35,3 @@ def friction_correction(chain: ParametricChain, p: Array) -> tuple[Array, Array]
     wild = ~(np.linalg.norm(shift, axis=1) < LARGEST_M)
     shift[wild], turn[wild] = 0.0, 0.0
     return shift, turn
-
-
-def _simulated(chain: ParametricChain, p: Array) -> tuple[Array, Array]:
-    """Tips at the poses when every run's path is followed from its start; NaN where a simulation failed."""
-    data, robot = chain.data, chain.at(p).mechanics
-    every = np.arange(len(data.sequence))
-    blank = np.zeros((len(every), 3))
-    waypoints = replace(data, rows=every, position_m=blank, tangent=blank)
-    collars = ParametricChain(chain.robot, waypoints, chain.terms).collars(p)
-    l_b = nested(robot, collars.l)  # a fit may push collars against each other, and moves on
-    position, tangent = np.full((len(every), 3), np.nan), np.full((len(every), 3), np.nan)
-    for run in np.unique(data.sequence[data.rows]).tolist():
-        rows = np.flatnonzero(data.sequence == run)
-        try:
-            path = robot.history().follow(collars.theta[rows], l_b[rows])
-        except SolverError:  # no equilibrium at its start
-            continue
-        sound = path.status <= Status.MULTIPLE
-        position[rows[sound]], tangent[rows[sound]] = path.position_m[sound], path.tangent[sound]
-    return position[data.rows], tangent[data.rows]

@@ -88,6 +88,7 @@ class ParametricChain:
         self.lower = np.array([p.lower for p in self.parameters]) * self.si
         self.upper = np.array([p.upper for p in self.parameters]) * self.si
         self.correction: tuple[Array, Array] | None = None  # (K, 3) each: what a finer mesh adds to position, tangent
+        self.followed_phi: Array | None = None  # (K, n - 1) friction states of a simulated history, not of the rule
         self._in_file = Chain.of(robot).on(data.time_s, data.more, of_collars=data.of_collars)
         self._across: Array | None = None
         for t in self.terms:
@@ -95,6 +96,12 @@ class ParametricChain:
                 raise InputError(f"needs a column {', '.join(missing)}", file=data.file, key=f"effects.{t.name}")
             if data.of_collars and t.effect.stage == "drive":
                 raise InputError(DRIVEN_ALREADY, file=data.file, key=f"effects.{t.name}")
+
+    def with_terms(self, terms: Sequence[Term]) -> ParametricChain:
+        """Other terms for the same data, friction as simulated for these."""
+        chain = ParametricChain(self.robot, self.data, terms)
+        chain.correction, chain.followed_phi = self.correction, self.followed_phi
+        return chain
 
     @property
     def start(self) -> Array:
@@ -151,6 +158,8 @@ class ParametricChain:
     def friction_state(self, p: Array) -> Array:
         """(K, n - 1) circumferential share of the Coulomb limit of each pair."""
         chain = self.at(p)
+        if self.followed_phi is not None:
+            return self.followed_phi * chain.friction_share(self.data)
         plain = self._plain_phi if np.isinf(chain.release_m) else friction_state(self.data, chain.release_m)
         return plain * chain.friction_share(self.data)
 

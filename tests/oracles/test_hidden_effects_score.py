@@ -70,7 +70,20 @@ def test_rows_count_their_own_trials() -> None:
     ]
     counted = [(goal.hits, goal.trials) for goal in goals(trials)]
     singles = [(1, 2), (1, 1), (0, 0)]
-    assert counted == [(1, 2), (0, 0), *singles, (3, 10), (1, 2), (1, 2), (0, 0), (2, 4), (3, 4), (3, 4), (9, 10)]
+    assert counted == [
+        (1, 2),
+        (0, 0),
+        *singles,
+        (3, 10),
+        (1, 2),
+        (0, 0),
+        (1, 2),
+        (0, 0),
+        (2, 4),
+        (3, 4),
+        (3, 4),
+        (9, 10),
+    ]
     assert power(trials)["lag"] == [(0.4, False), (2.0, False), (2.0, True)]
     before, after = pooled_gap(trials)
     assert before == pytest.approx(2.0 / 0.69)

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.sentences import headline, verdict_sentence
 from ctrplan.reports.diagnosis_page.figures import gap_figure, path_figure, where_figure
+from ctrplan.reports.diagnosis_page.gap_split import gap_split, rest_lines, share_table
 from ctrplan.reports.diagnosis_page.selection_errors import SelectionErrors
 from ctrplan.reports.diagnosis_page.tables import (
     calibration_table,
@@ -30,8 +31,10 @@ MEANING = (
     "these poses. Effects were chosen by how well they predict poses left out of the fit, against what the best of all "
     "candidates reaches by chance on pure noise. Every candidate was fitted together with ordinary calibration "
     "(precurvature magnitudes, stiffness ratios, Poisson's ratios).",
-    "A name is given only if what remains looks like noise. Where it does not, the data show something that the "
-    "catalogue does not have, and the best of the wrong names is not offered in its place.",
+    "All is named only if what remains looks like noise. Where it does not, the data show something that the "
+    "catalogue does not have. A part of the truth is then said of effects that hold beside every other one, whatever "
+    "remains: block after block of poses that were left out, and far above what errors of the same kind reach by "
+    "chance. The best of the wrong names is not offered in its place.",
 )
 
 
@@ -43,12 +46,17 @@ def write_diagnosis_report(path: str | os.PathLike[str], found: Diagnosis, error
 def diagnosis_report_html(found: Diagnosis, errors: SelectionErrors) -> str:
     """The content of report.html."""
     good = found.verdict in ("named", "no_missing_effect") and not found.interrupted
+    kind = "good" if good else "caution" if found.partly and not found.interrupted else "bad"
     return page(
         f"Diagnosis of {found.robot.name}",
         tag("p", f"Diagnosis of {found.robot.name}", kind="kicker"),
         tag("h1", headline(found)),
-        tag("p", verdict_sentence(found), kind=f"verdict {'good' if good else 'bad'}"),
+        tag("p", verdict_sentence(found), kind=f"verdict {kind}"),
         _tiles(found),
+        section("The gap and what closes it", gap_split(found), *_parts(found)),
+        section("On runs that nothing had read", _list(c.sentence for c in found.confirmations))
+        if found.confirmations
+        else Markup(),
         section("What the model lacks", *effect_parts(found, errors)),
         section(
             "Where model and measurement disagree",
@@ -59,13 +67,17 @@ def diagnosis_report_html(found: Diagnosis, errors: SelectionErrors) -> str:
         section("Before and after, on poses that nothing had seen", plot(gap_figure(found), "gap"), gap_table(found)),
         section("What to measure next", tag("p", found.next_experiment), proposal_table(found)),
         section("What was tried", plot(path_figure(found), "path") if found.path else Markup(), step_table(found)),
-        section("What remains", remaining_table(found)),
+        section("What remains", *(rest_lines(found.partly) if found.partly else []), remaining_table(found)),
         section("Not testable with these data", _list(f"{n}: {why}" for n, why in found.not_testable.items())),
         section("Remarks", _list(found.notes)) if found.notes else Markup(),
         section("Calibrated parameters", calibration_table(found)),
         section("What this means", *(tag("p", text) for text in MEANING), glossary(*WORDS)),
         section("Where this comes from", provenance_table(found)),
     )
+
+
+def _parts(found: Diagnosis) -> list[Markup]:
+    return [share_table(found.partly)] if found.partly else []
 
 
 def _tiles(found: Diagnosis) -> Markup:

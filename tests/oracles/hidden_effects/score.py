@@ -1,7 +1,8 @@
 """The table of goals from a bank's diagnoses: `python -m hidden_effects.score DIR OUT [--figure power.png]`.
 
 A diagnosis is right, wrong or a miss: right: every true effect named (itself or among the alternatives of a named one),
-nothing else named, a fitting verdict; wrong: a name that is not true, with the verdict "named"; miss: anything else.
+nothing else named, a fitting verdict; wrong: a name that is not true, with the verdict "named" or "partial"; miss:
+anything else.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class Trial:
         if self.found is None:
             return False
         if "unknown" in self.truth["effects"]:
-            verdicts = {"unexplained"}
+            verdicts = {"unexplained", "partial"}
         else:
             verdicts = {"named", "ambiguous"} if self.known else {"no_missing_effect"}
         all_named = all(any(k & n for n in self.named) for k in self.known)
@@ -63,7 +64,7 @@ class Trial:
 
     @property
     def is_wrong(self) -> bool:
-        return bool(self.extra) and self.verdict == "named"
+        return bool(self.extra) and self.verdict in ("named", "partial")
 
     @property
     def outcome(self) -> str:
@@ -122,6 +123,7 @@ def goals(trials: list[Trial]) -> list[Goal]:
     heavy = [t for t in trials if t.row == "single, heavy tails" and t.leftover >= SEPARABLE_FROM]
     pairs = [t for t in trials if t.row == "pair"]
     foreign = [t for t in trials if t.row in ("not in the catalogue", "taken out of the catalogue")]
+    mixed = [t for t in trials if t.row == "known and unknown"]
     look_alikes = [t for t in trials if t.row == "look-alike" and t.leftover >= SEPARABLE_FROM]
     right = [t for t in trials if t.is_right and t.known]
     covered = [inside for t in right for inside in intervals(t)]
@@ -133,6 +135,7 @@ def goals(trials: list[Trial]) -> list[Goal]:
         _goal("both right, pairs", "", pairs, lambda t: t.is_right),
         _goal("confident wrong name, all sets", "<= 2 %", trials, lambda t: t.is_wrong),
         _goal("effect not in the catalogue, given a name", "<= 5 %", foreign, lambda t: bool(t.extra) and _claims(t)),
+        _goal("known part listed, where an unknown effect acts besides", ">= 80 %", mixed, _lists_known),
         _goal("look-alikes reported as A or B, truth inside", ">= 90 %", look_alikes, _says_either),
         Goal("95 % intervals that contain the true value", "90-98 %", sum(covered), len(covered)),
         _goal("gap after adding <= 1.1x noise floor, right ones", "all", right, _closes_gap),
@@ -147,7 +150,11 @@ def _goal(text: str, asked: str, trials: list[Trial], is_hit: Callable[[Trial], 
 
 
 def _claims(trial: Trial) -> bool:
-    return trial.verdict in ("named", "ambiguous")
+    return trial.verdict in ("named", "ambiguous", "partial")
+
+
+def _lists_known(trial: Trial) -> bool:
+    return all(any(k & n for n in trial.named) for k in trial.known)
 
 
 def _says_either(trial: Trial) -> bool:

@@ -1,0 +1,181 @@
+"""What no effect explains, as a random error with a size and a memory; it is in the covariance, never a candidate.
+
+Residuals over the noise have the covariance I + s^2 R within a block and none between blocks. On a continuous motion
+R = exp(-|t - t'| / memory); of poses at rest a block is a configuration, and R = a for two approaches of it, 1 for one.
+Position and tangent have sizes s of their own. Multiplying by (I + s^2 R)^(-1/2) makes residuals white again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+
+POSITION, TANGENT = slice(0, 3), slice(3, None)  # of the numbers of a pose
+SIZES = np.concatenate([[0.0], np.geomspace(0.1, 100.0, 25)])  # of s, over the noise
+SHARES = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0])  # of the variance that approaches of a configuration share
+MEMORIES = 12  # tried, from half a step to a quarter of the motion
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Poses whose discrepancies go together, with the eigenvalues and eigenvectors of their correlation R."""
+
+    poses: NDArray[np.int_]
+    values: Array
+    vectors: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Discrepancy:
+    """Sizes over the noise of a coordinate of the position and of the tangent, and what goes together."""
+
+    position: float
+    tangent: float
+    memory: float  # s of a continuous motion; of poses at rest the share a that belongs to the configuration
+    blocks: tuple[Block, ...]
+
+    @property
+    def is_there(self) -> bool:
+        """Whether there is more than noise."""
+        return max(self.position, self.tangent) > 0
+
+    def whitened(self, values: Array) -> Array:
+        """(K, 5, ...) residuals or derivatives over the noise, multiplied by (I + s^2 R)^(-1/2)."""
+        return self._times(values, -0.5)
+
+    def coloured(self, values: Array) -> Array:
+        """The inverse of `whitened`."""
+        return self._times(values, 0.5)
+
+    def _times(self, values: Array, power: float) -> Array:
+        new = np.array(values, dtype=np.float64)
+        for part, size in ((POSITION, self.position), (TANGENT, self.tangent)):
+            for block in self.blocks if size else ():
+                factor = (block.vectors * (1 + size**2 * block.values) ** power) @ block.vectors.T
+                new[block.poses, part] = np.tensordot(factor, values[block.poses, part], axes=1)
+        return new
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """What an estimate reads: residuals r (K, 5) at the priors' centres, derivatives J (K, 5, P), precision (P,)."""
+
+    r: Array
+    J: Array
+    precision: Array
+
+
+def of_motion(fit: Linearised, time_s: Array, run: NDArray[np.int_], longest_s: float) -> Discrepancy:
+    """The most probable discrepancy of a continuous motion with poses at times (K,) of runs (K,)."""
+    step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
+    memories = np.geomspace(max(step / 2, 1e-6), max(longest_s / 4, step), MEMORIES)
+    rows = [np.flatnonzero(run == number) for number in np.unique(run)]
+    return _most_probable(fit, rows, memories, lambda poses, memory: decay(time_s[poses], memory))
+
+
+def of_configurations(fit: Linearised, configuration: NDArray[np.int_]) -> Discrepancy:
+    """The most probable discrepancy of poses at rest, (K,) numbers of their configurations."""
+    rows = [np.flatnonzero(configuration == number) for number in np.unique(configuration)]
+    return _most_probable(fit, rows, SHARES, lambda poses, share: shared(len(poses), share))
+
+
+def decay(time_s: Array, memory_s: float) -> Array:
+    """(K, K) correlation of a discrepancy that is forgotten exponentially."""
+    correlation: Array = np.exp(-np.abs(time_s[:, None] - time_s[None]) / memory_s)
+    return correlation
+
+
+def shared(count: int, share: float) -> Array:
+    """(K, K) correlation of approaches of one configuration."""
+    return share + (1 - share) * np.eye(count)
+
+
+def within(found: Discrepancy, blocks: Sequence[NDArray[np.int_]], correlation: Callable[..., Array]) -> Discrepancy:
+    """The same discrepancy for other poses, given by their blocks; correlation(poses, memory) is that of a block."""
+    return replace(found, blocks=tuple(_block(poses, correlation(poses, found.memory)) for poses in blocks))
+
+
+def _block(poses: NDArray[np.int_], correlation: Array) -> Block:
+    values, vectors = np.linalg.eigh(correlation)
+    return Block(poses, np.maximum(values, 0.0), vectors)
+
+
+def _most_probable(
+    fit: Linearised,
+    rows: Sequence[NDArray[np.int_]],
+    memories: Array,
+    correlation: Callable[[NDArray[np.int_], float], Array],
+) -> Discrepancy:
+    """The best of all memories and sizes, by the likelihood with the parameters integrated out over their priors."""
+    best, highest = None, -np.inf
+    for memory in memories.tolist():
+        blocks = tuple(_block(poses, correlation(poses, memory)) for poses in rows)
+        value, position, tangent = _Spectrum(fit, blocks).highest()
+        if value > highest:
+            best, highest = Discrepancy(position, tangent, memory, blocks), value
+    assert best is not None
+    return best
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """Sums over one part of the poses' numbers at a size of the discrepancy: a normal system and a likelihood."""
+
+    size: float
+    H: Array
+    g: Array
+    likelihood: float  # twice the log-likelihood at the priors' centres, up to a constant
+
+
+@dataclass(frozen=True, eq=False)
+class _Spectrum:
+    """A fit in the eigenvectors of the discrepancy's blocks, where its covariance is diagonal."""
+
+    fit: Linearised
+    blocks: tuple[Block, ...]
+
+    @cached_property
+    def position(self) -> list[_Part]:
+        return self._parts(POSITION)
+
+    @cached_property
+    def tangent(self) -> list[_Part]:
+        return self._parts(TANGENT)
+
+    def _parts(self, part: slice) -> list[_Part]:
+        r = np.concatenate([np.tensordot(b.vectors.T, self.fit.r[b.poses, part], axes=1) for b in self.blocks])
+        J = np.concatenate([np.tensordot(b.vectors.T, self.fit.J[b.poses, part], axes=1) for b in self.blocks])
+        values = np.concatenate([b.values for b in self.blocks])
+        found, columns = [], J.shape[2]
+        flat, y = J.reshape(-1, columns), r.ravel()
+        for size in SIZES.tolist():
+            weight = np.repeat(1 / (1 + size**2 * values), r.shape[1])
+            weighted = flat * weight[:, None]
+            fits = float(np.log(weight).sum() - weight @ y**2)
+            found.append(_Part(size, weighted.T @ flat, weighted.T @ y, fits))
+        return found
+
+    def highest(self) -> tuple[float, float, float]:
+        """The highest evidence, and the sizes of position and tangent that it has: one by one, until both stay."""
+        position, tangent = self.position[0], self.tangent[0]
+        while True:
+            better = max(self.position, key=lambda part: self.evidence(part, tangent))
+            best = max(self.tangent, key=lambda part: self.evidence(better, part))
+            if better is position and best is tangent:
+                return self.evidence(position, tangent), position.size, tangent.size
+            position, tangent = better, best
+
+    def evidence(self, position: _Part, tangent: _Part) -> float:
+        """Twice the logarithm of it, up to a constant."""
+        scale = 1 / np.sqrt(self.fit.precision)
+        H = (position.H + tangent.H) * np.outer(scale, scale) + np.eye(len(scale))
+        factor = np.linalg.cholesky(H)
+        z = np.linalg.solve(factor, scale * (position.g + tangent.g))
+        gained = float(z @ z - 2 * np.log(np.diag(factor)).sum())
+        return position.likelihood + tangent.likelihood + gained

@@ -1,0 +1,173 @@
+"""From measurements to a set of effects and a verdict, before the held-out set is opened.
+
+The ordinary search comes first and names what leaves noise alone. Where nothing does, what holds beside a rest is asked
+for, `partly.py`. A long log of a continuous motion, in which the ordinary search takes minutes, is asked that first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+from ctrplan.calibration.gross_outliers import gross_outliers, too_many
+from ctrplan.calibration.residuals import Noise
+from ctrplan.diagnosis.candidates import Candidates
+from ctrplan.diagnosis.chi_square import ignored, remains
+from ctrplan.diagnosis.partly import Partly, partly
+from ctrplan.diagnosis.rescaled_noise import rescaled_noise
+from ctrplan.diagnosis.selection import Selector, Step
+from ctrplan.diagnosis.teller import Interrupted, Teller
+from ctrplan.diagnosis.usable_poses import bench_of, checked_split, without_outliers
+from ctrplan.diagnosis.verdict import Finding, Judgement, judge
+from ctrplan.diagnosis.workbench import Scored, Workbench
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.experiment.split import Split, groups
+from ctrplan.robot.robot import Robot
+
+INTERRUPTED = "Interrupted: this is what was found until then, not a verdict."
+LONG_LOG = 400  # poses of a continuous motion, of which parts are asked for first
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What was found on the poses that choose; the arrays are over all poses (K,) of the data."""
+
+    bench: Workbench
+    path: tuple[Step, ...]
+    chosen: Scored  # with the effects of the search
+    base: Scored  # calibrated, without effects
+    judgement: Judgement
+    split: Split
+    group: NDArray[np.int_]  # (K,) poses that count as one
+    noise: Noise
+    is_rescaled: bool  # whether the noise is smaller than stated
+    wrong: NDArray[np.bool_]  # (K,) poses that went wrong
+    notes: tuple[str, ...]
+    interrupted: bool = False
+    partly: Partly | None = None
+
+
+def answer(
+    robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: Noise, known: Candidates, teller: Teller
+) -> Answer:
+    """Searches what the catalogue has; `usable` (K,) are the poses to go by. Raises InputError where they are few."""
+    wrong, parts, bench = without_outliers(robot, data, usable, noise)
+    is_long = data.is_stream and int((usable & ~wrong).sum()) > LONG_LOG
+    if is_long:
+        first = _beside_a_rest(_nothing(data, parts, bench, wrong), data, usable, noise, known, teller)
+        if first.interrupted or (first.partly and not first.partly.is_noise):
+            return first
+    found = _ordinary(data, usable, wrong, bench, parts, known, teller)
+    explained = found.judgement.verdict != "unexplained" or found.judgement.adequacy.is_adequate
+    if explained or found.interrupted or is_long:
+        return found
+    part = _beside_a_rest(found, data, usable, noise, known, teller)
+    return part if part.judgement.verdict == "partial" or part.interrupted else found
+
+
+def _beside_a_rest(
+    before: Answer,
+    data: Measurements,
+    usable: NDArray[np.bool_],
+    stated: Noise,
+    known: Candidates,
+    teller: Teller,
+) -> Answer:
+    """What holds although something remains; what there was before, where it is interrupted.
+
+    The noise may be smaller than stated. It is never enlarged, for the rest would hide in it.
+    """
+    noise = before.noise if before.is_rescaled else stated
+    try:
+        part = partly(before.bench.robot, data, usable & ~before.wrong, noise, known, teller)
+    except Interrupted:
+        return replace(before, interrupted=True, notes=(*before.notes, INTERRUPTED))
+    return replace(
+        before,
+        bench=part.bench,
+        noise=noise,
+        path=(*before.path, *part.path),
+        chosen=part.chosen,
+        base=part.base,
+        judgement=part.judgement,
+        split=part.split,
+        group=part.block,
+        partly=part,
+    )
+
+
+def _nothing(data: Measurements, parts: Split, bench: Workbench, wrong: NDArray[np.bool_]) -> Answer:
+    """Before any search."""
+    base = bench.scored([])
+    judgement = Judgement("unexplained", (), remains(bench, base), ())
+    return Answer(bench, (), base, base, judgement, parts, groups(data), bench.noise, False, wrong, ())
+
+
+def _ordinary(
+    data: Measurements,
+    usable: NDArray[np.bool_],
+    wrong: NDArray[np.bool_],
+    bench: Workbench,
+    parts: Split,
+    known: Candidates,
+    teller: Teller,
+) -> Answer:
+    """The search for what leaves noise alone, once more without poses that something missing had hidden."""
+    selector, judgement, notes, stopped = _searched(bench, known, teller)
+    more = gross_outliers(selector.found.chosen.fit, data, usable & ~wrong)
+    if more.any() and not too_many(wrong | more, usable) and not stopped:
+        wrong = wrong | more
+        parts = checked_split(data, usable & ~wrong)
+        bench = bench_of(bench.robot, data, parts, bench.noise)
+        selector, judgement, notes, stopped = _searched(bench, known, teller)
+    selector.bench.pause = lambda: None  # what follows is short, and nothing is told without it
+    noise, found = selector.bench.noise, selector.found
+    base = selector.bench.scored([])
+    is_rescaled = noise.position_m < bench.noise.position_m
+    return Answer(
+        selector.bench,
+        tuple(found.path),
+        found.chosen,
+        base,
+        judgement,
+        parts,
+        groups(data),
+        noise,
+        is_rescaled,
+        wrong,
+        tuple(notes),
+        stopped,
+    )
+
+
+def _searched(bench: Workbench, known: Candidates, teller: Teller) -> tuple[Selector, Judgement, list[str], bool]:
+    """Selection and judgement, once more with the noise that the data show if it is not the stated one."""
+    selector, notes = Selector(bench, known, teller), list[str]()
+    bench.pause = teller.pause
+    try:
+        teller("calibrating")
+        selector.run()
+        judgement = judge(selector, selector.found)
+        scaled, note = rescaled_noise(judgement.adequacy, bench.noise, *_norms(selector.found.chosen))
+        notes += [note] if note else []
+        if scaled is not None:
+            again = Workbench(bench.robot, bench.data, scaled, bench.group, bench.fold)
+            selector = Selector(again, known, teller)
+            again.pause = teller.pause
+            selector.run()
+            judgement = judge(selector, selector.found)
+    except Interrupted:
+        notes.append(INTERRUPTED)
+        chosen = selector.found.chosen
+        findings = tuple(Finding(t) for t in chosen.terms)
+        return selector, Judgement("unexplained", findings, remains(bench, chosen), ()), notes, True
+    return selector, judgement, notes, False
+
+
+def _norms(scored: Scored) -> tuple[Array, Array]:
+    """Of the residuals per pose, without outliers, and how many measured numbers each has."""
+    parts, kept = scored.fit.residuals, ~ignored(scored)
+    return parts.norm[kept], parts.given[kept].sum(axis=1)

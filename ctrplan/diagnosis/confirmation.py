@@ -1,0 +1,169 @@
+"""Effects found on some runs, asked once on runs that nothing has read.
+
+Model and effects stay as they were found; only the frame between robot and tracker is found anew, as it is after every
+mounting. An effect is confirmed where runs are predicted better with it than by a model that was calibrated without it,
+block after block.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arguments import Made, checked
+from ctrplan.base.arrays import Array
+from ctrplan.calibration.least_squares import Fit, fit
+from ctrplan.calibration.pose_errors import Errors, distances, summary
+from ctrplan.calibration.residuals import Noise, residuals, robust_square
+from ctrplan.calibration.unsolved import excused
+from ctrplan.diagnosis.blocks import blocks
+from ctrplan.diagnosis.correlated_bench import FRAME, fixed, frame
+from ctrplan.diagnosis.holding import summed
+from ctrplan.diagnosis.result import Diagnosis
+from ctrplan.diagnosis.usable_poses import usable_poses
+from ctrplan.diagnosis.workbench import certainty
+from ctrplan.errors import InputError
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.pipeline.friction_path import friction_correction
+from ctrplan.pipeline.parametric_chain import ParametricChain, Term
+
+CONFIRMED, CONTRADICTED = 3.0, -2.0  # standard errors over blocks
+LEAST_BLOCKS = 5
+MOST_POSES = 400  # of a continuous motion that are compared
+
+
+@dataclass(frozen=True)
+class Confirmed:
+    """One effect on the new runs: the log-likelihood it gains over a model calibrated without it, and errors."""
+
+    name: str
+    gain: float
+    error: float  # standard error over blocks
+    z: float
+    without: Errors
+    verdict: str  # "confirmed", "not confirmed", "contradicted"
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """What runs that nothing had read say of a diagnosis."""
+
+    file: str
+    sha256: str
+    poses: int
+    blocks: int
+    before: Errors  # calibrated, without any effect
+    after: Errors  # with all of them
+    effects: tuple[Confirmed, ...]
+
+    @property
+    def sentence(self) -> str:
+        """Effect by effect."""
+        errors = f"{self.before.rms_m * 1e3:.2f} mm rms without the effects, {self.after.rms_m * 1e3:.2f} mm with them"
+        said = [f"{e.name} {e.verdict} ({e.z:.1f} standard errors)" for e in self.effects] or ["no effect to confirm"]
+        return f"On {self.file or 'new runs'}, which nothing had read: {', '.join(said)}; {errors}."
+
+    def to_json(self) -> dict[str, Any]:
+        """For diagnosis.json."""
+        return {
+            "measurements_sha256": self.sha256,
+            "poses": self.poses,
+            "blocks": self.blocks,
+            "before_rms_mm": round(self.before.rms_m * 1e3, 4),
+            "after_rms_mm": round(self.after.rms_m * 1e3, 4),
+            "effects": [
+                {
+                    "name": e.name,
+                    "verdict": e.verdict,
+                    "gain": round(e.gain, 2),
+                    "standard_error": round(e.error, 2),
+                    "z": round(e.z, 2),
+                    "without_rms_mm": round(e.without.rms_m * 1e3, 4),
+                }
+                for e in self.effects
+            ],
+        }
+
+
+@checked(found=Made("Diagnosis"), data=Made("Measurements"))
+def confirm(found: Diagnosis, data: Measurements) -> Confirmation:
+    """Asks the effects of a diagnosis on other runs, once.
+
+    Raises InputError for runs that it has read, and for too few poses.
+    """
+    if data.sha256 and data.sha256 == found.data.sha256:
+        raise InputError("must be runs that the diagnosis has not read", file=data.file, key="confirm")
+    some = np.flatnonzero(usable_poses(found.robot, data))
+    some = some[:: max(1, -(-len(some) // MOST_POSES))] if data.is_stream else some
+    asked = data.subset(some)
+    memory = found.partly.rest.memory_s if found.partly else None
+    block = blocks(asked, memory or 1.0)
+    count = len(np.unique(block))
+    if count < LEAST_BLOCKS:
+        rule = f"has {count} usable blocks of poses, too few to confirm anything: at least {LEAST_BLOCKS}"
+        raise InputError(rule, file=data.file)
+    noise = _noise(found)
+    whole, listed = _predicted(found.chosen.fit, asked, noise), {t.key for t in found.listed}
+    effects = tuple(
+        _confirmed(t, whole, _predicted(_without(found, t), asked, noise), block)
+        for t in found.chosen.fit.chain.terms
+        if t.key in listed
+    )
+    before = _predicted(found.base.fit, asked, noise)
+    both = before.counted & whole.counted
+    without, with_them = (summary(p.distance_m[both], block[both]) for p in (before, whole))
+    return Confirmation(data.file or "", data.sha256, asked.count, count, without, with_them, effects)
+
+
+@dataclass(frozen=True, eq=False)
+class _Predicted:
+    loss: Array  # (K,) robust squares over the noise and the rest
+    distance_m: Array  # (K,)
+    counted: NDArray[np.bool_]  # (K,) with a solution
+
+
+def _confirmed(t: Term, whole: _Predicted, rest: _Predicted, block: NDArray[np.int_]) -> Confirmed:
+    counted = whole.counted & rest.counted
+    number = np.unique(block[counted], return_inverse=True)[1].ravel()
+    gains: Array = np.asarray(np.bincount(number, weights=(rest.loss - whole.loss)[counted] / 2), dtype=np.float64)
+    z = certainty(gains) if gains.sum() > 0 else -certainty(-gains)
+    verdict = "confirmed" if z > CONFIRMED else "contradicted" if z < CONTRADICTED else "not confirmed"
+    return Confirmed(t.name, *summed(gains), z, summary(rest.distance_m[counted], block[counted]), verdict)
+
+
+def _noise(found: Diagnosis) -> Noise:
+    """That of the measurement, and of what remains, which counts as often as poses are independent: by block."""
+    rest = found.chosen.fit.noise.discrepancy
+    sizes = (np.hypot(1, rest.position), np.hypot(1, rest.tangent)) if rest else (1.0, 1.0)
+    return Noise(found.noise.position_m * float(sizes[0]), found.noise.tangent_rad * float(sizes[1]))
+
+
+def _without(found: Diagnosis, gone: Term) -> Fit:
+    """Calibrated again on the poses of the diagnosis without an effect, as the model with it was."""
+    whole = found.chosen.fit
+    if found.partly:
+        bench, kept = found.partly.bench, [t for t in found.chosen.terms if t.name != gone.name]
+        return bench.handed_over(bench.scored(kept, whole)).fit
+    places = [(t, s) for t, s in zip(whole.chain.terms, whole.chain.slices(), strict=True) if t.name != gone.name]
+    start = np.concatenate([whole.p[place] for _, place in places])
+    return fit(whole.chain.with_terms([t for t, _ in places]), whole.noise, whole.group, start)
+
+
+def _predicted(found: Fit, data: Measurements, noise: Noise) -> _Predicted:
+    """New poses by a fit that has not seen them, with a frame of their own."""
+    terms = [
+        t if t.name == FRAME else fixed(t, found.p[place])
+        for t, place in zip(found.chain.terms, found.chain.slices(), strict=True)
+    ]
+    has_frame = any(t.name == FRAME for t in terms)
+    chain = ParametricChain(found.chain.robot, data, terms if has_frame else [*terms, frame(found.chain.robot)])
+    p = found.p if has_frame else np.concatenate([found.p, np.zeros(len(chain.parameters) - len(found.p))])
+    chain.correction = friction_correction(chain, p)
+    alone = np.arange(data.count)
+    placed = fit(chain, noise, alone, p)
+    prediction = chain.predict(placed.p)
+    norm = residuals(data, prediction, replace(noise, discrepancy=None), alone).norm
+    return _Predicted(robust_square(norm), distances(prediction, data), ~excused(prediction.failed))

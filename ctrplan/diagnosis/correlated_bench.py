@@ -1,0 +1,182 @@
+"""Fits beside a discrepancy: what no effect explains has a size and a memory, and the robot's frame is always free.
+
+With it in the covariance, poses count for as much as they say, and everything that holds on white noise holds again.
+On a continuous motion, friction follows the simulated history from the first comparison on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+from ctrplan.calibration import discrepancy
+from ctrplan.calibration.discrepancy import Discrepancy, Linearised
+from ctrplan.calibration.least_squares import Fit, fit, fit_at
+from ctrplan.calibration.residuals import Noise
+from ctrplan.calibration.symptoms import PHYSICAL_POISSON
+from ctrplan.diagnosis import surrogates
+from ctrplan.diagnosis.chance import DRAWS
+from ctrplan.diagnosis.held_out import held_out_residuals
+from ctrplan.diagnosis.workbench import Scored, Workbench, linear
+from ctrplan.effects.catalogue import CATALOGUE
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.pipeline.followed_runs import followed
+from ctrplan.pipeline.parametric_chain import ParametricChain, Term, term
+from ctrplan.robot.robot import Robot
+
+FRAME = "base_misalignment"  # of the robot in the tracker's frame, free in every fit
+HELD = 1e-4  # of a prior, which holds a parameter
+USUAL_FRICTION = 0.2  # coefficient at which states are simulated while nobody knows any
+
+
+class CorrelatedBench(Workbench):
+    """A workbench whose noise has a discrepancy besides. `plain` is the noise alone."""
+
+    def __init__(
+        self, robot: Robot, data: Measurements, noise: Noise, block: NDArray[np.int_], fold: NDArray[np.int_]
+    ) -> None:
+        """block, fold (K,): poses that count as one where gains are compared, and those left out together."""
+        super().__init__(robot, data, noise, block, fold)
+        self.plain, self.restarts = noise, 0
+        self._phi: Array | None = None
+        self._handed: dict[Scored, Fit] = {}
+
+    def base(self, terms: Sequence[Term]) -> Term:
+        """Ordinary calibration with Poisson's ratios that tubes have: nothing unexplained may hide in others."""
+        whole = super().base(terms)
+        low, high = PHYSICAL_POISSON
+        bounded = [
+            replace(p, lower=low, upper=high) if p.name.startswith("poisson_ratio") else p for p in whole.parameters
+        ]
+        return Term(whole.effect, tuple(bounded))
+
+    def basis(self, terms: Sequence[Term]) -> list[Term]:
+        """Ordinary calibration and the frame, unless the frame is among the terms or in the robot file."""
+        has_one = FRAME in self.robot.effects or any(t.name == FRAME for t in terms)
+        return [self.base(terms)] if has_one else [self.base(terms), frame(self.robot)]
+
+    def begun(self) -> Scored:
+        """The base, its discrepancy estimated."""
+        return self._settled(self.scored([]))
+
+    def corrected(self, scored: Scored) -> Scored:
+        """The same set with the friction states of its own path and the discrepancy that it leaves."""
+        return self._settled(scored)
+
+    def null_draws(self, here: Scored) -> Array:
+        """(5 K, D) surrogates of what remains of a fit, whitened as that is."""
+        left = self.coloured(here.fit.residuals.r)
+        if self.data.is_stream:
+            drawn = surrogates.of_motion(left, self._run, DRAWS)
+        else:
+            drawn = surrogates.of_configurations(left, self.data.configuration, DRAWS)
+        whitened = self._discrepancy.whitened(drawn) if self._discrepancy else drawn
+        flat: Array = whitened.reshape(-1, DRAWS)
+        return flat
+
+    def handed_over(self, scored: Scored) -> Scored:
+        """The set with its effects as they are and all else calibrated anew, every pose counting alike.
+
+        Beside a discrepancy, differences between poses count most, and tell an effect from others. For predictions the
+        rest is an error as any other. The uncertainty stays the one beside the discrepancy.
+        """
+        chain, alike = scored.fit.chain, self._alike(scored)
+        fit = fit_at(chain, self.noise, self.whitening_group, np.clip(alike.p, chain.lower, chain.upper))
+        return replace(scored, fit=fit)
+
+    def over_noise(self, scored: Scored) -> Scored:
+        """The set as it stands against the noise alone, so that what remains shows."""
+        return replace(scored, fit=fit_at(scored.fit.chain, self.plain, self.whitening_group, scored.fit.p))
+
+    def left_out_m(self, scored: Scored) -> Array:
+        """(K, 3) [m] errors of the position when a pose's fold had not been fitted, of what is handed over."""
+        alike = self._alike(scored)
+        errors: Array = held_out_residuals(linear(alike), self.fold)[:, :3] * alike.noise.position_m
+        return errors
+
+    def _alike(self, scored: Scored) -> Fit:
+        if scored not in self._handed:
+            found = self._discrepancy
+            sizes = (np.hypot(1, found.position), np.hypot(1, found.tangent)) if found else (1.0, 1.0)
+            noise = Noise(self.plain.position_m * sizes[0], self.plain.tangent_rad * sizes[1])
+            chain, p = scored.fit.chain, scored.fit.p
+            terms = [
+                fixed(t, p[place]) if t.name in scored.names else t
+                for t, place in zip(chain.terms, chain.slices(), strict=True)
+            ]
+            self._handed[scored] = fit(chain.with_terms(terms), noise, self.whitening_group, p)
+        return self._handed[scored]
+
+    @property
+    def _discrepancy(self) -> Discrepancy | None:
+        return self.noise.discrepancy
+
+    @property
+    def _run(self) -> NDArray[np.int_]:
+        run: NDArray[np.int_] = self.data.sequence[self.data.rows]
+        return run
+
+    def coloured(self, values: Array) -> Array:
+        """Whitened numbers (K, 5, ...) as they are over the noise alone."""
+        return self._discrepancy.coloured(values) if self._discrepancy else values
+
+    def _settled(self, scored: Scored) -> Scored:
+        """States and discrepancy as a fit has them, and the set fitted again with both."""
+        if self.data.is_stream and self.robot.n > 1:
+            self._phi = self._followed(scored)
+        self.noise = replace(self.plain, discrepancy=self.estimated(scored))
+        self._done.clear()
+        self._tried.clear()
+        return self.scored(scored.terms, scored.fit)
+
+    def estimated(self, scored: Scored) -> Discrepancy:
+        """The most probable discrepancy beside a fit."""
+        parts, solved = scored.fit.residuals, ~scored.failed[:, None]
+        r, J = self.coloured(parts.r) * solved, self.coloured(parts.J) * solved[:, :, None]
+        offset = scored.fit.p - scored.fit.chain.neutral
+        left = Linearised(r + J @ offset, J, scored.fit.precision)
+        if not self.data.is_stream or self.data.time_s is None:
+            return discrepancy.of_configurations(left, self.data.configuration)
+        time_s = self.data.time_s[self.data.rows]
+        found = discrepancy.of_motion(left, time_s, self._run, float(np.ptp(time_s)))
+        stretch = np.unique(np.column_stack([self.group, self._run]), axis=0, return_inverse=True)[1].ravel()
+        poses = [np.flatnonzero(stretch == number) for number in np.unique(stretch)]
+        return discrepancy.within(found, poses, lambda rows, memory: discrepancy.decay(time_s[rows], memory))
+
+    def _chain(self, terms: Sequence[Term]) -> ParametricChain:
+        chain = super()._chain(terms)
+        chain.correction = None
+        if self._has_friction(terms):
+            chain.followed_phi = self._phi
+        return chain
+
+    def _followed(self, scored: Scored) -> Array:
+        """(K, n - 1) friction states along the path at a fit, with usual friction where it has none."""
+        chain, p = scored.fit.chain, scored.fit.p
+        if not self._has_friction(scored.terms):
+            rubbing = CATALOGUE["friction"]
+            extra = term(rubbing, [q.name for q in rubbing.parameters(self.robot)], self.robot)
+            chain = ParametricChain(self.robot, self.data, [*chain.terms, extra])
+            p = np.concatenate([p, np.full(len(extra.parameters), USUAL_FRICTION)])
+        path = followed(chain, p)
+        self.restarts = path.restarts
+        rule = ParametricChain(self.robot, self.data, chain.terms).friction_state(p)
+        return np.where(np.isfinite(path.phi), path.phi, rule)
+
+
+def fixed(t: Term, p: Array) -> Term:
+    """With priors that leave its parameters (P,) where they are."""
+    held = [
+        replace(q, prior=HELD * q.prior, neutral=float(value) / q.si) for q, value in zip(t.parameters, p, strict=True)
+    ]
+    return Term(t.effect, tuple(held))
+
+
+def frame(robot: Robot) -> Term:
+    """The rigid motion between robot and tracker, all of it."""
+    effect = CATALOGUE[FRAME]
+    return term(effect, [parameter.name for parameter in effect.parameters(robot)], robot)

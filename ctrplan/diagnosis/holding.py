@@ -1,0 +1,119 @@
+"""Which effects hold although something else remains: each beside every competitor, by blocks that were left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ctrplan.base.arrays import Array
+from ctrplan.diagnosis.held_out import Linear, held_out_loss
+from ctrplan.diagnosis.workbench import Panel, Workbench, certainty
+from ctrplan.pipeline.parametric_chain import Term
+
+LEAST_Z = 4.0  # standard errors over blocks that the gain of an effect must exceed zero by
+TIMES_CHANCE = 3.0  # the gain that surrogates of the residual exceed in 2 % of draws
+LEAST_WINNING = 0.9  # of the blocks that say something
+SAYS_SOMETHING = 0.5  # log-likelihood of a block that tells whether an effect acts
+MOST_SHIFT = 3.0  # standard errors by which a competitor may move an effect's parameters, of each on average
+LEAST_Z_BESIDE = 2.0  # of the gain that is left beside a competitor
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What speaks for one effect of a set: log-likelihoods of blocks left out, against the set without the effect."""
+
+    term: Term
+    gain: float
+    error: float  # standard error over blocks
+    z: float  # standard errors by which gains of blocks, or their signed roots, lie above zero
+    chance: float  # what surrogates of the residual exceed in 2 % of draws
+    winning: float  # share of the blocks that it predicts better, of those that say something
+    weakest_z: float  # beside the competitor that leaves the least
+    weakest: str  # its name
+    shift: float  # of its parameters beside the competitor that moves them most, in standard errors
+    shifted_by: str
+
+    @property
+    def doubts(self) -> list[str]:
+        """Why it does not hold; empty if it does."""
+        found = []
+        if self.z < LEAST_Z:
+            found.append(f"its gain of {self.gain:.0f} is {self.z:.1f} standard errors above zero over blocks")
+        if self.gain < TIMES_CHANCE * self.chance:
+            found.append(f"its gain of {self.gain:.0f} is below {TIMES_CHANCE:g} times that of surrogates")
+        if self.winning < LEAST_WINNING:
+            found.append(f"only {100 * self.winning:.0f} % of the blocks speak for it")
+        if self.weakest_z < LEAST_Z_BESIDE:
+            found.append(f"beside {self.weakest} little of its gain is left")
+        if self.shift > MOST_SHIFT:
+            found.append(f"beside {self.shifted_by} its parameters leave their intervals")
+        return found
+
+    @property
+    def holds(self) -> bool:
+        """Whether it may be named."""
+        return not self.doubts
+
+
+def evidence(bench: Workbench, panel: Panel, among: Sequence[Term], t: Term, chance: float) -> Evidence:
+    """Of an effect `t` of a set, `among` all that is fitted with it, beside every other effect of the panel's."""
+    rest = [other for other in among if other.name != t.name]
+    gone, others = panel.without(t), panel.others(among)
+    gains = _gains(bench, panel.of([*rest, t]), gone.of(rest))
+    beside: dict[str, tuple[float, float]] = {}
+    for other in others:
+        both, alone = panel.of([*rest, t, other]), gone.of([*rest, other])
+        kept, moved = beside.get(other.name, (np.inf, 0.0))
+        beside[other.name] = min(kept, certainty(_gains(bench, both, alone))), max(moved, _shift(panel, rest, t, other))
+    weakest = min(beside, key=lambda name: beside[name][0], default="")
+    mover = max(beside, key=lambda name: beside[name][1], default="")
+    telling = gains[np.abs(gains) > SAYS_SOMETHING]
+    return Evidence(
+        t,
+        *summed(gains),
+        certainty(gains),
+        chance,
+        float((telling > 0).mean()) if len(telling) else 0.0,
+        beside[weakest][0] if weakest else np.inf,
+        weakest,
+        beside[mover][1] if mover else 0.0,
+        mover,
+    )
+
+
+def in_its_place(bench: Workbench, panel: Panel, among: Sequence[Term], t: Term) -> list[tuple[Term, float, float]]:
+    """Other effects, and how much better `t` predicts than each in its place with its standard error; best first."""
+    rest = [other for other in among if other.name != t.name]
+    gone, mine = panel.without(t), panel.of([*rest, t])
+    found = [(other, *summed(_gains(bench, mine, gone.of([*rest, other])))) for other in panel.others(among)]
+    found.sort(key=lambda one: one[1])
+    return list({one[0].name: one for one in reversed(found)}.values())[::-1]
+
+
+def _gains(bench: Workbench, with_it: Linear, without_it: Linear) -> Array:
+    """(B,) by block, of refits to first order."""
+    losses = [held_out_loss(system.refitted(), bench.fold) for system in (with_it, without_it)]
+    return bench.by_group((losses[1] - losses[0]) / 2)
+
+
+def summed(gains: Array) -> tuple[float, float]:
+    """The sum over blocks (B,) and its standard error."""
+    return float(gains.sum()), float(np.sqrt(len(gains)) * gains.std(ddof=1))
+
+
+def _shift(panel: Panel, rest: Sequence[Term], t: Term, other: Term) -> float:
+    """How far the parameters of `t` move when `other` is added, in standard errors, root mean square."""
+    plain, more = panel.of([*rest, t]), panel.of([*rest, t, other])
+    mine = [_places(panel, terms, t) for terms in ([*rest, t], [*rest, t, other])]
+    moved = more.refitted().offset[mine[1]] - plain.refitted().offset[mine[0]]
+    spread = plain.covariance()[np.ix_(mine[0], mine[0])]
+    distance = float(moved @ np.linalg.pinv(spread, hermitian=True) @ moved)
+    return float(np.sqrt(max(distance, 0.0) / len(moved)))
+
+
+def _places(panel: Panel, terms: Sequence[Term], t: Term) -> list[int]:
+    wanted = {(term.name, q.name) for term in terms for q in term.parameters}
+    kept = [key for key in panel.keys if key in wanted]
+    return [k for k, (name, _) in enumerate(kept) if name == t.name]

@@ -1,0 +1,103 @@
+"""The held-out set is opened, once: what a verdict is worth on poses that nothing has read, and what is handed over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from ctrplan.calibration.pose_errors import distances
+from ctrplan.calibration.residuals import Residuals
+from ctrplan.calibration.robot_content import within_file
+from ctrplan.calibration.unsolved import excused
+from ctrplan.diagnosis.agreement import contradiction
+from ctrplan.diagnosis.answer import Answer
+from ctrplan.diagnosis.chi_square import ignored, remains
+from ctrplan.diagnosis.gap import Gap, open_held_out_set
+from ctrplan.diagnosis.localise import Place, localise
+from ctrplan.diagnosis.partly import Partly
+from ctrplan.diagnosis.rescaled_noise import held_out_probability
+from ctrplan.diagnosis.verdict import Judgement, specific
+from ctrplan.diagnosis.workbench import Scored
+from ctrplan.experiment.measurements import Measurements
+
+HELD_OUT_REJECTED = 1e-4  # probability of the held-out set's residuals that takes a name back
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """The verdict after the held-out set was asked, the model with its effects, and the errors of that model."""
+
+    judgement: Judgement
+    written: Scored
+    gap: Gap
+    place: Place
+    notes: tuple[str, ...]
+
+
+def opened(answer: Answer, data: Measurements) -> Opened:
+    """What the poses kept aside say of an answer."""
+    kept = answer.split.held_out_set
+    if answer.partly:
+        answer = replace(answer, chosen=_beside_a_rest(answer.partly, answer.chosen))
+    aside, group = data.subset(kept), answer.group[kept]
+    gap = open_held_out_set(answer.base.fit, answer.chosen.fit, aside, group, answer.noise)
+    place = _place(answer, gap)
+    judgement, notes = _after_held_out_set(answer, gap, place)
+    written = _written(answer, judgement)
+    if written is not answer.chosen:  # errors are of the model that is handed over
+        judgement = replace(judgement, adequacy=remains(answer.bench, written))
+        gap = open_held_out_set(answer.base.fit, written.fit, aside, group, answer.noise)
+        if doubt := contradiction(judgement.verdict, gap, place):
+            judgement, notes = replace(judgement, verdict="unexplained"), [*notes, doubt]
+    return Opened(judgement, written, gap, place, tuple(notes))
+
+
+def _after_held_out_set(answer: Answer, gap: Gap, place: Place) -> tuple[Judgement, list[str]]:
+    """A verdict that the held-out set or any figure contradicts is taken back.
+
+    Noise that had to be enlarged may have taken in a misfit: no allowance is made for it.
+    """
+    judgement, doubt = answer.judgement, contradiction(answer.judgement.verdict, gap, place)
+    if judgement.verdict == "partial" and doubt:
+        return replace(judgement, verdict="unexplained", findings=()), [doubt]
+    if judgement.verdict in ("partial", "unexplained"):
+        return judgement, []
+    left = judgement.adequacy.total
+    p = held_out_probability(gap.chi_square, left, _solved(answer.chosen), estimated=answer.is_rescaled)
+    if p > HELD_OUT_REJECTED and not doubt:
+        return judgement, []
+    kept = specific(answer.bench, answer.chosen, judgement.findings, judgement.adequacy)
+    note = f"The held-out set contradicts it: chi-square per degree of freedom {gap.chi_square.ratio:.2f}."
+    return replace(judgement, verdict="unexplained", findings=kept), [doubt or note]
+
+
+def _solved(scored: Scored) -> Residuals:
+    """Residuals of the poses that chi-squares are of, outliers among them."""
+    parts, kept = scored.fit.residuals, ~excused(scored.failed)
+    return Residuals(parts.r[kept], parts.J[kept], parts.weight[kept], parts.raw_norm[kept], parts.given[kept])
+
+
+def _written(answer: Answer, judgement: Judgement) -> Scored:
+    """The model with the effects of the verdict alone, as large as the data say, in numbers a robot file may have."""
+    bench, chosen = answer.bench, answer.chosen
+    listed = {finding.term.key for finding in judgement.findings}
+    kept = [t for t in chosen.terms if t.key in listed]
+    if answer.partly and len(kept) == len(chosen.terms):
+        return chosen
+    if answer.partly:
+        return _beside_a_rest(answer.partly, answer.partly.bench.scored(kept, chosen.fit))
+    scored = bench.sized(chosen if len(kept) == len(chosen.terms) else bench.scored(kept, chosen.fit))
+    inside = within_file(scored.fit)
+    return scored if inside is scored.fit else replace(scored, fit=inside)
+
+
+def _beside_a_rest(found: Partly, scored: Scored) -> Scored:
+    """A set as it is handed over where something remains."""
+    return found.bench.handed_over(found.bench.sized(scored))
+
+
+def _place(answer: Answer, gap: Gap) -> Place:
+    base = answer.base
+    fit, kept = base.fit, ~ignored(base)
+    error = distances(fit.chain.predict(fit.p, derivatives=False), fit.chain.data)
+    data, group = answer.bench.data.subset(kept), answer.bench.group[kept]
+    return localise(data, fit.residuals.r[kept], group, error[kept], gap.floor_m)

@@ -1,0 +1,59 @@
+"""The search beside a discrepancy: one effect at a time, each far above what surrogates of the residual reach."""
+
+from __future__ import annotations
+
+from ctrplan.diagnosis.candidates import Candidates
+from ctrplan.diagnosis.correlated_bench import FRAME, CorrelatedBench
+from ctrplan.diagnosis.selection import Report, Selection, Selector, step
+from ctrplan.diagnosis.workbench import Scored, certainty
+
+MOST_PARTS = 5  # effects named beside a rest that nothing explains
+TIMES_CHANCE = 3.0  # the gain that surrogates of the residual exceed in 2 % of draws
+CERTAIN_AT_FIRST = 3.0  # standard errors over blocks, while what is still missing is part of the discrepancy
+
+
+class PartialSelector(Selector):
+    """Searches a `CorrelatedBench`, where a residual never has to look like noise."""
+
+    def __init__(self, bench: CorrelatedBench, candidates: Candidates, tell: Report = lambda _: None) -> None:
+        """bench: with nothing estimated yet; tell: called with a sentence before each round of fits."""
+        super().__init__(bench, testable_beside(candidates, bench), tell)
+        self.partial_bench = bench
+        self.found.chosen = bench.begun()
+
+    def run(self) -> Selection:
+        """Adds what passes, and nothing else: what holds beside the others is asked in the end."""
+        while len(self.found.chosen.terms) < MOST_PARTS and self._grow(self.found):
+            pass
+        return self.found
+
+    def chance(self, chosen: Scored) -> float:
+        """Gain of the best candidate beside a set that surrogates of its residual exceed in 2 % of draws."""
+        others = self._others(chosen)
+        screened = self.bench.screened(chosen, others, self.candidates.completed)
+        return self._threshold(chosen, screened) if screened else 0.0
+
+    def _grow(self, found: Selection) -> bool:
+        """The first of the best candidates that is certain; another one may need it to become so."""
+        here = found.chosen
+        self.tell("trying effects beside " + (", ".join(here.names) or "a rest"))
+        screened = self.bench.screened(here, self._others(here), self.candidates.completed)
+        if not screened:
+            return False
+        found.threshold = TIMES_CHANCE * self._threshold(here, screened)
+        taken = None
+        for candidate in self.fitted(here, screened):
+            gain, error = self.bench.difference(candidate, here)
+            sure = certainty(self.bench.by_group((here.held_out - candidate.held_out) / 2)) > CERTAIN_AT_FIRST
+            passes = taken is None and gain > found.threshold and sure
+            taken = candidate if passes else taken
+            found.path.append(step("add", candidate.terms[-1], gain, error, found.threshold, passes))
+        if taken is not None:
+            found.chosen = self.bench.corrected(taken)
+        return taken is not None
+
+
+def testable_beside(known: Candidates, bench: CorrelatedBench) -> Candidates:
+    """What may be missing beside a free frame and, on a continuous motion, friction that follows its history."""
+    always = {FRAME, "translation_release"} if bench.data.is_stream else {FRAME}
+    return Candidates(tuple(t for t in known.terms if t.name not in always), known.not_testable)

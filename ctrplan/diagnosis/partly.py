@@ -1,0 +1,150 @@
+"""A part of the truth: effects that hold although something else remains, and what that is. docs/diagnosis.md, partial.
+
+It begins where nothing in the catalogue leaves noise alone. What no effect explains gets a size and a memory, the
+search is repeated beside it, and every effect found has to hold against every competitor, by blocks that were left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.calibration.residuals import Noise
+from ctrplan.diagnosis import rest
+from ctrplan.diagnosis.blocks import block_split, blocks
+from ctrplan.diagnosis.candidates import Candidates
+from ctrplan.diagnosis.chi_square import remains
+from ctrplan.diagnosis.correlated_bench import CorrelatedBench
+from ctrplan.diagnosis.held import finding, held
+from ctrplan.diagnosis.holding import Evidence
+from ctrplan.diagnosis.localise import localise
+from ctrplan.diagnosis.partial_search import PartialSelector
+from ctrplan.diagnosis.rest import Rest
+from ctrplan.diagnosis.selection import Report, Step
+from ctrplan.diagnosis.shares import Part, mean_square, part_of
+from ctrplan.diagnosis.verdict import MOST_RIVALS, Judgement
+from ctrplan.diagnosis.workbench import Scored, Workbench
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.experiment.split import Split
+from ctrplan.pipeline.parametric_chain import Term
+from ctrplan.robot.robot import Robot
+
+MOST_POSES = 260  # of a continuous motion that are compared; the others stand near them and say the same
+
+
+@dataclass(frozen=True, eq=False)
+class Partly:
+    """What was found beside a rest, on poses of the selection that stand apart."""
+
+    bench: CorrelatedBench
+    split: Split
+    block: NDArray[np.int_]  # of all poses
+    base: Scored  # calibrated without effects, and without a free frame
+    chosen: Scored  # with those that hold
+    judgement: Judgement
+    parts: tuple[Part, ...]
+    rest: Rest
+    path: tuple[Step, ...]
+    doubted: tuple[Evidence, ...]  # effects that were found and do not hold
+
+    def to_json(self) -> dict[str, Any]:
+        """What remains, for diagnosis.json."""
+        found = self.rest
+        return {
+            "rms_mm": round(found.rms_m * 1e3, 4),
+            "memory_s": found.memory_s and round(found.memory_s, 3),
+            "of_configuration": round(found.of_configuration, 3),
+            "of_history": round(found.of_history, 3),
+            "of_time": round(found.of_time, 3),
+            "where": found.place,
+            "blocks": len(np.unique(self.bench.group)),
+            "poses_compared": self.bench.data.count,
+            "restarts": self.bench.restarts,
+            "doubted": {e.term.name: e.doubts for e in self.doubted},
+        }
+
+    def evidence_json(self, t: Term) -> dict[str, Any]:
+        """Why an effect holds, for diagnosis.json."""
+        (part,) = (part for part in self.parts if part.evidence.term.key == t.key)
+        e = part.evidence
+        return {
+            "share_of_gap_alone": round(part.alone, 3),
+            "share_of_gap_last": round(part.last, 3),
+            "gain": round(e.gain, 2),
+            "standard_error": round(e.error, 2),
+            "surrogates_98": round(e.chance, 2),
+            "winning_blocks": round(e.winning, 3),
+            "weakest_beside": {"effect": e.weakest, "z": round(e.weakest_z, 2)},
+            "most_moved_by": {"effect": e.shifted_by, "standard_errors": round(e.shift, 2)},
+        }
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether nothing but noise remains, so that the ordinary search would name all."""
+        return not self.bench.noise.discrepancy or not self.bench.noise.discrepancy.is_there
+
+
+def partly(
+    robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: Noise, known: Candidates, tell: Report
+) -> Partly:
+    """Searches, asks what holds, and describes the rest; `usable` (K,) are the poses to go by."""
+    tell("looking for what holds beside a rest")
+    block = blocks(data, _memory_s(robot, data, usable, noise))
+    parts = _thinned(block_split(data, usable, block), data)
+    bench = CorrelatedBench(robot, data.subset(parts.selection), noise, block[parts.selection], parts.fold)
+    selector = PartialSelector(bench, known, tell)
+    searched = selector.run()
+    found = held(selector, searched.chosen)
+    chosen = found.chosen
+    base = Workbench(robot, bench.data, noise, bench.group, bench.fold).scored([])
+    asked = [finding(selector, found, e.term) for e in found.found]
+    kept = tuple(f for f, _ in asked if len(f.alternatives) <= MOST_RIVALS)
+    compared = tuple(a for _, tried in asked for a in tried)
+    left = remains(bench, bench.over_noise(chosen))
+    judgement = Judgement("partial" if kept else "unexplained", kept, left, compared)
+    names = {f.term.key for f in kept}
+    shares = tuple(part_of(bench, base, chosen, e) for e in found.found if e.term.key in names)
+    path = (*searched.path, *found.dropped)
+    return Partly(
+        bench, parts, block, base, chosen, judgement, shares, _rest(bench, chosen, noise), path, found.doubted
+    )
+
+
+def _memory_s(robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: Noise) -> float:
+    """Of the calibrated model's errors on a continuous motion."""
+    if not data.is_stream or data.time_s is None:
+        return 0.0
+    some = np.flatnonzero(usable)
+    some = some[:: _step(len(some))]
+    alone = np.arange(len(some))
+    bench = CorrelatedBench(robot, data.subset(some), noise, alone, alone)
+    return bench.estimated(bench.scored([])).memory
+
+
+def _thinned(parts: Split, data: Measurements) -> Split:
+    """Of a continuous motion so many poses that they stand apart."""
+    if not data.is_stream:
+        return parts
+    some = np.arange(len(parts.selection))[:: _step(len(parts.selection))]
+    return Split(parts.selection[some], parts.held_out_set, parts.fold[some])
+
+
+def _step(count: int) -> int:
+    return max(1, -(-count // MOST_POSES))
+
+
+def _rest(bench: CorrelatedBench, chosen: Scored, noise: Noise) -> Rest:
+    data, found = bench.data, bench.noise.discrepancy
+    error, floor = bench.left_out_m(chosen), noise.floor_m
+    size = float(np.sqrt(max(mean_square(error) - floor**2, 0.0)))
+    distance = np.linalg.norm(error, axis=1)
+    place = localise(data, bench.coloured(chosen.fit.residuals.r), bench.group, distance, floor, "With these effects")
+    if data.is_stream:
+        shares = rest.shares_of_motion(error, data, bench.group, floor)
+        return Rest(size, found.memory if found else 0.0, shares[0], shares[1], shares[2], place.sentence)
+    of_time = rest.share_of_time(error, data, bench.group, floor)
+    shared = (found.memory if found else 0.0) * (1 - of_time)
+    return Rest(size, None, shared, 1 - of_time - shared, of_time, place.sentence)

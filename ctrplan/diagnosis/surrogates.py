@@ -1,0 +1,46 @@
+"""Residuals that might have been: what remains of a fit, with the same spectrum and nothing that any cause put there.
+
+Of a continuous motion phases are drawn anew, the same for all five numbers of a pose. Of poses at rest, configurations
+trade their residuals, turned over at random, and so do the approaches of one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+
+SEED = 11
+
+
+def of_motion(r: Array, run: NDArray[np.int_], count: int) -> Array:
+    """(K, 5, D) of residuals (K, 5) in the order of runs (K,), D = count of them."""
+    rng = np.random.default_rng(SEED)
+    drawn = np.empty((*r.shape, count))
+    for number in np.unique(run):
+        inside = np.flatnonzero(run == number)
+        mean = r[inside].mean(axis=0)
+        spectrum = np.fft.rfft(r[inside] - mean, axis=0)
+        phase = np.exp(1j * rng.uniform(-np.pi, np.pi, (len(spectrum), 1, count)))
+        again = np.fft.irfft(spectrum[:, :, None] * phase, n=len(inside), axis=0)
+        drawn[inside] = again + mean[:, None] * rng.choice([-1.0, 1.0], count)
+    return drawn
+
+
+def of_configurations(r: Array, configuration: NDArray[np.int_], count: int) -> Array:
+    """(K, 5, D) of residuals (K, 5) of poses at rest, by number of their configurations (K,)."""
+    rng = np.random.default_rng(SEED)
+    members = [np.flatnonzero(configuration == number) for number in np.unique(configuration)]
+    means = np.array([r[rows].mean(axis=0) for rows in members])
+    own = np.concatenate([r[rows] - mean for rows, mean in zip(members, means, strict=True)])
+    drawn = np.empty((*r.shape, count))
+    for d in range(count):
+        traded, left = rng.permutation(len(members)), rng.permutation(len(own))
+        signs = rng.choice([-1.0, 1.0], len(members))
+        at = 0
+        for k, rows in enumerate(members):
+            others = own[left[at : at + len(rows)]]
+            drawn[rows, :, d] = signs[k] * means[traded[k]] + rng.choice([-1.0, 1.0], (len(rows), 1)) * others
+            at += len(rows)
+    return drawn

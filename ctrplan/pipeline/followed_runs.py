@@ -1,0 +1,72 @@
+"""The robot followed along whole runs, friction and all: tips and friction states at the poses of a continuous motion.
+
+Every waypoint is simulated, however few of the poses are asked about. Where a simulation stops, it begins again at the
+next waypoint, from the friction state it had; the tip remembers that for some tens of degrees only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ctrplan.base.arrays import Array
+from ctrplan.errors import SolverError
+from ctrplan.mechanics.history import Start
+from ctrplan.mechanics.shapes import Status
+from ctrplan.pipeline.parametric_chain import ParametricChain
+from ctrplan.pipeline.tip_table import nested
+from ctrplan.robot.robot import Robot
+
+MOST_RESTARTS = 20  # of a run; a robot that fails more often is not this robot
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """What a simulation says of K poses; NaN where it has no equilibrium."""
+
+    position_m: Array  # (K, 3) tips
+    tangent: Array  # (K, 3)
+    phi: Array  # (K, n - 1) circumferential friction state of each pair, averaged by normal force
+    restarts: int  # waypoints without an equilibrium, behind which it began again
+
+
+def followed(chain: ParametricChain, p: Array) -> Followed:
+    """Every run of a chain's data at parameters (P,), from its first waypoint on."""
+    data, robot = chain.data, chain.at(p).mechanics
+    every = np.arange(len(data.sequence))
+    blank = np.zeros((len(every), 3))
+    waypoints = replace(data, rows=every, position_m=blank, tangent=blank)
+    collars = ParametricChain(chain.robot, waypoints, chain.terms).collars(p)
+    l_b = nested(robot, collars.l)  # a fit may push collars against each other, and moves on
+    table, restarts = np.full((len(every), 6 + robot.n - 1), np.nan), 0
+    for run in np.unique(data.sequence[data.rows]).tolist():
+        rows = np.flatnonzero(data.sequence == run)
+        table[rows], failed = _run(robot, collars.theta[rows], l_b[rows])
+        restarts += failed
+    found = table[data.rows]
+    return Followed(found[:, :3], found[:, 3:6], found[:, 6:], restarts)
+
+
+def _run(robot: Robot, theta: Array, l_b: Array) -> tuple[Array, int]:
+    """(R, 6 + n - 1) tips, tangents and states of a run, and how often it was begun again."""
+    table, at, restarts = np.full((len(theta), 6 + robot.n - 1), np.nan), 0, 0
+    start: Start = "released"
+    while at < len(theta):
+        try:
+            path = robot.history(start).follow(theta[at:], l_b[at:])
+        except SolverError:  # no equilibrium where it was to start
+            reached = 0
+        else:
+            failed = np.flatnonzero(path.status >= Status.FAILED)
+            reached = int(failed[0]) if len(failed) else len(theta) - at
+            sound = path.status[:reached] <= Status.MULTIPLE
+            rows = np.hstack([path.position_m, path.tangent, path.phi])[:reached]
+            table[at : at + reached][sound] = rows[sound]
+            start = np.clip(path.phi[reached - 1], -1.0, 1.0) if reached else start
+        at += reached
+        if at < len(theta):  # a waypoint without an equilibrium
+            at, restarts = at + 1, restarts + 1
+            if restarts > MOST_RESTARTS:
+                break
+    return table, restarts

@@ -1,0 +1,96 @@
+"""A part of the truth beside errors that nothing explains; none where there is no such part; and other runs asked."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomli_w
+from measured_data import measured, pair_robot, waypoints, write_csv
+
+from ctrplan.cli import main
+from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
+from ctrplan.diagnosis.confirmation import confirm
+from ctrplan.errors import InputError
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.reports.diagnosis_page.page import diagnosis_report_html
+from ctrplan.reports.diagnosis_page.selection_errors import selection_errors
+
+ROBOT = pair_robot()
+PLAN, OTHERS = waypoints(ROBOT, 18), waypoints(ROBOT, 8, seed=5)
+QUICK = {name: CATALOGUE[name] for name in ("backlash", "tip_load", "joint_scale", "base_misalignment")}
+KNOWN = {"backlash": {"theta_2_deg": 8.0}}
+
+
+def beside_a_rest(values: dict[str, dict[str, float]], plan: Measurements = PLAN, seed: int = 3) -> Measurements:
+    """Effects, and a smooth error of 0.7 mm and 1 deg that belongs to the configuration."""
+    data, rng = measured(ROBOT, plan, values, seed=seed), np.random.default_rng(7)
+    joints = np.column_stack([np.diff(plan.theta_commanded, axis=1), plan.l_commanded / 0.02])[plan.rows]
+    waves, phases = rng.standard_normal((30, joints.shape[1])), rng.uniform(-np.pi, np.pi, 30)
+    field = np.cos(joints @ waves.T + phases) @ rng.standard_normal((30, 6)) / np.sqrt(15)
+    tangent = data.tangent + np.radians(1.0) * field[:, 3:]
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    return replace(data, position_m=data.position_m + 0.4e-3 * field[:, :3], tangent=tangent)
+
+
+@cache
+def partial() -> Diagnosis:
+    return diagnose(ROBOT, beside_a_rest(KNOWN), catalogue=QUICK)
+
+
+def test_an_effect_is_named_beside_a_rest_that_nothing_explains() -> None:
+    found = partial()
+    assert found.verdict == "partial" and [t.name for t in found.listed] == ["backlash"]
+    assert found.partly is not None and 0.4e-3 < found.partly.rest.rms_m < 1.2e-3
+    assert found.partly.rest.of_configuration > 0.6
+    assert found.gap.after.rms_m < found.gap.before.rms_m
+    effect = found.to_json()["effects"][0]
+    low, high = effect["parameters"]["theta_2_deg"]["ci95"]
+    assert low - 0.5 * (high - low) < 8.0 < high + 0.5 * (high - low)
+    assert effect["winning_blocks"] >= 0.9 and effect["gain"] > 3 * effect["surrogates_98"]
+
+
+def test_what_is_handed_over_is_a_robot_with_the_effect_a_frame_and_an_honest_error() -> None:
+    content = partial().robot_content()
+    assert {"backlash", "base_misalignment"} >= set(content["effects"]) > {"base_misalignment"}
+    assert content["model_error_mm"] > 0.5  # what remains is in every margin
+    assert robot_from_dict(content).effects["backlash"]["theta_2_deg"] == pytest.approx(8.0, abs=1.5)
+
+
+def test_a_rest_alone_names_nothing() -> None:
+    found = diagnose(ROBOT, beside_a_rest({}), catalogue=QUICK)
+    assert found.verdict == "unexplained" and not found.listed
+
+
+def test_the_report_splits_the_gap() -> None:
+    page = diagnosis_report_html(partial(), selection_errors(partial()))
+    assert "remains, unexplained" in page and "Closes as the last" in page and "In part:" in page
+
+
+def test_other_runs_confirm_what_is_there_and_not_what_is_not() -> None:
+    there = confirm(partial(), beside_a_rest(KNOWN, OTHERS, seed=9))
+    assert [(e.name, e.verdict) for e in there.effects] == [("backlash", "confirmed")]
+    assert there.after.rms_m < there.before.rms_m and "backlash confirmed" in there.sentence
+    gone = confirm(partial(), beside_a_rest({}, OTHERS, seed=9))
+    assert gone.effects[0].verdict == "contradicted" and gone.effects[0].gain < 0
+    same = replace(partial().data, sha256="1" * 64)
+    with pytest.raises(InputError, match="has not read"):
+        confirm(replace(partial(), data=same), same)
+
+
+def test_the_command_confirms(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "robot.toml").write_text(tomli_w.dumps(dict(ROBOT.content)))
+    for name, plan in (("a", PLAN), ("b", OTHERS)):
+        write_csv(tmp_path / f"{name}.csv", measured(ROBOT, plan, KNOWN))
+    call = [str(tmp_path / name) for name in ("robot.toml", "a.csv")]
+    quick = [f"--without={name}" for name in CATALOGUE if name not in QUICK]
+    given = ["diagnose", *call, "--confirm", str(tmp_path / "b.csv"), "-o", str(tmp_path / "out"), *quick]
+    assert main(given) == 0
+    assert "backlash confirmed" in capsys.readouterr().out
+    (written,) = json.loads((tmp_path / "out" / "diagnosis.json").read_text())["confirmations"]
+    assert written["effects"][0]["verdict"] == "confirmed" and written["after_rms_mm"] < written["before_rms_mm"]
