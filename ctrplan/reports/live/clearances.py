@@ -16,7 +16,7 @@ from ctrplan.planning.play import play_reach
 if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario
 
-STATES = {1: 17, 2: 5, 3: 3}  # of each pair, by the number of pairs; of more pairs the extremes and the middle
+STATES = {1: 9}  # of each pair, by the number of pairs; of more pairs the extremes and the middle
 FEWEST = 3
 
 
