@@ -92,7 +92,8 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool) ->
 
 
 def _start_friction(entry: ScenarioEntry, document: Document) -> StartFriction:
-    value, known = entry.start.get(FRICTION, "unknown"), get_args(StartFriction)
+    known = [name for name in get_args(StartFriction) if name != "observed"]  # which needs an observer's state
+    value = entry.start.get(FRICTION, "unknown")
     if value not in known:
         raise document.fault(f"must be one of {', '.join(known)}", "start", FRICTION)
     return cast(StartFriction, value)

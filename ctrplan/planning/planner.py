@@ -40,6 +40,7 @@ from ctrplan.robot.friction_calibration import friction_law
 if TYPE_CHECKING:
     from ctrplan.planning.bound_table import BoundTable
     from ctrplan.planning.scenario import Scenario
+    from ctrplan.robot.observer.state import ObserverState
 
 
 @checked(
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
     interrupted=EVENT,
     bound_table=Made("BoundTable"),
     compensated=Flag(),
+    start_state=Made("ObserverState"),
 )
 def plan(
     scenario: Scenario,
@@ -60,12 +62,14 @@ def plan(
     interrupted: threading.Event | None = None,
     bound_table: BoundTable | None = None,
     compensated: bool = False,
+    start_state: ObserverState | None = None,
 ) -> Plan:
     """A certified plan from the scenario's start to its goal.
 
     With the robot's `bound_table` the search looks bounds up instead of solving; certificates never do. With the
     scenario's planner.settle = "oscillate" the plan ends with an oscillation that releases friction; `compensated`
-    moves the joints at its end so that the predicted tip arrives, not the frictionless one.
+    moves the joints at its end so that the predicted tip arrives, not the frictionless one. With a `start_state` of
+    `Robot.observer` predictions start from what was observed; bounds and clearances stay those of every friction state.
 
     The first path found is certified at once, better ones are sought until `time_s` is up. Without it, the search ends
     after the work that takes about the scenario's planner.time_s, and the same seed gives the same plan anywhere.
@@ -75,6 +79,8 @@ def plan(
     if compensated and (scenario.goal.tip_m is None or scenario.goal.line_m is not None):
         rule = "is no single tip position (tip_mm), which compensation needs"
         raise InputError(rule, file=scenario.path, key=scenario.goal.table)
+    if start_state is not None:
+        scenario = scenario.observed(start_state)
     began, report = time.monotonic(), progress or (lambda _: None)
     budget = float(scenario.planner.time_s if time_s is None else time_s)
     refuse_many_tubes(scenario.robot)

@@ -14,6 +14,7 @@ from ctrplan.robot.robot import Robot
 
 if TYPE_CHECKING:
     from ctrplan.anatomy.parts import AnatomyPart
+    from ctrplan.robot.observer.state import ObserverState
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +62,9 @@ class Cost:
     stop: float = 2.0  # of each leg, at whose end the drive stops
 
 
-# What is known of friction before a plan: nothing; Section V-A's oscillation released it; there is none.
-StartFriction = Literal["unknown", "oscillated", "released"]
+# What is known of friction before a plan: nothing; Section V-A's oscillation released it; there is none; what an
+# observer found, which only predictions start from: bounds and clearances are those of every friction state.
+StartFriction = Literal["unknown", "oscillated", "released", "observed"]
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,7 @@ class Scenario:
     start_friction: StartFriction = "unknown"
     registration: Registration = Registration()
     via: tuple[Goal, ...] = ()  # goals to reach before `goal`, in this order
+    start_state: ObserverState | None = None  # of a robot that was followed to `start`, where friction is "observed"
 
     @property
     def targets(self) -> tuple[Goal, ...]:
@@ -106,5 +109,14 @@ class Scenario:
 
     def stage_from(self, start: Array) -> Scenario:
         """The scenario to its last goal from joints (m,); elsewhere than at its start friction is unknown."""
-        known = np.array_equal(start, self.start)
-        return replace(self, start=start, via=(), start_friction=self.start_friction if known else "unknown")
+        if np.array_equal(start, self.start):
+            return replace(self, start=start, via=())
+        return replace(self, start=start, via=(), start_friction="unknown", start_state=None)
+
+    def observed(self, state: ObserverState) -> Scenario:
+        """The scenario of a robot that was followed to its start: predictions begin with the histories of `state`.
+
+        Raises InputError where it is of another robot, or stands elsewhere.
+        """
+        state.check(self.robot.mechanics, *self.robot.drive.collars(self.start))
+        return replace(self, start_friction="observed", start_state=state)

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from ctrplan.mechanics.core import Accuracy, Bound, Bounds, Mechanics, Shape
     from ctrplan.mechanics.history import History, HistoryOptions, Start
     from ctrplan.mechanics.walker import Walker
+    from ctrplan.robot.observer.observer import Observer
+    from ctrplan.robot.observer.slow_offset import SlowOffset
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +140,39 @@ class Robot:
         from ctrplan.mechanics.history import History
 
         return History(self.mechanics, start, accuracy=accuracy, options=options)
+
+    def observer(
+        self,
+        noise: SensorNoise | float | None = None,
+        *,
+        offset: SlowOffset | None = None,
+        members: int = 9,
+        seed: int = 0,
+        accuracy: Accuracy = "search",
+    ) -> Observer:
+        """Follows the robot by commanded joints and measured tips, from friction that nobody knows. See `Observer`.
+
+        noise: of the tracker, or its standard deviation [m] of each coordinate; by default the robot file's
+        [measurement]. offset: what no friction state explains changes slowly, by default nothing is. members: friction
+        states that are followed, more where there are more corners. Raises InputError.
+        """
+        from ctrplan.robot.observer.observer import Observer
+        from ctrplan.robot.observer.slow_offset import SlowOffset
+
+        known = self.measurement if noise is None else noise
+        if known is None:
+            raise InputError("must be given, the robot's file has no [measurement]", key="noise")
+        if not isinstance(known, SensorNoise):
+            known = SensorNoise(known)
+        return Observer(
+            self.mechanics,
+            self.drive,
+            noise=known,
+            offset=SlowOffset(0.0) if offset is None else offset,
+            members=members,
+            seed=seed,
+            accuracy=accuracy,
+        )
 
     def _clearance(self, i: int) -> float:
         given = self.contacts[i].clearance_m

@@ -67,6 +67,9 @@ def recomputed_differences(plan: WrittenPlan, progress: Progress | None = None) 
 
 def _certificate(plan: WrittenPlan, progress: Progress | None) -> Certificate:
     """The legs walked again, stage by stage."""
+    if plan.certificate["start_friction"] == "observed":
+        rule = "predictions start from an observer's state, which no file holds: plan.recheck() where it was planned"
+        raise CtrplanError(f"{plan.file or plan.scenario.name}: {rule}.")
     stages, first, start = [], 0, plan.scenario.start
     lasts = [target["leg"] for target in plan.certificate["targets"]]
     targets = plan.scenario.targets

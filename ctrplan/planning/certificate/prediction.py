@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.errors import SolverError
 from ctrplan.mechanics.core import Status
-from ctrplan.mechanics.history import OSCILLATION_DEG
+from ctrplan.mechanics.history import OSCILLATION_DEG, History
 from ctrplan.robot.friction_calibration import friction_law
+from ctrplan.robot.observer.state import ObservedHistory
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.core import Accuracy, Shape
-    from ctrplan.mechanics.history import History, HistoryState, Start
+    from ctrplan.mechanics.history import HistoryState, Start
     from ctrplan.planning.scenario import Scenario
     from ctrplan.robot.robot import Robot
 
@@ -35,7 +36,8 @@ TIP_TOLERANCE_M = 0.05e-3  # of simulated tips (benchmarks/history.py)
 
 Look = Callable[["Shape"], None]
 MOST_REMEMBERED = 100  # ends of paths
-_ENDS: WeakKeyDictionary[Robot, dict[tuple[Start, ...], dict[bytes, _End]]] = WeakKeyDictionary()
+MOST_STARTS = 4  # lists of start states whose paths are remembered
+_ENDS: WeakKeyDictionary[Robot, dict[tuple[Start | ObservedHistory, ...], dict[bytes, _End]]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,12 +72,17 @@ class Prediction:
         return float(np.linalg.norm(self.tip_m[:, -1] - self.end_middle_m, axis=1).max())
 
 
-def start_states(scenario: Scenario) -> list[Start]:
-    """What the robot's friction may be like before a path: released or fully loaded in any corner, if unknown."""
-    if scenario.start_friction != "unknown":
+def start_states(scenario: Scenario) -> list[Start | ObservedHistory]:
+    """What the robot's friction may be like before a path: released or fully loaded in any corner, if unknown.
+
+    Of a robot that was followed, the histories that agree with what was measured.
+    """
+    if scenario.start_state is not None:
+        return list(scenario.start_state.histories)
+    if scenario.start_friction in ("released", "oscillated"):
         return [scenario.start_friction]
     pairs = scenario.robot.n - 1
-    corners: list[Start] = list(itertools.product((1.0, -1.0), repeat=pairs)) if pairs else []
+    corners: list[Start | ObservedHistory] = list(itertools.product((1.0, -1.0), repeat=pairs)) if pairs else []
     return ["released", *corners]
 
 
@@ -90,19 +97,25 @@ def start_load(scenario: Scenario) -> Array:
 
 
 def predict(
-    robot: Robot, joints: Array, starts: Sequence[Start], accuracy: Accuracy = "search", look: Look | None = None
+    robot: Robot,
+    joints: Array,
+    starts: Sequence[Start | ObservedHistory],
+    accuracy: Accuracy = "search",
+    look: Look | None = None,
 ) -> Prediction:
     """The histories along configurations (K, m) of actuated joints, from start states.
 
     `look` is shown the shape of each simulated robot every LOOK_EVERY configurations, from several threads.
     """
-    histories = [robot.history(start, accuracy=accuracy) for start in starts]
+    histories = [_begun(robot, start, accuracy) for start in starts]
     return _follow(robot, histories, joints, look)
 
 
-def predict_end(robot: Robot, joints: Array, starts: Sequence[Start]) -> tuple[Prediction, list[HistoryState]]:
+def predict_end(
+    robot: Robot, joints: Array, starts: Sequence[Start | ObservedHistory]
+) -> tuple[Prediction, list[HistoryState]]:
     """As `predict`, and the states at the end, to go on from."""
-    histories = [robot.history(start) for start in starts]
+    histories = [_begun(robot, start) for start in starts]
     prediction = _follow(robot, histories, joints)
     return prediction, _saved(histories)
 
@@ -112,12 +125,15 @@ def predict_from(robot: Robot, states: Sequence[HistoryState], joints: Array) ->
     return _follow(robot, _restored(robot, states), joints)
 
 
-def goal_error(robot: Robot, joints: Array, starts: Sequence[Start]) -> float:
+def goal_error(robot: Robot, joints: Array, starts: Sequence[Start | ObservedHistory]) -> float:
     """Largest distance [m] of a simulated tip from the frictionless one after the path (K, m); inf if any failed.
 
     Paths that begin alike share that part of their histories; a robot's last few are remembered.
     """
-    known = _ENDS.setdefault(robot, {}).setdefault(tuple(starts), {})
+    of_starts = _ENDS.setdefault(robot, {})
+    while len(of_starts) >= MOST_STARTS and tuple(starts) not in of_starts:  # every observer's state is another
+        of_starts.pop(next(iter(of_starts)))
+    known = of_starts.setdefault(tuple(starts), {})
     shared = next((k for k in range(len(joints), 0, -1) if joints[:k].tobytes() in known), 0)
     for k in range(shared, len(joints)):
         before = known[joints[:k].tobytes()] if k else None
@@ -130,11 +146,17 @@ def goal_error(robot: Robot, joints: Array, starts: Sequence[Start]) -> float:
     return error if np.isfinite(error) else np.inf
 
 
-def _end_after(robot: Robot, q: Array, before: _End | None, starts: Sequence[Start]) -> _End:
+def _begun(robot: Robot, start: Start | ObservedHistory, accuracy: Accuracy = "search") -> History:
+    if isinstance(start, ObservedHistory):
+        return start.history(robot.mechanics, accuracy)
+    return robot.history(start, accuracy=accuracy)
+
+
+def _end_after(robot: Robot, q: Array, before: _End | None, starts: Sequence[Start | ObservedHistory]) -> _End:
     """Where histories are after moving on to q (m,) from where others ended, or at a start there."""
     if before is not None and not before.states:
         return before
-    histories = _restored(robot, before.states) if before else [robot.history(start) for start in starts]
+    histories = _restored(robot, before.states) if before else [_begun(robot, start) for start in starts]
     tips = _follow(robot, histories, q[None]).tip_m[:, -1]
     return _End(tips, _saved(histories) if np.all(np.isfinite(tips)) else [])
 

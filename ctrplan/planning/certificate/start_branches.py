@@ -32,10 +32,11 @@ _KNOWN: WeakKeyDictionary[Robot, dict[bytes, str]] = WeakKeyDictionary()
 def other_start(scenario: Scenario, joints: Array) -> str:
     """A sentence about an approach to joints (m,) that ends beyond the bound there; empty if none does.
 
-    Where the scenario says what friction is like at its start, no approach comes before it.
+    Where the scenario says what friction is like at its start, no approach comes before it. What an observer found says
+    nothing for the bound, which is that of every friction state.
     """
     robot = scenario.robot
-    if scenario.start_friction != "unknown":
+    if scenario.start_friction in ("released", "oscillated"):
         return ""
     known = _KNOWN.setdefault(robot, {})
     key = joints.tobytes()

@@ -26,6 +26,7 @@ ENDINGS: dict[Kind, str] = {
 START_FRICTION = {
     "unknown": "unknown, so that the certificate holds whatever the robot did before",
     "oscillated": "let go of by an oscillation, as the scenario says; the certificate covers no other start",
+    "observed": "as an observer found it, for predictions; the certificate holds whatever the robot did before",
     "released": "none, as the scenario says; the certificate covers no other start",
 }
 

@@ -1,0 +1,86 @@
+"""Weighted histories of one robot, moved together, and told apart by measured tips."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ctrplan.base.arrays import Array
+from ctrplan.errors import SolverError
+from ctrplan.mechanics.core import Status
+
+if TYPE_CHECKING:
+    from ctrplan.mechanics.history import History, HistoryPath
+
+SAME_M, SAME_RAD, SAME_PHI = 1e-6, 1e-4, 1e-3  # tips, tangents and friction of histories that have become one
+LEAST_WEIGHT = 1e-6  # below which a history is given up
+
+
+@dataclass(eq=False)
+class Member:
+    """A history, where it stands, and how well it agrees with what was measured."""
+
+    history: History
+    position_m: Array  # (3,)
+    tangent: Array  # (3,)
+    phi: Array  # (n - 1,)
+    offset_m: Array  # (3,) of measured tips, if this history is the true one
+    score: float  # logarithm of its probability, but for what all have in common
+
+
+def begun(history: History, theta_b: Array, l_b: Array, offset_m: Array, score: float) -> Member | None:
+    """A member at collars (n,) [rad], (n,) [m]; None without an equilibrium there."""
+    blank = np.zeros(3)
+    return moved(Member(history, blank, blank, blank, offset_m, score), theta_b, l_b)
+
+
+def moved(member: Member, theta_b: Array, l_b: Array) -> Member | None:
+    """The member after moving there; None where no equilibrium is found."""
+    path = followed(member.history, theta_b[None], l_b[None])
+    if path is None:
+        return None
+    member.position_m, member.tangent, member.phi = path.position_m[-1], path.tangent[-1], path.phi[-1]
+    return member
+
+
+def followed(history: History, theta_b: Array, l_b: Array) -> HistoryPath | None:
+    """The history along (K, n) [rad], (K, n) [m]; None where no equilibrium is found on the way."""
+    try:
+        path = history.follow(theta_b, l_b)
+    except SolverError:  # none to begin with
+        return None
+    return path if path.status[-1] < Status.FAILED else None
+
+
+def weights(members: list[Member]) -> Array:
+    """(H,) probabilities, of sum 1."""
+    score: Array = np.array([member.score for member in members])
+    share: Array = np.exp(score - score.max())
+    return share / share.sum()
+
+
+def tidied(members: list[Member]) -> list[Member]:
+    """Without those that nothing speaks for, and one for all that have become the same."""
+    share = weights(members)
+    kept: list[Member] = []
+    for k in np.argsort(-share, kind="stable").tolist():
+        member = members[k]
+        if share[k] < LEAST_WEIGHT:
+            continue
+        alike = next((other for other in kept if _are_one(member, other)), None)
+        if alike is None:
+            kept.append(member)
+        else:
+            alike.score = float(np.logaddexp(alike.score, member.score))
+    return kept
+
+
+def _are_one(a: Member, b: Member) -> bool:
+    return bool(
+        np.all(np.abs(a.position_m - b.position_m) < SAME_M)
+        and np.all(np.abs(a.tangent - b.tangent) < SAME_RAD)
+        and np.all(np.abs(a.phi - b.phi) < SAME_PHI)
+        and np.all(np.abs(a.offset_m - b.offset_m) < SAME_M)
+    )

@@ -1,0 +1,52 @@
+"""Where the tip of a followed robot is, and between what."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ctrplan.base.arrays import Array
+
+CARRIED = 0.95  # of the probability, by the histories between whose tips an interval extends
+NORMAL_95 = 1.96  # standard deviations on both sides that hold 95 %
+
+
+@dataclass(frozen=True, eq=False)
+class TipEstimate:
+    """Tips as the tracker would see them without its noise, at one place (3,) or at K of them (K, 3)."""
+
+    position_m: Array  # mean
+    low_m: Array  # of each coordinate, the ends of its 95 % interval
+    high_m: Array
+    tangent: Array  # unit vector, mean
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """What an observer makes of one step."""
+
+    expected: TipEstimate  # before the step's own measurement: one step ahead
+    tip: TipEstimate  # after it
+    friction: Array  # (n - 1,) circumferential friction state of each pair, mean
+    histories: int  # that are still followed
+    unexplained_m: float  # what measured tips are off beyond the stated noise, of a coordinate, rms of the last steps
+    started_anew: bool  # no history found an equilibrium on the way, all were begun again where the robot stands
+
+
+def estimate(position_m: Array, tangent: Array, weight: Array, variance: Array | float) -> TipEstimate:
+    """Of H histories' tips (H, 3) or (H, K, 3), probabilities (H,), each tip known to a variance [m^2], one or (K,).
+
+    The interval extends over the likeliest histories that carry 95 % together, and over 95 % of a normal error.
+    """
+    order = np.argsort(-weight, kind="stable")
+    carried = np.cumsum(weight[order]) - weight[order] < CARRIED
+    likely = position_m[order[carried]]
+    beyond = NORMAL_95 * np.sqrt(np.asarray(variance))[..., None]
+    mean_tangent = np.tensordot(weight, tangent, axes=1)
+    return TipEstimate(
+        position_m=np.tensordot(weight, position_m, axes=1),
+        low_m=likely.min(axis=0) - beyond,
+        high_m=likely.max(axis=0) + beyond,
+        tangent=mean_tangent / np.linalg.norm(mean_tangent, axis=-1, keepdims=True),
+    )
