@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ctrplan.base.arguments import in_plain_digits
+from ctrplan.base.arguments import Number, Whole, in_plain_digits
 from ctrplan.base.interrupts import INTERRUPTED, interrupt_event
-from ctrplan.commands.options import add_set_option
+from ctrplan.commands.options import add_number, add_set_option
 from ctrplan.commands.progress_bar import ProgressBar
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from ctrplan.studies.simulate import Simulation
 
 OUTPUTS = ("poses.csv", "simulate.png")
+MOST_MEMBERS, LARGEST_OFFSET_MM = 1000, 100.0
 PATIENCE_S = 1.0  # before a progress bar shows up
 
 
@@ -30,6 +31,12 @@ examples:
   ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out
   ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out --start oscillated
   ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out --start +1,-1
+  ctrplan simulate robot.toml measurements.csv -o out --measured
+  ctrplan simulate robot.toml measurements.csv -o out --measured --offset-mm 1 --offset-steps 50
+
+With --measured the path is a log of measured tips (docs/measurements.md), and the robot is followed by them:
+followed.csv and followed.png say how far off tips are that an observer expects one step ahead, and those of a
+simulation without it.
 """
 
 
@@ -58,12 +65,25 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--accuracy", choices=["search", "certificate"], default="search", help="mesh (default: %(default)s)"
     )
+    parser.add_argument(
+        "--measured", action="store_true", help="PATH.csv holds measured tips: follow the robot by them, as an observer"
+    )
+    help_offset = "with --measured: what friction doesn't explain, as an offset of the tip (default: %(default)s)"
+    add_number(parser, "--offset-mm", Number(0, LARGEST_OFFSET_MM, "mm"), default=0.0, metavar="MM", help=help_offset)
+    help_steps = "rows over which that offset changes (default: never)"
+    add_number(parser, "--offset-steps", Number(1, 1e9), default=float("inf"), metavar="ROWS", help=help_steps)
+    help_members = "with --measured: friction states that are followed (default: %(default)s)"
+    add_number(parser, "--histories", Whole(1, MOST_MEMBERS), default=9, metavar="N", help=help_members)
     add_set_option(parser, "the robot's key")
     parser.set_defaults(run=run_simulate)
 
 
 def run_simulate(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError, also where no equilibrium is found to go on to."""
+    if arguments.measured:
+        from ctrplan.commands.simulate_measured import run_simulate_measured
+
+        return run_simulate_measured(arguments)
     with interrupt_event() as interrupted:
         from ctrplan.files.joint_path_file import load_joint_path
         from ctrplan.files.robot_file import load_robot

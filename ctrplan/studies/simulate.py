@@ -189,14 +189,18 @@ def _measured(chain: Chain, samples: Measurements, collars: Collars, phi: Array,
     turn = chain.plate_turn(collars)
     if not chain.of_stage("clock") and not chain.of_stage("sensor") and turn is None:
         return None
-    across = np.eye(3)[np.argmin(np.abs(tips[:, 3:]), axis=1)]
-    if chain.turns_with_tip:  # for others any direction across the tangent will do
-        robot = chain.mechanics
-        rows = zip(collars.theta, collars.l, np.nan_to_num(phi), strict=True)
-        across = np.array([robot.solve(*row).tubes[-1].frames[-1, :, 0] for row in rows])
+    across = across_tips(chain, collars, phi, tips[:, 3:])
     seen = at_instants(samples, np.hstack([tips, across]), chain.delay_s)
     tangent = seen[:, 3:6] / np.linalg.norm(seen[:, 3:6], axis=1, keepdims=True)
     return chain.seen(Poses(seen[:, :3], frames_along(tangent, seen[:, 6:])), collars, samples)
+
+
+def across_tips(chain: Chain, collars: Collars, phi: Array, tangent: Array) -> Array:
+    """(S, 3) a direction across each tangent (S, 3), that of the innermost tube where a sensor turns with it."""
+    if not chain.turns_with_tip:  # any direction across the tangent will do
+        return np.eye(3)[np.argmin(np.abs(tangent), axis=1)]
+    rows = zip(collars.theta, collars.l, np.nan_to_num(phi), strict=True)
+    return np.array([chain.mechanics.solve(*row).tubes[-1].frames[-1, :, 0] for row in rows])
 
 
 def _left_out(chain: Chain, path: JointPath) -> Iterator[str]:

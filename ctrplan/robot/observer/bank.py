@@ -57,8 +57,9 @@ def followed(history: History, theta_b: Array, l_b: Array) -> HistoryPath | None
 def weights(members: list[Member]) -> Array:
     """(H,) probabilities, of sum 1."""
     score: Array = np.array([member.score for member in members])
-    share: Array = np.exp(score - score.max())
-    return share / share.sum()
+    share = np.exp(score - score.max())
+    total: Array = share / share.sum()
+    return total
 
 
 def tidied(members: list[Member]) -> list[Member]:
