@@ -166,9 +166,9 @@ def _without(robot: Robot, data: Measurements, collars: Collars) -> HistoryPath:
 def _seen_tips(chain: Chain, data: Measurements, collars: Collars, tips: HistoryPath) -> Poses:
     """Measured poses (K), what sensor and plate do to them taken off."""
     at = Collars(collars.theta[data.rows], collars.l[data.rows])
-    whole = data.given.all(axis=1)
+    whole: NDArray[np.bool_] = np.all(data.given, axis=1)
     along = np.where(whole[:, None], np.nan_to_num(data.tangent), [0.0, 0.0, 1.0])
-    sound = np.isfinite(tips.position_m).all(axis=1)
+    sound: NDArray[np.bool_] = np.all(np.isfinite(tips.position_m), axis=1)
     if not (chain.of_stage("sensor") or chain.plate_turn(at) is not None) or not sound.any():
         return Poses(data.position_m, frames_along(along, np.eye(3)[np.argmin(np.abs(along), axis=1)]))
     tangent = np.where(sound[:, None], np.nan_to_num(tips.tangent), [0.0, 0.0, 1.0])

@@ -198,7 +198,8 @@ def _measured(chain: Chain, samples: Measurements, collars: Collars, phi: Array,
 def across_tips(chain: Chain, collars: Collars, phi: Array, tangent: Array) -> Array:
     """(S, 3) a direction across each tangent (S, 3), that of the innermost tube where a sensor turns with it."""
     if not chain.turns_with_tip:  # any direction across the tangent will do
-        return np.eye(3)[np.argmin(np.abs(tangent), axis=1)]
+        axes: Array = np.eye(3)[np.argmin(np.abs(tangent), axis=1)]
+        return axes
     rows = zip(collars.theta, collars.l, np.nan_to_num(phi), strict=True)
     return np.array([chain.mechanics.solve(*row).tubes[-1].frames[-1, :, 0] for row in rows])
 

@@ -23,7 +23,7 @@ def following_figure(result: Following) -> Figure:
     axes[0].set_title(
         result.robot.name, loc="left", fontsize=14, fontweight="bold", color=palette.INK, parse_math=False
     )
-    row = result.data.rows + 1
+    row = np.asarray(result.data.rows + 1, dtype=np.float64)
     _draw_errors(axes[0], row, result)
     if pairs:
         _draw_friction(axes[1], row, result)
