@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from places import ROBOTS, SCENARIOS
 
 import ctrplan
-from ctrplan.errors import InputError
+from ctrplan.errors import CtrplanError, InputError
+from ctrplan.files.plan_file import load_plan
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
+from ctrplan.files.trajectory_file import trajectory_formats, write_trajectory
 from ctrplan.planning.certificate.certify import certify
 from ctrplan.planning.certificate.prediction import predict
+from ctrplan.planning.plan_json import write_plan_json
 from ctrplan.planning.scenario import Scenario
 from ctrplan.robot.observer.state import ObserverState
 from ctrplan.robot.robot import Robot
+from ctrplan.verification.recomputed import recomputed_differences
 
 START = np.array([1.0, 3.2, -0.03])
 WAY = np.array([START, START + [0.0, -0.2, 0.0]])
@@ -64,7 +69,7 @@ def test_on_another_mesh_friction_starts_at_its_average() -> None:
     np.testing.assert_allclose(coarse, fine, atol=1e-3)
 
 
-def test_plan_takes_the_state() -> None:
+def test_plan_takes_the_state_and_its_files_say_that_they_lack_it(tmp_path: Path) -> None:
     case = load_scenario(SCENARIOS / "pair_free.toml")
     observer = case.robot.observer(NOISE_M)
     observer.observe(*case.robot.drive.commanded(case.start))
@@ -72,6 +77,15 @@ def test_plan_takes_the_state() -> None:
     assert (
         plan.certificate.start_friction == "observed" and plan.to_json()["certificate"]["start_friction"] == "observed"
     )
+    write_plan_json(tmp_path / "plan.json", plan)
+    write_trajectory(tmp_path, plan.trajectory, trajectory_formats(["csv"]))
+    with pytest.raises(CtrplanError, match="an observer's state, which no file holds"):
+        recomputed_differences(load_plan(tmp_path / "plan.json", case.path, allow_outside=True))
+
+
+def test_a_scenario_file_can_not_name_what_it_does_not_hold() -> None:
+    with pytest.raises(InputError, match="start.friction = 'observed': must be one of unknown, oscillated, released"):
+        load_scenario(SCENARIOS / "pair_free.toml", ["start.friction=observed"])
 
 
 def test_a_state_of_another_robot_or_place_is_refused() -> None:
