@@ -71,6 +71,7 @@ class Observer:
         self._variance = offset.sigma_m**2  # of the offset, the same in every history
         self._unexplained = 0.0  # m^2, of a coordinate, mean of the last steps
         self._left = 0.0  # m^2, of a coordinate, by the last step
+        self._wait, self._pause = 0, 0  # steps until other friction states are tried again, and after that
         self._spare = History(mechanics, accuracy=accuracy)
 
     def observe(
@@ -93,7 +94,7 @@ class Observer:
         anew = self._move(theta_b, l_b)
         expected = self._estimate()
         if seen is not None:
-            self._weigh(seen, along, expected)
+            self._weigh(seen, along)
         return Observed(
             expected=expected,
             tip=self._estimate(),
@@ -165,28 +166,32 @@ class Observer:
         )
         return [member for member in found if member is not None]
 
-    def _weigh(self, seen: Array, along: Array | None, expected: TipEstimate) -> None:
+    def _weigh(self, seen: Array, along: Array | None) -> None:
         """Probabilities, offsets, and what stays unexplained, after a tip seen at (3,)."""
         sigma2 = self._noise.position_sigma_m**2
-        share, tips = weights(self._members), np.array([m.position_m + m.offset_m for m in self._members])
-        spread = float(share @ np.sum((tips - expected.position_m) ** 2, axis=1)) / 3
-        off = float(np.sum((seen - expected.position_m) ** 2)) / 3
-        surplus = off - spread - self._variance - sigma2
-        self._unexplained = max(0.0, NEWS * self._unexplained + (1 - NEWS) * surplus)
+        off2 = [float(np.sum((seen - m.position_m - m.offset_m) ** 2)) for m in self._members]
         noise2 = sigma2 + self._unexplained
-        gain = self._variance / (self._variance + noise2)
-        for member, tip in zip(self._members, tips, strict=True):
-            member.score = NEWS * member.score - float(np.sum((seen - tip) ** 2)) / (2 * (self._variance + noise2))
+        for member, squared in zip(self._members, off2, strict=True):
+            member.score = NEWS * member.score - squared / (2 * (self._variance + noise2))
             if along is not None and self._noise.tangent_sigma_rad is not None:
                 turned = float(np.sum(np.cross(along, member.tangent) ** 2))
                 member.score -= turned / (2 * self._noise.tangent_sigma_rad**2 * noise2 / sigma2)
-            member.offset_m = member.offset_m + gain * (seen - tip)
+        surplus = float(weights(self._members) @ np.array(off2)) / 3 - self._variance - sigma2
+        self._unexplained = max(0.0, NEWS * self._unexplained + (1 - NEWS) * surplus)
+        gain = self._variance / (self._variance + noise2)
+        for member in self._members:
+            member.offset_m = member.offset_m + gain * (seen - member.position_m - member.offset_m)
         self._variance *= 1 - gain
         self._members = tidied(self._members)
         left = float(np.sum((seen - self._estimate().position_m) ** 2)) / 3  # the bank may be too coarse for this noise
         self._left = left if left > GROSS * sigma2 else 0.0
-        if self._left or self._unexplained > SURPRISE * sigma2:
+        if not (self._left or self._unexplained > SURPRISE * sigma2):
+            self._pause = self._wait = 0
+        elif self._wait > 0:
+            self._wait -= 1
+        else:  # less and less often, where it is not friction that is missing
             self._try_others()
+            self._wait, self._pause = self._pause, min(2 * self._pause + 1, MEMORY)
 
     def _try_others(self) -> None:
         """Friction states beside those that are followed, in the place of the least likely ones."""
