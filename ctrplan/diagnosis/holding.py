@@ -18,6 +18,7 @@ LEAST_WINNING = 0.9  # of the blocks that say something
 SAYS_SOMETHING = 0.5  # log-likelihood of a block that tells whether an effect acts
 MOST_SHIFT = 3.0  # standard errors by which a competitor may move an effect's parameters, of each on average
 LEAST_Z_BESIDE = 2.0  # of the gain that is left beside a competitor
+SAME_GAIN = 0.9  # of an effect's own: a competitor that brings as much in its place is told as another name for it
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +59,19 @@ class Evidence:
 
 
 def evidence(bench: Workbench, panel: Panel, among: Sequence[Term], t: Term, chance: float) -> Evidence:
-    """Of an effect `t` of a set, `among` all that is fitted with it, beside every other effect of the panel's."""
+    """Of an effect `t` of a set, `among` all that is fitted with it, beside every competitor of the panel's.
+
+    What only refines `t` does not compete with it, nor does what brings as much in its place: beside that parameters can
+    be anything, and `in_its_place` tells it.
+    """
     rest = [other for other in among if other.name != t.name]
-    gone, others = panel.without(t), panel.others(among)
-    gains = _gains(bench, panel.of([*rest, t]), gone.of(rest))
+    gone, mine = panel.without(t), panel.of([*rest, t])
+    gains = _gains(bench, mine, gone.of(rest))
     beside: dict[str, tuple[float, float]] = {}
-    for other in others:
+    for other in panel.others(among):
+        behind = float(_gains(bench, mine, gone.of([*rest, other])).sum())
+        if other.effect.needs == t.name or behind < (1 - SAME_GAIN) * float(gains.sum()):
+            continue
         both, alone = panel.of([*rest, t, other]), gone.of([*rest, other])
         kept, moved = beside.get(other.name, (np.inf, 0.0))
         beside[other.name] = min(kept, certainty(_gains(bench, both, alone))), max(moved, _shift(panel, rest, t, other))
