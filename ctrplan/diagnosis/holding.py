@@ -61,8 +61,8 @@ class Evidence:
 def evidence(bench: Workbench, panel: Panel, among: Sequence[Term], t: Term, chance: float) -> Evidence:
     """Of an effect `t` of a set, `among` all that is fitted with it, beside every competitor of the panel's.
 
-    What only refines `t` does not compete with it, nor does what brings as much in its place: beside that parameters can
-    be anything, and `in_its_place` tells it.
+    What only refines `t` does not compete with it, nor does what brings as much in its place: beside that
+    parameters can be anything, and `in_its_place` tells it.
     """
     rest = [other for other in among if other.name != t.name]
     gone, mine = panel.without(t), panel.of([*rest, t])
