@@ -92,12 +92,15 @@ def evidence(bench: Workbench, panel: Panel, among: Sequence[Term], t: Term, cha
 
 
 def in_its_place(bench: Workbench, panel: Panel, among: Sequence[Term], t: Term) -> list[tuple[Term, float, float]]:
-    """Other effects, and how much better `t` predicts than each in its place with its standard error; best first."""
+    """Other effects, each in its best variant, and how much better `t` predicts than it in its place; best first."""
     rest = [other for other in among if other.name != t.name]
     gone, mine = panel.without(t), panel.of([*rest, t])
-    found = [(other, *summed(_gains(bench, mine, gone.of([*rest, other])))) for other in panel.others(among)]
-    found.sort(key=lambda one: one[1])
-    return list({one[0].name: one for one in reversed(found)}.values())[::-1]
+    others = [other for other in panel.others(among) if other.effect.needs != t.name]
+    found = [(other, *summed(_gains(bench, mine, gone.of([*rest, other])))) for other in others]
+    best: dict[str, tuple[Term, float, float]] = {}
+    for one in sorted(found, key=lambda one: one[1]):
+        best.setdefault(one[0].name, one)
+    return list(best.values())
 
 
 def _gains(bench: Workbench, with_it: Linear, without_it: Linear) -> Array:

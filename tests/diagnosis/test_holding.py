@@ -1,0 +1,94 @@
+"""What may speak against an effect that was found beside a rest, and what is told as another name for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ctrplan.base.arrays import Array
+from ctrplan.diagnosis import holding
+from ctrplan.diagnosis.holding import evidence, in_its_place
+
+
+@dataclass(frozen=True)
+class Effect:
+    needs: str = ""
+
+
+@dataclass(frozen=True)
+class Term:
+    name: str
+    variant: str = ""
+    effect: Effect = field(default_factory=Effect)
+    parameters: tuple[Any, ...] = ()
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Sets are what they explain of every block."""
+
+    explained: dict[frozenset[str], float]
+    terms: tuple[Term, ...]
+
+    def without(self, t: Term) -> Panel:
+        return self
+
+    def of(self, terms: list[Term]) -> frozenset[str]:
+        return frozenset(t.name + t.variant for t in terms)
+
+    def others(self, among: list[Term]) -> list[Term]:
+        return [t for t in self.terms if t not in among]
+
+
+LAG = Term("lag")
+TWIN, FAR_TWIN = Term("drive_lag", "_theta"), Term("drive_lag", "_l")
+REFINED = Term("creep", effect=Effect(needs="lag"))
+OTHER = Term("backlash")
+EXPLAINED = {
+    frozenset[str](): 0.0,
+    frozenset({"lag"}): 10.0,
+    frozenset({"drive_lag_theta"}): 9.9,
+    frozenset({"drive_lag_l"}): 0.5,
+    frozenset({"creep"}): 0.0,
+    frozenset({"backlash"}): 4.0,
+    frozenset({"lag", "drive_lag_theta"}): 10.0,
+    frozenset({"lag", "drive_lag_l"}): 10.0,
+    frozenset({"lag", "creep"}): 10.1,
+    frozenset({"lag", "backlash"}): 10.2,
+}
+
+
+@pytest.fixture(autouse=True)
+def by_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    def gains(bench: object, with_it: frozenset[str], without_it: frozenset[str]) -> Array:
+        return (EXPLAINED[with_it] - EXPLAINED[without_it]) * np.array([0.9, 1.0, 1.1, 1.0])
+
+    monkeypatch.setattr(holding, "_gains", gains)
+    monkeypatch.setattr(holding, "_shift", lambda panel, rest, t, other: 40.0 if other.name == "drive_lag" else 0.5)
+
+
+def asked(*others: Term) -> Any:
+    return evidence(None, Panel(EXPLAINED, (LAG, *others)), [LAG], LAG, 1.0)  # type: ignore[arg-type, list-item]
+
+
+def test_what_does_as_well_in_its_place_does_not_speak_against_an_effect() -> None:
+    found = asked(TWIN, OTHER)
+    assert found.holds and found.weakest == "backlash" and found.shift < 1
+
+
+def test_what_only_refines_an_effect_does_not_compete_with_it() -> None:
+    assert asked(REFINED).weakest == "" and asked(REFINED).holds
+
+
+def test_a_competitor_that_takes_its_parameters_away_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(holding, "_shift", lambda *_: 40.0)
+    assert asked(OTHER).doubts == ["beside backlash its parameters leave their intervals"]
+
+
+def test_effects_in_its_place_come_best_first_each_in_its_best_variant() -> None:
+    panel = Panel(EXPLAINED, (FAR_TWIN, OTHER, REFINED, TWIN))
+    found = in_its_place(None, panel, [LAG], LAG)  # type: ignore[arg-type, list-item]
+    assert [(other.name, other.variant) for other, _, _ in found] == [("drive_lag", "_theta"), ("backlash", "")]  # type: ignore[attr-defined]
