@@ -16,6 +16,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import ArrayLike
 
+from ctrplan.base.abstract_struct import AbstractStruct
 from ctrplan.base.arguments import Number, require
 from ctrplan.base.arrays import Array, numbers, read_only
 from ctrplan.base.catalogue import Catalogue
@@ -58,16 +59,16 @@ class Shape(ABC):
         return [getattr(self, field.name) for field in fields(self)]  # type: ignore[arg-type]
 
 
-class PartEntry(Struct, forbid_unknown_fields=True, kw_only=True):
+class PartEntry(Struct, metaclass=AbstractStruct, forbid_unknown_fields=True, kw_only=True):
     """[[anatomy]]: what every kind has. The entry of a kind adds keys of its own and makes the shape."""
 
     kind: str
     role: Role = "avoid"
     margin_mm: Distance = 0.0
 
+    @abstractmethod
     def shape(self, table: Table) -> Shape:
         """The shape that the entry describes; `table` reads files and says faults. Raises InputError."""
-        raise NotImplementedError
 
 
 CATALOGUE: Catalogue[type[PartEntry]] = Catalogue("obstacle kind")
@@ -84,8 +85,7 @@ def register(shape: type[Shape]) -> Callable[[E_], E_]:
         CATALOGUE.require(shape, ["kind"])
         if not is_dataclass(shape):
             raise InputError(f"{shape.__name__} must be a dataclass: its fields are the key of cached grids")
-        if entry.shape is PartEntry.shape:
-            raise InputError(f"{entry.__name__} lacks shape")
+        CATALOGUE.require(entry, ())
         CATALOGUE.add(shape.kind, entry, entry.__module__)
         return entry
 

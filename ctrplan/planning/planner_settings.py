@@ -7,15 +7,17 @@ L-shaped motion driven backwards is another motion.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Annotated, Any, Literal, TypeVar
 
 from msgspec import Meta, Struct
 
+from ctrplan.base.abstract_struct import AbstractStruct
 from ctrplan.base.catalogue import Catalogue
 from ctrplan.errors import InputError
 
 
-class PlannerSettings(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PlannerSettings(Struct, metaclass=AbstractStruct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """[planner]: which search runs, for how long, and whether the plan ends with an oscillation that releases friction.
 
     Subclasses give `name` its value, add settings of their own, and make the planner.
@@ -25,12 +27,12 @@ class PlannerSettings(Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     time_s: Annotated[float, Meta(gt=0, le=3600)] = 5.0
     settle: Literal["none", "oscillate"] = "none"
 
+    @abstractmethod
     def ompl_planner(self, information: Any) -> Any:
         """A new OMPL planner with these settings, over an `ompl.base.SpaceInformation` whose distances are in mm.
 
         One that has a `bestCost` is run until time is up, any other until its first path.
         """
-        raise NotImplementedError
 
 
 CATALOGUE: Catalogue[type[PlannerSettings]] = Catalogue("planner")
@@ -39,8 +41,7 @@ P = TypeVar("P", bound=type[PlannerSettings])
 
 def register(planner: P) -> P:
     """Adds a planner to the catalogue. Raises InputError where it lacks something, or has another's name."""
-    if planner.ompl_planner is PlannerSettings.ompl_planner:
-        raise InputError(f"{planner.__name__} lacks ompl_planner")
+    CATALOGUE.require(planner, ())
     try:
         name = planner().name  # type: ignore[call-arg]  # every setting has a default
     except TypeError as error:

@@ -51,15 +51,26 @@ def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece]) -> list
     needed = Needed(enough, limits.stability, limits.max_strain)
     looks = [_Look(scenario, piece, needed, distance) for piece in pieces]
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        narrowest = pool.map(lambda row: looks[row[0]].least(row[1]).clearance_m, _narrowest(pieces))
+        narrowest = pool.map(lambda some: _least_of_some(looks[some[0]], some[1]), _narrowest(pieces))
         enough = max(limits.clearance_m, min([enough, *narrowest]))
         return list(pool.map(lambda look: _in_every_state(look, enough, limits), looks))
 
 
-def _narrowest(pieces: Sequence[Piece]) -> list[tuple[int, int]]:
-    """Pieces and samples that come first: less than what they keep is not asked of any other sample."""
+def _narrowest(pieces: Sequence[Piece]) -> list[tuple[int, list[int]]]:
+    """Pieces and their samples that come first: less than what they keep is not asked of any other sample.
+
+    A piece stands there once, for its samples share what was solved and one thread has to look at them.
+    """
     rows = sorted((float(c), p, k) for p, piece in enumerate(pieces) for k, c in enumerate(piece.clearance_m))
-    return [row[1:] for row in rows[:FIRST] if np.isfinite(row[0])]
+    chosen: dict[int, list[int]] = {}
+    for clearance, piece, sample in rows[:FIRST]:
+        if np.isfinite(clearance):
+            chosen.setdefault(piece, []).append(sample)
+    return list(chosen.items())
+
+
+def _least_of_some(look: _Look, samples: Sequence[int]) -> float:
+    return min(look.least(sample).clearance_m for sample in samples)
 
 
 def _in_every_state(look: _Look, enough_m: float, limits: PathLimits) -> Piece:
@@ -75,14 +86,16 @@ def _in_every_state(look: _Look, enough_m: float, limits: PathLimits) -> Piece:
         strain[k] = max(strain[k], found.max_strain)
         if clearance[k] < limits.clearance_m or stability[k] < limits.stability or strain[k] > limits.max_strain:
             break
+    apart = look.apart_m
+    look.forget()
     return replace(
-        piece, clearance_m=clearance, stability=stability, max_strain=strain, phi=phi, apart_m=look.apart_m, finer={}
+        piece, clearance_m=clearance, stability=stability, max_strain=strain, phi=phi, apart_m=apart, finer={}
     )
 
 
 @dataclass(eq=False)
 class _Look:
-    """At a piece in all friction states; keeps the states of its samples."""
+    """At a piece in all friction states; keeps the states of its samples, so that one thread at a time may look."""
 
     scenario: Scenario
     piece: Piece
@@ -95,6 +108,10 @@ class _Look:
     def apart_m(self) -> float:
         """Largest distance of bodies solved from scratch from those walked to."""
         return max((states.apart_m for states in self._states.values()), default=0.0)
+
+    def forget(self) -> None:
+        """Lets go of all bodies, once nothing of the piece is asked any more."""
+        self._states.clear()
 
     def least(self, sample: int) -> LeastOfStates:
         """All allowances taken off the clearance."""

@@ -2,47 +2,30 @@
 
 from __future__ import annotations
 
-import io
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ctrplan.mechanics.core import Status
 from ctrplan.reports import palette
+from ctrplan.reports.plan_picture.over_rows import label_errors, label_friction, png, stacked
 from ctrplan.studies.simulate import Simulation
 
-SIZE_IN, DPI = (11.0, 7.5), 120
 MOST_WAYPOINTS = 60  # that are marked
-PLAIN: dict[str, Any] = {"parse_math": False}
 
 
 def simulation_figure(result: Simulation) -> Figure:
     """Tip deviation and bound above, friction states of the pairs below, over the waypoints. Made without pyplot."""
-    figure = Figure(figsize=SIZE_IN, dpi=DPI, facecolor="white", layout="constrained")
-    pairs = result.robot.n - 1
-    axes = figure.subplots(2 if pairs else 1, 1, sharex=True, squeeze=False, height_ratios=[2, 1] if pairs else [1])[
-        :, 0
-    ]
-    axes[0].set_title(result.robot.name, loc="left", fontsize=14, fontweight="bold", color=palette.INK, **PLAIN)
-    _draw_deviation(axes[0], result)
-    if pairs:
-        _draw_friction(axes[1], result)
-    axes[-1].set_xlabel("row of the path")
-    for ax in axes:
-        ax.grid(color=palette.GRID, linewidth=0.8)
-        ax.set_axisbelow(True)
-        ax.spines[["top", "right"]].set_visible(False)
-        ax.margins(x=0.01)
+    figure, deviation, friction = stacked(result.robot.name, result.robot.n - 1, "row of the path", (2, 1))
+    _draw_deviation(deviation, result)
+    if friction:
+        _draw_friction(friction, result)
     return figure
 
 
 def simulation_png(result: Simulation) -> bytes:
     """The figure as a PNG file's content."""
-    content = io.BytesIO()
-    simulation_figure(result).savefig(content, format="png", dpi=DPI)
-    return content.getvalue()
+    return png(simulation_figure(result))
 
 
 def _draw_deviation(ax: Axes, result: Simulation) -> None:
@@ -60,9 +43,7 @@ def _draw_deviation(ax: Axes, result: Simulation) -> None:
     snapped = np.flatnonzero(result.snaps)
     if len(snapped):
         ax.plot(row[snapped], deviation_mm[snapped], "v", color=palette.LIMIT, markersize=9, label="snap")
-    ax.set_ylim(bottom=0)
-    ax.set_ylabel("tip from the frictionless solution (mm)")
-    ax.legend(frameon=False)
+    label_errors(ax, "tip from the frictionless solution (mm)")
 
 
 def _draw_friction(ax: Axes, result: Simulation) -> None:
@@ -73,6 +54,4 @@ def _draw_friction(ax: Axes, result: Simulation) -> None:
             ax.plot(
                 result.place[rows] + 1, result.phi[rows, pair], color=colour, label=label if run.start == 0 else None
             )
-    ax.set_ylim(-1.05, 1.05)
-    ax.set_ylabel("friction state")
-    ax.legend(frameon=False, ncols=3)
+    label_friction(ax)
