@@ -13,7 +13,9 @@ from ctrplan.storage.toml_table import Table
 T = TypeVar("T", bound=msgspec.Struct)
 
 
-def chosen(table: Table, by: str, catalogue: Catalogue[type[T]], common: type[T], default: str | None = None) -> T:
+def chosen(
+    table: Table, by: str, catalogue: Catalogue[type[T]], common: type[msgspec.Struct], default: str | None = None
+) -> T:
     """The table as the catalogue's schema that its key `by` names; all of them have the keys of `common`.
 
     default: what it names where the key is missing. Raises InputError for a name that is not in the catalogue, for a
