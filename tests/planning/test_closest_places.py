@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -154,3 +155,18 @@ def test_free_space_has_no_places(make_plan: PlanMaker) -> None:
     content = free.to_json()["certificate"]
     assert all(getattr(free.certificate, kind) is None and content[kind] is None for kind in KINDS)
     assert np.isinf(free.certificate.min_clearance_m)
+
+
+def test_no_corner_shape_of_the_path_comes_closer(make_plan: PlanMaker) -> None:
+    """Samples that are narrow only by what is taken off for the mesh are not taken for the narrowest."""
+    room = {"kind": "sphere", "role": "inside", "center_mm": [5.0, 0.0, 95.0], "radius_mm": 125.0}
+    plan = make_plan([[50, 110, 160, -30], [150, 210, 260, -30]], anatomy=[room])
+    scenario, samples = plan.scenario, plan.certificate.samples
+    corners = np.array(list(itertools.product((-1.0, 1.0), repeat=scenario.robot.n - 1)))
+    least_m = np.inf
+    for joints in samples.joints[::4]:
+        bodies = scenario.robot.mechanics.friction_bodies(*scenario.robot.drive.collars(joints), corners)
+        points = bodies.point_m @ scenario.base_R.T + scenario.base_position_m
+        apart = -surface_distance(scenario.anatomy[0], points.reshape(-1, 3)).reshape(points.shape[:2])
+        least_m = min(least_m, float((apart - bodies.radius_m).min()))
+    assert places(plan.certificate)[1].clearance_m <= least_m + 0.05e-3

@@ -45,7 +45,7 @@ def closest_places(scenario: Scenario, pieces: Sequence[Piece], samples: Certifi
     if distance is None:
         return ClosestPlaces()
     nominal = _rows(np.concatenate([p.nominal_m[k > 0 :] for k, p in enumerate(pieces)]))
-    narrow = _rows(np.concatenate([(p.clearance_m + p.allowance_m)[k > 0 :] for k, p in enumerate(pieces)]))
+    narrow = _rows(np.concatenate([_as_solved(scenario, p)[k > 0 :] for k, p in enumerate(pieces)]))
     phi = np.concatenate([p.phi[k > 0 :] for k, p in enumerate(pieces)])
     pairs = scenario.robot.n - 1
     rest: list[State] = [(0.0,) * pairs]
@@ -58,6 +58,15 @@ def closest_places(scenario: Scenario, pieces: Sequence[Piece], samples: Certifi
     }
     tied = [place for k, place in by_row.items() if samples.clearance_m[k] <= samples.clearance_m[certified] + TIGHT_M]
     return ClosestPlaces(_least(found), _least([*by_row.values(), *found]), _least(tied))
+
+
+def _as_solved(scenario: Scenario, piece: Piece) -> Array:
+    """(K,) clearance of the frictionless and the corner shapes, nothing taken off: which samples are the narrowest.
+
+    What is taken off depends on the mesh, and cells are looked into only until they keep enough: neither may choose.
+    """
+    clearance: Array = piece.as_walked_m + piece.offset_m(scenario, piece.accuracy)
+    return clearance
 
 
 def _least(found: list[Closest | None]) -> Closest | None:
