@@ -125,7 +125,7 @@ class Trial:
         parameters = uncertain_parameters(scenario.robot)
         robot = parameters.robot_at(self.draws.offset[k])
         theta_b, l_b = held_collars(parameters, robot, *scenario.robot.drive.commanded(self.joints))
-        history = History(robot.mechanics, start_states(robot)[int(self.start[k])])
+        history = History(robot.mechanics, start_states(scenario)[int(self.start[k])])
         try:
             before = max(self.closest, 1)
             history.follow(theta_b[:before], l_b[:before])
@@ -162,7 +162,7 @@ def trial(plan: Plan, robots: int, seed: int) -> Trial:
     rows = np.unique(np.append(rows, closest))
     parameters = uncertain_parameters(scenario.robot)
     draws = Draws.of(parameters, scenario.registration, scenario.robot.model_error_m, robots, seed=1000 + seed)
-    start = np.random.default_rng(seed).integers(0, len(start_states(scenario.robot)), robots)
+    start = np.random.default_rng(seed).integers(0, len(start_states(scenario)), robots)
     return Trial(plan, samples.joints[rows], int(np.searchsorted(rows, closest)), draws, start)
 
 

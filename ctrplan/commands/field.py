@@ -5,11 +5,14 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ctrplan.commands.options import add_set_option
 from ctrplan.commands.progress_bar import ProgressBar
 from ctrplan.storage.output_folder import output_folder, write_results
+
+if TYPE_CHECKING:
+    from ctrplan.planning.bound_table import FieldError
 
 OUTPUTS = ("report.html",)
 
@@ -48,12 +51,21 @@ def run_field(arguments: argparse.Namespace) -> int:
         field = tabulated_bounds(robot, progress=lambda share: bar.show("bound field", share), keep=True)
     assert field is not None
     print(f"{robot.name}: bound field of {points:,} configurations, {time.monotonic() - began:.1f} s")
-    print(f"  {'added to looked-up bounds':27} {field.error.margin_m * 1e3:.2f} mm, enough for 99 % of configurations")
-    print(f"  {'largest error found':27} {field.error.largest_m * 1e3:.2f} mm; certificates use the model itself")
-    print(f"  {'without an answer':27} {100 * field.error.uncovered:.1f} % of configurations, next to unstable ones")
+    _print_errors(field.error)
     if folder is not None:
         from ctrplan.reports.bound_table_page import bound_table_report_html
 
         write_results(folder, {OUTPUTS[0]: bound_table_report_html(field)})
         print(f"  {'written to':27} {folder / OUTPUTS[0]}")
     return 0
+
+
+def _print_errors(error: FieldError) -> None:
+    if error.answers_nothing:
+        print(
+            "  It has an answer for none of the configurations tried, all by unstable ones: plans do without it."
+        )
+        return
+    print(f"  {'added to looked-up bounds':27} {error.margin_m * 1e3:.2f} mm, enough for 99 % of configurations")
+    print(f"  {'largest error found':27} {error.largest_m * 1e3:.2f} mm; certificates use the model itself")
+    print(f"  {'without an answer':27} {100 * error.uncovered:.1f} % of configurations, next to unstable ones")

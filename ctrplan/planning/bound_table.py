@@ -59,6 +59,11 @@ class FieldError:
     largest_m: float  # a looked-up bound lies below the true one by at most this less the margin
     uncovered: float  # share of configurations next to unstable or unsolved ones, which the grid does not answer
 
+    @property
+    def answers_nothing(self) -> bool:
+        """Whether no configuration that was tried has an answer, so that there are no errors either."""
+        return self.uncovered == 1
+
 
 @dataclass(frozen=True, eq=False)
 class BoundTable:
@@ -115,11 +120,12 @@ def tabulated_bounds(
 
 
 def known_table(robot: Robot) -> BoundTable | None:
-    """The robot's field if it has been built before."""
+    """The robot's field if it has been built before and knows anything."""
     try:
-        return tabulated_bounds(robot, build=False)
+        table = tabulated_bounds(robot, build=False)
     except InputError:  # no grid answers for it
         return None
+    return None if table is None or table.error.answers_nothing else table
 
 
 def _check_coordinates(robot: Robot) -> None:

@@ -70,10 +70,14 @@ def _headline(found: BoundTable) -> str:
 
 
 def _tiles(found: BoundTable) -> Markup:
+    margin, largest = (
+        "none" if found.error.answers_nothing else millimetres(error)
+        for error in (found.error.margin_m, found.error.largest_m)
+    )
     shown = [
         (f"{len(found.values):,}", "configurations in the table"),
-        (millimetres(found.error.margin_m), "added to each value looked up, enough for 99 %"),
-        (millimetres(found.error.largest_m), "largest error of interpolation found"),
+        (margin, "added to each value looked up, enough for 99 %"),
+        (largest, "largest error of interpolation found"),
         (f"{100 * found.error.uncovered:.1f} %", term("stability", "without an answer, next to unstable ones")),
     ]
     return tag("div", *(tag("div", tag("b", v), tag("span", n), kind="tile") for v, n in shown), kind="tiles")

@@ -261,3 +261,16 @@ def test_what_is_said_of_a_damaged_field_is_what_happens(
     caplog.clear()
     assert tabulated_bounds(pair) is not None
     assert "will be rebuilt" in caplog.text and known_table(pair) is not None
+
+
+def test_a_field_that_answers_nothing_says_so_and_is_not_used(
+    grid: BoundTable, pair: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("CTRPLAN_CACHE_DIR", str(tmp_path))
+    empty = np.zeros((len(grid.values) + 1, FieldLookup.NUMBERS), np.float32)
+    empty[-1, :3] = fields._measure(pair, grid.axes, empty[:-1])
+    monkeypatch.setattr(fields, "_solve", lambda *_: empty)
+    assert main(["field", str(ROBOTS / "table_5_pair.toml"), "-o", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr().out
+    assert "an answer for none" in told and "mm" not in told
+    assert (tmp_path / "out" / "report.html").exists() and known_table(pair) is None
