@@ -19,7 +19,10 @@ import argparse
 import json
 import pickle
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +33,20 @@ from hidden_effects.dataset import measurements_csv, robot_toml
 from hidden_effects.equilibrium import NoEquilibrium
 from hidden_effects.leftovers import Leftover, add_leftover
 from hidden_effects.noise import add_noise
+from hidden_effects.score import wilson
 from hidden_effects.world import believed
+
+from ctrplan.calibration.pose_errors import distances
+from ctrplan.diagnosis.building.built import refusals, tried
+from ctrplan.diagnosis.candidates import candidates
+from ctrplan.diagnosis.noise_floor import noise_floor
+from ctrplan.diagnosis.partly import partly
+from ctrplan.diagnosis.usable_poses import usable_poses
+from ctrplan.diagnosis.workbench import Scored
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.files.measurement_file import load_measurements
+from ctrplan.files.robot_file import load_robot
+from ctrplan.pipeline.parametric_chain import ParametricChain
 
 CONFIGURATIONS, RETRIES = 32, 8
 Hidden = tuple[tuple[str, float], ...]
@@ -105,12 +121,94 @@ def write(folder: Path, stored: Path) -> None:
         (target / "truth.json").write_text(json.dumps({**truth, "kind": left.kind, "memory": left.memory}))
 
 
+def ask(folder: Path) -> None:
+    """What holds and what is built, into FOLDER/w00_00/found.json."""
+    for path in sorted(folder.glob("w*_*/truth.json"), key=lambda path: path.parent.name[::-1]):
+        answer = path.with_name("found.json")
+        if not answer.exists():
+            answer.write_text("{}")  # taken, where two ask
+            answer.write_text(json.dumps(asked(path.parent)))
+            print(path.parent.name, json.loads(path.read_text())["hidden"], answer.read_text(), flush=True)
+
+
+def asked(folder: Path) -> dict[str, Any]:
+    """Gaps [mm] on the poses kept aside: calibrated, with named effects, with the built term; and the evidence."""
+    robot = load_robot(folder / "robot.toml")
+    data = load_measurements(folder / "measurements.csv", robot)
+    began = time.perf_counter()
+    noise, usable = noise_floor(robot, data)[0], usable_poses(robot, data)
+    found = partly(robot, data, usable, noise, candidates(robot, data), lambda _: None)
+    halfway = time.perf_counter()
+    bench, aside = found.bench, data.subset(found.split.held_out_set)
+    named = [f.term.name for f in found.judgement.findings]
+    result: dict[str, Any] = {"named": named, "seconds": [round(halfway - began, 1)]}
+    result["before_mm"] = gap_mm(found.base, aside, noise.floor_m)
+    result["named_mm"] = gap_mm(bench.handed_over(bench.sized(found.chosen)), aside, noise.floor_m)
+    built = tried(found, lambda _: None)
+    result["seconds"].append(round(time.perf_counter() - halfway, 1))
+    if built is None:
+        return result | {"built": False}
+    result["built_mm"] = gap_mm(bench.handed_over(bench.sized(built.scored)), aside, noise.floor_m)
+    refused = refusals(bench, built)
+    if result["built_mm"] > result["named_mm"]:
+        refused.append("it is worse on the poses kept aside")
+    terms = [t.effect.stated({})["acts_on"] + ": " + ", ".join(t.effect.parts) for t in built.terms]
+    evidence = {"z": built.z, "winning": built.winning, "share": built.share, "gain": built.gain}
+    evidence |= {"chance": built.rounds[0].chance, "first": built.rounds[0].tried[0].certainty}
+    return result | {"built": not refused, "refused": refused, "terms": terms, **evidence}
+
+
+def gap_mm(scored: Scored, aside: Measurements, floor_m: float) -> float:
+    """Rms error on poses that nothing has read, the noise taken out."""
+    fit = scored.fit
+    chain = ParametricChain(fit.chain.robot, aside, fit.chain.terms)
+    error = distances(chain.predict(fit.p, derivatives=False), aside)
+    return float(1e3 * np.sqrt(max(float(np.mean(error**2)) - floor_m**2, 0.0)))
+
+
+def table(folder: Path) -> None:
+    """Shares with their Wilson intervals, and the median of the gap that is left."""
+    sets = []
+    for path in sorted(folder.glob("w*_*/found.json")):
+        if found := json.loads(path.read_text()):
+            sets.append((json.loads(path.with_name("truth.json").read_text()), found))
+    print("| | hits | trials | 95 % interval |\n|---|---|---|---|")
+    nulls = [found for truth, found in sets if truth["row"] == NULL]
+    _line("built term in a null", nulls, lambda found: found["built"])
+    for row in ("unknown alone", "unknown and known"):
+        those = [found for truth, found in sets if truth["row"] == row]
+        _line(f"{row}: a term was built", those, lambda found: found["built"])
+        _line(f"{row}: the gap beside named effects is halved", those, lambda found: left(found) <= 0.5)
+        if those:
+            print(f"| {row}: median of the gap that is left | {100 * np.median([*map(left, those)]):.0f} % | | |")
+    built = [found for _, found in sets if found["built"]]
+    _line("built terms with which the poses kept aside are worse by 5 %", built, lambda found: left(found) > 1.05)
+    print("\n| effect | sets | built | median gap: named effects, built term [mm] | median share that is left |")
+    print("|---|---|---|---|---|")
+    for name in UNKNOWN:
+        those = [found for truth, found in sets if truth["hidden"] and truth["hidden"][0][0] == name]
+        if those:
+            sizes = [np.median([found[key] if found["built"] else found["named_mm"] for found in those]) for key in ("named_mm", "built_mm")]
+            print(f"| {name} | {len(those)} | {sum(f['built'] for f in those)} | {sizes[0]:.2f}, {sizes[1]:.2f} | {100 * np.median([*map(left, those)]):.0f} % |")
+
+
+def left(found: dict[str, Any]) -> float:
+    """Of the gap beside the named effects, 1 where nothing was built."""
+    return float(found["built_mm"] / max(found["named_mm"], 1e-9)) if found["built"] else 1.0
+
+
+def _line(text: str, among: list[dict[str, Any]], hit: Callable[[dict[str, Any]], bool]) -> None:
+    hits = sum(hit(one) for one in among)
+    low, high = wilson(hits, len(among))
+    print(f"| {text} | {hits} | {len(among)} | {100 * low:.1f} to {100 * high:.1f} % |")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("action", choices=["make", "ask", "table"])
     parser.add_argument("folder", type=Path)
     given = parser.parse_args()
-    {"make": solve}[given.action](given.folder)
+    {"make": solve, "ask": ask, "table": table}[given.action](given.folder)
 
 
 if __name__ == "__main__":

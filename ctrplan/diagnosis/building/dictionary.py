@@ -82,12 +82,14 @@ def _drive(moved: _Moved) -> Iterator[Piece]:
             yield Piece(on, (f"slope_{angle}",))
         yield from (Piece(on, _wave(k, f"turn_{j}")) for j in moved.pairs for k in range(1, OTHER_WAVES + 1))
         yield from (Piece(on, parts) for parts in _smooth([f"l_{j}" for j in moved.sliding]))
+        yield Piece(on, ("constant",))
         if i in moved.both_ways:
             yield from _of_way(Target("theta", i, of_way=True), f"sign_theta_{i}", moved)
     for i in moved.sliding:
         on = Target("l", i)
         yield from (Piece(on, _wave(k, angle)) for angle in angles for k in (1, 2))
         yield from (Piece(on, parts) for parts in _smooth([f"l_{j}" for j in moved.sliding]))
+        yield Piece(on, ("constant",))
         if moved.data.n + i in moved.both_ways:
             yield from _of_way(Target("l", i, of_way=True), f"sign_l_{i}", moved)
 
@@ -114,6 +116,10 @@ def _mechanics(moved: _Moved) -> Iterator[Piece]:
     yield from (Piece(plate, _wave(1, f"theta_{j}")) for j in moved.turning)
 
 
+def _products(names: tuple[str, ...]) -> Iterator[str]:
+    return (f"slope_{a}_times_slope_{b}" for a, b in combinations(names, 2))
+
+
 def _sensor(moved: _Moved) -> Iterator[Piece]:
     on = Target("sensor")
     tip, heading = ("x", "y", "z"), ("tx", "ty", "tz") if moved.data.has_tangents else ()
@@ -121,10 +127,11 @@ def _sensor(moved: _Moved) -> Iterator[Piece]:
     for group in (tip, heading):
         yield from (Piece(on, (f"slope_{name}",)) for name in group)
         yield from (Piece(on, (f"square_{name}", f"slope_{name}")) for name in group)
-        yield from (Piece(on, (f"slope_{a}_times_slope_{b}",)) for a, b in combinations(group, 2))
+        yield from (Piece(on, (product,)) for product in _products(group))
     if heading:
         yield Piece(on, ("square_tx", "square_ty", "slope_tx_times_slope_ty"))
         yield Piece(on, tuple(f"slope_{name}" for name in heading))
+    yield Piece(on, tuple(f"square_{name}" for name in tip) + tuple(_products(tip)))
     yield Piece(on, _spline("z"))
     yield from (Piece(on, parts) for parts in _smooth([*moved.columns, *moved.clock]))
     yield from (Piece(on, (f"slope_{name}",)) for name in moved.rest)

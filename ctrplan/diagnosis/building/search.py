@@ -20,10 +20,11 @@ from ctrplan.effects.learned.targets import Target
 from ctrplan.pipeline.parametric_chain import Term
 
 MOST_PIECES = 4
-TIMES_CHANCE = 3.0  # the gain that surrogates of the residual exceed in 2 % of draws
-CERTAIN = 3.0  # standard errors over blocks, of the next piece
+TIMES_CHANCE = 1.2  # the gain that surrogates of the residual exceed in 2 % of draws
+CERTAIN = 2.0  # standard errors over blocks, of a piece while others are missing
 LEAST_SHARE = 0.1  # of the squares that remain beyond noise, which a piece has to close of blocks left out
-TRIED = 3  # pieces that are refitted for good in each round
+WORTH_MORE = 3.0  # log-likelihood that a piece with more coefficients has to gain besides
+TRIED = 4  # pieces that are refitted for good in each round
 
 
 @dataclass(frozen=True)
@@ -66,9 +67,9 @@ def _round(bench: CorrelatedBench, here: Scored, known: Sequence[Piece]) -> tupl
     chance = null_threshold(table.here(), beside, bench.fold, bench.null_draws(here))
     worth = [one for one in tried if one.gain > TIMES_CHANCE * chance and one.certainty > CERTAIN]
     best: tuple[Piece, Scored] | None = None
-    for one in worth[:TRIED]:
+    for one in sorted(worth[:TRIED], key=lambda one: (len(one.piece.names), known.index(one.piece))):
         there = bench.scored(_with_piece(here.terms, one.piece, table.ranges[one.piece], bench), here.fit)
-        if best is None or there.score > best[1].score:
+        if best is None or there.score > best[1].score + WORTH_MORE:  # the simplest of those that do as well
             best = one.piece, there
     if best is None or not _is_worth(bench, here, best[1], chance):
         return Round(tuple(tried), chance, None), None

@@ -12,7 +12,7 @@ from ctrplan.effects.learned.targets import PREFIX
 
 TEXTS = ("stage", "acts_on", "formula", "may_be")  # for people; nothing reads them
 NOTES = (*TEXTS, "largest_mm", "range")  # keys that are no coefficients
-MOST_PARTS = 24  # coefficients of one term
+MOST_PARTS = 48  # coefficients of one term
 
 
 def is_learned(name: str) -> bool:

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.sentences import headline, verdict_sentence
 from ctrplan.reports.diagnosis_page.figures import gap_figure, path_figure, where_figure
-from ctrplan.reports.diagnosis_page.gap_split import gap_split, rest_lines, share_table
+from ctrplan.reports.diagnosis_page.gap_split import built_part, gap_split, rest_lines, share_table
 from ctrplan.reports.diagnosis_page.selection_errors import SelectionErrors
 from ctrplan.reports.diagnosis_page.tables import (
     calibration_table,
@@ -58,6 +58,7 @@ def diagnosis_report_html(found: Diagnosis, errors: SelectionErrors) -> str:
         if found.confirmations
         else Markup(),
         section("What the model lacks", *effect_parts(found, errors)),
+        section("A term built of the rest", *built_part(found)) if found.built else Markup(),
         section(
             "Where model and measurement disagree",
             tag("p", found.place.sentence),
