@@ -101,7 +101,7 @@ def _situations(chain: ParametricChain, p: Array, predicted: Prediction) -> dict
     poses = Poses(predicted.position_m, frames_along(predicted.tangent, across))
     return {
         "drive": Situation(collars.theta, collars.l, directions),
-        "mechanics": Situation(*joints, directions, data=data, tubes=tubes),
+        "mechanics": Situation(*joints, data=data, tubes=tubes),
         "plate": Situation(collars.theta, collars.l, tubes=tubes),
         "sensor": Situation(*joints, poses=poses, data=data),
     }

@@ -20,6 +20,7 @@ from ctrplan.effects.learned.targets import Target
 from ctrplan.pipeline.parametric_chain import Term
 
 MOST_PIECES = 4
+DRAWS = 200  # surrogates
 TIMES_CHANCE = 1.2  # the gain that surrogates of the residual exceed in 2 % of draws
 CERTAIN = 2.0  # standard errors over blocks, of a piece while others are missing
 LEAST_SHARE = 0.1  # of the squares that remain beyond noise, which a piece has to close of blocks left out
@@ -64,7 +65,7 @@ def _round(bench: CorrelatedBench, here: Scored, known: Sequence[Piece]) -> tupl
     table = wide(bench, here, known)
     tried = _tried(bench, table, known)
     beside = [table.beside(one.piece) for one in tried]
-    chance = null_threshold(table.here(), beside, bench.fold, bench.null_draws(here))
+    chance = null_threshold(table.here(), beside, bench.fold, bench.null_draws(here)[:, :DRAWS])
     worth = [one for one in tried if one.gain > TIMES_CHANCE * chance and one.certainty > CERTAIN]
     best: tuple[Piece, Scored] | None = None
     for one in sorted(worth[:TRIED], key=lambda one: (len(one.piece.names), known.index(one.piece))):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -33,6 +33,7 @@ class Situation:
     poses: Poses | None = None
     data: Measurements | None = None
     tubes: Sequence[Tube] | None = None
+    known: dict[str, Array | None] = field(default_factory=dict)  # inputs that were asked for before
 
     @property
     def count(self) -> int:
@@ -62,6 +63,12 @@ def exists(name: str, n: int) -> bool:
 
 def values(name: str, at: Situation) -> Array | None:
     """(K,) of an input, None where the situation does not know it."""
+    if name not in at.known:
+        at.known[name] = _values(name, at)
+    return at.known[name]
+
+
+def _values(name: str, at: Situation) -> Array | None:
     found = OF_TUBE.fullmatch(name)
     if found:
         return _OF_TUBE[found[1]](at, int(found[2]) - 1)

@@ -16,7 +16,6 @@ from ctrplan.effects.learned.inputs import Situation
 from ctrplan.effects.learned.parts import Part
 from ctrplan.effects.learned.ranges import Range, Ranges, outside
 from ctrplan.effects.learned.targets import AXES, Target, target
-from ctrplan.experiment.friction_states import last_directions
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.robot.robot import Robot
 from ctrplan.sensor.poses import Poses
@@ -120,7 +119,7 @@ class LearnedMechanics(Learned):
     def changing(self, values: Values, robot: Robot, data: Measurements) -> Mapping[str, Array]:
         rows = data.rows
         joints = data.theta_commanded[rows], data.l_commanded[rows]
-        at = Situation(*joints, last_directions(data), data=data, tubes=robot.tubes)
+        at = Situation(*joints, data=data, tubes=robot.tubes)
         amount = self.amount(values, at)[:, 0]
         i = self.target.tube
         if self.target.kind_name == "stiffness":
