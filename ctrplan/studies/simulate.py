@@ -260,5 +260,9 @@ def _simulation(
         status=status[:, 0].astype(int),
         bounds=bounds,
         measured=_measured(chain, samples, collars, phi, np.hstack([position_m, tangent])),
-        warnings=(*path.notes, *_left_out(every, path), *_ranges_left(robot, path, theta_commanded, l_commanded, position_m)),
+        warnings=(
+            *path.notes,
+            *_left_out(every, path),
+            *_ranges_left(robot, path, theta_commanded, l_commanded, position_m),
+        ),
     )

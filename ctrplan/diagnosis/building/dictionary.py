@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
+from ctrplan.base.arrays import Array
 from ctrplan.effects.effect import sliding, turning
 from ctrplan.effects.learned.learned import named
 from ctrplan.effects.learned.targets import Target
@@ -18,6 +19,8 @@ from ctrplan.robot.robot import Robot
 
 OWN_WAVES, OTHER_WAVES = 6, 3  # highest harmonics: of a joint's own angle, and of others and relative ones
 KNOTS = 4  # of a spline
+BUMPS = (3, 4)  # along each axis of the room that the tips have
+NEAR_SHARE = 0.05  # of the tips
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,7 @@ class _Moved:
         self.rest = ["rest"] if np.ptp(time_at_rest_s(data)) > 1.0 else []
 
 
-def _varies(values: np.ndarray) -> bool:  # type: ignore[type-arg]
+def _varies(values: np.ndarray) -> bool:
     return bool(np.all(np.isfinite(values)) and np.ptp(values) > 1e-9)
 
 
@@ -116,6 +119,15 @@ def _mechanics(moved: _Moved) -> Iterator[Piece]:
     yield from (Piece(plate, _wave(1, f"theta_{j}")) for j in moved.turning)
 
 
+def _bumps(position_m: Array, count: int) -> Iterator[str]:
+    """Places, `count` along each axis, that enough of the tips (K, 3) are nearest to, for something beside them."""
+    scaled = (position_m - position_m.min(axis=0)) / np.maximum(np.ptp(position_m, axis=0), 1e-9)
+    nearest = np.round(scaled * (count - 1)).astype(int) + 1
+    for place, number in zip(*np.unique(nearest, axis=0, return_counts=True), strict=True):
+        if number >= NEAR_SHARE * len(position_m):
+            yield "_times_".join(f"bump_{k}_of_{count}_{axis}" for k, axis in zip(place, "xyz", strict=True))
+
+
 def _products(names: tuple[str, ...]) -> Iterator[str]:
     return (f"slope_{a}_times_slope_{b}" for a, b in combinations(names, 2))
 
@@ -133,5 +145,6 @@ def _sensor(moved: _Moved) -> Iterator[Piece]:
         yield Piece(on, tuple(f"slope_{name}" for name in heading))
     yield Piece(on, tuple(f"square_{name}" for name in tip) + tuple(_products(tip)))
     yield Piece(on, _spline("z"))
+    yield from (Piece(on, (bump,)) for count in BUMPS for bump in _bumps(moved.data.position_m, count))
     yield from (Piece(on, parts) for parts in _smooth([*moved.columns, *moved.clock]))
     yield from (Piece(on, (f"slope_{name}",)) for name in moved.rest)

@@ -57,7 +57,12 @@ def wide(bench: CorrelatedBench, here: Scored, pieces: Sequence[Piece]) -> Wide:
     own = len(p) - sum(len(t.parameters) for t in probes)
     places = dict(zip(targets, chain.slices()[len(chain.terms) - len(probes) :], strict=True))
     situations = _situations(chain, p, predicted)
-    columns, where, ranges, prior = list[Array](), dict[Piece, list[int]](), dict[Piece, dict[str, Range]](), list(chain.prior[:own])
+    columns, where, ranges, prior = (
+        list[Array](),
+        dict[Piece, list[int]](),
+        dict[Piece, dict[str, Range]](),
+        list(chain.prior[:own]),
+    )
     by = np.concatenate([predicted.position_by, predicted.tangent_by], axis=1)
     count = own
     for piece in pieces:

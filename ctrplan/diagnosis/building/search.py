@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,7 +21,8 @@ from ctrplan.pipeline.parametric_chain import Term
 
 MOST_PIECES = 4
 DRAWS = 200  # surrogates
-TIMES_CHANCE = 1.2  # the gain that surrogates of the residual exceed in 2 % of draws
+TIMES_CHANCE = 1.2  # the gain that surrogates of the residual exceed in 2 % of draws, of the first piece
+TIMES_CHANCE_MORE = 1.0  # of others, beside a piece that passed
 CERTAIN = 2.0  # standard errors over blocks, of a piece while others are missing
 LEAST_SHARE = 0.1  # of the squares that remain beyond noise, which a piece has to close of blocks left out
 WORTH_MORE = 3.0  # log-likelihood that a piece with more coefficients has to gain besides
@@ -50,9 +51,9 @@ def grown(bench: CorrelatedBench, chosen: Scored, tell: Callable[[str], None]) -
     """The set with what was built beside it, if anything, and the rounds that were asked."""
     known, rounds, here = pieces(bench.robot, bench.data), list[Round](), chosen
     known = [piece for piece in known if piece.on.effect_name not in bench.robot.effects]
-    while sum(r.taken is not None for r in rounds) < MOST_PIECES:
+    while len(rounds) < MOST_PIECES:
         tell("building a term beside " + (", ".join(here.names) or "the calibrated robot"))
-        taken, there = _round(bench, here, known)
+        taken, there = _round(bench, here, known, TIMES_CHANCE_MORE if rounds else TIMES_CHANCE)
         rounds.append(taken)
         if there is None:
             return here, rounds
@@ -61,18 +62,19 @@ def grown(bench: CorrelatedBench, chosen: Scored, tell: Callable[[str], None]) -
     return here, rounds
 
 
-def _round(bench: CorrelatedBench, here: Scored, known: Sequence[Piece]) -> tuple[Round, Scored | None]:
+def _round(bench: CorrelatedBench, here: Scored, known: Sequence[Piece], times: float) -> tuple[Round, Scored | None]:
     table = wide(bench, here, known)
     tried = _tried(bench, table, known)
     beside = [table.beside(one.piece) for one in tried]
     chance = null_threshold(table.here(), beside, bench.fold, bench.null_draws(here)[:, :DRAWS])
-    worth = [one for one in tried if one.gain > TIMES_CHANCE * chance and one.certainty > CERTAIN]
+    needed = times * chance
+    worth = [one for one in tried if one.gain > needed and one.certainty > CERTAIN]
     best: tuple[Piece, Scored] | None = None
     for one in sorted(worth[:TRIED], key=lambda one: (len(one.piece.names), known.index(one.piece))):
         there = bench.scored(_with_piece(here.terms, one.piece, table.ranges[one.piece], bench), here.fit)
         if best is None or there.score > best[1].score + WORTH_MORE:  # the simplest of those that do as well
             best = one.piece, there
-    if best is None or not _is_worth(bench, here, best[1], chance):
+    if best is None or not _is_worth(bench, here, best[1], needed):
         return Round(tuple(tried), chance, None), None
     return Round(tuple(tried), chance, best[0]), bench.corrected(best[1])
 
@@ -86,21 +88,19 @@ def _tried(bench: CorrelatedBench, table: Wide, known: Sequence[Piece]) -> list[
     return sorted(found, key=lambda one: -one.gain)
 
 
-def _loss(system: Linear, bench: CorrelatedBench) -> np.ndarray:  # type: ignore[type-arg]
+def _loss(system: Linear, bench: CorrelatedBench) -> np.ndarray:
     return held_out_loss(system.refitted(), bench.fold)
 
 
-def _is_worth(bench: CorrelatedBench, here: Scored, there: Scored, chance: float) -> bool:
+def _is_worth(bench: CorrelatedBench, here: Scored, there: Scored, needed: float) -> bool:
     """Whether a refitted piece holds, and closes enough of what remains."""
     gain, _ = bench.difference(there, here)
     before, after = mean_square(bench.left_out_m(here)), mean_square(bench.left_out_m(there))
     rest = max(before - bench.plain.floor_m**2, 1e-12)
-    return gain > TIMES_CHANCE * chance and before - after > LEAST_SHARE * rest
+    return gain > needed and before - after > LEAST_SHARE * rest
 
 
-def _with_piece(
-    terms: Sequence[Term], piece: Piece, ranges: dict[str, Range], bench: CorrelatedBench
-) -> list[Term]:
+def _with_piece(terms: Sequence[Term], piece: Piece, ranges: dict[str, Range], bench: CorrelatedBench) -> list[Term]:
     """The terms with a piece in the built term of its target."""
     old = next((t for t in terms if t.name == piece.on.effect_name), None)
     names, spans = list[str](), dict(ranges)

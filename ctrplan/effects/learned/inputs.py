@@ -19,7 +19,16 @@ WHOLE_TURN_DEG = 300.0  # of a rotation, with which a periodic part has seen the
 OF_TUBE = re.compile(r"(theta|turn|l|overlap|load|speed)_([1-9]\d*)")
 TIP = ("x", "y", "z", "tx", "ty", "tz")
 CLOCK = ("time", "rest")
-UNITS = {"theta": "deg", "turn": "deg", "l": "mm", "overlap": "mm", "load": "", "speed": "deg/s", "time": "s", "rest": "s"}
+UNITS = {
+    "theta": "deg",
+    "turn": "deg",
+    "l": "mm",
+    "overlap": "mm",
+    "load": "",
+    "speed": "deg/s",
+    "time": "s",
+    "rest": "s",
+}
 UNITS |= {"x": "mm", "y": "mm", "z": "mm", "tx": "", "ty": "", "tz": ""}
 
 

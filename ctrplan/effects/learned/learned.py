@@ -94,7 +94,9 @@ class Learned(Effect):
             "formula": formula(self.parts, self.target, self.ranges, values),
             "may_be": likeness(self.parts, self.target),
             **largest,
-            "range": {name: [_rounded(r.low), _rounded(r.high)] for name, r in self.ranges.items() if name in self.inputs},
+            "range": {
+                name: [_rounded(r.low), _rounded(r.high)] for name, r in self.ranges.items() if name in self.inputs
+            },
         }
 
 

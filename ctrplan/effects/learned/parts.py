@@ -20,12 +20,14 @@ from ctrplan.effects.learned.inputs import Situation, exists, unit, values
 from ctrplan.effects.learned.ranges import Range, Ranges, held
 
 TIMES = "_times_"
+BUMP_WIDTH = 0.7
 LARGEST = 1.05  # of any shape: splines swing a little beyond their knots
 FORMS = (
     ("wave", re.compile(r"(sin|cos)_([1-9])_(theta_\d+|turn_\d+)")),
     ("slope", re.compile(r"slope_(\w+)")),
     ("square", re.compile(r"square_(\w+)")),
     ("knot", re.compile(r"knot_([1-9])_of_([2-9])_(\w+)")),
+    ("bump", re.compile(r"bump_([1-9])_of_([2-9])_(\w+)")),
     ("sign", re.compile(r"sign_(theta|l)_([1-9]\d*)")),
     ("constant", re.compile(r"constant")),
 )
@@ -60,9 +62,10 @@ class Factor:
             return f"{self.word}({times}{self.input})"
         span = ranges[self.input]
         scaled = f"({self.input} - {span.middle:.4g}) / {span.half:.4g}"
-        if self.form == "knot":
+        if self.form in ("knot", "bump"):
             place = np.linspace(span.low, span.high, self.numbers[1])[self.numbers[0] - 1]
-            return f"spline({self.input}; 1 at {place:.4g} {unit(self.input)})".replace(" )", ")")
+            shape = "spline" if self.form == "knot" else "bump"
+            return f"{shape}({self.input}; 1 at {place:.4g} {unit(self.input)})".replace(" )", ")")
         return f"({scaled})^2" if self.form == "square" else f"({scaled})"
 
 
@@ -99,7 +102,7 @@ def _factor(name: str, n: int) -> Factor | None:
             return None
         if form == "wave":
             return Factor(form, found[3], (int(found[2]),), found[1])
-        if form == "knot":
+        if form in ("knot", "bump"):
             numbers = int(found[1]), int(found[2])
             return Factor(form, found[3], numbers) if numbers[0] <= numbers[1] else None
         return Factor(form, found[1])
@@ -130,6 +133,14 @@ def _cardinal(count: int) -> CubicSpline:
     return CubicSpline(np.linspace(-1, 1, count), np.eye(count), bc_type="natural")
 
 
+def _bump(factor: Factor, at: Situation, ranges: Ranges) -> Array:
+    """A Gaussian at one of the knots, as wide as `BUMP_WIDTH` of their distance."""
+    number, count = factor.numbers
+    apart = 2 / (count - 1)
+    found: Array = np.exp(-(((_scaled(factor, at, ranges) + 1 - (number - 1) * apart) / (BUMP_WIDTH * apart)) ** 2) / 2)
+    return found
+
+
 def _sign(factor: Factor, at: Situation, ranges: Ranges) -> Array:
     if at.directions is None:
         return np.zeros(at.count)
@@ -143,6 +154,7 @@ _SHAPES: dict[str, Callable[[Factor, Situation, Ranges], Array]] = {
     "slope": _scaled,
     "square": lambda factor, at, ranges: _scaled(factor, at, ranges) ** 2,
     "knot": _knot,
+    "bump": _bump,
     "sign": _sign,
     "constant": lambda factor, at, ranges: np.ones(at.count),
 }

@@ -49,7 +49,9 @@ def faults(name: str, table: Mapping[str, Any], notes: tuple[str, ...], n: int) 
     for key in TEXTS:
         if not isinstance(table.get(key, ""), str):
             yield key, "must be a text"
-    if on.kind.stage == "mechanics" and not (_is_number(table.get("largest_mm", 0.0)) and table.get("largest_mm", 0) >= 0):
+    if on.kind.stage == "mechanics" and not (
+        _is_number(table.get("largest_mm", 0.0)) and table.get("largest_mm", 0) >= 0
+    ):
         yield "largest_mm", "must be a number of at least 0"
     yield from _range_faults(table.get("range", {}), asked)
 

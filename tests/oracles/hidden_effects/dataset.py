@@ -55,7 +55,9 @@ def measurements_csv(experiment: Experiment, p: Array, tangent: Array, room: Roo
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
     joints = [f"theta_{i + 1}_rad" for i in range(n)] + [f"l_{i + 1}_m" for i in range(n)]
-    out.writerow(["sequence", "time_s", *joints, "x_m", "y_m", "z_m", "tx", "ty", "tz", *(["temperature_C"] if room else [])])
+    out.writerow(
+        ["sequence", "time_s", *joints, "x_m", "y_m", "z_m", "tx", "ty", "tz", *(["temperature_C"] if room else [])]
+    )
     pose = iter(np.hstack([p, tangent]))
     for k in range(len(motion.time_s)):
         row = [f"{v:.6f}" for v in (*motion.theta[k], *motion.l[k])]
