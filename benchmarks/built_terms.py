@@ -4,9 +4,10 @@
     python benchmarks/built_terms.py ask FOLDER      # about 20 s each
     python benchmarks/built_terms.py table FOLDER
 
-Every world is solved once and measured in 32 configurations, five approaches each. A set adds noise to it, and to
-nulls smooth random errors of several memories. Asked is what can be built of a rest, without the ordinary search before
-it; what holds of the catalogue is asked first where a known effect acts too, and the catalogue is empty elsewhere. The gap is what the poses kept aside show, their noise taken out. Resumable.
+Every world is solved once and measured in 32 configurations, five approaches each. A set adds noise to it, and smooth
+random errors: of 0.3 mm, to nulls of 1 to 3 mm and several memories. Asked is what can be built of a rest, without the
+ordinary search before it. What holds of the catalogue is asked first where a known effect acts too; the catalogue is
+empty elsewhere. The gap is what the poses kept aside show, their noise taken out. Resumable.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ from hidden_effects.score import wilson
 from hidden_effects.world import believed
 
 from ctrplan.calibration.pose_errors import distances
+from ctrplan.diagnosis.building import built as limits
 from ctrplan.diagnosis.building.built import refusals, tried
 from ctrplan.diagnosis.candidates import candidates
 from ctrplan.diagnosis.noise_floor import noise_floor
@@ -159,12 +161,10 @@ def asked(folder: Path) -> dict[str, Any]:
         return result | {"built": False}
     result["built_mm"] = gap_mm(bench.handed_over(bench.sized(built.scored)), aside, noise.floor_m)
     refused = refusals(bench, built)
-    if result["built_mm"] > result["named_mm"]:
-        refused.append("it is worse on the poses kept aside")
     terms = [t.effect.stated({})["acts_on"] + ": " + ", ".join(t.effect.parts) for t in built.terms]
     evidence = {"z": built.z, "winning": built.winning, "share": built.share, "gain": built.gain}
     evidence |= {"chance": built.rounds[0].chance, "first": built.rounds[0].tried[0].certainty}
-    return result | {"built": not refused, "refused": refused, "terms": terms, **evidence}
+    return result | {"built": True, "refused": refused, "terms": terms, **evidence}
 
 
 def gap_mm(scored: Scored, aside: Measurements, floor_m: float) -> float:
@@ -180,6 +180,7 @@ def table(folder: Path) -> None:
     sets = []
     for path in sorted(folder.glob("w*_*/found.json")):
         if found := json.loads(path.read_text()):
+            found["built"] = is_handed_over(found)
             found["left_mm"] = found["built_mm"] if found["built"] else found["named_mm"]
             sets.append((json.loads(path.with_name("truth.json").read_text()), found))
     print("| | hits | trials | 95 % interval |\n|---|---|---|---|")
@@ -201,6 +202,15 @@ def table(folder: Path) -> None:
             sizes = [np.median([found[key] for found in those]) for key in ("named_mm", "left_mm")]
             count, share = sum(f["built"] for f in those), 100 * np.median([*map(left, those)])
             print(f"| {name} | {len(those)} | {count} | {sizes[0]:.2f}, {sizes[1]:.2f} | {share:.0f} % |")
+
+
+def is_handed_over(found: dict[str, Any]) -> bool:
+    """Whether a term was built and passes: on blocks left out, and once on the poses kept aside."""
+    if "z" not in found or any("worse" in reason for reason in found["refused"]):
+        return False
+    aside = 1 - (found["built_mm"] / max(found["named_mm"], 1e-9)) ** 2
+    passes = found["z"] >= limits.LEAST_Z and found["winning"] >= limits.LEAST_WINNING
+    return passes and found["share"] >= limits.LEAST_SHARE and aside >= limits.LEAST_SHARE_ASIDE
 
 
 def left(found: dict[str, Any]) -> float:

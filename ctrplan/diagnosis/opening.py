@@ -12,7 +12,7 @@ from ctrplan.calibration.robot_content import within_file
 from ctrplan.calibration.unsolved import excused
 from ctrplan.diagnosis.agreement import contradiction
 from ctrplan.diagnosis.answer import Answer
-from ctrplan.diagnosis.building.built import Built, worse_in
+from ctrplan.diagnosis.building.built import LEAST_SHARE_ASIDE, Built, worse_in
 from ctrplan.diagnosis.chi_square import ignored, remains
 from ctrplan.diagnosis.gap import Gap, open_held_out_set
 from ctrplan.diagnosis.localise import Place, localise
@@ -45,7 +45,7 @@ def opened(answer: Answer, data: Measurements) -> Opened:
     found, without = _opened(answer, data), _opened(_only_named(answer, answer.built), data)
     if where := _worse(found.gap, without.gap, data.subset(answer.split.held_out_set)):
         less = _opened(answer.otherwise, data)
-        return replace(less, notes=(*less.notes, f"A term was built and taken back: it is no better on {where}."))
+        return replace(less, notes=(*less.notes, f"A term was built and taken back: it is not good enough on {where}."))
     return replace(found, named_gap=without.gap)
 
 
@@ -55,7 +55,8 @@ def _only_named(answer: Answer, built: Built) -> Answer:
 
 def _worse(found: Gap, without: Gap, aside: Measurements) -> str:
     """Where the poses kept aside are further off with a built term than without; empty if nowhere."""
-    if found.after.rms_m >= without.after.rms_m:
+    rest, left = (max(gap.after.rms_m**2 - gap.floor_m**2, 0.0) for gap in (without, found))
+    if rest - left < LEAST_SHARE_ASIDE * rest:
         return "the poses kept aside"
     both = ~(excused(found.failed) | excused(without.failed) | found.outlying | without.outlying)
     errors = []

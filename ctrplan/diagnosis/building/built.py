@@ -25,7 +25,8 @@ from ctrplan.pipeline.parametric_chain import Term
 
 LEAST_Z = 4.0  # standard errors over blocks
 LEAST_WINNING = 0.85  # of the blocks that say something
-LEAST_SHARE = 0.3  # of the squares that remain beyond noise, closed on blocks left out
+LEAST_SHARE = 0.7  # of the squares that remain beyond noise, closed on blocks left out: the rest is about halved
+LEAST_SHARE_ASIDE = 0.4  # of the same, closed on the poses kept aside
 MOST_WORSE = 1.05  # of the rms error of any region, with the term over without
 LEAST_POSES = 8  # of a region that is asked
 WORTH = 0.5  # of the noise: what remains has to be larger for a term to be sought

@@ -1,4 +1,7 @@
-"""What a missing term may be made of: per stage and target, parts that a physical term could have."""
+"""What a missing term may be made of: per stage and target, parts that a physical term could have.
+
+Time is none of them: whatever changes slowly goes with it. What drifts steadily is an effect of the catalogue.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +56,6 @@ class _Moved:
         directions = last_directions(data)
         self.both_ways = [i + 1 for i in range(2 * data.n) if np.ptp(directions[:, i]) > 1]
         self.columns = [name for name, values in data.more.items() if _varies(values[data.rows])]
-        self.clock = ["time"] if data.time_s is not None else []
         self.rest = ["rest"] if np.ptp(time_at_rest_s(data)) > 1.0 else []
 
 
@@ -106,7 +108,7 @@ def _mechanics(moved: _Moved) -> Iterator[Piece]:
     n = moved.data.n
     overlaps = [f"overlap_{i}" for i in range(1, n) if moved.sliding]
     loads = [f"load_{i - 1}" for i in moved.pairs]
-    smooth = [f"l_{j}" for j in moved.sliding] + moved.columns + moved.clock
+    smooth = [f"l_{j}" for j in moved.sliding] + moved.columns
     for i, tube in enumerate(moved.robot.tubes, start=1):
         kinds = ("curvature", "bend") if any(s.curvature_per_m for s in tube.sections) else ()
         for kind in (*kinds, *(("stiffness",) if i > 1 else ())):
@@ -146,5 +148,5 @@ def _sensor(moved: _Moved) -> Iterator[Piece]:
     yield Piece(on, tuple(f"square_{name}" for name in tip) + tuple(_products(tip)))
     yield Piece(on, _spline("z"))
     yield from (Piece(on, (bump,)) for count in BUMPS for bump in _bumps(moved.data.position_m, count))
-    yield from (Piece(on, parts) for parts in _smooth([*moved.columns, *moved.clock]))
+    yield from (Piece(on, parts) for parts in _smooth(moved.columns))
     yield from (Piece(on, (f"slope_{name}",)) for name in moved.rest)
