@@ -75,6 +75,12 @@ def test_the_robot_that_is_handed_over_turns_as_the_true_one() -> None:
     assert np.abs(theta_b[:, 1] - true - np.mean(theta_b[:, 1] - true)).max() < np.radians(1.2)
 
 
+def test_a_robot_that_has_its_term_lacks_nothing_more() -> None:
+    again = diagnose(robot_from_dict(found().robot_content()), rippled(), catalogue={})
+    assert again.verdict == "no_missing_effect" and again.built is None
+    assert again.robot_content()["effects"]["learned_theta_2"] == found().robot_content()["effects"]["learned_theta_2"]
+
+
 def test_terminal_and_report_say_what_was_built_and_that_it_is_no_cause() -> None:
     assert "Built of the rest: a term that changes the rotation of tube 2" in verdict_sentence(found())
     page = diagnosis_report_html(found(), selection_errors(found()))

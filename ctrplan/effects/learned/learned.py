@@ -15,7 +15,7 @@ from ctrplan.effects.learned.formula import formula, likeness
 from ctrplan.effects.learned.inputs import Situation
 from ctrplan.effects.learned.parts import Part
 from ctrplan.effects.learned.ranges import Range, Ranges, outside
-from ctrplan.effects.learned.targets import AXES, Target, target
+from ctrplan.effects.learned.targets import AXES, Target
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.robot.robot import Robot
 from ctrplan.sensor.poses import Poses
@@ -190,11 +190,6 @@ def named(on: Target, part_name: str) -> list[str]:
 def ranges_of(table: Mapping[str, Any]) -> dict[str, Range]:
     """The ranges of a robot file's table."""
     return {name: Range(float(low), float(high)) for name, (low, high) in table.get("range", {}).items()}
-
-
-def on_target(name: str, n: int) -> Target | None:
-    """What an effect of a robot file acts on, by its name."""
-    return target(name, n)
 
 
 def _rounded(value: float) -> float:

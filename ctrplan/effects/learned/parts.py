@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,6 +129,7 @@ def _knot(factor: Factor, at: Situation, ranges: Ranges) -> Array:
     return found
 
 
+@cache
 def _cardinal(count: int) -> CubicSpline:
     """Natural cubic splines over -1 to 1, each 1 at one of `count` knots and 0 at the others."""
     return CubicSpline(np.linspace(-1, 1, count), np.eye(count), bc_type="natural")

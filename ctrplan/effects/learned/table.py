@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from ctrplan.effects.learned import parts
-from ctrplan.effects.learned.learned import Learned, learned, on_target, ranges_of, split_name
-from ctrplan.effects.learned.targets import PREFIX
+from ctrplan.effects.learned.learned import Learned, learned, ranges_of, split_name
+from ctrplan.effects.learned.targets import PREFIX, target
 
 TEXTS = ("stage", "acts_on", "formula", "may_be")  # for people; nothing reads them
 NOTES = (*TEXTS, "largest_mm", "range")  # keys that are no coefficients
@@ -22,7 +22,7 @@ def is_learned(name: str) -> bool:
 
 def learned_in(name: str, table: Mapping[str, Any], notes: tuple[str, ...], n: int) -> Learned:
     """The effect of a table that `faults` finds nothing in, of a robot of n tubes; `notes` are keys of any effect."""
-    on = on_target(name, n)
+    on = target(name, n)
     assert on is not None
     names = [key for key in table if key not in (*notes, *NOTES)]
     return learned(on, names, ranges_of(table), n, float(table.get("largest_mm", 0.0)))
@@ -30,7 +30,7 @@ def learned_in(name: str, table: Mapping[str, Any], notes: tuple[str, ...], n: i
 
 def faults(name: str, table: Mapping[str, Any], notes: tuple[str, ...], n: int) -> Iterator[tuple[str, str]]:
     """Keys, empty for the whole table, with what is wrong with each."""
-    on = on_target(name, n)
+    on = target(name, n)
     if on is None:
         rule = "is no term of this robot: learned_theta_I, l_I, curvature_I, bend_I, stiffness_I, plate or sensor"
         yield "", rule
