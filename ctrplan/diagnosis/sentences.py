@@ -35,7 +35,8 @@ def verdict_sentence(found: Diagnosis) -> str:
 def _built(found: Diagnosis) -> str:
     """What was built and where it acts, as a sentence."""
     where = " and ".join(t.effect.title.removeprefix("a built term of ") for t in found.built_terms)
-    return f"Built of the rest: {_count(found)} that changes {where}, whatever its cause."
+    changes = "changes" if len(found.built_terms) == 1 else "change"
+    return f"Built of the rest: {_count(found)} that {changes} {where}, whatever the cause."
 
 
 def effect_lines(found: Diagnosis) -> list[str]:

@@ -23,7 +23,7 @@ from ctrplan.effects.learned.learned import Learned
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.pipeline.parametric_chain import Term
 
-LEAST_Z = 4.0  # standard errors over blocks
+LEAST_Z = 5.0  # standard errors over blocks
 LEAST_WINNING = 0.85  # of the blocks that say something
 LEAST_SHARE = 0.7  # of the squares that remain beyond noise, closed on blocks left out: the rest is about halved
 LEAST_SHARE_ASIDE = 0.4  # of the same, closed on the poses kept aside

@@ -62,7 +62,8 @@ class Factor:
             times = "" if self.numbers[0] == 1 else f"{self.numbers[0]} "
             return f"{self.word}({times}{self.input})"
         span = ranges[self.input]
-        scaled = f"({self.input} - {span.middle:.4g}) / {span.half:.4g}"
+        from_middle = f"{'+' if span.middle < 0 else '-'} {abs(span.middle):.4g}"
+        scaled = f"({self.input} {from_middle}) / {span.half:.4g}"
         if self.form in ("knot", "bump"):
             place = np.linspace(span.low, span.high, self.numbers[1])[self.numbers[0] - 1]
             shape = "spline" if self.form == "knot" else "bump"

@@ -352,6 +352,13 @@ def heading_shift(world: World, draw: Draw) -> tuple[World, Parameters]:
 
 
 @_register(BUILDABLE)
+def logged_room(world: World, draw: Draw) -> tuple[World, Parameters]:
+    """A temperature that is logged, and does nothing."""
+    period_s = draw.duration_s / float(draw.rng.uniform(1.2, 3.5))
+    return replace(world, room=Room(4.0, period_s, draw.rng.uniform(-np.pi, np.pi))), {}
+
+
+@_register(BUILDABLE)
 def warm_offset(world: World, draw: Draw) -> tuple[World, Parameters]:
     """What is measured moves with the temperature of the room, which is logged."""
     room = Room(4.0, draw.duration_s / float(draw.rng.uniform(1.2, 3.5)), draw.rng.uniform(-np.pi, np.pi))
