@@ -20,6 +20,7 @@ from ctrplan.diagnosis.gap import Gap
 from ctrplan.diagnosis.localise import Place
 from ctrplan.diagnosis.next_experiment import Proposal
 from ctrplan.diagnosis.partly import Partly
+from ctrplan.diagnosis.rest import Rest
 from ctrplan.diagnosis.selection import Step
 from ctrplan.diagnosis.verdict import Judgement, Verdict
 from ctrplan.diagnosis.workbench import Scored
@@ -80,6 +81,11 @@ class Diagnosis:
         frame = [t for t in self.chosen.fit.chain.terms if t.name == FRAME and t not in self.listed]
         effects = [*self.listed, *self.built_terms, *frame]
         return calibrated_content(self.chosen.fit, effects, self.data, self.model_error_m)
+
+    @property
+    def rest(self) -> Rest | None:
+        """What remains in the end, beside what is named and built; None where it was not asked."""
+        return self.built.rest if self.built else self.partly.rest if self.partly else None
 
     @property
     def built_terms(self) -> tuple[Term, ...]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from ctrplan.calibration.estimates import estimates
 from ctrplan.diagnosis.agreement import times_noise
-from ctrplan.diagnosis.rest import Rest
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.experiment.measurements import MOST_ROWS
 from ctrplan.pipeline.parametric_chain import Term
@@ -48,7 +47,7 @@ def effect_lines(found: Diagnosis) -> list[str]:
             for name, e in estimates(found.chosen.fit, t).items()
         )
         lines.append(f"{t.name} ({t.effect.stage}): {', '.join(values)}")
-    return [*lines, *built_lines(found), *([_rest(found).sentence] if found.partly else [])]
+    return [*lines, *built_lines(found), *([rest.sentence] if (rest := found.rest) else [])]
 
 
 def built_lines(found: Diagnosis) -> list[str]:
@@ -72,12 +71,6 @@ def built_lines(found: Diagnosis) -> list[str]:
 def _count(found: Diagnosis) -> str:
     count = len(found.built_terms)
     return "a term" if count == 1 else f"{count} terms"
-
-
-def _rest(found: Diagnosis) -> Rest:
-    """What remains in the end."""
-    assert found.partly is not None
-    return found.built.rest if found.built else found.partly.rest
 
 
 def _but(found: Diagnosis) -> str:

@@ -95,10 +95,13 @@ def built_part(found: Diagnosis) -> list[Markup]:
     return parts
 
 
-def rest_lines(partly: Partly) -> list[Markup]:
+def rest_lines(found: Diagnosis) -> list[Markup]:
     """What remains: size, memory, what it is fixed to, where; and what was found and does not hold."""
-    doubts = [f"{e.term.effect.title}: {'; '.join(e.doubts)}." for e in partly.doubted]
-    lines = [tag("p", partly.rest.sentence), tag("p", partly.rest.place)]
+    if (rest := found.rest) is None:
+        return []
+    doubted = found.partly.doubted if found.partly else ()
+    doubts = [f"{e.term.effect.title}: {'; '.join(e.doubts)}." for e in doubted]
+    lines = [tag("p", rest.sentence), tag("p", rest.place)]
     if doubts:
         lines += [
             tag("p", "Found on the way, and not certain enough to be named:"),

@@ -68,7 +68,7 @@ def diagnosis_report_html(found: Diagnosis, errors: SelectionErrors) -> str:
         section("Before and after, on poses that nothing had seen", plot(gap_figure(found), "gap"), gap_table(found)),
         section("What to measure next", tag("p", found.next_experiment), proposal_table(found)),
         section("What was tried", plot(path_figure(found), "path") if found.path else Markup(), step_table(found)),
-        section("What remains", *(rest_lines(found.partly) if found.partly else []), remaining_table(found)),
+        section("What remains", *rest_lines(found), remaining_table(found)),
         section("Not testable with these data", _list(f"{n}: {why}" for n, why in found.not_testable.items())),
         section("Remarks", _list(found.notes)) if found.notes else Markup(),
         section("Calibrated parameters", calibration_table(found)),
