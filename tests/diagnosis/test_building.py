@@ -115,6 +115,15 @@ def test_a_piece_acts_as_the_effect_that_is_made_of_it() -> None:
         assert set(values_by_name(here.fit)) < set(panel.keys)
 
 
+def test_pieces_are_of_what_changes_and_of_what_may_still_be_missing() -> None:
+    data = replace(rippled(), tangent=np.full_like(PLAN.tangent, np.nan))
+    kinds = {piece.on.kind.stage for piece in pieces(ROBOT, data)}
+    assert kinds == {"drive", "mechanics", "sensor"}
+    assert {piece.on.kind.stage for piece in pieces(ROBOT, replace(data, of_collars=True))} == kinds - {"drive"}
+    inputs = {part for piece in pieces(ROBOT, data) for part in piece.parts}
+    assert not any("tx" in part or "theta_1" in part or "time" in part for part in inputs)  # not measured, never turned
+
+
 def test_the_command_writes_a_robot_that_says_where_it_leaves_its_data(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

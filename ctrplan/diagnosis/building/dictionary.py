@@ -42,7 +42,8 @@ class Piece:
 def pieces(robot: Robot, data: Measurements) -> list[Piece]:
     """All that data can tell apart from nothing."""
     moved = _Moved(robot, data)
-    return [*_drive(moved), *_mechanics(moved), *_sensor(moved)]
+    drive = [] if data.of_collars else _drive(moved)  # collars have the drive's terms in them
+    return [*drive, *_mechanics(moved), *_sensor(moved)]
 
 
 class _Moved:
