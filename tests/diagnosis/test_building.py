@@ -20,6 +20,7 @@ from ctrplan.diagnosis.building.search import built_term
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.sentences import verdict_sentence
 from ctrplan.diagnosis.workbench import values_by_name
+from ctrplan.effects.learned import parts
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.reports.diagnosis_page.page import diagnosis_report_html
@@ -120,8 +121,9 @@ def test_pieces_are_of_what_changes_and_of_what_may_still_be_missing() -> None:
     kinds = {piece.on.kind.stage for piece in pieces(ROBOT, data)}
     assert kinds == {"drive", "mechanics", "sensor"}
     assert {piece.on.kind.stage for piece in pieces(ROBOT, replace(data, of_collars=True))} == kinds - {"drive"}
-    inputs = {part for piece in pieces(ROBOT, data) for part in piece.parts}
-    assert not any("tx" in part or "theta_1" in part or "time" in part for part in inputs)  # not measured, never turned
+    found = [parts.part(name, ROBOT.n) for piece in pieces(ROBOT, data) for name in piece.parts]
+    inputs = {name for one in found if one is not None for name in parts.inputs(one)}
+    assert inputs == {"theta_2", "turn_2", "l_2", "overlap_1", "load_1", "x", "y", "z"}  # tube 1 stands still
 
 
 def test_the_command_writes_a_robot_that_says_where_it_leaves_its_data(
