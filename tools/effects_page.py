@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ctrplan.diagnosis import CATALOGUE, Effect
+from ctrplan.effects.learned.targets import KINDS
 from ctrplan.files.robot_file import load_robot
 
 ROBOT = Path(__file__).parents[1] / "scenarios" / "robots" / "three_tube.toml"
@@ -37,6 +38,51 @@ This page is made by `python tools/effects_page.py` from the files under `ctrpla
 effect: [diagnosis](diagnosis.md#a-new-effect).
 """
 
+BUILT = """\
+## Built terms
+
+A diagnosis builds a term of what no effect explains ([how](diagnosis.md#built-a-term-for-what-nobody-has-named)).
+It stands in a robot file as `[effects.learned_NAME]`, where NAME says what it acts on:
+"""
+AFTER = """
+`learned_theta_I_way` and `learned_l_I_way` are those that depend on the sign of the last motion. An example:
+
+```toml
+[effects.learned_theta_2]
+stage = "drive"
+acts_on = "the rotation of tube 2"
+formula = "the rotation of tube 2 changes by 3.1 deg sin(3 theta_2) - 1.2 deg cos(3 theta_2)"
+may_be = "acts in the drive on the rotation of tube 2 with a period of 120 deg, ...: like a ripple of gears"
+sin_3_theta_2_deg = 3.1
+cos_3_theta_2_deg = -1.2
+[effects.learned_theta_2.range]
+theta_2 = [-180, 180]
+[effects.learned_theta_2.ci95]
+sin_3_theta_2_deg = [2.9, 3.3]
+cos_3_theta_2_deg = [-1.4, -1.0]
+```
+
+A key is `PART_UNIT`, or `AXIS_PART_UNIT` (x, y, z) of the plate and the sensor; its value is the largest amount of
+that part. A part is a product, joined by `_times_`, of
+
+- `sin_K_INPUT`, `cos_K_INPUT`: K waves a turn of an angle;
+- `slope_INPUT`, `square_INPUT`: -1 to 1 over the range, and its square;
+- `knot_J_of_M_INPUT`: a natural cubic spline, 1 at the J-th of M knots over the range and 0 at the others;
+- `bump_J_of_M_INPUT`: a Gaussian at such a knot;
+- `sign_theta_I`, `sign_l_I`: of the last motion; `constant`.
+
+Inputs are `theta_I` [deg], `turn_I` (tube I against the one around it) [deg], `l_I` [mm], `overlap_I` (of the
+curved parts of tubes I and I + 1) [mm], `load_I` (friction state of a pair), `speed_I` [deg/s], `rest` [s], the
+tip's `x, y, z` [mm] and `tx, ty, tz`, and columns of the data. `formula`, `may_be`, `stage` and `acts_on` are for
+people, nothing reads them.
+
+Each input is held at the edge of its range outside, and `bound`, `ik`, `simulate`, sweeps and plans say in one
+sentence where that happens. Terms of the drive act wherever the robot is asked: bounds, shapes, plans. Those of the
+mechanics act in fits and margins: the largest tilt times the robot's length, and `largest_mm`, the farthest that a
+tip of the data was moved, are added to `model_error_mm`. Those of the sensor act on what is measured. A column that
+nobody gives is taken at the middle of its range.
+"""
+
 
 def page() -> str:
     """The whole page."""
@@ -44,7 +90,15 @@ def page() -> str:
     for stage in STAGES:
         parts.append(f"## {stage.capitalize()}\n")
         parts += [_section(effect) for effect in CATALOGUE.values() if effect.stage == stage]
-    return "\n".join(parts)
+    return "\n".join([*parts, _built()])
+
+
+def _built() -> str:
+    rows = [
+        f"| `learned_{name}{'' if kind.has_axes else '_I'}` | {kind.stage} | {kind.words.format('I')} | {kind.unit} |"
+        for name, kind in KINDS.items()
+    ]
+    return "\n".join([BUILT, "| table | stage | acts on | unit |", "|---|---|---|---|", *rows, AFTER])
 
 
 def _section(effect: Effect) -> str:

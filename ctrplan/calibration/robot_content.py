@@ -62,6 +62,7 @@ def calibrated_content(
             ideal = with_values(ideal, named)
     for t in effects:
         fitted, table = estimates(found, t), tables.setdefault(t.name, {})
+        table |= t.effect.stated({name: e.value * _si(t, name) for name, e in fitted.items()})
         table |= {name: e.value for name, e in fitted.items()}
         table["ci95"] = {**table.get("ci95", {}), **{name: list(e.ci95) for name, e in fitted.items()}}
     if not tables:
@@ -72,6 +73,10 @@ def calibrated_content(
     content["model_error_mm"] = _rounded(model_error_m * 1e3)
     content["provenance"] = _provenance(chain, data)
     return content
+
+
+def _si(t: Term, name: str) -> float:
+    return next(parameter.si for parameter in t.parameters if parameter.name == name)
 
 
 def model_error_m(error_m: np.ndarray[Any, np.dtype[np.float64]], position_sigma_m: float) -> float:

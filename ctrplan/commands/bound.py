@@ -71,6 +71,7 @@ def run_bound(arguments: argparse.Namespace) -> int:
 
     from ctrplan.files.robot_file import load_robot
     from ctrplan.mechanics.core import Status
+    from ctrplan.pipeline.left_ranges import range_notes
     from ctrplan.planning.play import play_shift
     from ctrplan.robot.nesting import nesting_violation
 
@@ -85,7 +86,7 @@ def run_bound(arguments: argparse.Namespace) -> int:
     theta_b, l_b = robot.collars(*commanded)
     if sentence := nesting_violation(robot, theta_b, l_b):
         raise InputError(sentence, key="--l-mm", value=arguments.l_mm, unit="mm")
-    for warning in robot.warnings:
+    for warning in (*robot.warnings, *range_notes(robot, *commanded)):
         print(f"ctrplan: warning: {warning}", file=sys.stderr)
     found = _bounded(robot, theta_b, l_b, arguments)
     play_mm = play_shift(robot, theta_b, l_b) * 1e3

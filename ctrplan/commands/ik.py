@@ -63,6 +63,7 @@ def run_ik(arguments: argparse.Namespace) -> int:
     import numpy as np
 
     from ctrplan.files.bare_scenario import load_robot_or_scenario
+    from ctrplan.pipeline.left_ranges import plan_range_notes
     from ctrplan.planning.goals.branches import reach
     from ctrplan.planning.motion import MotionChecker, path_limits
 
@@ -81,6 +82,8 @@ def run_ik(arguments: argparse.Namespace) -> int:
         arguments.starts,
     )
     branches = found.branches().tolist()
+    for note in plan_range_notes(scenario.robot, np.array([c.joints for c in found.configurations or [found.nearest]])):
+        print(f"ctrplan: warning: {note}", file=sys.stderr)
     print(
         json.dumps(_json(scenario, found, branches), indent=1) if arguments.json else _text(scenario, found, branches)
     )

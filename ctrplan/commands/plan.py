@@ -78,6 +78,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
     with interrupt_event() as interrupted:
         from ctrplan.files.scenario_file import load_scenario
         from ctrplan.files.trajectory_file import left_over, trajectory_formats
+        from ctrplan.pipeline.left_ranges import plan_range_notes
         from ctrplan.planning import plan
         from ctrplan.planning.bound_table import known_table
 
@@ -100,6 +101,8 @@ def run_plan(arguments: argparse.Namespace) -> int:
                 compensated=arguments.compensate,
             )
         _write(folder, result, formats)
+        for note in plan_range_notes(scenario.robot, result.waypoints):
+            print(f"ctrplan: warning: {note}", file=sys.stderr)
         print(_summary(folder, result, formats))
         for name in left_over(folder, formats):
             print(f"ctrplan: warning: {folder / name} is of an earlier plan.", file=sys.stderr)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.gross_outliers import gross_outliers, too_many
 from ctrplan.calibration.residuals import Noise
+from ctrplan.diagnosis.building.built import Built, build
 from ctrplan.diagnosis.candidates import Candidates
 from ctrplan.diagnosis.chi_square import ignored, remains
 from ctrplan.diagnosis.partly import Partly, partly
@@ -48,6 +49,8 @@ class Answer:
     notes: tuple[str, ...]
     interrupted: bool = False
     partly: Partly | None = None
+    built: Built | None = None  # a term of what the effects leave
+    otherwise: Answer | None = None  # what is said where the built term fails on the held-out set
 
 
 def answer(
@@ -59,13 +62,26 @@ def answer(
     if is_long:
         first = _beside_a_rest(_nothing(data, parts, bench, wrong), data, usable, noise, known, teller)
         if first.interrupted or (first.partly and not first.partly.is_noise):
-            return first
+            return _with_built(first, first, teller)
     found = _ordinary(data, usable, wrong, bench, parts, known, teller)
     explained = found.judgement.verdict != "unexplained" or found.judgement.adequacy.is_adequate
     if explained or found.interrupted or is_long:
         return found
     part = _beside_a_rest(found, data, usable, noise, known, teller)
-    return part if part.judgement.verdict == "partial" or part.interrupted else found
+    return _with_built(part, part if part.judgement.verdict == "partial" or part.interrupted else found, teller)
+
+
+def _with_built(part: Answer, otherwise: Answer, teller: Teller) -> Answer:
+    """What holds beside a rest with a term built of the rest; `otherwise` where there is none."""
+    if part.partly is None or part.interrupted:
+        return otherwise
+    try:
+        built = build(part.partly, teller)
+    except Interrupted:
+        return replace(otherwise, interrupted=True, notes=(*otherwise.notes, INTERRUPTED))
+    if built is None:
+        return otherwise
+    return replace(part, chosen=built.scored, built=built, otherwise=otherwise, path=(*part.path, *built.path))
 
 
 def _beside_a_rest(

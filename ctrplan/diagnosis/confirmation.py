@@ -106,7 +106,7 @@ def confirm(found: Diagnosis, data: Measurements) -> Confirmation:
         rule = f"has {count} usable blocks of poses, too few to confirm anything: at least {LEAST_BLOCKS}"
         raise InputError(rule, file=data.file)
     noise = _noise(found)
-    whole, listed = _predicted(found.chosen.fit, asked, noise), {t.key for t in found.listed}
+    whole, listed = _predicted(found.chosen.fit, asked, noise), {t.key for t in (*found.listed, *found.built_terms)}
     effects = tuple(
         _confirmed(t, whole, _predicted(_without(found, t), asked, noise), block)
         for t in found.chosen.fit.chain.terms

@@ -147,8 +147,9 @@ class CorrelatedBench(Workbench):
         poses = [np.flatnonzero(stretch == number) for number in np.unique(stretch)]
         return discrepancy.within(found, poses, lambda rows, memory: discrepancy.decay(time_s[rows], memory))
 
-    def _chain(self, terms: Sequence[Term]) -> ParametricChain:
-        chain = super()._chain(terms)
+    def chain(self, terms: Sequence[Term]) -> ParametricChain:
+        """Of terms, with friction as it is known by now."""
+        chain = super().chain(terms)
         chain.correction = None
         if self._has_friction(terms):
             chain.followed_phi = self._phi

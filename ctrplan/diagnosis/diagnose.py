@@ -57,6 +57,7 @@ def diagnose(
     if progress:
         progress("asking the held-out set", HELD_OUT_SHARE)
     asked = opened(found, data)
+    found = asked.answer
     written, judgement = asked.written, asked.judgement
     poses = _marked(found, asked, data)
     stated = replace(found.noise, discrepancy=None)
@@ -93,6 +94,8 @@ def diagnose(
         interrupted=found.interrupted,
         time_s=time.monotonic() - began,
         partly=found.partly if judgement.verdict == "partial" else None,
+        built=found.built,
+        named_gap=asked.named_gap,
     )
 
 

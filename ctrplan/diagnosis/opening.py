@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from ctrplan.calibration.pose_errors import distances
 from ctrplan.calibration.residuals import Residuals
 from ctrplan.calibration.robot_content import within_file
 from ctrplan.calibration.unsolved import excused
 from ctrplan.diagnosis.agreement import contradiction
 from ctrplan.diagnosis.answer import Answer
+from ctrplan.diagnosis.building.built import LEAST_SHARE_ASIDE, Built, worse_in
 from ctrplan.diagnosis.chi_square import ignored, remains
 from ctrplan.diagnosis.gap import Gap, open_held_out_set
 from ctrplan.diagnosis.localise import Place, localise
@@ -31,10 +34,40 @@ class Opened:
     gap: Gap
     place: Place
     notes: tuple[str, ...]
+    answer: Answer  # that it is of: without a built term where that failed
+    named_gap: Gap | None = None  # without the built term, where there is one
 
 
 def opened(answer: Answer, data: Measurements) -> Opened:
-    """What the poses kept aside say of an answer."""
+    """What the poses kept aside say of an answer; a built term that makes any region worse is taken back."""
+    if answer.built is None or answer.otherwise is None:
+        return _opened(answer, data)
+    found, without = _opened(answer, data), _opened(_only_named(answer, answer.built), data)
+    if where := _worse(found.gap, without.gap, data.subset(answer.split.held_out_set)):
+        less = _opened(answer.otherwise, data)
+        return replace(less, notes=(*less.notes, f"A term was built and taken back: it is not good enough on {where}."))
+    return replace(found, named_gap=without.gap)
+
+
+def _only_named(answer: Answer, built: Built) -> Answer:
+    return replace(answer, chosen=built.named, built=None)
+
+
+def _worse(found: Gap, without: Gap, aside: Measurements) -> str:
+    """Where the poses kept aside are further off with a built term than without; empty if nowhere."""
+    rest, left = (max(gap.after.rms_m**2 - gap.floor_m**2, 0.0) for gap in (without, found))
+    if rest - left < LEAST_SHARE_ASIDE * rest:
+        return "the poses kept aside"
+    both = ~(excused(found.failed) | excused(without.failed) | found.outlying | without.outlying)
+    errors = []
+    for gap in (without, found):
+        every = np.full(aside.count, np.nan)
+        every[~(excused(gap.failed) | gap.outlying)] = gap.after_m
+        errors.append(every[both])
+    return worse_in(aside.subset(both), errors[0], errors[1])
+
+
+def _opened(answer: Answer, data: Measurements) -> Opened:
     kept = answer.split.held_out_set
     if answer.partly:
         answer = replace(answer, chosen=_beside_a_rest(answer.partly, answer.chosen))
@@ -48,7 +81,7 @@ def opened(answer: Answer, data: Measurements) -> Opened:
         gap = open_held_out_set(answer.base.fit, written.fit, aside, group, answer.noise)
         if doubt := contradiction(judgement.verdict, gap, place):
             judgement, notes = replace(judgement, verdict="unexplained"), [*notes, doubt]
-    return Opened(judgement, written, gap, place, tuple(notes))
+    return Opened(judgement, written, gap, place, tuple(notes), answer)
 
 
 def _after_held_out_set(answer: Answer, gap: Gap, place: Place) -> tuple[Judgement, list[str]]:
@@ -79,7 +112,8 @@ def _solved(scored: Scored) -> Residuals:
 def _written(answer: Answer, judgement: Judgement) -> Scored:
     """The model with the effects of the verdict alone, as large as the data say, in numbers a robot file may have."""
     bench, chosen = answer.bench, answer.chosen
-    listed = {finding.term.key for finding in judgement.findings}
+    built = answer.built.terms if answer.built else ()
+    listed = {finding.term.key for finding in judgement.findings} | {t.key for t in built}
     kept = [t for t in chosen.terms if t.key in listed]
     if answer.partly and len(kept) == len(chosen.terms):
         return chosen

@@ -109,7 +109,7 @@ def partly(
     shares = tuple(part_of(bench, base, chosen, e) for e in found.found if e.term.key in names)
     path = (*searched.path, *found.dropped)
     return Partly(
-        bench, parts, block, base, chosen, judgement, shares, _rest(bench, chosen, noise), path, found.doubted
+        bench, parts, block, base, chosen, judgement, shares, rest_beside(bench, chosen, noise), path, found.doubted
     )
 
 
@@ -136,7 +136,8 @@ def _step(count: int) -> int:
     return max(1, -(-count // MOST_POSES))
 
 
-def _rest(bench: CorrelatedBench, chosen: Scored, noise: Noise) -> Rest:
+def rest_beside(bench: CorrelatedBench, chosen: Scored, noise: Noise) -> Rest:
+    """What remains beside a set of effects."""
     data, found = bench.data, bench.noise.discrepancy
     error, floor = bench.left_out_m(chosen), noise.floor_m
     size = float(np.sqrt(max(mean_square(error) - floor**2, 0.0)))

@@ -13,15 +13,18 @@ from ctrplan.calibration.estimates import estimates
 from ctrplan.calibration.pose_errors import Errors
 from ctrplan.calibration.residuals import Noise
 from ctrplan.calibration.robot_content import calibrated_content, model_error_m
+from ctrplan.diagnosis.building.built import Built
 from ctrplan.diagnosis.chi_square import ChiSquare
 from ctrplan.diagnosis.correlated_bench import FRAME
 from ctrplan.diagnosis.gap import Gap
 from ctrplan.diagnosis.localise import Place
 from ctrplan.diagnosis.next_experiment import Proposal
 from ctrplan.diagnosis.partly import Partly
+from ctrplan.diagnosis.rest import Rest
 from ctrplan.diagnosis.selection import Step
 from ctrplan.diagnosis.verdict import Judgement, Verdict
 from ctrplan.diagnosis.workbench import Scored
+from ctrplan.effects.learned.learned import Learned
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.pipeline.parametric_chain import Term
 from ctrplan.robot.robot import Robot
@@ -64,6 +67,8 @@ class Diagnosis:
     interrupted: bool
     time_s: float
     partly: Partly | None = None  # what remains beside the effects, where that is the verdict
+    built: Built | None = None  # a term of what the effects leave; of `chosen` too, and no cause
+    named_gap: Gap | None = None  # the gap without the built term, where there is one
     confirmations: tuple[Confirmed, ...] = ()  # on other runs, asked once
 
     @property
@@ -74,7 +79,18 @@ class Diagnosis:
     def robot_content(self) -> dict[str, Any]:
         """The content of the new robot file: calibrated, with the effects of the verdict and a free frame in it."""
         frame = [t for t in self.chosen.fit.chain.terms if t.name == FRAME and t not in self.listed]
-        return calibrated_content(self.chosen.fit, [*self.listed, *frame], self.data, self.model_error_m)
+        effects = [*self.listed, *self.built_terms, *frame]
+        return calibrated_content(self.chosen.fit, effects, self.data, self.model_error_m)
+
+    @property
+    def rest(self) -> Rest | None:
+        """What remains in the end, beside what is named and built; None where it was not asked."""
+        return self.built.rest if self.built else self.partly.rest if self.partly else None
+
+    @property
+    def built_terms(self) -> tuple[Term, ...]:
+        """What was built, as it is handed over."""
+        return tuple(t for t in self.chosen.terms if isinstance(t.effect, Learned))
 
     @property
     def model_error_m(self) -> float:
@@ -86,9 +102,10 @@ class Diagnosis:
         return {
             "verdict": self.verdict,
             "effects": [self._effect(k) for k in range(len(self.judgement.findings))],
-            "gap": _gap(self.gap),
+            "gap": _gap(self.gap) | self._named_gap(),
             "where": self.place.sentence,
             "rest": self.partly.to_json() if self.partly else None,
+            "built": self.built.to_json(self.chosen) if self.built else None,
             "next_experiment": self.next_experiment,
             "not_testable": dict(self.not_testable),
             "without": list(self.without),
@@ -113,6 +130,9 @@ class Diagnosis:
             "ctrplan_version": __version__,
             "schema_version": SCHEMA_VERSION,
         }
+
+    def _named_gap(self) -> dict[str, float]:
+        return {"named_rms_mm": _millimetres(self.named_gap.after.rms_m)} if self.named_gap else {}
 
     def _effect(self, k: int) -> dict[str, Any]:
         finding = self.judgement.findings[k]

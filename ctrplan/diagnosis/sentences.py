@@ -19,13 +19,23 @@ def verdict_sentence(found: Diagnosis) -> str:
         return f"Missing: {names}. With it the model agrees with the measurements to their noise{_but(found)}."
     if found.partly:
         closed = f"{found.gap.before.rms_m * 1e3:.2f} mm off without and {found.gap.after.rms_m * 1e3:.2f} mm with"
-        return f"In part: {names}. Tips are {closed}; something remains that nothing in the catalogue explains."
+        more = f" {_built(found)}" if found.built else ""
+        return f"In part: {names}. Tips are {closed}; something remains that nothing in the catalogue explains.{more}"
     if found.verdict == "ambiguous":
         return f"Missing: {names}. The data can't tell them apart, both would explain them."
     rest = f"what remains is {left:.1f} times the noise"
+    if found.built:
+        return f"Unexplained: nothing in the catalogue explains the measurements. {_built(found)}"
     if names:
         return f"Unexplained: {names} is at work, but not alone, {rest}."
     return f"Unexplained: nothing in the catalogue explains the measurements, {rest}."
+
+
+def _built(found: Diagnosis) -> str:
+    """What was built and where it acts, as a sentence."""
+    where = " and ".join(t.effect.title.removeprefix("a built term of ") for t in found.built_terms)
+    changes = "changes" if len(found.built_terms) == 1 else "change"
+    return f"Built of the rest: {_count(found)} that {changes} {where}, whatever the cause."
 
 
 def effect_lines(found: Diagnosis) -> list[str]:
@@ -37,7 +47,30 @@ def effect_lines(found: Diagnosis) -> list[str]:
             for name, e in estimates(found.chosen.fit, t).items()
         )
         lines.append(f"{t.name} ({t.effect.stage}): {', '.join(values)}")
-    return lines + ([found.partly.rest.sentence] if found.partly else [])
+    return [*lines, *built_lines(found), *([rest.sentence] if (rest := found.rest) else [])]
+
+
+def built_lines(found: Diagnosis) -> list[str]:
+    """What was built of the rest, how it acts, and that it is no cause; with its coefficients."""
+    if not found.built or not found.named_gap:
+        return []
+    before, after = (gap.after.rms_m * 1e3 for gap in (found.named_gap, found.gap))
+    lines = [
+        f"built of what remained: {_count(found)}, with which tips are {after:.2f} mm off instead of {before:.2f} mm; "
+        "it names no cause"
+    ]
+    chain = found.chosen.fit.chain
+    values = {t.key: value for t, value in zip(chain.terms, chain.values(found.chosen.fit.p), strict=True)}
+    for t in found.built_terms:
+        stated = t.effect.stated(values[t.key])
+        lines.append(f"{t.name} ({t.effect.stage}): {stated['formula']}")
+        lines.append(f"{t.name} {stated['may_be']}")
+    return lines
+
+
+def _count(found: Diagnosis) -> str:
+    count = len(found.built_terms)
+    return "a term" if count == 1 else f"{count} terms"
 
 
 def _but(found: Diagnosis) -> str:

@@ -132,7 +132,7 @@ class Workbench:
         if known is None or places:
             self.pause()
             tried += places
-            chain = self._chain([*self.basis(terms), *terms])
+            chain = self.chain([*self.basis(terms), *terms])
             start, promised = self._start(chain, places, compared=known is not None)
             if known is None or promised < known.fit.residuals.loss - WORTH_ANOTHER:
                 found = self._fitted(tuple(terms), chain, start)
@@ -144,7 +144,8 @@ class Workbench:
         best = fit(chain, self.noise, self.whitening_group, start)
         return Scored(terms, best, held_out_loss(linear(best), self.fold))
 
-    def _chain(self, terms: Sequence[Term]) -> ParametricChain:
+    def chain(self, terms: Sequence[Term]) -> ParametricChain:
+        """Of terms, with friction as it is known by now."""
         chain = ParametricChain(self.robot, self.data, terms)
         if self._has_friction(terms):
             chain.correction = self._correction
@@ -237,7 +238,7 @@ class Workbench:
     def panel(self, here: Scored, others: Sequence[Term]) -> Panel:
         """A fit linearised in its own parameters and those of other variants, which vanish there."""
         merged = _merged([*here.terms, *others], self.robot)
-        chain = self._chain([*self.basis(merged), *merged])
+        chain = self.chain([*self.basis(merged), *merged])
         known = values_by_name(here.fit)
         keys = [(t.name, p.name) for t in chain.terms for p in t.parameters]
         neutral = [_vanishing(p.start, p.neutral) * p.si for p in chain.parameters]
@@ -252,7 +253,7 @@ class Workbench:
     ) -> Screened:
         """A variant that does not act in proportion, linearised where its first step promises most."""
         terms = completed([t for t in here.terms if t.name != other.name], other)
-        chain = self._chain([*self.basis(terms), *terms])
+        chain = self.chain([*self.basis(terms), *terms])
         start, _ = self._start(chain, [here.fit])
         there = linear(fit_at(chain, self.noise, self.whitening_group, start)).refitted()
         return Screened(other, there, float(-held_out_loss(there, self.fold).sum() / 2))

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal, TypeVar, get_args
+from typing import Any, ClassVar, Literal, TypeVar, get_args
 
 import numpy as np
 
@@ -43,16 +43,16 @@ class Parameter:
 class Effect(ABC):
     """A term of one stage. Subclasses set the class attributes and override what they change."""
 
-    name: ClassVar[str]
-    stage: ClassVar[Stage]
-    equation: ClassVar[str]
-    signature: ClassVar[str]  # what it does to data, in a sentence
-    in_words: ClassVar[str] = ""  # the effect for people, as "play in the drive"; its name where empty
+    name: str
+    stage: Stage
+    equation: str
+    signature: str  # what it does to data, in a sentence
+    in_words: str = ""  # the effect for people, as "play in the drive"; its name where empty
     look_alikes: ClassVar[tuple[str, ...]] = ()
-    experiment: ClassVar[str]  # what separates it from them
+    experiment: str  # what separates it from them
     is_linear: ClassVar[bool] = True  # whether tips change nearly in proportion to its parameters
     scales_with_stiffness: ClassVar[bool] = False  # its parameters are known only as well as the stiffness of tube 1
-    acts_at_rest: ClassVar[bool] = True  # of drive and mechanics: whether a shape at rest has it, however it came there
+    acts_at_rest: bool = True  # of drive and mechanics: whether a shape at rest has it, however it came there
     needs: ClassVar[str] = ""  # an effect without which it does nothing
     depends_on_history: ClassVar[bool] = False  # acts on differences between approaches of one configuration
 
@@ -127,6 +127,20 @@ class Effect(ABC):
     def largest_turn_rad(self, values: Values, robot: Robot) -> float:
         """Of the mechanics: what no `plate_turn` exceeds. Bounds and plans allow for it as for a model error."""
         return 0.0
+
+    def largest_shift_m(self, values: Values, robot: Robot) -> float:
+        """Of the mechanics: how far [m] it may move the tip where shapes do not have it; allowed for likewise."""
+        return 0.0
+
+    def play(self, values: Values, n: int) -> Collars:
+        """Of the drive, where it depends on directions: how far (1, n) it may move the collars, every way the same."""
+        nowhere, ahead = Collars(np.zeros((1, n)), np.zeros((1, n))), np.ones((1, 2 * n))
+        moved = self.drive(values, nowhere, ahead)
+        return Collars(np.abs(moved.theta), np.abs(moved.l))
+
+    def stated(self, values: Values) -> Mapping[str, Any]:
+        """What its table in a robot file says besides the parameters."""
+        return {}
 
     def friction_share(self, values: Values, data: Measurements) -> Array | float:
         """Of the mechanics: (K, n - 1) or one share of the friction state that is left when a pose is taken."""

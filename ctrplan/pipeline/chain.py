@@ -18,15 +18,13 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.drive.collars import Collars
-from ctrplan.effects.catalogue import CATALOGUE
 from ctrplan.effects.effect import Effect, Stage, Values
+from ctrplan.effects.of_file import NOTES, effect_of
 from ctrplan.experiment.friction_states import friction_state
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.robot.named_numbers import with_values
 from ctrplan.robot.robot import Robot
 from ctrplan.sensor.poses import Poses, moved_rigidly
-
-NOTES = ("ci95", "provenance")  # keys of an effect's table that say where its values come from
 
 
 @dataclass(frozen=True)
@@ -164,7 +162,7 @@ def acting_in_file(robot: Robot) -> tuple[Acting, ...]:
     """The effects of a robot's file with their values in SI, in the order of the file."""
     found = []
     for name, table in robot.effects.items():
-        effect = CATALOGUE[name]
+        effect = effect_of(name, table, robot.n)
         si = {parameter.name: parameter.si for parameter in effect.parameters(robot.ideal or robot)}
         values = {key: float(value) * si[key] for key, value in table.items() if key not in NOTES}
         found.append(Acting(effect, values))
@@ -180,7 +178,7 @@ def taken_along(
     """
     changed: dict[str, dict[str, Any]] = {}
     for name, table in tables.items():
-        effect = CATALOGUE[name]
+        effect = effect_of(name, table, robot.n)
         for parameter in effect.parameters(robot.ideal or robot) if effect.sets_outright else ():
             number = next(iter(effect.mechanics({parameter.name: parameter.neutral * parameter.si}, robot)))
             if parameter.name in table and number in named:

@@ -7,7 +7,8 @@ from typing import Any
 
 from ctrplan.effects.catalogue import CATALOGUE
 from ctrplan.effects.effect import Parameter
-from ctrplan.pipeline.chain import NOTES
+from ctrplan.effects.learned import table as learned_table
+from ctrplan.effects.of_file import COMMON_NOTES, NOTES, effect_of
 from ctrplan.robot.robot import Robot
 from ctrplan.storage.interval import interval_fault
 from ctrplan.storage.toml_document import Document
@@ -16,11 +17,14 @@ from ctrplan.storage.toml_document import Document
 def check_effects(robot: Robot, document: Document) -> None:
     """Raises InputError for an effect that is not in the catalogue and for parameters it does not have."""
     for name, table in robot.effects.items():
-        if name not in CATALOGUE:
+        if learned_table.is_learned(name):
+            for key, rule in learned_table.faults(name, table, COMMON_NOTES, robot.n):
+                raise document.fault(rule, "effects", name, *([key] if key else []))
+        elif name not in CATALOGUE:
             raise document.fault(f"unknown effect, known ones are {', '.join(CATALOGUE)}", "effects", name)
-        known = {parameter.name: parameter for parameter in CATALOGUE[name].parameters(robot)}
+        known = {parameter.name: parameter for parameter in effect_of(name, table, robot.n).parameters(robot)}
         for key, value in table.items():
-            if key in NOTES:
+            if key in (NOTES if learned_table.is_learned(name) else COMMON_NOTES):
                 continue
             if key not in known:
                 raise document.fault(f"unknown parameter, known ones are {', '.join(known)}", "effects", name, key)

@@ -28,14 +28,18 @@ def with_chain(robot: Robot, chain: Chain) -> Robot:
     given = replace(
         robot, tubes=built.tubes, contacts=built.contacts, loads=built.loads, drive=drive, ideal=chain.ideal
     )
-    return replace(given, model_error_m=robot.model_error_m + _turned_m(chain))
+    return replace(given, model_error_m=robot.model_error_m + _not_in_shapes_m(chain))
 
 
-def _turned_m(chain: Chain) -> float:
-    """How far [m] the plate, turned by effects, may move any point of the robot: its length at the largest angle."""
+def _not_in_shapes_m(chain: Chain) -> float:
+    """How far [m] effects may move any point of the robot that shapes do not have.
+
+    A turn of the plate moves it by its length at the largest angle.
+    """
     robot = chain.mechanics
     turn_rad = sum(given.effect.largest_turn_rad(given.values, robot) for given in chain.of_stage("mechanics"))
-    return turn_rad * max(tube.length_m for tube in robot.tubes)
+    shift_m = sum(given.effect.largest_shift_m(given.values, robot) for given in chain.of_stage("mechanics"))
+    return turn_rad * max(tube.length_m for tube in robot.tubes) + shift_m
 
 
 def _at_rest(chain: Chain) -> tuple[DriveAtRest, ...]:
@@ -52,9 +56,8 @@ def _play(chain: Chain) -> tuple[Array, Array] | None:
     if not able:
         return None
     n = chain.ideal.n
-    nowhere, ahead = Collars(np.zeros((1, n)), np.zeros((1, n))), np.ones((1, 2 * n))
-    moved = [given.effect.drive(given.values, nowhere, ahead) for given in able]
-    return np.sum([np.abs(m.theta[0]) for m in moved], axis=0), np.sum([np.abs(m.l[0]) for m in moved], axis=0)
+    moved = [given.effect.play(given.values, n) for given in able]
+    return np.sum([m.theta[0] for m in moved], axis=0), np.sum([m.l[0] for m in moved], axis=0)
 
 
 @dataclass(frozen=True)

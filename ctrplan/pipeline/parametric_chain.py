@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.drive.collars import Collars
 from ctrplan.effects.effect import Effect, Parameter
+from ctrplan.effects.of_file import NOTES
 from ctrplan.errors import InputError
 from ctrplan.experiment.friction_states import friction_state, last_directions
 from ctrplan.experiment.measurements import Measurements
-from ctrplan.pipeline.chain import NOTES, Acting, Chain, taken_along
+from ctrplan.pipeline.chain import Acting, Chain, taken_along
 from ctrplan.pipeline.installed import with_chain
 from ctrplan.pipeline.tip_table import TipTable, nested, tip_table
 from ctrplan.robot.named_numbers import value_of, with_values
@@ -144,7 +145,8 @@ class ParametricChain:
                 tables |= taken_along(tables, self.robot, t.effect.mechanics(values, self._in_file.ideal))
             else:
                 held = {key: value for key, value in tables.get(t.name, {}).items() if key not in NOTES}
-                tables[t.name] = held | {q.name: values[q.name] / q.si for q in t.parameters}
+                fitted = {q.name: values[q.name] / q.si for q in t.parameters}
+                tables[t.name] = held | fitted | dict(t.effect.stated(values))
         return with_chain(replace(self.robot, effects=tables), chain)
 
     def robot_at(self, p: Array) -> Robot:

@@ -27,6 +27,7 @@ from ctrplan.files.joint_path_file import joint_columns
 from ctrplan.mechanics.core import Accuracy, Bounds, Status
 from ctrplan.mechanics.history import History, Start
 from ctrplan.pipeline.chain import Chain, at_instants
+from ctrplan.pipeline.left_ranges import range_notes
 from ctrplan.robot.nesting import nesting_violation
 from ctrplan.robot.robot import Robot
 from ctrplan.sensor.poses import Poses, frames_along
@@ -214,6 +215,14 @@ def _left_out(chain: Chain, path: JointPath) -> Iterator[str]:
             yield f"{path.file}: a simulated history has no {given.effect.name}: it acts in fits alone."
 
 
+def _ranges_left(robot: Robot, path: JointPath, theta: Array, l: Array, position_m: Array) -> Iterator[str]:  # noqa: E741
+    """Where built terms are asked outside their data, at (S, n) [rad], (S, n) [m] and tips (S, 3)."""
+    solved = np.isfinite(position_m).all(axis=1)
+    upright = np.broadcast_to(np.eye(3), (int(solved.sum()), 3, 3))
+    tips = Poses(position_m[solved], upright)
+    yield from (f"{path.file}: {note}" for note in range_notes(robot, theta[solved], l[solved], tips))
+
+
 def _check_collars(robot: Robot, path: JointPath, place: Array, collars: Collars) -> None:
     for k in range(len(place)):
         if sentence := nesting_violation(robot, collars.theta[k], collars.l[k]):
@@ -251,5 +260,9 @@ def _simulation(
         status=status[:, 0].astype(int),
         bounds=bounds,
         measured=_measured(chain, samples, collars, phi, np.hstack([position_m, tangent])),
-        warnings=(*path.notes, *_left_out(every, path)),
+        warnings=(
+            *path.notes,
+            *_left_out(every, path),
+            *_ranges_left(robot, path, theta_commanded, l_commanded, position_m),
+        ),
     )

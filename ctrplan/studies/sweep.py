@@ -24,6 +24,7 @@ from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.batch import TASK, chunks, join, run
 from ctrplan.mechanics.core import Status
+from ctrplan.pipeline.left_ranges import range_notes
 from ctrplan.robot.nesting import nesting_violation
 from ctrplan.robot.robot import Robot
 from ctrplan.storage.toml_document import override_names
@@ -91,7 +92,7 @@ class _Task:
                 turned = rule.startswith("theta_b")
                 where = " and ".join(axis.at(value) for axis, value in axes if turned or axis.kind != "rotation")
                 raise InputError(nesting_violation(robot, theta_b[k], l_b[k]) or rule, key=where or None)
-            warnings += robot.warnings
+            warnings += [*robot.warnings, *range_notes(robot, self.theta_commanded[rows], self.l_commanded[rows])]
         return tuple(warnings)
 
     def solve(self, accuracy: Accuracy) -> Bounds:

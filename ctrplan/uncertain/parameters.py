@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.effects.catalogue import CATALOGUE
+from ctrplan.effects.learned.table import is_learned
+from ctrplan.effects.of_file import effect_of
 from ctrplan.mechanics.tube import SOFTEST_NM2
 from ctrplan.pipeline.chain import Acting, Chain
 from ctrplan.pipeline.installed import with_chain
@@ -90,7 +91,7 @@ class UncertainParameters:
     @property
     def title(self) -> tuple[str, ...]:
         """What people call each: "precurvature of tube 3"; several may have the same one."""
-        return tuple(_title(name) for name in self.names)
+        return tuple(_title(name, self.robot) for name in self.names)
 
     def robot_at(self, offset: Array) -> Robot:
         """The robot with its parameters `offset` (P,) away from their values, kept within what physics allows."""
@@ -166,7 +167,7 @@ def _of_file(robot: Robot) -> dict[str, Row]:
 def _of_effects(robot: Robot) -> dict[str, Row]:
     found = dict[str, Row]()
     for name, table in robot.effects.items():
-        effect = CATALOGUE[name]
+        effect = effect_of(name, table, robot.n)
         known = {parameter.name: parameter for parameter in effect.parameters(robot.ideal or robot)}
         for key, (low, high) in table.get("ci95", {}).items() if effect.stage in ("drive", "mechanics") else ():
             parameter = known[key]
@@ -197,7 +198,7 @@ def _changed(robot: Robot, values: Mapping[str, float]) -> Robot:
         if kind != "effects":
             ideal = with_values(ideal, {name: value})
             continue
-        effect = CATALOGUE[rest[0]]
+        effect = effect_of(rest[0], robot.effects[rest[0]], robot.n)
         if effect.sets_outright:
             ideal = with_values(ideal, effect.mechanics({rest[1]: value}, ideal))
         else:
@@ -206,11 +207,13 @@ def _changed(robot: Robot, values: Mapping[str, float]) -> Robot:
     return with_chain(robot, Chain(ideal, tuple(effects.values())))
 
 
-def _title(name: str) -> str:
+def _title(name: str, robot: Robot) -> str:
     kind, *rest = name.split(".")
     if kind == "effects":
         number = next((part for part in rest[1].split("_") if part.isdecimal()), "")
-        title = CATALOGUE[rest[0]].title
+        title = effect_of(rest[0], robot.effects[rest[0]], robot.n).title
+        if is_learned(rest[0]):
+            return title
         return "friction" if rest[0] == "friction" else f"{title}, number {number}" if number else title
     what = TITLES[name.rsplit(".", 1)[-1]]
     if what == "friction":

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.effects.catalogue import CATALOGUE
+from ctrplan.effects.of_file import effect_of
 from ctrplan.mechanics.shapes import Status
 from ctrplan.pipeline.chain import Chain
 from ctrplan.pipeline.tip_table import nested
@@ -116,7 +116,8 @@ def _changing(parameters: UncertainParameters) -> list[str]:
 
 
 def _numbers_of_effect(parameters: UncertainParameters, place: list[str]) -> set[str]:
-    effect, ideal = CATALOGUE[place[0]], Chain.of(parameters.robot).ideal
+    robot = parameters.robot
+    effect, ideal = effect_of(place[0], robot.effects[place[0]], robot.n), Chain.of(robot).ideal
     at = parameters.value[parameters.names.index(f"effects.{place[0]}.{place[1]}")]
     return set(effect.mechanics({place[1]: float(at)}, ideal)) if effect.stage == "mechanics" else set()
 

@@ -15,6 +15,7 @@ from ctrplan.base.units import MM_PER_M
 from ctrplan.drive.legs import merge_legs
 from ctrplan.drive.trajectory import PERIOD, time_parameterise
 from ctrplan.errors import InputError, NoAnswerError
+from ctrplan.pipeline.left_ranges import plan_range_notes
 from ctrplan.planning.certificate.certify import certify
 from ctrplan.planning.certificate.insertion import follow_the_leader_m
 from ctrplan.planning.certificate.prediction import TIP_TOLERANCE_M, goal_error, start_states
@@ -285,7 +286,7 @@ def assemble(
         search_time_s=time_s,
         first_found_s=first_found_s,
         first_certified_s=first_certified_s,
-        notes=(*notes, *_remarks(certificate)),
+        notes=(*notes, *plan_range_notes(scenario.robot, driven), *_remarks(certificate)),
         compensation=compensation,
         ended_by=ended_by,
         follow_the_leader_m=follow_the_leader_m(scenario.robot, trajectory),

@@ -1,15 +1,18 @@
-"""The gap in one bar: what the named effects close, what remains, what is noise; and each effect's share in a table."""
+"""The gap in one bar: what is named, what is built, what remains, what is noise; and each effect's share in a table."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ctrplan.calibration.estimates import estimates
 from ctrplan.diagnosis.partly import Partly
 from ctrplan.diagnosis.result import Diagnosis
+from ctrplan.diagnosis.sentences import built_lines
+from ctrplan.effects.learned.inputs import unit
 from ctrplan.reports import palette
 from ctrplan.reports.html_page import Markup, escaped, table, tag
 
-NAMED, REMAINING, NOISE = palette.SERIES[0], palette.SERIES[1], palette.PLATE
+NAMED, REMAINING, NOISE, BUILT = palette.SERIES[0], palette.SERIES[1], palette.PLATE, palette.SERIES[2]
 LEAST_SHOWN = 0.002  # of the bar
 
 
@@ -20,8 +23,11 @@ def gap_split(found: Diagnosis) -> Markup:
     noise = min(gap.floor_m, gap.after.rms_m) ** 2 / whole
     remaining = gap.after.rms_m**2 / whole - noise
     names = " and ".join(t.effect.title for t in found.listed) or "effects"
+    built = max(found.named_gap.after.rms_m**2 - gap.after.rms_m**2, 0.0) / whole if found.named_gap else 0.0
+    built = min(built, max(1 - remaining - noise, 0.0))
     parts = [
-        (f"named: {names}", 1 - remaining - noise, NAMED),
+        (f"named: {names}", 1 - remaining - noise - built, NAMED),
+        (f"built: {' and '.join(t.effect.title for t in found.built_terms)}", built, BUILT),
         ("remains, unexplained", remaining, REMAINING),
         ("noise of the measurement", noise, NOISE),
     ]
@@ -74,10 +80,28 @@ def share_table(partly: Partly) -> Markup:
     return table(header, rows)
 
 
-def rest_lines(partly: Partly) -> list[Markup]:
+def built_part(found: Diagnosis) -> list[Markup]:
+    """The built terms: what each does and may be, its coefficients, and the ranges outside which it is held."""
+    parts = [tag("p", line) for line in built_lines(found)]
+    for t in found.built_terms:
+        rows = (
+            (name, f"{e.value:.4g}", f"{e.ci95[0]:.4g} to {e.ci95[1]:.4g}")
+            for name, e in estimates(found.chosen.fit, t).items()
+        )
+        parts.append(table((f"Coefficient of {t.name}", "Value", "95 % interval"), rows))
+        ranges = t.effect.stated({}).get("range", {})
+        rows = ((name, unit(name), f"{low:.4g} to {high:.4g}") for name, (low, high) in ranges.items())
+        parts.append(table(("Input", "Unit", "Range in the data; held at its edge outside"), rows))
+    return parts
+
+
+def rest_lines(found: Diagnosis) -> list[Markup]:
     """What remains: size, memory, what it is fixed to, where; and what was found and does not hold."""
-    doubts = [f"{e.term.effect.title}: {'; '.join(e.doubts)}." for e in partly.doubted]
-    lines = [tag("p", partly.rest.sentence), tag("p", partly.rest.place)]
+    if (rest := found.rest) is None:
+        return []
+    doubted = found.partly.doubted if found.partly else ()
+    doubts = [f"{e.term.effect.title}: {'; '.join(e.doubts)}." for e in doubted]
+    lines = [tag("p", rest.sentence), tag("p", rest.place)]
     if doubts:
         lines += [
             tag("p", "Found on the way, and not certain enough to be named:"),

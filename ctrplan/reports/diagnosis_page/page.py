@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.sentences import headline, verdict_sentence
 from ctrplan.reports.diagnosis_page.figures import gap_figure, path_figure, where_figure
-from ctrplan.reports.diagnosis_page.gap_split import gap_split, rest_lines, share_table
+from ctrplan.reports.diagnosis_page.gap_split import built_part, gap_split, rest_lines, share_table
 from ctrplan.reports.diagnosis_page.selection_errors import SelectionErrors
 from ctrplan.reports.diagnosis_page.tables import (
     calibration_table,
@@ -58,6 +58,7 @@ def diagnosis_report_html(found: Diagnosis, errors: SelectionErrors) -> str:
         if found.confirmations
         else Markup(),
         section("What the model lacks", *effect_parts(found, errors)),
+        section("A term built of the rest", *built_part(found)) if found.built else Markup(),
         section(
             "Where model and measurement disagree",
             tag("p", found.place.sentence),
@@ -67,7 +68,7 @@ def diagnosis_report_html(found: Diagnosis, errors: SelectionErrors) -> str:
         section("Before and after, on poses that nothing had seen", plot(gap_figure(found), "gap"), gap_table(found)),
         section("What to measure next", tag("p", found.next_experiment), proposal_table(found)),
         section("What was tried", plot(path_figure(found), "path") if found.path else Markup(), step_table(found)),
-        section("What remains", *(rest_lines(found.partly) if found.partly else []), remaining_table(found)),
+        section("What remains", *rest_lines(found), remaining_table(found)),
         section("Not testable with these data", _list(f"{n}: {why}" for n, why in found.not_testable.items())),
         section("Remarks", _list(found.notes)) if found.notes else Markup(),
         section("Calibrated parameters", calibration_table(found)),

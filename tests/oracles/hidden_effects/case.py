@@ -82,7 +82,7 @@ def write(case: Case, parent: Path) -> None:
     }
     files = {
         "robot.toml": robot_toml(believed(), "three-tube robot, nominal values"),
-        "measurements.csv": measurements_csv(made.experiment, p, tangent),
+        "measurements.csv": measurements_csv(made.experiment, p, tangent, made.world.room),
     }
     write_folder(parent / case.name, files, truth)
 

@@ -12,6 +12,7 @@ from hidden_effects.experiment import Experiment
 from hidden_effects.friction import SlipHistory, remaining
 from hidden_effects.mesh import Fineness
 from hidden_effects.poses import Solver
+from hidden_effects.rod import rotations
 from hidden_effects.tube import Array
 from hidden_effects.world import World
 
@@ -35,6 +36,9 @@ def poses(world: World, experiment: Experiment, fineness: Fineness | None = None
     mesh = fineness or Fineness()
     p, F = _continuous(world, experiment, mesh, knot_s) if experiment.continuous else _dwelling(world, experiment, mesh)
     times = experiment.motion.time_s[experiment.measured]
+    if world.guide is not None:
+        R = rotations(world.guide.rotations_rad(experiment.motion.l[experiment.measured]))[0]
+        p, F = np.einsum("kij,kj->ki", R, p), R @ F
     for term in world.sensor:
         p, F = term(p, F, times)
     return Poses(p, F)

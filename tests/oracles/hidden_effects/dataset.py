@@ -14,7 +14,7 @@ import numpy as np
 from hidden_effects.experiment import Experiment
 from hidden_effects.noise import POSITION_SIGMA_M, TANGENT_SIGMA_RAD
 from hidden_effects.tube import Array
-from hidden_effects.world import World
+from hidden_effects.world import Room, World
 
 
 def robot_toml(world: World, name: str) -> str:
@@ -46,19 +46,25 @@ def robot_toml(world: World, name: str) -> str:
     return "\n".join(lines)
 
 
-def measurements_csv(experiment: Experiment, p: Array, tangent: Array) -> str:
-    """One row per joint waypoint; the pose (6 numbers) stays empty where nothing was measured."""
+def measurements_csv(experiment: Experiment, p: Array, tangent: Array, room: Room | None = None) -> str:
+    """One row per joint waypoint; the pose (6 numbers) stays empty where nothing was measured.
+
+    The temperature of the room is logged at every waypoint.
+    """
     motion, n = experiment.motion, experiment.motion.theta.shape[1]
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
     joints = [f"theta_{i + 1}_rad" for i in range(n)] + [f"l_{i + 1}_m" for i in range(n)]
-    out.writerow(["sequence", "time_s", *joints, "x_m", "y_m", "z_m", "tx", "ty", "tz"])
+    out.writerow(
+        ["sequence", "time_s", *joints, "x_m", "y_m", "z_m", "tx", "ty", "tz", *(["temperature_C"] if room else [])]
+    )
     pose = iter(np.hstack([p, tangent]))
     for k in range(len(motion.time_s)):
         row = [f"{v:.6f}" for v in (*motion.theta[k], *motion.l[k])]
         values = next(pose) if experiment.measured[k] else None
         tail = [""] * 6 if values is None else [*(f"{v:.7f}" for v in values[:3]), *(f"{v:.6f}" for v in values[3:])]
-        out.writerow([int(motion.sequence[k]), f"{motion.time_s[k]:.1f}", *row, *tail])
+        warm = [f"{room.temperature_C(motion.time_s[k]):.2f}"] if room else []
+        out.writerow([int(motion.sequence[k]), f"{motion.time_s[k]:.1f}", *row, *tail, *warm])
     return text.getvalue()
 
 

@@ -57,6 +57,16 @@ class Eccentricity:
 
 
 @dataclass(frozen=True)
+class CrossTalk:
+    """Rotations that turn others along: theta + share (n, n) theta."""
+
+    share: Array
+
+    def __call__(self, motion: Motion) -> Motion:
+        return replace(motion, theta=motion.theta + motion.theta @ np.asarray(self.share).T)
+
+
+@dataclass(frozen=True)
 class Screw:
     """Translations turn the tubes: theta + rate (n,) [rad/m] (l - reference)."""
 

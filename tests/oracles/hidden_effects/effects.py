@@ -15,7 +15,7 @@ import numpy as np
 from hidden_effects import drive, sensor
 from hidden_effects.equilibrium import Loads
 from hidden_effects.tube import Array, Kink, Section, Softening, Tube
-from hidden_effects.world import DriveTerm, SensorTerm, Warming, World
+from hidden_effects.world import DriveTerm, GuideBend, Room, SensorTerm, Stiffening, Warming, World
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,11 @@ Parameters = dict[str, Any]  # named as in a diagnosis where that has the same p
 Effect = Callable[[World, Draw], tuple[World, Parameters]]
 CATALOGUE: dict[str, Effect] = {}
 UNKNOWN: dict[str, Effect] = {}  # in nobody's catalogue: truth says "unknown"
+BUILDABLE: dict[str, Effect] = {}  # in no catalogue either, and not in the bank: what a built term is tried on
 TRUTH_NAME = {"homing_rotation": "off_plane_precurvature|homing_offset", "homing_translation": "homing_offset"}
 TRUTH_NAME["off_plane_precurvature"] = TRUTH_NAME["homing_rotation"]  # a straight base and one curved section
 CONTINUOUS_ONLY = frozenset({"lag"})
+MIDDLE_M, HALF_M = -0.0755, 0.0395  # of the innermost tube's translation in all experiments
 
 
 def _register(table: dict[str, Effect]) -> Callable[[Effect], Effect]:
@@ -63,11 +65,11 @@ def _register(table: dict[str, Effect]) -> Callable[[Effect], Effect]:
 
 def truth_name(name: str) -> str:
     """The name in truth.json; a|b where the data can't tell."""
-    return "unknown" if name in UNKNOWN else TRUTH_NAME.get(name, name)
+    return "unknown" if name in UNKNOWN or name in BUILDABLE else TRUTH_NAME.get(name, name)
 
 
 def apply(name: str, world: World, draw: Draw) -> tuple[World, Parameters]:
-    return (CATALOGUE.get(name) or UNKNOWN[name])(world, draw)
+    return (CATALOGUE.get(name) or UNKNOWN.get(name) or BUILDABLE[name])(world, draw)
 
 
 def by_axis(name: str, values: Array) -> Parameters:
@@ -303,3 +305,62 @@ def collar_slip(world: World, draw: Draw) -> tuple[World, Parameters]:
 def tracker_jump(world: World, draw: Draw) -> tuple[World, Parameters]:
     shift, when = draw.size * 1.6e-3 * draw.direction(), draw.duration_s * float(draw.rng.uniform(0.35, 0.65))
     return add_sensor(world, sensor.Jump(shift, when)), {"shift_m": shift.tolist(), "time_s": when}
+
+
+@_register(BUILDABLE)
+def cross_talk(world: World, draw: Draw) -> tuple[World, Parameters]:
+    """The rotation of one inner tube turns the other one along."""
+    share = np.zeros((world.n, world.n))
+    turned, turning = draw.rng.permutation(np.arange(1, world.n))[:2]
+    share[turned, turning] = draw.sign() * draw.size * 0.022
+    return add_drive(world, drive.CrossTalk(share)), {"share": share.tolist()}
+
+
+@_register(BUILDABLE)
+def guide_bend(world: World, draw: Draw) -> tuple[World, Parameters]:
+    """The guide bends the more the further the innermost tube is pushed."""
+    across = draw.rng.standard_normal(3) * [1, 1, 0]
+    turn = draw.size * np.deg2rad(0.8) * across / np.linalg.norm(across)
+    bend = GuideBend(world.n - 1, (float(turn[0]), float(turn[1]), 0.0), draw.rng.uniform(-1, 1), MIDDLE_M, HALF_M)
+    return replace(world, guide=bend), {"turn_rad": turn.tolist(), "bow": bend.bow}
+
+
+@_register(BUILDABLE)
+def overlap_stiffness(world: World, draw: Draw) -> tuple[World, Parameters]:
+    """A tube is stiffer or softer the further the innermost one is pushed."""
+    amount = draw.sign() * min(draw.size * 0.14, 0.7)
+    stiffening = Stiffening(draw.inner_tube(world.n), world.n - 1, amount, MIDDLE_M, HALF_M)
+    return replace(world, stiffening=stiffening), {"tube": stiffening.tube + 1, "amount": amount}
+
+
+@_register(BUILDABLE)
+def metal_nearby(world: World, draw: Draw) -> tuple[World, Parameters]:
+    """The tracker's field is bent around a place that the tip passes: sharper than any cubic polynomial."""
+    angle, width = draw.rng.uniform(-np.pi, np.pi), 0.045
+    place = np.array([0.05 * np.cos(angle), 0.05 * np.sin(angle), draw.rng.uniform(0.14, 0.2)])
+    shift = draw.size * 3.0e-3 * draw.direction()
+    return add_sensor(world, sensor.Metal(shift, place, width)), {"shift_m": shift.tolist(), "place_m": place.tolist()}
+
+
+@_register(BUILDABLE)
+def heading_shift(world: World, draw: Draw) -> tuple[World, Parameters]:
+    """A tracker that reads differently by where its coil points."""
+    shift = draw.size * 4.0e-3 * draw.direction()
+    angle = draw.rng.uniform(-np.pi, np.pi)
+    axis = np.array([np.cos(angle), np.sin(angle), 0.0])
+    return add_sensor(world, sensor.Heading(shift, axis)), {"shift_m": shift.tolist(), "axis": axis.tolist()}
+
+
+@_register(BUILDABLE)
+def logged_room(world: World, draw: Draw) -> tuple[World, Parameters]:
+    """A temperature that is logged, and does nothing."""
+    period_s = draw.duration_s / float(draw.rng.uniform(1.2, 3.5))
+    return replace(world, room=Room(4.0, period_s, draw.rng.uniform(-np.pi, np.pi))), {}
+
+
+@_register(BUILDABLE)
+def warm_offset(world: World, draw: Draw) -> tuple[World, Parameters]:
+    """What is measured moves with the temperature of the room, which is logged."""
+    room = Room(4.0, draw.duration_s / float(draw.rng.uniform(1.2, 3.5)), draw.rng.uniform(-np.pi, np.pi))
+    rate = draw.size * 0.4e-3 * draw.direction()
+    return add_sensor(replace(world, room=room), sensor.Warm(rate, room)), {"rate_m_K": rate.tolist()}

@@ -39,7 +39,7 @@ class Solver:
 
     def _solve(self, theta: Array, l_b: Array, phi: Array, time_s: float) -> tuple[Array, Array]:
         world = self.world
-        tubes, released = world.tubes_at(time_s), corner(np.zeros(world.n - 1).tolist())
+        tubes, released = world.tubes_at(time_s, l_b), corner(np.zeros(world.n - 1).tolist())
         if self._places is None or _apart(self._places, theta, l_b):
             rough = System(tubes, world.pairs, theta, l_b, world.loads, Fineness.searching())
             try:

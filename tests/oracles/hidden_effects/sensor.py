@@ -8,6 +8,7 @@ import numpy as np
 
 from hidden_effects.rod import rotations
 from hidden_effects.tube import Array
+from hidden_effects.world import Room
 
 
 @dataclass(frozen=True)
@@ -67,3 +68,38 @@ class Jump:
 
     def __call__(self, p: Array, F: Array, time_s: Array) -> tuple[Array, Array]:
         return p + np.outer(time_s >= self.time_s, self.shift_m), F
+
+
+@dataclass(frozen=True)
+class Metal:
+    """A piece of metal at `place_m` (3,): shifted by `shift_m` (3,) there, less with the distance over `width_m`."""
+
+    shift_m: Array
+    place_m: Array
+    width_m: float
+
+    def __call__(self, p: Array, F: Array, time_s: Array) -> tuple[Array, Array]:
+        near = np.exp(-(((p - self.place_m) / self.width_m) ** 2).sum(axis=1) / 2)
+        return p + np.outer(near, self.shift_m), F
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A sensor that reads `shift_m` (3,) too far times the square of its tangent's share along `axis` (3,)."""
+
+    shift_m: Array
+    axis: Array
+
+    def __call__(self, p: Array, F: Array, time_s: Array) -> tuple[Array, Array]:
+        return p + np.outer((F[:, :, 2] @ self.axis) ** 2, self.shift_m), F
+
+
+@dataclass(frozen=True)
+class Warm:
+    """Shifted by rate (3,) [m/K] with the temperature of the room."""
+
+    rate_m_K: Array
+    room: Room
+
+    def __call__(self, p: Array, F: Array, time_s: Array) -> tuple[Array, Array]:
+        return p + np.outer(self.room.temperature_C(time_s) - 21.0, self.rate_m_K), F

@@ -36,6 +36,45 @@ class Warming:
 
 
 @dataclass(frozen=True)
+class Stiffening:
+    """The stiffness of a tube follows 1 + amount (l - middle) / half, l the translation of another one."""
+
+    tube: int
+    by: int
+    amount: float
+    middle_m: float
+    half_m: float
+
+
+@dataclass(frozen=True)
+class GuideBend:
+    """All in front of the plate is turned by `turn_rad` (3,) times u + bow (u^2 - 1/3), u of a tube's translation."""
+
+    by: int
+    turn_rad: tuple[float, float, float]
+    bow: float
+    middle_m: float
+    half_m: float
+
+    def rotations_rad(self, l: Array) -> Array:  # noqa: E741
+        """Rotation vectors (K, 3) at translations (K, n)."""
+        u = (l[:, self.by] - self.middle_m) / self.half_m
+        return np.outer(u + self.bow * (u**2 - 1 / 3), self.turn_rad)
+
+
+@dataclass(frozen=True)
+class Room:
+    """A temperature that rises and falls: 21 + amplitude sin(2 pi t / period + phase) [C]."""
+
+    amplitude_C: float
+    period_s: float
+    phase: float
+
+    def temperature_C(self, time_s: Array) -> Array:
+        return np.asarray(21.0 + self.amplitude_C * np.sin(2 * np.pi * time_s / self.period_s + self.phase))
+
+
+@dataclass(frozen=True)
 class World:
     """The true robot: tubes, pairs, loads, and the terms of drive and sensor in the order in which they act."""
 
@@ -47,16 +86,24 @@ class World:
     lag_s: float = 0.0  # the pose belongs to the joints of this much earlier
     release_m: float = np.inf  # friction torsion falls to 1/e over this translation
     warming: Warming | None = None
+    stiffening: Stiffening | None = None
+    guide: GuideBend | None = None
+    room: Room | None = None  # logged with the poses
 
     @property
     def n(self) -> int:
         return len(self.tubes)
 
-    def tubes_at(self, time_s: float) -> tuple[Tube, ...]:
-        if self.warming is None:
-            return self.tubes
-        factor = 1 + self.warming.amplitude * np.sin(2 * np.pi * time_s / self.warming.period_s)
-        return tuple(bent(tube, factor) if i == self.warming.tube else tube for i, tube in enumerate(self.tubes))
+    def tubes_at(self, time_s: float, l_b: Array | None = None) -> tuple[Tube, ...]:
+        tubes = self.tubes
+        if self.warming is not None:
+            factor = 1 + self.warming.amplitude * np.sin(2 * np.pi * time_s / self.warming.period_s)
+            tubes = tuple(bent(tube, factor) if i == self.warming.tube else tube for i, tube in enumerate(tubes))
+        if self.stiffening is not None and l_b is not None:
+            s = self.stiffening
+            more = 1 + s.amount * float((l_b[s.by] - s.middle_m) / s.half_m)
+            tubes = tuple(stiffened(tube, more) if i == s.tube else tube for i, tube in enumerate(tubes))
+        return tubes
 
 
 def bent(tube: Tube, factor: float) -> Tube:
@@ -66,6 +113,11 @@ def bent(tube: Tube, factor: float) -> Tube:
         for section in tube.sections
     )
     return replace(tube, sections=sections)
+
+
+def stiffened(tube: Tube, factor: float) -> Tube:
+    """The tube with its stiffness times `factor`."""
+    return replace(tube, bending_stiffness_Nm2=factor * tube.bending_stiffness_Nm2)
 
 
 def believed() -> World:

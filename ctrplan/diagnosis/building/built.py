@@ -1,0 +1,178 @@
+"""The term that was built of a rest, with what speaks for it; passed by blocks left out, and worse nowhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+from ctrplan.calibration.estimates import estimates
+from ctrplan.diagnosis.building.search import Round, Tried, grown
+from ctrplan.diagnosis.correlated_bench import CorrelatedBench
+from ctrplan.diagnosis.holding import SAYS_SOMETHING, summed
+from ctrplan.diagnosis.partly import Partly, rest_beside
+from ctrplan.diagnosis.rest import Rest
+from ctrplan.diagnosis.selection import Step
+from ctrplan.diagnosis.shares import mean_square
+from ctrplan.diagnosis.workbench import Scored, certainty
+from ctrplan.effects.learned.learned import Learned
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.pipeline.parametric_chain import Term
+
+LEAST_Z = 5.0  # standard errors over blocks
+LEAST_WINNING = 0.85  # of the blocks that say something
+LEAST_SHARE = 0.7  # of the squares that remain beyond noise, closed on blocks left out: the rest is about halved
+LEAST_SHARE_ASIDE = 0.4  # of the same, closed on the poses kept aside
+MOST_WORSE = 1.05  # of the rms error of any region, with the term over without
+LEAST_POSES = 8  # of a region that is asked
+WORTH = 0.5  # of the noise: what remains has to be larger for a term to be sought
+
+
+@dataclass(frozen=True, eq=False)
+class Built:
+    """A set of effects with built terms, and their evidence on blocks that were left out."""
+
+    scored: Scored  # named and built
+    named: Scored  # without the built ones
+    rounds: tuple[Round, ...]
+    gain: float
+    error: float  # standard error over blocks
+    z: float
+    winning: float  # share of the blocks that say something
+    share: float  # of the rest's squares
+    rest: Rest  # what remains beside the built ones as well
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """The built ones."""
+        return tuple(t for t in self.scored.terms if isinstance(t.effect, Learned))
+
+    @property
+    def path(self) -> tuple[Step, ...]:
+        """The rounds, as steps of a search."""
+        return tuple(_step(one) for one in self.rounds)
+
+    @property
+    def by_stage(self) -> dict[str, float]:
+        """Gain of the best first piece of each stage: what decided which stage it is."""
+        found: dict[str, float] = {}
+        for one in self.rounds[0].tried:
+            found.setdefault(one.piece.on.kind.stage, one.gain)
+        return found
+
+    def to_json(self, found: Scored) -> dict[str, Any]:
+        """For diagnosis.json, with the coefficients of a fit."""
+        return {
+            "terms": [_term_json(t, found) for t in found.terms if isinstance(t.effect, Learned)],
+            "share_of_rest": round(self.share, 3),
+            "gain": round(self.gain, 2),
+            "standard_error": round(self.error, 2),
+            "z": round(self.z, 2),
+            "winning_blocks": round(self.winning, 3),
+            "surrogates_98": round(self.rounds[0].chance, 2),
+            "best_gain_by_stage": {stage: round(gain, 1) for stage, gain in self.by_stage.items()},
+            "rest_rms_mm": round(self.rest.rms_m * 1e3, 4),
+        }
+
+
+def build(found: Partly, tell: Callable[[str], None]) -> Built | None:
+    """A term of what remains beside the effects that hold; None where nothing passes."""
+    built = tried(found, tell)
+    if built is None:
+        return None
+    if refusals(found.bench, built):
+        found.bench.corrected(found.chosen)
+        return None
+    _note_sizes(built)
+    return built
+
+
+def tried(found: Partly, tell: Callable[[str], None]) -> Built | None:
+    """What a search for a term ends with, before it is asked whether it holds."""
+    bench, named = found.bench, found.chosen
+    if found.is_noise or found.rest.rms_m < WORTH * bench.plain.floor_m:
+        return None
+    scored, rounds = grown(bench, named, tell)
+    if scored is named:
+        return None
+    plain = bench.scored(named.terms, named.fit)  # beside the discrepancy that is left now
+    return _evidence(bench, scored, plain, rounds)
+
+
+def _evidence(bench: CorrelatedBench, scored: Scored, plain: Scored, rounds: list[Round]) -> Built:
+    gains = bench.by_group((plain.held_out - scored.held_out) / 2)
+    telling = gains[np.abs(gains) > SAYS_SOMETHING]
+    winning = float((telling > 0).mean()) if len(telling) else 0.0
+    before, after = mean_square(bench.left_out_m(plain)), mean_square(bench.left_out_m(scored))
+    share = (before - after) / max(before - bench.plain.floor_m**2, 1e-12)
+    rest = rest_beside(bench, scored, bench.plain)
+    return Built(scored, plain, tuple(rounds), *summed(gains), certainty(gains), winning, share, rest)
+
+
+def refusals(bench: CorrelatedBench, built: Built) -> list[str]:
+    """Why a term is not handed over; empty if it is."""
+    errors = [np.linalg.norm(bench.left_out_m(scored), axis=1) for scored in (built.named, built.scored)]
+    worse = worse_in(bench.data, errors[0], errors[1])
+    said = {
+        f"its gain is {built.z:.1f} standard errors above zero over blocks": built.z < LEAST_Z,
+        f"only {100 * built.winning:.0f} % of the blocks speak for it": built.winning < LEAST_WINNING,
+        f"it closes {100 * built.share:.0f} % of what remains": built.share < LEAST_SHARE,
+        f"it is worse on {worse}": bool(worse),
+    }
+    return [reason for reason, is_one in said.items() if is_one]
+
+
+def worse_in(data: Measurements, before: Array, after: Array) -> str:
+    """The first region in which errors (K,) have grown by more than 5 %, in words; empty if none."""
+    for name, inside in regions(data).items():
+        if inside.sum() >= LEAST_POSES and _rms(after[inside]) > MOST_WORSE * _rms(before[inside]):
+            return name
+    return ""
+
+
+def regions(data: Measurements) -> dict[str, NDArray[np.bool_]]:
+    """Masks (K,) of all poses, and of the thirds of each joint's range that changes, rotations modulo a turn."""
+    found = {"all poses": np.ones(data.count, bool)}
+    theta, l = np.mod(data.theta_commanded[data.rows], 2 * np.pi), data.l_commanded[data.rows]  # noqa: E741
+    for kind, columns in (("rotation", theta), ("translation", l)):
+        for i, values in enumerate(columns.T, start=1):
+            if np.ptp(values) > 1e-3:
+                third = np.searchsorted(np.quantile(values, [1 / 3, 2 / 3]), values, side="right")
+                words = ("lowest", "middle", "highest")
+                found |= {f"the {words[k]} third of the {kind} of tube {i}": third == k for k in range(3)}
+    return found
+
+
+def _rms(error: Array) -> float:
+    return float(np.sqrt(np.mean(error**2)))
+
+
+def _note_sizes(built: Built) -> None:
+    """How far terms of the mechanics move a tip of the data, which margins allow for."""
+    chain, p = built.scored.fit.chain, built.scored.fit.p
+    here = chain.predict(p, derivatives=False).position_m
+    for t, place in zip(chain.terms, chain.slices(), strict=True):
+        if isinstance(t.effect, Learned) and t.effect.stage == "mechanics" and t.effect.target.kind_name != "plate":
+            without = p.copy()
+            without[place] = 0.0
+            moved = np.linalg.norm(chain.predict(without, derivatives=False).position_m - here, axis=1)
+            t.effect.largest_mm = float(f"{1e3 * moved.max():.3g}")
+
+
+def _step(one: Round) -> Step:
+    best: Tried = one.tried[0]
+    shown = best if one.taken is None else next(tried for tried in one.tried if tried.piece == one.taken)
+    name, parts = shown.piece.on.effect_name, shown.piece.parts
+    return Step("build", name, parts, round(shown.gain, 2), 0.0, round(one.chance, 2), one.taken is not None)
+
+
+def _term_json(t: Term, found: Scored) -> dict[str, Any]:
+    assert isinstance(t.effect, Learned)
+    place = [term.key for term in found.fit.chain.terms].index(t.key)
+    stated = t.effect.stated(found.fit.chain.values(found.fit.p)[place])
+    coefficients = {name: {"value": e.value, "ci95": list(e.ci95)} for name, e in estimates(found.fit, t).items()}
+    return {"name": t.name, **stated, "coefficients": coefficients}

@@ -1,0 +1,153 @@
+"""What a missing term may be made of: per stage and target, parts that a physical term could have.
+
+Time is none of them: whatever changes slowly goes with it. What drifts steadily is an effect of the catalogue.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from ctrplan.base.arrays import Array
+from ctrplan.effects.effect import sliding, turning
+from ctrplan.effects.learned.learned import named
+from ctrplan.effects.learned.targets import Target
+from ctrplan.experiment.friction_states import last_directions
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.experiment.motion import time_at_rest_s
+from ctrplan.robot.robot import Robot
+
+OWN_WAVES, OTHER_WAVES = 6, 3  # highest harmonics: of a joint's own angle, and of others and relative ones
+KNOTS = 4  # of a spline
+BUMPS = (3, 4)  # along each axis of the room that the tips have
+NEAR_SHARE = 0.05  # of the tips
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Parts that enter together, of one target: a wave's sine and cosine, the knots of a spline."""
+
+    on: Target
+    parts: tuple[str, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of its parameters."""
+        return tuple(name for part in self.parts for name in named(self.on, part))
+
+
+def pieces(robot: Robot, data: Measurements) -> list[Piece]:
+    """All that data can tell apart from nothing."""
+    moved = _Moved(robot, data)
+    drive = [] if data.of_collars else _drive(moved)  # collars have the drive's terms in them
+    return [*drive, *_mechanics(moved), *_sensor(moved)]
+
+
+class _Moved:
+    """What changes in the data: tubes, from 1, that turn and slide; pairs that turn; columns."""
+
+    def __init__(self, robot: Robot, data: Measurements) -> None:
+        self.robot, self.data = robot, data
+        self.turning, self.sliding = turning(data), sliding(data)
+        turns = np.diff(data.theta_commanded[data.rows], axis=1)
+        self.pairs = [i + 2 for i in range(data.n - 1) if np.ptp(turns[:, i]) > np.radians(1.0)]
+        directions = last_directions(data)
+        self.both_ways = [i + 1 for i in range(2 * data.n) if np.ptp(directions[:, i]) > 1]
+        self.columns = [name for name, values in data.more.items() if _varies(values[data.rows])]
+        self.rest = ["rest"] if np.ptp(time_at_rest_s(data)) > 1.0 else []
+
+
+def _varies(values: np.ndarray) -> bool:
+    return bool(np.all(np.isfinite(values)) and np.ptp(values) > 1e-9)
+
+
+def _wave(k: int, angle: str) -> tuple[str, ...]:
+    return f"sin_{k}_{angle}", f"cos_{k}_{angle}"
+
+
+def _spline(name: str) -> tuple[str, ...]:
+    return tuple(f"knot_{k + 1}_of_{KNOTS}_{name}" for k in range(KNOTS))
+
+
+def _smooth(names: list[str]) -> Iterator[tuple[str, ...]]:
+    for name in names:
+        yield (f"slope_{name}",)
+        yield _spline(name)
+
+
+def _drive(moved: _Moved) -> Iterator[Piece]:
+    angles = [f"theta_{j}" for j in moved.turning]
+    for i in moved.turning:
+        on = Target("theta", i)
+        for angle in angles:
+            highest = OWN_WAVES if angle == f"theta_{i}" else OTHER_WAVES
+            yield from (Piece(on, _wave(k, angle)) for k in range(1, highest + 1))
+            yield Piece(on, (f"slope_{angle}",))
+        yield from (Piece(on, _wave(k, f"turn_{j}")) for j in moved.pairs for k in range(1, OTHER_WAVES + 1))
+        yield from (Piece(on, parts) for parts in _smooth([f"l_{j}" for j in moved.sliding]))
+        yield Piece(on, ("constant",))
+        if i in moved.both_ways:
+            yield from _of_way(Target("theta", i, of_way=True), f"sign_theta_{i}", moved)
+    for i in moved.sliding:
+        on = Target("l", i)
+        yield from (Piece(on, _wave(k, angle)) for angle in angles for k in (1, 2))
+        yield from (Piece(on, parts) for parts in _smooth([f"l_{j}" for j in moved.sliding]))
+        yield Piece(on, ("constant",))
+        if moved.data.n + i in moved.both_ways:
+            yield from _of_way(Target("l", i, of_way=True), f"sign_l_{i}", moved)
+
+
+def _of_way(on: Target, sign: str, moved: _Moved) -> Iterator[Piece]:
+    yield Piece(on, (sign,))
+    yield from (Piece(on, (sign, f"slope_l_{j}_times_{sign}")) for j in moved.sliding)
+
+
+def _mechanics(moved: _Moved) -> Iterator[Piece]:
+    n = moved.data.n
+    overlaps = [f"overlap_{i}" for i in range(1, n) if moved.sliding]
+    loads = [f"load_{i - 1}" for i in moved.pairs]
+    smooth = [f"l_{j}" for j in moved.sliding] + moved.columns
+    for i, tube in enumerate(moved.robot.tubes, start=1):
+        kinds = ("curvature", "bend") if any(s.curvature_per_m for s in tube.sections) else ()
+        for kind in (*kinds, *(("stiffness",) if i > 1 else ())):
+            on = Target(kind, i)
+            yield from (Piece(on, parts) for parts in _smooth(smooth))
+            yield from (Piece(on, (f"slope_{name}",)) for name in (*overlaps, *loads, *moved.rest))
+            yield from (Piece(on, _wave(k, f"turn_{j}")) for j in moved.pairs for k in (1, 2))
+    plate = Target("plate")
+    yield from (Piece(plate, parts) for parts in _smooth([f"l_{j}" for j in moved.sliding]))
+    yield from (Piece(plate, _wave(1, f"theta_{j}")) for j in moved.turning)
+
+
+def _bumps(position_m: Array, count: int) -> Iterator[str]:
+    """Places, `count` along each axis, that enough of the tips (K, 3) are nearest to, for something beside them."""
+    scaled = (position_m - position_m.min(axis=0)) / np.maximum(np.ptp(position_m, axis=0), 1e-9)
+    nearest = np.round(scaled * (count - 1)).astype(int) + 1
+    for place, number in zip(*np.unique(nearest, axis=0, return_counts=True), strict=True):
+        if number >= NEAR_SHARE * len(position_m):
+            yield "_times_".join(f"bump_{k}_of_{count}_{axis}" for k, axis in zip(place, "xyz", strict=True))
+
+
+def _products(names: tuple[str, ...]) -> Iterator[str]:
+    return (f"slope_{a}_times_slope_{b}" for a, b in combinations(names, 2))
+
+
+def _sensor(moved: _Moved) -> Iterator[Piece]:
+    on = Target("sensor")
+    tip, heading = ("x", "y", "z"), ("tx", "ty", "tz") if moved.data.has_tangents else ()
+    yield Piece(on, tuple(f"slope_{name}" for name in tip))
+    for group in (tip, heading):
+        yield from (Piece(on, (f"slope_{name}",)) for name in group)
+        yield from (Piece(on, (f"square_{name}", f"slope_{name}")) for name in group)
+        yield from (Piece(on, (product,)) for product in _products(group))
+    if heading:
+        yield Piece(on, ("square_tx", "square_ty", "slope_tx_times_slope_ty"))
+        yield Piece(on, tuple(f"slope_{name}" for name in heading))
+    yield Piece(on, tuple(f"square_{name}" for name in tip) + tuple(_products(tip)))
+    yield Piece(on, _spline("z"))
+    yield from (Piece(on, (bump,)) for count in BUMPS for bump in _bumps(moved.data.position_m, count))
+    yield from (Piece(on, parts) for parts in _smooth(moved.columns))
+    yield from (Piece(on, (f"slope_{name}",)) for name in moved.rest)

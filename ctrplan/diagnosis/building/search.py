@@ -1,0 +1,117 @@
+"""Forward selection of pieces: each far above what surrogates of the residual reach, by blocks that were left out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ctrplan.diagnosis.building.dictionary import Piece, pieces
+from ctrplan.diagnosis.building.probes import Wide, wide
+from ctrplan.diagnosis.chance import null_threshold
+from ctrplan.diagnosis.correlated_bench import CorrelatedBench
+from ctrplan.diagnosis.held_out import Linear, held_out_loss
+from ctrplan.diagnosis.shares import mean_square
+from ctrplan.diagnosis.workbench import Scored, certainty
+from ctrplan.effects.learned.learned import Learned, learned
+from ctrplan.effects.learned.ranges import Range
+from ctrplan.effects.learned.targets import Target
+from ctrplan.pipeline.parametric_chain import Term
+
+MOST_PIECES = 4
+DRAWS = 200  # surrogates
+TIMES_CHANCE = 1.2  # the gain that surrogates of the residual exceed in 2 % of draws, of the first piece
+TIMES_CHANCE_MORE = 1.0  # of others, beside a piece that passed
+CERTAIN = 2.0  # standard errors over blocks, of a piece while others are missing
+LEAST_SHARE = 0.1  # of the squares that remain beyond noise, which a piece has to close of blocks left out
+WORTH_MORE = 3.0  # log-likelihood that a piece with more coefficients has to gain besides
+TRIED = 4  # pieces that are refitted for good in each round
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A piece of a round: gain in held-out log-likelihood, to first order."""
+
+    piece: Piece
+    gain: float
+    certainty: float
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """What was tried, best first, and what the best of all pieces reaches by chance."""
+
+    tried: tuple[Tried, ...]
+    chance: float
+    taken: Piece | None
+
+
+def grown(bench: CorrelatedBench, chosen: Scored, tell: Callable[[str], None]) -> tuple[Scored, list[Round]]:
+    """The set with what was built beside it, if anything, and the rounds that were asked."""
+    known, rounds, here = pieces(bench.robot, bench.data), list[Round](), chosen
+    known = [piece for piece in known if piece.on.effect_name not in bench.robot.effects]
+    while len(rounds) < MOST_PIECES:
+        tell("building a term beside " + (", ".join(here.names) or "the calibrated robot"))
+        taken, there = _round(bench, here, known, TIMES_CHANCE_MORE if rounds else TIMES_CHANCE)
+        rounds.append(taken)
+        if there is None:
+            return here, rounds
+        here = there
+        known = [piece for piece in known if piece != taken.taken]
+    return here, rounds
+
+
+def _round(bench: CorrelatedBench, here: Scored, known: Sequence[Piece], times: float) -> tuple[Round, Scored | None]:
+    table = wide(bench, here, known)
+    tried = _tried(bench, table, known)
+    beside = [table.beside(one.piece) for one in tried]
+    chance = null_threshold(table.here(), beside, bench.fold, bench.null_draws(here)[:, :DRAWS])
+    needed = times * chance
+    worth = [one for one in tried if one.gain > needed and one.certainty > CERTAIN]
+    best: tuple[Piece, Scored] | None = None
+    for one in sorted(worth[:TRIED], key=lambda one: (len(one.piece.names), known.index(one.piece))):
+        there = bench.scored(_with_piece(here.terms, one.piece, table.ranges[one.piece], bench), here.fit)
+        if best is None or there.score > best[1].score + WORTH_MORE:  # the simplest of those that do as well
+            best = one.piece, there
+    if best is None or not _is_worth(bench, here, best[1], needed):
+        return Round(tuple(tried), chance, None), None
+    return Round(tuple(tried), chance, best[0]), bench.corrected(best[1])
+
+
+def _tried(bench: CorrelatedBench, table: Wide, known: Sequence[Piece]) -> list[Tried]:
+    plain = held_out_loss(table.here().refitted(), bench.fold)
+    found = []
+    for piece in known:
+        gains = bench.by_group((plain - _loss(table.beside(piece), bench)) / 2)
+        found.append(Tried(piece, float(gains.sum()), certainty(gains)))
+    return sorted(found, key=lambda one: -one.gain)
+
+
+def _loss(system: Linear, bench: CorrelatedBench) -> np.ndarray:
+    return held_out_loss(system.refitted(), bench.fold)
+
+
+def _is_worth(bench: CorrelatedBench, here: Scored, there: Scored, needed: float) -> bool:
+    """Whether a refitted piece holds, and closes enough of what remains."""
+    gain, _ = bench.difference(there, here)
+    before, after = mean_square(bench.left_out_m(here)), mean_square(bench.left_out_m(there))
+    rest = max(before - bench.plain.floor_m**2, 1e-12)
+    return gain > needed and before - after > LEAST_SHARE * rest
+
+
+def _with_piece(terms: Sequence[Term], piece: Piece, ranges: dict[str, Range], bench: CorrelatedBench) -> list[Term]:
+    """The terms with a piece in the built term of its target."""
+    old = next((t for t in terms if t.name == piece.on.effect_name), None)
+    names, spans = list[str](), dict(ranges)
+    if old is not None:
+        assert isinstance(old.effect, Learned)
+        names, spans = list(old.effect.parts), {**ranges, **old.effect.ranges}
+    names += [name for name in piece.names if name not in names]
+    return [*(t for t in terms if t is not old), built_term(piece.on, names, spans, bench.robot.n)]
+
+
+def built_term(on: Target, names: Sequence[str], ranges: dict[str, Range], n: int) -> Term:
+    """With all its parameters at work."""
+    effect = learned(on, names, ranges, n)
+    return Term(effect, effect.parameters_of())

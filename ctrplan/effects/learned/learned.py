@@ -1,0 +1,196 @@
+"""A term that was built from measurements, as an effect: what it acts on, its parts, and the ranges they hold in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ctrplan.base.arrays import Array
+from ctrplan.drive.collars import Collars
+from ctrplan.effects.effect import Effect, Parameter, Values, with_column
+from ctrplan.effects.learned import parts
+from ctrplan.effects.learned.formula import formula, likeness
+from ctrplan.effects.learned.inputs import Situation
+from ctrplan.effects.learned.parts import Part
+from ctrplan.effects.learned.ranges import Range, Ranges, outside
+from ctrplan.effects.learned.targets import AXES, Target
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.robot.robot import Robot
+from ctrplan.sensor.poses import Poses
+
+DIGITS = 6
+
+
+class Learned(Effect):
+    """A sum of few parts, each a coefficient in the unit of what the term acts on times a shape of its inputs.
+
+    Parameters are named AXIS_PART_UNIT, `x_slope_l_3_deg`; without an axis where there is only one amount. Inputs are
+    held at the edge of their ranges. Nothing is said about a cause.
+    """
+
+    equation = "amount = sum of coefficients times shapes of the inputs, each held inside its range"
+    signature = "what remained beside the effects that are named"
+    experiment = "measure again along its inputs, and look at the part that it acts on"
+
+    def __init__(self, on: Target, names: Sequence[str], ranges: Ranges, n: int, largest_mm: float = 0.0) -> None:
+        """names: of the parameters; n: number of tubes; largest_mm: how far it moved a tip in its data."""
+        self.target, self.ranges, self.largest_mm = on, dict(ranges), largest_mm
+        self.name, self.stage, self.in_words = on.effect_name, on.kind.stage, f"a built term of {on.words}"
+        self.acts_at_rest = not on.of_way and on.kind.stage != "mechanics"
+        self.parts: dict[str, tuple[int, Part]] = {}
+        for name in names:
+            found = split_name(name, on, n)
+            if found is None:
+                raise ValueError(name)
+            self.parts[name] = found
+
+    @property
+    def inputs(self) -> dict[str, bool]:
+        """Its inputs, and whether each is only asked for modulo whole turns."""
+        found: dict[str, bool] = {}
+        for _, one in self.parts.values():
+            for name, periodic in parts.inputs(one).items():
+                found[name] = found.get(name, True) and periodic
+        return found
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        return self.parameters_of()
+
+    def parameters_of(self) -> tuple[Parameter, ...]:
+        """Its own, whatever the robot."""
+        kind = self.target.kind
+        return tuple(Parameter(n, kind.prior, lower=-kind.most, upper=kind.most, si=kind.si) for n in self.parts)
+
+    def amount(self, values: Values, at: Situation) -> Array:
+        """(K, 3) by axis, in the target's SI unit; the first of them where it has no axes."""
+        total = np.zeros((at.count, 3))
+        for name, value in values.items():
+            axis, one = self.parts[name]
+            total[:, axis] += value * parts.amounts(one, at, self.ranges)
+        return total
+
+    def most(self, values: Values) -> float:
+        """What no amount exceeds, in the target's SI unit."""
+        by_axis = np.zeros(3)
+        for name, value in values.items():
+            by_axis[self.parts[name][0]] += abs(value) * parts.LARGEST
+        return float(np.linalg.norm(by_axis))
+
+    def leaves(self, at: Situation) -> dict[str, float]:
+        """Inputs that leave their ranges, with the value that is farthest out, in the unit of the range."""
+        found = {}
+        for name, periodic in self.inputs.items():
+            if (far := outside(name, self.ranges[name], at, periodic=periodic)).any():
+                found[name] = parts.farthest(name, self.ranges[name], at, far, periodic=periodic)
+        return found
+
+    def stated(self, values: Values) -> Mapping[str, Any]:
+        largest = {"largest_mm": self.largest_mm} if self.stage == "mechanics" else {}
+        return {
+            "stage": self.stage,
+            "acts_on": self.target.words,
+            "formula": formula(self.parts, self.target, self.ranges, values),
+            "may_be": likeness(self.parts, self.target),
+            **largest,
+            "range": {
+                name: [_rounded(r.low), _rounded(r.high)] for name, r in self.ranges.items() if name in self.inputs
+            },
+        }
+
+
+class LearnedDrive(Learned):
+    """Of a collar."""
+
+    def drive(self, values: Values, collars: Collars, directions: Array) -> Collars:
+        amount = self.amount(values, Situation(collars.theta, collars.l, directions))[:, 0]
+        if self.target.kind_name == "theta":
+            return Collars(with_column(collars.theta, self.target.tube, amount), collars.l)
+        return Collars(collars.theta, with_column(collars.l, self.target.tube, amount))
+
+    def play(self, values: Values, n: int) -> Collars:
+        found = {kind: np.zeros((1, n)) for kind in ("theta", "l")}
+        found[self.target.kind_name][0, self.target.tube - 1] = self.most(values)
+        return Collars(found["theta"], found["l"])
+
+
+class LearnedMechanics(Learned):
+    """Of a property of a tube, as small changes: shapes at rest do not have them, margins allow for them."""
+
+    def changing(self, values: Values, robot: Robot, data: Measurements) -> Mapping[str, Array]:
+        rows = data.rows
+        joints = data.theta_commanded[rows], data.l_commanded[rows]
+        at = Situation(*joints, data=data, tubes=robot.tubes)
+        amount = self.amount(values, at)[:, 0]
+        i = self.target.tube
+        if self.target.kind_name == "stiffness":
+            return {f"tube.{i}.bending_stiffness_Nm2": amount * robot.tubes[i - 1].bending_stiffness_Nm2}
+        changes = {}
+        for k, section in enumerate(robot.tubes[i - 1].sections, start=1):
+            x, y = section.curvature_x_per_m, section.curvature_y_per_m
+            across = (-y, x) if self.target.kind_name == "bend" else (x, y)
+            for axis, curvature in zip("xy", across, strict=True):
+                if curvature:
+                    changes[f"tube.{i}.section.{k}.curvature_{axis}_per_m"] = amount * curvature
+        return changes
+
+    def largest_shift_m(self, values: Values, robot: Robot) -> float:
+        return self.largest_mm * 1e-3
+
+
+class LearnedPlate(Learned):
+    """Of all in front of the plate."""
+
+    def plate_turn(self, values: Values, robot: Robot, collars: Collars) -> Array | None:
+        return self.amount(values, Situation(collars.theta, collars.l, tubes=robot.tubes))
+
+    def largest_turn_rad(self, values: Values, robot: Robot) -> float:
+        return self.most(values)
+
+
+class LearnedSensor(Learned):
+    """Of what is read."""
+
+    def sensor(self, values: Values, poses: Poses, data: Measurements) -> Poses:
+        joints = data.theta_commanded[data.rows], data.l_commanded[data.rows]
+        at = Situation(*joints, poses=poses, data=data)
+        return Poses(poses.position + self.amount(values, at), poses.frame)
+
+
+def learned(on: Target, names: Sequence[str], ranges: Ranges, n: int, largest_mm: float = 0.0) -> Learned:
+    """A term of the class that its target asks for. Raises ValueError for a name that is no parameter's."""
+    classes = {"drive": LearnedDrive, "mechanics": LearnedMechanics, "sensor": LearnedSensor}
+    made = LearnedPlate if on.kind_name == "plate" else classes[on.kind.stage]
+    return made(on, names, ranges, n, largest_mm)
+
+
+def split_name(name: str, on: Target, n: int) -> tuple[int, Part] | None:
+    """Axis and part of a parameter's name; None where the target has none of that name."""
+    suffix, axis = f"_{on.kind.unit}", 0
+    if not name.endswith(suffix):
+        return None
+    text = name[: -len(suffix)]
+    if on.kind.has_axes:
+        if len(text) < 3 or text[0] not in AXES or text[1] != "_":
+            return None
+        axis, text = AXES.index(text[0]), text[2:]
+    found = parts.part(text, n)
+    if found is None or on.of_way != any(factor.form == "sign" for factor in found):
+        return None
+    return axis, found
+
+
+def named(on: Target, part_name: str) -> list[str]:
+    """The parameters of a part, one for each axis."""
+    axes = [f"{axis}_" for axis in AXES] if on.kind.has_axes else [""]
+    return [f"{axis}{part_name}_{on.kind.unit}" for axis in axes]
+
+
+def ranges_of(table: Mapping[str, Any]) -> dict[str, Range]:
+    """The ranges of a robot file's table."""
+    return {name: Range(float(low), float(high)) for name, (low, high) in table.get("range", {}).items()}
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{DIGITS}g}")

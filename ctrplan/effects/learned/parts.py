@@ -1,0 +1,178 @@
+"""The parts of a built term: products of few shapes of its inputs, each named in full.
+
+A name such as `sin_3_theta_2` or `slope_l_3_times_sign_theta_2` says the shape. Every shape is a pure number of at most
+about 1, so that a coefficient is the largest amount of its part, in the unit of what it acts on.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from ctrplan.base.arrays import Array
+from ctrplan.effects.learned.inputs import Situation, exists, unit, values
+from ctrplan.effects.learned.ranges import Range, Ranges, held
+
+TIMES = "_times_"
+BUMP_WIDTH = 0.7
+LARGEST = 1.05  # of any shape: splines swing a little beyond their knots
+FORMS = (
+    ("wave", re.compile(r"(sin|cos)_([1-9])_(theta_\d+|turn_\d+)")),
+    ("slope", re.compile(r"slope_(\w+)")),
+    ("square", re.compile(r"square_(\w+)")),
+    ("knot", re.compile(r"knot_([1-9])_of_([2-9])_(\w+)")),
+    ("bump", re.compile(r"bump_([1-9])_of_([2-9])_(\w+)")),
+    ("sign", re.compile(r"sign_(theta|l)_([1-9]\d*)")),
+    ("constant", re.compile(r"constant")),
+)
+
+
+@dataclass(frozen=True)
+class Factor:
+    """A shape of one input; `input` is empty where there is none."""
+
+    form: str
+    input: str = ""
+    numbers: tuple[int, ...] = ()
+    word: str = ""
+
+    @property
+    def periodic(self) -> bool:
+        """Whether whole turns of its input are nothing."""
+        return self.form == "wave"
+
+    def __call__(self, at: Situation, ranges: Ranges) -> Array:
+        """(K,) of the poses."""
+        return _SHAPES[self.form](self, at, ranges)
+
+    def in_words(self, ranges: Ranges) -> str:
+        """As a formula."""
+        if self.form == "constant":
+            return "1"
+        if self.form == "sign":
+            return f"sign of the last motion of {self.word}_{self.numbers[0]}"
+        if self.form == "wave":
+            times = "" if self.numbers[0] == 1 else f"{self.numbers[0]} "
+            return f"{self.word}({times}{self.input})"
+        span = ranges[self.input]
+        from_middle = f"{'+' if span.middle < 0 else '-'} {abs(span.middle):.4g}"
+        scaled = f"({self.input} {from_middle}) / {span.half:.4g}"
+        if self.form in ("knot", "bump"):
+            place = np.linspace(span.low, span.high, self.numbers[1])[self.numbers[0] - 1]
+            shape = "spline" if self.form == "knot" else "bump"
+            return f"{shape}({self.input}; 1 at {place:.4g} {unit(self.input)})".replace(" )", ")")
+        return f"({scaled})^2" if self.form == "square" else f"({scaled})"
+
+
+Part = tuple[Factor, ...]
+
+
+def part(name: str, n: int) -> Part | None:
+    """The part of a name without axis and unit, for a robot of n tubes; None where there is none of that name."""
+    found = [_factor(one, n) for one in name.split(TIMES)]
+    return None if None in found else tuple(f for f in found if f is not None)
+
+
+def inputs(of: Part) -> dict[str, bool]:
+    """The inputs of a part, and whether each is periodic alone."""
+    return {factor.input: factor.periodic for factor in of if factor.input}
+
+
+def amounts(of: Part, at: Situation, ranges: Ranges) -> Array:
+    """(K,) of a part."""
+    product: Array = np.prod([factor(at, ranges) for factor in of], axis=0)
+    return product
+
+
+def _factor(name: str, n: int) -> Factor | None:
+    for form, pattern in FORMS:
+        found = pattern.fullmatch(name)
+        if not found:
+            continue
+        if form == "constant":
+            return Factor(form)
+        if form == "sign":
+            return Factor(form, numbers=(int(found[2]),), word=found[1]) if int(found[2]) <= n else None
+        if not exists(found[found.lastindex or 1], n):
+            return None
+        if form == "wave":
+            return Factor(form, found[3], (int(found[2]),), found[1])
+        if form in ("knot", "bump"):
+            numbers = int(found[1]), int(found[2])
+            return Factor(form, found[3], numbers) if numbers[0] <= numbers[1] else None
+        return Factor(form, found[1])
+    return None
+
+
+def _wave(factor: Factor, at: Situation, ranges: Ranges) -> Array:
+    angle = np.radians(held(factor.input, ranges, at, periodic=True))
+    wave: Array = (np.sin if factor.word == "sin" else np.cos)(factor.numbers[0] * angle)
+    return wave
+
+
+def _scaled(factor: Factor, at: Situation, ranges: Ranges) -> Array:
+    """-1 to 1 over the range."""
+    span = ranges[factor.input]
+    scaled: Array = (held(factor.input, ranges, at) - span.middle) / span.half
+    return scaled
+
+
+def _knot(factor: Factor, at: Situation, ranges: Ranges) -> Array:
+    number, count = factor.numbers
+    found: Array = _cardinal(count)(_scaled(factor, at, ranges))[:, number - 1]
+    return found
+
+
+@cache
+def _cardinal(count: int) -> CubicSpline:
+    """Natural cubic splines over -1 to 1, each 1 at one of `count` knots and 0 at the others."""
+    return CubicSpline(np.linspace(-1, 1, count), np.eye(count), bc_type="natural")
+
+
+def _bump(factor: Factor, at: Situation, ranges: Ranges) -> Array:
+    """A Gaussian at one of the knots, as wide as `BUMP_WIDTH` of their distance."""
+    number, count = factor.numbers
+    apart = 2 / (count - 1)
+    found: Array = np.exp(-(((_scaled(factor, at, ranges) + 1 - (number - 1) * apart) / (BUMP_WIDTH * apart)) ** 2) / 2)
+    return found
+
+
+def _sign(factor: Factor, at: Situation, ranges: Ranges) -> Array:
+    if at.directions is None:
+        return np.zeros(at.count)
+    n, i = at.theta.shape[1], factor.numbers[0] - 1
+    last: Array = at.directions[:, i if factor.word == "theta" else n + i]
+    return last
+
+
+_SHAPES: dict[str, Callable[[Factor, Situation, Ranges], Array]] = {
+    "wave": _wave,
+    "slope": _scaled,
+    "square": lambda factor, at, ranges: _scaled(factor, at, ranges) ** 2,
+    "knot": _knot,
+    "bump": _bump,
+    "sign": _sign,
+    "constant": lambda factor, at, ranges: np.ones(at.count),
+}
+
+
+def period_deg(of: Part) -> float:
+    """Of a periodic part [deg]; 0 where it has none."""
+    waves = [factor.numbers[0] for factor in of if factor.periodic]
+    return 360.0 / math.gcd(*waves) if waves else 0.0
+
+
+def farthest(name: str, span: Range, at: Situation, far: NDArray[np.bool_], *, periodic: bool) -> float:
+    """The value (K,) of an input that is farthest out of its range, among some poses (K,)."""
+    found = values(name, at)
+    if found is None:
+        return span.middle
+    near = span.nearest(found[far]) if periodic else found[far]
+    return float(near[np.argmax(np.abs(near - span.middle))])

@@ -1,0 +1,176 @@
+"""Terms built of what remains: found where something no catalogue has acts, in its stage, and used by the robot."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomli_w
+from measured_data import SIGMA_M, measured, pair_robot, waypoints
+
+from ctrplan.calibration.residuals import Noise
+from ctrplan.cli import main
+from ctrplan.diagnosis import Diagnosis, diagnose
+from ctrplan.diagnosis.building.dictionary import Piece, pieces
+from ctrplan.diagnosis.building.probes import wide
+from ctrplan.diagnosis.building.search import built_term
+from ctrplan.diagnosis.correlated_bench import CorrelatedBench
+from ctrplan.diagnosis.sentences import verdict_sentence
+from ctrplan.diagnosis.workbench import values_by_name
+from ctrplan.effects.learned import parts
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.reports.diagnosis_page.page import diagnosis_report_html
+from ctrplan.reports.diagnosis_page.selection_errors import selection_errors
+
+ROBOT = pair_robot()
+PLAN = waypoints(ROBOT, 18)
+RIPPLE_DEG = 7.0
+
+
+def rippled(plan: Measurements = PLAN) -> Measurements:
+    """Measured while gears turned tube 2 further, three times a turn: made without any built term."""
+    theta = plan.theta_commanded.copy()
+    theta[:, 1] += np.radians(RIPPLE_DEG) * np.sin(3 * theta[:, 1] + 0.5)
+    return replace(measured(ROBOT, replace(plan, theta_commanded=theta)), theta_commanded=plan.theta_commanded)
+
+
+def warmed() -> Measurements:
+    """Read further and further along a direction the warmer the room, which a column tells."""
+    data = measured(ROBOT, PLAN)
+    warm = 3.0 * np.sin(np.arange(len(PLAN.sequence)) / 40.0)
+    shift = np.outer(warm[PLAN.rows], [0.2e-3, -0.3e-3, 0.1e-3])
+    return replace(data, position_m=data.position_m + shift, more={"temperature_C": 21.0 + warm})
+
+
+@cache
+def found() -> Diagnosis:
+    return diagnose(ROBOT, rippled(), catalogue={})
+
+
+def test_a_ripple_of_gears_is_built_in_the_drive_and_nothing_is_named() -> None:
+    built, gap = found().built, found().gap
+    assert built is not None and found().verdict == "unexplained" and not found().listed
+    assert [t.name for t in built.terms] == ["learned_theta_2"] and built.terms[0].effect.stage == "drive"
+    assert built.by_stage["drive"] > 1.5 * max(built.by_stage["mechanics"], built.by_stage["sensor"])
+    rest = [np.sqrt(max(errors.rms_m**2 - gap.floor_m**2, 0.0)) for errors in (gap.before, gap.after)]
+    assert rest[1] < 0.3 * rest[0]
+    (term,) = found().to_json()["built"]["terms"]
+    wave = [term["coefficients"][f"{name}_3_theta_2_deg"] for name in ("sin", "cos")]
+    for one, true in zip(wave, RIPPLE_DEG * np.array([np.cos(0.5), np.sin(0.5)]), strict=True):
+        low, high = one["ci95"]
+        assert low - (high - low) / 2 < true < high + (high - low) / 2
+    assert (
+        term["may_be"].endswith("like a ripple of gears; that is no proof of a cause") and "120 deg" in term["may_be"]
+    )
+
+
+def test_the_robot_that_is_handed_over_turns_as_the_true_one() -> None:
+    robot = robot_from_dict(found().robot_content())
+    angle = np.linspace(-3.0, 3.0, 40)
+    theta_b, _ = robot.collars(np.column_stack([0 * angle, angle]), np.tile([0.0, -0.01], (40, 1)))
+    true = angle + np.radians(RIPPLE_DEG) * np.sin(3 * angle + 0.5)
+    assert np.abs(theta_b[:, 1] - true - np.mean(theta_b[:, 1] - true)).max() < np.radians(1.2)
+
+
+def test_a_robot_that_has_its_term_lacks_nothing_more() -> None:
+    again = diagnose(robot_from_dict(found().robot_content()), rippled(), catalogue={})
+    assert again.verdict == "no_missing_effect" and again.built is None
+    assert again.robot_content()["effects"]["learned_theta_2"] == found().robot_content()["effects"]["learned_theta_2"]
+
+
+def test_terminal_and_report_say_what_was_built_and_that_it_is_no_cause() -> None:
+    assert "Built of the rest: a term that changes the rotation of tube 2" in verdict_sentence(found())
+    page = diagnosis_report_html(found(), selection_errors(found()))
+    assert "built: a built term of the rotation of tube 2" in page and "no proof of a cause" in page
+    assert "Range in the data; held at its edge outside" in page
+
+
+def test_a_sensor_that_drifts_with_the_temperature_is_told_from_the_drive() -> None:
+    term = diagnose(ROBOT, warmed(), catalogue={}).built
+    assert term is not None and [t.name for t in term.terms] == ["learned_sensor"]
+    assert list(term.terms[0].effect.inputs) == ["temperature_C"]  # type: ignore[attr-defined]
+
+
+def test_a_piece_acts_as_the_effect_that_is_made_of_it() -> None:
+    noise, alone = Noise(SIGMA_M, 1e-3), PLAN.configuration
+    bench = CorrelatedBench(ROBOT, rippled(), noise, alone, alone)
+    here = bench.scored([])
+    known = [piece for piece in pieces(ROBOT, bench.data) if not piece.on.of_way]
+    some = [next(p for p in known if p.on.kind_name == kind) for kind in ("theta", "l", "bend", "stiffness", "plate")]
+    some.append(Piece(known[-1].on, ("slope_z",)))
+    table = wide(bench, here, some)
+    for piece in some:
+        term = built_term(piece.on, piece.names, table.ranges[piece], ROBOT.n)
+        panel = bench.panel(here, [term])
+        place = [k for k, (name, _) in enumerate(panel.keys) if name == term.name]
+        np.testing.assert_allclose(
+            table.whole.J[:, :, table.places[piece]],
+            panel.whole.J[:, :, place],
+            rtol=2e-3,
+            atol=2e-3 * np.abs(panel.whole.J[:, :, place]).max(),
+        )
+        assert set(values_by_name(here.fit)) < set(panel.keys)
+
+
+def test_pieces_are_of_what_changes_and_of_what_may_still_be_missing() -> None:
+    data = replace(rippled(), tangent=np.full_like(PLAN.tangent, np.nan))
+    kinds = {piece.on.kind.stage for piece in pieces(ROBOT, data)}
+    assert kinds == {"drive", "mechanics", "sensor"}
+    assert {piece.on.kind.stage for piece in pieces(ROBOT, replace(data, of_collars=True))} == kinds - {"drive"}
+    found = [parts.part(name, ROBOT.n) for piece in pieces(ROBOT, data) for name in piece.parts]
+    inputs = {name for one in found if one is not None for name in parts.inputs(one)}
+    assert inputs == {"theta_2", "turn_2", "l_2", "overlap_1", "load_1", "x", "y", "z"}  # tube 1 stands still
+
+
+def test_the_command_writes_a_robot_that_says_where_it_leaves_its_data(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = found().robot_content()
+    (tmp_path / "robot.toml").write_text(tomli_w.dumps(content))
+    assert (
+        main(
+            [
+                "bound",
+                str(tmp_path / "robot.toml"),
+                "--theta-deg",
+                "0",
+                "40",
+                "--l-mm",
+                "0",
+                "-10",
+                "--accuracy",
+                "search",
+            ]
+        )
+        == 0
+    )
+    assert "was built from data" not in capsys.readouterr().err
+    content["effects"]["learned_theta_2"] |= {"slope_l_2_deg": 1.0}
+    content["effects"]["learned_theta_2"]["range"]["l_2"] = [-30.0, -20.0]
+    (tmp_path / "robot.toml").write_text(tomli_w.dumps(content))
+    given = [
+        "bound",
+        str(tmp_path / "robot.toml"),
+        "--theta-deg",
+        "0",
+        "40",
+        "--l-mm",
+        "0",
+        "-10",
+        "--accuracy",
+        "search",
+    ]
+    assert main(given) == 0
+    assert "l_2 from -30 to -20 mm; here l_2 reaches -10 mm, and it is held at the edge" in capsys.readouterr().err
+
+
+def test_rests_that_configurations_trade_build_nothing() -> None:
+    data, rng = measured(ROBOT, PLAN), np.random.default_rng(4)
+    own = rng.standard_normal((int(PLAN.configuration.max()) + 1, 3)) * 0.5e-3
+    assert (
+        diagnose(ROBOT, replace(data, position_m=data.position_m + own[PLAN.configuration]), catalogue={}).built is None
+    )
