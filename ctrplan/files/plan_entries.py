@@ -43,6 +43,20 @@ class TargetEntry(Struct):
     leg: Annotated[int, Meta(ge=0)]
 
 
+class ClosestEntry(Struct):
+    """Where the robot comes closest to the anatomy."""
+
+    clearance_m: float
+    distance_m: float
+    part: str
+    tube: Annotated[int, Meta(ge=1)]
+    point_m: tuple[float, float, float]
+    leg: Annotated[int, Meta(ge=0)]
+    path_mm: float
+    joints: list[float]
+    phi: list[float]
+
+
 class CertificateEntry(Struct):
     """Claims that are judged."""
 
@@ -54,6 +68,7 @@ class CertificateEntry(Struct):
     max_strain: float | None
     targets: Annotated[list[TargetEntry], Meta(min_length=1)]
     samples: SamplesEntry
+    closest: ClosestEntry | None = None
 
 
 class CompensationEntry(Struct):

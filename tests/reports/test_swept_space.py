@@ -23,6 +23,16 @@ def test_swept_space_holds_every_envelope_and_little_more(plan: Plan) -> None:
     assert apart.min(axis=1).max() < 2.5e-3 and apart.min(axis=1).min() > -2e-3  # the union's surface, within a cell
 
 
+def test_thin_rods_are_not_beads_on_a_string(plan: Plan) -> None:
+    """Between two stations of the centreline the body is within the space as well."""
+    path = plan_scene(plan, 2).path
+    surface = swept_surface(path)
+    for pose in path:
+        line = pose.envelope.centreline_m
+        between = np.concatenate([line[:-1] + share * np.diff(line, axis=0) for share in (0.25, 0.5, 0.75)])
+        assert np.all(igl.winding_number(surface.vertices_m, surface.faces, between) > 0.5)
+
+
 def test_words_say_the_figures(plan: Plan) -> None:
     text = " ".join(certificate_in_words(plan))
     certificate = plan.certificate
