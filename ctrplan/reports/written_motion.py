@@ -36,11 +36,25 @@ class WrittenMotion:
         return [pose.time_s for pose in self.path]
 
     @property
+    def targets(self) -> dict[str, Array]:
+        """Places (3,) to be reached, in their order, by their names; of joint values the place that they lead to."""
+        goals, found = self.scenario.targets, {}
+        for k, goal in enumerate(goals, start=1):
+            name = goal.name or ("goal" if k == len(goals) else f"target {k}")
+            found[name] = goal.tip_m if goal.tip_m is not None else self.path[-1].tip_m
+        return found
+
+    @property
     def step_m(self) -> float:
         """How far a station of the robot's centreline moves at most between two poses."""
         lines = [pose.tubes[-1].centreline_m for pose in self.path]
         steps = [np.linalg.norm(b - a, axis=1).max() for a, b in zip(lines[:-1], lines[1:], strict=True)]
         return float(max(steps, default=0.0))
+
+    def at(self, name: str) -> Array:
+        """(F,) a column of the certificate's samples at the times of the poses; NaN where it has no number."""
+        passed_s = np.interp(self.plan.certified_places, self.plan.places, self.plan.time_s)
+        return np.interp(self.times_s, passed_s, self.plan.column(name))
 
 
 def written_motion(plan: WrittenPlan, steps: int, progress: Progress | None = None) -> WrittenMotion:

@@ -10,35 +10,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-import tomli_w
-from claimed_plans import claiming
-from places import SCENARIOS
+from written_plan_files import write_small_plan
 
 from ctrplan.errors import InputError
 from ctrplan.files.plan_file import WrittenPlan, load_plan
-from ctrplan.files.scenario_file import load_scenario
-from ctrplan.files.trajectory_file import trajectory_formats, write_trajectory
-from ctrplan.planning.plan_json import write_plan_json
 from ctrplan.verification.driven_way import DrivenWay
-
-GOAL = [0, 5, 10, -3]
-JOINTS = ("rotate outer", "rotate middle", "rotate inner", "translate inner")
-CONTENT = {
-    "robot": str(SCENARIOS / "robots" / "three_tube.toml"),
-    "start": dict.fromkeys(JOINTS, 0.0),
-    "goal": {"joints": dict(zip(JOINTS, GOAL, strict=True))},
-}
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A scenario, plan.json and trajectory.csv; nobody changes them."""
     folder = tmp_path_factory.mktemp("plan")
-    (folder / "scenario.toml").write_text(tomli_w.dumps(CONTENT))
-    scenario = load_scenario(folder / "scenario.toml", allow_outside=True)
-    written = claiming(scenario, GOAL)
-    write_plan_json(folder / "plan.json", written)
-    write_trajectory(folder, written.trajectory, trajectory_formats(["csv"]))
+    write_small_plan(folder)
     return folder
 
 

@@ -10,17 +10,12 @@ from pathlib import Path
 import igl
 import numpy as np
 import pytest
-import tomli_w
 import trimesh
-from claimed_plans import claiming
-from places import SCENARIOS
+from written_plan_files import write_small_plan
 
 from ctrplan.cli import main
 from ctrplan.files.plan_file import WrittenPlan
-from ctrplan.files.scenario_file import load_scenario
-from ctrplan.files.trajectory_file import trajectory_formats, write_trajectory
 from ctrplan.planning.plan import Plan
-from ctrplan.planning.plan_json import write_plan_json
 from ctrplan.reports.slicer_case.files import case_files
 from ctrplan.reports.written_motion import WrittenMotion, written_motion
 
@@ -105,7 +100,7 @@ def test_the_robot_is_within_the_space_that_its_envelope_sweeps(
 def test_the_command_writes_the_folder_and_asks_for_the_frame(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    written_plan(tmp_path)
+    write_small_plan(tmp_path)
     command = ["export", str(tmp_path / "plan.json"), "--allow-outside", "--to", "slicer", "-o", str(tmp_path / "case")]
     assert main(command) == 2 and "--frame = None: must be RAS or LPS" in capsys.readouterr().err
     assert not (tmp_path / "case").exists()
@@ -113,21 +108,6 @@ def test_the_command_writes_the_folder_and_asks_for_the_frame(
     assert "2 poses" in capsys.readouterr().out
     names = {path.name for path in (tmp_path / "case").iterdir()}
     assert {"scene.mrml", "tip_path.mrk.json", "tube_3.seq.mrb", "base.tfm", "SHA256SUMS"} <= names
-
-
-def written_plan(folder: Path) -> None:
-    """A scenario, its plan.json and trajectory.csv."""
-    names = ("rotate outer", "rotate middle", "rotate inner", "translate inner")
-    goal = dict(zip(names, [0, 5, 10, -3], strict=True))
-    content = {
-        "robot": str(SCENARIOS / "robots" / "three_tube.toml"),
-        "start": dict.fromkeys(names, 0.0),
-        "goal": {"joints": goal},
-    }
-    (folder / "scenario.toml").write_text(tomli_w.dumps(content))
-    plan = claiming(load_scenario(folder / "scenario.toml", allow_outside=True), list(goal.values()))
-    write_plan_json(folder / "plan.json", plan)
-    write_trajectory(folder, plan.trajectory, trajectory_formats(["csv"]))
 
 
 def points(content: str | bytes) -> np.ndarray:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from ctrplan.base.arrays import Array
@@ -116,17 +114,9 @@ def _curves(case: _Case, motion: WrittenMotion) -> None:
         ends = percent in (0, 100)
         file = f"centreline_{percent:03}.mrk.json"
         case.markup("Curve", file, name, pose.tubes[-1].centreline_m, looks.CORNERS.colour, visible=ends)
-    names, points = zip(*_places(motion), strict=True)
-    case.markup("Fiducial", "targets.mrk.json", "targets", np.array(points), looks.GOAL.colour, names)
+    places = {"entry": motion.scenario.base_position_m, **motion.targets}
+    points = np.array(list(places.values()))
+    case.markup("Fiducial", "targets.mrk.json", "targets", points, looks.GOAL.colour, tuple(places))
     if motion.narrowest is not None:
         name = f"{looks.NARROWEST.name}: {millimetres(motion.narrowest.place.clearance_m)} beyond the margin"
         case.markup("Line", "closest.mrk.json", name, motion.narrowest.gap_m, looks.NARROWEST.colour)
-
-
-def _places(motion: WrittenMotion) -> Iterator[tuple[str, Array]]:
-    """Names and places: where the robot comes out of its plate, and what it goes to."""
-    yield "entry", motion.scenario.base_position_m
-    targets = motion.scenario.targets
-    for k, target in enumerate(targets, start=1):
-        name = target.name or ("goal" if k == len(targets) else f"target {k}")
-        yield name, target.tip_m if target.tip_m is not None else motion.path[-1].tip_m
