@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from ctrplan.reports import scene_looks as looks
 from ctrplan.reports.framing import view_box
 from ctrplan.reports.live.clearances import pose_clearances
 from ctrplan.reports.plan_words.worst_miss import WorstMiss
-from ctrplan.reports.pose import plate, pose, to_anatomy
+from ctrplan.reports.pose import Pose, plate, pose, to_anatomy
 from ctrplan.reports.scene_traces import anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces, xyz
 from ctrplan.reports.surface import Surface, anatomy_surface
 
@@ -38,6 +39,7 @@ class LiveState:
         self.checker = MotionChecker(scenario)
         self.checker.limits = path_limits(scenario)  # the scenario's own, without what a search adds
         self.start = self._shown(scenario.start)
+        self.on_pose: Callable[[Pose], object] = lambda pose: None  # is told every pose that is shown
 
     def sliders(self) -> list[dict[str, Any]]:
         """Name, unit, range and first value of each joint, in deg or mm."""
@@ -85,6 +87,7 @@ class LiveState:
         if samples.status[-1] == Status.FAILED:
             return {"refusal": "the mechanics solver found no equilibrium here"}
         shown = pose(self.scenario, joints)
+        self.on_pose(shown)
         clearance_mm = float(samples.clearance_m[-1]) * 1e3 if self.checker.field else None
         return {
             "traces": [self._vertices(trace) for trace in moved_traces(shown)],
