@@ -62,9 +62,7 @@ def run_field(arguments: argparse.Namespace) -> int:
 
 def _print_errors(error: FieldError) -> None:
     if error.answers_nothing:
-        print(
-            "  It has an answer for none of the configurations tried, all by unstable ones: plans do without it."
-        )
+        print("  It has an answer for none of the configurations tried, all by unstable ones: plans do without it.")
         return
     print(f"  {'added to looked-up bounds':27} {error.margin_m * 1e3:.2f} mm, enough for 99 % of configurations")
     print(f"  {'largest error found':27} {error.largest_m * 1e3:.2f} mm; certificates use the model itself")

@@ -13,11 +13,14 @@ from ctrplan.commands.igtl_options import add_igtl_option
 from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
 
 if TYPE_CHECKING:
+    from ctrplan.files.plan_file import WrittenPlan
+    from ctrplan.planning.scenario import Scenario
     from ctrplan.reports.live.state import LiveState
 
 EXAMPLES = """examples:
   ctrplan view scenarios/robots/three_tube.toml
   ctrplan view scenarios/airway.toml --no-browser --port 8080
+  ctrplan view out/plan.json
   ctrplan view scenarios/airway.toml --igtl 18944 --frame LPS
 """
 
@@ -32,7 +35,7 @@ def add_parser(commands: Any) -> None:
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("file", metavar="ROBOT.toml|SCENARIO.toml")
+    parser.add_argument("file", metavar="ROBOT.toml|SCENARIO.toml|PLAN.json", help="of a plan the motion can be played")
     add_number(parser, "--port", Whole(0, 65535), default=0, help="of 127.0.0.1 (default: a free one)")
     parser.add_argument("--no-browser", action="store_true", help="only print the page's address")
     add_igtl_option(parser, "tip and tubes of every pose")
@@ -44,14 +47,13 @@ def add_parser(commands: Any) -> None:
 
 def run_view(arguments: argparse.Namespace) -> int:
     """Serves the page until Ctrl-C; returns 0. Raises CtrplanError."""
-    from ctrplan.files.bare_scenario import load_robot_or_scenario
     from ctrplan.reports.live.server import LiveServer
     from ctrplan.reports.live.state import LiveState
 
-    scenario = load_robot_or_scenario(arguments.file, arguments.overrides, allow_outside=arguments.allow_outside)
+    scenario, motion = _loaded(arguments)
     for warning in scenario.warnings:
         print(f"ctrplan: warning: {warning}", file=sys.stderr)
-    state = LiveState(scenario)
+    state = LiveState(scenario, motion)
     with _sending(arguments, state), LiveServer(state, arguments.port) as server:
         print(f"{scenario.name}: {server.url}   (Ctrl-C ends)", flush=True)
         if not arguments.no_browser:
@@ -61,6 +63,17 @@ def run_view(arguments: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             print()
     return 0
+
+
+def _loaded(arguments: argparse.Namespace) -> tuple[Scenario, WrittenPlan | None]:
+    """The scenario, and the plan that was made of it if one was named."""
+    from ctrplan.files.bare_scenario import load_robot_or_scenario
+    from ctrplan.files.plan_file import load_plan
+
+    if arguments.file.lower().endswith(".json"):
+        plan = load_plan(arguments.file, None, arguments.overrides, allow_outside=arguments.allow_outside)
+        return plan.scenario, plan
+    return load_robot_or_scenario(arguments.file, arguments.overrides, allow_outside=arguments.allow_outside), None
 
 
 def _sending(arguments: argparse.Namespace, state: LiveState) -> AbstractContextManager[Any]:
