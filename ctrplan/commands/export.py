@@ -40,7 +40,7 @@ def add_parser(commands: Any) -> None:
         "--frame",
         metavar="RAS|LPS",
         help="where the axes of the anatomy's frame point in the patient: to the right, the front and the head, or to "
-        "the left, the back and the head as in DICOM",
+        "the left, the back and the head as in DICOM; needed where the scenario does not say it",
     )
     add_steps_option(parser, STEPS)
     parser.set_defaults(run=run_export)
@@ -51,8 +51,8 @@ def run_export(arguments: argparse.Namespace) -> int:
     from ctrplan.files.slicer.patient_frame import patient_frame
     from ctrplan.reports.slicer_case.files import SCENE, case_files
 
-    frame = patient_frame(arguments.frame)
     plan = read_plan(arguments)
+    frame = patient_frame(plan.scenario, arguments.frame)
     folder = output_folder(arguments.output, [SCENE])
     with progress_bar(arguments) as bar:
         motion = solved_motion(plan, arguments.steps, bar)

@@ -84,7 +84,7 @@ def _sending(arguments: argparse.Namespace, state: LiveState) -> AbstractContext
     from ctrplan.reports.openigtlink.broadcast import Broadcast
     from ctrplan.reports.openigtlink.messages import pose_messages, pyigtl
 
-    frame = patient_frame(arguments.frame)
+    frame = patient_frame(state.scenario, arguments.frame)
     pyigtl()
     broadcast = Broadcast(arguments.igtl)
     state.on_pose = lambda pose: broadcast.send(pose_messages(pose, frame))

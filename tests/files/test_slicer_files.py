@@ -7,7 +7,8 @@ import json
 import re
 import xml.etree.ElementTree as ET
 import zipfile
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from ctrplan.files.slicer.markups import markups_text
 from ctrplan.files.slicer.model_sequence import model_sequence
 from ctrplan.files.slicer.patient_frame import Frame, patient_frame
 from ctrplan.files.slicer.ply_model import ply_model
+from ctrplan.planning.scenario import Scenario
 
 # Nothing of it looks the same from another side. In the patient: P is 10 mm left of the origin, 20 behind, 30 above.
 POINTS_LPS_MM = np.array([[10, 20, 30], [-1, 0, 0], [0, 2.5, -7], [40.25, -3, 11]])
@@ -159,4 +161,12 @@ def test_a_sequence_holds_a_model_for_each_time(frame: Frame) -> None:
 @pytest.mark.parametrize("value", [None, "", "ras", "LAS", "RAS "])
 def test_a_frame_is_never_guessed(value: str | None) -> None:
     with pytest.raises(InputError, match="must be RAS or LPS"):
-        patient_frame(value)
+        patient_frame(cast(Scenario, SimpleNamespace(frame=None)), value)
+
+
+@BOTH
+def test_a_scenario_that_says_its_frame_is_not_overruled(frame: Frame) -> None:
+    scenario, other = cast(Scenario, SimpleNamespace(frame=frame)), "LPS" if frame == "RAS" else "RAS"
+    assert patient_frame(scenario, None) == patient_frame(scenario, frame) == frame
+    with pytest.raises(InputError, match=f"contradicts the scenario, which says {frame}"):
+        patient_frame(scenario, other)
