@@ -84,6 +84,12 @@ def add_parser(commands: Any) -> None:
 
 def run_simulate(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError, also where no equilibrium is found to go on to."""
+    if arguments.igtl is not None:
+        from ctrplan.reports.openigtlink.messages import pyigtl
+
+        if arguments.measured:
+            raise InputError("goes without --measured", key="--igtl", value=arguments.igtl)
+        pyigtl()
     if arguments.measured:
         from ctrplan.commands.simulate_measured import run_simulate_measured
 

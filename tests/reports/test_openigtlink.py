@@ -99,6 +99,8 @@ def test_without_the_library_or_a_frame_it_is_one_sentence(
 ) -> None:
     assert main(["view", str(PAIR), "--no-browser", "--igtl", "0"]) == 2
     assert "--frame = None: must be RAS or LPS" in capsys.readouterr().err
+    assert main(["simulate", str(PAIR), "path.csv", "--measured", "--igtl", "0"]) == 2
+    assert "--igtl = 0: goes without --measured" in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "pyigtl", None)
     with pytest.raises(InputError, match=r"pip install ctrplan\[live\]"):
         tip_messages(np.zeros(3), np.array([0.0, 0.0, 1.0]))

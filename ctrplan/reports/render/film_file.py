@@ -6,6 +6,7 @@ import io
 import shutil
 import subprocess
 import tempfile
+import zlib
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -58,21 +59,26 @@ def _png(pictures: Iterable[Picture], fps: float) -> bytes:
 
 
 def _gif(pictures: Iterable[Picture], fps: float) -> bytes:
-    """All with one set of colours, so that what stands still does not flicker."""
-    images = [Image.fromarray(picture) for picture in pictures]
-    colours = _colours(images)
-    shown = [image.quantize(palette=colours, dither=Image.Dither.NONE) for image in images]
+    """All with one set of colours, so that what stands still does not flicker; kept packed until those are known."""
+    packed = [(picture.shape, zlib.compress(picture.tobytes(), 1)) for picture in pictures]
+
+    def image(k: int) -> Image.Image:
+        (height, width, _), content = packed[k]
+        return Image.frombytes("RGB", (width, height), zlib.decompress(content))
+
+    last = len(packed) - 1
+    colours = _colours([image(k) for k in sorted({*range(0, last, max(1, last // PALETTE_FROM)), last})])
+    shown = (image(k).quantize(palette=colours, dither=Image.Dither.NONE) for k in range(last + 1))
     frame_ms = max(20, round(100 / fps) * 10)  # a GIF counts hundredths of a second
-    durations = [frame_ms] * (len(shown) - 1) + [REST_MS]
-    return _encoded(shown[0], "gif", save_all=True, append_images=shown[1:], duration=durations, loop=0, disposal=1)
+    durations = [frame_ms] * last + [REST_MS]
+    return _encoded(next(shown), "gif", save_all=True, append_images=shown, duration=durations, loop=0, disposal=1)
 
 
 def _colours(images: list[Image.Image]) -> Image.Image:
     """An image with the palette: most colours by how often they are there, some by how far they are from others."""
-    some = images[:: max(1, len(images) // PALETTE_FROM)] + images[-1:]
-    width, height = some[0].size
-    sheet = Image.new("RGB", (width, height * len(some)))
-    for row, image in enumerate(some):
+    width, height = images[0].size
+    sheet = Image.new("RGB", (width, height * len(images)))
+    for row, image in enumerate(images):
         sheet.paste(image, (0, row * height))
     usual = sheet.quantize(USUAL, Image.Quantize.MEDIANCUT).getpalette() or []
     rare = sheet.quantize(COLOURS - USUAL, Image.Quantize.MAXCOVERAGE).getpalette() or []
@@ -91,13 +97,18 @@ def _mp4(pictures: Iterable[Picture], fps: float) -> bytes:
     """H.264 of even width and height, which every player shows."""
     with tempfile.TemporaryDirectory() as folder:
         file, process = Path(folder) / "film.mp4", None
-        for picture in pictures:
-            process = process or _encoder(file, picture.shape[1], picture.shape[0], fps)
-            try:
+        try:
+            for picture in pictures:
+                process = process or _encoder(file, picture.shape[1], picture.shape[0], fps)
                 process.stdin.write(picture.tobytes())  # type: ignore[union-attr]
-            except BrokenPipeError:
-                break
-        if process is None or process.communicate()[0] is None or process.returncode or not file.exists():
+        except BrokenPipeError:
+            pass  # ffmpeg ended; why is asked below
+        except BaseException:
+            if process is not None:
+                process.kill()
+                process.communicate()
+            raise
+        if process is None or process.communicate() is None or process.returncode or not file.exists():
             raise CtrplanError("ffmpeg could not make the film.")
         return file.read_bytes()
 
