@@ -50,7 +50,7 @@ def run_view(arguments: argparse.Namespace) -> int:
     from ctrplan.reports.live.server import LiveServer
     from ctrplan.reports.live.state import LiveState
 
-    scenario, motion = _loaded(arguments)
+    scenario, motion = loaded(arguments)
     for warning in scenario.warnings:
         print(f"ctrplan: warning: {warning}", file=sys.stderr)
     state = LiveState(scenario, motion)
@@ -65,8 +65,8 @@ def run_view(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _loaded(arguments: argparse.Namespace) -> tuple[Scenario, WrittenPlan | None]:
-    """The scenario, and the plan that was made of it if one was named."""
+def loaded(arguments: argparse.Namespace) -> tuple[Scenario, WrittenPlan | None]:
+    """The scenario of the file, and the plan if that is one. Raises InputError."""
     from ctrplan.files.bare_scenario import load_robot_or_scenario
     from ctrplan.files.plan_file import load_plan
 

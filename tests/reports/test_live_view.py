@@ -25,8 +25,11 @@ from browser import Browser, chromium
 from interruptible import INTERRUPTIBLE
 from places import SCENARIOS
 from scipy.spatial.transform import Rotation
+from written_plan_files import GOAL, write_small_plan
 
 from ctrplan.cli import main
+from ctrplan.commands.program import parser
+from ctrplan.commands.view import loaded
 from ctrplan.drive.trajectory import time_parameterise
 from ctrplan.files.bare_scenario import load_robot_or_scenario
 from ctrplan.files.scenario_entries import BaseEntry
@@ -407,3 +410,14 @@ def test_robot_is_wholly_on_the_screen(server: LiveServer, tmp_path: Path, width
         browser.wait_for("!busy && !stale && document.body.dataset.updates >= 2")
         assert browser.run(f"({OUTERMOST})('scene')") <= 1.0
         assert browser.run("document.documentElement.scrollWidth <= innerWidth")
+
+
+def test_the_command_takes_a_plan_to_be_played(tmp_path: Path) -> None:
+    write_small_plan(tmp_path)
+    arguments = parser().parse_args(["view", str(tmp_path / "plan.json"), "--allow-outside"])
+    scenario, plan = loaded(arguments)
+    state = LiveState(scenario, plan)
+    played = state.played()
+    assert played is not None and plan is not None
+    np.testing.assert_allclose(played["joints"][-1], GOAL, atol=1e-4)
+    assert loaded(parser().parse_args(["view", str(tmp_path / "scenario.toml"), "--allow-outside"]))[1] is None
