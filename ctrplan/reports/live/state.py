@@ -70,7 +70,7 @@ class LiveState:
 
         scenario = self.scenario
         surfaces = [anatomy_surface(part) for part in scenario.anatomy]
-        still = [mesh_trace(plate(scenario).surface(32), looks.PLATE.colour, 1.0, looks.PLATE.name)]
+        still = [mesh_trace(_stand(scenario), looks.PLATE.colour, 1.0, looks.PLATE.name)]
         anatomy = anatomy_traces(scenario, surfaces)
         figure = go.Figure([*robot_traces(pose(scenario, scenario.start)), *still, *self._target(), *anatomy])
         reach = self._reach(surfaces)
@@ -179,7 +179,7 @@ class LiveState:
 
     def _moved(self, shown: Pose, scenario: Scenario) -> list[Any]:
         """What of the figure changes: its first traces, the plate last."""
-        return [*moved_traces(shown), xyz(plate(scenario).surface(32).vertices_m)]
+        return [*moved_traces(shown), xyz(_stand(scenario).vertices_m)]
 
     def _vertices(self, trace: Any) -> dict[str, list[float | None]]:
         return {axis: _rounded(np.asarray(trace[axis], dtype=np.float64), 3) for axis in "xyz"}
@@ -192,3 +192,8 @@ def _rounded(values: Array, digits: int) -> list[float | None]:
 
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
+
+
+def _stand(scenario: Scenario) -> Surface:
+    """What moves with the base."""
+    return plate(scenario).surface(32)
