@@ -35,6 +35,7 @@ class SamplesEntry(Struct):
     joints: Annotated[list[list[float]], Meta(min_length=1)]
     bound_m: Numbers
     predicted_m: Numbers
+    clearance_m: Numbers | None = None
 
 
 class TargetEntry(Struct):

@@ -52,7 +52,9 @@ class WrittenMotion:
         return float(max(steps, default=0.0))
 
     def at(self, name: str) -> Array:
-        """(F,) a column of the certificate's samples at the times of the poses; NaN where it has no number."""
+        """(F,) a column of the certificate's samples at the times of the poses; NaN where the plan has no number."""
+        if name not in self.plan.certificate["samples"]:
+            return np.full(len(self.path), np.nan)
         passed_s = np.interp(self.plan.certified_places, self.plan.places, self.plan.time_s)
         return np.interp(self.times_s, passed_s, self.plan.column(name))
 

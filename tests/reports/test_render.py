@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from ctrplan.reports.render.film_file import film_suffix, write_film
 from ctrplan.reports.render.fragments import fragments
 from ctrplan.reports.render.picture import Stage
 from ctrplan.reports.render.views import VIEWS, camera_of, robot_points
+from ctrplan.reports.slicer_case.files import case_files
 from ctrplan.reports.written_motion import WrittenMotion, written_motion
 
 SIZE = 120
@@ -167,3 +169,13 @@ def test_the_command_draws_a_written_plan(tmp_path: Path, capsys: pytest.Capture
     assert "--size = 'big': must be such as 960x720" in capsys.readouterr().err
     assert main([*command, "--size", "96x64", "--camera", "target"]) == 0
     assert Image.open(io.BytesIO((tmp_path / "goal.png").read_bytes())).size == (96, 64)
+
+
+def test_a_plan_that_takes_no_time_is_one_picture(make_plan: Callable[..., Plan], tmp_path: Path) -> None:
+    rest = written_motion(WrittenPlan.of(make_plan([[0, 0], [0, 0]], robot="robots/table_1_pair.toml")), 5)
+    for view in VIEWS:
+        (image,) = film(rest, view, 80, 60)  # type: ignore[arg-type]
+        write_film(str(tmp_path / "rest.gif"), iter([image]), fps=10)
+        with Image.open(tmp_path / "rest.gif") as gif:
+            assert gif.size == (80, 60)
+    assert "scene.mrml" in case_files(rest, "LPS")
