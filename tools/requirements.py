@@ -13,6 +13,7 @@ wanted = [
     *project["build-system"]["requires"],
     *project["project"]["dependencies"],
     *project["project"]["optional-dependencies"]["test"],
+    *project["project"]["optional-dependencies"]["live"],
     "cmake>=3.18",
     "ninja",
 ]

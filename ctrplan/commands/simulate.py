@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import sys
+import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.arguments import Number, Whole, in_plain_digits
 from ctrplan.base.interrupts import INTERRUPTED, interrupt_event
+from ctrplan.commands.igtl_options import add_igtl_option
 from ctrplan.commands.options import add_number, add_set_option
 from ctrplan.commands.progress_bar import ProgressBar
 from ctrplan.errors import InputError, NoAnswerError
@@ -31,6 +33,7 @@ examples:
   ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out
   ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out --start oscillated
   ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out --start +1,-1
+  ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out --igtl 18944
   ctrplan simulate robot.toml measurements.csv -o out --measured
   ctrplan simulate robot.toml measurements.csv -o out --measured --offset-mm 1 --offset-steps 50
 
@@ -74,12 +77,19 @@ def add_parser(commands: Any) -> None:
     add_number(parser, "--offset-steps", Number(1, 1e9), default=float("inf"), metavar="ROWS", help=help_steps)
     help_members = "with --measured: friction states that are followed (default: %(default)s)"
     add_number(parser, "--histories", Whole(1, MOST_MEMBERS), default=9, metavar="N", help=help_members)
+    add_igtl_option(parser, "the simulated tip, row after row,")
     add_set_option(parser, "the robot's key")
     parser.set_defaults(run=run_simulate)
 
 
 def run_simulate(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError, also where no equilibrium is found to go on to."""
+    if arguments.igtl is not None:
+        from ctrplan.reports.openigtlink.messages import pyigtl
+
+        if arguments.measured:
+            raise InputError("goes without --measured", key="--igtl", value=arguments.igtl)
+        pyigtl()
     if arguments.measured:
         from ctrplan.commands.simulate_measured import run_simulate_measured
 
@@ -106,6 +116,8 @@ def run_simulate(arguments: argparse.Namespace) -> int:
             print(f"ctrplan: warning: {warning}", file=sys.stderr)
         _write(folder, result)
         print(_summary(folder, result))
+        if arguments.igtl is not None:
+            _play(result, arguments.igtl, interrupted)
         if (row := result.failed_waypoint) is not None:
             rule = "no equilibrium was found on the way there; the files hold what lies before"
             raise NoAnswerError(f"{arguments.path}: row {row + 1}: {rule}.")
@@ -130,6 +142,13 @@ def _write(folder: Path, result: Simulation) -> None:
     from ctrplan.studies.simulate import poses_csv
 
     write_results(folder, dict(zip(OUTPUTS, (poses_csv(result), simulation_png(result)), strict=True)))
+
+
+def _play(result: Simulation, port: int, interrupted: threading.Event) -> None:
+    """Sends the tips as fast as the path says, or ten a second; waits for a listener first."""
+    from ctrplan.reports.openigtlink.played_tips import play_tips
+
+    play_tips(result, port, interrupted, lambda at: print(f"OpenIGTLink: waiting on 127.0.0.1:{at}", flush=True))
 
 
 def _summary(folder: Path, result: Simulation) -> str:

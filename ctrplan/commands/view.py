@@ -5,14 +5,23 @@ from __future__ import annotations
 import argparse
 import sys
 import webbrowser
-from typing import Any
+from contextlib import AbstractContextManager, nullcontext
+from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.arguments import Whole
+from ctrplan.commands.igtl_options import add_igtl_option
 from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
+
+if TYPE_CHECKING:
+    from ctrplan.files.plan_file import WrittenPlan
+    from ctrplan.planning.scenario import Scenario
+    from ctrplan.reports.live.state import LiveState
 
 EXAMPLES = """examples:
   ctrplan view scenarios/robots/three_tube.toml
   ctrplan view scenarios/airway.toml --no-browser --port 8080
+  ctrplan view out/plan.json
+  ctrplan view scenarios/airway.toml --igtl 18944 --frame LPS
 """
 
 
@@ -26,9 +35,11 @@ def add_parser(commands: Any) -> None:
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("file", metavar="ROBOT.toml|SCENARIO.toml")
+    parser.add_argument("file", metavar="ROBOT.toml|SCENARIO.toml|PLAN.json", help="of a plan the motion can be played")
     add_number(parser, "--port", Whole(0, 65535), default=0, help="of 127.0.0.1 (default: a free one)")
     parser.add_argument("--no-browser", action="store_true", help="only print the page's address")
+    add_igtl_option(parser, "tip and tubes of every pose")
+    parser.add_argument("--frame", metavar="RAS|LPS", help="of the anatomy, for --igtl, which sends RAS")
     add_allow_outside_option(parser)
     add_set_option(parser, "a key of the file", "robot.tube.2.poisson_ratio=0.28")
     parser.set_defaults(run=run_view)
@@ -36,14 +47,14 @@ def add_parser(commands: Any) -> None:
 
 def run_view(arguments: argparse.Namespace) -> int:
     """Serves the page until Ctrl-C; returns 0. Raises CtrplanError."""
-    from ctrplan.files.bare_scenario import load_robot_or_scenario
     from ctrplan.reports.live.server import LiveServer
     from ctrplan.reports.live.state import LiveState
 
-    scenario = load_robot_or_scenario(arguments.file, arguments.overrides, allow_outside=arguments.allow_outside)
+    scenario, motion = loaded(arguments)
     for warning in scenario.warnings:
         print(f"ctrplan: warning: {warning}", file=sys.stderr)
-    with LiveServer(LiveState(scenario), arguments.port) as server:
+    state = LiveState(scenario, motion)
+    with _sending(arguments, state), LiveServer(state, arguments.port) as server:
         print(f"{scenario.name}: {server.url}   (Ctrl-C ends)", flush=True)
         if not arguments.no_browser:
             webbrowser.open(server.url)
@@ -52,3 +63,30 @@ def run_view(arguments: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             print()
     return 0
+
+
+def loaded(arguments: argparse.Namespace) -> tuple[Scenario, WrittenPlan | None]:
+    """The scenario of the file, and the plan if that is one. Raises InputError."""
+    from ctrplan.files.bare_scenario import load_robot_or_scenario
+    from ctrplan.files.plan_file import load_plan
+
+    if arguments.file.lower().endswith(".json"):
+        plan = load_plan(arguments.file, None, arguments.overrides, allow_outside=arguments.allow_outside)
+        return plan.scenario, plan
+    return load_robot_or_scenario(arguments.file, arguments.overrides, allow_outside=arguments.allow_outside), None
+
+
+def _sending(arguments: argparse.Namespace, state: LiveState) -> AbstractContextManager[Any]:
+    """Sends every pose that is shown, the start first, if that was asked for."""
+    if arguments.igtl is None:
+        return nullcontext()
+    from ctrplan.files.slicer.patient_frame import patient_frame
+    from ctrplan.reports.openigtlink.broadcast import Broadcast
+    from ctrplan.reports.openigtlink.messages import pose_messages, pyigtl
+
+    frame = patient_frame(state.scenario, arguments.frame)
+    pyigtl()
+    broadcast = Broadcast(arguments.igtl)
+    state.on_pose = lambda pose: broadcast.send(pose_messages(pose, frame))
+    print(f"OpenIGTLink: 127.0.0.1:{broadcast.port}, RAS and mm", flush=True)
+    return broadcast

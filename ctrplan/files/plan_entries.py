@@ -35,12 +35,27 @@ class SamplesEntry(Struct):
     joints: Annotated[list[list[float]], Meta(min_length=1)]
     bound_m: Numbers
     predicted_m: Numbers
+    clearance_m: Numbers | None = None
 
 
 class TargetEntry(Struct):
     """A target of the plan."""
 
     leg: Annotated[int, Meta(ge=0)]
+
+
+class ClosestEntry(Struct):
+    """Where the robot comes closest to the anatomy."""
+
+    clearance_m: float
+    distance_m: float
+    part: str
+    tube: Annotated[int, Meta(ge=1)]
+    point_m: tuple[float, float, float]
+    leg: Annotated[int, Meta(ge=0)]
+    path_mm: float
+    joints: list[float]
+    phi: list[float]
 
 
 class CertificateEntry(Struct):
@@ -54,6 +69,7 @@ class CertificateEntry(Struct):
     max_strain: float | None
     targets: Annotated[list[TargetEntry], Meta(min_length=1)]
     samples: SamplesEntry
+    closest: ClosestEntry | None = None
 
 
 class CompensationEntry(Struct):

@@ -10,12 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec.structs import asdict
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.files.plan_entries import PlanEntry
 from ctrplan.files.played_trajectory import places_on_legs, played_samples
 from ctrplan.files.scenario_file import load_scenario
+from ctrplan.planning.certified import Closest
 from ctrplan.planning.plan import Plan
 from ctrplan.planning.plan_json import SCHEMA_VERSION, SI_UNITS, plan_to_json
 from ctrplan.planning.scenario import Scenario
@@ -40,6 +42,7 @@ class WrittenPlan:
     position: Array  # (T, m)
     places: Array  # (T,)
     certified_places: Array  # (K,)
+    closest: Closest | None = None  # where the robot is said to come closest to the anatomy, in any friction state
     file: str | None = None
 
     @classmethod
@@ -134,9 +137,22 @@ def _checked(scenario: Scenario, content: dict[str, Any], file: str | None, play
     _check_columns(entry, content, waypoints, document)
     certified = np.array(entry.certificate.samples.joints)
     rows = places_on_legs(certified, waypoints, file, "certificate.samples.joints")
-    return WrittenPlan(
-        scenario, content, waypoints, *played, places_on_legs(played[1], waypoints, file, "trajectory"), rows, file
-    )
+    places = places_on_legs(played[1], waypoints, file, "trajectory")
+    return WrittenPlan(scenario, content, waypoints, *played, places, rows, _closest(entry, scenario, document), file)
+
+
+def _closest(entry: PlanEntry, scenario: Scenario, document: Document) -> Closest | None:
+    """The place. Raises InputError for one that the robot can't be at."""
+    said, robot = entry.certificate.closest, scenario.robot
+    if said is None:
+        return None
+    for name, count in (("joints", len(robot.drive.joints)), ("phi", robot.n - 1)):
+        if len(getattr(said, name)) != count:
+            raise document.fault(f"must be {count} values", "certificate", "closest", name)
+    if said.tube > robot.n:
+        raise document.fault(f"must be at most {robot.n}, the robot's tubes", "certificate", "closest", "tube")
+    arrays = {name: np.array(getattr(said, name)) for name in ("point_m", "joints", "phi")}
+    return Closest(**{**asdict(said), **arrays})
 
 
 def _waypoints(entry: PlanEntry, scenario: Scenario, document: Document) -> Array:

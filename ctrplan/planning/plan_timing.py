@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from ctrplan.base.arrays import Array
 
 if TYPE_CHECKING:
-    from ctrplan.drive.trajectory import Trajectory
     from ctrplan.planning.certified import Closest
     from ctrplan.planning.planned_motion import PlannedMotion
+
+
+class Played(Protocol):
+    """Samples of a motion over time: a trajectory, or what was read of one."""
+
+    @property
+    def time_s(self) -> Array:
+        """(T,) rising from 0."""
+
+    @property
+    def position(self) -> Array:
+        """(T, m) rad or m."""
 
 
 def sample_time_s(plan: PlannedMotion) -> Array:
@@ -40,7 +51,7 @@ def settling_duration_s(plan: PlannedMotion) -> float:
     return float(plan.trajectory.duration_s - before)
 
 
-def joints_at(trajectory: Trajectory, time_s: Array) -> Array:
+def joints_at(trajectory: Played, time_s: Array) -> Array:
     """(T, m) joint values [rad, m] of the trajectory at time_s (T,) [s], linear between its samples."""
     return np.stack([np.interp(time_s, trajectory.time_s, column) for column in trajectory.position.T], axis=1)
 

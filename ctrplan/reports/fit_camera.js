@@ -5,8 +5,9 @@
 const HALF_VIEW = Math.tan(Math.PI / 8), LABELS = 48;  // pixels around the box that the labels of its axes need
 const NARROW = 500;  // pixels in which a colour scale would cover the robot
 
-function fitCamera(plot) {
-  const {scene, _size: size} = plot._fullLayout, {eye, up} = scene.camera;
+// `from`: the eye's direction, in the place of the one that is looked from now.
+function fitCamera(plot, from) {
+  const {scene, _size: size} = plot._fullLayout, {eye, up} = from ? {eye: from, up: {x: 0, y: 0, z: 1}} : scene.camera;
   const width = size.w * (scene.domain.x[1] - scene.domain.x[0]), height = size.h * (scene.domain.y[1] - scene.domain.y[0]);
   const across = HALF_VIEW * filled(width) * width / height, along = HALF_VIEW * filled(height);
   const toward = unit(eye), right = unit(cross(up, toward)), above = cross(toward, right);
@@ -16,7 +17,7 @@ function fitCamera(plot) {
     away = Math.max(away, dot(corner, toward) + needed);
   }
   const moved = {x: away * toward.x, y: away * toward.y, z: away * toward.z};
-  return Plotly.relayout(plot, {"scene.camera.eye": moved, "scene.camera.center": {x: 0, y: 0, z: 0}});
+  return Plotly.relayout(plot, {"scene.camera.eye": moved, "scene.camera.center": {x: 0, y: 0, z: 0}, "scene.camera.up": up});
 }
 
 function keepFitted(plot) {

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import base64
 import html
+import json
+import zlib
 from collections.abc import Iterable, Sequence
+from functools import cache
 from importlib.resources import files
 from typing import Any
 
@@ -48,6 +52,9 @@ code {{ font-size: 0.85rem; }}
 .scene {{ height: max(300px, min(560px, 100vh - 370px)); margin: 0; }} .scene > div {{ height: 100%; }}
 .motion {{ display: grid; grid-template-columns: minmax(0, 1fr) 300px; gap: 8px 26px; }}
 .player {{ display: flex; gap: 14px; align-items: center; margin: 4px 0 10px; }} .player input {{ flex: 1; }}
+.looking {{ display: flex; flex-wrap: wrap; gap: 6px; align-items: center; margin: 0 0 10px; font-size: 0.9rem; }}
+.looking button {{ padding: 2px 10px; }} .cut {{ display: flex; gap: 8px; align-items: center; margin-left: 8px; }}
+.cut select {{ font: inherit; }} .cut input {{ width: 120px; }}
 .player button {{ width: 7em; font-weight: 600; color: #fff; background: {palette.SERIES[0]}; border: 0; }}
 .player button:hover {{ background: #005a8e; }}
 output {{ min-width: 3.5em; text-align: right; }} output, .moment b {{ font-variant-numeric: tabular-nums; }}
@@ -132,17 +139,25 @@ def plot(
     Texts of the figure must be escaped by whoever made it.
     """
     buttons = BUTTONS_3D if "scene" in figure.layout else BUTTONS_2D
-    content = figure.to_html(
-        full_html=False,
-        include_plotlyjs=with_library,
-        include_mathjax=False,
-        div_id=name,
-        default_height=f"{figure.layout.height}px" if figure.layout.height else "100%",
-        config={"displaylogo": False, "responsive": True, "modeBarButtons": [list(buttons)]},
-        auto_play=False,
-        post_script=script,
-    )
-    return tag("div", Markup(content), kind=kind)
+    config = json.dumps({"displaylogo": False, "responsive": True, "modeBarButtons": [list(buttons)]})
+    height = f"{figure.layout.height}px" if figure.layout.height else "100%"
+    place = f'<div id="{name}" class="plotly-graph-div" style="height:{height}; width:100%;"></div>'
+    call = f'drawn("{name}", "{packed(figure.to_json())}", {config}).then(() => {{{script or ""}\n}});'
+    first = Markup(f"<script>{_library()}</script>") if with_library else Markup()
+    return tag("div", first, Markup(f"{place}<script>{call}</script>"), kind=kind)
+
+
+def packed(text: str) -> str:
+    """Compressed, in letters and digits: packed.js makes the text of it again."""
+    return base64.b64encode(zlib.compress(text.encode(), 9)).decode("ascii")
+
+
+@cache
+def _library() -> str:
+    """plotly.js, a third of its size."""
+    from plotly.offline import get_plotlyjs
+
+    return f'{script("packed.js")}\nconst plotly = library("{packed(get_plotlyjs())}");\n'
 
 
 def page(title: str, *content: str) -> str:

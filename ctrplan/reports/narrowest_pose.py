@@ -14,7 +14,6 @@ from ctrplan.reports.surface import Rod
 
 if TYPE_CHECKING:
     from ctrplan.planning.certified import Closest
-    from ctrplan.planning.plan import Plan
     from ctrplan.planning.scenario import Scenario
 
 SPACING_M = 1e-3
@@ -31,9 +30,8 @@ class NarrowestPose:
     gap_m: Array  # (2, 3) from the tube's surface to the anatomy's
 
 
-def narrowest_pose(plan: Plan) -> NarrowestPose | None:
-    """Solves one shape; None in free space, and where the model has no solution."""
-    place, scenario = plan.certificate.closest, plan.scenario
+def narrowest_pose(scenario: Scenario, place: Closest | None) -> NarrowestPose | None:
+    """Solves one shape; None in free space, where there is no such place, and where the model has no solution."""
     if place is None:
         return None
     collars = scenario.robot.drive.collars(place.joints)

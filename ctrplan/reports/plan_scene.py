@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from ctrplan.base.arrays import Array
-from ctrplan.errors import SolverError
-from ctrplan.planning.plan_timing import joints_at
 from ctrplan.reports.narrowest_pose import NarrowestPose, narrowest_pose
-from ctrplan.reports.pose import Pose, pose, to_anatomy
+from ctrplan.reports.played_poses import poses_along
+from ctrplan.reports.pose import Pose, to_anatomy
 
 if TYPE_CHECKING:
     from ctrplan.planning.plan import Plan
@@ -45,15 +41,8 @@ def plan_scene(plan: Plan, frames: int = FRAMES) -> PlanScene:
     Raises SolverError where no pose has a solution. Left out are poses where the model has none: a plan that is not
     certified may have some.
     """
-    duration_s = plan.trajectory.duration_s
-    times = np.linspace(0.0, duration_s, frames if duration_s > 0 else 1)
-    path = []
-    for joints, time_s in zip(joints_at(plan.trajectory, times), times.tolist(), strict=True):
-        with suppress(SolverError):
-            path.append(pose(plan.scenario, joints, time_s))
-    if not path:
-        raise SolverError("The model has no solution anywhere on the plan's trajectory.")
-    return PlanScene(plan, tuple(path), narrowest_pose(plan))
+    path = poses_along(plan.scenario, plan.trajectory, frames)
+    return PlanScene(plan, path, narrowest_pose(plan.scenario, plan.certificate.closest))
 
 
 def tip_path(plan: Plan) -> Array:

@@ -34,6 +34,7 @@ class Pose:
     envelope: Rod  # the outline with everything friction, as bounded, and the model error may add
     corners_m: Array  # (2**(n - 1), S, 3) innermost centreline of the corner shapes
     bound_m: float
+    ends_R: Array  # (n, 3, 3) frames of the tubes where they end, third column along the tube
 
     @property
     def tip_m(self) -> Array:
@@ -60,6 +61,7 @@ def _posed(scenario: Scenario, bound: Bound, time_s: float) -> Pose:
         _in_anatomy(scenario, _envelope(bound, radii, robot.model_error_m)),
         np.array([to_anatomy(scenario, _line(c.tubes[-1], _stations(c.tubes[-1]))[0]) for c in bound.corners]),
         bound.position_m,
+        scenario.base_R @ np.array([tube.frames[-1] for tube in tubes]),
     )
 
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario
 
 SIDES, ENVELOPE_SIDES = 10, 12
+FINENESS = 128  # parts of a mm
 TILT = np.radians(16)
 LIGHT = {"ambient": 0.75, "diffuse": 0.5, "specular": 0.15, "roughness": 0.7}
 
@@ -59,7 +60,8 @@ def anatomy_traces(scenario: Scenario, surfaces: list[Surface]) -> list[Any]:
     roles, traces = [part.role for part in scenario.anatomy], []
     for k, (role, surface) in enumerate(zip(roles, surfaces, strict=True)):
         look, opacity = looks.ANATOMY[role], 0.35 if role == "avoid" else 0.2
-        traces.append(mesh_trace(surface, look.colour, opacity, look.name, shown=role not in roles[:k]))
+        trace = mesh_trace(surface, look.colour, opacity, look.name, shown=role not in roles[:k])
+        traces.append(trace.update(meta={"cut": True, "wall": opacity}))  # for looking.js
     return traces
 
 
@@ -82,8 +84,8 @@ def mesh_trace(surface: Surface, colour: str, opacity: float, name: str, shown: 
 
 
 def xyz(points_m: Array) -> dict[str, Any]:
-    """Coordinates in mm, in single precision: a third of the size, and more than a screen can show."""
-    x, y, z = (points_m * 1e3).astype(np.float32).T
+    """Coordinates in mm to 1/128, in single precision: more than a screen can show, and pages are half as large."""
+    x, y, z = (np.round(points_m * 1e3 * FINENESS) / FINENESS).astype(np.float32).T
     return {"x": x, "y": y, "z": z}
 
 

@@ -10,35 +10,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-import tomli_w
-from claimed_plans import claiming
-from places import SCENARIOS
+from written_plan_files import write_small_plan
 
 from ctrplan.errors import InputError
 from ctrplan.files.plan_file import WrittenPlan, load_plan
-from ctrplan.files.scenario_file import load_scenario
-from ctrplan.files.trajectory_file import trajectory_formats, write_trajectory
-from ctrplan.planning.plan_json import write_plan_json
 from ctrplan.verification.driven_way import DrivenWay
-
-GOAL = [0, 5, 10, -3]
-JOINTS = ("rotate outer", "rotate middle", "rotate inner", "translate inner")
-CONTENT = {
-    "robot": str(SCENARIOS / "robots" / "three_tube.toml"),
-    "start": dict.fromkeys(JOINTS, 0.0),
-    "goal": {"joints": dict(zip(JOINTS, GOAL, strict=True))},
-}
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A scenario, plan.json and trajectory.csv; nobody changes them."""
     folder = tmp_path_factory.mktemp("plan")
-    (folder / "scenario.toml").write_text(tomli_w.dumps(CONTENT))
-    scenario = load_scenario(folder / "scenario.toml", allow_outside=True)
-    written = claiming(scenario, GOAL)
-    write_plan_json(folder / "plan.json", written)
-    write_trajectory(folder, written.trajectory, trajectory_formats(["csv"]))
+    write_small_plan(folder)
     return folder
 
 
@@ -82,6 +65,10 @@ def test_the_way_goes_through_every_sample_and_every_corner(folder: Path) -> Non
     assert way.time_at(1.0) == plan.time_s[-1]
 
 
+CLOSEST = {
+    **{"clearance_m": 0.0, "distance_m": 0.0, "part": "anatomy.1", "tube": 7, "point_m": [0.0, 0.0, 0.0]},
+    **{"leg": 0, "path_mm": 0.0, "joints": [0.0], "phi": [0.0]},
+}
 Change = Callable[[dict[str, Any]], object]
 SPOILED: dict[str, tuple[Change, str]] = {
     "an older version": (lambda c: c.update(schema_version=1), r"schema_version = 1: must be \d+, the version"),
@@ -125,6 +112,18 @@ SPOILED: dict[str, tuple[Change, str]] = {
     "a column of text": (
         lambda c: c["certificate"]["samples"]["bound_m"].__setitem__(0, "x"),
         "certificate.samples.bound_m.1 = 'x': must be a number",
+    ),
+    "clearances of text": (
+        lambda c: c["certificate"]["samples"]["clearance_m"].__setitem__(0, "x"),
+        "certificate.samples.clearance_m.1 = 'x': must be a number",
+    ),
+    "a closest place of another robot": (
+        lambda c: c["certificate"].update(closest=CLOSEST),
+        "certificate.closest.joints.*: must be 4 values",
+    ),
+    "a closest tube that there is not": (
+        lambda c: c["certificate"].update(closest=CLOSEST | {"joints": [0.0] * 4, "phi": [0.0] * 2}),
+        "certificate.closest.tube = 7: must be at most 3",
     ),
     "a missing figure": (lambda c: c["certificate"].pop("min_stability"), "certificate.min_stability: is missing"),
 }

@@ -47,3 +47,15 @@ def pose_clearances(scenario: Scenario, joints: Array) -> PoseClearances | None:
     least = distance.least(bodies.reshape(-1, 3), np.tile(found.radius_m, len(bodies)), owner, len(bodies))
     allowance = mesh_allowance_m(robot, "certificate") + UNEVEN_FRICTION_M + play_reach(robot, theta_b, l_b)
     return PoseClearances(float(least[0]), float(least.min()), float(least.min()) - allowance)
+
+
+def clearances_mm(scenario: Scenario, joints: Array) -> dict[str, float | None]:
+    """[mm] without friction, of the worst friction state, and that less allowances; None in free space."""
+    found = pose_clearances(scenario, joints)
+    if found is None:
+        return dict.fromkeys(("nominal_mm", "friction_mm", "sure_mm"))
+    return {
+        "nominal_mm": found.nominal_m * 1e3,
+        "friction_mm": found.friction_m * 1e3,
+        "sure_mm": found.sure_m * 1e3,
+    }

@@ -25,14 +25,20 @@ class Request:
     query: str
     headers: HTTPMessage  # names in any case
 
-    @property
-    def numbers(self) -> list[float]:
-        """The numbers of `q` with commas between them; a plus sign is one. Raises InputError."""
-        text = parse_qs(self.query.replace("+", "%2B")).get("q", [""])[0]
+    def numbers(self, key: str) -> list[float]:
+        """The numbers of a key with commas between them; a plus sign is one. Raises InputError."""
+        text = self._text(key) or ""
         try:
             return [float(value.replace("_", "?")) for value in text.split(",")]
         except ValueError:
-            raise InputError("must be numbers with commas between them", key="q", value=text[:60]) from None
+            raise InputError("must be numbers with commas between them", key=key, value=text[:60]) from None
+
+    def has(self, key: str) -> bool:
+        """Whether the query says anything of a key."""
+        return self._text(key) is not None
+
+    def _text(self, key: str) -> str | None:
+        return parse_qs(self.query.replace("+", "%2B")).get(key, [None])[0]
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from ctrplan.reports import palette
@@ -42,6 +43,9 @@ label input[type=number] {{ width: 92px; text-align: right; font: inherit; borde
 table {{ width: 100%; border-collapse: collapse; margin: 6px 0 14px; }}
 td {{ padding: 4px 0; border-bottom: 1px solid {palette.GRID}; }}
 td + td {{ text-align: right; font-variant-numeric: tabular-nums; }}
+.row {{ display: flex; gap: 6px; align-items: center; flex-wrap: wrap; margin: 4px 0 12px; }}
+.row[hidden] {{ display: none; }} .row input[type=number] {{ width: 62px; font: inherit; padding: 2px 4px;
+  border: 1px solid {palette.GRID}; border-radius: 4px; }} #base input {{ width: 92px; }} #time {{ flex: 1; }}
 button {{ font: inherit; padding: 5px 12px; border-radius: 6px; border: 1px solid #c9d1d8; background: #fff;
   cursor: pointer; }}
 button:hover {{ background: #eef2f5; }}
@@ -56,6 +60,7 @@ dd {{ margin: 0 0 8px; color: {palette.MUTED}; }}
     border-bottom: 1px solid {palette.GRID}; }}
   aside {{ border: 0; padding-top: 12px; }} }}
 """
+BASE = ("x", "y", "z", "about x", "about y", "about z")
 ROWS = (
     ("bound_deg", explained("error of the direction", "By how much friction can turn the tip's direction.")),
     ("stability", term("stability")),
@@ -86,19 +91,36 @@ def live_page(state: LiveState) -> str:
 <link rel="icon" href="data:,"><title>{name} - ctrplan view</title><style>{STYLE}</style></head>
 <body><main id="scene"></main><aside><p class="kicker">{robot}</p><h1>{name}</h1>
 <p class="kicker">{bound}</p><div id="bound">–</div><div id="meter"><div></div></div>
-<div id="state" class="quiet" role="status">Solving the first pose ...</div><div id="joints"></div>
+<div id="state" class="quiet" role="status">Solving the first pose ...</div><div id="player" class="row" hidden>
+<button id="play" type="button">▶</button>
+<input id="time" type="range" min="0" value="0" aria-label="time"><output id="now"></output></div>
+<div id="joints"></div>
 <table><tbody>{rows}</tbody></table>
 <div id="key"></div>
-<button id="reset" type="button">Back to the start</button>
-<p class="kicker" style="margin-top: 14px">these joint values, for a scenario file</p><pre id="toml"></pre>
+<div class="row"><button id="reset" type="button">Back to the start</button></div>
+<p class="kicker">tip to here, mm (or click on a target)</p>
+<form id="pick" class="row">{_numbers("tip", "xyz", "required")}
+<button type="submit">Reach</button></form>
+<p class="kicker">base moved by, mm, and turned about x, y, z, °</p>
+<div id="base" class="row">{_numbers("base", BASE, 'value="0"')}</div>
+<p class="kicker" style="margin-top: 14px">this pose, for a scenario file</p><pre id="toml"></pre>
 {glossary(*WORDS)}</aside>
 <script src="plotly.js"></script><script src="scene.js"></script><script src="live.js"></script></body></html>
 """
 
 
+def _numbers(what: str, names: Sequence[str], more: str) -> str:
+    """A field for each of some numbers."""
+    fields = (f'<input type="number" step="any" {more} aria-label="{what} {n}" placeholder="{n}">' for n in names)
+    return "".join(fields)
+
+
 def scene_script(state: LiveState) -> str:
     """JavaScript that holds the figure and the sliders."""
-    return f"const FIGURE = {state.figure().to_json()};\nconst JOINTS = {json.dumps(state.sliders())};\n"
+    return (
+        f"const FIGURE = {state.figure().to_json()};\nconst JOINTS = {json.dumps(state.sliders())};\n"
+        f"const MOTION = {json.dumps(state.played())};\n"
+    )
 
 
 def live_script() -> str:

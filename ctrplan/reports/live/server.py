@@ -8,6 +8,7 @@ import socket
 import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from types import TracebackType
 from typing import TYPE_CHECKING
 
@@ -114,10 +115,13 @@ class LiveServer:
             return refusal(405, "this server knows GET only")
         if path in self.pages:
             return self.pages[path]
-        if path != "/pose":
+        if path not in ("/pose", "/ik"):
             return refusal(404, f"there is no {path[:60]} here")
-        values = request.numbers
-        return json_answer(200, await asyncio.get_running_loop().run_in_executor(self.solvers, self.state.at, values))
+        values, base = request.numbers("q"), request.numbers("base") if request.has("base") else None
+        asked = partial(self.state.at, values, base)
+        if path == "/ik":
+            asked = partial(self.state.reaching, values, request.numbers("tip"), base)
+        return json_answer(200, await asyncio.get_running_loop().run_in_executor(self.solvers, asked))
 
 
 def _pages(state: LiveState) -> dict[str, Answer]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import html
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,13 +12,15 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.mechanics.core import Status
-from ctrplan.planning.motion import MotionChecker, path_limits
+from ctrplan.planning.plan_timing import Played, joints_at
 from ctrplan.planning.play import play_shift
 from ctrplan.reports import scene_looks as looks
 from ctrplan.reports.framing import view_box
-from ctrplan.reports.live.clearances import pose_clearances
+from ctrplan.reports.live.clearances import clearances_mm
+from ctrplan.reports.live.picked_tip import picked_tip
+from ctrplan.reports.live.standing import Standings
 from ctrplan.reports.plan_words.worst_miss import WorstMiss
-from ctrplan.reports.pose import plate, pose, to_anatomy
+from ctrplan.reports.pose import Pose, plate, pose, to_anatomy
 from ctrplan.reports.scene_traces import anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces, xyz
 from ctrplan.reports.surface import Surface, anatomy_surface
 
@@ -26,18 +30,21 @@ if TYPE_CHECKING:
 UNLIMITED = (-180.0, 180.0)  # deg of the slider of a rotation without limits
 MOST = 1e5  # deg or mm: turns beyond have too few digits for an angle
 REACH_SAMPLES = 300
+STEPS = 200  # of a motion that is played
 AROUND_M = 5e-3  # shown beside lumens
 
 
 class LiveState:
     """A scenario's robot at any joint values; calls may come from several threads."""
 
-    def __init__(self, scenario: Scenario) -> None:
-        """Solves the scenario's start, where the sliders begin."""
+    def __init__(self, scenario: Scenario, motion: Played | None = None) -> None:
+        """Solves the scenario's start, where the sliders begin; a motion can be played."""
         self.scenario = scenario
-        self.checker = MotionChecker(scenario)
-        self.checker.limits = path_limits(scenario)  # the scenario's own, without what a search adds
+        self.motion = motion
+        self.standings = Standings(scenario)
+        self.checker = self.standings.first.checker
         self.start = self._shown(scenario.start)
+        self.on_pose: Callable[[Pose], object] = lambda pose: None  # is told every pose that is shown
 
     def sliders(self) -> list[dict[str, Any]]:
         """Name, unit, range and first value of each joint, in deg or mm."""
@@ -49,13 +56,21 @@ class LiveState:
             rows.append({"name": joint.name, "unit": joint.unit, "min": low, "max": high, "value": value})
         return rows
 
+    def played(self) -> dict[str, Any] | None:
+        """Times [s] and joint values in deg or mm of the motion, at equal steps; None without one."""
+        if self.motion is None:
+            return None
+        times = np.linspace(0.0, float(self.motion.time_s[-1]), STEPS)
+        rows = [[round(value, 5) for value in self._shown(q)] for q in joints_at(self.motion, times)]
+        return {"time_s": np.round(times, 3).tolist(), "joints": rows}
+
     def figure(self) -> Any:
         """The plotly figure at the start: the traces that move first, then plate and anatomy."""
         import plotly.graph_objects as go
 
         scenario = self.scenario
         surfaces = [anatomy_surface(part) for part in scenario.anatomy]
-        still = [mesh_trace(plate(scenario).surface(32), looks.PLATE.colour, 1.0, looks.PLATE.name)]
+        still = [mesh_trace(_stand(scenario), looks.PLATE.colour, 1.0, looks.PLATE.name)]
         anatomy = anatomy_traces(scenario, surfaces)
         figure = go.Figure([*robot_traces(pose(scenario, scenario.start)), *still, *self._target(), *anatomy])
         reach = self._reach(surfaces)
@@ -64,37 +79,55 @@ class LiveState:
         return figure
 
     def _target(self) -> list[Any]:
-        """The point that the scenario asks for, if it does."""
+        """The points that the scenario asks for, to be clicked on."""
         import plotly.graph_objects as go
 
-        tip_m = self.scenario.goal.tip_m
-        if tip_m is None:
-            return []
-        marker = {"symbol": "diamond", "size": 5, "color": looks.GOAL.colour}
-        return [go.Scatter3d(**xyz(tip_m[None]), mode="markers", marker=marker, name=looks.GOAL.name)]
+        goals = [goal for goal in self.scenario.targets if goal.tip_m is not None]
+        traces = []
+        for goal in goals:
+            symbol = "diamond" if goal is self.scenario.goal else "diamond-open"
+            name = html.escape(goal.name) or (looks.GOAL.name if goal is self.scenario.goal else "target on the way")
+            marker = {"symbol": symbol, "size": 7, "color": looks.GOAL.colour}
+            hover = f"{name}: a click moves the tip here<extra></extra>"
+            shown = {
+                "mode": "markers",
+                "marker": marker,
+                "name": name,
+                "hovertemplate": hover,
+                "meta": {"target": True},
+            }
+            traces.append(go.Scatter3d(**xyz(np.array([goal.tip_m])), **shown))
+        return traces
 
-    def at(self, values: list[float]) -> dict[str, Any]:
+    def reaching(self, values: list[float], tip_mm: list[float], base: list[float] | None = None) -> dict[str, Any]:
+        """Joint values for a tip [mm, anatomy's frame], near to joint values in deg or mm, or a refusal; as `at`."""
+        return picked_tip(self.standings.at(base), self._joints(values), tip_mm)
+
+    def at(self, values: list[float], base: list[float] | None = None) -> dict[str, Any]:
         """The answer for joint values in deg or mm, in the order of the drive: vertices [mm] and figures, or a refusal.
 
-        Raises InputError unless there is a finite number per joint.
+        `base` is how it was moved, see `Standings`. Raises InputError unless there is a finite number per joint.
         """
-        joints = self._joints(values)
-        motion, samples = self.checker.probe(joints)
+        joints, standing = self._joints(values), self.standings.at(base)
+        scenario = standing.scenario
+        motion, samples = standing.checker.probe(joints)
         if samples is None:
             return {"refusal": self._refusal(motion.reason)}
         if samples.status[-1] == Status.FAILED:
             return {"refusal": "the mechanics solver found no equilibrium here"}
-        shown = pose(self.scenario, joints)
-        clearance_mm = float(samples.clearance_m[-1]) * 1e3 if self.checker.field else None
+        shown = pose(scenario, joints)
+        self.on_pose(shown)
+        clearance_mm = float(samples.clearance_m[-1]) * 1e3 if standing.checker.field else None
         return {
-            "traces": [self._vertices(trace) for trace in moved_traces(shown)],
+            "traces": [self._vertices(trace) for trace in self._moved(shown, scenario)],
+            "base": standing.lines,
             "tip_mm": _rounded(shown.tip_m * 1e3, 2),
             "bound_mm": _finite(float(samples.position_m[-1]) * 1e3),
             "bound_deg": _finite(math.degrees(float(samples.tangent_rad[-1]))),
             "stability": _finite(float(samples.stability[-1])),
             "strain_percent": _finite(100 * float(samples.max_strain[-1])),
             "clearance_mm": clearance_mm,
-            **self._clearances(joints),
+            **clearances_mm(scenario, joints),
             "target": self._from_target(joints, shown.tip_m, float(samples.position_m[-1])),
             "status": Status(int(samples.status[-1])).name,
             "valid": motion.valid,
@@ -109,17 +142,6 @@ class LiveState:
             if abs(value) > MOST:
                 raise InputError(f"must be at most {MOST:g} {joint.unit} either way", key=joint.name, value=value)
         return np.array([value * joint.si_per_unit for value, joint in zip(values, joints, strict=True)])
-
-    def _clearances(self, joints: Array) -> dict[str, float | None]:
-        """[mm] without friction, of the worst friction state, and that less allowances; None in free space."""
-        found = pose_clearances(self.scenario, joints)
-        if found is None:
-            return dict.fromkeys(("nominal_mm", "friction_mm", "sure_mm"))
-        return {
-            "nominal_mm": found.nominal_m * 1e3,
-            "friction_mm": found.friction_m * 1e3,
-            "sure_mm": found.sure_m * 1e3,
-        }
 
     def _shown(self, q: Array) -> list[float]:
         return [float(x) / joint.si_per_unit for x, joint in zip(q, self.scenario.robot.drive.joints, strict=True)]
@@ -155,6 +177,10 @@ class LiveState:
             points = np.clip(points, room.min(axis=0) - AROUND_M, room.max(axis=0) + AROUND_M)
         return points
 
+    def _moved(self, shown: Pose, scenario: Scenario) -> list[Any]:
+        """What of the figure changes: its first traces, the plate last."""
+        return [*moved_traces(shown), xyz(_stand(scenario).vertices_m)]
+
     def _vertices(self, trace: Any) -> dict[str, list[float | None]]:
         return {axis: _rounded(np.asarray(trace[axis], dtype=np.float64), 3) for axis in "xyz"}
 
@@ -166,3 +192,8 @@ def _rounded(values: Array, digits: int) -> list[float | None]:
 
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
+
+
+def _stand(scenario: Scenario) -> Surface:
+    """What moves with the base."""
+    return plate(scenario).surface(32)

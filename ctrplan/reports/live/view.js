@@ -5,7 +5,8 @@ const LONGEST_WAIT_MS = 60000, NOTICEABLE_MS = 400;
 const byId = (id) => document.getElementById(id);
 const values = JOINTS.map((joint) => joint.value);
 const inputs = [];
-let busy = false, stale = false, largest = 5;
+const moves = Array.from(document.querySelectorAll("#base input"));
+let busy = false, stale = false, largest = 5, base = "[base]", playing = null;
 
 function row(joint, k) {
   const label = document.createElement("label"), text = document.createElement("span");
@@ -31,7 +32,11 @@ function show() {
     range.value = values[k];
     number.value = (Math.round(values[k] * 100) / 100).toString();
   });
-  byId("toml").textContent = JOINTS.map((joint, k) => `"${joint.name}" = ${Number(values[k].toFixed(3))}`).join("\n");
+  toml();
+}
+
+function toml() {
+  byId("toml").textContent = `${base}\n[start]\n` + JOINTS.map((joint, k) => `"${joint.name}" = ${Number(values[k].toFixed(3))}`).join("\n");
 }
 
 async function update() {
@@ -40,6 +45,7 @@ async function update() {
   const waiting = setTimeout(() => tell("quiet", "Solving this pose ..."), NOTICEABLE_MS);
   const pose = await asked();
   clearTimeout(waiting);
+  if (pose.base) { base = pose.base; toml(); }
   if (pose.traces) await draw(pose);
   say(pose);
   busy = false;
@@ -47,22 +53,63 @@ async function update() {
 }
 
 // The pose, or {refusal: why there is none}; whatever fails must not leave the figures of another pose on the page.
-async function asked() {
-  const q = encodeURIComponent(values.map((value) => value.toFixed(6)).join(","));
+async function asked(what = "pose", more = "") {
+  const listed = (numbers) => encodeURIComponent(numbers.map((value) => value.toFixed(6)).join(","));
+  const query = `q=${listed(values)}&base=${listed(moves.map((input) => input.valueAsNumber || 0))}${more}`;
   let answer;
   try {
-    answer = await fetch(`pose?q=${q}`, {signal: AbortSignal.timeout(LONGEST_WAIT_MS)});
+    answer = await fetch(`${what}?${query}`, {signal: AbortSignal.timeout(LONGEST_WAIT_MS)});
   } catch (error) {
     const late = error.name === "TimeoutError";
     return {refusal: late ? `no answer within ${LONGEST_WAIT_MS / 1000} s` : "the program behind this page has ended"};
   }
   try {
     const pose = await answer.json();
-    if (answer.ok && (pose.refusal || pose.traces)) return pose;
+    if (answer.ok && (pose.refusal || pose.traces || pose.joints)) return pose;
     return {refusal: pose.error || `the program answered ${answer.status}`};
   } catch (error) {
     return {refusal: "the program's answer could not be read"};
   }
+}
+
+// The tip to a point of the anatomy's frame [mm], by inverse kinematics.
+async function reachFor(point) {
+  document.querySelectorAll("#pick input").forEach((input, k) => { input.value = Number(point[k].toFixed(3)); });
+  tell("quiet", "Looking for joint values ...");
+  const found = await asked("ik", `&tip=${encodeURIComponent(point.join(","))}`);
+  if (!found.joints) { tell("bad", found.refusal); return; }
+  found.joints.forEach((value, k) => { values[k] = value; });
+  show();
+  update();
+}
+
+function addMotion() {
+  if (!MOTION) return;
+  const slider = byId("time"), play = byId("play"), last = MOTION.time_s.length - 1;
+  const at = (k) => {
+    slider.value = k;
+    byId("now").textContent = `${MOTION.time_s[k].toFixed(1)} s`;
+    MOTION.joints[k].forEach((value, n) => { values[n] = value; });
+    show();
+    update();
+  };
+  const stop = () => { clearInterval(playing); playing = null; play.textContent = "▶"; };
+  const began = () => ({clock: performance.now(), time: MOTION.time_s[Number(slider.value) % last]});
+  byId("player").hidden = false;
+  slider.max = last;
+  byId("now").textContent = "0.0 s";
+  slider.addEventListener("input", () => { stop(); at(Number(slider.value)); });
+  play.addEventListener("click", () => {
+    if (playing) { stop(); return; }
+    const start = began();
+    play.textContent = "❚❚";
+    playing = setInterval(() => {  // in real time, as many poses as are solved
+      const now = start.time + (performance.now() - start.clock) / 1000;
+      const k = MOTION.time_s.findIndex((time) => time >= now);
+      if (!busy) at(k < 0 ? last : k);
+      if (k < 0) stop();
+    }, 60);
+  });
 }
 
 async function draw(pose) {
@@ -122,7 +169,15 @@ function fromTarget(target) {
 }
 
 byId("joints").append(...JOINTS.map(row));
-byId("reset").addEventListener("click", () => { JOINTS.forEach((joint, k) => { values[k] = joint.value; }); show(); update(); });
+byId("reset").addEventListener("click", () => { JOINTS.forEach((joint, k) => { values[k] = joint.value; }); moves.forEach((input) => { input.value = 0; }); show(); update(); });
+moves.forEach((input) => input.addEventListener("change", update));
+byId("pick").addEventListener("submit", (event) => {
+  event.preventDefault();
+  reachFor(Array.from(document.querySelectorAll("#pick input"), (input) => input.valueAsNumber));
+});
 const buttons = [["toImage"]];
 Plotly.newPlot("scene", FIGURE.data, FIGURE.layout, {displaylogo: false, responsive: true, modeBarButtons: buttons})
-  .then((plot) => { show(); addKey(plot, byId("key")); return keepFitted(plot); }).then(update);
+  .then((plot) => {
+    plot.on("plotly_click", ({points: [point]}) => { if (point && point.data.meta && point.data.meta.target) reachFor([point.x, point.y, point.z]); });
+    addMotion();
+    show(); addKey(plot, byId("key")); return keepFitted(plot); }).then(update);

@@ -10,6 +10,7 @@ import numpy as np
 from ctrplan.planning.plan_timing import sample_time_s
 from ctrplan.reports.glossary import term
 from ctrplan.reports.html_page import Markup, plot, script, section, tag
+from ctrplan.reports.plan_page.looking import looking_places
 from ctrplan.reports.plan_page.other_ways import other_ways
 from ctrplan.reports.plan_page.panels import CURSOR
 from ctrplan.reports.plan_page.scene import scene_figure
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from ctrplan.base.arrays import Array
     from ctrplan.reports.plan_scene import PlanScene
 
+SCRIPTS = ("fit_camera.js", "scene_key.js", "plan_page/player.js", "plan_page/looking.js")
 CURVES = ("margins", "joints")  # where the time is marked
 SHORTEST_FRAME_MS, LONGEST_FRAME_MS = 60, 200  # a motion plays in real time where that is neither jerky nor dull
 HINT = "Drag to turn, scroll to zoom; a click on a name hides a part. The time is marked on the curves below."
@@ -26,11 +28,13 @@ HINT = "Drag to turn, scroll to zoom; a click on a name hides a part. The time i
 
 def motion_section(scene: PlanScene) -> Markup:
     """Scene and player, figures of the moment, and what other ways to the same goal would leave."""
-    code = script("fit_camera.js") + script("scene_key.js") + script("plan_page/player.js") + _starting(scene)
-    drawn = plot(scene_figure(scene), "scene", with_library=True, script=code, kind="plot scene")
-    left = tag("div", drawn, _controls(scene), Markup('<div id="key"></div>'))
+    code = "".join(map(script, SCRIPTS)) + _starting(scene)
+    figure = scene_figure(scene)
+    drawn = plot(figure, "scene", with_library=True, script=code, kind="plot scene")
+    left = tag("div", drawn, _controls(scene), Markup('<div id="looking" class="looking"></div><div id="key"></div>'))
     right = tag("div", _figures(scene), other_ways(scene.plan), kind="beside")
-    return section("The motion", tag("div", left, right, kind="motion"), tag("p", HINT, kind="quiet hint"))
+    hint = tag("p", HINT + _thinned(scene, figure), kind="quiet hint")
+    return section("The motion", tag("div", left, right, kind="motion"), hint)
 
 
 def moments(scene: PlanScene) -> dict[str, list[str]]:
@@ -79,9 +83,19 @@ def _figures(scene: PlanScene) -> Markup:
     )
 
 
+def _thinned(scene: PlanScene, figure: Any) -> str:
+    """What is drawn of a fine mesh; distances are those of all its triangles."""
+    whole = sum(len(part.shape.surface().faces) for part in scene.plan.scenario.anatomy)
+    drawn = sum(len(trace.i) for trace in figure.data if trace.meta and "wall" in trace.meta)
+    if drawn == whole:
+        return ""
+    return f" The anatomy is drawn in {drawn:,} of its {whole:,} triangles; distances are to all of them."
+
+
 def _starting(scene: PlanScene) -> str:
     """What runs once the scene and all of the page stand."""
     calls = ["addKey(plot, document.getElementById('key'))", "keepFitted(plot)"]
+    calls.append(f"addLooking(plot, {json.dumps(looking_places(scene))})")
     if len(scene.path) > 1:
         calls.append(f"addPlayer(plot, {json.dumps(_motion(scene))})")
     body = f"const plot = document.getElementById('scene'); {'; '.join(calls)};"

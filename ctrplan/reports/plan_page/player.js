@@ -13,6 +13,7 @@ function addPlayer(plot, motion) {
     Plotly.animate(plot, [motion.frames[k]], still);
     document.getElementById("now").textContent = `${motion.time_s[k].toFixed(1)} s`;
     for (const [name, values] of Object.entries(motion.figures)) document.getElementById(name).textContent = values[k];
+    plot.dispatchEvent(new Event("moved"));
     for (const name of motion.curves) markTime(document.getElementById(name), motion.cursor, motion.time_s[k]);
   }
 

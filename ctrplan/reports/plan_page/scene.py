@@ -34,7 +34,7 @@ def scene_figure(scene: PlanScene) -> go.Figure:
     anatomy = [anatomy_surface(part) for part in plan.scenario.anatomy]
     swept = mesh_trace(
         thinned(swept_surface(path), SWEPT_TRIANGLES), looks.ENVELOPE.colour, SWEPT_OPACITY, "space the envelope sweeps"
-    )
+    ).update(meta={"cut": True})
     figure = go.Figure([*moving, *_still(scene, anatomy), swept])
     figure.frames = [
         go.Frame(data=moved_traces(step), traces=list(range(len(moving))), name=name)

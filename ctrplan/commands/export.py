@@ -1,0 +1,74 @@
+"""`ctrplan export`: a written plan in files that other programs read."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from ctrplan.commands.written_plan import add_plan_arguments, add_steps_option, progress_bar, read_plan, solved_motion
+from ctrplan.storage.output_folder import output_folder, write_results
+
+if TYPE_CHECKING:
+    from ctrplan.reports.written_motion import WrittenMotion
+
+PROGRAMS = ("slicer",)
+STEPS = 60
+EXAMPLES = """3D Slicer opens scene.mrml with the anatomy, the robot over time and the space it sweeps: docs/slicer.md.
+No Slicer is needed to write it. All files are in LPS and mm, and say so.
+
+examples:
+  ctrplan export out/plan.json --to slicer --frame LPS -o case
+  ctrplan export out/plan.json scenarios/airway.toml --to slicer --frame RAS -o case --steps 200
+"""
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command to the command line."""
+    parser = commands.add_parser(
+        "export",
+        help="write a plan for 3D Slicer: curves, models, a sequence over time, a scene",
+        description="Solve a written plan's robot at equal steps of the time; write a folder that 3D Slicer opens: "
+        "the tip's path and centrelines (.mrk.json), the anatomy, tubes and the space that the envelope of friction "
+        "sweeps (.ply), the motion (.seq.mrb), the robot's base (.tfm), and a scene that loads them (.mrml).",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_plan_arguments(parser)
+    parser.add_argument("--to", choices=PROGRAMS, required=True, help="the program that shall read it")
+    parser.add_argument("-o", "--output", metavar="DIR", required=True, help="folder for the files")
+    parser.add_argument(
+        "--frame",
+        metavar="RAS|LPS",
+        help="where the axes of the anatomy's frame point in the patient: to the right, the front and the head, or to "
+        "the left, the back and the head as in DICOM; needed where the scenario does not say it",
+    )
+    add_steps_option(parser, STEPS)
+    parser.set_defaults(run=run_export)
+
+
+def run_export(arguments: argparse.Namespace) -> int:
+    """Runs the command; returns its exit code. Raises InputError for what is no plan, and without a frame."""
+    from ctrplan.files.slicer.patient_frame import patient_frame
+    from ctrplan.reports.slicer_case.files import SCENE, case_files
+
+    plan = read_plan(arguments)
+    frame = patient_frame(plan.scenario, arguments.frame)
+    folder = output_folder(arguments.output, [SCENE])
+    with progress_bar(arguments) as bar:
+        motion = solved_motion(plan, arguments.steps, bar)
+        bar.show("writing", 0.0)
+        files = case_files(motion, frame)
+    write_results(folder, files)
+    print(_summary(motion, str(folder / SCENE), len(files), frame))
+    return 0
+
+
+def _summary(motion: WrittenMotion, scene: str, count: int, frame: str) -> str:
+    poses, seconds = len(motion.path), motion.times_s[-1]
+    lines = [f"{motion.scenario.name}: {count} files for 3D Slicer, {poses} poses in {seconds:.1f} s"]
+    lines.append(f"  {'frame':27} the anatomy's is {frame}; files are in LPS and mm")
+    lines.append(f"  {'between two poses':27} the centreline moves {motion.step_m * 1e3:.2f} mm at most")
+    if not motion.plan.certificate["valid"]:
+        lines.append(f"  {'note':27} the plan says that it is not certified")
+    lines.append(f"  {'open in 3D Slicer':27} {scene}")
+    return "\n".join(lines)

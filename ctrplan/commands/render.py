@@ -1,0 +1,91 @@
+"""`ctrplan render`: a written plan as a film, without a browser or a screen."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from ctrplan.base.arguments import Number, in_plain_digits
+from ctrplan.commands.options import add_number
+from ctrplan.commands.progress_bar import ProgressBar
+from ctrplan.commands.written_plan import add_plan_arguments, progress_bar, read_plan, solved_motion
+from ctrplan.errors import InputError
+
+if TYPE_CHECKING:
+    from ctrplan.reports.render.picture import Picture
+
+CAMERAS = ("side", "plate", "target", "inside")
+FPS = Number(1, 60, "pictures a second")
+SIZES = (64, 4096)  # pixels a side
+MOST_PICTURES = 600  # of longer motions fewer, which play faster
+EXAMPLES = """cameras:
+  side      all of the robot, from where it spreads widest
+  plate     from behind the front plate, over the shoulder of whoever stands at the drive
+  target    the goal from near by
+  inside    from the tip, where it points: what an endoscope would see
+
+examples:
+  ctrplan render out/plan.json -o motion.gif
+  ctrplan render out/plan.json -o inside.mp4 --camera inside --fps 24 --size 1280x720
+  ctrplan render out/plan.json -o goal.png --camera target
+"""
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command to the command line."""
+    parser = commands.add_parser(
+        "render",
+        help="a plan's motion as MP4 or GIF",
+        description="Solve a written plan's robot at each picture of a film and draw it with its anatomy, off screen; "
+        "write an MP4 (which needs ffmpeg, or pip install ctrplan[video]), a GIF, or the goal as PNG.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_plan_arguments(parser)
+    parser.add_argument("-o", "--output", metavar="FILE", required=True, help="a .mp4, .gif or .png")
+    parser.add_argument("--camera", choices=CAMERAS, default="side", help="from where (default: %(default)s)")
+    add_number(parser, "--fps", FPS, default=12, help="pictures a second (default: %(default)s)")
+    parser.add_argument("--size", default="960x720", metavar="WxH", help="in pixels (default: %(default)s)")
+    parser.set_defaults(run=run_render)
+
+
+def run_render(arguments: argparse.Namespace) -> int:
+    """Runs the command; returns its exit code. Raises InputError for what is no plan, and for other kinds of files."""
+    from ctrplan.reports.render.film import film
+    from ctrplan.reports.render.film_file import film_suffix, write_film
+
+    suffix, (width, height) = film_suffix(arguments.output), _size(arguments.size)
+    plan = read_plan(arguments)
+    seconds = float(plan.time_s[-1])
+    count = 2 if suffix == ".png" else min(max(2, round(seconds * arguments.fps) + 1), MOST_PICTURES)
+    with progress_bar(arguments) as bar:
+        motion = solved_motion(plan, count, bar)
+        pictures = film(motion, arguments.camera, width, height)
+        shown = _watched(pictures, bar, len(motion.path))
+        write_film(arguments.output, shown, arguments.fps)
+    print(_summary(arguments, plan.scenario.name, suffix, len(motion.path), seconds))
+    return 0
+
+
+def _size(text: str) -> tuple[int, int]:
+    """Width and height. Raises InputError."""
+    values = [in_plain_digits(part, True) for part in text.lower().split("x")]
+    low, high = SIZES
+    if len(values) != 2 or not all(value is not None and low <= value <= high for value in values):
+        raise InputError(f"must be such as 960x720, each from {low} to {high} pixels", key="--size", value=text)
+    return int(values[0] or 0), int(values[1] or 0)
+
+
+def _watched(pictures: Iterator[Picture], bar: ProgressBar, count: int) -> Iterator[Picture]:
+    for k, picture in enumerate(pictures):
+        bar.show("drawing", k / count)
+        yield picture
+
+
+def _summary(arguments: argparse.Namespace, name: str, suffix: str, count: int, seconds: float) -> str:
+    if suffix == ".png":
+        return f"{name}: {arguments.output}, seen from {arguments.camera}"
+    faster = seconds * arguments.fps / max(count - 1, 1)
+    pace = f", {faster:.1f} times faster than the robot" if faster > 1.05 else ""
+    return f"{name}: {arguments.output}, {count} pictures of {seconds:.1f} s{pace}, seen from {arguments.camera}"

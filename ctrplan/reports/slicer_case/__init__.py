@@ -1,0 +1,1 @@
+"""A plan as a folder that 3D Slicer opens."""
