@@ -14,8 +14,8 @@ from ctrplan.errors import InputError
 from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 
 if TYPE_CHECKING:
-    from ctrplan.studies.study.definition import Study
     from ctrplan.studies.study.run import Doing, Outcome
+    from ctrplan.studies.study.study import Study
 
 MOST_WORKERS = 1024
 EXAMPLES = """examples:
@@ -64,8 +64,8 @@ def add_parser(commands: Any) -> None:
 
 def run_study_command(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code: 1 where no task has an answer. Raises CtrplanError."""
-    from ctrplan.studies.study.definition import Study
     from ctrplan.studies.study.run import Where, refuse_endless, run_study
+    from ctrplan.studies.study.study import Study
 
     for first, second in (("--scheduler", "--scheduler-file"), ("--scheduler", "--workers")):
         values = [getattr(arguments, name[2:].replace("-", "_")) for name in (first, second)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ctrplan.reports.html_page import page, tag
 from ctrplan.storage.atomic_write import write_atomically
-from ctrplan.studies.study.definition import Study
+from ctrplan.studies.study.study import Study
 from ctrplan.studies.study.table import StudyTable
 
 

@@ -47,15 +47,15 @@ class Range(Sequence[float]):
 
     def __init__(self, low: float, high: float, count: int) -> None:
         """count: at least 1, which is `low` alone."""
-        self.low, self.high, self.count = low, high, count
+        self.low, self.high, self.size = low, high, count
 
     def __len__(self) -> int:
         """Number of values."""
-        return self.count
+        return self.size
 
     def __getitem__(self, k: int) -> float:  # type: ignore[override]  # one at a time
         """Value k."""
-        share = k / (self.count - 1) if self.count > 1 else 0.0
+        share = k / (self.size - 1) if self.size > 1 else 0.0
         return self.low * (1 - share) + self.high * share
 
 

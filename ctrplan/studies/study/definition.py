@@ -1,27 +1,24 @@
-"""A study: what is varied, what is done with each combination, and the folder that its rows go into."""
+"""What a study is: what is varied, what is done with each combination, and the files that travel with the tasks."""
 
 from __future__ import annotations
 
 import os
 import pickle
-from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ctrplan.base.version import __version__
 from ctrplan.errors import InputError
 from ctrplan.files.study_entries import StudyEntry
-from ctrplan.files.study_file import checked_study, read_study
 from ctrplan.storage.toml_document import Document
 from ctrplan.storage.toml_table import Table
 from ctrplan.studies.study.axes import CONFIGURATION, TASK_PREFIX, Axis
 from ctrplan.studies.study.kinds_installed import CATALOGUE, TaskKind
 from ctrplan.studies.study.loaded import Loaded
 from ctrplan.studies.study.sources import Sources
-from ctrplan.studies.study.table import StudyTable, load
 from ctrplan.studies.study.task import Job, TaskList
 from ctrplan.studies.study.task_kind import check_settings
 from ctrplan.studies.study.varied import axes_of, files_varied
@@ -29,14 +26,13 @@ from ctrplan.studies.study.varied import axes_of, files_varied
 if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario
     from ctrplan.robot.robot import Robot
-    from ctrplan.studies.study.run import Report
 
 KEPT = {"none": (), "extremes": (), "all": ("plan.json", "trajectory.csv")}
 
 
 @dataclass(frozen=True, eq=False)
-class Study:
-    """Independent tasks, one for every combination of what is varied; made by `Study.read` or `Study.of`."""
+class Definition:
+    """Independent tasks, one for every combination of what is varied."""
 
     entry: StudyEntry
     document: Document
@@ -45,26 +41,6 @@ class Study:
     axes: tuple[Axis, ...]
     job: Job
     tasks: TaskList
-
-    load = staticmethod(load)
-
-    @classmethod
-    def read(cls, path: str | os.PathLike[str], overrides: Sequence[str] = (), *, allow_outside: bool = False) -> Study:
-        """The study of a TOML file after `overrides` such as "draws.count=1000"; docs/studies.md has the keys.
-
-        Files that its scenario names must lie in the scenario's folder unless `allow_outside`. Raises InputError, one
-        sentence, for anything malformed, keys that robot or scenario do not have, and files that do not exist.
-        """
-        entry, document = read_study(path, overrides)
-        return _build(entry, document, allow_outside)
-
-    @classmethod
-    def of(
-        cls, content: Mapping[str, Any], folder: str | os.PathLike[str] = ".", *, allow_outside: bool = False
-    ) -> Study:
-        """Likewise of a study file's content; files are named relative to `folder`."""
-        document = Document.of(content, "study", str(Path(folder) / "study.toml"))
-        return _build(checked_study(document), document, allow_outside)
 
     @property
     def name(self) -> str:
@@ -101,26 +77,9 @@ class Study:
         """What every worker is given once."""
         return pickle.dumps(self.job)
 
-    def run(
-        self,
-        folder: str | os.PathLike[str],
-        *,
-        executor: Executor | None = None,
-        workers: int | None = None,
-        scheduler: str | None = None,
-        scheduler_file: str | None = None,
-        add: bool = False,
-        yes: bool = False,
-        progress: Report | None = None,
-    ) -> StudyTable:
-        """Does what is missing in the folder, and returns the table; see `run.run_study`. Raises CtrplanError."""
-        from ctrplan.studies.study.run import Where, run_study
 
-        where = Where(executor, workers, scheduler, scheduler_file)
-        return run_study(self, folder, where, add=add, yes=yes, progress=progress).table
-
-
-def _build(entry: StudyEntry, document: Document, allow_outside: bool) -> Study:
+def defined(entry: StudyEntry, document: Document, allow_outside: bool) -> Definition:
+    """The study of a file's entries. Raises InputError."""
     from ctrplan.files.chosen_table import chosen
 
     folder = Path(document.file or ".").parent
@@ -150,7 +109,7 @@ def _build(entry: StudyEntry, document: Document, allow_outside: bool) -> Study:
     scenario = None if job.is_robot or entry.targets is None else _unvaried(job)
     axes = tuple(axes_of(entry, document, sources, files, scenario))
     tasks = TaskList(axes, _base(entry, job, kind, axes), entry.seed)
-    study = Study(entry, document, kind, sources, axes, job, tasks)
+    study = Definition(entry, document, kind, sources, axes, job, tasks)
     _check(study)
     return study
 
@@ -181,7 +140,7 @@ def _base(entry: StudyEntry, job: Job, kind: TaskKind, axes: Sequence[Axis]) -> 
     return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
 
 
-def _check(study: Study) -> None:
+def _check(study: Definition) -> None:
     """Raises InputError for keys that there are not: the first and the last choice of every axis are read."""
     settings = [vary.key for vary in study.entry.vary if vary.key.startswith(TASK_PREFIX)]
     check_settings(study.kind, [key.removeprefix(TASK_PREFIX) for key in settings], study.document.file)

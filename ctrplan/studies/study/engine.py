@@ -6,12 +6,13 @@ Only so many chunks are handed out at a time that nobody waits, so that memory d
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from typing import Any
 
 from ctrplan.errors import InputError
-from ctrplan.studies.study.child import unanswered
+from ctrplan.studies.child_process import ChildEnded
+from ctrplan.studies.study.limited import do_limited, unanswered
 from ctrplan.studies.study.task import Row, Task
 from ctrplan.studies.study.worker import VersionError, do_tasks
 
@@ -44,17 +45,9 @@ class Engine(ABC):
 class ExecutorEngine(Engine):
     """Any executor of the interface of concurrent.futures."""
 
-    def __init__(
-        self,
-        executor: Executor,
-        workers: int,
-        work: Callable[[bytes, Sequence[Task]], list[Row]] = do_tasks,
-        limited: Callable[[bytes, Sequence[Task], float | None], list[Row]] | None = None,
-    ) -> None:
-        """work: what a worker does; limited: likewise where a task has a time limit."""
-        from ctrplan.studies.study.child import in_child
-
-        self.executor, self._workers, self.work, self.limited = executor, workers, work, limited or in_child
+    def __init__(self, executor: Executor, workers: int) -> None:
+        """workers: how many tasks it does at a time."""
+        self.executor, self._workers = executor, workers
 
     @property
     def workers(self) -> int:
@@ -81,8 +74,8 @@ class ExecutorEngine(Engine):
     def _submitted(self, content: bytes, chunk: Sequence[Task], limit_s: float | None) -> Future[list[Row]]:
         try:
             if limit_s is None:
-                return self.executor.submit(self.work, content, chunk)
-            return self.executor.submit(self.limited, content, chunk, limit_s)
+                return self.executor.submit(do_tasks, content, chunk)
+            return self.executor.submit(do_limited, content, chunk, limit_s)
         except RuntimeError as error:  # of all executors of concurrent.futures
             raise InputError(f"takes no tasks ({error})", key="executor", value=self.executor) from error
 
@@ -97,5 +90,6 @@ def answer(future: Any, chunk: Sequence[Task]) -> Sequence[Row]:
     except ModuleNotFoundError as error:
         raise InputError(f"the workers lack the module {error.name}: install ctrplan where they run") from error
     except Exception as error:
-        sentence = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        words = " ".join(str(error).split()).rstrip(".")
+        sentence = f"{words}." if isinstance(error, ChildEnded) else f"{type(error).__name__}: {words}."
         return [unanswered(task, "lost", sentence) for task in chunk]

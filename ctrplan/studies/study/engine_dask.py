@@ -14,8 +14,8 @@ from typing import Any
 from ctrplan.base.cores import cores
 from ctrplan.base.version import __version__
 from ctrplan.errors import CtrplanError, InputError
-from ctrplan.studies.study.child import in_child
 from ctrplan.studies.study.engine import AHEAD, Chunks, Engine, answer
+from ctrplan.studies.study.limited import do_limited
 from ctrplan.studies.study.task import Row, Task
 from ctrplan.studies.study.worker import check_version, do_tasks
 
@@ -133,7 +133,7 @@ class DaskEngine(Engine):
     def _submitted(self, shared: Any, chunk: Sequence[Task], limit_s: float | None) -> Any:
         if limit_s is None:
             return self.client.submit(do_tasks, shared, chunk, pure=False)
-        return self.client.submit(in_child, shared, chunk, limit_s, pure=False)
+        return self.client.submit(do_limited, shared, chunk, limit_s, pure=False)
 
     def __exit__(self, *_: object) -> None:
         """Leaves the cluster, and ends it where it was started here."""

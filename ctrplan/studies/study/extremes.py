@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 from ctrplan.errors import InputError
 
 if TYPE_CHECKING:
-    from ctrplan.studies.study.definition import Study
+    from ctrplan.studies.study.definition import Definition
     from ctrplan.studies.study.store import Store
     from ctrplan.studies.study.task import Task
 
 
-def judged_by(study: Study) -> str:
+def judged_by(study: Definition) -> str:
     """The column by which rows are better or worse; less is better."""
     return study.entry.keep.by or study.kind.best
 
@@ -29,7 +29,7 @@ def extremes(rows: Sequence[dict[str, Any]], column: str) -> list[int]:
     return [] if not found else list(dict.fromkeys([min(found)[1], max(found)[1]]))
 
 
-def extreme_tasks(study: Study, tasks: Sequence[Task], store: Store, files: Sequence[str]) -> list[Task]:
+def extreme_tasks(study: Definition, tasks: Sequence[Task], store: Store, files: Sequence[str]) -> list[Task]:
     """Those of the best and the worst row whose plans are not there yet. Raises InputError for an unknown column."""
     column = judged_by(study)
     done = [task for task in tasks if (key := bytes.fromhex(task.key)) in store.offsets and key not in store.failed]

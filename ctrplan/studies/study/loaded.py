@@ -28,7 +28,8 @@ class Loaded:
     @property
     def main(self) -> Path:
         """The robot's or scenario's file, on this machine."""
-        return self.job.sources.here / self.task.settings.get("file", self.job.main)
+        name: str = self.task.settings.get("file", self.job.main)
+        return self.job.sources.here / name
 
     @property
     def target(self) -> Mapping[str, Any] | None:

@@ -11,16 +11,19 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from ctrplan.base.cores import cores
 from ctrplan.errors import InputError
-from ctrplan.studies.study.definition import Study
+from ctrplan.files.study_file import checked_study
+from ctrplan.storage.toml_document import Document
+from ctrplan.studies.study.definition import Definition, defined
 from ctrplan.studies.study.engine import Engine, ExecutorEngine
 from ctrplan.studies.study.engine_dask import DaskEngine, is_installed
 from ctrplan.studies.study.engine_pool import PoolEngine
 from ctrplan.studies.study.extremes import extreme_tasks
 from ctrplan.studies.study.store import Store
-from ctrplan.studies.study.table import StudyTable, load, write_table
+from ctrplan.studies.study.table import StudyTable, load_study, write_table
 from ctrplan.studies.study.task import Task
 
 MOST_TASKS = 1_000_000  # without being asked twice
@@ -91,11 +94,11 @@ class Outcome:
     @property
     def table(self) -> StudyTable:
         """All rows that there are."""
-        return load(self.store.folder)
+        return load_study(self.store.folder)
 
 
 def run_study(
-    study: Study,
+    study: Definition,
     folder: str | os.PathLike[str],
     where: Where,
     *,
@@ -123,7 +126,7 @@ def run_study(
         store.close()
 
 
-def refuse_endless(study: Study, where: Where, yes: bool) -> None:
+def refuse_endless(study: Definition, where: Where, yes: bool) -> None:
     """Raises InputError, with the time that it would take, for a study that nobody means to wait for."""
     expected_s = study.count * study.task_s / where.expected
     if not yes and (study.count > MOST_TASKS or expected_s > MOST_DAYS * 86400):
@@ -142,7 +145,7 @@ def in_words(seconds: float) -> str:
     return f"{max(seconds, 0):.0f} s"
 
 
-def _with_earlier(study: Study, store: Store, add: bool) -> list[Study]:
+def _with_earlier(study: Definition, store: Store, add: bool) -> list[Definition]:
     """The studies whose tasks the table has, in their order; study.json says so."""
     folder = os.path.abspath(store.folder)
     file = os.path.abspath(study.document.file or "study.toml")
@@ -157,15 +160,16 @@ def _with_earlier(study: Study, store: Store, add: bool) -> list[Study]:
     return earlier
 
 
-def _again(part: dict[str, object], folder: str, allow_outside: bool) -> Study:
+def _again(part: Mapping[str, Any], folder: str, allow_outside: bool) -> Study:
     place = Path(folder) / str(part["file"])
     content = part["content"]
     if not isinstance(content, dict):
         raise InputError("says nothing of a study", file=str(Path(folder) / "study.json"))
-    return Study.of(content, place.resolve().parent, allow_outside=allow_outside)
+    document = Document.of(content, "study", str(place.resolve()))
+    return defined(checked_study(document), document, allow_outside)
 
 
-def _tasks(studies: Sequence[Study]) -> Iterator[tuple[Study, Task]]:
+def _tasks(studies: Sequence[Definition]) -> Iterator[tuple[Definition, Task]]:
     """All tasks, each once, numbered in their order."""
     seen: set[str] = set()
     index = 0
@@ -181,7 +185,7 @@ def _tasks(studies: Sequence[Study]) -> Iterator[tuple[Study, Task]]:
 
 
 def _do(
-    studies: Sequence[Study], missing: Mapping[Study, int], store: Store, where: Where, report: Report
+    studies: Sequence[Definition], missing: Mapping[Definition, int], store: Store, where: Where, report: Report
 ) -> tuple[int, bool]:
     """Does what is missing; returns how many tasks that were, and whether Ctrl-C ended it."""
     did, count = 0, sum(missing.values())
@@ -208,14 +212,14 @@ def _do(
     return did, False
 
 
-def _counted(studies: Sequence[Study], store: Store, missing: dict[Study, int]) -> Iterator[str]:
+def _counted(studies: Sequence[Definition], store: Store, missing: dict[Definition, int]) -> Iterator[str]:
     """Keys of all tasks; meanwhile those that are missing are counted for each study."""
     for study, task in _tasks(studies):
         missing[study] += _is_missing(study, task, store)
         yield task.key
 
 
-def _is_missing(study: Study, task: Task, store: Store) -> bool:
+def _is_missing(study: Definition, task: Task, store: Store) -> bool:
     """Whether there is no row that could stay: none, or one of a task that nobody lived to answer."""
     key = bytes.fromhex(task.key)
     if key not in store.offsets:
@@ -228,7 +232,9 @@ def _is_missing(study: Study, task: Task, store: Store) -> bool:
     return status == "lost"
 
 
-def _chunks(study: Study, studies: Sequence[Study], store: Store, count: int, workers: int) -> Iterator[Sequence[Task]]:
+def _chunks(
+    study: Definition, studies: Sequence[Definition], store: Store, count: int, workers: int
+) -> Iterator[Sequence[Task]]:
     """Tasks that are missing, so many at a time that they take half a second: those of one worker in one go."""
     size = 1
     if study.kind.together and study.kind.time_limit_s is None:
@@ -244,7 +250,9 @@ def _chunks(study: Study, studies: Sequence[Study], store: Store, count: int, wo
         yield chunk
 
 
-def _keep_extremes(study: Study, studies: Sequence[Study], store: Store, engine: Engine, report: Report) -> None:
+def _keep_extremes(
+    study: Definition, studies: Sequence[Definition], store: Store, engine: Engine, report: Report
+) -> None:
     """The plans of the best and the worst row, made again and kept."""
     wanted = extreme_tasks(study, [task for owner, task in _tasks(studies) if owner is study], store, PLAN_FILES)
     content = pickle.dumps(replace(study.job, keep=PLAN_FILES))

@@ -82,6 +82,10 @@ class Sources:
         """A sentence about files in that folder as one about the originals."""
         return sentence.replace(f"{self.here}{os.sep}", f"{self.folder}{os.sep}")
 
+    def named(self, data: bytes) -> bytes:
+        """Content of a file that a task wrote, likewise."""
+        return data.replace(f"{self.here}{os.sep}".encode(), f"{self.folder}{os.sep}".encode())
+
 
 class _Keyed:
     """Sources that are equal where their content is."""

@@ -82,7 +82,7 @@ class StudyTable:
         return self.to_arrow().__arrow_c_stream__(requested_schema)
 
 
-def load(folder: str | os.PathLike[str]) -> StudyTable:
+def load_study(folder: str | os.PathLike[str]) -> StudyTable:
     """The table in a study's folder, as far as it is, also while the study runs. Raises InputError."""
     store = Store(folder)
     if not (store.folder / ROWS).is_file() or store.definition() is None:

@@ -86,7 +86,7 @@ def _row(job: Job, task: Task, result: Mapping[str, Any] | Exception, took_s: tu
         elapsed_s=took_s[1],
         worker=worker_name(),
         overrides=task.overrides,
-        files=getattr(result, "files", {}),
+        files={name: job.sources.named(data) for name, data in getattr(result, "files", {}).items()},
     )
 
 
