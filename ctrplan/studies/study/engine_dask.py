@@ -6,6 +6,7 @@ dask hands tasks to workers that live, and again where one dies or another joins
 from __future__ import annotations
 
 import logging
+import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
@@ -58,6 +59,8 @@ class DaskEngine(Engine):
         if scheduler or scheduler_file:
             named = {"address": scheduler} if scheduler else {"scheduler_file": scheduler_file}
             key = "--scheduler" if scheduler else "--scheduler-file"
+            if scheduler_file and not os.path.isfile(scheduler_file):  # for which dask would wait
+                raise InputError("is not a file that exists", key=key, value=scheduler_file)
             try:
                 return self.opened.enter_context(Client(**named, timeout=CONNECT_S))
             except (OSError, ValueError, TypeError) as error:  # asyncio's TimeoutError is an OSError or a subclass

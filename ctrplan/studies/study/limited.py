@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from ctrplan.studies.child_process import ChildEnded, in_child
 from ctrplan.studies.study.task import Row, Status, Task
-from ctrplan.studies.study.worker import do_tasks
+from ctrplan.studies.study.worker import do_tasks, prepare
 
 
 def do_limited(content: bytes, tasks: Sequence[Task], limit_s: float) -> list[Row]:
@@ -14,6 +14,7 @@ def do_limited(content: bytes, tasks: Sequence[Task], limit_s: float) -> list[Ro
     rows: list[Row] = []
     for task in tasks:
         try:
+            in_child(prepare, content)
             rows += in_child(do_tasks, content, [task], limit_s=limit_s)
         except TimeoutError:
             rows.append(unanswered(task, "timed out", f"took longer than the limit of {limit_s:g} s.", limit_s))

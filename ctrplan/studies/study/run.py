@@ -160,7 +160,7 @@ def _with_earlier(study: Definition, store: Store, add: bool) -> list[Definition
     return earlier
 
 
-def _again(part: Mapping[str, Any], folder: str, allow_outside: bool) -> Study:
+def _again(part: Mapping[str, Any], folder: str, allow_outside: bool) -> Definition:
     place = Path(folder) / str(part["file"])
     content = part["content"]
     if not isinstance(content, dict):

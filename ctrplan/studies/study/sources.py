@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from ctrplan.errors import InputError
-from ctrplan.files.scenario_file import ROBOT_PREFIX
 from ctrplan.storage.file_bytes import file_bytes
 from ctrplan.storage.temporary import temporary
 from ctrplan.storage.toml_document import Document, read_document
 
 LARGEST_FILE_BYTES = 200_000_000
+ROBOT_PREFIX = "robot."  # of keys that a scenario hands on
 VARIED = "0"  # stands for what a study varies, where content is hashed
 
 

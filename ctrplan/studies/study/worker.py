@@ -31,7 +31,7 @@ def check_version(theirs: str, worker: str = "") -> None:
     if theirs != __version__:
         where = worker or worker_name()
         raise VersionError(
-            f"the worker {where} has ctrplan {__version__}, the study was begun by {theirs}: install one"
+            f"the worker {where} has ctrplan {__version__}, the study is run by {theirs}: install the same"
         )
 
 
@@ -47,6 +47,13 @@ def do_tasks(content: bytes, tasks: Sequence[Task]) -> list[Row]:
         rows.append(_row(job, task, result, (ended[0] - begun[0], ended[1] - begun[1])))
         begun = ended
     return rows
+
+
+def prepare(content: bytes) -> None:
+    """Does what comes before a job's first task and is none of its time: slow imports, the files."""
+    import ctrplan.files.bare_scenario  # noqa: F401
+
+    _ = _job(content).sources.here
 
 
 def kind_of(job: Job) -> TaskKind:

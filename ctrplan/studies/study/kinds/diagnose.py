@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from ctrplan.diagnosis import diagnose
-from ctrplan.files.measurement_file import load_measurements
 from ctrplan.studies.study.loaded import Loaded
 from ctrplan.studies.study.task_kind import TaskKind, register
 
@@ -35,6 +33,9 @@ class DiagnoseTask(TaskKind, frozen=True, kw_only=True):
         return (self.measurements,)
 
     def numbers(self, task: Task, loaded: Loaded) -> Mapping[str, Any]:
+        from ctrplan.diagnosis import diagnose  # slow to import
+        from ctrplan.files.measurement_file import load_measurements
+
         robot = loaded.robot
         found = diagnose(robot, load_measurements(loaded.file(self.measurements), robot), without=self.without)
         content = found.to_json()

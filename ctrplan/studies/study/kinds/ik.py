@@ -10,17 +10,18 @@ import numpy as np
 from msgspec import Meta
 
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.planning.goals.branches import Configuration
-from ctrplan.planning.inverse_kinematics import MOST_STARTS, InverseKinematics, inverse_kinematics
 from ctrplan.storage.number_ranges import Point, Tolerance, Vector
 from ctrplan.studies.study.loaded import Loaded
 from ctrplan.studies.study.task_kind import TaskKind, register
 
 if TYPE_CHECKING:
+    from ctrplan.planning.goals.branches import Configuration
+    from ctrplan.planning.inverse_kinematics import InverseKinematics
     from ctrplan.planning.scenario import Scenario
     from ctrplan.robot.robot import Robot
     from ctrplan.studies.study.task import Task
 
+MOST_STARTS = 100_000
 SOLVE_S = 0.8  # of one core, on a three-tube robot with the default starts
 
 
@@ -41,6 +42,8 @@ class InverseKinematicsTask(TaskKind, frozen=True, kw_only=True):
         return SOLVE_S * 2.0 ** (robot.n - 3) * (0.5 + self.starts / 200)
 
     def numbers(self, task: Task, loaded: Loaded) -> Mapping[str, Any]:
+        from ctrplan.planning.inverse_kinematics import inverse_kinematics  # slow to import, as OMPL is
+
         scenario = loaded.place
         goal = self._goal(loaded, scenario)
         tolerance_mm = float(goal["tolerance_mm"])
@@ -73,7 +76,7 @@ class InverseKinematicsTask(TaskKind, frozen=True, kw_only=True):
 
 def _numbers(found: InverseKinematics, tolerance_mm: float) -> Mapping[str, Any]:
     count, valid = len(found.configurations), found.valid
-    known = {
+    known: dict[str, Any] = {
         "reached": bool(count),
         "valid": len(valid),
         "configurations": count,

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 from msgspec import Meta
 
-from ctrplan.planning import Plan, plan
-from ctrplan.planning.plan_json import write_plan_json
 from ctrplan.studies.study.loaded import Loaded
 from ctrplan.studies.study.task_kind import TaskKind, register
 
 if TYPE_CHECKING:
+    from ctrplan.planning.plan import Plan
     from ctrplan.planning.scenario import Scenario
     from ctrplan.robot.robot import Robot
     from ctrplan.studies.study.task import Task
@@ -42,6 +41,8 @@ class PlanTask(TaskKind, frozen=True, kw_only=True):
         return float(search_s) + CERTIFICATE_S
 
     def numbers(self, task: Task, loaded: Loaded) -> Mapping[str, Any]:
+        from ctrplan.planning import plan  # slow to import, as OMPL is
+
         found = plan(loaded.scenario, seed=task.settings["seed"], time_s=self.time_s, compensated=self.compensate)
         loaded.files |= _files(found, loaded.job.keep)
         return _numbers(found)
@@ -74,6 +75,8 @@ def _numbers(found: Plan) -> Mapping[str, Any]:
 
 def _files(found: Plan, wanted: Sequence[str]) -> dict[str, bytes]:
     """What is asked for of plan.json, trajectory.csv and the others that a plan's folder has."""
+    from ctrplan.planning.plan_json import write_plan_json
+
     if not wanted:
         return {}
     with tempfile.TemporaryDirectory() as made:

@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 
 from ctrplan.errors import NoAnswerError
-from ctrplan.files.joint_path_file import load_joint_path
 from ctrplan.storage.number_ranges import Fraction
-from ctrplan.studies.simulate import Simulation, simulate
 from ctrplan.studies.study.loaded import Loaded
 from ctrplan.studies.study.task_kind import TaskKind, register
 
 if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario
     from ctrplan.robot.robot import Robot
+    from ctrplan.studies.simulate import Simulation
     from ctrplan.studies.study.task import Task
 
 PATH_S = 2.0  # of one core, for a path of some dozens of legs
@@ -40,6 +39,9 @@ class SimulateTask(TaskKind, frozen=True, kw_only=True):
         return (self.path,)
 
     def numbers(self, task: Task, loaded: Loaded) -> Mapping[str, Any]:
+        from ctrplan.files.joint_path_file import load_joint_path  # slow to import
+        from ctrplan.studies.simulate import simulate
+
         robot = loaded.robot
         start = self.start if isinstance(self.start, str) else tuple(self.start)
         found = simulate(robot, load_joint_path(loaded.file(self.path), robot), start, accuracy=self.accuracy)
