@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.arguments import EXECUTOR, PROGRESS, SEARCH_TIME, SEED, Made, checked, require
-from ctrplan.base.cores import use_cores
+from ctrplan.base.cores import one_core
 from ctrplan.errors import CtrplanError, InputError, NoAnswerError
 from ctrplan.planning.plan import Plan
 from ctrplan.planning.planner import plan
@@ -68,5 +68,5 @@ def _result(future: Any) -> Plan | CtrplanError:
 
 
 def _plan(scenario: Scenario, seed: int, time_s: float | None) -> Plan:
-    use_cores(1)
-    return plan(scenario, seed=seed, time_s=time_s)
+    with one_core():
+        return plan(scenario, seed=seed, time_s=time_s)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import tomli_w
+from here import Here
 from places import ROBOTS, SCENARIOS
 
 import ctrplan
@@ -32,25 +33,8 @@ def bounds(**keys: Any) -> dict[str, Any]:
     return {"robot": PAIR, "task": BOUND, "vary": vary, **keys}
 
 
-class InThisProcess:
-    """An executor that does a task when it is given, and after some ends as a kill would."""
-
-    def __init__(self, most: float = float("inf")) -> None:
-        self.most, self.done = most, 0
-
-    def submit(self, function: Any, *arguments: Any) -> Any:
-        from concurrent.futures import Future
-
-        if self.done >= self.most:
-            raise KeyboardInterrupt
-        self.done += len(arguments[1])
-        future: Future[Any] = Future()
-        future.set_result(function(*arguments))
-        return future
-
-
 def run(content: dict[str, Any], folder: Path, executor: Any = None, **options: Any) -> ctrplan.StudyTable:
-    return Study.of(content, folder.parent).run(folder, executor=executor or InThisProcess(), **options)
+    return Study.of(content, folder.parent).run(folder, executor=executor or Here(), **options)
 
 
 def test_rows_are_those_of_a_loop(tmp_path: Path) -> None:
@@ -78,16 +62,16 @@ def test_processes_give_the_same_table(tmp_path: Path) -> None:
 
 def test_what_was_done_before_an_interruption_is_not_done_again(tmp_path: Path) -> None:
     folder = tmp_path / "out"
-    first = run(bounds(), folder, InThisProcess(most=5))
+    first = run(bounds(), folder, Here(most=6), workers=1)
     assert 0 < len(first) < 12
     with open(folder / "rows.jsonl", "ab") as file:
         file.write(b'{"key": "0123')  # what a kill in the middle of a line leaves
     assert load_study(folder).results == first.results
-    rest = InThisProcess()
+    rest = Here()
     table = run(bounds(), folder, rest)
     assert rest.done == 12 - len(first)
     assert table.results == run(bounds(), tmp_path / "whole").results
-    again = InThisProcess()
+    again = Here()
     assert run(bounds(), folder, again).results == table.results and again.done == 0
 
 
@@ -96,7 +80,7 @@ def test_a_study_is_enlarged_and_changed(tmp_path: Path) -> None:
     small = run(bounds(), folder)
     larger = bounds()
     larger["vary"][0] = {"key": FRICTION, "values": [0.1, 0.4]}
-    did = InThisProcess()
+    did = Here()
     table = run(larger, folder, did, add=True)
     assert did.done == 4 and len(table) == 16
     assert {name: values[:12] for name, values in table.results.items()} == small.results
@@ -106,11 +90,11 @@ def test_a_study_is_enlarged_and_changed(tmp_path: Path) -> None:
     mine = bounds(robot=str(other))
     before = run(mine, tmp_path / "changed")
     other.write_text(f"# a comment\n{other.read_text(encoding='utf-8')}", encoding="utf-8")
-    did = InThisProcess()
+    did = Here()
     assert run(mine, tmp_path / "changed", did).results == before.results and did.done == 0
     content = ctrplan.load_robot(PAIR, ["tube.1.poisson_ratio=0.2"]).content
     other.write_text(tomli_w.dumps(dict(content)), encoding="utf-8")
-    did = InThisProcess()
+    did = Here()
     after = run(mine, tmp_path / "changed", did)
     assert did.done == 12 and not np.array_equal(after["bound_mm"], before["bound_mm"])
 
@@ -121,7 +105,7 @@ def test_what_a_study_varies_itself_may_change_in_the_file(tmp_path: Path) -> No
     run(bounds(robot="robot.toml"), tmp_path / "out")
     changed = dict(ctrplan.load_robot(PAIR, [f"{FRICTION}=0.77"]).content)
     robot.write_text(tomli_w.dumps(changed), encoding="utf-8")
-    did = InThisProcess()
+    did = Here()
     run(bounds(robot="robot.toml"), tmp_path / "out", did)
     assert did.done == 0
 
@@ -173,7 +157,7 @@ def test_functions_of_the_user(tmp_path: Path) -> None:
     reasons = table.columns["reason"]
     assert table["value"][0] == 7 and "ValueError: of mine (line 12 of mine.py)" in reasons[1]
     assert "1 s" in reasons[2] and "exit code 3" in reasons[3] and "not list as 'a'" in reasons[4]
-    did = InThisProcess()
+    did = Here()
     run(content, tmp_path / "bad", did)
     assert did.done == 1  # that of the process which ended; who took too long is not given the same time again
 
@@ -229,7 +213,7 @@ def test_a_full_disk_is_one_sentence_and_loses_nothing(tmp_path: Path, monkeypat
         with pytest.raises(ctrplan.CtrplanError, match=r"rows.jsonl: could not be written: No space left on device"):
             run(bounds(), tmp_path / "out")
     kept = len(load_study(tmp_path / "out"))
-    did = InThisProcess()
+    did = Here()
     table = run(bounds(), tmp_path / "out", did)
     assert 0 < kept < 12 and did.done == 12 - kept and table.done.all()
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from here import Here
 from places import ROBOTS
 
 from ctrplan.cli import main
@@ -95,17 +96,8 @@ def test_the_command_on_a_cluster_of_this_machine(tmp_path: Path, capsys: pytest
     assert "9 tasks (bound), about" in said.err
     table = load_study(tmp_path / "out")
     assert (tmp_path / "out" / "report.html").is_file() and table.done.all()
-    alone = Study.read(file).run(tmp_path / "pool", executor=_Here())
+    alone = Study.read(file).run(tmp_path / "pool", executor=Here())
     assert alone.results == table.results
-
-
-class _Here:
-    def submit(self, function: Any, *arguments: Any) -> Any:
-        from concurrent.futures import Future
-
-        future: Future[Any] = Future()
-        future.set_result(function(*arguments))
-        return future
 
 
 def test_no_scheduler_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -132,16 +124,4 @@ def test_another_version_is_refused_with_both(tmp_path: Path, monkeypatch: pytes
         do_tasks(pickle.dumps(theirs), [study.tasks[0]])
     monkeypatch.setattr("ctrplan.studies.study.definition.Definition.content", pickle.dumps(theirs))
     with pytest.raises(VersionError, match=r"7\.8\.9"):
-        study.run(tmp_path / "out", executor=_Failing())
-
-
-class _Failing:
-    def submit(self, function: Any, *arguments: Any) -> Any:
-        from concurrent.futures import Future
-
-        future: Future[Any] = Future()
-        try:
-            future.set_result(function(*arguments))
-        except Exception as error:
-            future.set_exception(error)
-        return future
+        study.run(tmp_path / "out", executor=Here())

@@ -33,7 +33,7 @@ def trade_off_figure(table: StudyTable, judged: Quantity, others: list[Quantity]
     """A cloud of all rows for each of the others, with its front; None where there is nothing to weigh."""
     x = table[judged.column]
     shown = []
-    for other in others:
+    for other in sorted(others, key=lambda quantity: -quantity.is_better):  # what more of is better pulls the other way
         y = table[other.column]
         if other.is_better and other.column != judged.column and np.sum(np.isfinite(x) & np.isfinite(y)) >= FEWEST:
             shown.append((other, y))

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ctrplan.base.cores import use_cores
+from ctrplan.base.cores import one_core
 from ctrplan.base.version import __version__
 from ctrplan.errors import CtrplanError, InputError, NoAnswerError
 from ctrplan.storage.toml_document import Document
@@ -39,13 +39,13 @@ def do_tasks(content: bytes, tasks: Sequence[Task]) -> list[Row]:
     """The rows of tasks of a job, on one thread. Raises VersionError; all else that goes wrong stands in the rows."""
     job = _job(content)
     check_version(job.version)
-    use_cores(1)
     kind = kind_of(job)
     rows, begun = [], (time.process_time(), time.monotonic())
-    for task, result in kind.rows(tasks, job):
-        ended = (time.process_time(), time.monotonic())
-        rows.append(_row(job, task, result, (ended[0] - begun[0], ended[1] - begun[1])))
-        begun = ended
+    with one_core():
+        for task, result in kind.rows(tasks, job):
+            ended = (time.process_time(), time.monotonic())
+            rows.append(_row(job, task, result, (ended[0] - begun[0], ended[1] - begun[1])))
+            begun = ended
     return rows
 
 

@@ -8,6 +8,7 @@ import inspect
 import numbers
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,6 +17,7 @@ from msgspec import Meta
 
 from ctrplan.errors import CtrplanError, InputError
 from ctrplan.studies.study.loaded import Loaded
+from ctrplan.studies.study.table import FIRST, LAST, TIMING
 from ctrplan.studies.study.task_kind import TaskKind, register
 
 if TYPE_CHECKING:
@@ -57,7 +59,7 @@ class FunctionTask(TaskKind, frozen=True, kw_only=True):
         module, _, name = self.function.partition(":")
         beside = loaded.job.sources.here / loaded.job.study_folder / self.files()[0]
         try:
-            found = _module(module, beside) if beside.is_file() else importlib.import_module(module)
+            found = _module(beside) if beside.is_file() else importlib.import_module(module)
         except Exception as error:
             raise UserFunctionError(f"{module}: can't be imported: {_in_words(error)}.") from error
         function = getattr(found, name, None)
@@ -70,12 +72,14 @@ class UserFunctionError(CtrplanError):
     """What a function of the user's raised."""
 
 
-def _module(name: str, file: Path) -> Any:
-    """The module in a file, imported once; the folder of the study is where it finds its neighbours."""
-    folder = str(file.parents[name.count(".")])
-    if folder not in sys.path:
-        sys.path.insert(0, folder)
-    return importlib.import_module(name)
+@lru_cache(maxsize=8)
+def _module(file: Path) -> Any:
+    """The module in a file, under a name of its own: another study's may be called the same."""
+    spec = importlib.util.spec_from_file_location(f"{file.parent.name.strip('.')}_{file.stem}", file)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def _checked(result: Any, name: str) -> Mapping[str, Any]:
@@ -84,6 +88,8 @@ def _checked(result: Any, name: str) -> Mapping[str, Any]:
     found = {}
     for key, value in columns.items():
         plain = value.item() if isinstance(value, np.generic) else value
+        if key in (*FIRST, *LAST, *TIMING):
+            raise InputError(f"must return numbers by other names than {key!r}, which every study has", key=name)
         if not isinstance(key, str) or not key or not (isinstance(plain, (str, numbers.Real)) or plain is None):
             kind = type(value).__name__
             raise InputError(f"must return numbers or texts by name, not {kind} as {key!r}", key=name)

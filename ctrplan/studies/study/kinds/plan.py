@@ -74,14 +74,17 @@ def _numbers(found: Plan) -> Mapping[str, Any]:
 
 
 def _files(found: Plan, wanted: Sequence[str]) -> dict[str, bytes]:
-    """What is asked for of plan.json, trajectory.csv and the others that a plan's folder has."""
+    """What is asked for of the files of a plan's folder."""
+    from ctrplan.files.trajectory_file import trajectory_formats, write_trajectory
     from ctrplan.planning.plan_json import write_plan_json
 
     if not wanted:
         return {}
-    with tempfile.TemporaryDirectory() as made:
-        if set(wanted) <= {"plan.json"}:
-            write_plan_json(Path(made) / "plan.json", found)
+    with tempfile.TemporaryDirectory() as name:
+        made = Path(name)
+        if set(wanted) <= {"plan.json", "trajectory.csv"}:
+            write_plan_json(made / "plan.json", found)
+            write_trajectory(made, found.trajectory, trajectory_formats(["csv"]))
         else:
             found.save(made)
-        return {name: (Path(made) / name).read_bytes() for name in wanted}
+        return {name: (made / name).read_bytes() for name in wanted}
