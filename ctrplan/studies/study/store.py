@@ -10,7 +10,7 @@ import fcntl
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from ctrplan.studies.study.task import KEY_DIGITS, Row
 STUDY, KEYS, ROWS, LOCK, PLANS = "study.json", "tasks.keys", "rows.jsonl", ".lock", "plans"
 LINE_BEGINS, DONE = b'{"key": "', b'"status": "done"'
 KEY_BYTES = KEY_DIGITS // 2
+COLUMNS = tuple(field.name for field in fields(Row) if field.name != "files")
 
 
 class Store:
@@ -105,7 +106,7 @@ class Store:
         for row in rows:
             for name, data in row.files.items():
                 self.write_plan(row.index, name, data)
-            content = {name: value for name, value in asdict(row).items() if name != "files"}
+            content = {name: getattr(row, name) for name in COLUMNS}
             lines.append(json.dumps(content, ensure_ascii=False).encode() + b"\n")
         with self.writing(ROWS):
             self._append(b"".join(lines))

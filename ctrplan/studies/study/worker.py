@@ -40,11 +40,12 @@ def do_tasks(content: bytes, tasks: Sequence[Task]) -> list[Row]:
     job = _job(content)
     check_version(job.version)
     kind = kind_of(job)
-    rows, begun = [], (time.process_time(), time.monotonic())
+    prepare(content)
+    rows, where, begun = [], worker_name(), (time.process_time(), time.monotonic())
     with one_core():
         for task, result in kind.rows(tasks, job):
             ended = (time.process_time(), time.monotonic())
-            rows.append(_row(job, task, result, (ended[0] - begun[0], ended[1] - begun[1])))
+            rows.append(_row(job, task, result, where, (ended[0] - begun[0], ended[1] - begun[1])))
             begun = ended
     return rows
 
@@ -73,7 +74,7 @@ def _job(content: bytes) -> Job:
     return job
 
 
-def _row(job: Job, task: Task, result: Mapping[str, Any] | Exception, took_s: tuple[float, float]) -> Row:
+def _row(job: Job, task: Task, result: Mapping[str, Any] | Exception, where: str, took_s: tuple[float, float]) -> Row:
     status: Status = "done"
     reason = ""
     numbers: Mapping[str, Any] = {}
@@ -91,7 +92,7 @@ def _row(job: Job, task: Task, result: Mapping[str, Any] | Exception, took_s: tu
         numbers={name: _plain(value) for name, value in numbers.items() if not job.numbers or name in job.numbers},
         seconds=took_s[0],
         elapsed_s=took_s[1],
-        worker=worker_name(),
+        worker=where,
         overrides=task.overrides,
         files={name: job.sources.named(data) for name, data in getattr(result, "files", {}).items()},
     )

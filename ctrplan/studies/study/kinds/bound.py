@@ -59,12 +59,13 @@ class BoundTask(TaskKind, frozen=True, kw_only=True):
     def _of_one_robot(self, tasks: Sequence[Task], loaded: Loaded) -> list[tuple[Task, Mapping[str, Any] | Exception]]:
         robot = loaded.robot
         found: dict[int, Mapping[str, Any] | Exception] = {}
-        theta_b, l_b = (np.empty((len(tasks), robot.n)) for _ in range(2))
-        for k, task in enumerate(tasks):
-            try:
-                theta_b[k], l_b[k] = self._collars(robot, loaded, task)
-            except InputError as error:
-                found[k] = error
+        theta, l = self._commanded(robot, loaded, tasks)  # noqa: E741
+        theta_b, l_b = robot.collars(theta, l)
+        if robot.mechanics.first_refused(theta_b, l_b):
+            for k in range(len(tasks)):
+                if sentence := nesting_violation(robot, theta_b[k], l_b[k]):
+                    shown = (l[k] * 1e3).round(6).tolist()
+                    found[k] = InputError(sentence, key="l_mm", value=shown, unit="mm")
         rows = np.array([k for k in range(len(tasks)) if k not in found], dtype=int)
         if len(rows):
             bounds = robot.bound_many(theta_b[rows], l_b[rows], accuracy=self.accuracy)
@@ -72,23 +73,21 @@ class BoundTask(TaskKind, frozen=True, kw_only=True):
                 found[k] = _numbers(bounds, row)
         return [(task, found[k]) for k, task in enumerate(tasks)]
 
-    def _collars(self, robot: Robot, loaded: Loaded, task: Task) -> tuple[Array, Array]:
-        """(n,) [rad], (n,) [m]. Raises InputError where tubes do not nest."""
+    def _commanded(self, robot: Robot, loaded: Loaded, tasks: Sequence[Task]) -> tuple[Array, Array]:
+        """(K, n) [rad], (K, n) [m]. Raises InputError."""
         if self.theta_deg is None and self.l_mm is None:
-            theta, l = map(np.array, robot.drive.commanded(loaded.place.start))  # noqa: E741
+            theta, l = robot.drive.commanded(loaded.place.start)  # noqa: E741
         else:
             theta, l = _degrees(self.theta_deg, robot), _millimetres(self.l_mm, robot)  # noqa: E741
-        for key, value in task.settings.items():
-            if match := CONFIGURATION.fullmatch(key):
-                if not 1 <= int(match[2]) <= robot.n:
-                    raise InputError(f"no such tube, they are counted from 1 (outermost) to {robot.n}", key=key)
-                (theta if match[1] == "theta" else l)[int(match[2]) - 1] = (
-                    np.radians(value) if match[1] == "theta" else value * 1e-3
-                )
-        theta_b, l_b = robot.collars(theta, l)
-        if sentence := nesting_violation(robot, theta_b, l_b):
-            raise InputError(sentence, key="l_mm", value=(l * 1e3).round(6).tolist(), unit="mm")
-        return theta_b, l_b
+        tables = {"theta": np.tile(theta, (len(tasks), 1)), "l": np.tile(l, (len(tasks), 1))}
+        for k, task in enumerate(tasks):
+            for key, value in task.settings.items():
+                if match := CONFIGURATION.fullmatch(key):
+                    if not 1 <= int(match[2]) <= robot.n:
+                        raise InputError(f"no such tube, they are counted from 1 (outermost) to {robot.n}", key=key)
+                    unit = np.pi / 180 if match[1] == "theta" else 1e-3
+                    tables[match[1]][k, int(match[2]) - 1] = value * unit
+        return tables["theta"], tables["l"]
 
 
 def _accuracy(task: Task) -> Any:
