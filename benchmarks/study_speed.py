@@ -120,9 +120,8 @@ def compare(name: str, content: dict[str, Any], folder: Path, loop: Any) -> None
     print(f"{name}: {study.count} tasks; plain loop {study.count / loop_s:.1f} a second of one core")
     all_s = found.work_s + found.client_s * study.count
     print(f"  by the clock: {found.rate:.1f} a second, {found.rate * loop_s / study.count:.2f} times as fast")
-    print(
-        f"  by processor time: study {all_s:.1f} s, loop {loop_s:.1f} s; on {WORKERS} cores {WORKERS * loop_s / all_s:.2f}"
-    )
+    ratio = WORKERS * loop_s / all_s
+    print(f"  by processor time: study {all_s:.1f} s, loop {loop_s:.1f} s: {ratio:.2f} on {WORKERS} cores")
     print(
         f"  a task costs {each * 1e3:.2f} ms more on its worker, {found.client_s * 1e3:.2f} ms of client and scheduler"
     )

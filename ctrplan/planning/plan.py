@@ -70,6 +70,23 @@ class Plan(PlannedMotion):
         written: Path = writer.save_plan(self, folder, formats)
         return written
 
+    @classmethod
+    def load(
+        cls,
+        folder: str | os.PathLike[str],
+        scenario: str | os.PathLike[str] | None = None,
+        overrides: Sequence[str] = (),
+    ) -> Plan:
+        """The plan that `save` or `ctrplan plan` wrote into a folder; arguments as those of `ctrplan.load_plan`.
+
+        Its figures are those of plan.json; its trajectory is made anew and must be the one in trajectory.csv. Its
+        certificate can't be rechecked: ask `ctrplan.verify`. Raises InputError for anything malformed, of another
+        scenario or robot, or that does not belong together.
+        """
+        reader = importlib.import_module("ctrplan.files.plan_folder")  # by name: it knows plans, they don't know it
+        found: Plan = reader.load_plan_folder(folder, scenario, overrides)
+        return found
+
     def to_json(self) -> dict[str, Any]:
         """The content of plan.json, plain types only; the schema is in docs/plan.schema.json."""
         return plan_to_json(self)
