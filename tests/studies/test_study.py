@@ -15,7 +15,7 @@ from places import ROBOTS, SCENARIOS
 
 import ctrplan
 from ctrplan.errors import InputError
-from ctrplan.studies.study.run import Doing
+from ctrplan.studies.study.run import Doing, chunk_size
 from ctrplan.studies.study.study import Study
 from ctrplan.studies.study.table import load_study
 
@@ -150,13 +150,13 @@ def test_functions_of_the_user(tmp_path: Path) -> None:
     content = {
         "robot": PAIR,
         "task": {"kind": "function", "function": "mine:badly", "time_limit_s": 1.0},
-        "vary": [{"key": "seed", "values": [0, 1, 2, 3, 4]}],
+        "vary": [{"key": "seed", "values": [0, 1, 4, 2, 3]}],
     }
     table = run(content, tmp_path / "bad")
-    assert table.columns["status"] == ["done", "failed", "timed out", "lost", "refused"]
+    assert table.columns["status"] == ["done", "failed", "refused", "timed out", "lost"]
     reasons = table.columns["reason"]
     assert table["value"][0] == 7 and "ValueError: of mine (line 12 of mine.py)" in reasons[1]
-    assert "1 s" in reasons[2] and "exit code 3" in reasons[3] and "not list as 'a'" in reasons[4]
+    assert "not list as 'a'" in reasons[2] and "1 s" in reasons[3] and "exit code 3" in reasons[4]
     did = Here()
     run(content, tmp_path / "bad", did)
     assert did.done == 1  # that of the process which ended; who took too long is not given the same time again
@@ -225,6 +225,13 @@ def test_the_table_in_its_file(tmp_path: Path) -> None:
     assert read.to_pydict() == dict(table.columns)
     assert table.to_pandas()["bound_mm"].tolist() == table["bound_mm"].tolist()
     assert json.loads(table.columns["set"][0]) == [f"{FRICTION}=0.1"]
+
+
+def test_chunks_grow_with_the_cluster_and_leave_something_for_everybody() -> None:
+    assert chunk_size(1e-3, 100_000, 2) == 500 and chunk_size(1e-3, 10**7, 1000) == 2000
+    assert chunk_size(1e-3, 100, 2) == 13 and chunk_size(9.0, 100, 2) == 1
+    for workers in (1, 50, 400, 1600):  # so many chunks a second the scheduler has to hand out, of 1,000 it can
+        assert workers / (chunk_size(1e-3, 10**9, workers) * 1e-3) <= 500 + 1
 
 
 def test_progress_says_what_is_left(tmp_path: Path) -> None:

@@ -171,15 +171,12 @@ def test_plans_are_those_of_the_command_and_are_kept(tmp_path: Path) -> None:
     assert (folder / "plan.json").exists()
 
 
-def test_many_plans_at_once(tmp_path: Path) -> None:
+def test_many_plans_at_once() -> None:
     scenario = ctrplan.load_scenario(FREE, ["planner.time_s=0.05"])
     refused = ctrplan.load_scenario(FREE, ["margins.stability=900"])
     found, error = ctrplan.plan_many([scenario, refused], executor=Here(), seed=4)
     assert isinstance(found, ctrplan.Plan) and isinstance(error, ctrplan.NoAnswerError)
     assert "start state is not valid" in str(error)
-    assert found.save(tmp_path / "plan") == tmp_path / "plan"
-    names = {"plan.json", "trajectory.csv", "trajectory.yaml", "report.html", "plan.png", "SHA256SUMS"}
-    assert {path.name for path in (tmp_path / "plan").iterdir()} == names
     with pytest.raises(InputError, match=r"scenarios\[0\]"):
         ctrplan.plan_many([PAIR])  # type: ignore[list-item]
 

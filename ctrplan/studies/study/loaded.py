@@ -50,11 +50,16 @@ class Loaded:
     @property
     def robot(self) -> Robot:
         """With everything that the task changes. Raises InputError."""
-        return self.place.robot
+        if not self.job.is_robot:
+            return self.place.robot
+        return _robot(str(self.main), self.task.overrides)
 
     def check(self) -> None:
         """Raises InputError for what the task changes that there is not."""
-        self._read(self.task.overrides)
+        if self.job.is_robot:
+            _ = self.robot
+        else:
+            self._read(self.task.overrides)
 
     def file(self, name: str) -> Path:
         """A file that the task's kind names, on this machine. Raises InputError."""
@@ -65,6 +70,13 @@ class Loaded:
 
     def _read(self, overrides: Sequence[str]) -> Scenario:
         return _scenario(str(self.main), tuple(overrides), self.job.allow_outside)
+
+
+@lru_cache(maxsize=2)
+def _robot(path: str, overrides: tuple[str, ...]) -> Robot:
+    from ctrplan.files.robot_file import load_robot
+
+    return load_robot(path, overrides)
 
 
 @lru_cache(maxsize=2)

@@ -28,8 +28,9 @@ from ctrplan.studies.study.task import Task
 
 MOST_TASKS = 1_000_000  # without being asked twice
 MOST_DAYS = 7.0
-CHUNK_S = 0.5  # of one worker
-MOST_IN_CHUNK = 256
+CHUNK_S = 0.5  # of one worker, for up to 250 workers
+SCHEDULED_S = 1e-3  # of the scheduler for a chunk, as dask states it: 500 workers with chunks of 0.5 s keep it busy
+MOST_IN_CHUNK = 4096
 SHARES = 4  # chunks for each worker, at least: none is left with the last long one
 PLAN_FILES = ("plan.json", "trajectory.csv", "report.html", "plan.png")
 
@@ -235,10 +236,10 @@ def _is_missing(study: Definition, task: Task, store: Store) -> bool:
 def _chunks(
     study: Definition, studies: Sequence[Definition], store: Store, count: int, workers: int
 ) -> Iterator[Sequence[Task]]:
-    """Tasks that are missing, so many at a time that they take half a second: those of one worker in one go."""
+    """Tasks that are missing, so many at a time that neither their worker nor the scheduler notices the hand-over."""
     size = 1
     if study.kind.together and study.kind.time_limit_s is None:
-        size = int(min(MOST_IN_CHUNK, max(1.0, CHUNK_S / study.task_s), math.ceil(count / (SHARES * max(workers, 1)))))
+        size = chunk_size(study.task_s, count, max(workers, 1))
     chunk: list[Task] = []
     for owner, task in _tasks(studies):
         if owner is study and _is_missing(study, task, store):
@@ -248,6 +249,12 @@ def _chunks(
                 chunk = []
     if chunk:
         yield chunk
+
+
+def chunk_size(task_s: float, count: int, workers: int) -> int:
+    """How many of `count` tasks a worker gets at a time."""
+    chunk_s = max(CHUNK_S, 2 * SCHEDULED_S * workers)
+    return int(min(MOST_IN_CHUNK, max(1.0, chunk_s / task_s), math.ceil(count / (SHARES * workers))))
 
 
 def _keep_extremes(

@@ -52,9 +52,10 @@ def do_tasks(content: bytes, tasks: Sequence[Task]) -> list[Row]:
 
 def prepare(content: bytes) -> None:
     """Does what comes before a job's first task and is none of its time: slow imports, the files."""
-    import ctrplan.files.bare_scenario  # noqa: F401
-
-    _ = _job(content).sources.here
+    job = _job(content)
+    if not (job.is_robot and job.task["kind"] == "bound"):  # which need nothing of planning
+        import ctrplan.files.bare_scenario  # noqa: F401
+    _ = job.sources.here
 
 
 def kind_of(job: Job) -> TaskKind:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ctrplan.robot.robot import Robot
     from ctrplan.studies.study.task import Job, Task
 
-CHUNK_S = 1.0  # of one core's time that `rows_in_a_chunk` rows take
+CHUNK_S = 0.3  # of one core's time that `rows_in_a_chunk` rows take
 
 
 @register("bound")
