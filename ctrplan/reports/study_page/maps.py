@@ -59,7 +59,7 @@ class Places:
 
 def map_figure(scenario: Any, table: StudyTable, places: Places, shown: list[Quantity]) -> go.Figure:
     """Outcomes first, then a quantity each, chosen by buttons."""
-    rows = _shown_rows(len(places.points_mm))
+    rows = thinned_rows(len(places.points_mm))
     points_m = places.points_mm[rows] * 1e-3
     groups: list[tuple[str, list[Any]]] = [("outcome", _outcome_traces(table, places, rows))]
     for quantity in shown[:MOST_MAPS]:
@@ -77,8 +77,8 @@ def map_figure(scenario: Any, table: StudyTable, places: Places, shown: list[Qua
     return figure
 
 
-def _shown_rows(count: int) -> Indices:
-    """All points, or as many as can be drawn."""
+def thinned_rows(count: int) -> Indices:
+    """All of so many rows, or as many as can be drawn."""
     if count <= MOST_POINTS:
         return np.arange(count)
     return np.sort(np.random.default_rng(0).permutation(count)[:MOST_POINTS])

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.reports import palette
 from ctrplan.reports.html_page import FONT
+from ctrplan.reports.study_page.maps import thinned_rows
 from ctrplan.reports.study_page.quantities import Quantity
 from ctrplan.studies.study.table import StudyTable
 
@@ -41,10 +42,12 @@ def trade_off_figure(table: StudyTable, judged: Quantity, others: list[Quantity]
         return None
     figure = go.Figure()
     for k, (other, y) in enumerate(shown):
+        rows = thinned_rows(len(x))
         front = pareto_front(x, y, judged.is_better or -1, other.is_better)
         cloud = {"color": palette.SERIES[0], "size": 5, "opacity": 0.5}
         line = {"color": palette.BOUND, "width": 2}
-        figure.add_trace(go.Scattergl(x=x, y=y, mode="markers", marker=cloud, name="tasks", visible=k == 0))
+        points = go.Scattergl(x=x[rows], y=y[rows], mode="markers", marker=cloud, name="tasks", visible=k == 0)
+        figure.add_trace(points)
         figure.add_trace(
             go.Scatter(x=x[front], y=y[front], mode="lines+markers", line=line, name="front", visible=k == 0)
         )

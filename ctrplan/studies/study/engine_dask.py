@@ -5,6 +5,7 @@ dask hands tasks to workers that live, and again where one dies or another joins
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import os
 import time
@@ -63,7 +64,7 @@ class DaskEngine(Engine):
                 raise InputError("is not a file that exists", key=key, value=scheduler_file)
             try:
                 return self.opened.enter_context(Client(**named, timeout=CONNECT_S))
-            except (OSError, ValueError, TypeError) as error:  # asyncio's TimeoutError is an OSError or a subclass
+            except (OSError, ValueError, TypeError, asyncio.TimeoutError) as error:
                 rule = f"no scheduler answered within {CONNECT_S:g} s"
                 raise InputError(rule, key=key, value=scheduler or scheduler_file) from error
         return self.opened.enter_context(Client(self._local(workers or cores())))

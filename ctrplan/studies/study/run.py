@@ -196,6 +196,8 @@ def _do(
     report(Doing("workers", 0, 1))
     try:
         with where.engine() as engine:
+            if not engine.workers:
+                report(Doing("waiting for a worker to join", 0, 1))
             for study in studies:
                 if not missing[study]:
                     continue

@@ -51,7 +51,7 @@ class FunctionTask(TaskKind, frozen=True, kw_only=True):
             result = function(loaded.scenario, dict(task.inputs), task.settings["seed"], **self.options)
         except CtrplanError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise UserFunctionError(f"{self.function}: {_in_words(error)}.") from error
         return _checked(result, self.function)
 
