@@ -80,6 +80,7 @@ class DaskEngine(Engine):
                 host="127.0.0.1",
                 dashboard_address="127.0.0.1:0" if _has_dashboard() else None,
                 silence_logs=logging.CRITICAL,
+                preload=["ctrplan.studies.study.local_worker"],
             )
         except (OSError, RuntimeError) as error:
             raise CtrplanError(f"no cluster could be started on this machine: {error}.") from error
