@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from here import Here
+from packed_page import unpacked
 from places import ROBOTS, SCENARIOS
 from scipy import stats
 
@@ -146,7 +148,9 @@ def test_reach_of_points_and_their_page(tmp_path: Path) -> None:
     assert table.columns["status"][1] == "no answer" and "out of reach" in table.columns["reason"][1]
     assert table["nearest_mm"][1] > 1.5 and np.isnan(table["worst_mm"][1])
     html = study_report_html(made, table)
-    assert "Where: targets" in html and "not reached within limits and margins" in html and "</html>" in html
+    figures = [unpacked(text) for text in re.findall(r'drawn\("targets", "([^"]+)"', html)]
+    assert "Where: targets" in html and "</html>" in html and len(figures) == 1
+    assert "not reached within limits and margins" in figures[0] and "within tolerance whatever" not in figures[0]
 
 
 def test_plans_are_those_of_the_command_and_are_kept(tmp_path: Path) -> None:

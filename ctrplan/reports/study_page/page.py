@@ -16,11 +16,12 @@ from ctrplan.studies.study.extremes import judged_by
 from ctrplan.studies.study.table import StudyTable
 
 MAP_SCRIPT = """
-document.addEventListener('DOMContentLoaded', () => {
+const begin = () => {
   const plot = document.getElementById('NAME');
-  addKey(plot, document.getElementById('key'));
+  addKey(plot, document.getElementById('key-NAME'));
   keepFitted(plot);
-});
+};
+if (document.readyState === 'loading') document.addEventListener('DOMContentLoaded', begin); else begin();
 """
 MAPS = (
     (TARGETS, "Where: targets", "targets"),
@@ -93,9 +94,7 @@ def _maps(study: Definition, table: StudyTable, shown: list[Quantity], library: 
         places = Places.of(table, where)
         if places is None:
             continue
-        code = MAP_SCRIPT.replace("NAME", name).replace("'key'", f"'key-{name}'")
-        if library[0]:
-            code = script("fit_camera.js") + script("scene_key.js") + code
+        code = script("fit_camera.js") + script("scene_key.js") + MAP_SCRIPT.replace("NAME", name)
         figure = map_figure(study.scenario, table, places, shown)
         drawn = plot(figure, name, with_library=library[0], script=code, kind="plot scene")
         library[0] = False
