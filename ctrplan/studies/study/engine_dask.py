@@ -78,7 +78,7 @@ class DaskEngine(Engine):
                 threads_per_worker=1,
                 processes=True,
                 host="127.0.0.1",
-                dashboard_address="127.0.0.1:0" if _has_dashboard() else None,
+                dashboard_address="127.0.0.1:0",  # any port that is free
                 silence_logs=logging.CRITICAL,
                 preload=["ctrplan.studies.study.local_worker"],
             )
