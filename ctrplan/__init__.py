@@ -24,11 +24,17 @@ if TYPE_CHECKING:
     from ctrplan.mechanics.core import Bound, Bounds, Shape, Status
     from ctrplan.mechanics.history import History, HistoryStep
     from ctrplan.planning.finish.reorder import reorder as reorder
+    from ctrplan.planning.inverse_kinematics import InverseKinematics
+    from ctrplan.planning.inverse_kinematics import inverse_kinematics as inverse_kinematics
     from ctrplan.planning.plan import Plan
     from ctrplan.planning.plan_uncertainty import uncertainty as uncertainty
     from ctrplan.planning.planner import plan as plan
     from ctrplan.planning.scenario import Scenario
     from ctrplan.robot.robot import Robot
+    from ctrplan.studies.plan_many import plan_many as plan_many
+    from ctrplan.studies.study.study import Study
+    from ctrplan.studies.study.table import StudyTable
+    from ctrplan.studies.study.table import load_study as load_study
     from ctrplan.uncertain.bound import bound_with_parameters as bound_with_parameters
     from ctrplan.verification.verify import Verification
     from ctrplan.verification.verify import verify as verify
@@ -60,6 +66,12 @@ _HOMES = {
     "Plan": "planning",
     "plan": "planning",
     "reorder": "planning",
+    "InverseKinematics": "planning.inverse_kinematics",
+    "inverse_kinematics": "planning.inverse_kinematics",
+    "plan_many": "studies.plan_many",
+    "Study": "studies.study.study",
+    "StudyTable": "studies.study.table",
+    "load_study": "studies.study.table",
     "bound_with_parameters": "uncertain.bound",
     "uncertainty": "planning.plan_uncertainty",
 }
@@ -72,6 +84,7 @@ __all__ = [
     "History",
     "HistoryStep",
     "InputError",
+    "InverseKinematics",
     "Measurements",
     "NoAnswerError",
     "Plan",
@@ -79,16 +92,21 @@ __all__ = [
     "Scenario",
     "Shape",
     "Status",
+    "Study",
+    "StudyTable",
     "Verification",
     "WrittenPlan",
     "bound_with_parameters",
     "calibrate",
     "diagnose",
+    "inverse_kinematics",
     "load_measurements",
     "load_plan",
     "load_robot",
     "load_scenario",
+    "load_study",
     "plan",
+    "plan_many",
     "planning",
     "reorder",
     "verify",

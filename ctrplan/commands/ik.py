@@ -18,7 +18,6 @@ from ctrplan.storage.output_folder import output_folder, write_results
 if TYPE_CHECKING:
     from ctrplan.base.arrays import Array
     from ctrplan.planning.goals.branches import Configuration, Reach
-    from ctrplan.planning.goals.inverse_kinematics import TipTarget
     from ctrplan.planning.scenario import Scenario
 
 DIRECTION_TOLERANCE_DEG = 5.0
@@ -64,24 +63,24 @@ def run_ik(arguments: argparse.Namespace) -> int:
 
     from ctrplan.files.bare_scenario import load_robot_or_scenario
     from ctrplan.pipeline.left_ranges import plan_range_notes
-    from ctrplan.planning.goals.branches import reach
-    from ctrplan.planning.motion import MotionChecker, path_limits
+    from ctrplan.planning.inverse_kinematics import inverse_kinematics
 
     scenario = load_robot_or_scenario(arguments.file, arguments.overrides, allow_outside=arguments.allow_outside)
-    target = _target(arguments, scenario)
+    _check_direction(arguments)
     folder = output_folder(arguments.output, OUTPUTS) if arguments.output is not None else None
     for warning in scenario.warnings:
         print(f"ctrplan: warning: {warning}", file=sys.stderr)
-    checker = MotionChecker(scenario)
-    checker.limits = path_limits(scenario)  # the scenario's own, without what a search adds, as in the live view
-    found = reach(
-        checker,
-        target,
-        arguments.tolerance_mm * 1e-3,
-        np.random.default_rng(arguments.seed),
-        arguments.starts,
+    tolerance_deg = arguments.direction_tolerance_deg
+    result = inverse_kinematics(
+        scenario,
+        np.multiply(arguments.tip_mm, 1e-3),
+        arguments.direction,
+        tolerance_m=arguments.tolerance_mm * 1e-3,
+        direction_tolerance_rad=None if tolerance_deg is None else math.radians(tolerance_deg),
+        starts=arguments.starts,
+        seed=arguments.seed,
     )
-    branches = found.branches().tolist()
+    found, branches = result.found, list(result.branches)
     for note in plan_range_notes(scenario.robot, np.array([c.joints for c in found.configurations or [found.nearest]])):
         print(f"ctrplan: warning: {note}", file=sys.stderr)
     print(
@@ -103,24 +102,13 @@ def _write(folder: Path, scenario: Scenario, found: Reach, branches: list[int]) 
     print(f"ctrplan: written to {folder / OUTPUTS[0]}", file=sys.stderr)  # standard output may be JSON
 
 
-def _target(arguments: argparse.Namespace, scenario: Scenario) -> TipTarget:
-    """The point and direction asked for, in the robot's frame."""
-    import numpy as np
-
-    from ctrplan.planning.goals.inverse_kinematics import TipTarget
-
+def _check_direction(arguments: argparse.Namespace) -> None:
+    """Raises InputError for a direction that is none."""
     allowed_deg = arguments.direction_tolerance_deg
     if allowed_deg is not None and arguments.direction is None:
         raise InputError("goes with --direction", key="--direction-tolerance-deg", value=allowed_deg)
-    tip = scenario.base_R.T @ (np.multiply(arguments.tip_mm, 1e-3) - scenario.base_position_m)
-    if arguments.direction is None:
-        return TipTarget(tip)
-    largest = max(map(abs, arguments.direction))
-    if largest == 0:
+    if arguments.direction is not None and not any(arguments.direction):
         raise InputError("must not be zero", key="--direction", value=arguments.direction)
-    scaled = np.array(arguments.direction) / largest  # so that squares do not vanish
-    direction = scenario.base_R.T @ (scaled / np.linalg.norm(scaled))
-    return TipTarget(tip, direction, math.radians(allowed_deg or DIRECTION_TOLERANCE_DEG))
 
 
 def _text(scenario: Scenario, found: Reach, branches: list[int]) -> str:

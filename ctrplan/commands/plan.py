@@ -15,7 +15,7 @@ from ctrplan.commands.options import add_allow_outside_option, add_number, add_s
 from ctrplan.commands.progress_bar import ProgressBar
 from ctrplan.commands.terminal import amber
 from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
-from ctrplan.storage.output_folder import output_folder, written_together
+from ctrplan.storage.output_folder import output_folder
 
 if TYPE_CHECKING:
     from ctrplan.files.trajectory_format import TrajectoryFormat
@@ -81,10 +81,11 @@ def run_plan(arguments: argparse.Namespace) -> int:
         from ctrplan.pipeline.left_ranges import plan_range_notes
         from ctrplan.planning import plan
         from ctrplan.planning.bound_table import known_table
+        from ctrplan.reports.plan_folder import plan_outputs
 
         scenario = load_scenario(arguments.scenario, arguments.overrides, allow_outside=arguments.allow_outside)
         formats = trajectory_formats(arguments.formats)
-        folder = output_folder(arguments.output, _outputs(formats))
+        folder = output_folder(arguments.output, plan_outputs(formats))
         for warning in scenario.warnings:
             print(f"ctrplan: warning: {warning}", file=sys.stderr)
         if interrupted.is_set():
@@ -100,7 +101,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
                 bound_table=None if arguments.no_field else known_table(scenario.robot),
                 compensated=arguments.compensate,
             )
-        _write(folder, result, formats)
+        result.save(folder, arguments.formats)
         for note in plan_range_notes(scenario.robot, result.waypoints):
             print(f"ctrplan: warning: {note}", file=sys.stderr)
         print(_summary(folder, result, formats))
@@ -109,34 +110,16 @@ def run_plan(arguments: argparse.Namespace) -> int:
         return INTERRUPTED if interrupted.is_set() else 0
 
 
-def _outputs(formats: Sequence[TrajectoryFormat]) -> list[str]:
-    return ["plan.json", *(chosen.file_name for chosen in formats), "report.html", "plan.png"]
-
-
-def _write(folder: Path, plan: Plan, formats: Sequence[TrajectoryFormat]) -> None:
-    """All files or none."""
-    from ctrplan.files.trajectory_file import write_trajectory
-    from ctrplan.planning.plan_json import write_plan_json
-    from ctrplan.reports.plan_page.page import write_plan_report
-    from ctrplan.reports.plan_picture.picture import write_plan_png
-    from ctrplan.reports.plan_scene import plan_scene
-
-    scene = plan_scene(plan)  # writers solve nothing
-    with written_together(folder, _outputs(formats)) as made:
-        write_plan_json(made / "plan.json", plan)
-        write_trajectory(made, plan.trajectory, formats)
-        write_plan_png(made / "plan.png", scene)
-        write_plan_report(made / "report.html", scene)
-
-
 def _summary(folder: Path, plan: Plan, formats: Sequence[TrajectoryFormat]) -> str:
+    from ctrplan.reports.plan_folder import plan_outputs
+
     name, duration_s, stops = plan.scenario.name, plan.trajectory.duration_s, plan.certificate.stops
     legs, halts = _counted(len(plan.legs), "leg"), _counted(stops, "stop")
     lines = [f"{name}: {legs}, {plan.style}, the motion takes {duration_s:.1f} s with {halts}"]
     if plan.style == "simultaneous":
         lines.append("  note: no path of rotations before translations was found in time; joints move simultaneously")
     lines += [f"  {label:27} {text}" for label, text in (_targets(plan) | _figures(plan)).items()]
-    lines.append(f"  {'written to':27} {folder}/{', '.join(_outputs(formats))}")
+    lines.append(f"  {'written to':27} {folder}/{', '.join(plan_outputs(formats))}")
     return "\n".join(lines)
 
 

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 import ctrplan._model as _model
 from ctrplan.base.arguments import EXECUTOR, PROGRESS, Choice, Flag, Made, Number, Texts, Whole, checked, require
 from ctrplan.base.arrays import Array, numbers
+from ctrplan.base.cores import core_threads
 from ctrplan.base.progress import Progress, part_of
 from ctrplan.errors import InputError
 from ctrplan.mechanics.accuracy import Accuracy
@@ -173,7 +174,7 @@ class Mechanics:
         `progress` is told the finished share between chunks of half a second or so. With an `executor`, any that has
         the interface of concurrent.futures, chunks are its tasks, by default on one thread each. Results are the same.
         """
-        (thetas, ls), cores = self._configurations(theta_b, l_b), int(threads)
+        (thetas, ls), cores = self._configurations(theta_b, l_b), core_threads(threads)
         rows = rows_in_a_chunk(self.n, accuracy)
         if executor is not None or len(thetas) > rows:  # nothing is solved before all is known to be well-formed
             self._refuse(thetas, ls)
@@ -212,7 +213,9 @@ class Mechanics:
         found = []
         for k, rows in enumerate(parts):
             with input_errors():
-                found.append(self._model.tips(thetas[rows], ls[rows], int(threads), part_of(progress, k, len(parts))))
+                found.append(
+                    self._model.tips(thetas[rows], ls[rows], core_threads(threads), part_of(progress, k, len(parts)))
+                )
         position_m, tangent, status = map(np.concatenate, zip(*found, strict=True))
         return position_m, tangent, sound(status, position_m, tangent)
 
@@ -227,7 +230,7 @@ class Mechanics:
         """
         with input_errors():
             return self._model.clearances(
-                self._rows(theta_b), self._rows(l_b), core_grid(field), spacing_m, int(threads)
+                self._rows(theta_b), self._rows(l_b), core_grid(field), spacing_m, core_threads(threads)
             )
 
     @checked(parameters=Texts(), threads=THREADS, accuracy=FIRST_ORDER, progress=PROGRESS)
@@ -258,7 +261,7 @@ class Mechanics:
             raise InputError("must lie in [-1, 1]", key="phi", value=worst(states))
         given = directions(parameters, self._given[0], self._model.number_names())
         with input_errors():
-            found = self._model.tips_with_friction(thetas, ls, states, given, accuracy, int(threads), progress)
+            found = self._model.tips_with_friction(thetas, ls, states, given, accuracy, core_threads(threads), progress)
         return promised(Tips(**found))
 
     def core_lookup(
@@ -309,7 +312,7 @@ class Mechanics:
         """(K, FieldLookup.NUMBERS) what a grid of bounds stores of K configurations, (K, n), (K, n)."""
         thetas, ls = self._configurations(theta_b, l_b)
         with input_errors():
-            return np.asarray(self._model.field_entries(thetas, ls, int(threads)))
+            return np.asarray(self._model.field_entries(thetas, ls, core_threads(threads)))
 
     @checked(accuracy=ACCURACY)
     def body(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> tuple[Array, Array]:

@@ -18,12 +18,13 @@ POLICY = "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-sr
 
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
 BUTTONS_2D, BUTTONS_3D = ("toImage", "resetScale2d"), ("toImage",)  # none that leaves the page
-KEY_STYLE = """#key { display: flex; flex-wrap: wrap; gap: 6px; margin: 0 0 12px; }
+KEY_STYLE = """#key, .scene-key { display: flex; flex-wrap: wrap; gap: 6px; margin: 0 0 12px; }
 button { font: inherit; padding: 5px 12px; border-radius: 6px; border: 1px solid #c9d1d8; background: #fff;
   cursor: pointer; }
 button:hover { background: #eef2f5; }
-#key button { padding: 1px 9px 1px 6px; font-size: 0.85rem; } #key .off { opacity: 0.4; }
-#key i { display: inline-block; width: 11px; height: 11px; border-radius: 3px; margin-right: 6px; }"""
+#key button, .scene-key button { padding: 1px 9px 1px 6px; font-size: 0.85rem; }
+#key .off, .scene-key .off { opacity: 0.4; }
+#key i, .scene-key i { display: inline-block; width: 11px; height: 11px; border-radius: 3px; margin-right: 6px; }"""
 STYLE = f"""
 :root {{ color-scheme: light; }}
 body {{ margin: 0; background: #f4f6f8; color: {palette.INK}; line-height: 1.5;

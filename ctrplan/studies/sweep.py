@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import math
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, fields
@@ -18,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.base.arguments import EXECUTOR, PROGRESS, Choice, checked
 from ctrplan.base.arrays import Array, numbers
+from ctrplan.base.cores import cores
 from ctrplan.base.progress import StageProgress
 from ctrplan.drive.drive import UNITS
 from ctrplan.errors import InputError
@@ -202,7 +202,7 @@ def _run(
     calls = [(task, accuracy) for task in tasks]
     if executor is not None:
         return join(run(executor, _Task.solve, calls, progress))
-    with ThreadPoolExecutor(os.cpu_count()) as threads:
+    with ThreadPoolExecutor(cores()) as threads:
         return join(run(threads, _Task.solve, calls, progress))
 
 

@@ -166,7 +166,7 @@ def test_the_command_keeps_the_limits_that_the_live_view_shows(monkeypatch: pyte
         asked.append(checker.limits)
         raise NoAnswerError("enough")
 
-    monkeypatch.setattr("ctrplan.planning.goals.branches.reach", reach)
+    monkeypatch.setattr("ctrplan.planning.inverse_kinematics.reach", reach)
     file = str(ROBOTS / "three_tube.toml")
     assert main(["ik", file, "--tip-mm", "34", "-47", "200"]) == 1
     assert asked == [LiveState(load_robot_or_scenario(file)).checker.limits]

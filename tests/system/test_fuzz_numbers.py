@@ -374,7 +374,10 @@ def test_a_place_for_results_that_cannot_be_is_refused(
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("command", ["plan", "bound", "ik", "simulate", "field", "diagnose", "view", "calibrate"])
+COMMANDS_OF_A_FILE = ["plan", "bound", "ik", "simulate", "study", "field", "diagnose", "view", "calibrate"]
+
+
+@pytest.mark.parametrize("command", COMMANDS_OF_A_FILE)
 def test_an_input_file_of_an_impossible_name_is_refused(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     rest = {
         **{"bound": ["--theta-deg", "0", "--l-mm", "0"], "ik": ["--tip-mm", "0", "0", "0"], "simulate": ["a.csv"]},

@@ -5,7 +5,6 @@ Pieces are walked on the mesh of the search, whose allowance may take too much f
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ctrplan.base.cores import cores
 from ctrplan.planning.certificate.allowances import SAME_BRANCH_M
 from ctrplan.planning.certificate.anatomy_distance import AnatomyDistance
 from ctrplan.planning.certificate.sample_states import SampleStates
@@ -40,7 +40,7 @@ def closely_solved(scenario: Scenario, pieces: Sequence[Piece]) -> list[Piece]:
     narrow = [row for row in rows if pieces[row[1]].accuracy == "search"]
     must = sum(value < limits.clearance_m for value, *_ in narrow)
     ceiling = np.inf  # of the least clearance
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         for begin in range(0, min(len(narrow), must + MOST_AGAIN), CHUNK):
             if narrow[begin][0] >= ceiling or ceiling < limits.clearance_m:
                 break

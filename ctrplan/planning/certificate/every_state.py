@@ -6,7 +6,6 @@ Every few samples are solved in states of the cube, those between them are inter
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.cores import cores
 from ctrplan.mechanics.core import PathLimits
 from ctrplan.planning.certificate.allowances import TIGHT_M
 from ctrplan.planning.certificate.anatomy_distance import AnatomyDistance
@@ -50,7 +50,7 @@ def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece]) -> list
     enough = limits.clearance_m if solved < limits.clearance_m else max(limits.clearance_m, solved - TIGHT_M)
     needed = Needed(enough, limits.stability, limits.max_strain)
     looks = [_Look(scenario, piece, needed, distance) for piece in pieces]
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         narrowest = pool.map(lambda some: _least_of_some(looks[some[0]], some[1]), _narrowest(pieces))
         enough = max(limits.clearance_m, min([enough, *narrowest]))
         return list(pool.map(lambda look: _in_every_state(look, enough, limits), looks))

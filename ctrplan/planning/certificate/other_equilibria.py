@@ -8,7 +8,6 @@ is also walked to from turns of all pairs.
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.cores import cores
 from ctrplan.mechanics.core import PathDensity, Status
 from ctrplan.planning.certificate.allowances import SAME_BRANCH_M
 from ctrplan.planning.certificate.walked_piece import Piece
@@ -63,7 +63,7 @@ def other_equilibrium(robot: Robot, pieces: Sequence[Piece], lengths_mm: Sequenc
         found += [OtherEquilibrium(piece.leg, _from_turns(robot, piece, k), "by a turn") for k in dict.fromkeys(ends)]
         return max(found, key=lambda other: other.apart_m)
 
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         farthest = max(pool.map(look, enumerate(pieces)), key=lambda other: other.apart_m)
     return farthest if farthest.apart_m > SAME_BRANCH_M else None
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.cores import cores
 from ctrplan.errors import SolverError
 from ctrplan.mechanics.core import Status
 from ctrplan.mechanics.history import OSCILLATION_DEG, History
@@ -196,7 +196,7 @@ def _follow(robot: Robot, histories: list[History], joints: Array, look: Look | 
     """
     theta_b, l_b = robot.drive.collars(joints)
     tips, snaps = np.full((len(histories), len(joints), 3), np.nan), 0
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         for begin in range(0, len(joints), BLOCK):
             rows = slice(begin, begin + BLOCK)
             apart = list(dict.fromkeys(histories))

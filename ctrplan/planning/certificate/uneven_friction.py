@@ -7,7 +7,6 @@ that brings the body nearer is changed together, in ever smaller steps.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.cores import cores
 from ctrplan.planning.certificate.allowances import POINT_SPACING_M, UNEVEN_FRICTION_M
 from ctrplan.planning.certificate.anatomy_distance import AnatomyDistance
 from ctrplan.planning.certificate.walked_piece import Piece
@@ -68,7 +68,7 @@ def with_uneven_friction(scenario: Scenario, pieces: Sequence[Piece]) -> list[Pi
         piece, k = pieces[row[0]], row[1]
         return worst_uneven_friction(distance, piece.theta_b[k], piece.l_b[k]).nearer_m
 
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         found = pool.map(nearer, _narrow_places(pieces, limit + NEAR_LIMIT_M))
         beyond = max([0.0, *(value - UNEVEN_FRICTION_M for value in found)])
     return [

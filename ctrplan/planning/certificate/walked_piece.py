@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.cores import cores
 from ctrplan.base.progress import Progress
 from ctrplan.mechanics.core import PathDensity, PathSamples
 from ctrplan.planning.certificate.allowances import POINT_SPACING_M, SPACING_M, UNEVEN_FRICTION_M, mesh_allowance_m
@@ -80,7 +80,7 @@ def walk_pieces(
         return walked(scenario, space, *end, accuracy)
 
     pieces: list[Piece] = []
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         for piece in pool.map(walk, ends):
             pieces.append(piece)
             if progress:  # told by this thread alone, so that whoever listens needs no lock

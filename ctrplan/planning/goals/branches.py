@@ -6,7 +6,6 @@ drive has just enough joints, a curve or more where it has joints to spare.
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -16,6 +15,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.cores import cores
 from ctrplan.base.units import MM_PER_M
 from ctrplan.mechanics.core import Status
 from ctrplan.planning.goals.inverse_kinematics import (
@@ -96,7 +96,7 @@ def reach(
     near = near[np.argsort(-_room(checker, q.joints[near]), kind="stable")] if len(near) else order[:1]
     chosen = distinct_rows(checker, q.joints, near)[:MOST_REFINED]
     joints = _refined(checker, aim, q.joints[chosen], tolerance_m)
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         found = list(pool.map(lambda joint: configuration(checker, target, joint), joints))
     nearest = min(found, key=lambda c: c.tip_error_m)
     reached = [c for c in found if c.tip_error_m <= tolerance_m and c.turned_rad <= target.direction_tolerance_rad]

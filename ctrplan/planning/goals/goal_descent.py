@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 
 import numpy as np
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.cores import cores
 from ctrplan.base.units import MM_PER_M
 from ctrplan.planning.goals.branches import configuration
 from ctrplan.planning.goals.goal_state import GoalState, tip_target
@@ -49,7 +49,7 @@ def _descend(checker: MotionChecker, trails: list[Trail]) -> None:
     space, solver = checker.space, TipSolver(checker.space, checker.mechanics, checker.watch)
     step_mm, moved = np.full(len(trails), FIRST_MM), np.arange(len(trails))
     down, aim = np.zeros((len(trails), len(space.weights_mm))), np.zeros((len(trails), 3))
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         for _ in range(STEPS):
             if len(moved):
                 down[moved], aim[moved] = _downhill(checker, solver, np.array([trails[k][-1].joints for k in moved]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.cores import cores
 from ctrplan.planning.uncertainty.body_clearance import BodyClearance
 from ctrplan.uncertain.bound import friction_bound_m, worst_bound_m
 from ctrplan.uncertain.parameters import UncertainParameters, uncertain_parameters
@@ -72,7 +72,7 @@ def bodies_at(scenario: Scenario, parameters: UncertainParameters, joints: Array
         _ = found.allowance_m  # solved here, on this thread
         return found
 
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         return list(pool.map(look, joints))
 
 

@@ -14,11 +14,12 @@ from ctrplan.reports.reach_page.scene import MOST_DRAWN, ReachScene, reach_figur
 
 WORDS = ("branch", "worst-case friction error", "clearance", "stability", "envelope of friction")
 START = """
-document.addEventListener('DOMContentLoaded', () => {
+const begin = () => {
   const plot = document.getElementById('scene');
   addKey(plot, document.getElementById('key'));
   keepFitted(plot);
-});
+};
+if (document.readyState === 'loading') document.addEventListener('DOMContentLoaded', begin); else begin();
 """
 
 

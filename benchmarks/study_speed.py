@@ -1,0 +1,187 @@
+"""How fast studies are: tasks a second against a plain loop on one core, what a task costs beside its work, memory.
+
+    python benchmarks/study_speed.py                      # all of it: some minutes, on an idle machine
+    python benchmarks/study_speed.py --bounds 4000 --plans 0 --many 0
+
+Times of the clock mean something on an idle machine only. Where others work on it, the ratio of processor times, of the
+loop to all workers together, is the share of the workers' time that is spent on tasks: with two cores for two workers
+the speed is twice that.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+
+import ctrplan
+from ctrplan.base.cores import one_core
+from ctrplan.studies.study.engine_dask import DaskEngine
+from ctrplan.studies.study.run import Doing
+from ctrplan.studies.study.study import Study
+
+SCENARIOS = Path(__file__).resolve().parent.parent / "scenarios"
+ROBOT = str(SCENARIOS / "robots" / "three_tube.toml")
+SCENARIO = str(SCENARIOS / "pair_free.toml")
+WORKERS = 2
+EMPTY = "def nothing(scenario, inputs, seed):\n    return {'seed': seed}\n"
+
+
+def bounds_study(count: int) -> dict[str, Any]:
+    """Bounds of one robot at different rotations."""
+    side = max(2, round(count**0.5))
+    turns = [{"key": f"theta_{k}", "low": 0, "high": 350, "count": side} for k in (2, 3)]
+    return {"robot": ROBOT, "task": {"kind": "bound", "theta_deg": [0, 0, 0], "l_mm": [0, -17, -62.8]}, "vary": turns}
+
+
+def plans_study(count: int) -> dict[str, Any]:
+    """Plans of a pair in free space, a second or so each."""
+    seeds = [{"key": "seed", "values": list(range(count))}, {"key": "planner.time_s", "values": [0.5]}]
+    return {"scenario": SCENARIO, "task": {"kind": "plan"}, "vary": seeds}
+
+
+def loop_of_bounds(study: Study) -> float:
+    """Processor time [s] of the same bounds in a plain loop over rows, one call each."""
+    robot = ctrplan.load_robot(ROBOT)
+    rows = [study.tasks[k].settings for k in range(study.count)]
+    begun = time.process_time()
+    with one_core():
+        for settings in rows:
+            theta = np.radians([0, settings["theta_2"], settings["theta_3"]])
+            robot.bound_many(theta[None], np.array([[0, -17e-3, -62.8e-3]]))
+    return time.process_time() - begun
+
+
+def loop_of_plans(study: Study) -> float:
+    """Likewise of the same plans."""
+    scenario = ctrplan.load_scenario(SCENARIO, ["planner.time_s=0.5"])
+    begun = time.process_time()
+    with one_core():
+        for k in range(study.count):
+            ctrplan.plan(scenario, seed=study.tasks[k].settings["seed"])
+    return time.process_time() - begun
+
+
+class Run:
+    """A study on workers of this machine: from the first row to the last, start-up left out, and memory meanwhile."""
+
+    def __init__(self, content: dict[str, Any], folder: Path) -> None:
+        self.memory: list[tuple[int, float]] = []
+        self.begun: tuple[int, float, float] | None = None
+        self.ended = (0, 0.0, 0.0)
+        study = Study.of(content, folder)
+        self.table = study.run(folder / f"out-{len(list(folder.iterdir()))}", workers=WORKERS, progress=self.told)
+
+    def told(self, doing: Doing) -> None:
+        if doing.stage != "tasks":
+            return
+        now = (doing.done, time.monotonic(), time.process_time())
+        self.begun, self.ended = self.begun or now, now
+        self.memory.append((doing.done, resident_mb()))
+
+    @property
+    def rate(self) -> float:
+        """Tasks a second of the clock."""
+        assert self.begun is not None
+        return (self.ended[0] - self.begun[0]) / max(self.ended[1] - self.begun[1], 1e-9)
+
+    @property
+    def client_s(self) -> float:
+        """Processor time of client and scheduler for each task, from the first row to the last."""
+        assert self.begun is not None
+        return (self.ended[2] - self.begun[2]) / max(self.ended[0] - self.begun[0], 1)
+
+    @property
+    def work_s(self) -> float:
+        """Processor time that workers measured on their tasks."""
+        return float(np.nansum(self.table["seconds"]))
+
+
+def resident_mb() -> float:
+    """Of this process, where the client is and, in a LocalCluster, the scheduler too."""
+    with open("/proc/self/statm", encoding="ascii") as file:
+        return int(file.read().split()[1]) * resource.getpagesize() / 1e6
+
+
+def compare(name: str, content: dict[str, Any], folder: Path, loop: Any) -> None:
+    study = Study.of(content, folder)
+    loop_s = loop(study)
+    found = Run(content, folder)
+    each = (found.work_s - loop_s) / study.count
+    print(f"{name}: {study.count} tasks; plain loop {study.count / loop_s:.1f} a second of one core")
+    all_s = found.work_s + found.client_s * study.count
+    print(f"  by the clock: {found.rate:.1f} a second, {found.rate * loop_s / study.count:.2f} times as fast")
+    ratio = WORKERS * loop_s / all_s
+    print(f"  by processor time: study {all_s:.1f} s, loop {loop_s:.1f} s: {ratio:.2f} on {WORKERS} cores")
+    print(
+        f"  a task costs {each * 1e3:.2f} ms more on its worker, {found.client_s * 1e3:.2f} ms of client and scheduler"
+    )
+
+
+def empty_tasks(count: int, folder: Path) -> None:
+    """What a task costs that does nothing, one by one and in chunks, and how memory grows."""
+    (folder / "empty.py").write_text(EMPTY, encoding="utf-8")
+    seeds = [{"key": "seed", "low": 0, "high": count - 1, "count": count}]
+    content = {"robot": ROBOT, "task": {"kind": "function", "function": "empty:nothing"}, "vary": seeds}
+    found = Run(content, folder)
+    print(f"empty tasks one by one: {found.rate:.0f} a second, {1e3 / found.rate:.2f} ms each")
+    print_memory(found.memory)
+
+
+def print_memory(memory: Sequence[tuple[int, float]]) -> None:
+    for share in (0.1, 0.25, 0.5, 0.75, 1.0):
+        done, size = memory[max(0, round(share * len(memory)) - 1)]
+        print(f"  {done:>8,} tasks: client and scheduler hold {size:.0f} MB")
+
+
+def many_bounds(count: int, folder: Path) -> None:
+    found = Run(bounds_study(count), folder)
+    print(f"many bounds: {len(found.table):,} at {found.rate:.0f} a second by the clock")
+    print_memory(found.memory)
+
+
+def scheduler_rate() -> Iterator[str]:
+    """How many tasks a second dask's scheduler hands out, and where it would saturate."""
+    with DaskEngine(WORKERS) as engine:
+        begun, count = time.monotonic(), 2000
+        futures = engine.client.map(abs, range(count), pure=False)
+        engine.client.gather(futures)
+        rate = count / (time.monotonic() - begun)
+    yield f"scheduler: {rate:.0f} empty tasks a second here"
+    for workers in (100, 1000):
+        yield f"  {workers} workers keep busy with tasks of {workers / rate:.2f} s and more"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--bounds", type=int, default=4000)
+    parser.add_argument("--plans", type=int, default=24)
+    parser.add_argument("--empty", type=int, default=2000)
+    parser.add_argument("--many", type=int, default=100_000)
+    asked = parser.parse_args()
+    print(f"load of the machine {os.getloadavg()[0]:.1f}, {os.cpu_count()} cores, {WORKERS} workers")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        if asked.bounds:
+            compare("bounds", bounds_study(asked.bounds), folder, loop_of_bounds)
+        if asked.plans:
+            compare("plans", plans_study(asked.plans), folder, loop_of_plans)
+        if asked.empty:
+            empty_tasks(asked.empty, folder)
+        for line in scheduler_rate():
+            print(line)
+        if asked.many:
+            many_bounds(asked.many, folder)
+
+
+if __name__ == "__main__":
+    main()

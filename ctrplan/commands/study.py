@@ -1,0 +1,153 @@
+"""`ctrplan study`: thousands of tasks over a robot or scenario, as a table and a page; what is missing is done."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import TYPE_CHECKING, Any
+
+from ctrplan.base.arguments import Whole
+from ctrplan.base.interrupts import INTERRUPTED
+from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
+from ctrplan.commands.progress_bar import ProgressBar
+from ctrplan.errors import InputError
+from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
+
+if TYPE_CHECKING:
+    from ctrplan.studies.study.run import Doing, Outcome
+    from ctrplan.studies.study.study import Study
+
+MOST_WORKERS = 1024
+EXAMPLES = """examples:
+  ctrplan study STUDY.toml -o out
+  ctrplan study STUDY.toml -o out --set targets.step_mm=2 --add
+  ctrplan study STUDY.toml -o out --workers 8
+  ctrplan study STUDY.toml -o out --scheduler tcp://10.0.0.5:8786
+
+A study says what is varied (any key as in --set, targets, base poses) and what is done with each combination:
+  scenario = "scenarios/ventricle.toml"
+  task = {kind = "ik"}                       # bound, ik, plan, simulate, diagnose, or a function of yours
+  targets = {within = "anatomy", step_mm = 5}
+  [[vary]]
+  key = "robot.contact.1.friction_coefficient"
+  values = [0.1, 0.2, 0.3]
+
+Ctrl-C and kills lose what is being done and nothing else: run again, and what is missing is done. docs/studies.md.
+"""
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command to the command line."""
+    parser = commands.add_parser(
+        "study",
+        help="thousands of bounds, plans or goals over what varies, on this machine or a cluster",
+        description="Do a task with every combination of what a study varies; write the table "
+        "(results.parquet, or results.csv without pyarrow), report.html, and the plans that are asked for.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("study", metavar="STUDY.toml")
+    parser.add_argument(
+        "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder of the study (default: %(default)s)"
+    )
+    workers = "processes on this machine (default: one per core)"
+    add_number(parser, "--workers", Whole(1, MOST_WORKERS), metavar="N", help=workers)
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="of a dask cluster, such as tcp://10.0.0.5:8786")
+    parser.add_argument("--scheduler-file", metavar="FILE", help="that a dask scheduler wrote its address into")
+    parser.add_argument("--add", action="store_true", help="keep what the folder has of another study beside this one")
+    parser.add_argument("--yes", action="store_true", help="also where it takes more than a week")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    add_allow_outside_option(parser)
+    add_set_option(parser, "the study's key", "targets.step_mm=2")
+    parser.set_defaults(run=run_study_command)
+
+
+def run_study_command(arguments: argparse.Namespace) -> int:
+    """Runs the command; returns its exit code: 1 where no task has an answer. Raises CtrplanError."""
+    from ctrplan.studies.study.run import Where, refuse_endless, run_study
+    from ctrplan.studies.study.study import Study
+
+    for first, second in (("--scheduler", "--scheduler-file"), ("--scheduler", "--workers")):
+        values = [getattr(arguments, name[2:].replace("-", "_")) for name in (first, second)]
+        if all(value is not None for value in values):
+            raise InputError(f"does not go with {first}", key=second, value=values[1])
+    study = Study.read(arguments.study, arguments.overrides, allow_outside=arguments.allow_outside)
+    where = Where(None, arguments.workers, arguments.scheduler, arguments.scheduler_file)
+    refuse_endless(study, where, arguments.yes)
+    print(_beforehand(study, where.expected), file=sys.stderr)
+    terminal = sys.stderr is not None and sys.stderr.isatty()
+    with ProgressBar(quiet=arguments.quiet or not terminal) as bar:
+        teller = _Teller(bar)
+        found = run_study(study, arguments.output, where, add=arguments.add, yes=arguments.yes, progress=teller)
+    _write_report(study, found)
+    print(_summary(study, found))
+    if found.interrupted:
+        return INTERRUPTED
+    return 0 if found.table.done.any() else 1
+
+
+class _Teller:
+    """Shows how far a study is, and once where its workers can be watched."""
+
+    def __init__(self, bar: ProgressBar) -> None:
+        self.bar = bar
+        self.noted = ""
+
+    def __call__(self, doing: Doing) -> None:
+        from ctrplan.studies.study.run import in_words
+
+        if doing.note and doing.note != self.noted:
+            self.noted = doing.note
+            print(f"ctrplan: the workers can be watched at {doing.note}", file=sys.stderr)
+        left = "" if doing.left_s is None else f", {in_words(doing.left_s)} left"
+        note = f"{doing.done:,} of {doing.count:,}{left}" if doing.stage != "workers" else ""
+        self.bar.show(doing.stage, doing.share, note)
+
+
+def _beforehand(study: Study, workers: int) -> str:
+    """What will be done, and about how long that takes."""
+    from ctrplan.studies.study.run import in_words
+
+    expected = in_words(study.count * study.task_s / workers)
+    return f"ctrplan: {study.name}: {study.count:,} tasks ({study.kind.kind}), about {expected} on {workers} workers."
+
+
+def _write_report(study: Study, found: Outcome) -> None:
+    from ctrplan.reports.study_page.page import write_study_report
+
+    write_study_report(study, found.table)
+
+
+def _summary(study: Study, found: Outcome) -> str:
+    from collections import Counter
+
+    table = found.table
+    status = Counter(table.columns["status"])
+    lines = [f"{study.name}: {len(table):,} of {found.count:,} tasks, {found.did:,} of them done now"]
+    lines.append(f"  {'status':27} {', '.join(f'{count:,} {name}' for name, count in status.most_common())}")
+    for row in table.rows():
+        if row["status"] != "done":
+            lines.append(f"  {'the first of those':27} task {row['index']}: {row['reason']}")
+            break
+    lines += [f"  {label:27} {text}" for label, text in _extremes(study, found).items()]
+    lines.append(f"  {'written to':27} {found.store.folder}/{found.file.name}, report.html")
+    if found.interrupted:
+        lines.append("  Interrupted; run it again to go on.")
+    return "\n".join(lines)
+
+
+def _extremes(study: Study, found: Outcome) -> dict[str, str]:
+    """The best and the worst row."""
+    from ctrplan.studies.study.extremes import extremes, judged_by
+
+    column, rows = judged_by(study), list(found.table.rows())
+    inputs = [name for axis in study.axes for name in axis.at(0).inputs]
+    texts = {}
+    for label, k in zip((f"least {column}", "largest"), extremes(rows, column), strict=False):
+        where = ", ".join(f"{name} = {_shown(rows[k].get(name))}" for name in inputs)
+        texts[label] = f"{rows[k][column]:.4g} at {where}" if where else f"{rows[k][column]:.4g}"
+    return texts
+
+
+def _shown(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,137 @@
+"""A plan's folder -> Plan: the figures of plan.json as objects again, the trajectory made anew and compared."""
+
+from __future__ import annotations
+
+import math
+import os
+import types
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from ctrplan.drive.trajectory import PERIOD_S, Trajectory, time_parameterise
+from ctrplan.errors import InputError
+from ctrplan.files.plan_file import WrittenPlan, load_plan
+from ctrplan.files.played_trajectory import played_samples
+from ctrplan.planning.certified import Certificate, CertificateSamples, Settling
+from ctrplan.planning.plan import Plan
+from ctrplan.planning.planned_motion import Compensation, Leg, ReorderReport, leg_kind
+from ctrplan.planning.uncertainty.result import Uncertainty
+
+SAME_S, SAME = 1e-6, 1e-6  # of times [s] and joint values [rad, m] that were written with few digits
+TYPES = {"Accuracy": str, "StartFriction": str}  # names that the dataclasses know while types are checked
+T = TypeVar("T")
+
+
+def load_plan_folder(
+    folder: str | os.PathLike[str], scenario: str | os.PathLike[str] | None = None, overrides: Sequence[str] = ()
+) -> Plan:
+    """See `Plan.load`."""
+    place = Path(os.fspath(folder))
+    written = load_plan(place / "plan.json", scenario, overrides)
+    content, drive = written.content, written.scenario.robot.drive
+    try:
+        return Plan(
+            scenario=written.scenario,
+            seed=int(content["seed"]),
+            planner=content["planner"],
+            style=content["style"],
+            legs=tuple(Leg(a, b, leg_kind(drive, a, b)) for a, b in pairwise(written.waypoints)),
+            certificate=_certificate(written),
+            trajectory=_trajectory(written, place / "trajectory.csv"),
+            reorder=_made(ReorderReport, content["reorder"]),
+            search_time_s=content["search_time_s"],
+            first_found_s=content["first_found_s"],
+            first_certified_s=content["first_certified_s"],
+            notes=tuple(content["notes"]),
+            compensation=_compensation(written),
+            interrupted=content["interrupted"],
+            ended_by=content["search_ended_by"],
+            follow_the_leader_m=content["follow_the_leader_m"],
+            uncertainty=None if content["uncertainty"] is None else _made(Uncertainty, content["uncertainty"]),
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        said = f"has no {error.args[0]}" if isinstance(error, KeyError) else f"can't be read as a plan ({error})"
+        raise InputError(said, file=str(place / "plan.json")) from None
+
+
+def _certificate(written: WrittenPlan) -> Certificate:
+    content, settling = written.content["certificate"], written.content["settling"]
+    samples = _made(CertificateSamples, content["samples"])
+    known = {**content, "settling": None, "walk_again": None, "samples": None}
+    certificate = _made(Certificate, known)
+    object.__setattr__(certificate, "samples", samples)
+    if settling is not None:
+        first_turn = _joint_values(written, settling["first_turn"])
+        turns = first_turn / settling["amplitude_rad"]
+        object.__setattr__(certificate, "settling", _made(Settling, {**settling, "turns": turns.tolist()}))
+    return certificate
+
+
+def _compensation(written: WrittenPlan) -> Compensation | None:
+    content = written.content["compensation"]
+    if content is None:
+        return None
+    return _made(Compensation, {**content, "correction": _joint_values(written, content["correction"]).tolist()})
+
+
+def _joint_values(written: WrittenPlan, table: Mapping[str, Mapping[str, float]]) -> Any:
+    """(m,) rad or m."""
+    joints = written.scenario.robot.drive.joints
+    return np.array([table[joint.name]["rad" if joint.unit == "deg" else "m"] for joint in joints])
+
+
+def _trajectory(written: WrittenPlan, file: Path) -> Trajectory:
+    """Of the legs, with the rests at targets. Raises InputError unless the file has the same."""
+    drive, content = written.scenario.robot.drive, written.content
+    rests = [target["leg"] + 1 for target in content["certificate"]["targets"]]
+    period_s = content["trajectory"]["period_s"] or PERIOD_S
+    made = time_parameterise(written.waypoints, drive, period_s, rests=rests)
+    time_s, position = played_samples(file, drive)
+    is_same = len(time_s) == len(made.time_s) and np.abs(time_s - made.time_s).max() <= SAME_S
+    if not is_same or np.abs(position - made.position).max() > SAME:
+        raise InputError("is not the trajectory of the plan's legs: write it again", file=str(file))
+    return made
+
+
+def _made(kind: type[T], content: Mapping[str, Any]) -> T:
+    """A dataclass of what JSON holds of it; keys that are none of its fields are left aside."""
+    hints = get_type_hints(kind, localns=TYPES)
+    values = {}
+    for entry in fields(kind):  # type: ignore[arg-type]
+        if entry.name in content:
+            values[entry.name] = _value(hints[entry.name], content[entry.name], entry.name)
+    return kind(**values)
+
+
+def _value(hint: Any, value: Any, name: str) -> Any:
+    """A value of a type; None in the place of a number is one that is not finite."""
+    if get_origin(hint) in (Union, types.UnionType):
+        others = [kind for kind in get_args(hint) if kind is not type(None)]
+        return None if value is None else _value(others[0], value, name)
+    if get_origin(hint) is tuple:
+        inner = get_args(hint)[0]
+        return tuple(_value(inner, item, name) for item in value)
+    if is_dataclass(hint):
+        return None if value is None else _made(hint, value)  # type: ignore[arg-type]
+    if hint is float:
+        return _beyond(name) if value is None else float(value)
+    if get_origin(hint) is np.ndarray and value is not None:
+        kind = np.int_ if "int" in str(hint) else np.float64
+        return np.array(_finite(value, name), dtype=kind)
+    return value
+
+
+def _finite(value: Any, name: str) -> Any:
+    if isinstance(value, list):
+        return [_finite(item, name) for item in value]
+    return _beyond(name) if value is None else value
+
+
+def _beyond(name: str) -> float:
+    """The number that JSON has none for: an infinite clearance, or what could not be computed."""
+    return math.inf if "clearance" in name or "predicted" in name else math.nan

@@ -1,0 +1,144 @@
+"""Maps in space: targets or base poses over the anatomy, coloured by what came out there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+from ctrplan.reports import palette
+from ctrplan.reports.framing import view_box
+from ctrplan.reports.scene_traces import anatomy_traces, lay_out, xyz
+from ctrplan.reports.study_page.quantities import Quantity
+from ctrplan.reports.surface import anatomy_surface
+from ctrplan.studies.study.table import StudyTable
+
+MOST_POINTS = 20_000
+MOST_MAPS = 6
+TRIANGLES = 8_000
+OUTCOMES = (
+    ("within tolerance whatever friction does", palette.MET),
+    ("reached, but friction may take it beyond the tolerance", palette.SERIES[1]),
+    ("reached", palette.SERIES[0]),
+    ("not reached within limits and margins", palette.LIMIT),
+)
+Indices = NDArray[np.int_]
+Where = tuple[str, str, str]
+TARGETS: Where = ("target_x_mm", "target_y_mm", "target_z_mm")
+BASES: Where = ("base_x_mm", "base_y_mm", "base_z_mm")
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Points of a map, and which rows of the table belong to each."""
+
+    points_mm: Array  # (P, 3)
+    of_row: Indices  # (K,) index of the point of each row
+
+    @classmethod
+    def of(cls, table: StudyTable, where: Where) -> Places | None:
+        """The distinct points; None where the study has none, or one."""
+        if not all(name in table.columns for name in where):
+            return None
+        all_mm = np.column_stack([table[name] for name in where])
+        points, of_row = np.unique(all_mm, axis=0, return_inverse=True)
+        return cls(points, np.asarray(of_row, dtype=np.int_).reshape(-1)) if len(points) > 1 else None
+
+    def mean(self, values: Array) -> Array:
+        """(P,) mean over each point's rows that have a number; NaN where none has."""
+        known = np.isfinite(values)
+        count = np.bincount(self.of_row[known], minlength=len(self.points_mm))
+        total = np.bincount(self.of_row[known], values[known], minlength=len(self.points_mm))
+        mean: Array = np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)
+        return mean
+
+
+def map_figure(scenario: Any, table: StudyTable, places: Places, shown: list[Quantity]) -> go.Figure:
+    """Outcomes first, then a quantity each, chosen by buttons."""
+    rows = thinned_rows(len(places.points_mm))
+    points_m = places.points_mm[rows] * 1e-3
+    groups: list[tuple[str, list[Any]]] = [("outcome", _outcome_traces(table, places, rows))]
+    for quantity in shown[:MOST_MAPS]:
+        values = places.mean(table[quantity.column])[rows]
+        if np.isfinite(values).any():
+            groups.append((quantity.name, [_value_trace(points_m, values, quantity)]))
+    parts = [] if scenario is None else list(scenario.anatomy)
+    surfaces = [anatomy_surface(part, TRIANGLES) for part in parts]
+    anatomy = anatomy_traces(scenario, surfaces) if parts else []
+    traces = [trace for _, group in groups for trace in group]
+    figure = go.Figure([*traces, *anatomy])
+    _choose(figure, groups, len(anatomy))
+    solid = np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface in surfaces)])
+    lay_out(figure, *view_box(points_m, solid), points_m)
+    return figure
+
+
+def thinned_rows(count: int) -> Indices:
+    """All of so many rows, or as many as can be drawn."""
+    if count <= MOST_POINTS:
+        return np.arange(count)
+    return np.sort(np.random.default_rng(0).permutation(count)[:MOST_POINTS])
+
+
+def outcomes(table: StudyTable) -> Indices:
+    """(K,) index into OUTCOMES of each row."""
+    status, found = np.array(table.columns["status"]), np.full(len(table), 3)
+    done = status == "done"
+    if "within_tolerance" not in table.columns:
+        found[done] = 2
+        return found
+    kept = table["within_tolerance"]
+    found[done & (kept == 1)] = 0
+    found[done & (kept == 0)] = 1
+    found[done & np.isnan(kept)] = 2
+    return found
+
+
+def _outcome_traces(table: StudyTable, places: Places, rows: Indices) -> list[Any]:
+    """A trace for each outcome; of several rows at a point the worst counts."""
+    worst = np.zeros(len(places.points_mm), dtype=int)
+    np.maximum.at(worst, places.of_row, outcomes(table))
+    worst = worst[rows]
+    traces = []
+    for k, (name, colour) in enumerate(OUTCOMES):
+        points_m = places.points_mm[rows][worst == k] * 1e-3
+        if len(points_m):
+            marker = {"size": _size(len(rows)), "color": colour, "opacity": 0.85}
+            traces.append(go.Scatter3d(**xyz(points_m), mode="markers", marker=marker, name=name, hoverinfo="name"))
+    return traces
+
+
+def _value_trace(points_m: Array, values: Array, quantity: Quantity) -> Any:
+    known = np.isfinite(values)
+    marker = {
+        "size": _size(len(values)),
+        "color": values[known].astype(np.float32),
+        "colorscale": "Viridis",
+        "reversescale": quantity.is_better > 0,
+        "colorbar": {"title": {"text": quantity.label, "side": "right"}, "thickness": 14, "len": 0.75},
+        "opacity": 0.9,
+    }
+    hover = "%{marker.color:.3g}<extra></extra>"
+    return go.Scatter3d(
+        **xyz(points_m[known]), mode="markers", marker=marker, visible=False, hovertemplate=hover, showlegend=False
+    )
+
+
+def _size(count: int) -> float:
+    return float(np.clip(60 / np.sqrt(max(count, 1)), 2.5, 7.0))
+
+
+def _choose(figure: go.Figure, groups: list[tuple[str, list[Any]]], others: int) -> None:
+    """Buttons above the scene, one for each group."""
+    if len(groups) < 2:
+        return
+    buttons = []
+    for name, _ in groups:
+        visible = [other == name for other, traces in groups for _ in traces]
+        buttons.append({"label": name, "method": "restyle", "args": [{"visible": [*visible, *[True] * others]}]})
+    menu = {"type": "dropdown", "buttons": buttons, "x": 0.0, "xanchor": "left", "y": 1.0, "yanchor": "top"}
+    figure.update_layout(updatemenus=[{**menu, "showactive": True, "bgcolor": "#fff"}])

@@ -1,0 +1,1 @@
+"""Studies: thousands of independent tasks over one robot or scenario, on this machine or a cluster."""

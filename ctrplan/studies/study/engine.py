@@ -1,0 +1,95 @@
+"""Where tasks are done: an engine is given chunks of tasks, and gives their rows back as they come.
+
+Only so many chunks are handed out at a time that nobody waits, so that memory does not grow with the study.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from typing import Any
+
+from ctrplan.errors import InputError
+from ctrplan.studies.child_process import ChildEnded
+from ctrplan.studies.study.limited import do_limited, unanswered
+from ctrplan.studies.study.task import Row, Task
+from ctrplan.studies.study.worker import VersionError, do_tasks
+
+Chunks = Iterator[Sequence[Task]]
+AHEAD = 2  # chunks for each worker: one that it does, one that is there when it is done
+
+
+class Engine(ABC):
+    """Workers, from `with` until its end."""
+
+    note: str = ""  # where they can be watched
+
+    @property
+    @abstractmethod
+    def workers(self) -> int:
+        """How many there are now."""
+
+    @abstractmethod
+    def rows(self, content: bytes, chunks: Chunks, limit_s: float | None) -> Iterator[Sequence[Row]]:
+        """Rows of all chunks in any order. `content` is the pickled job; raises CtrplanError where nobody can go on."""
+
+    def __enter__(self) -> Engine:
+        """The engine at work."""
+        return self
+
+    def __exit__(self, *_: object) -> None:  # noqa: B027 (some have nothing to end)
+        """Ends what it started."""
+
+
+class ExecutorEngine(Engine):
+    """Any executor of the interface of concurrent.futures."""
+
+    def __init__(self, executor: Executor, workers: int) -> None:
+        """workers: how many tasks it does at a time."""
+        self.executor, self._workers = executor, workers
+
+    @property
+    def workers(self) -> int:
+        """How many there were said to be."""
+        return self._workers
+
+    def rows(self, content: bytes, chunks: Chunks, limit_s: float | None) -> Iterator[Sequence[Row]]:
+        """Rows as chunks are done. Raises InputError where the executor takes no tasks."""
+        given: dict[Future[list[Row]], Sequence[Task]] = {}
+        try:
+            while True:
+                for chunk in chunks:
+                    given[self._submitted(content, chunk, limit_s)] = chunk
+                    if len(given) >= AHEAD * self.workers:
+                        break
+                if not given:
+                    return
+                for future in wait(given, return_when=FIRST_COMPLETED).done:
+                    yield answer(future, given.pop(future))
+        finally:
+            for future in given:
+                future.cancel()
+
+    def _submitted(self, content: bytes, chunk: Sequence[Task], limit_s: float | None) -> Future[list[Row]]:
+        try:
+            if limit_s is None:
+                return self.executor.submit(do_tasks, content, chunk)
+            return self.executor.submit(do_limited, content, chunk, limit_s)
+        except RuntimeError as error:  # of all executors of concurrent.futures
+            raise InputError(f"takes no tasks ({error})", key="executor", value=self.executor) from error
+
+
+def answer(future: Any, chunk: Sequence[Task]) -> Sequence[Row]:
+    """The rows of a chunk, also where whoever did it gave none. Raises VersionError, InputError without ctrplan."""
+    try:
+        rows: Sequence[Row] = future.result()
+        return rows
+    except VersionError:
+        raise
+    except ModuleNotFoundError as error:
+        raise InputError(f"the workers lack the module {error.name}: install ctrplan where they run") from error
+    except Exception as error:
+        words = " ".join(str(error).split()).rstrip(".")
+        sentence = f"{words}." if isinstance(error, ChildEnded) else f"{type(error).__name__}: {words}."
+        return [unanswered(task, "lost", sentence) for task in chunk]

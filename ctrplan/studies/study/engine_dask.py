@@ -1,0 +1,151 @@
+"""Workers of dask.distributed: a cluster of processes on this machine, or any cluster by its scheduler's address.
+
+dask hands tasks to workers that live, and again where one dies or another joins; nothing here does.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from typing import Any
+
+from ctrplan.base.cores import cores
+from ctrplan.base.version import __version__
+from ctrplan.errors import CtrplanError, InputError
+from ctrplan.studies.study.engine import AHEAD, Chunks, Engine, answer
+from ctrplan.studies.study.limited import do_limited
+from ctrplan.studies.study.task import Row, Task
+from ctrplan.studies.study.worker import check_version, do_tasks
+
+EXTRA = "pip install 'ctrplan[cluster]'"
+CONNECT_S = 5.0
+LOOK_S = 2.0  # between two looks at how many workers there are
+FEWEST_AHEAD = 4  # chunks, where no worker has come yet
+
+
+def is_installed() -> bool:
+    """Whether the extra is there."""
+    from importlib.util import find_spec
+
+    return find_spec("distributed") is not None
+
+
+class DaskEngine(Engine):
+    """A cluster; one thread for each worker is all that ctrplan uses."""
+
+    def __init__(
+        self, workers: int | None = None, *, scheduler: str | None = None, scheduler_file: str | None = None
+    ) -> None:
+        """Connects within 5 s, or starts `workers` processes here. Raises InputError, CtrplanError in one sentence."""
+        if not is_installed():
+            key = "--scheduler" if scheduler else "--scheduler-file"
+            raise InputError(f"a cluster needs dask.distributed: {EXTRA}", key=key, value=scheduler or scheduler_file)
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what concerns the study is said by it
+        self.opened = ExitStack()
+        self.looked, self.count = -LOOK_S, 0
+        try:
+            self.client = self._client(workers, scheduler, scheduler_file)
+            self._check_versions()
+        except BaseException:
+            self.opened.close()
+            raise
+
+    def _client(self, workers: int | None, scheduler: str | None, scheduler_file: str | None) -> Any:
+        from distributed import Client
+
+        if scheduler or scheduler_file:
+            named = {"address": scheduler} if scheduler else {"scheduler_file": scheduler_file}
+            key = "--scheduler" if scheduler else "--scheduler-file"
+            if scheduler_file and not os.path.isfile(scheduler_file):  # for which dask would wait
+                raise InputError("is not a file that exists", key=key, value=scheduler_file)
+            try:
+                return self.opened.enter_context(Client(**named, timeout=CONNECT_S))
+            except (OSError, ValueError, TypeError, asyncio.TimeoutError) as error:
+                rule = f"no scheduler answered within {CONNECT_S:g} s"
+                raise InputError(rule, key=key, value=scheduler or scheduler_file) from error
+        return self.opened.enter_context(Client(self._local(workers or cores())))
+
+    def _local(self, workers: int) -> Any:
+        from distributed import LocalCluster
+
+        try:
+            cluster = LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address="127.0.0.1:0",  # any port that is free
+                silence_logs=logging.CRITICAL,
+                preload=["ctrplan.studies.study.local_worker"],
+            )
+        except (OSError, RuntimeError) as error:
+            raise CtrplanError(f"no cluster could be started on this machine: {error}.") from error
+        return self.opened.enter_context(cluster)
+
+    def _check_versions(self) -> None:
+        """Raises VersionError for a worker that is there; those that join later say it with their first task."""
+        from ctrplan.studies.study.worker import VersionError
+
+        try:
+            self.client.run(check_version, __version__)
+        except VersionError:
+            raise
+        except ModuleNotFoundError as error:
+            raise InputError(f"the workers lack the module {error.name}: install ctrplan where they run") from error
+
+    @property
+    def workers(self) -> int:
+        """How many threads there are now, of all workers."""
+        if time.monotonic() - self.looked >= LOOK_S:
+            self.looked, self.count = time.monotonic(), sum(self.client.nthreads().values())
+        return self.count
+
+    @property
+    def note(self) -> str:  # type: ignore[override]
+        """Where dask shows what its workers do."""
+        link: str = self.client.dashboard_link if _has_dashboard() else ""
+        return link
+
+    def rows(self, content: bytes, chunks: Chunks, limit_s: float | None) -> Iterator[Sequence[Row]]:
+        """Rows as chunks are done."""
+        from distributed import as_completed
+
+        # A task of its own, which any worker can do again, so that nothing is lost with the worker that had it.
+        shared = self.client.submit(bytes, content, pure=False)
+        given: dict[Any, Sequence[Task]] = {}
+        done = as_completed()
+        try:
+            while True:
+                for chunk in chunks:
+                    future = self._submitted(shared, chunk, limit_s)
+                    given[future.key] = chunk
+                    done.add(future)
+                    if len(given) >= max(FEWEST_AHEAD, AHEAD * self.workers):
+                        break
+                if not given:
+                    return
+                future = next(done)
+                yield answer(future, given.pop(future.key))
+                future.release()
+        finally:
+            done.clear()
+            shared.release()
+
+    def _submitted(self, shared: Any, chunk: Sequence[Task], limit_s: float | None) -> Any:
+        if limit_s is None:
+            return self.client.submit(do_tasks, shared, chunk, pure=False)
+        return self.client.submit(do_limited, shared, chunk, limit_s, pure=False)
+
+    def __exit__(self, *_: object) -> None:
+        """Leaves the cluster, and ends it where it was started here."""
+        self.opened.close()
+
+
+def _has_dashboard() -> bool:
+    from importlib.util import find_spec
+
+    return find_spec("bokeh") is not None

@@ -1,0 +1,1 @@
+"""What can be done with every combination of a study, a file each."""

@@ -1,0 +1,44 @@
+"""A diagnosis of measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+from ctrplan.studies.study.loaded import Loaded
+from ctrplan.studies.study.task_kind import TaskKind, register
+
+if TYPE_CHECKING:
+    from ctrplan.planning.scenario import Scenario
+    from ctrplan.robot.robot import Robot
+    from ctrplan.studies.study.task import Task
+
+DIAGNOSIS_S = 300.0
+
+
+@register("diagnose")
+class DiagnoseTask(TaskKind, frozen=True, kw_only=True):
+    """kind = "diagnose": as `ctrplan diagnose`."""
+
+    needs: ClassVar[tuple[Literal["robot", "scenario"], ...]] = ("robot",)
+    best: ClassVar[str] = "after_rms_mm"
+
+    measurements: str  # MEASUREMENTS.csv, relative to the study's folder
+    without: list[str] = []  # effects left out of the catalogue
+
+    def expected_s(self, robot: Robot, scenario: Scenario | None) -> float:
+        return DIAGNOSIS_S
+
+    def files(self) -> Sequence[str]:
+        return (self.measurements,)
+
+    def numbers(self, task: Task, loaded: Loaded) -> Mapping[str, Any]:
+        from ctrplan.diagnosis import diagnose  # slow to import
+        from ctrplan.files.measurement_file import load_measurements
+
+        robot = loaded.robot
+        found = diagnose(robot, load_measurements(loaded.file(self.measurements), robot), without=self.without)
+        content = found.to_json()
+        figures = {key: value for key, value in content["gap"].items() if isinstance(value, (int, float))}
+        effects = ", ".join(effect["name"] for effect in content["effects"])
+        return {"verdict": found.verdict, "effects": effects, **figures, "coverage": found.coverage}

@@ -1,0 +1,104 @@
+"""A function of the user's."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import numbers
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from msgspec import Meta
+
+from ctrplan.errors import CtrplanError, InputError
+from ctrplan.studies.study.loaded import Loaded
+from ctrplan.studies.study.table import FIRST, LAST, TIMING
+from ctrplan.studies.study.task_kind import TaskKind, register
+
+if TYPE_CHECKING:
+    from ctrplan.planning.scenario import Scenario
+    from ctrplan.robot.robot import Robot
+    from ctrplan.studies.study.task import Task
+
+UNKNOWN_S = 1.0  # how long somebody else's function takes
+
+
+@register("function")
+class FunctionTask(TaskKind, frozen=True, kw_only=True):
+    """kind = "function": module:function(scenario, inputs, seed) returns a number, or a mapping of names to such.
+
+    scenario: with everything that the task changes, of a robot alone in free space. The module is a file beside the
+    study, which travels with the tasks, or one that is installed where the workers are.
+    """
+
+    function: Annotated[str, Meta(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$")]
+    options: dict[str, Any] = {}  # further keyword arguments
+
+    def expected_s(self, robot: Robot, scenario: Scenario | None) -> float:
+        return UNKNOWN_S
+
+    def files(self) -> Sequence[str]:
+        return (f"{self.function.partition(':')[0].replace('.', '/')}.py",)
+
+    def numbers(self, task: Task, loaded: Loaded) -> Mapping[str, Any]:
+        function = self._found(loaded)
+        try:
+            result = function(loaded.scenario, dict(task.inputs), task.settings["seed"], **self.options)
+        except CtrplanError:
+            raise
+        except (Exception, SystemExit) as error:
+            raise UserFunctionError(f"{self.function}: {_in_words(error)}.") from error
+        return _checked(result, self.function)
+
+    def _found(self, loaded: Loaded) -> Callable[..., Any]:
+        module, _, name = self.function.partition(":")
+        beside = loaded.job.sources.here / loaded.job.study_folder / self.files()[0]
+        try:
+            found = _module(beside) if beside.is_file() else importlib.import_module(module)
+        except Exception as error:
+            raise UserFunctionError(f"{module}: can't be imported: {_in_words(error)}.") from error
+        function = getattr(found, name, None)
+        if not callable(function):
+            raise InputError(f"is no function of the module {module}", key="task.function", value=self.function)
+        return function  # type: ignore[no-any-return]
+
+
+class UserFunctionError(CtrplanError):
+    """What a function of the user's raised."""
+
+
+@lru_cache(maxsize=8)
+def _module(file: Path) -> Any:
+    """The module in a file, under a name of its own: another study's may be called the same."""
+    spec = importlib.util.spec_from_file_location(f"{file.parent.name.strip('.')}_{file.stem}", file)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _checked(result: Any, name: str) -> Mapping[str, Any]:
+    """What a function returned, as columns. Raises InputError for what no table could hold."""
+    columns = result if isinstance(result, Mapping) else {"value": result}
+    found = {}
+    for key, value in columns.items():
+        plain = value.item() if isinstance(value, np.generic) else value
+        if key in (*FIRST, *LAST, *TIMING):
+            raise InputError(f"must return numbers by other names than {key!r}, which every study has", key=name)
+        if not isinstance(key, str) or not key or not (isinstance(plain, (str, numbers.Real)) or plain is None):
+            kind = type(value).__name__
+            raise InputError(f"must return numbers or texts by name, not {kind} as {key!r}", key=name)
+        found[key] = plain
+    return found
+
+
+def _in_words(error: BaseException) -> str:
+    """The error and where in the function it came from."""
+    trace = inspect.trace() if sys.exc_info()[1] is error else []
+    where = f" (line {trace[-1].lineno} of {Path(trace[-1].filename).name})" if trace else ""
+    return f"{type(error).__name__}: {error}{where}".rstrip(".")

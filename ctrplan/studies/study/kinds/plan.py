@@ -1,0 +1,90 @@
+"""A plan."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from msgspec import Meta
+
+from ctrplan.studies.study.loaded import Loaded
+from ctrplan.studies.study.task_kind import TaskKind, register
+
+if TYPE_CHECKING:
+    from ctrplan.planning.plan import Plan
+    from ctrplan.planning.scenario import Scenario
+    from ctrplan.robot.robot import Robot
+    from ctrplan.studies.study.task import Task
+
+CERTIFICATE_S = 6.0  # beside the search
+
+
+@register("plan")
+class PlanTask(TaskKind, frozen=True, kw_only=True):
+    """kind = "plan": as `ctrplan plan`, without a bound field, so that every machine finds the same.
+
+    Searches are counted, not timed, unless time_s is given: then results depend on the machine.
+    """
+
+    needs: ClassVar[tuple[Literal["robot", "scenario"], ...]] = ("scenario",)
+    uses_target: ClassVar[bool] = True
+    best: ClassVar[str] = "worst_mm"
+
+    time_s: Annotated[float, Meta(gt=0, le=3600)] | None = None  # of search, by the clock
+    compensate: bool = False
+
+    def expected_s(self, robot: Robot, scenario: Scenario | None) -> float:
+        search_s = self.time_s or (scenario.planner.time_s if scenario else 5.0)
+        return float(search_s) + CERTIFICATE_S
+
+    def numbers(self, task: Task, loaded: Loaded) -> Mapping[str, Any]:
+        from ctrplan.planning import plan  # slow to import, as OMPL is
+
+        found = plan(loaded.scenario, seed=task.settings["seed"], time_s=self.time_s, compensated=self.compensate)
+        loaded.files |= _files(found, loaded.job.keep)
+        return _numbers(found)
+
+
+def _numbers(found: Plan) -> Mapping[str, Any]:
+    certificate, goal = found.certificate, found.scenario.goal
+    parameters_m = float(certificate.samples.parameter_bound_m[-1])
+    worst_m = certificate.goal_tip_error_m + certificate.goal_bound_m + certificate.goal_play_m + parameters_m
+    numbers = {
+        "valid": bool(certificate.valid),
+        "worst_mm": float(worst_m * 1e3),
+        "goal_tip_error_mm": certificate.goal_tip_error_m * 1e3,
+        "goal_bound_mm": certificate.goal_bound_m * 1e3,
+        "worst_bound_mm": certificate.worst_bound_m * 1e3,
+        "goal_predicted_mm": certificate.goal_predicted_m * 1e3,
+        "clearance_mm": certificate.min_clearance_m * 1e3,
+        "stability": certificate.min_stability,
+        "max_strain": certificate.max_strain,
+        "cost_mm": certificate.cost_mm,
+        "length_mm": certificate.length_mm,
+        "stops": certificate.stops,
+        "legs": len(found.legs),
+        "duration_s": found.trajectory.duration_s,
+    }
+    if goal.tip_m is not None:
+        numbers["within_tolerance"] = bool(worst_m <= goal.tolerance_m)
+    return {name: value.item() if isinstance(value, np.generic) else value for name, value in numbers.items()}
+
+
+def _files(found: Plan, wanted: Sequence[str]) -> dict[str, bytes]:
+    """What is asked for of the files of a plan's folder."""
+    from ctrplan.files.trajectory_file import trajectory_formats, write_trajectory
+    from ctrplan.planning.plan_json import write_plan_json
+
+    if not wanted:
+        return {}
+    with tempfile.TemporaryDirectory() as name:
+        made = Path(name)
+        if set(wanted) <= {"plan.json", "trajectory.csv"}:
+            write_plan_json(made / "plan.json", found)
+            write_trajectory(made, found.trajectory, trajectory_formats(["csv"]))
+        else:
+            found.save(made)
+        return {name: (made / name).read_bytes() for name in wanted}

@@ -1,0 +1,28 @@
+"""Tasks with a time limit, in a process that is ended when it is over."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ctrplan.studies.child_process import ChildEnded, in_child
+from ctrplan.studies.study.task import Row, Status, Task
+from ctrplan.studies.study.worker import do_tasks, prepare
+
+
+def do_limited(content: bytes, tasks: Sequence[Task], limit_s: float) -> list[Row]:
+    """Rows of tasks, each of which may take `limit_s`; one that did not live to answer has a row that says so."""
+    rows: list[Row] = []
+    for task in tasks:
+        try:
+            in_child(prepare, content)
+            rows += in_child(do_tasks, content, [task], limit_s=limit_s)
+        except TimeoutError:
+            rows.append(unanswered(task, "timed out", f"took longer than the limit of {limit_s:g} s.", limit_s))
+        except ChildEnded as error:
+            rows.append(unanswered(task, "lost", f"{error}."))
+    return rows
+
+
+def unanswered(task: Task, status: Status, sentence: str, elapsed_s: float = 0.0) -> Row:
+    """The row of a task that gave no answer."""
+    return Row(task.key, task.index, task.inputs, status, sentence, overrides=task.overrides, elapsed_s=elapsed_s)

@@ -1,0 +1,154 @@
+"""Points for the tip: listed, of a volume on a grid or drawn, of a surface."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ctrplan.anatomy.parts import AnatomyPart, exact_clearance
+from ctrplan.anatomy.shape import Shape
+from ctrplan.base.arrays import Array
+from ctrplan.base.surface import Surface
+from ctrplan.errors import InputError
+from ctrplan.files.study_entries import TargetsEntry
+from ctrplan.storage.csv_table import CsvTable
+from ctrplan.storage.toml_document import Document
+
+if TYPE_CHECKING:
+    from ctrplan.planning.scenario import Scenario
+
+MOST_CANDIDATES = 20_000_000  # points of a grid that are looked at
+DRAWS = 200  # rounds of drawing as many points as are wanted, before a volume counts as empty
+ON_SURFACE = 30  # points drawn on a surface for each that is kept
+Inside = Callable[[Array], Array]  # (K, 3) [m] -> (K,) depth [m], negative outside
+
+
+def target_points(targets: TargetsEntry, scenario: Scenario | None, document: Document, folder: Path) -> Array:
+    """(K, 3) [mm], the same for the same entry. Raises InputError where there is none, or no file that it names."""
+    if targets.points_mm is not None:
+        return np.array(targets.points_mm, dtype=np.float64)
+    if targets.file is not None:
+        return _listed(check_file(folder, targets.file, document, "targets.file"))
+    if targets.on is not None:
+        points = _on_surface(_shape(targets.on, targets, scenario, document, folder, "on").surface(), targets)
+    else:
+        points = _within(targets, scenario, document, folder)
+    if not len(points):
+        raise document.fault("has no points", "targets")
+    rounded: Array = np.round(points * 1e3, 6)
+    return rounded
+
+
+def _listed(file: Path) -> Array:
+    table = CsvTable(str(file), "points")
+    return np.column_stack([table.numbers(name) for name in ("x_mm", "y_mm", "z_mm")])
+
+
+def _within(targets: TargetsEntry, scenario: Scenario | None, document: Document, folder: Path) -> Array:
+    """Points of a volume, on a grid or drawn."""
+    depth, (low, high) = _volume(targets, scenario, document, folder)
+    if targets.box_mm is not None:
+        corners = np.multiply(targets.box_mm, 1e-3)
+        low, high = np.maximum(low, corners.min(axis=0)), np.minimum(high, corners.max(axis=0))
+    if np.any(low > high):
+        return np.empty((0, 3))
+    least_m = targets.depth_mm * 1e-3
+    if targets.step_mm is None:
+        return _drawn(depth, low, high, least_m, targets)
+    step = targets.step_mm * 1e-3
+    first, last = np.ceil(low / step), np.floor(high / step)
+    if np.prod(last - first + 1) > MOST_CANDIDATES:
+        rule = (
+            f"makes a grid of {np.prod(last - first + 1):,.0f} points, more than {MOST_CANDIDATES:,} can be looked at"
+        )
+        raise document.fault(rule, "targets", "step_mm")
+    axes = [step * np.arange(a, b + 1) for a, b in zip(first, last, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return grid[depth(grid) >= least_m]
+
+
+def _volume(
+    targets: TargetsEntry, scenario: Scenario | None, document: Document, folder: Path
+) -> tuple[Inside, tuple[Array, Array]]:
+    """How deep points lie in a volume, and a box around it."""
+    unbounded = np.full(3, -np.inf), np.full(3, np.inf)
+    if targets.within is None:  # a box alone
+        return lambda points: np.full(len(points), np.inf), unbounded
+    if targets.within != "anatomy":
+        shape = _shape(targets.within, targets, scenario, document, folder, "within")
+        return lambda points: -shape.distance(points), shape.box()
+    parts = scenario.anatomy if scenario is not None else ()
+    boxes = [part.box for part in parts if part.role == "inside"]
+    if not boxes and targets.box_mm is None:
+        raise document.fault("needs a part to stay inside, or box_mm: the room around obstacles has no end", "targets")
+    box = unbounded
+    if boxes:
+        box = np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0)
+    return lambda points: exact_clearance(parts, points), box
+
+
+def _drawn(depth: Inside, low: Array, high: Array, least_m: float, targets: TargetsEntry) -> Array:
+    """Points drawn evenly in the volume."""
+    rng, found, count = np.random.default_rng(targets.seed), np.empty((0, 3)), targets.count or 0
+    for _ in range(DRAWS):
+        points = low + rng.random((max(count, 1000), 3)) * (high - low)
+        found = np.concatenate([found, points[depth(points) >= least_m]])
+        if len(found) >= count:
+            return found[:count]
+    return found
+
+
+def _on_surface(surface: Surface, targets: TargetsEntry) -> Array:
+    """Points drawn evenly on a surface: so many, or as many as stay `step_mm` apart."""
+    a, b, c = np.moveaxis(surface.vertices_m[surface.faces], 1, 0)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    rng = np.random.default_rng(targets.seed)
+    step = (targets.step_mm or 0.0) * 1e-3
+    count = targets.count or math.ceil(ON_SURFACE * area.sum() / step**2)
+    face = rng.choice(len(area), size=min(count, MOST_CANDIDATES), p=area / area.sum())
+    u, v = rng.random((2, len(face)))
+    turned = u + v > 1
+    u[turned], v[turned] = 1 - u[turned], 1 - v[turned]
+    points: Array = a[face] + u[:, None] * (b - a)[face] + v[:, None] * (c - a)[face]
+    return _apart(points, step) if step else points
+
+
+def _apart(points: Array, step_m: float) -> Array:
+    """Those that are not within a step of one before them."""
+    near = cKDTree(points)
+    kept = np.ones(len(points), dtype=bool)
+    for k in range(len(points)):
+        if kept[k]:
+            others = np.array(near.query_ball_point(points[k], step_m))
+            kept[others[others > k]] = False
+    return points[kept]
+
+
+def _shape(
+    name: str, targets: TargetsEntry, scenario: Scenario | None, document: Document, folder: Path, key: str
+) -> Shape:
+    """A part of the anatomy by its number, "anatomy.2", or a mesh file."""
+    if not name.startswith("anatomy"):
+        from ctrplan.anatomy.mesh_file import load_mesh
+        from ctrplan.anatomy.shapes.mesh import Mesh
+
+        file = str(check_file(folder, name, document, f"targets.{key}"))
+        return Mesh(*load_mesh(file, targets.unit, file=document.file, key=f"targets.{key}"), file)
+    parts: tuple[AnatomyPart, ...] = scenario.anatomy if scenario is not None else ()
+    number = name.removeprefix("anatomy.")
+    if not (number.isdecimal() and 1 <= int(number) <= len(parts)):
+        known = f"the scenario has parts 1 to {len(parts)}" if parts else "there is no anatomy"
+        raise document.fault(f"must be anatomy.K or a mesh file; {known}", "targets", key)
+    return parts[int(number) - 1].shape
+
+
+def check_file(folder: Path, name: str, document: Document, key: str) -> Path:
+    """A file that [targets] names. Raises InputError where it does not exist."""
+    if not (folder / name).is_file():
+        raise InputError("is not a file that exists", file=document.file, key=key, value=name)
+    return folder / name

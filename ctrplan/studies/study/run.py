@@ -1,0 +1,270 @@
+"""Doing a study: what is missing in its folder is done by an engine, rows are kept as they come, then the table."""
+
+from __future__ import annotations
+
+import math
+import os
+import pickle
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from ctrplan.base.cores import cores
+from ctrplan.errors import InputError
+from ctrplan.files.study_file import checked_study
+from ctrplan.storage.toml_document import Document
+from ctrplan.studies.study.definition import Definition, defined
+from ctrplan.studies.study.engine import Engine, ExecutorEngine
+from ctrplan.studies.study.engine_dask import DaskEngine, is_installed
+from ctrplan.studies.study.engine_pool import PoolEngine
+from ctrplan.studies.study.extremes import extreme_tasks
+from ctrplan.studies.study.store import Store
+from ctrplan.studies.study.table import StudyTable, load_study, write_table
+from ctrplan.studies.study.task import Task
+
+MOST_TASKS = 1_000_000  # without being asked twice
+MOST_DAYS = 7.0
+CHUNK_S = 0.5  # of one worker, for up to 250 workers
+SCHEDULED_S = 1e-3  # of the scheduler for a chunk, as dask states it: 500 workers with chunks of 0.5 s keep it busy
+MOST_IN_CHUNK = 4096
+SHARES = 4  # chunks for each worker, at least: none is left with the last long one
+PLAN_FILES = ("plan.json", "trajectory.csv", "report.html", "plan.png")
+
+
+@dataclass(frozen=True)
+class Doing:
+    """How far a study is."""
+
+    stage: str
+    done: int
+    count: int
+    left_s: float | None = None  # seconds that are left, once that can be told
+    note: str = ""
+
+    @property
+    def share(self) -> float:
+        """0 to 1."""
+        return self.done / max(self.count, 1)
+
+
+Report = Callable[[Doing], object]
+
+
+@dataclass(frozen=True, eq=False)
+class Where:
+    """Who does the tasks: an executor, a cluster, or processes of this machine."""
+
+    executor: Executor | None = None
+    workers: int | None = None
+    scheduler: str | None = None
+    scheduler_file: str | None = None
+
+    @property
+    def expected(self) -> int:
+        """Workers that can be counted on before anything is started."""
+        return self.workers or cores()
+
+    @contextmanager
+    def engine(self) -> Iterator[Engine]:
+        """The engine at work. Raises CtrplanError where there can be none."""
+        if self.executor is not None:
+            with ExecutorEngine(self.executor, self.expected) as engine:
+                yield engine
+        elif self.scheduler or self.scheduler_file or is_installed():
+            with DaskEngine(self.workers, scheduler=self.scheduler, scheduler_file=self.scheduler_file) as engine:
+                yield engine
+        else:
+            with PoolEngine(self.workers) as engine:
+                yield engine
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What a run left in the folder."""
+
+    store: Store
+    file: Path  # of the table
+    count: int  # tasks of the study
+    did: int  # of them in this run
+    interrupted: bool = False
+
+    @property
+    def table(self) -> StudyTable:
+        """All rows that there are."""
+        return load_study(self.store.folder)
+
+
+def run_study(
+    study: Definition,
+    folder: str | os.PathLike[str],
+    where: Where,
+    *,
+    add: bool = False,
+    yes: bool = False,
+    progress: Report | None = None,
+) -> Outcome:
+    """Does those tasks of a study that its folder has no rows of, and writes the table.
+
+    With `add`, what the folder's study had stays in the table, although this one does not have it. Ctrl-C ends it with
+    what there is. Raises InputError for a study that takes more than a week unless `yes`, a folder that another process
+    works on, workers with another version; CtrplanError for a full disk.
+    """
+    report = progress or (lambda _: None)
+    refuse_endless(study, where, yes)
+    store = Store(folder)
+    store.open_for_work()
+    try:
+        studies = _with_earlier(study, store, add)
+        missing = dict.fromkeys(studies, 0)
+        count = store.write_keys(_counted(studies, store, missing))
+        did, interrupted = _do(studies, missing, store, where, report)
+        return Outcome(store, write_table(store), count, did, interrupted)
+    finally:
+        store.close()
+
+
+def refuse_endless(study: Definition, where: Where, yes: bool) -> None:
+    """Raises InputError, with the time that it would take, for a study that nobody means to wait for."""
+    expected_s = study.count * study.task_s / where.expected
+    if not yes and (study.count > MOST_TASKS or expected_s > MOST_DAYS * 86400):
+        rule = (
+            f"{study.count:,} tasks would take about {in_words(expected_s)} on {where.expected} workers: "
+            "--yes does them all the same"
+        )
+        raise InputError(rule, file=study.document.file)
+
+
+def in_words(seconds: float) -> str:
+    """A duration, to one digit or two."""
+    for unit, size in (("years", 365.25 * 86400), ("days", 86400.0), ("hours", 3600.0), ("min", 60.0)):
+        if seconds >= 1.5 * size:
+            return f"{seconds / size:,.0f} {unit}" if seconds >= 10 * size else f"{seconds / size:.1f} {unit}"
+    return f"{max(seconds, 0):.0f} s"
+
+
+def _with_earlier(study: Definition, store: Store, add: bool) -> list[Definition]:
+    """The studies whose tasks the table has, in their order; study.json says so."""
+    folder = os.path.abspath(store.folder)
+    file = os.path.abspath(study.document.file or "study.toml")
+    own = {"file": os.path.relpath(file, folder), "content": study.document.content}
+    known = (store.definition() or {"parts": []})["parts"]
+    parts = known if own in known else [*known, own] if add else [own]
+    store.write_definition({"name": study.name, "version": study.job.version, "parts": parts})
+    earlier = [
+        study if part == own else _again(part, folder, study.job.allow_outside)  # the file may have changed
+        for part in parts
+    ]
+    return earlier
+
+
+def _again(part: Mapping[str, Any], folder: str, allow_outside: bool) -> Definition:
+    place = Path(folder) / str(part["file"])
+    content = part["content"]
+    if not isinstance(content, dict):
+        raise InputError("says nothing of a study", file=str(Path(folder) / "study.json"))
+    document = Document.of(content, "study", str(place.resolve()))
+    return defined(checked_study(document), document, allow_outside)
+
+
+def _tasks(studies: Sequence[Definition]) -> Iterator[tuple[Definition, Task]]:
+    """All tasks, each once, numbered in their order."""
+    seen: set[str] = set()
+    index = 0
+    for study in studies:
+        for k in range(study.count):
+            task = study.tasks[k]
+            if len(studies) > 1:
+                if task.key in seen:
+                    continue
+                seen.add(task.key)
+            yield study, replace(task, index=index) if task.index != index else task
+            index += 1
+
+
+def _do(
+    studies: Sequence[Definition], missing: Mapping[Definition, int], store: Store, where: Where, report: Report
+) -> tuple[int, bool]:
+    """Does what is missing; returns how many tasks that were, and whether Ctrl-C ended it."""
+    did, count = 0, sum(missing.values())
+    if not count and not any(study.entry.keep.plans == "extremes" for study in studies):
+        return 0, False
+    began = time.monotonic()
+    report(Doing("workers", 0, 1))
+    try:
+        with where.engine() as engine:
+            if not engine.workers:
+                report(Doing("waiting for a worker to join", 0, 1))
+            for study in studies:
+                if not missing[study]:
+                    continue
+                chunks = _chunks(study, studies, store, missing[study], engine.workers)
+                for rows in engine.rows(study.content, chunks, study.kind.time_limit_s):
+                    store.add(rows)
+                    did += len(rows)
+                    left_s = (time.monotonic() - began) * (count - did) / did
+                    report(Doing("tasks", did, count, left_s, engine.note))
+            for study in studies:
+                if study.entry.keep.plans == "extremes":
+                    _keep_extremes(study, studies, store, engine, report)
+    except KeyboardInterrupt:
+        return did, True
+    return did, False
+
+
+def _counted(studies: Sequence[Definition], store: Store, missing: dict[Definition, int]) -> Iterator[str]:
+    """Keys of all tasks; meanwhile those that are missing are counted for each study."""
+    for study, task in _tasks(studies):
+        missing[study] += _is_missing(study, task, store)
+        yield task.key
+
+
+def _is_missing(study: Definition, task: Task, store: Store) -> bool:
+    """Whether there is no row that could stay: none, or one of a task that nobody lived to answer."""
+    key = bytes.fromhex(task.key)
+    if key not in store.offsets:
+        return True
+    status = store.failed.get(key, "done")
+    if status == "timed out":
+        return (study.kind.time_limit_s or math.inf) > store.elapsed_s[key]
+    if status == "done" and study.job.keep:
+        return not all((store.plan_folder(task.index) / name).is_file() for name in study.job.keep)
+    return status == "lost"
+
+
+def _chunks(
+    study: Definition, studies: Sequence[Definition], store: Store, count: int, workers: int
+) -> Iterator[Sequence[Task]]:
+    """Tasks that are missing, so many at a time that neither their worker nor the scheduler notices the hand-over."""
+    size = 1
+    if study.kind.together and study.kind.time_limit_s is None:
+        size = chunk_size(study.task_s, count, max(workers, 1))
+    chunk: list[Task] = []
+    for owner, task in _tasks(studies):
+        if owner is study and _is_missing(study, task, store):
+            chunk.append(task)
+            if len(chunk) == size:
+                yield chunk
+                chunk = []
+    if chunk:
+        yield chunk
+
+
+def chunk_size(task_s: float, count: int, workers: int) -> int:
+    """How many of `count` tasks a worker gets at a time."""
+    chunk_s = max(CHUNK_S, 2 * SCHEDULED_S * workers)
+    return int(min(MOST_IN_CHUNK, max(1.0, chunk_s / task_s), math.ceil(count / (SHARES * workers))))
+
+
+def _keep_extremes(
+    study: Definition, studies: Sequence[Definition], store: Store, engine: Engine, report: Report
+) -> None:
+    """The plans of the best and the worst row, made again and kept."""
+    wanted = extreme_tasks(study, [task for owner, task in _tasks(studies) if owner is study], store, PLAN_FILES)
+    content = pickle.dumps(replace(study.job, keep=PLAN_FILES))
+    for done, rows in enumerate(engine.rows(content, ([task] for task in wanted), study.kind.time_limit_s), start=1):
+        store.add(rows)
+        report(Doing("plans", done, len(wanted), None, engine.note))
