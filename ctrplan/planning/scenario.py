@@ -100,6 +100,7 @@ class Scenario:
     start_friction: StartFriction = "unknown"
     registration: Registration = Registration()
     via: tuple[Goal, ...] = ()  # goals to reach before `goal`, in this order
+    frame: Literal["RAS", "LPS"] | None = None  # of the patient, which the anatomy's frame is; None where not said
     start_state: ObserverState | None = None  # of a robot that was followed to `start`, where friction is "observed"
 
     @property

@@ -75,7 +75,7 @@ class LiveState:
         figure = go.Figure([*robot_traces(pose(scenario, scenario.start)), *still, *self._target(), *anatomy])
         reach = self._reach(surfaces)
         solid = np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface in surfaces)])
-        lay_out(figure, *view_box(reach, solid), reach)
+        lay_out(figure, *view_box(reach, solid), reach, scenario.frame)
         return figure
 
     def _target(self) -> list[Any]:

@@ -41,7 +41,8 @@ def scene_figure(scene: PlanScene) -> go.Figure:
         for step, name in zip(path, names, strict=True)
     ]
     points = np.concatenate([step.envelope.surface(4).vertices_m for step in path] + [goal_tip(plan)[None]])
-    lay_out(figure, *view_box(points, np.concatenate([np.empty((0, 3)), *(s.vertices_m for s in anatomy)])), points)
+    solid = np.concatenate([np.empty((0, 3)), *(s.vertices_m for s in anatomy)])
+    lay_out(figure, *view_box(points, solid), points, plan.scenario.frame)
     return figure
 
 

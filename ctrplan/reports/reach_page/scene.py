@@ -59,5 +59,5 @@ def reach_figure(scene: ReachScene) -> go.Figure:
     robots = [shown.envelope.surface(4).vertices_m for _, shown in scene.poses]
     points = np.concatenate([*robots, scene.target_m[None], to_anatomy(scene.scenario, np.zeros((1, 3)))])
     solid = np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface in surfaces)])
-    lay_out(figure, *view_box(points, solid), points)
+    lay_out(figure, *view_box(points, solid), points, scene.scenario.frame)
     return figure
