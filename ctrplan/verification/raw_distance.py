@@ -50,7 +50,7 @@ def _signed(shape: Shape) -> Signed:
         return lambda points: np.sqrt(((points - given["center_m"]) ** 2).sum(axis=1)) - given["radius_m"]
     if shape.kind == "capsule":
         return lambda points: _from_segment(points, given["from_m"], given["to_m"]) - given["radius_m"]
-    if isinstance(shape, Mesh):
+    if isinstance(shape, Mesh) and shape.kind != "surface":  # which has no inside
         return _MeshDistance(given["vertices_m"], given["faces"])
     return shape.distance
 

@@ -80,7 +80,7 @@ def _scenario(scenario: Scenario, found: Finding, anatomy: list[dict[str, Any]])
 
 def _part(part: AnatomyPart, mesh_file: str) -> tuple[dict[str, Any], dict[str, bytes]]:
     shape, given = part.shape, vars(part.shape)
-    kind = Mesh.kind if isinstance(shape, Mesh) else shape.kind
+    kind = "mesh" if shape.kind == "volume" else shape.kind
     entry: dict[str, Any] = {"kind": kind, "role": part.role, "margin_mm": part.margin_m * MM_PER_M}
     if isinstance(shape, Mesh):
         stream = io.BytesIO()

@@ -26,13 +26,11 @@ Label = Annotated[int, Meta(ge=1, le=2**31 - 1)]
 class Volume(Mesh):
     """The surface of a structure between the voxels of an image, in the anatomy's frame.
 
-    surface_error_m: what the surface may be off by. image_box_m (8, 3): corners of the image. notes: what to know.
+    image_box_m (8, 3): corners of the image. notes: what to know. surface_error_m: what the surface may be off by.
     """
 
     kind = "volume"
-    surface_error_m: float = 0.0
     image_box_m: Array | None = None
-    notes: tuple[str, ...] = ()
 
 
 @register(Volume)
@@ -57,7 +55,9 @@ class VolumeEntry(PartEntry):
             image = replace(image, origin_m=signs * image.origin_m, direction=signs[:, None] * image.direction)
             return volume(image, choice, str(path), self.surface_error_mm)
         except ImageRefusal as refusal:
-            raise table.fault(str(refusal), *_blamed(choice, str(refusal))) from refusal.__cause__
+            key = _blamed(choice, str(refusal))
+            name = "" if key == "file" else f"{path.name} "
+            raise table.fault(f"{name}{refusal}", key) from refusal.__cause__
 
     def _choice(self, table: Table) -> Choice:
         choice = Choice(self.label, self.segment, self.above, self.below)
@@ -79,7 +79,7 @@ def volume(image: Image, choice: Choice, file: str, surface_error_mm: float | No
     voxels = GREY_ERROR if choice.is_range else LABEL_ERROR
     error = voxels * float(image.spacing_m.max()) if surface_error_mm is None else surface_error_mm / MM_PER_M
     return Volume(
-        image.place_m(vertices + found.first), faces, file, error, _box(image), (*image.notes, *_notes(found, error))
+        image.place_m(vertices + found.first), faces, file, (*image.notes, *_notes(found, error)), error, _box(image)
     )
 
 
@@ -108,10 +108,10 @@ def _notes(found: Structure, error_m: float) -> tuple[str, ...]:
     return tuple(note for note in (edge, off) if note)
 
 
-def _blamed(choice: Choice, rule: str) -> tuple[str, ...]:
+def _blamed(choice: Choice, rule: str) -> str:
     """The key that a sentence is about."""
     if "of that label" in rule:
-        return ("label",)
+        return "label"
     if "segment" in rule and choice.segment is not None:
-        return ("segment",)
-    return ("series",) if "series UID" in rule else ("file",)
+        return "segment"
+    return "series" if "of that series UID" in rule else "file"
