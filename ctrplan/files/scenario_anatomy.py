@@ -1,4 +1,4 @@
-"""[[anatomy]] of a scenario file -> parts, what there is to know of them, and targets that lie in no image."""
+"""[[anatomy]] and [[fixture]] of a scenario file: parts, what to know of them, and targets that lie in no image."""
 
 from __future__ import annotations
 
@@ -7,15 +7,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ctrplan.base.units import MM_PER_M
+from ctrplan.base.units import LONGEST_MM, MM_PER_M
 from ctrplan.files.chosen_table import chosen
 from ctrplan.planning.scenario import Goal
 from ctrplan.storage.toml_document import Document
 from ctrplan.storage.toml_table import Table
 
 if TYPE_CHECKING:
+    from ctrplan.anatomy.fixture import Fixture
     from ctrplan.anatomy.parts import AnatomyPart
+    from ctrplan.anatomy.shape import PartEntry, Shape
     from ctrplan.base.arrays import Array
+
+
+FILES, MOTION = "files", "motion_margin_mm"
+MOST_PHASES = 50
 
 
 def anatomy_part(table: Table) -> AnatomyPart:
@@ -24,12 +30,55 @@ def anatomy_part(table: Table) -> AnatomyPart:
     Raises InputError for a kind that there is not, and keys that it lacks or does not have.
     """
     from ctrplan.anatomy.parts import AnatomyPart
+
+    shape, entry = _shape(table) if FILES not in table.content else _phases(table)
+    return AnatomyPart(shape, entry.role, entry.margin_mm / MM_PER_M + shape.surface_error_m)
+
+
+def _shape(table: Table) -> tuple[Shape, PartEntry]:
     from ctrplan.anatomy.shape import PartEntry
     from ctrplan.anatomy.shape_catalogue import CATALOGUE
 
+    if MOTION in table.content:
+        raise table.fault(f"goes with {FILES}, the structure in several phases", MOTION)
     entry = chosen(table, "kind", CATALOGUE, PartEntry)
-    shape = entry.shape(table)
-    return AnatomyPart(shape, entry.role, entry.margin_mm / MM_PER_M + shape.surface_error_m)
+    return entry.shape(table), entry
+
+
+def _phases(table: Table) -> tuple[Shape, PartEntry]:
+    """A structure of which `files` has the phases: each is read as if it were the one `file`."""
+    from ctrplan.anatomy.phases import Phases
+
+    content = dict(table.content)
+    files, margin = content.pop(FILES), content.pop(MOTION, None)
+    if not isinstance(files, list) or not 2 <= len(files) <= MOST_PHASES:
+        raise table.fault(f"must be a list of 2 to {MOST_PHASES} files, one of each phase", FILES)
+    if "file" in content:
+        raise table.fault(f"and {FILES} exclude each other", "file")
+    if margin is None:
+        raise table.fault(f"is missing: {FILES} need what is kept for places between the phases", MOTION)
+    if isinstance(margin, bool) or not isinstance(margin, (int, float)) or not 0 <= margin <= LONGEST_MM:
+        raise table.fault(f"must be a number from 0 to {LONGEST_MM:g}", MOTION)
+    read = [_shape(table.replaced({**content, "file": file})) for file in files]
+    entry = read[0][1]
+    return Phases(tuple(shape for shape, _ in read), entry.role, margin / MM_PER_M), entry
+
+
+def fixture(table: Table) -> Fixture:
+    """One [[fixture]], in the robot's frame. Raises InputError."""
+    from ctrplan.anatomy.fixture import Fixture
+
+    content = dict(table.content)
+    name, stays = content.pop("name", None), content.pop("stays_inside", False)
+    if name is not None and not (isinstance(name, str) and name.isprintable() and 0 < len(name) <= 80):
+        raise table.fault("must be a text of 1 to 80 characters", "name")
+    if not isinstance(stays, bool):
+        raise table.fault("must be true or false", "stays_inside")
+    if "role" in content:
+        raise table.fault("goes with [[anatomy]]: a fixture keeps clear of what is to be avoided", "role")
+    shape, entry = _shape(table.replaced(content, without=("frame",)))  # it stands in the robot's frame, no patient's
+    margin = entry.margin_mm / MM_PER_M + shape.surface_error_m
+    return Fixture(name or shape.name, shape, margin, stays)
 
 
 def anatomy_notes(parts: Sequence[AnatomyPart]) -> tuple[str, ...]:

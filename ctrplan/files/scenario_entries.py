@@ -73,6 +73,7 @@ class ScenarioEntry(Struct, forbid_unknown_fields=True):
     frame: Literal["RAS", "LPS"] | None = None  # of the patient, in which the scenario's places are said
     base: BaseEntry = BaseEntry()
     anatomy: list[dict[str, Any]] = []  # of the kind that each names, see scenario_anatomy
+    fixture: list[dict[str, Any]] = []  # bodies at the base, see scenario_anatomy
     margins: MarginsEntry = MarginsEntry()
     cost: CostEntry = CostEntry()
     planner: dict[str, Any] = {}  # of the planner that it names, see planner_settings

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from ctrplan.base.arrays import Array, read_only
 from ctrplan.files.robot_file import load_robot
-from ctrplan.files.scenario_anatomy import anatomy_notes, anatomy_part, refuse_targets_outside_images
+from ctrplan.files.scenario_anatomy import anatomy_notes, anatomy_part, fixture, refuse_targets_outside_images
 from ctrplan.files.scenario_entries import (
     BaseEntry,
     CostEntry,
@@ -85,6 +85,7 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool) ->
         via=tuple(goals[:-1]),
         anatomy=anatomy,
         frame=entry.frame,
+        fixtures=tuple(fixture(Table(document, ("fixture", k), allow_outside)) for k in range(len(entry.fixture))),
         margins=Margins(entry.margins.stability, entry.margins.max_strain),
         cost=_cost(entry.cost),
         planner=planner_settings(Table(document, ("planner",))),

@@ -13,6 +13,7 @@ from ctrplan.planning.planner_settings import PlannerSettings
 from ctrplan.robot.robot import Robot
 
 if TYPE_CHECKING:
+    from ctrplan.anatomy.fixture import Fixture
     from ctrplan.anatomy.parts import AnatomyPart
     from ctrplan.robot.observer.state import ObserverState
 
@@ -92,6 +93,7 @@ class Scenario:
     goal: Goal
     planner: PlannerSettings
     anatomy: tuple[AnatomyPart, ...] = ()
+    fixtures: tuple[Fixture, ...] = ()  # what stands at the base besides the robot
     margins: Margins = Margins()
     cost: Cost = Cost()
     path: str | None = None

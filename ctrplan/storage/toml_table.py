@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import copy
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -34,6 +35,16 @@ class Table:
         for step in self.path:
             value = value.get(step, {}) if isinstance(step, str) else value[step]
         return dict(value)
+
+    def replaced(self, content: Mapping[str, Any], without: Sequence[str] = ()) -> Table:
+        """The same place in a document that has `content` there, and lacks the top-level keys `without`."""
+        whole: dict[str, Any] = {key: value for key, value in self.document.content.items() if key not in without}
+        node: Any = whole
+        for step in self.path[:-1]:
+            node[step] = copy.copy(node[step])
+            node = node[step]
+        node[self.path[-1]] = dict(content)
+        return Table(Document(whole, self.document.file), self.path, self.allow_outside)
 
     def to(self, schema: type[T]) -> T:
         """The table as `schema`. Raises InputError for the first thing that does not fit."""

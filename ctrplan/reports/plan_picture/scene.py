@@ -19,7 +19,7 @@ from ctrplan.reports import scene_looks as looks
 from ctrplan.reports.framing import side_azimuth_rad, view_box
 from ctrplan.reports.plan_scene import goal_tip, tip_path
 from ctrplan.reports.plan_words.numbers import millimetres
-from ctrplan.reports.pose import Pose, plate
+from ctrplan.reports.pose import Pose, stand
 from ctrplan.reports.surface import Surface, anatomy_surface
 from ctrplan.reports.tube_ends import end_ring
 
@@ -44,7 +44,7 @@ def draw_scene(ax: Axes3D, scene: PlanScene) -> None:
     _frame(ax, points, solid, plan.scenario.frame)
     for surface, colour in anatomy:
         _draw_surface(ax, surface, colour, 0.22, 1)
-    _draw_surface(ax, plate(plan.scenario).surface(32), looks.PLATE.colour, 0.9, 1)
+    _draw_surface(ax, stand(plan.scenario), looks.PLATE.colour, 0.9, 1)
     _draw_robot(ax, start, 2, [looks.START.colour] * len(start.tubes))
     _draw_surface(ax, goal.envelope.surface(14), looks.ENVELOPE.colour, 0.16, 3)
     for corner in goal.corners_m * 1e3:
