@@ -23,6 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"
 
 import phantoms  # noqa: E402
 
+import ctrplan  # noqa: E402
 from ctrplan.anatomy.anatomy_field import anatomy_field, shared_spacing_m  # noqa: E402
 from ctrplan.anatomy.clearance_grid import field_bounds  # noqa: E402
 from ctrplan.anatomy.parts import AnatomyPart  # noqa: E402
@@ -31,6 +32,23 @@ SPACINGS_MM = [(0.5, 0.5, 0.5), (1.0, 1.0, 1.0), (0.7, 0.7, 1.4), (2.0, 2.0, 2.0
 RADII_MM = (3.0, 5.0, 9.0)
 DRAWS = 3
 REACH_M = 0.12
+ROBOT = Path(__file__).resolve().parents[1] / "scenarios" / "robots" / "three_tube_insertion.toml"
+LUMEN = """robot = "{robot}"
+[start]
+"rotate outer" = 0
+"rotate middle" = 180
+"rotate inner" = 90
+"advance all" = -149
+"translate inner" = -86.4
+[goal]
+tip_mm = [12, 3, 95]
+[[anatomy]]
+kind = "mesh"
+file = "lumen.stl"
+unit = "mm"
+role = "inside"
+margin_mm = 0.3
+"""
 
 
 def phantom_errors(folder: Path) -> None:
@@ -106,6 +124,41 @@ def _write_tree(path: Path, size: tuple[int, int, int], spacing: tuple[float, fl
     SimpleITK.WriteImage(made, str(path), True)
 
 
+def large_mesh(folder: Path) -> None:
+    """A winding lumen of 2.1 million triangles: read, thinned, and planned in."""
+    _write_lumen(folder / "lumen.stl")
+    before = _clock()
+    part = phantoms.part_of(folder, None, kind="mesh", file="lumen.stl", unit="mm", role="inside", repair="off")
+    read = _clock()
+    print(f"read and thinned: {_took(before, read)}; {part.shape.name} {' '.join(part.shape.notes)}")
+    _memory()
+    (folder / "lumen.toml").write_text(LUMEN.format(robot=ROBOT))
+    begun = _clock()
+    plan = ctrplan.plan(ctrplan.load_scenario(folder / "lumen.toml", allow_outside=True))
+    told = f"certified: {plan.certificate.valid}, clearance {plan.certificate.min_clearance_m * 1e3:.2f} mm"
+    print(f"scenario read and planned: {_took(begun, _clock())}; {told}")
+    _memory()
+
+
+def _write_lumen(path: Path, rings: int = 2100, around: int = 500) -> None:
+    import trimesh
+
+    along = np.linspace(0, 1, rings)[:, None]
+    angle = np.linspace(0, 2 * np.pi, around, endpoint=False)[None]
+    radius = 14 + 0.9 * np.sin(40 * along) * np.cos(3 * angle) + 0.25 * np.sin(200 * along + 5 * angle)
+    x, y, z = 6 * np.sin(2.2 * along) + radius * np.cos(angle), radius * np.sin(angle), -15 + 260 * along + 0 * angle
+    vertices = np.stack([x, y, z], axis=-1).reshape(-1, 3)
+    ring, side = np.meshgrid(np.arange(rings - 1), np.arange(around), indexing="ij")
+    a, b = ring * around + side, ring * around + (side + 1) % around
+    walls = [np.stack([a, b, b + around], -1), np.stack([a, b + around, a + around], -1)]
+    ends, k, last = len(vertices) + np.array([[0], [1]]), np.arange(around), (rings - 1) * around
+    first = np.stack([np.full(around, ends[0]), (k + 1) % around, k], axis=1)
+    final = np.stack([np.full(around, ends[1]), last + k, last + (k + 1) % around], axis=1)
+    vertices = np.concatenate([vertices, vertices[:around].mean(axis=0)[None], vertices[-around:].mean(axis=0)[None]])
+    faces = np.concatenate([*(wall.reshape(-1, 3) for wall in walls), first, final])
+    trimesh.Trimesh(vertices, faces, process=False).export(path)
+
+
 def _clock() -> tuple[float, float]:
     return time.perf_counter(), time.process_time()
 
@@ -120,10 +173,12 @@ def _memory() -> None:
 
 
 if __name__ == "__main__":
-    parts = sys.argv[1:] or ["phantoms", "volume"]
+    parts = sys.argv[1:] or ["phantoms", "mesh", "volume"]
     with tempfile.TemporaryDirectory() as name:
         os.environ["CTRPLAN_CACHE_DIR"] = name
         if "phantoms" in parts:
             phantom_errors(Path(name))
+        if "mesh" in parts:
+            large_mesh(Path(name))
         if "volume" in parts:
             large_volume(Path(name))

@@ -10,6 +10,7 @@ import numpy as np
 from ctrplan.anatomy.mesh_file import read_triangles, stated_frame
 from ctrplan.anatomy.mesh_holes import Repair, closed
 from ctrplan.anatomy.mesh_repair import Indices, MeshRefusal, merged, refuse_open, turned_outward
+from ctrplan.anatomy.mesh_thinning import thinned, thinning_note
 from ctrplan.anatomy.patient_frame import Frame, to_scenario
 from ctrplan.base.arrays import Array
 from ctrplan.storage.toml_table import Table
@@ -36,8 +37,9 @@ def read_body(
         vertices, faces = merged(*read_triangles(path, unit, group))
         faces, notes = closed(vertices, faces, repair)
         refuse_open(vertices, faces)
+        vertices, faces, error = thinned(vertices, faces)
         faces = turned_outward(vertices, faces)
-        return SurfaceFile(_placed(table, path, frame, vertices), faces, notes)
+        return SurfaceFile(_placed(table, path, frame, vertices), faces, (*notes, *thinning_note(faces, error)), error)
     except MeshRefusal as refusal:
         raise table.fault(str(refusal), "file") from refusal.__cause__
 

@@ -71,6 +71,7 @@ class VolumeEntry(PartEntry):
 def volume(image: Image, choice: Choice, file: str, surface_error_mm: float | None = None) -> Volume:
     """The surface of what is chosen of an image. Raises ImageRefusal where that is nothing."""
     from ctrplan.anatomy.images.level_surface import GREY_ERROR, LABEL_ERROR, level_surface  # slow to import
+    from ctrplan.anatomy.mesh_thinning import thinned, thinning_note
 
     found = structure(image, choice)
     vertices, faces = level_surface(found)
@@ -78,9 +79,9 @@ def volume(image: Image, choice: Choice, file: str, surface_error_mm: float | No
         faces = np.ascontiguousarray(faces[:, ::-1])
     voxels = GREY_ERROR if choice.is_range else LABEL_ERROR
     error = voxels * float(image.spacing_m.max()) if surface_error_mm is None else surface_error_mm / MM_PER_M
-    return Volume(
-        image.place_m(vertices + found.first), faces, file, (*image.notes, *_notes(found, error)), error, _box(image)
-    )
+    places, faces, moved = thinned(image.place_m(vertices + found.first), faces)
+    notes = (*image.notes, *_notes(found, error), *thinning_note(faces, moved))
+    return Volume(places, faces, file, notes, error + moved, _box(image))
 
 
 def _read(path: Path, series: str | None) -> Image:
