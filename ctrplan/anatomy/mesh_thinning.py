@@ -18,7 +18,6 @@ TRIES = 3  # each with twice the triangles of the one before
 HALVINGS = 4
 SLABS = 6
 CHUNK = 1 << 17
-SAMPLES = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1]], float)
 
 
 def thinned(vertices: Array, faces: Indices) -> tuple[Array, Indices, float]:
@@ -64,7 +63,7 @@ def _error_m(vertices: Array, faces: Indices, thin: Array, triangles: Indices) -
         error = max(error, _bound_m(vertices[faces[first : first + CHUNK]], tree, thin, triangles, HALVINGS))
         if error > MOST_ERROR_M:
             return error
-    return max(error, _back_m(vertices, faces, thin[triangles]))
+    return max(error, _back_m(vertices, faces, np.concatenate([thin, thin[triangles].mean(axis=1)])))
 
 
 def _bound_m(corners: Array, tree: Any, thin: Array, triangles: Indices, halvings: int) -> float:
@@ -77,7 +76,7 @@ def _bound_m(corners: Array, tree: Any, thin: Array, triangles: Indices, halving
     if (surely := float(np.sqrt(np.max(squared)))) > MOST_ERROR_M:
         return surely  # too far in any case
     target = thin[triangles[np.asarray(nearest).ravel()]]
-    away = np.max([_to_triangle_m(corners[:, k], target) for k in range(3)], axis=0)
+    away = _to_triangles_m(corners, target)
     wide = np.flatnonzero(away > MOST_ERROR_M)
     if not len(wide) or not halvings:
         return float(away.max())
@@ -88,27 +87,31 @@ def _bound_m(corners: Array, tree: Any, thin: Array, triangles: Indices, halving
     return max(rest, _bound_m(np.concatenate(four), tree, thin, triangles, halvings - 1))
 
 
-def _to_triangle_m(points: Array, corners: Array) -> Array:
-    """(K,) from points (K, 3) to triangles (K, 3, 3), one each."""
-    a, b, c = np.moveaxis(corners, 1, 0)
-    normal = np.cross(b - a, c - a)
+def _to_triangles_m(corners: Array, target: Array) -> Array:
+    """(K,) how far the corners of triangles (K, 3, 3) lie from other triangles (K, 3, 3), one each, at the most."""
+    sides = np.roll(target, -1, axis=1) - target
+    normal = np.cross(sides[:, 0], sides[:, 1])
     length = np.linalg.norm(normal, axis=1)
-    unit = normal / np.where(length > 0, length, 1.0)[:, None]
-    within = length > 0
-    beside = np.full(len(points), np.inf)
-    for start, end in ((a, b), (b, c), (c, a)):
-        side = end - start
-        along = np.einsum("ki,ki->k", points - start, side) / np.maximum(np.einsum("ki,ki->k", side, side), 1e-300)
-        foot = start + np.clip(along, 0, 1)[:, None] * side
-        beside = np.minimum(beside, np.linalg.norm(points - foot, axis=1))
-        within &= np.einsum("ki,ki->k", np.cross(side, points - start), unit) >= 0
-    return np.where(within, np.abs(np.einsum("ki,ki->k", points - a, unit)), beside)
+    normal /= np.where(length > 0, length, 1.0)[:, None]
+    inward = np.cross(normal[:, None], sides)
+    offset = np.einsum("ksx,ksx->ks", inward, target)
+    beyond = np.einsum("kpx,ksx->kps", corners, inward) < offset[:, None]  # of which side a corner lies outside
+    height = np.abs(np.einsum("kpx,kx->kp", corners - target[:, :1], normal))
+    k, p = np.nonzero(beyond.any(axis=2) | (length == 0)[:, None])
+    height[k, p] = _to_sides_m(corners[k, p], target[k], sides[k])
+    return np.asarray(height.max(axis=1))
 
 
-def _back_m(vertices: Array, faces: Indices, corners: Array) -> float:
-    """How far points of the thinned triangles (K, 3, 3) lie from the surface; slab by slab, since its tree is large."""
-    shares = SAMPLES / SAMPLES.sum(axis=1, keepdims=True)
-    points = np.einsum("sk,fkx->fsx", shares, corners).reshape(-1, 3)
+def _to_sides_m(points: Array, starts: Array, sides: Array) -> Array:
+    """(K,) from points (K, 3) to the nearest of three segments each, with starts and sides (K, 3, 3)."""
+    offset = points[:, None] - starts
+    squared = np.maximum(np.einsum("ksx,ksx->ks", sides, sides), 1e-300)
+    along = np.clip(np.einsum("ksx,ksx->ks", offset, sides) / squared, 0, 1)
+    return np.asarray(np.linalg.norm(offset - along[..., None] * sides, axis=2).min(axis=1))
+
+
+def _back_m(vertices: Array, faces: Indices, points: Array) -> float:
+    """How far points (K, 3) of the thinned surface lie from the surface; slab by slab, since its tree is large."""
     axis = int(np.ptp(vertices, axis=0).argmax())
     middle = vertices[faces[:, 0], axis]
     bounds = np.quantile(middle, np.linspace(0, 1, SLABS + 1))
