@@ -1,10 +1,10 @@
 """How well surfaces between voxels follow analytic bodies, and what large scans and meshes cost.
 
-    python benchmarks/scans.py [phantoms] [volume] [mesh]        (default: all)
+    python benchmarks/scans.py [phantoms] [plans] [volume] [mesh]        (default: all)
 
-phantoms: tubes along a line and a circle, askew to the voxels, as label maps and as grey values. volume: a label map of
-512 x 512 x 400 voxels to a field of clearances. mesh: 2 million triangles read and thinned. Memory is the largest that
-the process ever had, so give one word to learn one of them.
+phantoms: tubes along a line and a circle, askew to the voxels, as label maps and as grey values. plans: shipped meshes
+made volumes. volume: a label map of 512 x 512 x 400 voxels to a field of clearances. mesh: 2 million triangles read,
+thinned, and planned in. Memory is the largest that the process ever had, so give one word to learn one of them.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ SPACINGS_MM = [(0.5, 0.5, 0.5), (1.0, 1.0, 1.0), (0.7, 0.7, 1.4), (2.0, 2.0, 2.0
 RADII_MM = (3.0, 5.0, 9.0)
 DRAWS = 3
 REACH_M = 0.12
-ROBOT = Path(__file__).resolve().parents[1] / "scenarios" / "robots" / "three_tube_insertion.toml"
+SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"
+ROBOT = SCENARIOS / "robots" / "three_tube_insertion.toml"
 LUMEN = """robot = "{robot}"
 [start]
 "rotate outer" = 0
@@ -159,6 +160,47 @@ def _write_lumen(path: Path, rings: int = 2100, around: int = 500) -> None:
     trimesh.Trimesh(vertices, faces, process=False).export(path)
 
 
+def plans(folder: Path) -> None:
+    """The shipped airway and ventricle as label maps: clearance planned with, and of that motion to the meshes."""
+    print("| scenario | voxels (mm) | clearance claimed (mm) | of that motion to the mesh (mm) |")
+    print("|---|---|---|---|")
+    for name in ("airway", "ventricle"):
+        text = (SCENARIOS / f"{name}.toml").read_text().replace("robots/", f"{SCENARIOS}/robots/")
+        body = ctrplan.load_scenario(SCENARIOS / f"{name}.toml").anatomy[0]
+        print(_plan_row(folder, name, "mesh", text.replace("meshes/", f"{SCENARIOS}/meshes/"), body))
+        for spacing in (0.5, 1.0):
+            lower, upper = (1e3 * corner for corner in body.box)
+            made = phantoms.image(
+                lambda points, body=body: 1e3 * body.shape.distance(points * 1e-3),
+                (lower + upper) / 2,
+                (upper - lower).max() / 2 + 2 * spacing,
+                spacing,
+                phantoms.OBLIQUE if name == "airway" else np.eye(3),
+            )
+            phantoms.written(made, folder / f"{name}.nrrd")
+            entry = f'kind = "volume"\nfile = "{name}.nrrd"\nlabel = 3'
+            volume = 'frame = "LPS"\n' + text.replace('kind = "mesh"', entry)
+            lines = [line for line in volume.split("\n") if "meshes/" not in line and not line.startswith("unit")]
+            print(_plan_row(folder, name, f"{spacing:g}", "\n".join(lines), body))
+
+
+def _plan_row(folder: Path, name: str, voxels: str, text: str, body: AnatomyPart) -> str:
+    (folder / "plan.toml").write_text(text)
+    scenario = ctrplan.load_scenario(folder / "plan.toml", allow_outside=True)
+    try:
+        plan = ctrplan.plan(scenario)
+    except ctrplan.CtrplanError as error:
+        return f"| {name} | {voxels} | {error} | |"
+    least = np.inf
+    for joints in plan.certificate.samples.joints[::5]:
+        points, radius = scenario.robot.mechanics.body(*scenario.robot.drive.collars(joints))
+        located = points[0] @ scenario.base_R.T + scenario.base_position_m
+        least = min(least, float((-body.shape.distance(located) - radius).min()))
+    margin = body.margin_m
+    claimed = plan.certificate.min_clearance_m
+    return f"| {name} | {voxels} | {claimed * 1e3:.3f} | {(least - margin) * 1e3:.3f} |"
+
+
 def _clock() -> tuple[float, float]:
     return time.perf_counter(), time.process_time()
 
@@ -173,11 +215,13 @@ def _memory() -> None:
 
 
 if __name__ == "__main__":
-    parts = sys.argv[1:] or ["phantoms", "mesh", "volume"]
+    parts = sys.argv[1:] or ["phantoms", "plans", "mesh", "volume"]
     with tempfile.TemporaryDirectory() as name:
         os.environ["CTRPLAN_CACHE_DIR"] = name
         if "phantoms" in parts:
             phantom_errors(Path(name))
+        if "plans" in parts:
+            plans(Path(name))
         if "mesh" in parts:
             large_mesh(Path(name))
         if "volume" in parts:

@@ -116,6 +116,8 @@ def test_a_frame_that_no_one_says_is_asked_for(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"anatomy.1.frame: is missing: the file does not say.*RAS or in LPS"):
         part_of(tmp_path, "LPS", kind="volume", file="a.nrrd", label=1)
     check_hand(part_of(tmp_path, "LPS", kind="volume", file="a.nrrd", label=1, frame="RAS"), near_points(), "LPS")
+    written(image(hand, CENTRE, 18, SPACING), tmp_path / "a.nii.gz")
+    check_hand(part_of(tmp_path, "LPS", kind="volume", file="a.nii.gz", label=3, frame="RAS"), near_points(), "LPS")
     nrrd(tmp_path, "LPS", (1, 1, 1))
     with pytest.raises(InputError, match=r"toml: frame: is missing: anatomy.1 is in LPS"):
         part_of(tmp_path, None, kind="volume", file="a.nrrd", label=1)

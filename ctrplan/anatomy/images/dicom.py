@@ -12,7 +12,7 @@ import numpy as np
 from ctrplan.anatomy.images.header import Header
 from ctrplan.anatomy.images.image import Image, ImageRefusal
 from ctrplan.anatomy.images.image_file import check_bytes, checked
-from ctrplan.anatomy.images.simpleitk import reason, simpleitk
+from ctrplan.anatomy.images.simpleitk import quiet, reason, simpleitk
 from ctrplan.base.arrays import Array
 
 POSITION, ORIENTATION, SPACING = "0020|0032", "0020|0037", "0028|0030"
@@ -47,7 +47,8 @@ def read_series(folder: Path, series: str | None) -> Image:
     reader = sitk.ImageSeriesReader()
     reader.SetFileNames([one.file for one in order])
     try:
-        image = reader.Execute()
+        with quiet():
+            image = reader.Execute()
     except RuntimeError as error:
         syntax = _tags(sitk, order[0].file).get(SYNTAX, "unknown")
         raise ImageRefusal(f"can't be read (transfer syntax {syntax}): {reason(error)}") from error

@@ -18,14 +18,17 @@ from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.base.arrays import Array
 
 HEADER_BYTES, PIECE = 1 << 16, 1 << 24
-PATIENT_SPACES = {"right-anterior-superior", "ras", "left-posterior-superior", "lps", "left-anterior-superior", "las"}
+SPACES: dict[str, Frame] = {
+    **{"right-anterior-superior": "RAS", "ras": "RAS", "left-posterior-superior": "LPS", "lps": "LPS"},
+    **{"left-anterior-superior": "LPS", "las": "LPS"},  # which its reader turns
+}
 APART_MM = 0.05  # by which two statements of one place may differ
 NIFTI_UNITS_MM = {0: 1.0, 1: 1e3, 2: 1.0, 3: 1e-3}
 
 
 @dataclass(frozen=True)
 class Header:
-    """frame: what the reader's coordinates are in, None where the file does not say.
+    """frame: what the file's coordinates are in, None where it does not say.
 
     corners_mm: (2, 3) centres of the first and last voxel as this header has them, in that frame; None if unread.
     """
@@ -84,7 +87,7 @@ def _fields(path: Path, mark: str, last: bytes) -> dict[str, str]:
 def _nrrd(fields: dict[str, str]) -> Header:
     if "space directions" not in fields and "spacings" not in fields:
         raise ImageRefusal("does not say the size of its voxels (no space directions, no spacings)")
-    return Header("LPS" if fields.get("space", "").lower() in PATIENT_SPACES else None)
+    return Header(SPACES.get(fields.get("space", "").lower()))
 
 
 def _meta(fields: dict[str, str]) -> Header:
@@ -121,7 +124,7 @@ def _nifti(path: Path) -> Header:
     order = "<" if struct.unpack("<i", head[:4])[0] in (348, 540) else ">"
     size = struct.unpack(order + "i", head[:4])[0]
     if size == 540:
-        return Header("LPS")  # NIfTI-2: what it says is left to its reader
+        return Header("RAS")  # NIfTI-2: where it is, is left to its reader
     if size != 348:
         raise ImageRefusal("is damaged: its header is none of NIfTI")
     dim = struct.unpack(order + "8h", head[40:56])
@@ -142,7 +145,7 @@ def _nifti(path: Path) -> Header:
     if q is not None and s is not None and (apart := float(np.abs(q - s).max())) > max(APART_MM, 1e-4 * np.ptp(s)):
         raise ImageRefusal(f"says two places that lie {apart:.3g} mm apart (qform, sform): save it with one")
     corners = s if s is not None else q
-    return Header("LPS", None if corners is None else corners * (-1, -1, 1))
+    return Header("RAS", corners)
 
 
 def _corners(affine: Array, index: Array) -> Array:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from ctrplan.anatomy.images.header import Header, check_gzip, read_header
 from ctrplan.anatomy.images.image import Image, ImageRefusal
 from ctrplan.anatomy.images.segments import segments_of
-from ctrplan.anatomy.images.simpleitk import reason, simpleitk
+from ctrplan.anatomy.images.simpleitk import quiet, reason, simpleitk
+from ctrplan.anatomy.patient_frame import TURNED
 from ctrplan.base.arrays import Array
 
 SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
@@ -41,7 +42,9 @@ def read_image(path: Path) -> Image:
     _check_kind(sitk, reader, bool(segments))
     check_gzip(path)
     try:
-        return checked(sitk, reader.Execute(), header, segments)
+        with quiet():
+            read = reader.Execute()
+        return checked(sitk, read, header, segments)
     except RuntimeError as error:
         raise ImageRefusal(f"is damaged or cut short: {reason(error)}") from error
 
@@ -81,6 +84,8 @@ def checked(sitk: Any, image: Any, header: Header, segments: tuple[Any, ...] = (
     if not (np.isfinite(spacing).all() and np.isfinite(origin).all()):
         raise ImageRefusal("has a spacing or an origin that is not finite")
     voxels: NDArray[Any] = sitk.GetArrayFromImage(image)
+    if header.frame == "RAS":  # the reader turns everything to LPS
+        origin, direction = TURNED * origin, TURNED[:, None] * direction
     found = Image(voxels, spacing, origin, direction, header.frame, segments)
     _check_place(found, header.corners_mm)
     _check_size(found)

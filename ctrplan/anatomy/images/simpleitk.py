@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import importlib
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from ctrplan.anatomy.images.image import ImageRefusal
@@ -16,6 +20,20 @@ def simpleitk() -> Any:
         raise ImageRefusal("needs SimpleITK: pip install ctrplan[images]") from error
     package.ProcessObject.SetGlobalWarningDisplay(False)
     return package
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """What its parts print of damaged files besides raising an error is not shown."""
+    sys.stderr.flush()
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 def reason(error: Exception) -> str:
