@@ -168,10 +168,10 @@ def plans(folder: Path) -> None:
         text = (SCENARIOS / f"{name}.toml").read_text().replace("robots/", f"{SCENARIOS}/robots/")
         body = ctrplan.load_scenario(SCENARIOS / f"{name}.toml").anatomy[0]
         print(_plan_row(folder, name, "mesh", text.replace("meshes/", f"{SCENARIOS}/meshes/"), body))
-        for spacing in (0.5, 1.0):
+        for spacing in (0.6, 1.0):
             lower, upper = (1e3 * corner for corner in body.box)
             made = phantoms.image(
-                lambda points, body=body: 1e3 * body.shape.distance(points * 1e-3),
+                _side_of(body),
                 (lower + upper) / 2,
                 (upper - lower).max() / 2 + 2 * spacing,
                 spacing,
@@ -182,6 +182,16 @@ def plans(folder: Path) -> None:
             volume = 'frame = "LPS"\n' + text.replace('kind = "mesh"', entry)
             lines = [line for line in volume.split("\n") if "meshes/" not in line and not line.startswith("unit")]
             print(_plan_row(folder, name, f"{spacing:g}", "\n".join(lines), body))
+
+
+def _side_of(body: AnatomyPart) -> phantoms.Body:
+    """-1 within a body and 1 outside: all that a label map asks for."""
+    import igl
+
+    surface = body.shape.surface()
+    winding = igl.FastWindingNumberBVH()
+    winding.init(surface.vertices_m, surface.faces)
+    return lambda points: np.where(np.asarray(winding.winding_number(points * 1e-3)) > 0.5, -1.0, 1.0)
 
 
 def _plan_row(folder: Path, name: str, voxels: str, text: str, body: AnatomyPart) -> str:

@@ -17,6 +17,8 @@ from scipy.spatial.transform import Rotation
 from ctrplan.anatomy.images import level_surface
 from ctrplan.anatomy.images.structure import Structure
 from ctrplan.errors import InputError
+from ctrplan.files.scenario_file import scenario_from_dict
+from ctrplan.planning.scenario import Scenario
 
 SPACING = (0.8, 1.0, 1.3)
 TO_RAS = np.array([-1.0, -1.0, 1.0])
@@ -320,3 +322,36 @@ def test_each_phantom_moves_when_it_is_flipped() -> None:
         turned = CENTRE + (points - CENTRE) * (1 - 2 * np.array(signs))
         assert not any(signs) or np.abs(hand(turned) - hand(points)).max() > 3
     assert phantoms.MIRRORED.shape == (3, 3) and np.linalg.det(phantoms.MIRRORED) < 0
+
+
+def scenario(folder: Path, **keys: Any) -> Scenario:
+    """One with the hand as an obstacle, in RAS, whose robot stands far from it."""
+    from places import ROBOTS
+
+    written(image(hand, CENTRE, 18, 1.5), folder / "a.nii.gz")
+    at_rest = {"rotate outer": 0, "rotate inner": 0, "translate inner": -17}
+    content = {
+        "robot": str(ROBOTS / "table_5_pair.toml"),
+        "frame": "RAS",
+        "start": at_rest,
+        "goal": {"tip_mm": (CENTRE * TO_RAS).tolist()},
+        "anatomy": [{"kind": "volume", "file": "a.nii.gz", "label": 3}],
+    }
+    content = {key: value for key, value in (content | keys).items() if value is not None}
+    return scenario_from_dict(content, file=str(folder / "s.toml"), allow_outside=True)
+
+
+def test_a_scenario_knows_its_frame_and_what_its_images_leave_open(tmp_path: Path) -> None:
+    found = scenario(tmp_path)
+    assert found.frame == "RAS"
+    assert "anatomy.1 (a.nii.gz) its surface may be off by 0.9 mm, which the margin includes." in found.warnings
+
+
+def test_a_target_outside_all_images_is_refused_and_a_flip_is_suspected(tmp_path: Path) -> None:
+    with pytest.raises(
+        InputError, match=r"goal.tip_mm = .*: lies [\d.]+ mm outside all images: with x and y turned round"
+    ):
+        scenario(tmp_path, goal={"tip_mm": CENTRE.tolist()})
+    away = (CENTRE * TO_RAS + 18 * OBLIQUE[:, 2] * TO_RAS + 7 * OBLIQUE[:, 2] * TO_RAS).tolist()
+    with pytest.raises(InputError, match=r"target.2.tip_mm = .*: lies 7(\.\d+)? mm outside all images\."):
+        scenario(tmp_path, goal=None, target=[{"tip_mm": (CENTRE * TO_RAS).tolist()}, {"tip_mm": away}])
