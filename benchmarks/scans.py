@@ -29,7 +29,7 @@ from ctrplan.anatomy.clearance_grid import field_bounds  # noqa: E402
 from ctrplan.anatomy.parts import AnatomyPart  # noqa: E402
 
 SPACINGS_MM = [(0.5, 0.5, 0.5), (1.0, 1.0, 1.0), (0.7, 0.7, 1.4), (2.0, 2.0, 2.0)]
-RADII_MM = (3.0, 5.0, 9.0)
+RADII_MM = (1.0, 3.0, 5.0, 9.0)
 DRAWS = 3
 REACH_M = 0.12
 SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"
@@ -57,7 +57,7 @@ def phantom_errors(folder: Path) -> None:
     print("|---|---|---|---|---|---|---|")
     for spacing in SPACINGS_MM:
         for radius in RADII_MM:
-            if radius < 1.9 * max(spacing):
+            if radius < 0.9 * max(spacing):
                 continue
             for grey in (False, True):
                 off = np.concatenate([_errors(folder, spacing, radius, grey, seed) for seed in range(DRAWS)])

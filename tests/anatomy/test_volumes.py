@@ -242,6 +242,15 @@ def test_a_tube_of_one_voxel_stays_whole(tmp_path: Path) -> None:
     assert vertices[:, 2].min() < 3 and vertices[:, 2].max() > 36
 
 
+def test_thin_tubes_are_known_to_be_less_certain(tmp_path: Path) -> None:
+    for radius, bound in ((0.9, level_surface.THIN_ERROR), (2.5, level_surface.LABEL_ERROR)):
+        body = capsule(CENTRE - 12 * OBLIQUE[1], CENTRE + 12 * OBLIQUE[1], radius)
+        written(image(body, CENTRE, 18, 1.0, AXES["swapped"]), tmp_path / "a.nrrd")
+        part = part_of(tmp_path, kind="volume", file="a.nrrd", label=3)
+        assert part.shape.surface_error_m == pytest.approx(bound * 1e-3)
+        assert np.abs(body(part.shape.surface().vertices_m * 1e3)).max() <= bound
+
+
 def bad(tmp_path: Path, name: str) -> dict[str, Any]:
     """An entry of which something is wrong."""
     made = image(hand, CENTRE, 18, 1.5)

@@ -22,7 +22,11 @@ HALO = 7  # planes that smoothing looks at on either side
 LEAST = 0.02  # by which a voxel stays on its side of 1/2
 TINY = 1e-6  # of the largest value: what grey values differ from the threshold by at least
 SLAB = 24  # planes looked at together
-LABEL_ERROR, GREY_ERROR = 0.6, 0.15  # of the widest voxel, see benchmarks/scans.py: what a surface is off by at most
+LABEL_ERROR, THIN_ERROR, GREY_ERROR = (
+    0.6,
+    0.9,
+    0.15,
+)  # of the widest voxel, see benchmarks/scans.py: what a surface is off by at most
 CORNERS = np.array(
     [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]]
 )  # (x, y, z)

@@ -64,6 +64,24 @@ def structure(image: Image, choice: Choice) -> Structure:
     return Structure(np.pad(inside[crop], short), above, first, at_edge)
 
 
+def has_thin_parts(inside: Mask) -> bool:
+    """Whether parts of a structure are too thin for a cube of 3 voxels: nowhere near one that fits."""
+    core = _spread(_spread(~_spread(~inside)))
+    return bool((inside & ~core).any())
+
+
+def _spread(mask: Mask) -> Mask:
+    """A mask grown by a voxel to all sides, corners included."""
+    for axis in range(3):
+        ahead, behind = [slice(None)] * 3, [slice(None)] * 3
+        ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
+        grown = mask.copy()
+        grown[tuple(ahead)] |= mask[tuple(behind)]
+        grown[tuple(behind)] |= mask[tuple(ahead)]
+        mask = grown
+    return mask
+
+
 def _layer(image: Image, layer: int) -> NDArray[Any]:
     return image.voxels if image.voxels.ndim == 3 else image.voxels[..., layer]
 

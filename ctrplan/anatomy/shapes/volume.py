@@ -10,7 +10,7 @@ import numpy as np
 from msgspec import Meta
 
 from ctrplan.anatomy.images.image import Image, ImageRefusal
-from ctrplan.anatomy.images.structure import Choice, Structure, structure
+from ctrplan.anatomy.images.structure import Choice, Structure, has_thin_parts, structure
 from ctrplan.anatomy.patient_frame import Frame, to_scenario
 from ctrplan.anatomy.shape import PartEntry, register
 from ctrplan.anatomy.shapes.mesh import Mesh
@@ -70,18 +70,28 @@ class VolumeEntry(PartEntry):
 
 def volume(image: Image, choice: Choice, file: str, surface_error_mm: float | None = None) -> Volume:
     """The surface of what is chosen of an image. Raises ImageRefusal where that is nothing."""
-    from ctrplan.anatomy.images.level_surface import GREY_ERROR, LABEL_ERROR, level_surface  # slow to import
+    from ctrplan.anatomy.images.level_surface import level_surface  # slow to import
     from ctrplan.anatomy.mesh_thinning import thinned, thinning_note
 
     found = structure(image, choice)
     vertices, faces = level_surface(found)
     if np.linalg.det(image.direction) < 0:
         faces = np.ascontiguousarray(faces[:, ::-1])
-    voxels = GREY_ERROR if choice.is_range else LABEL_ERROR
-    error = voxels * float(image.spacing_m.max()) if surface_error_mm is None else surface_error_mm / MM_PER_M
+    error = _voxels_off(found) * float(image.spacing_m.max())
+    if surface_error_mm is not None:
+        error = surface_error_mm / MM_PER_M
     places, faces, moved = thinned(image.place_m(vertices + found.first), faces)
     notes = (*image.notes, *_notes(found, error), *thinning_note(faces, moved))
     return Volume(places, faces, file, notes, error + moved, _box(image))
+
+
+def _voxels_off(found: Structure) -> float:
+    """What a surface may be off by in widest voxels."""
+    from ctrplan.anatomy.images.level_surface import GREY_ERROR, LABEL_ERROR, THIN_ERROR
+
+    if found.above is not None:
+        return GREY_ERROR
+    return THIN_ERROR if has_thin_parts(found.inside) else LABEL_ERROR
 
 
 def _read(path: Path, series: str | None) -> Image:
