@@ -168,20 +168,21 @@ def plans(folder: Path) -> None:
         text = (SCENARIOS / f"{name}.toml").read_text().replace("robots/", f"{SCENARIOS}/robots/")
         body = ctrplan.load_scenario(SCENARIOS / f"{name}.toml").anatomy[0]
         print(_plan_row(folder, name, "mesh", text.replace("meshes/", f"{SCENARIOS}/meshes/"), body))
-        for spacing in (0.6, 1.0):
+        for spacing in (0.5, 1.0):
             lower, upper = (1e3 * corner for corner in body.box)
             made = phantoms.image(
                 _side_of(body),
                 (lower + upper) / 2,
                 (upper - lower).max() / 2 + 2 * spacing,
                 spacing,
-                phantoms.OBLIQUE if name == "airway" else np.eye(3),
+                phantoms.SWAPPED,
             )
             phantoms.written(made, folder / f"{name}.nrrd")
-            entry = f'kind = "volume"\nfile = "{name}.nrrd"\nlabel = 3'
-            volume = 'frame = "LPS"\n' + text.replace('kind = "mesh"', entry)
-            lines = [line for line in volume.split("\n") if "meshes/" not in line and not line.startswith("unit")]
-            print(_plan_row(folder, name, f"{spacing:g}", "\n".join(lines), body))
+            for said, key in (("", ""), (", surface_error_mm = 0", "\nsurface_error_mm = 0")):
+                entry = f'kind = "volume"\nfile = "{name}.nrrd"\nlabel = 3{key}'
+                volume = 'frame = "LPS"\n' + text.replace('kind = "mesh"', entry)
+                lines = [line for line in volume.split("\n") if "meshes/" not in line and not line.startswith("unit")]
+                print(_plan_row(folder, name, f"{spacing:g}{said}", "\n".join(lines), body), flush=True)
 
 
 def _side_of(body: AnatomyPart) -> phantoms.Body:

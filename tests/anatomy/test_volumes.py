@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import struct
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -364,3 +365,10 @@ def test_a_target_outside_all_images_is_refused_and_a_flip_is_suspected(tmp_path
     away = (CENTRE * TO_RAS + 18 * OBLIQUE[:, 2] * TO_RAS + 7 * OBLIQUE[:, 2] * TO_RAS).tolist()
     with pytest.raises(InputError, match=r"target.2.tip_mm = .*: lies 7(\.\d+)? mm outside all images\."):
         scenario(tmp_path, goal=None, target=[{"tip_mm": (CENTRE * TO_RAS).tolist()}, {"tip_mm": away}])
+
+
+def test_without_the_extra_package_a_sentence_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written(image(hand, CENTRE, 18, 2.0), tmp_path / "a.nrrd")
+    monkeypatch.setitem(sys.modules, "SimpleITK", None)
+    with pytest.raises(InputError, match=r"file = 'a.nrrd': needs SimpleITK: pip install ctrplan\[images\]"):
+        part_of(tmp_path, kind="volume", file="a.nrrd", label=3)
