@@ -14,6 +14,7 @@ wanted = [
     *project["project"]["dependencies"],
     *project["project"]["optional-dependencies"]["test"],
     *project["project"]["optional-dependencies"]["live"],
+    *project["project"]["optional-dependencies"]["images"],
     "cmake>=3.18",
     "ninja",
 ]

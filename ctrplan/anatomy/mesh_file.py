@@ -1,17 +1,21 @@
-"""Reading closed triangle meshes from STL, PLY and OBJ files: checked, repaired, or refused in one sentence."""
+"""Reading triangle meshes from files of several formats: checked, repaired, or refused in one sentence."""
 
+import re
 import warnings
 from os import PathLike
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
 from ctrplan.anatomy.binary_ply import read_binary_ply
+from ctrplan.anatomy.glb_file import read_glb
 from ctrplan.anatomy.mesh_repair import Indices, MeshRefusal, turned_outward, welded
 from ctrplan.anatomy.obj_file import read_obj
+from ctrplan.anatomy.patient_frame import Frame
+from ctrplan.anatomy.vtk_file import read_vtk
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.storage.file_bytes import file_name
@@ -19,8 +23,11 @@ from ctrplan.storage.file_bytes import file_name
 Number = TypeVar("Number", np.float64, np.int64)
 
 UNITS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 25.4e-3}
-SUFFIXES = (".stl", ".ply", ".obj")
+SUFFIXES = (".stl", ".ply", ".obj", ".vtk", ".vtp", ".vtu", ".glb")
+WITH_GROUPS = (".obj", ".glb")
 MAX_BYTES = 500_000_000
+HEADER_BYTES = 4096
+STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 LARGEST_M, SMALLEST_M = 2.0, 1e-4
 
 
@@ -37,12 +44,7 @@ def load_mesh(
     """
     name = file_name(path, "a mesh")
     try:
-        vertices, faces = _read(Path(name))
-        if unit not in UNITS_M:
-            raise MeshRefusal(f"can't be read in unit {unit!r}: must be one of {', '.join(UNITS_M)}")
-        vertices = vertices * UNITS_M[unit]
-        _check_size(vertices, faces, unit)
-        vertices, faces = welded(vertices, faces)
+        vertices, faces = welded(*read_triangles(Path(name), unit))
         return vertices, turned_outward(vertices, faces)
     except MeshRefusal as refusal:
         if file is None and key is None:
@@ -50,7 +52,24 @@ def load_mesh(
         raise InputError(str(refusal), file=file, key=key, value=name) from refusal.__cause__
 
 
-def _read(path: Path) -> tuple[Array, Indices]:
+def read_triangles(path: Path, unit: str, group: str | None = None) -> tuple[Array, Indices]:
+    """Vertices (V, 3) [m] and triangles (F, 3) as they are in a file, or in a group of it. Raises MeshRefusal."""
+    vertices, faces = _read(path, group)
+    if unit not in UNITS_M:
+        raise MeshRefusal(f"can't be read in unit {unit!r}: must be one of {', '.join(UNITS_M)}")
+    vertices = vertices * UNITS_M[unit]
+    _check_size(vertices, faces, unit)
+    return vertices, faces
+
+
+def stated_frame(path: Path) -> Frame | None:
+    """The patient's frame that a file names, as 3D Slicer does near the beginning; None where it does not."""
+    with path.open("rb") as stream:
+        found = re.search(rb"SPACE\s*=\s*(RAS|LPS)\b", stream.read(HEADER_BYTES))
+    return None if found is None else cast(Frame, found[1].decode())
+
+
+def _read(path: Path, group: str | None) -> tuple[Array, Indices]:
     if path.suffix.lower() not in SUFFIXES:
         raise MeshRefusal(f"is not a mesh: must end in {', '.join(SUFFIXES)}")
     try:
@@ -64,7 +83,9 @@ def _read(path: Path) -> tuple[Array, Indices]:
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         reason = getattr(error, "strerror", None) or str(error)
         raise MeshRefusal(f"can't be read: {reason.lower()}") from error
-    vertices, faces = _parsed(path)
+    if group is not None and path.suffix.lower() not in WITH_GROUPS:
+        raise MeshRefusal(f"has no groups: leave the key group out, {' and '.join(WITH_GROUPS)} may have them")
+    vertices, faces = _parsed(path, group)
     if not len(faces):
         raise MeshRefusal("is empty: holds no triangles")
     if faces.min() < 0 or faces.max() >= len(vertices):
@@ -72,21 +93,27 @@ def _read(path: Path) -> tuple[Array, Indices]:
     return vertices, faces
 
 
-def _parsed(path: Path) -> tuple[Array, Indices]:
+def _parsed(path: Path, group: str | None) -> tuple[Array, Indices]:
     # Processing stays off: it would drop NaN vertices silently. Materials are never looked up.
     kind = path.suffix.lower()[1:]
     if kind == "obj":
-        return read_obj(path)
+        return read_obj(path, group)
+    if kind in ("vtk", "vtp", "vtu"):
+        return read_vtk(path)
     if kind == "ply" and (found := read_binary_ply(path.read_bytes())) is not None:
         return found
     if kind == "stl":
         _check_stl_size(path)
+        if (triangles := _binary_stl(path)) is not None:
+            return triangles
     try:
         with warnings.catch_warnings(), path.open("rb") as stream:
             warnings.simplefilter("ignore")
+            if kind == "glb":
+                return read_glb(stream, group)
             mesh = trimesh.load(stream, file_type=kind, force="mesh", process=False, skip_materials=True)
         return _rows(mesh, "vertices", np.float64), _rows(mesh, "faces", np.int64)
-    except MemoryError:
+    except (MemoryError, MeshRefusal):
         raise
     except ImportError as error:  # trimesh would call on a package that guesses encodings
         raise MeshRefusal(f"can't be read as {kind.upper()}: must be UTF-8 text or binary") from error
@@ -104,6 +131,17 @@ def _check_stl_size(path: Path) -> None:
     promised, room = int.from_bytes(head[80:], "little"), (path.stat().st_size - 84) / 50
     if promised != room:
         raise MeshRefusal(f"is damaged: its header promises {promised} triangles, its size is that of {room:.10g}")
+
+
+def _binary_stl(path: Path) -> tuple[Array, Indices] | None:
+    """Vertices of each triangle of a binary STL on their own; None for text. trimesh needs three times the memory."""
+    with path.open("rb") as stream:
+        promised = int.from_bytes(stream.read(84)[80:], "little")
+        if not promised or path.stat().st_size != 84 + 50 * promised:
+            return None
+        records = np.fromfile(stream, STL_TRIANGLE, promised)
+    vertices = records["corners"].astype(np.float64).reshape(-1, 3)
+    return vertices, np.arange(len(vertices), dtype=np.int64).reshape(-1, 3)
 
 
 def _rows(mesh: object, name: str, dtype: type[Number]) -> NDArray[Number]:

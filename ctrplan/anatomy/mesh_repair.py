@@ -25,24 +25,39 @@ class MeshRefusal(Exception):
 
 
 def welded(vertices: Array, faces: Indices) -> tuple[Array, Indices]:
-    """The mesh with coinciding vertices merged, and if that leaves it open, those within WELD_M too."""
+    """The mesh with coinciding vertices merged, and if that leaves it open, those within WELD_M too.
+
+    Raises MeshRefusal where it stays open.
+    """
+    vertices, faces = merged(vertices, faces)
+    refuse_open(vertices, faces)
+    return vertices, faces
+
+
+def refuse_open(vertices: Array, faces: Indices) -> None:
+    """Raises MeshRefusal for a mesh that is not closed."""
+    odd = odd_edges(faces)
+    if len(odd):
+        # The place is reported in the file's own frame, as the viewer of the mesh shows it (but in mm).
+        x, y, z = vertices[odd[0]].mean(axis=0) * 1e3
+        count = f"{len(odd)} open edge{'s' if len(odd) > 1 else ''}"
+        raise MeshRefusal(f"is not closed: has {count}, one at ({x:.2f}, {y:.2f}, {z:.2f}) mm, must have none")
+
+
+def merged(vertices: Array, faces: Indices) -> tuple[Array, Indices]:
+    """The mesh with coinciding vertices merged, and, if that leaves it open, those within WELD_M; maybe still open."""
     vertices, faces = _without_strays(vertices, faces)  # whose coordinates may be NaN
     unique, _, index = igl.remove_duplicate_vertices(vertices, 0.0)
     exact = np.asarray(unique), _distinct(np.asarray(index)[faces])
-    if not len(_odd_edges(exact[1])):
+    if not len(odd_edges(exact[1])):
         return _without_strays(*exact)
     pairs = cKDTree(unique).query_pairs(WELD_M, output_type="ndarray")
     graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(unique), len(unique)))
     _, group = connected_components(graph, directed=False)
     _, first = np.unique(group, return_index=True)
     welded = unique[first], _distinct(group[exact[1]].astype(np.int64))
-    odd = _odd_edges(welded[1])
-    if len(odd):
-        # The place is reported in the file's own frame, as the viewer of the mesh shows it (but in mm).
-        x, y, z = welded[0][odd[0]].mean(axis=0) * 1e3
-        count = f"{len(odd)} open edge{'s' if len(odd) > 1 else ''}"
-        raise MeshRefusal(f"is not closed: has {count}, one at ({x:.2f}, {y:.2f}, {z:.2f}) mm, must have none")
-    logger.info("welded vertices less than %g mm apart to close the mesh", WELD_M * 1e3)
+    if not len(odd_edges(welded[1])):
+        logger.info("welded vertices less than %g mm apart to close the mesh", WELD_M * 1e3)
     return _without_strays(*welded)
 
 
@@ -75,10 +90,16 @@ def _edges(keys: Indices, faces: Indices) -> Indices:
     return np.stack(np.divmod(keys, faces.max(initial=0) + 1), axis=1)
 
 
-def _odd_edges(faces: Indices) -> Indices:
+def odd_edges(faces: Indices) -> Indices:
     """Edges (E, 2) at which an odd number of triangles meet: a surface ends there, or one branches off."""
+    return odd_edges_counted(faces)[0]
+
+
+def odd_edges_counted(faces: Indices) -> tuple[Indices, Indices]:
+    """Likewise, and how many triangles (E,) meet there."""
     keys, count = np.unique(_edge_keys(faces)[0], return_counts=True)
-    return _edges(keys[count % 2 == 1], faces)
+    odd = count % 2 == 1
+    return _edges(keys[odd], faces), count[odd]
 
 
 def _unbalanced_edges(faces: Indices) -> Indices:
@@ -116,7 +137,7 @@ def _bodies(faces: Indices) -> Indices:
 def _are_closed(faces: Indices, patch: Indices) -> bool:
     """Whether each patch (F,) is closed without the others."""
     _, apart = np.unique(faces + patch[:, None] * (faces.max() + 1), return_inverse=True)
-    return not len(_odd_edges(apart.reshape(-1, 3)))
+    return not len(odd_edges(apart.reshape(-1, 3)))
 
 
 def _refuse_inside_out(vertices: Array, faces: Indices) -> None:

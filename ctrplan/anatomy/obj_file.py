@@ -1,12 +1,14 @@
 """Wavefront OBJ files: vertices and faces, in time proportional to their size, whatever groups and materials they name.
 
-Of the format's statements only `v` and `f` say where the surface is. Indices may count backwards from the last vertex,
+Of the format's statements only `v` and `f` say where the surface is, `g` and `o` what a part of it is
+called. Indices may count backwards from the last vertex,
 polygons are fanned into triangles about their first corner.
 """
 
 from __future__ import annotations
 
 from array import array
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -19,23 +21,31 @@ BYTE_ORDER_MARK = "\xef\xbb\xbf"  # of UTF-8, read byte by byte
 FURTHEST = 2**62
 
 
-def read_obj(path: Path) -> tuple[Array, Indices]:
-    """Vertices (V, 3) in the file's unit and triangles (F, 3), counted from 0.
+def read_obj(path: Path, group: str | None = None) -> tuple[Array, Indices]:
+    """Vertices (V, 3) in the file's unit and triangles (F, 3), counted from 0; of one group where it is named.
 
-    Raises MeshRefusal, with the line, for what is no vertex or face.
+    Raises MeshRefusal, with the line, for what is no vertex or face, and for a group that there is not.
     """
-    coordinates, corners = array("d"), array("q")
+    coordinates, corners, names, groups = array("d"), array("q"), list[str](), Counter[str]()
     with path.open(encoding="latin-1") as lines:  # comments and names may be in any encoding
         for number, line in _joined(lines):
             statement, *words = line.split() or [""]
             try:
                 if statement == "v":
                     coordinates.extend(_vertex(words))
+                elif statement in ("g", "o"):
+                    names = [" ".join(words), *words]
                 elif statement == "f":
-                    corners.extend(_fan(_indices(words, len(coordinates) // 3)))
+                    triangles = _fan(_indices(words, len(coordinates) // 3))
+                    groups[names[0] if names else "default"] += len(triangles) // 3
+                    if group is None or group in names:
+                        corners.extend(triangles)
             except (ValueError, OverflowError):
                 shown = " ".join(line.split())[:60]
                 raise MeshRefusal(f"can't be read as OBJ: line {number} is no {_THINGS[statement]}: {shown}") from None
+    if group is not None and not corners:
+        listed = ", ".join(f"{name!r} ({count} triangles)" for name, count in list(groups.items())[:12])
+        raise MeshRefusal(f"has no group {group!r}, but {listed or 'none'}")
     return np.array(coordinates).reshape(-1, 3), np.array(corners, dtype=np.int64).reshape(-1, 3)
 
 

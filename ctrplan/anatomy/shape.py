@@ -36,6 +36,8 @@ class Shape(ABC):
     is_formula: ClassVar[bool] = (
         False  # whether distances cost next to nothing, so that none is interpolated to save it
     )
+    surface_error_m: float = 0.0  # what the surface may be off by from what it stands for: margins include it
+    notes: tuple[str, ...] = ()  # what was repaired or left open in reading it, for whoever plans with it
 
     @abstractmethod
     def distance(self, points_m: Array) -> Array:

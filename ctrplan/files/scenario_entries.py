@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
 
@@ -17,9 +17,6 @@ from ctrplan.robot.robot import Robot
 from ctrplan.storage.number_ranges import Length, Name, Point, Tolerance, Vector, Weight
 from ctrplan.storage.toml_document import Document, Step
 from ctrplan.storage.toml_table import Table
-
-if TYPE_CHECKING:
-    from ctrplan.anatomy.parts import AnatomyPart
 
 LIMIT_TOLERANCE = 1e-9  # rad or m
 
@@ -73,8 +70,10 @@ class ScenarioEntry(Struct, forbid_unknown_fields=True):
     goal: GoalEntry | None = None
     target: list[GoalEntry] = []
     name: Name | None = None
+    frame: Literal["RAS", "LPS"] | None = None  # of the patient, in which the scenario's places are said
     base: BaseEntry = BaseEntry()
-    anatomy: list[dict[str, Any]] = []  # of the kind that each names, see anatomy_part
+    anatomy: list[dict[str, Any]] = []  # of the kind that each names, see scenario_anatomy
+    fixture: list[dict[str, Any]] = []  # bodies at the base, see scenario_anatomy
     margins: MarginsEntry = MarginsEntry()
     cost: CostEntry = CostEntry()
     planner: dict[str, Any] = {}  # of the planner that it names, see planner_settings
@@ -110,16 +109,6 @@ def _joint_value(table: dict[str, Any], joint: Joint, document: Document, *path:
         rule = f"must be within the joint's limits, {lower:.9g} to {upper:.9g} {joint.unit}"
         raise document.fault(rule, *path, joint.name, unit=joint.unit)
     return q
-
-
-def anatomy_part(table: Table) -> AnatomyPart:
-    """One [[anatomy]]. Raises InputError for a kind that there is not, and keys that it lacks or does not have."""
-    from ctrplan.anatomy.parts import AnatomyPart
-    from ctrplan.anatomy.shape import PartEntry
-    from ctrplan.anatomy.shape_catalogue import CATALOGUE
-
-    entry = chosen(table, "kind", CATALOGUE, PartEntry)
-    return AnatomyPart(entry.shape(table), entry.role, entry.margin_mm * 1e-3)
 
 
 def planner_settings(table: Table) -> PlannerSettings:

@@ -14,12 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from ctrplan.base.arrays import Array, read_only
 from ctrplan.files.robot_file import load_robot
+from ctrplan.files.scenario_anatomy import anatomy_notes, anatomy_part, fixture, refuse_targets_outside_images
 from ctrplan.files.scenario_entries import (
     BaseEntry,
     CostEntry,
     GoalEntry,
     ScenarioEntry,
-    anatomy_part,
     joint_values,
     planner_settings,
 )
@@ -71,6 +71,8 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool) ->
         raise document.fault("must be one line of printable text", "name")
     robot = load_robot(file_inside(entry.robot, document, allow_outside, "robot"), for_robot)
     goals = _goals(entry, robot, document)
+    anatomy = tuple(anatomy_part(Table(document, ("anatomy", k), allow_outside)) for k in range(len(entry.anatomy)))
+    refuse_targets_outside_images(anatomy, goals, document)
     return Scenario(
         name=entry.name or (Path(document.file).stem if document.file else "scenario"),
         robot=robot,
@@ -81,13 +83,15 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool) ->
         start_friction=_start_friction(entry, document),
         goal=goals[-1],
         via=tuple(goals[:-1]),
-        anatomy=tuple(anatomy_part(Table(document, ("anatomy", k), allow_outside)) for k in range(len(entry.anatomy))),
+        anatomy=anatomy,
+        frame=entry.frame,
+        fixtures=tuple(fixture(Table(document, ("fixture", k), allow_outside)) for k in range(len(entry.fixture))),
         margins=Margins(entry.margins.stability, entry.margins.max_strain),
         cost=_cost(entry.cost),
         planner=planner_settings(Table(document, ("planner",))),
         path=document.file,
         sha256=document.sha256,
-        warnings=robot.warnings,
+        warnings=(*robot.warnings, *anatomy_notes(anatomy)),
     )
 
 

@@ -26,6 +26,7 @@ from ctrplan.planning.finish.compensate import compensate
 from ctrplan.planning.finish.oscillate_at_goal import settle
 from ctrplan.planning.finish.reorder import Reordered, as_given, assemble
 from ctrplan.planning.goals.clearances import refuse_impossible_margins, start_room, start_trouble
+from ctrplan.planning.goals.fixtures import refuse_blocked_fixtures
 from ctrplan.planning.goals.goal_state import GoalState
 from ctrplan.planning.goals.goal_states import goal_states
 from ctrplan.planning.goals.goal_turns import is_at_goal, nearest_turn, turn_notes
@@ -85,6 +86,7 @@ def plan(
     budget = float(scenario.planner.time_s if time_s is None else time_s)
     refuse_many_tubes(scenario.robot)
     refuse_impossible_margins(scenario)
+    refuse_blocked_fixtures(scenario)
     checker = MotionChecker(scenario, reserve_m=0.0)
     start, samples = checker.probe(scenario.start)
     if not start.valid:

@@ -13,6 +13,7 @@ from ctrplan.planning.planner_settings import PlannerSettings
 from ctrplan.robot.robot import Robot
 
 if TYPE_CHECKING:
+    from ctrplan.anatomy.fixture import Fixture
     from ctrplan.anatomy.parts import AnatomyPart
     from ctrplan.robot.observer.state import ObserverState
 
@@ -92,6 +93,7 @@ class Scenario:
     goal: Goal
     planner: PlannerSettings
     anatomy: tuple[AnatomyPart, ...] = ()
+    fixtures: tuple[Fixture, ...] = ()  # what stands at the base besides the robot
     margins: Margins = Margins()
     cost: Cost = Cost()
     path: str | None = None
@@ -100,6 +102,7 @@ class Scenario:
     start_friction: StartFriction = "unknown"
     registration: Registration = Registration()
     via: tuple[Goal, ...] = ()  # goals to reach before `goal`, in this order
+    frame: Literal["RAS", "LPS"] | None = None  # of the patient, which the anatomy's frame is; None where not said
     start_state: ObserverState | None = None  # of a robot that was followed to `start`, where friction is "observed"
 
     @property

@@ -14,7 +14,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import SolverError
-from ctrplan.reports.surface import Rod
+from ctrplan.reports.surface import Rod, Surface
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.core import Bound, TubeShape
@@ -70,6 +70,15 @@ def plate(scenario: Scenario) -> Rod:
     z = np.array([[0, 0, -PLATE_THICKNESS_M], [0, 0, 0]])
     radius = 4 * max(tube.outer_diameter_m for tube in scenario.robot.tubes) / 2
     return _in_anatomy(scenario, Rod(z, np.tile([0.0, 0.0, 1.0], (2, 1)), np.full(2, radius)))
+
+
+def stand(scenario: Scenario) -> Surface:
+    """The front plate and the fixtures at it."""
+    surfaces = [plate(scenario).surface(32), *(fixture.shape.surface() for fixture in scenario.fixtures)]
+    vertices = [surfaces[0].vertices_m, *(to_anatomy(scenario, surface.vertices_m) for surface in surfaces[1:])]
+    before = np.cumsum([0, *map(len, vertices[:-1])])
+    faces = [surface.faces + count for surface, count in zip(surfaces, before, strict=True)]
+    return Surface(np.concatenate(vertices), np.concatenate(faces))
 
 
 def to_anatomy(scenario: Scenario, points_m: Array) -> Array:

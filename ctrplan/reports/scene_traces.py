@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import plotly.graph_objects as go
 
+from ctrplan.anatomy.patient_frame import Frame, axis_label
 from ctrplan.base.arrays import Array
 from ctrplan.reports import palette
 from ctrplan.reports import scene_looks as looks
@@ -89,11 +90,17 @@ def xyz(points_m: Array) -> dict[str, Any]:
     return {"x": x, "y": y, "z": z}
 
 
-def lay_out(figure: go.Figure, lower_m: Array, upper_m: Array, robot_m: Array) -> None:
-    """Equal scales that stay while the robot moves; seen from where it spreads widest."""
+def lay_out(figure: go.Figure, lower_m: Array, upper_m: Array, robot_m: Array, frame: Frame | None = None) -> None:
+    """Equal scales that stay while the robot moves; seen from where it spreads widest.
+
+    frame: of the patient, whose letters then stand at the ends of the axes.
+    """
     axis = {"backgroundcolor": "#F8FAFB", "gridcolor": palette.GRID, "zeroline": False, "nticks": 6}
     ranges = (np.stack([lower_m, upper_m], axis=1) * 1e3).tolist()
-    axes = {f"{n}axis": axis | {"title": {"text": f"{n} (mm)"}, "range": r} for n, r in zip("xyz", ranges, strict=True)}
+    axes = {
+        f"{'xyz'[k]}axis": axis | {"title": {"text": f"{axis_label(k, frame)} (mm)"}, "range": r}
+        for k, r in enumerate(ranges)
+    }
     azimuth, extent = side_azimuth_rad(robot_m), upper_m - lower_m
     toward = np.array([np.cos(TILT) * np.cos(azimuth), np.cos(TILT) * np.sin(azimuth), np.sin(TILT)])
     sides = extent / np.cbrt(extent.prod())

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import copy
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -35,6 +36,16 @@ class Table:
             value = value.get(step, {}) if isinstance(step, str) else value[step]
         return dict(value)
 
+    def replaced(self, content: Mapping[str, Any], without: Sequence[str] = ()) -> Table:
+        """The same place in a document that has `content` there, and lacks the top-level keys `without`."""
+        whole: dict[str, Any] = {key: value for key, value in self.document.content.items() if key not in without}
+        node: Any = whole
+        for step in self.path[:-1]:
+            node[step] = copy.copy(node[step])
+            node = node[step]
+        node[self.path[-1]] = dict(content)
+        return Table(Document(whole, self.document.file), self.path, self.allow_outside)
+
     def to(self, schema: type[T]) -> T:
         """The table as `schema`. Raises InputError for the first thing that does not fit."""
         content = dict(self.content)
@@ -56,16 +67,24 @@ class Table:
         """The file that key `path` of the table names, as `file_inside`."""
         return file_inside(name, self.document, self.allow_outside, *self.path, *path)
 
+    def place(self, name: str, *path: Step) -> Path:
+        """Likewise a file or a folder."""
+        return _inside(name, self.document, self.allow_outside, Path.exists, *self.path, *path)
+
 
 def file_inside(name: str, document: Document, allow_outside: bool, *path: Step) -> Path:
     """The file that key `path` names, relative to the document's folder.
 
     Raises InputError when it lies outside that folder, unless allowed, or does not exist.
     """
+    return _inside(name, document, allow_outside, Path.is_file, *path)
+
+
+def _inside(name: str, document: Document, allow_outside: bool, is_there: Callable[[Path], bool], *path: Step) -> Path:
     folder = Path(document.file or ".").parent
     try:
         inside = (folder / name).resolve().is_relative_to(folder.resolve())
-        exists = (folder / name).is_file()
+        exists = is_there(folder / name)
     except (OSError, ValueError, RuntimeError):  # a NUL in the name, a loop of links, a closed folder
         inside, exists = True, False
     if not (inside or allow_outside):

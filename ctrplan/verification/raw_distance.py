@@ -13,6 +13,7 @@ import numpy as np
 
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shape import Shape
+from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.base.arrays import Array
 
 Signed = Callable[[Array], Array]  # points (K, 3) in an order along a curve -> distances (K,), negative within
@@ -49,7 +50,7 @@ def _signed(shape: Shape) -> Signed:
         return lambda points: np.sqrt(((points - given["center_m"]) ** 2).sum(axis=1)) - given["radius_m"]
     if shape.kind == "capsule":
         return lambda points: _from_segment(points, given["from_m"], given["to_m"]) - given["radius_m"]
-    if shape.kind == "mesh":
+    if isinstance(shape, Mesh) and shape.kind != "surface":  # which has no inside
         return _MeshDistance(given["vertices_m"], given["faces"])
     return shape.distance
 

@@ -14,6 +14,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from ctrplan.anatomy.parts import AnatomyPart
+from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.base.arrays import Array
 from ctrplan.base.units import MM_PER_M
 from ctrplan.errors import InputError
@@ -79,8 +80,9 @@ def _scenario(scenario: Scenario, found: Finding, anatomy: list[dict[str, Any]])
 
 def _part(part: AnatomyPart, mesh_file: str) -> tuple[dict[str, Any], dict[str, bytes]]:
     shape, given = part.shape, vars(part.shape)
-    entry: dict[str, Any] = {"kind": shape.kind, "role": part.role, "margin_mm": part.margin_m * MM_PER_M}
-    if shape.kind == "mesh":
+    kind = "mesh" if shape.kind == "volume" else shape.kind
+    entry: dict[str, Any] = {"kind": kind, "role": part.role, "margin_mm": part.margin_m * MM_PER_M}
+    if isinstance(shape, Mesh):
         stream = io.BytesIO()
         trimesh.Trimesh(given["vertices_m"], given["faces"], process=False).export(stream, file_type="stl")
         return {**entry, "file": mesh_file, "unit": "m"}, {mesh_file: stream.getvalue()}
@@ -131,4 +133,4 @@ def _mm(value: Array | float) -> Any:
 def outputs(scenario: Scenario) -> Iterator[str]:
     """Names of the files of a scene."""
     yield from FILES
-    yield from (f"part_{k}.stl" for k, part in enumerate(scenario.anatomy, start=1) if part.shape.kind == "mesh")
+    yield from (f"part_{k}.stl" for k, part in enumerate(scenario.anatomy, start=1) if isinstance(part.shape, Mesh))

@@ -135,7 +135,7 @@ def test_keys_of_an_obstacle_of_ones_own_are_read_strictly(tmp_path: Path) -> No
         "anatomy.1.radius_mm=1": "radius_mm = 1 mm: does not go with kind = 'box'.",
         "anatomy.1.colour=1": "colour = 1: unknown key, known ones are lower_mm, upper_mm, kind, role, margin_mm.",
         "anatomy.1.upper_mm=[-60, 20, 140]": "upper_mm = [-60, 20, 140]: must exceed lower_mm.",
-        "anatomy.1.kind=cube": "kind = 'cube': must be one of box, capsule, mesh, sphere.",
+        "anatomy.1.kind=cube": "kind = 'cube': must be one of box, capsule, mesh, sphere, surface, volume.",
     }
     found = refusals(tmp_path, "boxed.toml", [[override] for override in rules])
     assert found == [f"boxed.toml: anatomy.1.{rule}" for rule in rules.values()]

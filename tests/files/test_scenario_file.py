@@ -84,7 +84,7 @@ direction_tolerance_deg = 10 ->
 direction_tolerance_deg = 10 -> direction_tolerance_deg = 181
     scenario.toml: goal.direction_tolerance_deg = 181 deg: must be above 0 and at most 180.
 kind = "sphere" -> kind = "cube"
-    scenario.toml: anatomy.1.kind = 'cube': must be one of capsule, mesh, sphere.
+    scenario.toml: anatomy.1.kind = 'cube': must be one of capsule, mesh, sphere, surface, volume.
 kind = "sphere" ->
     scenario.toml: anatomy.1.kind: is missing.
 kind = "sphere" -> kind = "capsule"

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.planning.plan import Plan
 from ctrplan.planning.plan_timing import joints_at, leg_end_s, sample_time_s
 from ctrplan.reports.framing import view_box
+from ctrplan.reports.plan_page.scene import scene_figure
 from ctrplan.reports.plan_scene import goal_tip, plan_scene, tip_path
 from ctrplan.reports.pose import plate, pose
 from ctrplan.reports.tube_ends import end_ring, tube_surface
@@ -122,3 +124,12 @@ def test_a_tube_that_others_hide_has_a_ring_at_its_end(plan: Plan) -> None:
     assert np.linalg.norm(middle.centreline_m[-1] - shown.tubes[1].centreline_m[-1]) < 0.05 * 0.15
     counts = {len(tube_surface(shown, tube, 10).vertices_m) for tube in range(3)}
     assert counts == {len(tube_surface(pose(plan.scenario, plan.legs[0].start), 1, 10).vertices_m)}
+
+
+@pytest.mark.parametrize(("frame", "left", "back"), [("RAS", "L → R", "P → A"), ("LPS", "R → L", "A → P")])
+def test_letters_at_the_axes_say_the_patients_frame(frame: Frame, left: str, back: str, plan: Plan) -> None:
+    scene = plan_scene(replace(plan, scenario=replace(plan.scenario, frame=frame)), 2)
+    axes = scene_figure(scene).layout.scene
+    assert (axes.xaxis.title.text, axes.yaxis.title.text) == (f"x, {left} (mm)", f"y, {back} (mm)")
+    assert axes.zaxis.title.text == "z, I → S (mm)"
+    assert scene_figure(plan_scene(plan, 2)).layout.scene.xaxis.title.text == "x (mm)"

@@ -10,6 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import PartEntry, Shape, register
 from ctrplan.base.arrays import Array, numbers, read_only
 from ctrplan.base.surface import Surface
@@ -23,13 +24,16 @@ Indices = NDArray[np.int64]
 class Mesh(Shape):
     """vertices_m (V, 3), faces (F, 3), closed and turned outward, as `load_mesh` returns them, in the anatomy's frame.
 
-    file: where it came from, for messages. Raises InputError for malformed or non-finite arrays.
+    file: where it came from, for messages. notes: what was repaired. surface_error_m: what thinning moved it by.
+    Raises InputError for malformed or non-finite arrays.
     """
 
     kind = "mesh"
     vertices_m: Array
     faces: Indices
     file: str | None = None
+    notes: tuple[str, ...] = ()
+    surface_error_m: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "vertices_m", _points("vertices_m", self.vertices_m))
@@ -62,12 +66,16 @@ class MeshEntry(PartEntry):
 
     file: str
     unit: Literal["mm", "cm", "m"]
+    frame: Frame | None = None
+    group: str | None = None
+    repair: Literal["off", "holes", "caps"] = "holes"
 
     def shape(self, table: Table) -> Mesh:
-        from ctrplan.anatomy.mesh_file import load_mesh  # slow to import; many scenarios need no meshes
+        from ctrplan.anatomy.surface_file import read_body  # slow to import; many scenarios need no meshes
 
-        file, key = str(table.file(self.file, "file")), table.key("file")
-        return Mesh(*load_mesh(file, self.unit, file=table.document.file, key=key), file)
+        file = table.file(self.file, "file")
+        body = read_body(table, file, self.unit, self.frame, self.group, self.repair)
+        return Mesh(body.vertices_m, body.faces, str(file), body.notes, body.error_m)
 
 
 class _MeshDistance:

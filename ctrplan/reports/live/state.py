@@ -20,7 +20,7 @@ from ctrplan.reports.live.clearances import clearances_mm
 from ctrplan.reports.live.picked_tip import picked_tip
 from ctrplan.reports.live.standing import Standings
 from ctrplan.reports.plan_words.worst_miss import WorstMiss
-from ctrplan.reports.pose import Pose, plate, pose, to_anatomy
+from ctrplan.reports.pose import Pose, pose, stand, to_anatomy
 from ctrplan.reports.scene_traces import anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces, xyz
 from ctrplan.reports.surface import Surface, anatomy_surface
 
@@ -70,12 +70,12 @@ class LiveState:
 
         scenario = self.scenario
         surfaces = [anatomy_surface(part) for part in scenario.anatomy]
-        still = [mesh_trace(_stand(scenario), looks.PLATE.colour, 1.0, looks.PLATE.name)]
+        still = [mesh_trace(stand(scenario), looks.PLATE.colour, 1.0, looks.PLATE.name)]
         anatomy = anatomy_traces(scenario, surfaces)
         figure = go.Figure([*robot_traces(pose(scenario, scenario.start)), *still, *self._target(), *anatomy])
         reach = self._reach(surfaces)
         solid = np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface in surfaces)])
-        lay_out(figure, *view_box(reach, solid), reach)
+        lay_out(figure, *view_box(reach, solid), reach, scenario.frame)
         return figure
 
     def _target(self) -> list[Any]:
@@ -179,7 +179,7 @@ class LiveState:
 
     def _moved(self, shown: Pose, scenario: Scenario) -> list[Any]:
         """What of the figure changes: its first traces, the plate last."""
-        return [*moved_traces(shown), xyz(_stand(scenario).vertices_m)]
+        return [*moved_traces(shown), xyz(stand(scenario).vertices_m)]
 
     def _vertices(self, trace: Any) -> dict[str, list[float | None]]:
         return {axis: _rounded(np.asarray(trace[axis], dtype=np.float64), 3) for axis in "xyz"}
@@ -192,8 +192,3 @@ def _rounded(values: Array, digits: int) -> list[float | None]:
 
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
-
-
-def _stand(scenario: Scenario) -> Surface:
-    """What moves with the base."""
-    return plate(scenario).surface(32)

@@ -14,7 +14,7 @@ from ctrplan.reports.framing import view_box
 from ctrplan.reports.plan_page.narrowest import narrowest_traces
 from ctrplan.reports.plan_scene import PlanScene, goal_tip, tip_path
 from ctrplan.reports.plan_words.numbers import millimetres
-from ctrplan.reports.pose import plate
+from ctrplan.reports.pose import stand
 from ctrplan.reports.scene_traces import SIDES, anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces, xyz
 from ctrplan.reports.surface import Surface, anatomy_surface, capsule, thinned
 from ctrplan.reports.swept_space import swept_surface
@@ -41,7 +41,8 @@ def scene_figure(scene: PlanScene) -> go.Figure:
         for step, name in zip(path, names, strict=True)
     ]
     points = np.concatenate([step.envelope.surface(4).vertices_m for step in path] + [goal_tip(plan)[None]])
-    lay_out(figure, *view_box(points, np.concatenate([np.empty((0, 3)), *(s.vertices_m for s in anatomy)])), points)
+    solid = np.concatenate([np.empty((0, 3)), *(s.vertices_m for s in anatomy)])
+    lay_out(figure, *view_box(points, solid), points, plan.scenario.frame)
     return figure
 
 
@@ -52,7 +53,7 @@ def _still(scene: PlanScene, anatomy: list[Surface]) -> list[Any]:
         mesh_trace(rod.surface(SIDES), looks.AT_GOAL.colour, 1.0, looks.AT_GOAL.name, shown=i == 0)
         for i, rod in enumerate(slim)
     ]
-    disc = mesh_trace(plate(scenario).surface(32), looks.PLATE.colour, 1.0, looks.PLATE.name)
+    disc = mesh_trace(stand(scenario), looks.PLATE.colour, 1.0, looks.PLATE.name)
     narrow = narrowest_traces(scene.narrowest) if scene.narrowest else []
     return [*ghost, disc, _tip_path(plan), *_goal(plan), *narrow, *anatomy_traces(scenario, anatomy)]
 

@@ -12,13 +12,14 @@ from matplotlib.patches import Patch
 from mpl_toolkits.mplot3d import proj3d
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
+from ctrplan.anatomy.patient_frame import Frame, axis_label
 from ctrplan.base.arrays import Array
 from ctrplan.reports import palette
 from ctrplan.reports import scene_looks as looks
 from ctrplan.reports.framing import side_azimuth_rad, view_box
 from ctrplan.reports.plan_scene import goal_tip, tip_path
 from ctrplan.reports.plan_words.numbers import millimetres
-from ctrplan.reports.pose import Pose, plate
+from ctrplan.reports.pose import Pose, stand
 from ctrplan.reports.surface import Surface, anatomy_surface
 from ctrplan.reports.tube_ends import end_ring
 
@@ -39,10 +40,11 @@ def draw_scene(ax: Axes3D, scene: PlanScene) -> None:
     anatomy = [(anatomy_surface(part, TRIANGLES), looks.ANATOMY[part.role].colour) for part in plan.scenario.anatomy]
     path_mm, goal_mm = tip_path(plan) * 1e3, goal_tip(plan) * 1e3
     points = np.concatenate([*(_points(p) for p in (start, goal)), path_mm * 1e-3, goal_mm[None] * 1e-3])
-    _frame(ax, points, np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface, _ in anatomy)]))
+    solid = np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface, _ in anatomy)])
+    _frame(ax, points, solid, plan.scenario.frame)
     for surface, colour in anatomy:
         _draw_surface(ax, surface, colour, 0.22, 1)
-    _draw_surface(ax, plate(plan.scenario).surface(32), looks.PLATE.colour, 0.9, 1)
+    _draw_surface(ax, stand(plan.scenario), looks.PLATE.colour, 0.9, 1)
     _draw_robot(ax, start, 2, [looks.START.colour] * len(start.tubes))
     _draw_surface(ax, goal.envelope.surface(14), looks.ENVELOPE.colour, 0.16, 3)
     for corner in goal.corners_m * 1e3:
@@ -59,17 +61,17 @@ def _points(pose: Pose) -> Array:
     return np.concatenate([pose.envelope.surface(8).vertices_m, *(rod.centreline_m for rod in pose.tubes)])
 
 
-def _frame(ax: Axes3D, points_m: Array, anatomy_m: Array) -> None:
-    """Equal scales, seen from where the robot spreads widest."""
+def _frame(ax: Axes3D, points_m: Array, anatomy_m: Array, frame: Frame | None) -> None:
+    """Equal scales, seen from where the robot spreads widest; letters of the patient's frame at the axes."""
     lower, upper = (corner * 1e3 for corner in view_box(points_m, anatomy_m))
     ax.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), zlim=(lower[2], upper[2]))
     ax.set_box_aspect(tuple(upper - lower), zoom=1.04)
     ax.set_proj_type("ortho")
     ax.view_init(elev=ELEVATION_DEG, azim=float(np.degrees(side_azimuth_rad(points_m))))
-    for axis, name in zip((ax.xaxis, ax.yaxis, ax.zaxis), "xyz", strict=True):
+    for k, axis in enumerate((ax.xaxis, ax.yaxis, ax.zaxis)):
         axis.set_pane_color((0.975, 0.98, 0.985, 1.0))
         axis.set_tick_params(labelsize=9, colors=palette.MUTED)
-        axis.set_label_text(f"{name} (mm)")
+        axis.set_label_text(f"{axis_label(k, frame)} (mm)")
     ax.locator_params(nbins=6)
 
 

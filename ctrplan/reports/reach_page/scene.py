@@ -15,7 +15,7 @@ from ctrplan.planning.scenario import Scenario
 from ctrplan.reports import palette
 from ctrplan.reports import scene_looks as looks
 from ctrplan.reports.framing import view_box
-from ctrplan.reports.pose import Pose, plate, pose, to_anatomy
+from ctrplan.reports.pose import Pose, pose, stand, to_anatomy
 from ctrplan.reports.scene_traces import anatomy_traces, lay_out, mesh_trace, xyz
 from ctrplan.reports.surface import anatomy_surface
 
@@ -47,7 +47,7 @@ def reach_scene(scenario: Scenario, found: Reach, branches: list[int]) -> ReachS
 def reach_figure(scene: ReachScene) -> go.Figure:
     """All these robots at once, each in its branch's colour with its envelope."""
     surfaces = [anatomy_surface(part) for part in scene.scenario.anatomy]
-    traces = [mesh_trace(plate(scene.scenario).surface(32), looks.PLATE.colour, 1.0, looks.PLATE.name)]
+    traces = [mesh_trace(stand(scene.scenario), looks.PLATE.colour, 1.0, looks.PLATE.name)]
     for branch, shown in scene.poses:
         colour, name = palette.SERIES[branch], f"branch {branch + 1}"
         for tube, rod in enumerate(shown.tubes):
@@ -59,5 +59,5 @@ def reach_figure(scene: ReachScene) -> go.Figure:
     robots = [shown.envelope.surface(4).vertices_m for _, shown in scene.poses]
     points = np.concatenate([*robots, scene.target_m[None], to_anatomy(scene.scenario, np.zeros((1, 3)))])
     solid = np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface in surfaces)])
-    lay_out(figure, *view_box(points, solid), points)
+    lay_out(figure, *view_box(points, solid), points, scene.scenario.frame)
     return figure

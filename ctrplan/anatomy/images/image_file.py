@@ -1,0 +1,116 @@
+"""Reading a volume from a NIfTI, NRRD, MHA or MHD file: checked, or refused in one sentence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.anatomy.images.header import Header, check_gzip, read_header
+from ctrplan.anatomy.images.image import Image, ImageRefusal
+from ctrplan.anatomy.images.segments import segments_of
+from ctrplan.anatomy.images.simpleitk import quiet, reason, simpleitk
+from ctrplan.anatomy.patient_frame import TURNED
+from ctrplan.base.arrays import Array
+
+SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
+MOST_BYTES = 2_000_000_000
+SMALLEST_M, LARGEST_M = 1e-3, 4.0  # from the first to the last voxel
+FINEST_M, COARSEST_M = 1e-6, 50e-3
+SKEW = 1e-3
+VOXEL_BYTES = {"8": 1, "16": 2, "32": 4, "64": 8}
+
+
+def is_image(path: Path) -> bool:
+    """Whether the name is that of a volume."""
+    return path.name.lower().endswith(SUFFIXES)
+
+
+def read_image(path: Path) -> Image:
+    """The volume. Raises ImageRefusal."""
+    sitk, header = simpleitk(), read_header(path)
+    reader = sitk.ImageFileReader()
+    reader.SetFileName(str(path))
+    try:
+        reader.ReadImageInformation()
+    except RuntimeError as error:
+        raise ImageRefusal(f"can't be read: {reason(error)}") from error
+    names = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys()}
+    segments = segments_of(names)
+    _check_kind(sitk, reader, bool(segments))
+    check_gzip(path)
+    try:
+        with quiet():
+            read = reader.Execute()
+        return checked(sitk, read, header, segments)
+    except RuntimeError as error:
+        raise ImageRefusal(f"is damaged or cut short: {reason(error)}") from error
+
+
+def _check_kind(sitk: Any, reader: Any, is_segmentation: bool) -> None:
+    size, pixel = reader.GetSize(), sitk.GetPixelIDValueAsString(reader.GetPixelID())
+    if len(size) != 3:
+        shown = " x ".join(map(str, size))
+        what = f"is a time series of {size[3]} volumes, {shown}" if len(size) == 4 else f"is no volume: {shown} voxels"
+        raise ImageRefusal(f"{what}: must be one volume of three dimensions")
+    if reader.GetNumberOfComponents() > 1 and not is_segmentation:
+        raise ImageRefusal(f"has {reader.GetNumberOfComponents()} values a voxel (colour?): must have one")
+    if "complex" in pixel:
+        raise ImageRefusal("has complex values: must have real ones")
+    check_bytes(size, reader.GetNumberOfComponents() * _bytes(pixel))
+
+
+def check_bytes(size: tuple[int, ...], voxel_bytes: int) -> None:
+    """Raises ImageRefusal for more than MOST_BYTES of voxels."""
+    total = float(np.prod(size, dtype=float)) * voxel_bytes
+    if total > MOST_BYTES:
+        shown = " x ".join(map(str, size))
+        rule = f"crop it to the structure and what the robot reaches, at most {MOST_BYTES / 1e9:g} GB"
+        raise ImageRefusal(f"holds {shown} voxels, {total / 1e9:.3g} GB: {rule}")
+
+
+def _bytes(pixel: str) -> int:
+    return next((count for bits, count in VOXEL_BYTES.items() if pixel.split("-")[0].split(" ")[0] == bits), 4)
+
+
+def checked(sitk: Any, image: Any, header: Header, segments: tuple[Any, ...] = ()) -> Image:
+    """SimpleITK's image as ours. Raises ImageRefusal for places or values that are none."""
+    direction, spacing = np.array(image.GetDirection()).reshape(3, 3), np.array(image.GetSpacing()) * 1e-3
+    if not (np.isfinite(direction).all() and np.abs(direction.T @ direction - np.eye(3)).max() <= SKEW):
+        raise ImageRefusal("has axes that are not at right angles: resample it to a straight grid")
+    origin = np.array(image.GetOrigin()) * 1e-3
+    if not (np.isfinite(spacing).all() and np.isfinite(origin).all()):
+        raise ImageRefusal("has a spacing or an origin that is not finite")
+    voxels: NDArray[Any] = sitk.GetArrayFromImage(image)
+    if header.frame == "RAS":  # the reader turns everything to LPS
+        origin, direction = TURNED * origin, TURNED[:, None] * direction
+    found = Image(voxels, spacing, origin, direction, header.frame, segments)
+    _check_place(found, header.corners_mm)
+    _check_size(found)
+    if voxels.dtype.kind == "f" and (bad := int(np.count_nonzero(~np.isfinite(voxels)))):
+        raise ImageRefusal(f"has {bad} voxels that are NaN or infinite: all must be finite")
+    return found
+
+
+def _check_place(image: Image, corners_mm: Array | None) -> None:
+    """Two readings of one header have to agree, so that no convention of either flips the patient."""
+    if corners_mm is None:
+        return
+    last = np.array([[0, 0, 0], image.size], dtype=float) - [[0, 0, 0], [1, 1, 1]]
+    apart = float(np.abs(image.place_m(last) * 1e3 - corners_mm).max())
+    if apart > max(0.05, 1e-4 * float(np.ptp(corners_mm))):
+        raise ImageRefusal(f"says places that two readings understand {apart:.3g} mm apart: save it with one affine")
+
+
+def _check_size(image: Image) -> None:
+    extent = float((image.spacing_m * image.size).max())
+    if not FINEST_M <= image.spacing_m.min() <= image.spacing_m.max() <= COARSEST_M:
+        spacing = " x ".join(f"{s * 1e3:.3g}" for s in image.spacing_m)
+        raise ImageRefusal(f"has voxels of {spacing} mm: must be {FINEST_M * 1e3:g} to {COARSEST_M * 1e3:g} mm wide")
+    if not SMALLEST_M <= extent <= LARGEST_M:
+        hint = "metres in a file of millimetres?" if extent < SMALLEST_M else "micrometres?"
+        raise ImageRefusal(
+            f"is {extent * 1e3:.3g} mm across: must be {SMALLEST_M * 1e3:g} mm to {LARGEST_M:g} m ({hint})"
+        )

@@ -1,0 +1,53 @@
+"""A sheet to keep away from: a wall, a membrane, a surface with neither inside nor outside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from ctrplan.anatomy.patient_frame import Frame
+from ctrplan.anatomy.shape import PartEntry, register
+from ctrplan.anatomy.shapes.mesh import Mesh
+from ctrplan.base.arrays import Array
+from ctrplan.storage.toml_table import Table
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet(Mesh):
+    """vertices_m (V, 3), faces (F, 3) of an open surface; distances to it are never negative."""
+
+    kind = "surface"
+
+    def distance(self, points_m: Array) -> Array:
+        if self not in _trees:
+            import igl
+
+            _trees[self] = igl.AABB()
+            _trees[self].init(self.vertices_m, self.faces)
+        squared = _trees[self].squared_distance(self.vertices_m, self.faces, np.ascontiguousarray(points_m))[0]
+        return np.asarray(np.sqrt(np.asarray(squared)))
+
+
+@register(Sheet)
+class SheetEntry(PartEntry):
+    """kind = "surface"."""
+
+    file: str
+    unit: Literal["mm", "cm", "m"]
+    frame: Frame | None = None
+    group: str | None = None
+
+    def shape(self, table: Table) -> Sheet:
+        from ctrplan.anatomy.surface_file import read_sheet  # slow to import; many scenarios need no meshes
+
+        if self.role != "avoid":
+            raise table.fault("must be 'avoid': a sheet has no inside", "role")
+        file = table.file(self.file, "file")
+        found = read_sheet(table, file, self.unit, self.frame, self.group)
+        return Sheet(found.vertices_m, found.faces, str(file), found.notes, found.error_m)
+
+
+_trees: WeakKeyDictionary[Sheet, Any] = WeakKeyDictionary()  # cannot be pickled with it
