@@ -16,6 +16,7 @@
 #include "ctr/history.hpp"
 #include "progress.hpp"
 #include "random_robot.hpp"
+#include "residuals.hpp"
 
 namespace {
 
@@ -119,12 +120,7 @@ void check(int seed, Tally& tally) {
     const ctr::Status status = solver.all_converged() ? solver.status() : solver.overtwisted() ? ctr::Status::overtwisted : ctr::Status::failed;
     ++tally.status[kind][n][static_cast<int>(status)];
     if (!solver.all_converged()) return report(seed, n, kind, solver);
-    const double tolerance = solver.solver().tolerance();
-    const ctr::KernelProblem& mesh = solver.solver().mesh().problem();
-    const bool coarse = *std::min_element(mesh.length, mesh.length + mesh.elements) > 2e-4;
-    expect(tolerance == 1e-8 || (!coarse && tolerance <= 1e-6), "residual below 1e-8 where no element is short", seed);
-    expect(solver.frictionless().residual < tolerance, "residual reached without friction", seed);
-    for (int k = 0; k < solver.corners(); ++k) expect(solver.corner(k).residual < tolerance, "residual reached in a corner", seed);
+    tests::expect_residuals(solver, seed);
     if (n == 1) expect(solver.position == 0, "one tube has no friction error", seed);
     if (kind == ordinary && n <= 4) walk(seed, made, random, tally);
     if (status != ctr::Status::converged || kind != ordinary || n > 4) return;
