@@ -48,7 +48,7 @@ def add_parser(commands: Any) -> None:
 
 def run_export(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises InputError for what is no plan, and without a frame."""
-    from ctrplan.files.slicer.patient_frame import patient_frame
+    from ctrplan.files.slicer.slicer_space import patient_frame
     from ctrplan.reports.slicer_case.files import SCENE, case_files
 
     plan = read_plan(arguments)

@@ -80,7 +80,7 @@ def _sending(arguments: argparse.Namespace, state: LiveState) -> AbstractContext
     """Sends every pose that is shown, the start first, if that was asked for."""
     if arguments.igtl is None:
         return nullcontext()
-    from ctrplan.files.slicer.patient_frame import patient_frame
+    from ctrplan.files.slicer.slicer_space import patient_frame
     from ctrplan.reports.openigtlink.broadcast import Broadcast
     from ctrplan.reports.openigtlink.messages import pose_messages, pyigtl
 

@@ -16,13 +16,14 @@ import trimesh
 from jsonschema import validate
 from scipy.spatial.transform import Rotation
 
+from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
 from ctrplan.files.slicer.itk_transform import itk_transform_text
 from ctrplan.files.slicer.markups import markups_text
 from ctrplan.files.slicer.model_sequence import model_sequence
-from ctrplan.files.slicer.patient_frame import Frame, patient_frame
 from ctrplan.files.slicer.ply_model import ply_model
+from ctrplan.files.slicer.slicer_space import patient_frame
 from ctrplan.planning.scenario import Scenario
 
 # Nothing of it looks the same from another side. In the patient: P is 10 mm left of the origin, 20 behind, 30 above.

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.base.arrays import Array
-from ctrplan.files.slicer.patient_frame import Frame, lps_mm, to_lps
+from ctrplan.files.slicer.slicer_space import lps_mm, to_lps
 
 
 def itk_transform_text(position_m: Array, R: Array, frame: Frame) -> str:

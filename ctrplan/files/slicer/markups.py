@@ -8,9 +8,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.base.arrays import Array
 from ctrplan.files.slicer.colour import rgb
-from ctrplan.files.slicer.patient_frame import SPACE, Frame, lps_mm
+from ctrplan.files.slicer.slicer_space import SPACE, lps_mm
 
 SCHEMA = (
     "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"

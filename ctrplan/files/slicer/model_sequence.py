@@ -6,9 +6,9 @@ import io
 import zipfile
 from collections.abc import Iterator, Sequence
 
+from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.base.surface import Surface
 from ctrplan.files.slicer.mrml import Node, model_nodes, scene_text
-from ctrplan.files.slicer.patient_frame import Frame
 from ctrplan.files.slicer.ply_model import ply_model
 
 MADE = (1980, 1, 1, 0, 0, 0)  # the same plan makes the same file

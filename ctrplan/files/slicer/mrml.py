@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from xml.sax.saxutils import quoteattr
 
 from ctrplan.files.slicer.colour import rgb
-from ctrplan.files.slicer.patient_frame import SPACE
+from ctrplan.files.slicer.slicer_space import SPACE
 
 
 @dataclass(frozen=True)

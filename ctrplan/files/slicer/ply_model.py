@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.base.surface import Surface
-from ctrplan.files.slicer.patient_frame import SPACE, Frame, lps_mm
+from ctrplan.files.slicer.slicer_space import SPACE, lps_mm
 
 FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 

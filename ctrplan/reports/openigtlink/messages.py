@@ -6,10 +6,10 @@ from types import ModuleType
 
 import numpy as np
 
+from ctrplan.anatomy.patient_frame import Frame, signs
 from ctrplan.base.arrays import Array
 from ctrplan.base.units import MM_PER_M
 from ctrplan.errors import InputError
-from ctrplan.files.slicer.patient_frame import HALF_TURN, Frame
 from ctrplan.reports.pose import Pose
 from ctrplan.sensor.poses import frames_along
 
@@ -46,7 +46,7 @@ def tip_messages(position_m: Array, tangent: Array, frame: Frame = ROBOT_FRAME) 
 
 def to_ras(frame: Frame) -> Array:
     """(3, 3) maps vectors of the anatomy's frame to RAS."""
-    return np.eye(3) if frame == "RAS" else HALF_TURN
+    return np.diag(signs(frame, "RAS"))
 
 
 def _transform(name: str, position_m: Array, R: Array, frame: Frame) -> bytes:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.reports import scene_looks as looks
-from ctrplan.reports.pose import Pose, plate
+from ctrplan.reports.pose import Pose, stand
 from ctrplan.reports.render.body import Body
 from ctrplan.reports.surface import Rod, anatomy_surface, capsule
 from ctrplan.reports.written_motion import WrittenMotion
@@ -57,7 +57,7 @@ def _marks(motion: WrittenMotion, inside: bool) -> Iterator[Body]:
     if inside:
         return
     length = _length(motion)
-    yield Body(plate(motion.scenario).surface(48), rgb(looks.PLATE.colour))
+    yield Body(stand(motion.scenario), rgb(looks.PLATE.colour))
     line = _beads(motion.tip_m, LINE_M)
     if len(line) > 1:
         tangent = np.gradient(line, axis=0)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.base.arrays import Array
 from ctrplan.files.slicer.itk_transform import itk_transform_text
 from ctrplan.files.slicer.markups import MarkupType, markups_text
 from ctrplan.files.slicer.model_sequence import browser_node, model_sequence, sequence_node
 from ctrplan.files.slicer.mrml import Node, markup_nodes, model_nodes, scene_text, storage_node
-from ctrplan.files.slicer.patient_frame import Frame
 from ctrplan.files.slicer.ply_model import ply_model
 from ctrplan.reports import scene_looks as looks
 from ctrplan.reports.plan_words.numbers import millimetres
-from ctrplan.reports.pose import plate
+from ctrplan.reports.pose import stand
 from ctrplan.reports.surface import Surface
 from ctrplan.reports.swept_space import swept_surface
 from ctrplan.reports.written_motion import WrittenMotion
@@ -84,7 +84,7 @@ def _anatomy(case: _Case, motion: WrittenMotion) -> None:
     for k, part in enumerate(motion.scenario.anatomy, start=1):
         name = f"anatomy {k}: {part.shape.name}, {looks.ANATOMY[part.role].name}"
         case.model(f"anatomy_{k}.ply", name, part.shape.surface(), looks.ANATOMY[part.role].colour, OPACITY[part.role])
-    case.model("plate.ply", looks.PLATE.name, plate(motion.scenario).surface(32), looks.PLATE.colour)
+    case.model("plate.ply", looks.PLATE.name, stand(motion.scenario), looks.PLATE.colour)
 
 
 def _robot(case: _Case, motion: WrittenMotion) -> None:
