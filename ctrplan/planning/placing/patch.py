@@ -1,0 +1,92 @@
+"""Base poses to try: positions on a patch or along an opening, directions in a cone about the way to the targets."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ctrplan.base.arrays import Array
+from ctrplan.base.directions import shortest_rotation, unit
+
+if TYPE_CHECKING:
+    from ctrplan.planning.scenario import Scenario
+
+AT_ONCE = 64  # poses that are drawn together, a power of two as Sobol' sequences like them
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """The robot's frame in the anatomy's."""
+
+    position_m: Array  # (3,)
+    R: Array  # (3, 3)
+
+    @property
+    def direction(self) -> Array:
+        """(3,) of the z axis, along which the tubes leave the plate."""
+        return np.asarray(self.R[:, 2])
+
+    def into_robot(self, points_m: Array) -> Array:
+        """Points (..., 3) of the anatomy's frame in the robot's."""
+        return np.asarray((points_m - self.position_m) @ self.R)
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """A disc across the way to the targets, or what it sweeps along an opening, and a cone of directions."""
+
+    center_m: Array  # (3,)
+    along_m: Array | None  # (3,) the other end of an opening
+    radius_m: float
+    cone_rad: float
+    aim_m: Array  # (3,) middle of the targets
+    upright: Array  # (3, 3) base rotation from which others are the shortest turn
+    rolls: bool  # whether tubes can't all turn together, so that it matters how the base is rolled
+
+    def poses(self, seed: int) -> Iterator[Pose]:
+        """Endless, spread evenly (Sobol' points), the same for the same seed."""
+        from scipy.stats import qmc  # slow to import
+
+        points = qmc.Sobol(6, seed=np.random.default_rng(seed))
+        while True:
+            for share in points.random(AT_ONCE):
+                yield self._pose(*share.tolist())
+
+    def _pose(self, out: float, around: float, tilt: float, side: float, along: float, roll: float) -> Pose:
+        """From six numbers in [0, 1): place on the disc, direction in the cone, place along the opening, roll."""
+        position = self.center_m.copy()
+        if self.along_m is not None:
+            position += along * (self.along_m - self.center_m)
+        across = shortest_rotation(_way(self.aim_m - position, self.upright))[:, :2]
+        position += self.radius_m * math.sqrt(out) * across @ _on_circle(around)
+        cosine = 1 - tilt * (1 - math.cos(self.cone_rad))  # all directions of the cone alike
+        leaning = np.append(math.sqrt(max(0.0, 1 - cosine**2)) * _on_circle(side), cosine)
+        way = shortest_rotation(_way(self.aim_m - position, self.upright))
+        turned = looking(self.upright, way @ leaning)
+        if self.rolls:
+            turned = turned @ Rotation.from_euler("z", 2 * math.pi * roll).as_matrix()
+        return Pose(position, turned)
+
+
+def looking(upright: Array, direction: Array) -> Array:
+    """(3, 3) the base rotation `upright` after the shortest turn of its z axis to a direction (3,)."""
+    return np.asarray(upright @ shortest_rotation(upright.T @ direction))
+
+
+def own_pose(scenario: Scenario) -> Pose:
+    """Where the scenario's robot stands."""
+    return Pose(scenario.base_position_m, scenario.base_R)
+
+
+def _way(away: Array, upright: Array) -> Array:
+    """(3,) unit vector; where there is no way to go, the base's own axis."""
+    return unit(away) if np.any(away) else np.asarray(upright[:, 2])
+
+
+def _on_circle(share: float) -> Array:
+    return np.array([math.cos(2 * math.pi * share), math.sin(2 * math.pi * share)])
