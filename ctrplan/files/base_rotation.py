@@ -1,4 +1,4 @@
-"""Which way the base of a scenario file looks: a quaternion, the direction of its z axis, or a point that it looks at."""
+"""Which way the base of a scenario file looks: a quaternion, the direction of its z axis, or a point on it."""
 
 from __future__ import annotations
 

@@ -57,12 +57,12 @@ quaternion_wxyz = [0.7071067811865476, 0, 0, 0.7071067811865476] -> direction = 
 quaternion_wxyz = [0.7071067811865476, 0, 0, 0.7071067811865476] -> look_at = [1, 2, 3]
     scenario.toml: base.look_at = [1, 2, 3]: must not be the base's own position_mm.
 quaternion_wxyz = [0.7071067811865476, 0, 0, 0.7071067811865476] -> direction = [0, 1]
-    scenario.toml: base.direction = [0, 1]: must have 3 entries.
+    scenario.toml: base.direction = [0, 1]: must be a list of length 3.
 quaternion_wxyz = [0.7071067811865476, 0, 0, 0.7071067811865476] -> direction = [0, 0, 1]\nlook_at = [1, 2, 9]
     scenario.toml: base: must have only one of quaternion_wxyz, direction, look_at, has direction and look_at.
-quaternion_wxyz = [0.7071067811865476, 0, 0, 0.7071067811865476] -> quaternion_wxyz = [0.7071067811865476, 0, 0, 0.7071067811865476]\ndirection = [0, 0, 1]
+position_mm = [1, 2, 3] -> position_mm = [1, 2, 3]\ndirection = [0, 0, 1]
     scenario.toml: base: must have only one of quaternion_wxyz, direction, look_at, has quaternion_wxyz and direction.
-quaternion_wxyz = [0.7071067811865476, 0, 0, 0.7071067811865476] -> quaternion_wxyz = [0.7071067811865476, 0, 0, 0.7071067811865476]\nroll_deg = 5
+position_mm = [1, 2, 3] -> position_mm = [1, 2, 3]\nroll_deg = 5
     scenario.toml: base.roll_deg = 5 deg: goes with direction or look_at.
 "rotate middle" = 90 ->
     scenario.toml: start.rotate middle: is missing, every joint needs a value (in deg).

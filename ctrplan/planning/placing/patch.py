@@ -12,10 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from ctrplan.base.arrays import Array
 from ctrplan.base.directions import shortest_rotation, unit
+from ctrplan.base.units import MM_PER_M
 
 if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario
 
+DIGITS, MM_DIGITS = 12, 6  # of a quaternion and of mm in files
 AT_ONCE = 64  # poses that are drawn together, a power of two as Sobol' sequences like them
 
 
@@ -30,6 +32,11 @@ class Pose:
     def direction(self) -> Array:
         """(3,) of the z axis, along which the tubes leave the plate."""
         return np.asarray(self.R[:, 2])
+
+    @property
+    def quaternion_wxyz(self) -> Array:
+        """(4,) of norm 1, w not negative."""
+        return np.roll(Rotation.from_matrix(self.R).as_quat(canonical=True), 1)
 
     def into_robot(self, points_m: Array) -> Array:
         """Points (..., 3) of the anatomy's frame in the robot's."""
@@ -70,7 +77,14 @@ class Patch:
         turned = looking(self.upright, way @ leaning)
         if self.rolls:
             turned = turned @ Rotation.from_euler("z", 2 * math.pi * roll).as_matrix()
-        return Pose(position, turned)
+        return as_written(Pose(position, turned))
+
+
+def as_written(pose: Pose) -> Pose:
+    """The pose in as many digits as a file is given, so that reading it back gives the same."""
+    quaternion = np.roll(np.round(pose.quaternion_wxyz, DIGITS), -1)
+    position_mm = np.round(pose.position_m * MM_PER_M, MM_DIGITS)
+    return Pose(np.multiply(position_mm, 1e-3), np.asarray(Rotation.from_quat(quaternion).as_matrix()))
 
 
 def looking(upright: Array, direction: Array) -> Array:
