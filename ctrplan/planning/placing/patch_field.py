@@ -22,7 +22,7 @@ def patch_field(scenario: Scenario, patch: Patch) -> SignedDistanceField | None:
     if not scenario.anatomy:
         return None
     reach = max(tube.length_m for tube in scenario.robot.tubes) + scenario.robot.tubes[0].outer_diameter_m
-    ends = [scenario.base_position_m, patch.center_m, *([] if patch.along_m is None else [patch.along_m])]
+    ends = [patch.center_m, *([] if patch.along_m is None else [patch.along_m])]
     middle = np.mean(ends, axis=0)
     far = reach + patch.radius_m + max(float(np.linalg.norm(end - middle)) for end in ends)
     lower, upper = _around(scenario, middle, far)

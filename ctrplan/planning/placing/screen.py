@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ctrplan.anatomy.distance_field import SignedDistanceField
 from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.base.arrays import Array
 from ctrplan.planning.goals.inverse_kinematics import TipSolver, TipTarget, angle_to
@@ -62,16 +64,21 @@ class Screen:
 
     def __init__(self, scenario: Scenario, patch: Patch, rng: np.random.Generator) -> None:
         """Draws the robot's configurations."""
-        self.scenario, self.targets = scenario, scenario.targets
+        self.scenario, self.patch, self.targets = scenario, patch, scenario.targets
         self.wanted_m = np.array([goal.tip_m for goal in self.targets])
         self.tolerance_m = np.array([goal.tolerance_m for goal in self.targets])
         self.solver = TipSolver(JointSpace.of(scenario), scenario.robot.mechanics)
-        self.limits, self.grid = search_limits(scenario, 0.0), patch_field(scenario, patch)
+        self.limits = search_limits(scenario, 0.0)
         q = self.solver.space.sample(rng, SAMPLES)
         tip, _ = self.solver.tips(q)
         solved = ~np.isnan(tip).any(axis=1)
         self.q = q[solved]
         self.tips = cKDTree(self._reduced(tip[solved]))
+
+    @cached_property
+    def grid(self) -> SignedDistanceField | None:
+        """The anatomy as all poses see it; built when the first of them could reach a target."""
+        return patch_field(self.scenario, self.patch)
 
     def is_clear(self, pose: Pose) -> bool:
         """Whether tubes can leave the plate there, some target is within reach, and the start is valid."""
