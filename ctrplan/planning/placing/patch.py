@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import count
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +19,9 @@ if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario
 
 DIGITS, MM_DIGITS = 12, 6  # of a quaternion and of mm in files
-AT_ONCE = 64  # poses that are drawn together, a power of two as Sobol' sequences like them
+# A Kronecker sequence: numbers whose multiples, modulo 1, fill the cube of six dimensions evenly. They are powers of the
+# inverse of the root of x^7 = x + 1, the golden ratio's like in six dimensions.
+STEPS = 1.1127756842787055 ** -np.arange(1.0, 7.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,13 +59,10 @@ class Patch:
     rolls: bool  # whether tubes can't all turn together, so that it matters how the base is rolled
 
     def poses(self, seed: int) -> Iterator[Pose]:
-        """Endless, spread evenly (Sobol' points), the same for the same seed."""
-        from scipy.stats import qmc  # slow to import
-
-        points = qmc.Sobol(6, seed=np.random.default_rng(seed))
-        while True:
-            for share in points.random(AT_ONCE):
-                yield self._pose(*share.tolist())
+        """Endless, spread evenly, the same for the same seed."""
+        shift = np.random.default_rng(seed).random(len(STEPS))
+        for k in count():
+            yield self._pose(*np.mod(shift + k * STEPS, 1.0).tolist())
 
     def _pose(self, out: float, around: float, tilt: float, side: float, along: float, roll: float) -> Pose:
         """From six numbers in [0, 1): place on the disc, direction in the cone, place along the opening, roll."""
