@@ -127,7 +127,7 @@ def _metres(point_mm: list[float] | None) -> list[float] | None:
 def _picked(arguments: argparse.Namespace, scenario: Scenario, found: Placement) -> BasePose:
     if arguments.pick > len(found.poses):
         raise InputError(f"there are {len(found.poses)} poses", key="--pick", value=arguments.pick)
-    pose = found.poses[arguments.pick - 1]
+    pose: BasePose = found.poses[arguments.pick - 1]
     if not pose.reached:
         raise NoAnswerError(f"{scenario.path}: base pose {arguments.pick} reaches no target: {pose.reason}.")
     return pose

@@ -12,7 +12,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.planning.goals.branches import Configuration, reach
 from ctrplan.planning.goals.goal_state import tip_target
 from ctrplan.planning.motion import MotionChecker
-from ctrplan.planning.placing.patch import Pose
+from ctrplan.planning.placing.patch import Pose, middle_of
 
 if TYPE_CHECKING:
     from ctrplan.planning.plan import Plan
@@ -71,7 +71,7 @@ class BasePose:
     @property
     def tilt_rad(self) -> float:
         """Between that axis and the straight way to the middle of the targets."""
-        away = np.mean([target.goal.tip_m for target in self.targets], axis=0) - self.position_m
+        away = middle_of([target.goal for target in self.targets]) - self.position_m
         return math.atan2(float(np.linalg.norm(np.cross(self.direction, away))), float(self.direction @ away))
 
     @property

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count
 from typing import TYPE_CHECKING
@@ -16,11 +16,11 @@ from ctrplan.base.directions import shortest_rotation, unit
 from ctrplan.base.units import MM_PER_M
 
 if TYPE_CHECKING:
-    from ctrplan.planning.scenario import Scenario
+    from ctrplan.planning.scenario import Goal
 
 DIGITS, MM_DIGITS = 12, 6  # of a quaternion and of mm in files
-# A Kronecker sequence: numbers whose multiples, modulo 1, fill the cube of six dimensions evenly. They are powers of the
-# inverse of the root of x^7 = x + 1, the golden ratio's like in six dimensions.
+# A Kronecker sequence: numbers whose multiples, modulo 1, fill the cube of six dimensions evenly. They are powers of
+# the inverse of the root of x^7 = x + 1, the golden ratio's like in six dimensions.
 STEPS = 1.1127756842787055 ** -np.arange(1.0, 7.0)
 
 
@@ -92,9 +92,9 @@ def looking(upright: Array, direction: Array) -> Array:
     return np.asarray(upright @ shortest_rotation(upright.T @ direction))
 
 
-def own_pose(scenario: Scenario) -> Pose:
-    """Where the scenario's robot stands."""
-    return Pose(scenario.base_position_m, scenario.base_R)
+def middle_of(targets: Sequence[Goal]) -> Array:
+    """(3,) [m] of their tips."""
+    return np.asarray(np.mean([goal.tip_m for goal in targets if goal.tip_m is not None], axis=0))
 
 
 def _way(away: Array, upright: Array) -> Array:

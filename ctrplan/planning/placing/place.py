@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TYPE_CHECKING
@@ -21,7 +21,7 @@ from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.planning.goals.inverse_kinematics import TipSolver
 from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.placing.base_pose import BasePose, base_pose, placed
-from ctrplan.planning.placing.patch import Patch, Pose
+from ctrplan.planning.placing.patch import Patch, Pose, middle_of
 from ctrplan.planning.placing.screen import Screen, Worth
 
 if TYPE_CHECKING:
@@ -123,9 +123,8 @@ def _patch(
 ) -> Patch:
     center = scenario.base_position_m if center_m is None else _point("center_m", center_m)
     along = None if along_m is None else _point("along_m", along_m)
-    aim = np.mean([goal.tip_m for goal in scenario.targets], axis=0)
     rolls = TipSolver(JointSpace.of(scenario), scenario.robot.mechanics).common_rotation is None
-    return Patch(center, along, radius_m, cone_rad, aim, scenario.base_R, rolls)
+    return Patch(center, along, radius_m, cone_rad, middle_of(scenario.targets), scenario.base_R, rolls)
 
 
 def _point(key: str, value: ArrayLike) -> Array:
@@ -157,7 +156,7 @@ class _Search:
             self.report("poses", min(1.0, self.clear / count))
         return sorted(found, key=lambda worth: worth.rank)
 
-    def _clear_poses(self, screen: Screen, count: int) -> Sequence[Pose]:
+    def _clear_poses(self, screen: Screen, count: int) -> Iterator[Pose]:
         for pose in islice(self.patch.poses(self.seed), DRAWN * count):
             if self.clear == count or self.stop.is_set():
                 return
