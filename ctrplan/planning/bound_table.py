@@ -78,7 +78,7 @@ class BoundTable:
     @cached_property
     def median_m(self) -> float:
         """[m] of the bounds in it, where it has any."""
-        known = self.values[self.values[:, FieldLookup.VALID] > 0]
+        known = self.values[self.values[:, FieldLookup.VALID] > 0].astype(np.float64)
         return float(np.median(FieldLookup.entries(known).position_m)) if len(known) else 0.0
 
     @cached_property

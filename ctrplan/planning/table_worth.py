@@ -18,8 +18,8 @@ from ctrplan.planning.motion import DEFINITE_COLLISION_M, Motion, MotionChecker
 if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario
 
-STATES, MOTIONS = 200, 24
-SEED = 11
+STATES, MOTIONS = 3000, 24  # of a narrow lumen few states are clear
+SEED, CLEARLY = 11, 0.1
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,8 @@ class TableWorth:
 
     @property
     def helps(self) -> bool:
-        """Whether more of the work is saved than of the choice is lost."""
-        return self.work + self.lost < 1
+        """Whether more of the work is saved than of the choice is lost, by more than few motions show by chance."""
+        return 1 - self.work > self.lost + CLEARLY
 
     @property
     def sentence(self) -> str:
@@ -72,9 +72,12 @@ def _neighbours(checker: MotionChecker) -> list[tuple[Array, Array]]:
     clear = np.flatnonzero(rooms > DEFINITE_COLLISION_M)
     kept = q[clear if len(clear) >= 2 else np.argsort(-rooms)[:2]]
     checker.meter.spent_ns = 0  # of looking for them
-    delta = checker.space.difference(kept[:, None], kept[None]) * checker.space.weights_mm
-    apart = np.linalg.norm(delta, axis=2) + np.diag(np.full(len(kept), np.inf))
-    return [(kept[k], kept[apart[k].argmin()]) for k in range(min(MOTIONS, len(kept)))]
+    pairs = []
+    for k in range(min(MOTIONS, len(kept))):
+        apart = np.linalg.norm(checker.space.difference(kept[k], kept) * checker.space.weights_mm, axis=1)
+        apart[k] = np.inf
+        pairs.append((kept[k], kept[apart.argmin()]))
+    return pairs
 
 
 def _costs(checker: MotionChecker, motions: list[Motion], rows: list[int]) -> Array:
