@@ -1,4 +1,4 @@
-"""The reach maps that ship: what friction takes away is never given back, and without friction nothing is taken."""
+"""The studies that ship: what friction takes away is never given back, and without friction nothing is taken."""
 
 from __future__ import annotations
 
@@ -84,3 +84,10 @@ def test_without_friction_nothing_differs(reach_map: Any) -> None:
     real = reach_map.reach(replace(place.scenario, goal=goal), {}, 0, starts=FEW)
     assert free["worst_mm"] == pytest.approx(free["free_mm"], abs=1e-6) and free["within_1_mm"]
     assert real["free_mm"] == pytest.approx(free["free_mm"], abs=1e-9) and not real["within_2_mm"]
+
+
+def test_the_entry_study_that_ships_tries_poses_beside_the_scenarios_own() -> None:
+    study = Study.read(STUDIES / "entry_ventricle.toml")
+    assert study.count == 13 * 13 * 8 and study.scenario is not None
+    own = ctrplan.load_scenario(SCENARIOS / "ventricle.toml").base_R
+    assert 0 < np.degrees(np.arccos(np.clip(study.scenario.base_R[2] @ own[2], -1, 1))) < 10
