@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from ctrplan.planning.finish.reorder import reorder as reorder
     from ctrplan.planning.inverse_kinematics import InverseKinematics
     from ctrplan.planning.inverse_kinematics import inverse_kinematics as inverse_kinematics
+    from ctrplan.planning.placing.base_pose import BasePose
+    from ctrplan.planning.placing.place import Placement
+    from ctrplan.planning.placing.place import place as place
     from ctrplan.planning.plan import Plan
     from ctrplan.planning.plan_uncertainty import uncertainty as uncertainty
     from ctrplan.planning.planner import plan as plan
@@ -68,6 +71,9 @@ _HOMES = {
     "reorder": "planning",
     "InverseKinematics": "planning.inverse_kinematics",
     "inverse_kinematics": "planning.inverse_kinematics",
+    "BasePose": "planning.placing.base_pose",
+    "Placement": "planning.placing.place",
+    "place": "planning.placing.place",
     "plan_many": "studies.plan_many",
     "Study": "studies.study.study",
     "StudyTable": "studies.study.table",
@@ -76,6 +82,7 @@ _HOMES = {
     "uncertainty": "planning.plan_uncertainty",
 }
 __all__ = [
+    "BasePose",
     "Bound",
     "Bounds",
     "Calibration",
@@ -87,6 +94,7 @@ __all__ = [
     "InverseKinematics",
     "Measurements",
     "NoAnswerError",
+    "Placement",
     "Plan",
     "Robot",
     "Scenario",
@@ -105,6 +113,7 @@ __all__ = [
     "load_robot",
     "load_scenario",
     "load_study",
+    "place",
     "plan",
     "plan_many",
     "planning",

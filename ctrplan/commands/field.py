@@ -12,7 +12,7 @@ from ctrplan.commands.progress_bar import ProgressBar
 from ctrplan.storage.output_folder import output_folder, write_results
 
 if TYPE_CHECKING:
-    from ctrplan.planning.bound_table import FieldError
+    from ctrplan.planning.bound_table import BoundTable
 
 OUTPUTS = ("report.html",)
 
@@ -51,7 +51,7 @@ def run_field(arguments: argparse.Namespace) -> int:
         field = tabulated_bounds(robot, progress=lambda share: bar.show("bound field", share), keep=True)
     assert field is not None
     print(f"{robot.name}: bound field of {points:,} configurations, {time.monotonic() - began:.1f} s")
-    _print_errors(field.error)
+    _print_errors(field)
     if folder is not None:
         from ctrplan.reports.bound_table_page import bound_table_report_html
 
@@ -60,10 +60,15 @@ def run_field(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _print_errors(error: FieldError) -> None:
+def _print_errors(field: BoundTable) -> None:
+    error = field.error
     if error.answers_nothing:
         print("  It has an answer for none of the configurations tried, all by unstable ones: plans do without it.")
         return
     print(f"  {'added to looked-up bounds':27} {error.margin_m * 1e3:.2f} mm, enough for 99 % of configurations")
     print(f"  {'largest error found':27} {error.largest_m * 1e3:.2f} mm; certificates use the model itself")
     print(f"  {'without an answer':27} {100 * error.uncovered:.1f} % of configurations, next to unstable ones")
+    print(f"  {'bounds in it, median':27} {field.median_m * 1e3:.2f} mm")
+    if error.margin_m > field.median_m:
+        print("  What is added exceeds half of the bounds in it: looked-up ones say little of a configuration.")
+    print("  Each plan measures on motions of its own scenario whether it helps, says so, and else leaves it alone.")

@@ -80,7 +80,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
         from ctrplan.files.trajectory_file import left_over, trajectory_formats
         from ctrplan.pipeline.left_ranges import plan_range_notes
         from ctrplan.planning import plan
-        from ctrplan.planning.bound_table import known_table
+        from ctrplan.planning.table_worth import helpful_table
         from ctrplan.reports.plan_folder import plan_outputs
 
         scenario = load_scenario(arguments.scenario, arguments.overrides, allow_outside=arguments.allow_outside)
@@ -90,6 +90,9 @@ def run_plan(arguments: argparse.Namespace) -> int:
             print(f"ctrplan: warning: {warning}", file=sys.stderr)
         if interrupted.is_set():
             raise KeyboardInterrupt
+        table, told = (None, "") if arguments.no_field else helpful_table(scenario)
+        if told:
+            print(f"ctrplan: {told}", file=sys.stderr)
         terminal = sys.stderr is not None and sys.stderr.isatty()
         with ProgressBar(quiet=arguments.quiet or not terminal) as bar:
             result = plan(
@@ -98,7 +101,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
                 time_s=arguments.time,
                 progress=bar.update,
                 interrupted=interrupted,
-                bound_table=None if arguments.no_field else known_table(scenario.robot),
+                bound_table=table,
                 compensated=arguments.compensate,
             )
         result.save(folder, arguments.formats)

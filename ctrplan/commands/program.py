@@ -10,11 +10,25 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 import ctrplan
-from ctrplan.commands import bound, calibrate, diagnose, export, field, ik, plan, render, simulate, study, verify, view
+from ctrplan.commands import (
+    bound,
+    calibrate,
+    diagnose,
+    export,
+    field,
+    ik,
+    place,
+    plan,
+    render,
+    simulate,
+    study,
+    verify,
+    view,
+)
 from ctrplan.commands.command_line import CommandLine
 from ctrplan.errors import CtrplanError
 
-COMMANDS = (plan, verify, render, export, bound, ik, simulate, study, field, calibrate, diagnose, view)
+COMMANDS = (plan, verify, render, export, bound, ik, place, simulate, study, field, calibrate, diagnose, view)
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

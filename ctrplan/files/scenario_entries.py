@@ -14,7 +14,7 @@ from ctrplan.planning.planner_settings import PlannerSettings
 from ctrplan.planning.scenario import Cost, Margins
 from ctrplan.robot.nesting import nesting_violation
 from ctrplan.robot.robot import Robot
-from ctrplan.storage.number_ranges import Length, Name, Point, Tolerance, Vector, Weight
+from ctrplan.storage.number_ranges import Angle, Length, Name, Point, Tolerance, Vector, Weight
 from ctrplan.storage.toml_document import Document, Step
 from ctrplan.storage.toml_table import Table
 
@@ -24,10 +24,13 @@ Share = Annotated[float, Meta(ge=-2, le=2)]  # of a quaternion
 
 
 class BaseEntry(Struct, forbid_unknown_fields=True, frozen=True):
-    """[base]: the robot frame in the anatomy's frame."""
+    """[base]: the robot frame in the anatomy's frame; without any of three ways to turn it, it is not turned."""
 
     position_mm: Point = (0.0, 0.0, 0.0)
-    quaternion_wxyz: tuple[Share, Share, Share, Share] = (1.0, 0.0, 0.0, 0.0)
+    quaternion_wxyz: tuple[Share, Share, Share, Share] | None = None
+    direction: Vector | None = None  # of the robot's z axis, which it gets to by the shortest rotation
+    look_at: Point | None = None  # mm, a point that the z axis goes through
+    roll_deg: Angle | None = None  # about the z axis, before that
     position_sigma_mm: Annotated[float, Meta(ge=0, le=1000)] = 0.0  # standard deviation of each coordinate
     rotation_sigma_deg: Annotated[float, Meta(ge=0, le=180)] = 0.0  # of a small rotation about each axis
 

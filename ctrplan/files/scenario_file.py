@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any, cast, get_args
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ctrplan.base.arrays import Array, read_only
+from ctrplan.base.directions import unit
+from ctrplan.files.base_rotation import base_rotation
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_anatomy import anatomy_notes, anatomy_part, fixture, refuse_targets_outside_images
 from ctrplan.files.scenario_entries import (
-    BaseEntry,
     CostEntry,
     GoalEntry,
     ScenarioEntry,
@@ -31,7 +31,6 @@ from ctrplan.storage.toml_table import Table, file_inside
 
 ROBOT_PREFIX = "robot."
 FRICTION = "friction"  # the key of [start] that is no joint
-QUATERNION_TOLERANCE = 1e-3
 
 
 def load_scenario(
@@ -77,7 +76,7 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool) ->
         name=entry.name or (Path(document.file).stem if document.file else "scenario"),
         robot=robot,
         base_position_m=read_only(np.multiply(entry.base.position_mm, 1e-3)),
-        base_R=_rotation(entry.base, document),
+        base_R=base_rotation(entry.base, document),
         registration=Registration(entry.base.position_sigma_mm * 1e-3, math.radians(entry.base.rotation_sigma_deg)),
         start=joint_values({k: v for k, v in entry.start.items() if k != FRICTION}, robot, document, "start"),
         start_friction=_start_friction(entry, document),
@@ -101,15 +100,6 @@ def _start_friction(entry: ScenarioEntry, document: Document) -> StartFriction:
     if value not in known:
         raise document.fault(f"must be one of {', '.join(known)}", "start", FRICTION)
     return cast(StartFriction, value)
-
-
-def _rotation(base: BaseEntry, document: Document) -> Array:
-    w, x, y, z = base.quaternion_wxyz
-    norm = math.hypot(w, x, y, z)
-    if not abs(norm - 1) <= QUATERNION_TOLERANCE:
-        rule = f"must have norm 1 within {QUATERNION_TOLERANCE}, has {norm:g}"
-        raise document.fault(rule, "base", "quaternion_wxyz")
-    return read_only(Rotation.from_quat([x, y, z, w]).as_matrix())
 
 
 def _goals(entry: ScenarioEntry, robot: Robot, document: Document) -> list[Goal]:
@@ -153,11 +143,9 @@ def _goal(entry: GoalEntry, robot: Robot, document: Document, *path: Step) -> li
 
 
 def _unit_vector(vector: Vector, document: Document, *path: Step) -> Array:
-    largest = max(map(abs, vector))
-    if largest == 0:
+    if not any(vector):
         raise document.fault("must not be zero", *path, "direction")
-    scaled = np.array(vector) / largest  # so that squares neither overflow nor vanish
-    return read_only(scaled / np.linalg.norm(scaled))
+    return read_only(unit(vector))
 
 
 def _cost(entry: CostEntry) -> Cost:

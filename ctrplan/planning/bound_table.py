@@ -76,6 +76,12 @@ class BoundTable:
     key: str  # hash of the robot and the axes
 
     @cached_property
+    def median_m(self) -> float:
+        """[m] of the bounds in it, where it has any."""
+        known = self.values[self.values[:, FieldLookup.VALID] > 0].astype(np.float64)
+        return float(np.median(FieldLookup.entries(known).position_m)) if len(known) else 0.0
+
+    @cached_property
     def lookup(self) -> FieldLookup:
         """The core's view of the grid."""
         return FieldLookup(self.robot.mechanics, [_given(axis) for axis in self.axes], self.values, self.error.margin_m)

@@ -52,6 +52,18 @@ position_mm = [1, 2, 3] -> position_m = [1, 2, 3]
     scenario.toml: base.position_m = [1, 2, 3]: unknown key, expected position_mm (in mm).
 quaternion_wxyz = [0.7071067811865476, 0, 0, 0.7071067811865476] -> quaternion_wxyz = [1, 0, 0, 0.1]
     scenario.toml: base.quaternion_wxyz = [1, 0, 0, 0.1]: must have norm 1 within 0.001, has 1.00499.
+quaternion_wxyz = [0.7071067811865476, 0, 0, 0.7071067811865476] -> direction = [0, 0, 0]
+    scenario.toml: base.direction = [0, 0, 0]: must not be zero.
+quaternion_wxyz = [0.7071067811865476, 0, 0, 0.7071067811865476] -> look_at = [1, 2, 3]
+    scenario.toml: base.look_at = [1, 2, 3]: must not be the base's own position_mm.
+quaternion_wxyz = [0.7071067811865476, 0, 0, 0.7071067811865476] -> direction = [0, 1]
+    scenario.toml: base.direction = [0, 1]: must be a list of length 3.
+quaternion_wxyz = [0.7071067811865476, 0, 0, 0.7071067811865476] -> direction = [0, 0, 1]\nlook_at = [1, 2, 9]
+    scenario.toml: base: must have only one of quaternion_wxyz, direction, look_at, has direction and look_at.
+position_mm = [1, 2, 3] -> position_mm = [1, 2, 3]\ndirection = [0, 0, 1]
+    scenario.toml: base: must have only one of quaternion_wxyz, direction, look_at, has quaternion_wxyz and direction.
+position_mm = [1, 2, 3] -> position_mm = [1, 2, 3]\nroll_deg = 5
+    scenario.toml: base.roll_deg = 5 deg: goes with direction or look_at.
 "rotate middle" = 90 ->
     scenario.toml: start.rotate middle: is missing, every joint needs a value (in deg).
 "rotate middle" = 90 -> "rotate middle" = "90"
@@ -249,6 +261,38 @@ def test_quaternions_are_rotations(folder: Path) -> None:
         w, axis = wxyz[0] / np.linalg.norm(wxyz), wxyz[1:] / np.linalg.norm(wxyz[1:])
         np.testing.assert_allclose(R @ axis, axis, atol=1e-14)
         assert np.trace(R) == pytest.approx(4 * w**2 - 1, abs=1e-13)  # 1 + 2 cos(angle)
+
+
+def test_a_base_looks_along_its_direction_and_rolls_about_it(folder: Path) -> None:
+    rng, plain = np.random.default_rng(1), SCENARIO.replace("quaternion_wxyz", "# quaternion_wxyz")
+    (folder / "scenario.toml").write_text(plain)
+    for _ in range(10):
+        direction, roll = rng.normal(size=3), rng.uniform(-180, 180)
+        there = (np.array([1, 2, 3]) + direction).tolist()
+        R, rolled, looking, far = (
+            load_scenario("scenario.toml", [f"base.{key}" for key in keys]).base_R
+            for keys in (
+                [f"direction={direction.tolist()}"],
+                [f"direction={direction.tolist()}", f"roll_deg={roll}"],
+                [f"look_at={there}"],
+                [f"direction={(1e9 * direction).tolist()}"],
+            )
+        )
+        z = direction / np.linalg.norm(direction)
+        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-14)
+        np.testing.assert_allclose(R[:, 2], z, atol=1e-14)
+        assert np.trace(R) == pytest.approx(1 + 2 * z[2], abs=1e-13)  # turned by the angle between, which is least
+        np.testing.assert_allclose(looking, R, atol=1e-12)
+        np.testing.assert_allclose(far, R, atol=1e-14)
+        angle = np.radians(roll)
+        about_z = [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+        np.testing.assert_allclose(R.T @ rolled, about_z, atol=1e-13)
+
+
+@pytest.mark.parametrize(("z", "R"), [(1, np.eye(3)), (-1, np.diag([1, -1, -1])), (-1e-300, np.diag([1, -1, -1]))])
+def test_a_base_may_look_along_z_or_against_it(folder: Path, z: float, R: Any) -> None:
+    (folder / "scenario.toml").write_text(SCENARIO.replace("quaternion_wxyz", "# quaternion_wxyz"))
+    np.testing.assert_allclose(load_scenario("scenario.toml", [f"base.direction=[0, 0, {z}]"]).base_R, R, atol=1e-15)
 
 
 def test_files_outside_the_folder_need_permission(folder: Path) -> None:

@@ -12,6 +12,7 @@ import pytest
 from places import ROBOTS
 
 from ctrplan.cli import main
+from ctrplan.commands.field import _print_errors
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_file import load_scenario
@@ -20,8 +21,9 @@ from ctrplan.mechanics.core import Field, PathDensity, PathLimits, Status
 from ctrplan.mechanics.nesting import nests
 from ctrplan.planning import bound_table as fields
 from ctrplan.planning import plan
-from ctrplan.planning.bound_table import BoundTable, choose_axes, known_table, tabulated_bounds
+from ctrplan.planning.bound_table import BoundTable, FieldError, choose_axes, known_table, tabulated_bounds
 from ctrplan.planning.certificate.allowances import bound_allowance_m
+from ctrplan.planning.table_worth import _lost, helpful_table, table_worth
 from ctrplan.robot.robot import Robot
 
 DENSITY = PathDensity(rotation_rad=0.26, translation_m=8e-3, motion_m=15e-3)
@@ -274,3 +276,36 @@ def test_a_field_that_answers_nothing_says_so_and_is_not_used(
     told = capsys.readouterr().out
     assert "an answer for none" in told and "mm" not in told
     assert (tmp_path / "out" / "report.html").exists() and known_table(pair) is None
+
+
+def test_a_field_is_used_where_it_saves_more_than_it_spoils(grid: BoundTable, monkeypatch: pytest.MonkeyPatch) -> None:
+    free = load_scenario(ROBOTS.parent / "pair_free.toml")
+    good = table_worth(free, grid)
+    assert good == table_worth(free, grid)  # counted, not timed
+    assert good.helps and good.work < 0.5 and good.lost < 0.1 and "it is used" in good.sentence
+    empty = table_worth(free, replace(grid, values=np.zeros_like(grid.values)))
+    assert empty.work > 1 and empty.lost == 0 and not empty.helps and "left alone" in empty.sentence  # asked in vain
+    patchy = grid.values.copy()
+    patchy[::7] = 0  # next to all of them it has no answer
+    wide = replace(grid, values=patchy, error=replace(grid.error, margin_m=20e-3))
+    assert table_worth(free, wide).lost > good.lost and good.work < table_worth(free, wide).work
+    for table, used in ((grid, grid), (replace(grid, values=np.zeros_like(grid.values)), None), (None, None)):
+        monkeypatch.setattr("ctrplan.planning.table_worth.known_table", lambda _, table=table: table)
+        found, sentence = helpful_table(free)
+        assert found is used and bool(sentence) == (table is not None)
+
+
+def test_what_looked_up_costs_spoil() -> None:
+    true = np.random.default_rng(0).random(9)
+    assert _lost(true, 3 * true + 1) == 0 and _lost(true, -true) == 1 and _lost(true[:1], true[:1]) == 0
+    swapped = np.array([2.0, 1.0, 5.0])
+    assert _lost(np.array([1.0, 2.0, 5.0]), swapped) == pytest.approx(1 / (1 + 4 + 3))
+
+
+def test_the_command_says_plainly_that_a_field_is_poor(grid: BoundTable, capsys: pytest.CaptureFixture[str]) -> None:
+    _print_errors(grid)
+    plain = capsys.readouterr().out
+    _print_errors(replace(grid, error=FieldError(17.6e-3, 30e-3, 0.39)))
+    poor = capsys.readouterr().out
+    assert "17.60 mm" in poor and "39.0 %" in poor and "say little" in poor and "say little" not in plain
+    assert "measures" in poor and f"{grid.median_m * 1e3:.2f} mm" in poor

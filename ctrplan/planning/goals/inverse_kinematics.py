@@ -71,7 +71,7 @@ class TipSolver:
 
         With `turned`, all tubes first turn together to the target's side.
         """
-        work = _Batch(self, target, self._turned_towards(target, starts) if turned else starts.copy())
+        work = _Batch(self, target, self.turned_towards(target, starts) if turned else starts.copy())
         for _ in range(iterations):
             if self.watch:
                 self.watch.ask()
@@ -126,7 +126,7 @@ class TipSolver:
             todo &= ~fits
         return result
 
-    def _turned_towards(self, target: TipTarget, q: Array) -> Array:
+    def turned_towards(self, target: TipTarget, q: Array) -> Array:
         """Starts with all tubes turned together so that the tip's azimuth is the target's, where limits allow."""
         if self.common_rotation is None or len(q) == 0:
             return q.copy()

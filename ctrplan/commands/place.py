@@ -1,0 +1,220 @@
+"""`ctrplan place`: base poses from which a scenario's targets are reached, ranked; writes the scenario of one."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ctrplan.base.arguments import SEED, Number, Whole
+from ctrplan.base.interrupts import INTERRUPTED, interrupt_event
+from ctrplan.base.units import LONGEST_MM, MM_PER_M
+from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
+from ctrplan.commands.progress_bar import ProgressBar
+from ctrplan.errors import InputError, NoAnswerError
+
+if TYPE_CHECKING:
+    from ctrplan.base.arrays import Array
+    from ctrplan.planning.placing.base_pose import BasePose
+    from ctrplan.planning.placing.place import Placement
+    from ctrplan.planning.scenario import Scenario
+
+PATIENCE_S = 1.0  # before a progress bar shows up
+CANDIDATES, CONFIRM, PLANS = 256, 8, 3
+HEADER = ("", "position (mm)", "looks along", "tilt (deg)", "reached", "at worst (mm)", "tolerances", "clearance (mm)")
+EXAMPLES = """examples:
+  ctrplan place scenarios/ventricle.toml
+  ctrplan place scenarios/ventricle.toml --radius-mm 4 --cone-deg 20 --plan 3 -o ventricle_placed.toml
+  ctrplan place SCENARIO.toml --center-mm 0 -12 5 --along-mm 0 12 5 --radius-mm 2   # along an opening
+  ctrplan place SCENARIO.toml --pick 2                                              # the second best is written
+
+Ranked by: valid start, a plan (with --plan), targets reached, the worst error beside its tolerance, clearance.
+A straight approach is often a bad one: pre-curved tubes have to cancel on it, which loads friction most.
+"""
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command to the command line."""
+    parser = commands.add_parser(
+        "place",
+        help="where the robot could stand: base poses for a scenario's targets, ranked",
+        description="Try base poses on a patch of skin or along an opening, cheaply first, the best ones by inverse "
+        "kinematics with bounds and clearances of all corners; print them ranked and write the scenario of the best.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("scenario", metavar="SCENARIO.toml")
+    parser.add_argument("-o", "--output", metavar="FILE", help="the scenario (default: SCENARIO_placed.toml beside it)")
+    add_number(
+        parser, "--pick", Whole(1, 1000), default=1, metavar="N", help="write number N of the table (default: 1)"
+    )
+    xyz: dict[str, Any] = {"nargs": 3, "metavar": ("X", "Y", "Z")}
+    point, radius = Number(-LONGEST_MM, LONGEST_MM, "mm"), Number(0, 1000, "mm")
+    add_number(parser, "--center-mm", point, help="middle of the patch (default: the scenario's base)", **xyz)
+    add_number(parser, "--along-mm", point, help="other end of an opening that begins at the middle", **xyz)
+    around = "of the patch, across the way to the targets (default: %(default)g)"
+    add_number(parser, "--radius-mm", radius, default=10.0, metavar="R", help=around)
+    cone = "half angle of the cone of directions about that way (default: %(default)g)"
+    add_number(parser, "--cone-deg", Number(0, 90, "deg"), default=30.0, metavar="A", help=cone)
+    tried = "poses with a valid start that are looked at (default: %(default)s)"
+    add_number(parser, "--candidates", Whole(1, 100_000), default=CANDIDATES, metavar="N", help=tried)
+    confirm = "of them by bounds in all corners (default: %(default)s)"
+    add_number(parser, "--confirm", Whole(1, 1000), default=CONFIRM, metavar="N", help=confirm)
+    plans = f"also plan from the best N (default where given: {PLANS})"
+    add_number(parser, "--plan", Whole(1, 1000), nargs="?", const=PLANS, default=0, metavar="N", help=plans)
+    add_number(parser, "--seed", SEED, default=0, help="of poses and solves (default: %(default)s)")
+    parser.add_argument("--json", action="store_true", help="machine-readable output")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    add_allow_outside_option(parser)
+    add_set_option(parser, "a key of the scenario, or robot.KEY of its robot", "goal.tolerance_mm=2")
+    parser.set_defaults(run=run_place)
+
+
+def run_place(arguments: argparse.Namespace) -> int:
+    """Runs the command; returns its exit code. Raises CtrplanError, NoAnswerError where no pose reaches a target."""
+    with interrupt_event() as interrupted:  # imports take a second
+        from ctrplan.files.scenario_file import load_scenario
+        from ctrplan.planning.placing.place import place
+
+        scenario = load_scenario(arguments.scenario, arguments.overrides, allow_outside=arguments.allow_outside)
+        file = _output(arguments)
+        for warning in scenario.warnings:
+            print(f"ctrplan: warning: {warning}", file=sys.stderr)
+        if interrupted.is_set():
+            raise KeyboardInterrupt
+        terminal = sys.stderr is not None and sys.stderr.isatty()
+        with ProgressBar(quiet=arguments.quiet or not terminal, patience_s=PATIENCE_S) as bar:
+            found = place(
+                scenario,
+                center_m=_metres(arguments.center_mm),
+                along_m=_metres(arguments.along_mm),
+                radius_m=arguments.radius_mm * 1e-3,
+                cone_rad=math.radians(arguments.cone_deg),
+                candidates=arguments.candidates,
+                confirmed=arguments.confirm,
+                plans=arguments.plan,
+                seed=arguments.seed,
+                progress=bar.show,
+                interrupted=interrupted,
+            )
+        print(json.dumps(_json(found), indent=1) if arguments.json else _text(scenario, found))
+        _write(arguments, file, _picked(arguments, scenario, found))
+        return INTERRUPTED if found.interrupted else 0
+
+
+def _output(arguments: argparse.Namespace) -> Path:
+    """The file to be written, in a folder that exists. Raises InputError."""
+    source = Path(arguments.scenario)
+    given = arguments.output
+    file = source.with_name(f"{source.stem}_placed.toml") if given is None else Path(given)
+    if not given and given is not None or file.is_dir() or not file.parent.is_dir():
+        raise InputError("must be a file in a folder that exists", key="--output", value=str(given))
+    if not os.access(file.parent, os.W_OK):
+        raise InputError("lies in a folder that is not writable", key="--output", value=str(file))
+    if file.exists() and file.samefile(source):
+        raise InputError("is the scenario itself, which is kept", key="--output", value=str(file))
+    return file
+
+
+def _metres(point_mm: list[float] | None) -> list[float] | None:
+    return None if point_mm is None else [x * 1e-3 for x in point_mm]
+
+
+def _picked(arguments: argparse.Namespace, scenario: Scenario, found: Placement) -> BasePose:
+    if arguments.pick > len(found.poses):
+        raise InputError(f"there are {len(found.poses)} poses", key="--pick", value=arguments.pick)
+    pose: BasePose = found.poses[arguments.pick - 1]
+    if not pose.reached:
+        raise NoAnswerError(f"{scenario.path}: base pose {arguments.pick} reaches no target: {pose.reason}.")
+    return pose
+
+
+def _write(arguments: argparse.Namespace, file: Path, pose: BasePose) -> None:
+    from ctrplan.files.placed_scenario import names_files_outside, placed_scenario
+    from ctrplan.storage.atomic_write import write_atomically
+    from ctrplan.storage.toml_document import read_document
+
+    own = [text for text in arguments.overrides if not text.lstrip().startswith("robot.")]
+    document = read_document(arguments.scenario, own)
+    write_atomically(file, placed_scenario(document, pose, file))
+    notes = ["; it needs --allow-outside there"] if names_files_outside(document, file) else []
+    notes += ["; --set robot... is not part of it, give it again"] if len(own) < len(arguments.overrides) else []
+    print(f"ctrplan: base pose {arguments.pick} written to {file}{''.join(notes)}", file=sys.stderr)
+
+
+def _text(scenario: Scenario, found: Placement) -> str:
+    rows = [HEADER, *(_row(str(k), pose) for k, pose in enumerate(found.poses, start=1))]
+    if not any(pose.is_own for pose in found.poses):
+        rows.append(_row("", found.own))
+    widths = [max(len(row[k]) for row in rows) for k in range(len(HEADER))]
+    lines = [f"{scenario.name}: {found.sentence}"]
+    for row in rows:
+        cells = [cell.rjust(width) for cell, width in zip(row[: len(HEADER)], widths, strict=True)]
+        lines.append("  ".join([*cells, *row[len(HEADER) :]]).rstrip())
+    return "\n".join(lines)
+
+
+def _row(number: str, pose: BasePose) -> tuple[str, ...]:
+    count, reached = len(pose.targets), pose.reached
+    worst_mm = max((target.worst_m for target in pose.targets if target.best), default=math.inf) * MM_PER_M
+    clearance = "free space" if pose.clearance_m == math.inf else f"{pose.clearance_m * MM_PER_M:.2f}"
+    notes = ["as it is"] if pose.is_own else []
+    notes += [f"planned, {pose.plan.certificate.cost_mm:.0f} mm"] if pose.plan else []
+    notes += [pose.reason] if pose.reason else []
+    return (
+        number,
+        _vector(pose.position_m * MM_PER_M, 1),
+        _vector(pose.direction, 3),
+        f"{math.degrees(pose.tilt_rad):.1f}",
+        f"{reached} of {count}",
+        f"{worst_mm:.2f}" if reached else "",
+        f"{pose.share:.2f}" if reached else "",
+        clearance if reached else "",
+        "; ".join(notes),
+    )
+
+
+def _vector(numbers: Array, digits: int) -> str:
+    return " ".join(f"{x + 0.0:.{digits}f}" for x in numbers.round(digits).tolist())
+
+
+def _json(found: Placement) -> dict[str, Any]:
+    return {
+        "sentence": found.sentence,
+        "drawn": found.drawn,
+        "clear": found.clear,
+        "promising": found.promising,
+        "poses": [_entry(pose) for pose in found.poses],
+        "own": _entry(found.own),
+    }
+
+
+def _entry(pose: BasePose) -> dict[str, Any]:
+    return {
+        "position_mm": (pose.position_m * MM_PER_M).tolist(),
+        "direction": pose.direction.tolist(),
+        "tilt_deg": math.degrees(pose.tilt_rad),
+        "is_own": pose.is_own,
+        "reached": pose.reached,
+        "targets": [
+            {
+                "place": target.goal.place,
+                "valid": target.valid,
+                "worst_mm": _finite(target.worst_m * MM_PER_M),
+                "clearance_mm": None if target.best is None else _finite(target.best.clearance_m * MM_PER_M),
+                "reason": target.reason,
+            }
+            for target in pose.targets
+        ],
+        "clearance_mm": _finite(pose.clearance_m * MM_PER_M),
+        "planned": pose.plan is not None,
+        "reason": pose.reason,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

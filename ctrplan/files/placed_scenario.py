@@ -1,0 +1,58 @@
+"""A scenario file with its robot standing elsewhere, in a folder of its own or beside the file that it comes from."""
+
+from __future__ import annotations
+
+import copy
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from ctrplan.base.units import MM_PER_M
+from ctrplan.planning.placing.base_pose import BasePose
+from ctrplan.planning.placing.patch import DIGITS, MM_DIGITS, Pose
+from ctrplan.storage.toml_document import Document
+
+TURNS = ("quaternion_wxyz", "direction", "look_at", "roll_deg")
+
+
+def placed_scenario(document: Document, pose: BasePose, file: Path) -> str:
+    """The content of `document`, a scenario's, as a file at `file`; read back, it has exactly the pose."""
+    content = copy.deepcopy(document.content)
+    if not pose.is_own:
+        content["base"] = {**_pose(pose), **_without_turns(content.get("base", {}))}
+    here = Path(document.file or ".").parent
+    if here.resolve() != file.parent.resolve():
+        _name_files_from(content, here, file.parent)
+    direction = ", ".join(f"{x:.4f}" for x in pose.direction)
+    return f"# Base pose proposed by `ctrplan place`; it looks along [{direction}].\n{tomli_w.dumps(content)}"
+
+
+def names_files_outside(document: Document, file: Path) -> bool:
+    """Whether the file at `file` would name some that lie outside of its folder."""
+    inside, here = file.parent.resolve(), Path(document.file or ".").parent
+    return any(not (here / table[key]).resolve().is_relative_to(inside) for table, key in _files(document.content))
+
+
+def _pose(pose: BasePose) -> dict[str, Any]:
+    quaternion = Pose(pose.position_m, pose.R).quaternion_wxyz
+    position_mm = np.round(pose.position_m * MM_PER_M, MM_DIGITS) + 0.0  # no -0
+    return {"position_mm": position_mm.tolist(), "quaternion_wxyz": (np.round(quaternion, DIGITS) + 0.0).tolist()}
+
+
+def _without_turns(base: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in base.items() if key not in (*TURNS, "position_mm")}
+
+
+def _name_files_from(content: dict[str, Any], old: Path, new: Path) -> None:
+    for table, key in _files(content):
+        if not os.path.isabs(table[key]):
+            table[key] = Path(os.path.relpath(old / table[key], new)).as_posix()
+
+
+def _files(content: dict[str, Any]) -> list[tuple[dict[str, Any], str]]:
+    """Tables and keys that name a file."""
+    parts = [(part, "file") for part in content.get("anatomy", []) if "file" in part]
+    return [(content, "robot"), *parts]

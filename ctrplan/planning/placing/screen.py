@@ -1,0 +1,180 @@
+"""A cheap look at base poses: zero-clearance shapes to each target, their room in the anatomy, and bounds of the best.
+
+What the tip can reach belongs to the robot: it is drawn once, and each pose asks for what lies near its targets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ctrplan.anatomy.distance_field import SignedDistanceField
+from ctrplan.anatomy.parts import exact_clearance
+from ctrplan.base.arrays import Array
+from ctrplan.planning.goals.inverse_kinematics import TipSolver, TipTarget, angle_to
+from ctrplan.planning.joint_space import JointSpace
+from ctrplan.planning.motion import DEFINITE_COLLISION_M, breach, search_limits
+from ctrplan.planning.placing.patch import Patch, Pose
+from ctrplan.planning.placing.patch_field import patch_field, seen_from
+from ctrplan.planning.scenario import Scenario
+
+SAMPLES = 20_000  # configurations of the robot
+NEAR = 32  # of them, the nearest to a target, whose room is looked at
+SOLVED = 6  # of those, the ones with most room, which are led to the target
+NEAR_M = 15e-3  # a target with no sample within this is out of reach
+STEPS = 8  # of each that is led to its target
+GAP_M = 1e-3  # about what clearance moves a tip
+TURN_RAD = 0.2  # likewise of its tangent, with friction
+ENOUGH_M = 1e-3  # of room beyond friction's error, more of which is no better
+
+
+@dataclass(frozen=True, eq=False)
+class Worth:
+    """What a pose seems to be worth."""
+
+    pose: Pose
+    likely: int  # targets reached with room for the friction error
+    possible: int  # targets reached without definite collision
+    share: float  # worst bound of those, in tolerances of their targets
+    room_m: float  # least of those, beyond the bound
+
+    @property
+    def rank(self) -> tuple[float, ...]:
+        """Less is better."""
+        return (-self.likely, -self.possible, self.share, -self.room_m)
+
+
+@dataclass(frozen=True, eq=False)
+class _Attempts:
+    """Configurations that are to reach a target from a pose."""
+
+    pose: NDArray[np.int_]  # (K,) numbers of poses and
+    target: NDArray[np.int_]  # (K,) of targets
+    goal: Array  # (K, 3) robot's frame
+    q: Array  # (K, m)
+
+
+class Screen:
+    """One robot and one anatomy, many poses."""
+
+    def __init__(self, scenario: Scenario, patch: Patch, rng: np.random.Generator) -> None:
+        """Draws the robot's configurations."""
+        self.scenario, self.patch, self.targets = scenario, patch, scenario.targets
+        self.wanted_m = np.array([goal.tip_m for goal in self.targets])
+        self.tolerance_m = np.array([goal.tolerance_m for goal in self.targets])
+        self.solver = TipSolver(JointSpace.of(scenario), scenario.robot.mechanics)
+        self.limits = search_limits(scenario, 0.0)
+        q = self.solver.space.sample(rng, SAMPLES)
+        tip, _ = self.solver.tips(q)
+        solved = ~np.isnan(tip).any(axis=1)
+        self.q = q[solved]
+        self.tips = cKDTree(self._reduced(tip[solved]))
+
+    @cached_property
+    def grid(self) -> SignedDistanceField | None:
+        """The anatomy as all poses see it; built when the first of them could reach a target."""
+        return patch_field(self.scenario, self.patch)
+
+    def is_clear(self, pose: Pose) -> bool:
+        """Whether tubes can leave the plate there, some target is within reach, and the start is valid."""
+        robot = self.scenario.robot
+        if exact_clearance(self.scenario.anatomy, pose.position_m[None])[0] < robot.tubes[-1].outer_diameter_m / 2:
+            return False
+        away, _ = self.tips.query(self._reduced(pose.into_robot(self.wanted_m)))
+        return bool(np.any(away < NEAR_M)) and self._may_start(pose)
+
+    def _may_start(self, pose: Pose) -> bool:
+        """Whether the start keeps all limits there, in every corner."""
+        start = self.scenario.start[None]
+        if self._rooms(pose, start)[0] < DEFINITE_COLLISION_M:
+            return False
+        if self.grid is None:
+            return True
+        collars = self.solver.space.drive.collars(start)
+        samples = self.solver.mechanics.check_path(*collars, seen_from(self.grid, pose), limits=self.limits)
+        return not breach(samples, self.limits)
+
+    def look(self, poses: Sequence[Pose]) -> list[Worth]:
+        """What several poses, at least one, seem to be worth."""
+        tried = self._attempts(poses)
+        found = self.solver.solve(TipTarget(tried.goal), tried.q, STEPS, turned=False)
+        room = self._rooms_of(poses, tried.pose, found.joints)
+        usable = found.error_m <= self.tolerance_m[tried.target] + GAP_M
+        usable &= (room > DEFINITE_COLLISION_M) & self._looks_right(poses, tried, found.tangent)
+        bound = self._bounds(found.joints, np.flatnonzero(usable))
+        return [self._worth(pose, tried.target[rows], bound[rows], room[rows]) for pose, rows in _each(poses, tried)]
+
+    def _attempts(self, poses: Sequence[Pose]) -> _Attempts:
+        """For every pose and target the samples near it that have most room."""
+        goal = np.concatenate([pose.into_robot(self.wanted_m) for pose in poses])
+        _, near = self.tips.query(self._reduced(goal), k=min(NEAR, len(self.q)))
+        near = near.reshape(len(goal), -1)
+        each = near.shape[1]
+        goals = np.repeat(goal, each, axis=0)
+        q = self.solver.turned_towards(TipTarget(goals), self.q[near.ravel()])
+        pose = np.repeat(np.arange(len(poses)), len(self.targets) * each)
+        room = self._rooms_of(poses, pose, q).reshape(len(goal), each)
+        best = np.argsort(-room, axis=1, kind="stable")[:, :SOLVED]
+        rows = (each * np.arange(len(goal))[:, None] + best).ravel()
+        target = np.tile(np.repeat(np.arange(len(self.targets)), each), len(poses))
+        return _Attempts(pose[rows], target[rows], goals[rows], q[rows])
+
+    def _rooms_of(self, poses: Sequence[Pose], pose: NDArray[np.int_], q: Array) -> Array:
+        """(K,) [m] as `_rooms`, each row from its own pose; rows of one pose follow each other."""
+        return np.concatenate([self._rooms(each, q[pose == k]) for k, each in enumerate(poses)])
+
+    def _rooms(self, pose: Pose, q: Array) -> Array:
+        """(K,) [m] that zero-clearance shapes leave beyond margins and the model's error."""
+        if self.grid is None:
+            return np.full(len(q), np.inf)
+        field = seen_from(self.grid, pose)
+        found = self.solver.mechanics.zero_clearance_rooms(*self.solver.space.drive.collars(q), field)[0]
+        return np.asarray(found - self.limits.clearance_m)
+
+    def _looks_right(self, poses: Sequence[Pose], tried: _Attempts, tangent: Array) -> NDArray[np.bool_]:
+        """(K,) whether tips point about where their targets ask them to."""
+        right = np.ones(len(tangent), dtype=bool)
+        for k, goal in enumerate(self.targets):
+            if goal.direction is not None and goal.direction_tolerance_rad is not None:
+                rows = tried.target == k
+                turns = np.array([pose.R for pose in poses])[tried.pose[rows]]
+                there = np.einsum("kij,kj->ki", turns, tangent[rows])
+                right[rows] = angle_to(there, goal.direction) <= goal.direction_tolerance_rad + TURN_RAD
+        return right
+
+    def _bounds(self, q: Array, rows: NDArray[np.int_]) -> Array:
+        """(K,) [m] of some rows of q (K, m), inf elsewhere and where a limit is broken."""
+        bound = np.full(len(q), np.inf)
+        if len(rows):
+            solved = self.solver.mechanics.bound_many(*self.solver.space.drive.collars(q[rows]))
+            sound = (solved.stability >= self.limits.stability) & (solved.max_strain <= self.limits.max_strain)
+            bound[rows] = np.where(sound, solved.position_m, np.inf)
+        return bound
+
+    def _worth(self, pose: Pose, target: NDArray[np.int_], bound: Array, room: Array) -> Worth:
+        likely, shares, rooms = 0, [0.0], [np.inf]
+        for k, tolerance in enumerate(self.tolerance_m):
+            rows = np.flatnonzero((target == k) & np.isfinite(bound))
+            if len(rows):
+                left = np.minimum(room[rows] - bound[rows], ENOUGH_M)
+                best = rows[np.lexsort((bound[rows], -np.minimum(left, 0.0)))[0]]  # that fits first, then least bound
+                likely += bool(room[best] >= bound[best])
+                shares.append(bound[best] / tolerance)
+                rooms.append(room[best] - bound[best])
+        return Worth(pose, likely, len(rooms) - 1, max(shares), min(rooms))
+
+    def _reduced(self, points: Array) -> Array:
+        """Points (K, 3) of the robot's frame without what turning all tubes together changes."""
+        if self.solver.common_rotation is None:
+            return points
+        return np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
+
+
+def _each(poses: Sequence[Pose], tried: _Attempts) -> list[tuple[Pose, NDArray[np.int_]]]:
+    """Every pose with its rows."""
+    return [(pose, np.flatnonzero(tried.pose == k)) for k, pose in enumerate(poses)]
