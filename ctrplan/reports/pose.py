@@ -65,7 +65,7 @@ def _posed(scenario: Scenario, bound: Bound, time_s: float) -> Pose:
     )
 
 
-def _plate(scenario: Scenario) -> Rod:
+def plate(scenario: Scenario) -> Rod:
     """The front plate, a disc that ends where the robot begins."""
     z = np.array([[0, 0, -PLATE_THICKNESS_M], [0, 0, 0]])
     radius = 4 * max(tube.outer_diameter_m for tube in scenario.robot.tubes) / 2
@@ -74,7 +74,7 @@ def _plate(scenario: Scenario) -> Rod:
 
 def stand(scenario: Scenario) -> Surface:
     """The front plate and the fixtures at it."""
-    surfaces = [_plate(scenario).surface(32), *(fixture.shape.surface() for fixture in scenario.fixtures)]
+    surfaces = [plate(scenario).surface(32), *(fixture.shape.surface() for fixture in scenario.fixtures)]
     vertices = [surfaces[0].vertices_m, *(to_anatomy(scenario, surface.vertices_m) for surface in surfaces[1:])]
     before = np.cumsum([0, *map(len, vertices[:-1])])
     faces = [surface.faces + count for surface, count in zip(surfaces, before, strict=True)]
