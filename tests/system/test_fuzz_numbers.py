@@ -110,6 +110,7 @@ def assert_told(code: int, lines: list[str]) -> None:
     assert code in (0, 1, 2) and len(lines) == (code != 0), (code, lines)
 
 
+PLACE = ["place", str(SCENARIO_FILE), "--candidates", "1", "--confirm", "1"]
 BOUND = ["bound", str(ROBOT_FILE), "--theta-deg", "0", "60", "--l-mm", "0", "-17"]
 
 
@@ -191,6 +192,13 @@ OPTIONS = {
     "--held-out": ["calibrate", str(ROBOT_FILE), "none.csv", "--held-out", "{}"],
     "calibrate --starts": ["calibrate", str(ROBOT_FILE), "none.csv", "--starts", "{}"],
     "calibrate --seed": ["calibrate", str(ROBOT_FILE), "none.csv", "--seed", "{}"],
+    **{f"place {option}": [*PLACE, option, "{}"] for option in ("--radius-mm", "--cone-deg", "--seed")},
+    **{f"place {option}": [*PLACE[:2], option, "{}"] for option in ("--candidates", "--confirm", "--plan")},
+    "place --center-mm": [*PLACE, "--center-mm", "{}", "0", "0"],
+    "--fps": ["render", "none.json", "-o", "film.gif", "--fps", "{}"],
+    "--size": ["render", "none.json", "-o", "film.gif", "--size", "{}x100"],
+    "--steps": ["export", "none.json", "--to", "slicer", "-o", "case", "--steps", "{}"],
+    "--igtl": ["view", str(ROBOT_FILE), "--no-browser", "--igtl", "{}"],
     "--start": ["simulate", str(ROBOT_FILE), "none.csv", "--start", "{}"],
 }
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.directions import shortest_rotation
 from ctrplan.files.study_entries import BasesEntry, PatchEntry
 from ctrplan.storage.toml_document import Document
-
-Z = np.array([0.0, 0.0, 1.0])
 
 
 def base_poses(bases: BasesEntry, document: Document) -> tuple[Array, Array]:
@@ -28,19 +28,8 @@ def base_poses(bases: BasesEntry, document: Document) -> tuple[Array, Array]:
             key = "direction" if pose.direction is not None else "quaternion_wxyz"
             raise document.fault("must not be zero", "bases", "poses", k, key)
         positions.append(pose.position_mm)
-        rotations.append(along(np.array(given)) if pose.direction else Rotation.from_quat(np.roll(given, -1)))
+        rotations.append(_turned_to(given) if pose.direction else Rotation.from_quat(np.roll(given, -1)))
     return np.array(positions, dtype=np.float64), _quaternions(Rotation.concatenate(rotations))
-
-
-def along(direction: Array) -> Rotation:
-    """The rotation that takes the z axis to a direction (3,) by the shortest way."""
-    unit = direction / np.abs(direction).max()
-    unit = unit / np.linalg.norm(unit)
-    axis, cosine = np.cross(Z, unit), float(np.clip(unit[2], -1, 1))
-    sine = float(np.linalg.norm(axis))
-    if sine < 1e-12:
-        return Rotation.identity() if cosine > 0 else Rotation.from_rotvec([math.pi, 0, 0])
-    return Rotation.from_rotvec(axis / sine * math.atan2(sine, cosine))
 
 
 def _on_patch(patch: PatchEntry, document: Document) -> tuple[Array, Array]:
@@ -48,7 +37,7 @@ def _on_patch(patch: PatchEntry, document: Document) -> tuple[Array, Array]:
         raise document.fault("must not be zero", "bases", "patch", "normal")
     if patch.radius_mm and patch.step_mm is None:
         raise document.fault("is missing, a patch with a radius needs it", "bases", "patch", "step_mm")
-    inward = along(np.array(patch.normal))
+    inward = _turned_to(patch.normal)
     offsets = _disc(patch.radius_mm, patch.step_mm or 1.0)
     places = np.array(patch.center_mm) + inward.apply(np.column_stack([offsets, np.zeros(len(offsets))]))
     positions, rotations = [], []
@@ -56,6 +45,10 @@ def _on_patch(patch: PatchEntry, document: Document) -> tuple[Array, Array]:
         positions.append(place)
         rotations.append(inward * tilt * Rotation.from_euler("z", turn, degrees=True))
     return np.round(positions, 9), _quaternions(Rotation.concatenate(rotations))
+
+
+def _turned_to(direction: Sequence[float]) -> Rotation:
+    return Rotation.from_matrix(shortest_rotation(direction))
 
 
 def _disc(radius: float, step: float) -> Array:
