@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import locale
 import struct
 import sys
 from pathlib import Path
@@ -16,6 +17,7 @@ from phantoms import AXES, CENTRE, OBLIQUE, Array, capsule, distance_mm, hand, i
 from scipy.spatial.transform import Rotation
 
 from ctrplan.anatomy.images import level_surface
+from ctrplan.anatomy.images.simpleitk import kept_locale
 from ctrplan.anatomy.images.structure import Structure
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import scenario_from_dict
@@ -140,6 +142,7 @@ def test_names_of_segments_and_layers_that_overlap(tmp_path: Path) -> None:
         part_of(tmp_path, kind="volume", file="a.nrrd", label=7)
 
 
+@kept_locale()
 def write_series(folder: Path, made: Any, uid: str, skip: int = -1, order: int = 1) -> None:
     writer = SimpleITK.ImageFileWriter()
     writer.KeepOriginalImageUIDOn()
@@ -169,8 +172,10 @@ def write_series(folder: Path, made: Any, uid: str, skip: int = -1, order: int =
 def test_a_dicom_series_in_whatever_order_its_files_are_named(order: int, tmp_path: Path) -> None:
     (tmp_path / "ct").mkdir()
     write_series(tmp_path / "ct", image(hand, CENTRE, 18, (1.0, 1.0, 1.3)), "1", order=order)
+    before = locale.setlocale(locale.LC_ALL)
     for frame in ("RAS", "LPS"):
         check_hand(part_of(tmp_path, frame, kind="volume", file="ct", label=3), near_points(), frame)
+    assert locale.setlocale(locale.LC_ALL) == before, "other files would be opened as ASCII from here on"
 
 
 def test_series_that_are_no_one_volume(tmp_path: Path) -> None:

@@ -16,10 +16,10 @@ from scipy import stats
 
 import ctrplan
 from ctrplan.anatomy.parts import exact_clearance
+from ctrplan.base.directions import shortest_rotation
 from ctrplan.errors import InputError
 from ctrplan.files.bare_scenario import load_robot_or_scenario
 from ctrplan.reports.study_page.page import study_report_html
-from ctrplan.studies.study.base_poses import along
 from ctrplan.studies.study.sensitivity import sensitivity
 from ctrplan.studies.study.study import Study
 
@@ -71,7 +71,7 @@ def test_base_poses_of_a_patch() -> None:
         assert abs((place - [1, 2, 3])[1]) < 1e-9 and np.linalg.norm(place - [1, 2, 3]) <= 5 + 1e-9
         tilt = np.degrees(np.arccos(np.clip(scenario.base_R[1, 2], -1, 1)))
         assert tilt == pytest.approx(0 if k % 5 == 0 else 20, abs=1e-5)
-    opposite = along(np.array([0, 0, -1.0])).apply([0, 0, 1.0])
+    opposite = shortest_rotation([0, 0, -1.0]) @ [0, 0, 1.0]
     assert np.allclose(opposite, [0, 0, -1])
     with pytest.raises(InputError, match="must have one of direction and quaternion_wxyz"):
         study(bases={"poses": [{"position_mm": [0, 0, 0]}]})

@@ -12,7 +12,7 @@ import numpy as np
 from ctrplan.anatomy.images.header import Header
 from ctrplan.anatomy.images.image import Image, ImageRefusal
 from ctrplan.anatomy.images.image_file import check_bytes, checked
-from ctrplan.anatomy.images.simpleitk import quiet, reason, simpleitk
+from ctrplan.anatomy.images.simpleitk import kept_locale, quiet, reason, simpleitk
 from ctrplan.base.arrays import Array
 
 POSITION, ORIENTATION, SPACING = "0020|0032", "0020|0037", "0028|0030"
@@ -30,6 +30,7 @@ class Slice:
     axes: Array  # (2, 3)
 
 
+@kept_locale()
 def read_series(folder: Path, series: str | None) -> Image:
     """The series of a folder by its UID, which may be left out where there is one. Raises ImageRefusal."""
     sitk = simpleitk()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import locale
 import os
 import sys
 from collections.abc import Iterator
@@ -34,6 +35,16 @@ def quiet() -> Iterator[None]:
         os.dup2(kept, 2)
         os.close(kept)
         os.close(nowhere)
+
+
+@contextmanager
+def kept_locale() -> Iterator[None]:
+    """What its reader of DICOM does to the locale is undone: it sets C, after which files are opened as ASCII."""
+    kept = locale.setlocale(locale.LC_ALL)
+    try:
+        yield
+    finally:
+        locale.setlocale(locale.LC_ALL, kept)
 
 
 def reason(error: Exception) -> str:
