@@ -32,7 +32,7 @@ def patient_frame(scenario: Scenario, given: str | None, key: str = "--frame") -
         if (own or given) == frame:
             return frame
     rule = "must be RAS or LPS: which axes the anatomy's frame has in the patient can't be guessed"
-    raise InputError(rule, key=key, value=given)
+    raise InputError(rule, key=key, value=... if given is None else given)
 
 
 def to_lps(frame: Frame) -> Array:
