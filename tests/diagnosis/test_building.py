@@ -131,39 +131,13 @@ def test_the_command_writes_a_robot_that_says_where_it_leaves_its_data(
 ) -> None:
     content = found().robot_content()
     (tmp_path / "robot.toml").write_text(tomli_w.dumps(content))
-    assert (
-        main(
-            [
-                "bound",
-                str(tmp_path / "robot.toml"),
-                "--theta-deg",
-                "0",
-                "40",
-                "--l-mm",
-                "0",
-                "-10",
-                "--accuracy",
-                "search",
-            ]
-        )
-        == 0
-    )
+    given = ["bound", str(tmp_path / "robot.toml"), "--theta-deg", "0", "40", "--l-mm", "0", "-10"]
+    given += ["--accuracy", "search"]
+    assert main(given) == 0
     assert "was built from data" not in capsys.readouterr().err
     content["effects"]["learned_theta_2"] |= {"slope_l_2_deg": 1.0}
     content["effects"]["learned_theta_2"]["range"]["l_2"] = [-30.0, -20.0]
     (tmp_path / "robot.toml").write_text(tomli_w.dumps(content))
-    given = [
-        "bound",
-        str(tmp_path / "robot.toml"),
-        "--theta-deg",
-        "0",
-        "40",
-        "--l-mm",
-        "0",
-        "-10",
-        "--accuracy",
-        "search",
-    ]
     assert main(given) == 0
     assert "l_2 from -30 to -20 mm; here l_2 reaches -10 mm, and it is held at the edge" in capsys.readouterr().err
 

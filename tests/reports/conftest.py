@@ -1,10 +1,17 @@
-"""The scene of the plan that most tests look at, solved once."""
+"""The scene of the plan that most tests look at, solved once, and a live view that answers."""
 
 from __future__ import annotations
 
-import pytest
+import threading
+from collections.abc import Iterator
 
+import pytest
+from places import SCENARIOS
+
+from ctrplan.files.bare_scenario import load_robot_or_scenario
 from ctrplan.planning.plan import Plan
+from ctrplan.reports.live.server import LiveServer
+from ctrplan.reports.live.state import LiveState
 from ctrplan.reports.plan_scene import PlanScene, plan_scene
 
 
@@ -12,3 +19,14 @@ from ctrplan.reports.plan_scene import PlanScene, plan_scene
 def scene(plan: Plan) -> PlanScene:
     """Nobody changes it."""
     return plan_scene(plan)
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[LiveServer]:
+    """Of the vessel's scenario."""
+    with LiveServer(LiveState(load_robot_or_scenario(SCENARIOS / "vessel.toml"))) as running:
+        thread = threading.Thread(target=running.serve_forever)
+        thread.start()
+        yield running
+        running.shutdown()
+        thread.join()

@@ -2,32 +2,19 @@
 
 from __future__ import annotations
 
-import http.client
 import json
-import os
-import signal
-import socket
-import struct
-import subprocess
 import sys
-import threading
-import time
-from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
-from typing import Any
-from urllib.parse import quote
 
 import msgspec
 import numpy as np
 import pytest
 from browser import Browser, chromium
-from interruptible import INTERRUPTIBLE
+from live_requests import VESSEL_START, get
 from places import SCENARIOS
 from scipy.spatial.transform import Rotation
 from written_plan_files import GOAL, write_small_plan
 
-from ctrplan.cli import main
 from ctrplan.commands.program import parser
 from ctrplan.commands.view import loaded
 from ctrplan.drive.trajectory import time_parameterise
@@ -56,32 +43,6 @@ OUTERMOST = """(name) => {
     return Math.max(Math.abs(seen[0] / seen[3]), Math.abs(seen[1] / seen[3]));
   })));
 }"""
-VESSEL_START = "20,-60,80,-86.4"
-
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[LiveServer]:
-    with LiveServer(LiveState(load_robot_or_scenario(SCENARIOS / "vessel.toml"))) as running:
-        thread = threading.Thread(target=running.serve_forever)
-        thread.start()
-        yield running
-        running.shutdown()
-        thread.join()
-
-
-def get(server: LiveServer, path: str, **headers: str) -> tuple[int, Any, dict[str, str]]:
-    """What a page of the server gets for a path below its token."""
-    return ask(server, f"/{server.token}{path}", **headers)
-
-
-def ask(server: LiveServer, path: str, **headers: str) -> tuple[int, Any, dict[str, str]]:
-    connection = http.client.HTTPConnection(*server.server_address[:2], timeout=60)
-    connection.request("GET", path, headers={name.replace("_", "-"): value for name, value in headers.items()})
-    answer = connection.getresponse()
-    content = answer.read()
-    connection.close()
-    is_json = answer.headers["Content-Type"] == "application/json"
-    return answer.status, json.loads(content) if is_json else content.decode(), dict(answer.headers)
 
 
 def test_page_brings_all_it_needs(server: LiveServer) -> None:
@@ -169,178 +130,6 @@ def test_pose_outside_the_lumen_and_out_of_nesting(server: LiveServer) -> None:
     assert not wide["valid"] and wide["clearance_mm"] < 0 and "too close to the anatomy" in wide["reason"]
     _, beyond, _ = get(server, "/pose?q=20,-60,80,5")
     assert "translate inner = 5 mm: must be within" in beyond["refusal"]
-
-
-@pytest.mark.parametrize(
-    ("path", "code", "words"),
-    [
-        ("/pose?q=1,2", 400, "4 finite numbers"),
-        ("/pose?q=1,2,3,nan", 400, "4 finite numbers"),
-        ("/pose?q=a,b,c,d", 400, "must be numbers"),
-        ("/pose", 400, "must be numbers"),
-        (f"/pose?q={VESSEL_START}&base=1,2,3", 400, "must be six numbers"),
-        (f"/pose?q={VESSEL_START}&base=1,2,3,0,0,nan", 400, "must be six numbers"),
-        (f"/ik?q={VESSEL_START}", 400, "must be numbers"),
-        (f"/ik?q={VESSEL_START}&tip=1,2", 400, "must be three finite numbers"),
-        ("/pose?q=1_0,2,3,4", 400, "must be numbers"),
-        ("/etc/passwd", 404, "there is no"),
-        ("/../ctrplan/cli.py", 404, "there is no"),
-    ],
-)
-def test_bad_requests_are_answered(server: LiveServer, path: str, code: int, words: str) -> None:
-    found, answer, _ = get(server, path)
-    assert found == code and words in answer["error"]
-
-
-def test_other_hosts_are_refused(server: LiveServer) -> None:
-    """Against pages elsewhere that resolve their own name to this machine."""
-    code, answer, _ = get(server, "/", Host="example.org:80")
-    assert code == 403 and "127.0.0.1" in answer["error"]
-    assert get(server, "/", Host=f"localhost:{server.server_address[1]}")[0] == 200
-
-
-@pytest.mark.parametrize(
-    "path", ["/", "/scene.js", "/pose?q=20,-60,80,-86.4", "/wrong/scene.js", "//scene.js", "/\u00e9/"]
-)
-def test_nothing_is_served_without_the_token(server: LiveServer, path: str) -> None:
-    code, answer, _ = ask(server, quote(path, safe="/?=,"))
-    assert code == 403 and "address that the program printed" in answer["error"]
-
-
-@pytest.mark.parametrize("site", ["cross-site", "same-site"])
-@pytest.mark.parametrize("path", ["/", "/scene.js", f"/pose?q={VESSEL_START}"])
-def test_other_pages_are_refused_even_with_the_token(server: LiveServer, path: str, site: str) -> None:
-    code, answer, _ = get(server, path, Sec_Fetch_Site=site)
-    assert code == 403 and "other pages" in answer["error"]
-    assert get(server, path, Sec_Fetch_Site="same-origin")[0] == 200
-
-
-def test_every_answer_keeps_itself_to_its_origin(server: LiveServer) -> None:
-    for code, _, headers in (get(server, "/scene.js"), get(server, "/nothing"), ask(server, "/scene.js")):
-        assert headers["Cross-Origin-Resource-Policy"] == "same-origin", code
-        assert headers["Referrer-Policy"] == "no-referrer" and headers["X-Content-Type-Options"] == "nosniff"
-
-
-def test_token_differs_between_starts(server: LiveServer) -> None:
-    with LiveServer(server.state) as other:
-        assert other.token != server.token and len(other.token) >= 32
-
-
-def test_plus_sign_of_an_exponent_is_one(server: LiveServer) -> None:
-    plain, exponent = get(server, "/pose?q=20,-60,80,-50"), get(server, "/pose?q=2e+1,-6E+1,80,-50")
-    assert exponent[0] == 200 and exponent[1] == plain[1]
-
-
-def test_turns_beyond_counting_are_refused(server: LiveServer) -> None:
-    code, answer, _ = get(server, "/pose?q=1e22,-60,80,-86.4")
-    assert code == 200 and "must be within" in answer["refusal"] or code == 400 and "at most" in answer["error"]
-
-
-@pytest.mark.parametrize(
-    "head",
-    [
-        b"GET http://[ HTTP/1.1\r\n\r\n",
-        b"GET\r\n\r\n",
-        b"\r\n\r\n",
-        b"\xff\xfe / HTTP/1.1\r\n\r\n",
-        b"GET / HTTP/1.1\r\n" + b"a: b\r\n" * 200 + b"\r\n",
-    ],
-)
-def test_broken_requests_are_answered(server: LiveServer, capfd: pytest.CaptureFixture[str], head: bytes) -> None:
-    with socket.create_connection(server.server_address, timeout=30) as client:
-        client.sendall(head)
-        answer = client.recv(100_000)
-    assert answer.startswith(b"HTTP/1.1 400 ") and b"not a request" in answer
-    assert get(server, "/")[0] == 200 and capfd.readouterr().err == ""
-
-
-def test_clients_that_leave_are_let_go_quietly(server: LiveServer, capfd: pytest.CaptureFixture[str]) -> None:
-    reset = struct.pack("ii", 1, 0)
-    for text in (b"", b"GET /", f"GET /{server.token}/plotly.js HTTP/1.1\r\nHost: localhost\r\n\r\n".encode()):
-        client = socket.create_connection(server.server_address, timeout=30)
-        client.sendall(text)
-        client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, reset)
-        client.close()
-    with socket.create_connection(server.server_address, timeout=30) as client, suppress(ConnectionError):
-        client.sendall(b"x" * 10**6)  # more than a request may be long
-        client.recv(100)
-    assert get(server, "/")[0] == 200 and capfd.readouterr().err == ""
-
-
-def test_slow_clients_are_let_go(server: LiveServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    """However they drip their bytes, and without keeping anybody else waiting."""
-    monkeypatch.setattr("ctrplan.reports.live.server.HEAD_S", 1.0)
-    silent = [socket.create_connection(server.server_address, timeout=30) for _ in range(60)]
-    began = time.monotonic()
-    assert get(server, "/")[0] == 200 and time.monotonic() - began < 1.0
-    drip, dripped = silent.pop(), 0
-    with suppress(ConnectionError):
-        while dripped < 100:
-            drip.sendall(b"G")
-            dripped += 1
-            time.sleep(0.1)
-    assert dripped < 40
-    assert [client.recv(10) for client in silent] == [b""] * 59
-    for client in (drip, *silent):
-        client.close()
-
-
-def test_many_requests_at_once_are_all_answered(server: LiveServer) -> None:
-    count, codes = 600, []
-    head = f"GET /{server.token}/pose?q={VESSEL_START} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode()
-    clients = [socket.create_connection(server.server_address, timeout=120) for _ in range(count)]
-    for client in clients:
-        client.sendall(head)
-    assert threading.active_count() < 20
-    for client in clients:
-        codes.append(client.recv(100_000)[9:12])
-        client.close()
-    assert codes == [b"200"] * count
-
-
-def test_more_connections_than_allowed_are_told_so(server: LiveServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ctrplan.reports.live.server.MOST_CONNECTIONS", 3)
-    idle = [socket.create_connection(server.server_address, timeout=30) for _ in range(3)]
-    code, answer, _ = get(server, "/")
-    assert code == 503 and "too many" in answer["error"]
-    for client in idle:
-        client.close()
-
-
-def test_fault_of_the_program_is_an_error_for_the_page(
-    server: LiveServer, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    def broken(values: list[float]) -> dict[str, Any]:
-        raise ZeroDivisionError("broken")
-
-    monkeypatch.setattr(server.state, "at", broken)
-    code, answer, _ = get(server, f"/pose?q={VESSEL_START}")
-    assert code == 500 and "the program failed" in answer["error"]
-    assert "Traceback" not in capfd.readouterr().err
-
-
-def test_taken_port_is_one_sentence(server: LiveServer, capsys: pytest.CaptureFixture[str]) -> None:
-    port = str(server.server_address[1])
-    assert main(["view", str(SCENARIOS / "robots" / "table_5_pair.toml"), "--no-browser", "--port", port]) == 2
-    assert f"--port = {port}: can't be listened on" in capsys.readouterr().err
-    assert main(["view", str(SCENARIOS / "vessel.toml"), "--port", "70000"]) == 2
-
-
-def test_command_serves_until_ctrl_c() -> None:
-    robot = str(SCENARIOS / "robots" / "table_5_pair.toml")
-    command = [sys.executable, "-c", INTERRUPTIBLE, "view", robot, "--no-browser"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=dict(os.environ))
-    assert process.stdout is not None and process.stdout.readline() == "up\n"
-    line = process.stdout.readline()
-    assert "http://127.0.0.1:" in line
-    port, token = line.split("127.0.0.1:")[1].split("/")[:2]
-    connection = http.client.HTTPConnection("127.0.0.1", int(port), timeout=60)
-    connection.request("GET", f"/{token}/pose?q=0,90,0")
-    assert json.loads(connection.getresponse().read())["bound_mm"] > 0
-    connection.close()
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 0 and "Traceback" not in errors
 
 
 def reachable_tip(server: LiveServer) -> list[float]:

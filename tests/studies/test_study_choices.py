@@ -21,6 +21,7 @@ from ctrplan.errors import InputError
 from ctrplan.files.bare_scenario import load_robot_or_scenario
 from ctrplan.reports.study_page.page import study_report_html
 from ctrplan.studies.study.sensitivity import sensitivity
+from ctrplan.studies.study.sources import matching_files
 from ctrplan.studies.study.study import Study
 
 PAIR = str(ROBOTS / "table_5_pair.toml")
@@ -205,3 +206,15 @@ def test_ways_to_a_point_say_which_are_valid() -> None:
             ctrplan.inverse_kinematics(robot, **arguments)
     with pytest.raises(InputError, match="must be a Robot or a Scenario"):
         ctrplan.inverse_kinematics(PAIR, tip)  # type: ignore[arg-type]
+
+
+def test_files_are_named_by_patterns_relative_or_absolute(tmp_path: Path) -> None:
+    for name in ("b.toml", "a.toml", "c.csv"):
+        (tmp_path / name).write_text("")
+    both = [tmp_path / "a.toml", tmp_path / "b.toml"]
+    for pattern in ("*.toml", f"{tmp_path}/*.toml", "**/*.toml"):
+        assert matching_files([pattern], str(tmp_path), "key", None) == both
+    assert matching_files(["b.toml", "*.toml"], str(tmp_path), "key", None) == both[::-1]
+    for pattern in ("", "*.obj", "a\0*", f"{tmp_path}/none.toml", "["):
+        with pytest.raises(InputError, match="names no file that exists"):
+            matching_files([pattern], str(tmp_path), "key", None)

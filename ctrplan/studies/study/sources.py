@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from glob import glob
 from pathlib import Path
 from typing import Any
 
@@ -149,10 +150,8 @@ def matching_files(patterns: Sequence[str], folder: str, key: str, file: str | N
     """Files that patterns relative to a folder name, sorted, each once. Raises InputError for a pattern without any."""
     found: dict[Path, None] = {}
     for pattern in patterns:
-        try:
-            here = sorted(path for path in Path(folder).glob(pattern) if path.is_file())
-        except (ValueError, NotImplementedError, OSError):
-            here = [Path(pattern)] if Path(pattern).is_file() else []
+        named = [] if "\0" in pattern else glob(pattern, root_dir=folder, recursive=True)
+        here = sorted(path for path in (Path(folder) / name for name in named) if path.is_file())
         if not here:
             raise InputError("names no file that exists", file=file, key=key, value=pattern)
         found |= dict.fromkeys(here)
