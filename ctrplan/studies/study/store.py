@@ -10,6 +10,7 @@ import fcntl
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -165,9 +166,14 @@ class Store:
             os.ftruncate(self.rows_file, self.end)
             raise
 
-    def writing(self, name: str) -> _Writing:
-        """Errors of the system about a file of the folder as one sentence."""
-        return _Writing(self.folder / name if name else self.folder)
+    @contextmanager
+    def writing(self, name: str) -> Iterator[None]:
+        """Errors of the system about a file of the folder, or about it with no name, as one sentence (CtrplanError)."""
+        try:
+            yield
+        except OSError as error:
+            rule = f"could not be written: {error.strerror or error}; what is in it stays, the study can be run again"
+            raise CtrplanError(f"{self.folder / name if name else self.folder}: {rule}.") from error
 
 
 def _key_of(line: bytes) -> bytes | None:
@@ -178,18 +184,3 @@ def _key_of(line: bytes) -> bytes | None:
         return bytes.fromhex(line[len(LINE_BEGINS) : len(LINE_BEGINS) + KEY_DIGITS].decode())
     except ValueError:
         return None
-
-
-class _Writing:
-    """Errors of the system as one sentence about a file."""
-
-    def __init__(self, place: Path) -> None:
-        self.place = place
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
-        if isinstance(error, OSError):
-            rule = f"could not be written: {error.strerror or error}; what is in it stays, the study can be run again"
-            raise CtrplanError(f"{self.place}: {rule}.") from error
