@@ -98,7 +98,7 @@ def test_without_the_library_or_a_frame_it_is_one_sentence(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["view", str(PAIR), "--no-browser", "--igtl", "0"]) == 2
-    assert "--frame = None: must be RAS or LPS" in capsys.readouterr().err
+    assert "--frame: must be RAS or LPS" in capsys.readouterr().err
     assert main(["simulate", str(PAIR), "path.csv", "--measured", "--igtl", "0"]) == 2
     assert "--igtl = 0: goes without --measured" in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "pyigtl", None)

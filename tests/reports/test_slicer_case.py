@@ -102,7 +102,7 @@ def test_the_command_writes_the_folder_and_asks_for_the_frame(
 ) -> None:
     write_small_plan(tmp_path)
     command = ["export", str(tmp_path / "plan.json"), "--allow-outside", "--to", "slicer", "-o", str(tmp_path / "case")]
-    assert main(command) == 2 and "--frame = None: must be RAS or LPS" in capsys.readouterr().err
+    assert main(command) == 2 and "--frame: must be RAS or LPS" in capsys.readouterr().err
     assert not (tmp_path / "case").exists()
     assert main([*command, "--frame", "RAS", "--steps", "2"]) == 0
     assert "2 poses" in capsys.readouterr().out
