@@ -20,8 +20,9 @@ from ctrplan.mechanics.core import Accuracy
 from ctrplan.planning.certificate.allowances import POINT_SPACING_M, SAME_BRANCH_M, bound_allowance_m, mesh_allowance_m
 from ctrplan.planning.certificate.body_pieces import PARTS, around, beside
 from ctrplan.planning.certificate.certify import certify
-from ctrplan.planning.certificate.friction_cube import Needed, least_of_states
-from ctrplan.planning.certificate.friction_states import Solved, corner_states
+from ctrplan.planning.certificate.friction_cube import CubeAsked, least_of_cube
+from ctrplan.planning.certificate.friction_states import Solved, State, corner_states
+from ctrplan.planning.certificate.least_of_states import Needed
 from ctrplan.planning.certificate.other_equilibria import other_equilibrium
 from ctrplan.planning.certificate.simulated_bodies import SimulatedBodies
 from ctrplan.planning.certificate.walked_piece import walk_pieces
@@ -87,19 +88,19 @@ def test_the_least_stability_and_the_largest_strain_between_the_corners_are_foun
     for _ in range(30):
         dip, width = rng.uniform(-0.8, 0.8, 2), rng.uniform(0.35, 1.0)
 
-        def solved(phi: Array, dip: Array = dip, width: float = width) -> list[Solved]:
-            away = np.linalg.norm(phi - dip, axis=1)
+        def solved(phi: Sequence[State], dip: Array = dip, width: float = width) -> list[Solved]:
+            away = np.linalg.norm(np.array(phi) - dip, axis=1)
             return [
                 Solved(np.zeros((5, 3)), float(np.hypot(0.5, a / width)), float(0.05 / np.hypot(1, a / width)))
                 for a in away
             ]
 
         states = [(0.0, 0.0), *corner_states(2)]
-        grid = solved(np.array(list(itertools.product(np.linspace(-1, 1, 81), repeat=2))))
+        grid = solved(list(itertools.product(np.linspace(-1, 1, 81).tolist(), repeat=2)))
         least, most = min(one.stability for one in grid), max(one.max_strain for one in grid)
         for needed in (Needed(0.0, 0.4, 0.06), Needed(0.0, 0.55, 0.045)):
-            known = dict(zip(states, solved(np.array(states)), strict=True))
-            found = least_of_states(known, np.zeros(5), solved, None, needed)
+            known = dict(zip(states, solved(states), strict=True))
+            found = least_of_cube(CubeAsked(known, np.zeros(5), solved, needed), None)
             assert found.stability < needed.stability or least >= needed.stability
             assert found.max_strain > needed.max_strain or most <= needed.max_strain
             if needed.stability == 0.4:  # enough is not refused

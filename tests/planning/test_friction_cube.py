@@ -15,11 +15,13 @@ from ctrplan.base.arrays import Array
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.files.scenario_file import scenario_from_dict
 from ctrplan.planning.certificate.allowances import UNEVEN_FRICTION_M, mesh_allowance_m
-from ctrplan.planning.certificate.certify import _contradictions, certify
-from ctrplan.planning.certificate.friction_cube import Needed, least_of_states
+from ctrplan.planning.certificate.certify import _contradictions, certify, finished
+from ctrplan.planning.certificate.friction_cube import CubeAsked, least_of_cube, least_of_cubes
 from ctrplan.planning.certificate.friction_states import Solved, State, corner_states
+from ctrplan.planning.certificate.least_of_states import Needed
 from ctrplan.planning.certificate.prediction import Prediction
 from ctrplan.planning.certificate.start_branches import other_start
+from ctrplan.planning.certificate.walked_legs import walk_legs
 from ctrplan.planning.certificate.walked_piece import walk_pieces
 from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.scenario import Scenario
@@ -64,7 +66,7 @@ def test_what_is_enough_is_so_for_every_state_and_little_is_refused(seed: int) -
     states = [(0.0, 0.0), *corner_states(2)]
     for enough in (true - 5e-3, true - 1e-3, true + 1e-3):
         known = dict(zip(states, solved(states), strict=True))
-        found = least_of_states(known, radius, solved, spheres, Needed(enough))
+        found = least_of_cube(CubeAsked(known, radius, solved, Needed(enough)), spheres)
         assert found.clearance_m < enough or true >= found.clearance_m - 1e-9
         assert found.clearance_m >= enough or true < enough + 0.6e-3
 
@@ -74,8 +76,27 @@ def test_a_state_without_an_equilibrium_is_no_clearance_at_all() -> None:
     known = dict(zip(states, solved(states), strict=True))
     near = Spheres(curled(np.array([[0.5, 0.5]]))[:, -1], 1e-3)
     nowhere = Solved(np.full((60, 3), np.nan), np.nan, np.nan)
-    found = least_of_states(known, np.full(60, 1e-3), lambda phi: [nowhere] * len(phi), near, Needed(0.0))
-    assert found.clearance_m == -np.inf
+    asked = CubeAsked(known, np.full(60, 1e-3), lambda phi: [nowhere] * len(phi), Needed(0.0))
+    assert least_of_cube(asked, near).clearance_m == -np.inf
+
+
+def test_configurations_that_are_looked_at_together_are_found_as_alone() -> None:
+    """Bodies of several lengths, what is asked of them differs too."""
+    rng = np.random.default_rng(3)
+    spheres = Spheres(rng.uniform([-0.02, -0.02, 0.03], [0.02, 0.02, 0.1], (6, 3)), 2e-3)
+    states = [(0.0, 0.0), *corner_states(2)]
+
+    def shorter(count: int) -> CubeAsked:
+        def cut(phi: Sequence[State]) -> list[Solved]:
+            return [replace(one, body_m=one.body_m[:count]) for one in solved(phi)]
+
+        known = dict(zip(states, cut(states), strict=True))
+        return CubeAsked(known, np.full(count, 1e-3), cut, Needed(float(rng.uniform(-4e-3, 4e-3))))
+
+    asked = [shorter(int(count)) for count in rng.integers(20, 60, 12)]
+    for one, found in zip(asked, least_of_cubes(asked, spheres), strict=True):
+        alone = least_of_cube(one, spheres)
+        assert (found.clearance_m, found.phi, found.solves) == (alone.clearance_m, alone.phi, alone.solves)
 
 
 def joints(*values: float) -> Array:
@@ -180,3 +201,16 @@ def test_a_simulated_robot_beyond_its_bound_is_a_contradiction_wherever_it_is(sa
     predicted = samples.bound_m.copy()
     predicted[sample] += 5e-3
     assert "5.00 mm beyond" in _contradictions(calm, replace(samples, predicted_m=predicted))[0]
+
+
+def test_a_walk_that_asks_for_little_clearance_refuses_nothing_else() -> None:
+    """How much is left at the least is told by the certificate, for which it is walked again."""
+    legs = np.array([joints(0, 60, 0, -28.8), joints(0, 60, 12, -28.8)])
+    for center in ((0.0, 60.0, 140.0), (0.0, 46.0, 165.0)):
+        case = with_sphere(legs[0], center, 1.0)
+        hasty, whole = walk_legs(case, legs, spare_m=0.5e-3), walk_legs(case, legs)
+        assert hasty.problems == whole.problems
+        stated, expected = finished(hasty), finished(whole)
+        assert stated.min_clearance_m == expected.min_clearance_m and stated.problems == expected.problems
+        if not whole.problems:
+            assert 0.5e-3 <= hasty.samples.clearance_m.min() <= whole.samples.clearance_m.min()

@@ -38,48 +38,62 @@ class CellClearance:
 
 
 def cell_clearances(
-    cells: Sequence[Cell], corners: Array, middles: Array, distance: Distance, enough_m: float
+    cells: Sequence[Cell], corners: Array, middles: Array, distance: Distance, enough_m: Array
 ) -> list[CellClearance]:
-    """Of L cells, corners' bodies (L, 2^P, N, 4) and middles' (L, N, 4): points, and radii that have to be clear."""
-    error = np.array([ERROR_FACTOR * _error(m, c.mean(axis=0)) for m, c in zip(middles, corners, strict=True)])
+    """Of L cells, for each of which `enough_m` (L,) is asked.
+
+    Corners' bodies (L, 2^P, N, 4) and middles' (L, N, 4): points, and radii that have to be clear.
+    """
+    count, points = middles.shape[:2]
+    error = ERROR_FACTOR * most_up_to(np.linalg.norm((middles - corners.mean(axis=1))[..., :3], axis=2))
     away = corners - middles[:, None]
     reach = (np.linalg.norm(away[..., :3], axis=3) + away[..., 3]).max(axis=1)
     off = error + middles[..., 3]
-    count, points = middles.shape[:2]
-    asked = (enough_m + reach + off + HALF_M).ravel()
+    asked = (enough_m[:, None] + reach + off + HALF_M).ravel()
     far = beside(distance(middles[..., :3].reshape(-1, 3), asked), HALF_M).reshape(count, points)
     bound = far - reach - off  # clearance is 1-Lipschitz
-    rest = np.where(bound >= enough_m, bound, np.inf)
-    near = np.flatnonzero(bound < enough_m)
-    along = corners.transpose(1, 0, 2, 3).reshape(-1, count * points, 4)
-    rough, unit, place = _interpolated(along[:, near], error.ravel()[near], HALF_M, distance, enough_m)
-    narrow = near[rough < enough_m]
-    pieces, begins = around(along, narrow, np.arange(count * points) % points == 0), error.ravel()[narrow]
-    closer, unit_closer, place_closer = _interpolated(pieces, np.tile(begins, PARTS), PIECE_M, distance, enough_m)
-    enough = rough >= enough_m
-    lower = np.concatenate([rough[enough], closer])
-    unit, place = np.concatenate([unit[enough], unit_closer]), np.concatenate([place[enough], place_closer])
-    owner = np.concatenate([near[enough], np.tile(narrow, PARTS)]) // points
+    rest = np.where(bound >= enough_m[:, None], bound, np.inf)
+    near = np.flatnonzero(bound < enough_m[:, None])
+    closest = _closest(corners, error, near, distance, enough_m)
     found = []
     for k, cell in enumerate(cells):
-        own = np.flatnonzero(owner == k)
         at = int(np.argmin(rest[k]))
         least = CellClearance(float(rest[k, at]), cell.middle, middles[k, at, :3])
-        if len(own) and lower[own].min() <= least.clearance_m:
-            first = own[np.argmin(lower[own])]
-            least = CellClearance(float(lower[first]), cell.at(unit[first]), place[first])
+        if k in closest and closest[k][0] <= least.clearance_m:
+            clearance, unit, place = closest[k]
+            least = CellClearance(clearance, cell.at(unit), place)
         found.append(least)
     return found
 
 
+def _closest(
+    corners: Array, error: Array, near: NDArray[np.intp], distance: Distance, enough_m: Array
+) -> dict[int, tuple[float, Array, Array]]:
+    """Of cells with points `near`, counted over all of them: least clearance, state in the cell (P,), place (3,)."""
+    count, _, points, _ = corners.shape
+    along = corners.transpose(1, 0, 2, 3).reshape(-1, count * points, 4)
+    error, enough = error.ravel(), enough_m[near // points]
+    rough = _interpolated(along[:, near], error[near], HALF_M, distance, enough)
+    is_rough = rough[0] >= enough
+    narrow, short = near[~is_rough], enough[~is_rough]
+    pieces = around(along, narrow, np.arange(count * points) % points == 0)
+    closer = _interpolated(pieces, np.tile(error[narrow], PARTS), PIECE_M, distance, np.tile(short, PARTS))
+    lower, unit, place = (np.concatenate([a[is_rough], b]) for a, b in zip(rough, closer, strict=True))
+    owner = np.concatenate([near[is_rough], np.tile(narrow, PARTS)]) // points
+    order = np.lexsort((lower, owner))
+    cells, first = np.unique(owner[order], return_index=True)
+    rows = zip(cells.tolist(), order[first].tolist(), strict=True)
+    return {cell: (float(lower[k]), unit[k], place[k]) for cell, k in rows}
+
+
 def _interpolated(
-    corners: Array, error: Array, half_m: float, distance: Distance, enough_m: float
+    corners: Array, error: Array, half_m: float, distance: Distance, enough_m: Array
 ) -> tuple[Array, Array, Array]:
     """(K,) lower bounds of the clearance of points of bodies, (K, P) states in the cell, 0 to 1, (K, 3) where.
 
-    corners (2^P, K, 4) of points with radii, each for `half_m` of the body on both sides; errors (K,) taken off. Halves
-    the states of each point, along the pair that moves it most, until its clearance is enough or surely is not: a point
-    moves no farther within a part of the cell than its corners' distances say.
+    corners (2^P, K, 4) of points with radii, each for `half_m` of the body on both sides; errors (K,) taken off; what
+    is asked of each (K,). Halves the states of each point, along the pair that moves it most, until its clearance is
+    enough or surely is not: a point moves no farther within a part of the cell than its corners' distances say.
     """
     pairs = int(np.log2(len(corners)))
     edges, count = _edges(corners, pairs), corners.shape[1]
@@ -88,18 +102,19 @@ def _interpolated(
     for level in range(HALVINGS * pairs + 1):
         if not len(index):
             break
-        unit, moves = low + size / 2, edges[index] * size
+        unit, moves, enough = low + size / 2, edges[index] * size, enough_m[index]
         points = np.einsum("ac,cax->ax", unit_weights(unit), corners[:, index])
         off, slack = error[index] + points[:, 3], moves.sum(axis=1) / 2
-        clear = beside(distance(points[:, :3], enough_m + off + slack + half_m), half_m) - off
-        open_ = (clear - slack < enough_m) & (clear >= enough_m) & (level < HALVINGS * pairs)
+        clear = beside(distance(points[:, :3], enough + off + slack + half_m), half_m) - off
+        open_ = (clear - slack < enough) & (clear >= enough) & (level < HALVINGS * pairs)
         done = np.flatnonzero(~open_)
-        values = clear[done] - np.where(clear[done] < enough_m, 0.0, slack[done])  # less than asked for says enough
+        # less than asked for says enough
+        values = clear[done] - np.where(clear[done] < enough[done], 0.0, slack[done])
         order = np.argsort(-values, kind="stable")  # the least of a point last, so that it stays
         order = order[values[order] < least[index[done[order]]]]
         done, values = done[order], values[order]
         least[index[done]], at[index[done]], place[index[done]] = values, unit[done], points[done, :3]
-        go_on = open_ & (least[index] >= enough_m)
+        go_on = open_ & (least[index] >= enough)
         index, low, size = _halved(index[go_on], low[go_on], size[go_on], moves[go_on])
     return least, at, place
 
@@ -109,11 +124,6 @@ def _halved(index: NDArray[np.intp], low: Array, size: Array, moves: Array) -> t
     along = np.eye(low.shape[1])[np.argmax(moves, axis=1)]
     size = size * (1 - along / 2)
     return np.tile(index, 2), np.concatenate([low, low + along * size]), np.tile(size, (2, 1))
-
-
-def _error(solved: Array, interpolated: Array) -> Array:
-    """(N,) [m] largest difference from the base up to BEYOND points further out."""
-    return most_up_to(np.linalg.norm((solved - interpolated)[:, :3], axis=1))
 
 
 def most_up_to(apart_m: Array) -> Array:

@@ -63,9 +63,13 @@ def certify(
     return finished(walk_legs(scenario, corners, accuracy=accuracy, progress=progress), arrival)
 
 
-def finished(walk: WalkedLegs, arrival: Arrival = frictionless_arrives) -> Certificate:
-    """The certificate of walked legs, histories simulated."""
+def finished(
+    walk: WalkedLegs, arrival: Arrival = frictionless_arrives, progress: Progress | None = None
+) -> Certificate:
+    """The certificate of walked legs, histories simulated; walked again where not all clearance was asked for."""
     scenario = walk.scenario
+    if np.isfinite(walk.spare_m):
+        walk = walk_legs(scenario, walk.corners, accuracy=walk.accuracy, progress=progress)
     bodies = SimulatedBodies.of(scenario)
     prediction, samples = _predicted(scenario, walk.pieces, walk.samples, walk.accuracy, bodies)
     closest = closest_places(scenario, walk.pieces, samples)

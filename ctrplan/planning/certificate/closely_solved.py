@@ -26,10 +26,11 @@ CHUNK = 4  # samples at a time
 MOST_AGAIN = 60  # samples solved on the certificate mesh only to report the least clearance more closely
 
 
-def closely_solved(scenario: Scenario, pieces: Sequence[Piece]) -> list[Piece]:
+def closely_solved(scenario: Scenario, pieces: Sequence[Piece], spare_m: float) -> list[Piece]:
     """The narrowest samples solved on the certificate mesh: all that the search mesh refuses, and some of the others.
 
-    So that the least clearance does not depend on the mesh that a sample happened to be walked on.
+    So that the least clearance does not depend on the mesh that a sample happened to be walked on, unless it is more
+    than `spare_m` beyond the limit.
     """
     distance, limits = AnatomyDistance.of(scenario), path_limits(scenario)
     if distance is None:
@@ -39,7 +40,7 @@ def closely_solved(scenario: Scenario, pieces: Sequence[Piece]) -> list[Piece]:
     rows = sorted((float(c), p, k) for p, piece in enumerate(pieces) for k, c in enumerate(piece.clearance_m))
     narrow = [row for row in rows if pieces[row[1]].accuracy == "search"]
     must = sum(value < limits.clearance_m for value, *_ in narrow)
-    ceiling = np.inf  # of the least clearance
+    ceiling = limits.clearance_m + spare_m  # of the least clearance that is asked for
     with ThreadPoolExecutor(cores()) as pool:
         for begin in range(0, min(len(narrow), must + MOST_AGAIN), CHUNK):
             if narrow[begin][0] >= ceiling or ceiling < limits.clearance_m:
@@ -60,7 +61,7 @@ def _on_certificate_mesh(
 ) -> tuple[float, FinerShapes | None]:
     """Clearance of the solved shapes of a sample, all allowances taken off, and the shapes; -inf on another branch."""
     states = SampleStates(scenario, piece, sample, "certificate")
-    solved, radius = states.known()
+    solved, radius = states.known
     if states.apart_m > SAME_BRANCH_M:
         return -np.inf, None
     points = np.concatenate([one.body_m for one in solved.values()])

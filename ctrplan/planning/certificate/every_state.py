@@ -6,20 +6,19 @@ Every few samples are solved in states of the cube, those between them are inter
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ctrplan.base.arrays import Array
 from ctrplan.base.cores import cores
 from ctrplan.mechanics.core import PathLimits
 from ctrplan.planning.certificate.allowances import TIGHT_M
 from ctrplan.planning.certificate.anatomy_distance import AnatomyDistance
-from ctrplan.planning.certificate.friction_cube import DEPTH, LEAST_DEPTH, LeastOfStates, Needed, least_of_states
-from ctrplan.planning.certificate.friction_states import Solved, State
+from ctrplan.planning.certificate.friction_cube import DEPTH, LEAST_DEPTH, CubeAsked, least_of_cubes
+from ctrplan.planning.certificate.least_of_states import LeastOfStates, Needed
 from ctrplan.planning.certificate.sample_states import SampleStates
 from ctrplan.planning.certificate.states_between import StatesBetween
 from ctrplan.planning.certificate.walked_piece import Piece, least_of
@@ -33,25 +32,27 @@ if TYPE_CHECKING:
 # a cell lasts for more than a few mm of motion.
 NEAR_M, LOOK_EVERY, CLOSE_EVERY, CLOSE_DEPTH = 3e-3, 4, 16, 2
 FIRST = 4  # narrowest samples
+AT_ONCE = 32  # samples, of which there is little to compute of each
 SPARE_M = 0.15e-3  # of a sample that may be interpolated: with less, what is taken off for that is too much
 CLOSE_TUBES = 4  # of five tubes, cells halved twice have 881 corners and middles
 
 
-def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece]) -> list[Piece]:
+def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece], spare_m: float) -> list[Piece]:
     """The pieces with clearance, stability and strain of every friction state.
 
     Where no state is found to have less than the solved shapes of the whole path, the least clearance is that of those
-    shapes less TIGHT_M.
+    shapes less TIGHT_M; no more than `spare_m` beyond the limit is asked for.
     """
     limits = path_limits(scenario)
     if scenario.robot.n == 1 or not scenario.robot.friction.any():
         return list(pieces)
     solved, distance = least_of(pieces), AnatomyDistance.of(scenario)
-    enough = limits.clearance_m if solved < limits.clearance_m else max(limits.clearance_m, solved - TIGHT_M)
+    enough = max(limits.clearance_m, min(solved - TIGHT_M, limits.clearance_m + spare_m))
     needed = Needed(enough, limits.stability, limits.max_strain)
     looks = [_Look(scenario, piece, needed, distance) for piece in pieces]
     with ThreadPoolExecutor(cores()) as pool:
-        narrowest = pool.map(lambda some: _least_of_some(looks[some[0]], some[1]), _narrowest(pieces))
+        first = pool.map(lambda some: looks[some[0]].least(some[1]), _narrowest(pieces))
+        narrowest = (one.clearance_m for of_piece in first for one in of_piece)
         enough = max(limits.clearance_m, min([enough, *narrowest]))
         return list(pool.map(lambda look: _in_every_state(look, enough, limits), looks))
 
@@ -69,22 +70,20 @@ def _narrowest(pieces: Sequence[Piece]) -> list[tuple[int, list[int]]]:
     return list(chosen.items())
 
 
-def _least_of_some(look: _Look, samples: Sequence[int]) -> float:
-    return min(look.least(sample).clearance_m for sample in samples)
-
-
 def _in_every_state(look: _Look, enough_m: float, limits: PathLimits) -> Piece:
-    """Down to `enough_m` of clearance; ends at the first sample that breaks a limit."""
+    """Down to `enough_m` of clearance; ends with the first samples of which one breaks a limit."""
     piece, look.needed = look.piece, replace(look.needed, clearance_m=enough_m)
     clearance, stability, strain = piece.clearance_m.copy(), piece.stability.copy(), piece.max_strain.copy()
     phi = piece.phi.copy()
-    for k in range(len(clearance)):
-        found = look.least(k)
-        if found.clearance_m < clearance[k]:
-            clearance[k], phi[k] = found.clearance_m, found.phi
-        stability[k] = min(stability[k], found.stability)
-        strain[k] = max(strain[k], found.max_strain)
-        if clearance[k] < limits.clearance_m or stability[k] < limits.stability or strain[k] > limits.max_strain:
+    for first in range(0, len(clearance), AT_ONCE):
+        samples = range(first, min(first + AT_ONCE, len(clearance)))
+        for k, found in zip(samples, look.least(samples), strict=True):
+            if found.clearance_m < clearance[k]:
+                clearance[k], phi[k] = found.clearance_m, found.phi
+            stability[k] = min(stability[k], found.stability)
+            strain[k] = max(strain[k], found.max_strain)
+        is_broken = (clearance < limits.clearance_m) | (stability < limits.stability) | (strain > limits.max_strain)
+        if is_broken[samples].any():
             break
     apart = look.apart_m
     look.forget()
@@ -113,68 +112,62 @@ class _Look:
         """Lets go of all bodies, once nothing of the piece is asked any more."""
         self._states.clear()
 
-    def least(self, sample: int) -> LeastOfStates:
-        """All allowances taken off the clearance."""
-        if sample not in self._found:
-            for found in self._tries(sample):
+    def least(self, samples: Sequence[int]) -> list[LeastOfStates]:
+        """Of each sample; all allowances taken off the clearance."""
+        tries = {sample: self._tries(sample) for sample in samples if sample not in self._found}
+        while going := {sample: asked for sample, one in tries.items() if (asked := next(one, None))}:
+            for sample, found in zip(going, self._least(going), strict=True):
                 self._found[sample] = found
                 if found.keeps(self.needed):
-                    break
-        return self._found[sample]
+                    tries[sample].close()
+        return [self._found[sample] for sample in samples]
 
-    def _tries(self, sample: int) -> Iterator[LeastOfStates]:
+    def _least(self, going: Mapping[int, _Try]) -> list[LeastOfStates]:
+        """What the tries find, one of each sample."""
+        found = least_of_cubes([self._cube(sample, one) for sample, one in going.items()], self.distance)
+        return [
+            replace(least, clearance_m=least.clearance_m - self._offset_m(sample, one))
+            for (sample, one), least in zip(going.items(), found, strict=True)
+        ]
+
+    def _tries(self, sample: int) -> Generator[_Try]:
         """From the cheapest on; what the last says holds."""
         own, is_walked_closely = self.piece.accuracy, self.piece.accuracy == "certificate"
         if is_walked_closely or self.piece.as_walked_m[sample] >= self.needed.clearance_m:
             depth = DEPTH if is_walked_closely else LEAST_DEPTH
             if sample % LOOK_EVERY:
-                yield self._between(sample, own, depth)
+                yield _Try(own, depth, is_between=True)
             if is_walked_closely or not sample % LOOK_EVERY:
-                solved = self._solved(sample, own, depth)
-                yield solved
-                if is_walked_closely or not np.isfinite(solved.clearance_m):
+                yield _Try(own, depth)
+                if is_walked_closely or not np.isfinite(self._found[sample].clearance_m):
                     return
         if self.piece.clearance_m[sample] >= self.needed.clearance_m + SPARE_M:
-            yield self._between(sample, "certificate", DEPTH)
-        yield self._solved(sample, "certificate", DEPTH)
+            yield _Try("certificate", DEPTH, is_between=True)
+        yield _Try("certificate", DEPTH)
 
-    def _solved(self, sample: int, accuracy: Accuracy, depth: int) -> LeastOfStates:
-        states = self._of(sample, accuracy)
-        known, radius = states.known()
-        return self._least(sample, accuracy, depth, known, radius, states)
+    def _cube(self, sample: int, one: _Try) -> CubeAsked:
+        """Only what is solved for itself is looked at in all cells, whatever is found in some."""
+        states = self._of(sample, one.accuracy)
+        known, radius = states.known
+        return CubeAsked(
+            known,
+            radius,
+            self._between(sample, one.accuracy) if one.is_between else states,
+            replace(self.needed, clearance_m=self.needed.clearance_m + self._offset_m(sample, one)),
+            one.depth,
+            self._least_depth(sample),
+            is_attempt=one.is_between,
+        )
 
-    def _between(self, sample: int, accuracy: Accuracy, depth: int) -> LeastOfStates:
-        known, radius = self._of(sample, accuracy).known()
+    def _offset_m(self, sample: int, one: _Try) -> float:
+        return float(self.piece.offset_m(self.scenario, one.accuracy)[sample])
+
+    def _between(self, sample: int, accuracy: Accuracy) -> StatesBetween:
         first = sample - sample % LOOK_EVERY
         last = min(first + LOOK_EVERY if sample > first else first, len(self.piece.l_b) - 1)
         ends = self._of(first, self.piece.accuracy), self._of(last, self.piece.accuracy)
         share = (sample - first) / max(last - first, 1)
-        between = StatesBetween(known, ends, share, accuracy != self.piece.accuracy)
-        return self._least(sample, accuracy, depth, known, radius, between)
-
-    def _least(
-        self,
-        sample: int,
-        accuracy: Accuracy,
-        depth: int,
-        known: dict[State, Solved],
-        radius_m: Array,
-        solve: SampleStates | StatesBetween,
-    ) -> LeastOfStates:
-        """Only what is solved for itself is looked at in all cells, whatever is found in some."""
-        offset = float(self.piece.offset_m(self.scenario, accuracy)[sample])
-        asked = replace(self.needed, clearance_m=self.needed.clearance_m + offset)
-        found = least_of_states(
-            known,
-            radius_m,
-            solve,
-            self.distance,
-            asked,
-            depth,
-            self._least_depth(sample),
-            is_attempt=isinstance(solve, StatesBetween),
-        )
-        return replace(found, clearance_m=found.clearance_m - offset)
+        return StatesBetween(self._of(sample, accuracy).known[0], ends, share, accuracy != self.piece.accuracy)
 
     def _least_depth(self, sample: int) -> int:
         """How often all cells of a sample are halved."""
@@ -188,3 +181,12 @@ class _Look:
         if key not in self._states:
             self._states[key] = SampleStates(self.scenario, self.piece, sample, accuracy)
         return self._states[key]
+
+
+@dataclass(frozen=True)
+class _Try:
+    """A way to look at a sample."""
+
+    accuracy: Accuracy
+    depth: int
+    is_between: bool = False  # by interpolation along the path

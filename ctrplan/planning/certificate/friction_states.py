@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +24,10 @@ class Solved:
     max_strain: float
     doubt_m: Array | float = 0.0  # (N,) what the body may be off by where it was not solved itself
 
-    def with_radius(self, radius_m: Array) -> Array:
-        """(N, 4) the body and the radii (N,) around it that it may fill."""
-        return np.column_stack([self.body_m, radius_m + self.doubt_m])
+    @cached_property
+    def has_body(self) -> bool:
+        """Whether an equilibrium was found, and where it is known how far off it may be."""
+        return bool(np.isfinite(self.body_m).all() and np.isfinite(self.doubt_m).all())
 
 
 @dataclass(frozen=True)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.planning.certificate.allowances import POINT_SPACING_M, SAME_BRANCH_M, mesh_allowance_m
-from ctrplan.planning.certificate.friction_states import Solved, State, corner_states
+from ctrplan.planning.certificate.friction_states import Solved, State, corner_states, corner_weights
 from ctrplan.planning.certificate.walked_piece import Piece, shapes_of
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ class SampleStates:
     apart_m: float = 0.0  # of bodies solved from scratch from those walked to, less what meshes differ by
     _compared: bool = field(default=False, repr=False)
     _solved: dict[State, Solved] = field(default_factory=dict, repr=False)
+    _bends: dict[tuple[State, ...], Array] = field(default_factory=dict, repr=False)
 
     @property
     def states(self) -> list[State]:
@@ -36,6 +38,7 @@ class SampleStates:
         pairs = self.scenario.robot.n - 1
         return [(0.0,) * pairs, *corner_states(pairs)]
 
+    @cached_property
     def known(self) -> tuple[dict[State, Solved], Array]:
         """The states that were walked to, on the certificate mesh solved once more, and outer radii (N,)."""
         bodies, radius = self.walked
@@ -51,7 +54,7 @@ class SampleStates:
             self._compare(bodies)
         return dict(zip(self.states, solved, strict=True)), radius
 
-    @property
+    @cached_property
     def walked(self) -> tuple[Array, Array]:
         """Points (1 + C, N, 3) and outer radii (N,)."""
         return shapes_of(self.scenario, self.piece.samples.bodies[self.sample])
@@ -83,6 +86,24 @@ class SampleStates:
             return found
         return [replace(one, body_m=np.full_like(one.body_m, np.nan)) for one in found]
 
+    def bend(self, states: Sequence[State]) -> Array:
+        """(S, N, 3) how far bodies of S states lie from the multilinear interpolation of the sign corners' bodies.
+
+        NaN where there is no equilibrium.
+        """
+        asked = tuple(states)
+        if asked not in self._bends:
+            weights = corner_weights(np.array(asked))
+            corners = np.array([self.known[0][state].body_m for state in corner_states(len(asked[0]))])
+            straight = np.tensordot(weights, corners, axes=1)
+            self._bends[asked] = np.array([one.body_m for one in self(asked)]) - straight
+        return self._bends[asked]
+
+    @cached_property
+    def shares(self) -> Array:
+        """(N,) of the body's length, at its points."""
+        return shares_of_length(self.known[0][(0.0,) * (self.scenario.robot.n - 1)].body_m)
+
     def _compare(self, bodies: Array) -> None:
         """Those of `states` with what was walked to: whole bodies on the same mesh, tips on another one."""
         self._compared, walked = True, self.walked[0]
@@ -92,3 +113,10 @@ class SampleStates:
             apart = np.linalg.norm(bodies[:, -1] - walked[:, -1], axis=1)
             allowed = mesh_allowance_m(self.scenario.robot, self.piece.accuracy)
         self.apart_m = max(0.0, float(np.nan_to_num(apart.max(), nan=np.inf)) - allowed)
+
+
+def shares_of_length(body_m: Array) -> Array:
+    """(N,) share of a body's length at its points (N, 3)."""
+    length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(body_m, axis=0), axis=1)))
+    share: Array = length / length[-1]
+    return share

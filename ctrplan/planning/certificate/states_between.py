@@ -16,7 +16,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.planning.certificate.allowances import BEND_CHANGE, BEND_MESH, BEND_SHARE, BEND_SPREAD
 from ctrplan.planning.certificate.cell_clearances import most_up_to
 from ctrplan.planning.certificate.friction_states import Solved, State, corner_states, corner_weights
-from ctrplan.planning.certificate.sample_states import SampleStates
+from ctrplan.planning.certificate.sample_states import SampleStates, shares_of_length
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,39 +35,21 @@ class StatesBetween:
         corners, rest = [self.shapes[state] for state in corner_states(pairs)], self.shapes[(0.0,) * pairs].body_m
         stability = weights @ [corner.stability for corner in corners]
         strain = weights @ [corner.max_strain for corner in corners]
-        first, last = (_bend(end, states, weights, rest) for end in self.ends)
+        at = shares_of_length(rest)
+        first, last = (_moved_to(at, end.shares, end.bend(states)) for end in self.ends)
         bend = (1 - self.share) * first + self.share * last
         share = BEND_SHARE + (BEND_MESH if self.is_finer else 0.0)
         doubt = BEND_CHANGE * np.linalg.norm(first - last, axis=2) + share * np.linalg.norm(bend, axis=2)
-        spread = np.linalg.norm([corner.body_m - rest for corner in corners], axis=2).max(axis=0)
-        doubt += BEND_SPREAD * spread
-        bodies = _mixed(weights, corners) + bend
+        bodies_of_corners = np.array([corner.body_m for corner in corners])
+        doubt += BEND_SPREAD * np.linalg.norm(bodies_of_corners - rest, axis=2).max(axis=0)
+        bodies = np.tensordot(weights, bodies_of_corners, axes=1) + bend
         rows = zip(bodies, stability.tolist(), strain.tolist(), most_up_to(doubt), strict=True)
         return [Solved(*row) for row in rows]
 
 
-def _bend(end: SampleStates, states: list[State], weights: Array, like: Array) -> Array:
-    """(S, N, 3) of bodies of a sample from its corners' interpolation, at the points of another body (N, 3)."""
-    known, _ = end.known()
-    bend = np.array([one.body_m for one in end(states)]) - _mixed(
-        weights, [known[state] for state in corner_states(len(states[0]))]
-    )
-    own, wanted = _along(known[(0.0,) * len(states[0])].body_m), _along(like)
+def _moved_to(wanted: Array, own: Array, values: Array) -> Array:
+    """(S, M, 3) values (S, N, 3) of a body, known at shares `own` (N,) of its length, at the shares wanted (M,)."""
     after = np.clip(np.searchsorted(own, wanted), 1, len(own) - 1)
     part = ((wanted - own[after - 1]) / (own[after] - own[after - 1]))[:, None]
-    found: Array = bend[:, after - 1] * (1 - part) + bend[:, after] * part
-    return found
-
-
-def _mixed(weights: Array, corners: list[Solved]) -> Array:
-    """(S, N, 3) bodies of corners by weights (S, C)."""
-    bodies = np.array([corner.body_m for corner in corners])
-    mixed: Array = np.tensordot(weights, bodies, axes=1)
-    return mixed
-
-
-def _along(body: Array) -> Array:
-    """(N,) share of a body's length at its points (N, 3)."""
-    length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(body, axis=0), axis=1)))
-    share: Array = length / length[-1]
-    return share
+    moved: Array = values[:, after - 1] * (1 - part) + values[:, after] * part
+    return moved

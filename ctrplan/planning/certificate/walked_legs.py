@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,6 +28,7 @@ from ctrplan.planning.certificate.walked_piece import Piece, walk_pieces
 from ctrplan.planning.certified import CertificateSamples
 from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.path_cost import path_cost_mm
+from ctrplan.planning.uncertainty.allowance import is_uncertain
 
 if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario
@@ -43,6 +45,7 @@ class WalkedLegs:
     samples: CertificateSamples
     bounds: StatedBounds
     problems: list[str]  # but whether the goal is met
+    spare_m: float = np.inf  # of clearance beyond what the scenario asks for: more than that is not looked for
 
     @property
     def failure(self) -> str:
@@ -77,11 +80,18 @@ class WalkedLegs:
 
 
 def walk_legs(
-    scenario: Scenario, corners: Array, *, accuracy: Accuracy = "search", progress: Progress | None = None
+    scenario: Scenario,
+    corners: Array,
+    *,
+    accuracy: Accuracy = "search",
+    spare_m: float = np.inf,
+    progress: Progress | None = None,
 ) -> WalkedLegs:
     """What decides whether the polyline `corners` (K, m) is valid, see `certify`.
 
-    What is refused already is not looked at more closely. Raises InputError for too many tubes.
+    How much clearance is left is told where it is less than `spare_m` beyond what the scenario asks for; of more it is
+    only known that it is more, which takes less time. What is refused already is not looked at more closely. Raises
+    InputError for too many tubes.
     """
     refuse_many_tubes(scenario.robot)
     space = JointSpace.of(scenario)
@@ -90,7 +100,9 @@ def walk_legs(
     bounds = _bounds(scenario, samples, pieces)
     problems = [f"{other}."] if (other := other_start(scenario, corners[0])) else []
     problems += problems_of_walk(scenario, space, corners, pieces)
-    for look_closer in (closely_solved, in_every_friction_state, with_uneven_friction):
+    asked_m = np.inf if is_uncertain(scenario) else spare_m  # what parameters take off has to be left
+    looks = partial(closely_solved, spare_m=asked_m), partial(in_every_friction_state, spare_m=asked_m)
+    for look_closer in (*looks, with_uneven_friction):
         if problems:
             break
         pieces = look_closer(scenario, pieces)
@@ -103,7 +115,9 @@ def walk_legs(
         problems = [found.sentence] if found else []
     if not problems:
         samples, bounds, problems = with_parameters(scenario, pieces, samples, bounds)
-    return WalkedLegs(scenario, corners, accuracy, [piece.light() for piece in pieces], samples, bounds, problems)
+    return WalkedLegs(
+        scenario, corners, accuracy, [piece.light() for piece in pieces], samples, bounds, problems, spare_m
+    )
 
 
 def _bounds(scenario: Scenario, samples: CertificateSamples, pieces: list[Piece]) -> StatedBounds:

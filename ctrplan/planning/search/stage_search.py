@@ -15,6 +15,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import NoAnswerError
 from ctrplan.planning.certificate.certify import finished
+from ctrplan.planning.certificate.uneven_friction import NEAR_LIMIT_M
 from ctrplan.planning.certificate.walked_legs import WalkedLegs, walk_legs
 from ctrplan.planning.finish.reorder import Reordered, as_given, least_error
 from ctrplan.planning.goals.goal_descent import descended
@@ -57,11 +58,12 @@ class Candidate:
     certified_s: float
     found_by: str
     tidied: bool  # in order, and compared with other orders
+    progress: Callable[[float], None] | None = None  # of the certificate
 
     @cached_property
     def certificate(self) -> Certificate:
-        """With histories simulated, which takes longer than walking and is asked of what is driven in the end."""
-        return finished(self.walk)
+        """With all that is left of clearance, and histories simulated: asked of what is driven in the end."""
+        return finished(self.walk, progress=self.progress)
 
 
 Report = Callable[[Progress], None]
@@ -274,7 +276,7 @@ class StageSearch:
         """Certifies a path (K, m) as it is and keeps it; why it failed, empty if it did not."""
         found_s, way = time.monotonic() - self.began, merge_legs(corners)
         self._tell()
-        walk = walk_legs(checker.scenario, way, progress=self._certifying)
+        walk = walk_legs(checker.scenario, way, spare_m=NEAR_LIMIT_M, progress=self._certifying)
         self.failure = walk.failure
         if self.failure:
             return self.failure
@@ -292,7 +294,7 @@ class StageSearch:
             self.best = tidied
             return ""
         self._tell()
-        walk = walk_legs(checker.scenario, result.after, progress=self._certifying)
+        walk = walk_legs(checker.scenario, result.after, spare_m=NEAR_LIMIT_M, progress=self._certifying)
         if walk.failure:
             self.failure = walk.failure
             return self.failure
@@ -315,7 +317,7 @@ class StageSearch:
     ) -> None:
         """Remembers a certified path if it is the first or the best."""
         self.checker.meter.add(self.checker.solved_ns * len(walk.samples.leg))
-        candidate = Candidate(result, walk, found_s, certified_s, found_by, tidied)
+        candidate = Candidate(result, walk, found_s, certified_s, found_by, tidied, self._certifying)
         self.first = self.first or candidate
         self.certified.append(candidate)
         if self.best is None or walk.cost_mm < self.best.walk.cost_mm:

@@ -26,6 +26,11 @@ _USUAL: WeakKeyDictionary[Robot, dict[Registration, float]] = WeakKeyDictionary(
 INTERPOLATED = 1.1  # times the larger of the two around, in between; an allowance, see docs/planning.md
 
 
+def is_uncertain(scenario: Scenario) -> bool:
+    """Whether parameters of the robot or its registration have intervals."""
+    return bool(uncertain_parameters(scenario.robot).count) or not scenario.registration.is_exact
+
+
 def parameter_allowance(scenario: Scenario, joints: Array) -> tuple[Array, Array]:
     """(K,) [m] to take off clearances, and (K,) [m] to add to bounds, at the samples of a path, joints (K, m).
 
@@ -34,7 +39,7 @@ def parameter_allowance(scenario: Scenario, joints: Array) -> tuple[Array, Array
     inf where the robot has no equilibrium within the intervals.
     """
     parameters, nothing = uncertain_parameters(scenario.robot), np.zeros(len(joints))
-    if not parameters.count and scenario.registration.is_exact:
+    if not is_uncertain(scenario):
         return nothing, nothing
     rows = looked_at(len(joints))
     bound = _between(rows, _bounds(parameters, joints[rows]), len(joints)) if parameters.count else nothing
@@ -50,7 +55,7 @@ def usual_allowance_m(scenario: Scenario, sample: Callable[[], Array]) -> float:
     The lower quartile over configurations (R, m) that `sample` returns; asked for once for a robot and a registration.
     """
     parameters = uncertain_parameters(scenario.robot)
-    if not scenario.anatomy or (not parameters.count and scenario.registration.is_exact):
+    if not scenario.anatomy or not is_uncertain(scenario):
         return 0.0
     known = _USUAL.setdefault(scenario.robot, {})
     if scenario.registration not in known:
