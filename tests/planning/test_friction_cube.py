@@ -206,11 +206,13 @@ def test_a_simulated_robot_beyond_its_bound_is_a_contradiction_wherever_it_is(sa
 def test_a_walk_that_asks_for_little_clearance_refuses_nothing_else() -> None:
     """How much is left at the least is told by the certificate, for which it is walked again."""
     legs = np.array([joints(0, 60, 0, -28.8), joints(0, 60, 12, -28.8)])
-    for center in ((0.0, 60.0, 140.0), (0.0, 46.0, 165.0)):
-        case = with_sphere(legs[0], center, 1.0)
+    tip = ROBOT.mechanics.friction_bodies(*ROBOT.drive.collars(legs[0]), [[0.0, 0.0]]).point_m[0, -1] * 1e3
+    for away_mm in (1.5, 12.0):
+        case = with_sphere(legs[0], (tip + [0.0, 0.0, away_mm]).tolist(), 1.0)
         hasty, whole = walk_legs(case, legs, spare_m=0.5e-3), walk_legs(case, legs)
         assert hasty.problems == whole.problems
         stated, expected = finished(hasty), finished(whole)
         assert stated.min_clearance_m == expected.min_clearance_m and stated.problems == expected.problems
+        assert bool(whole.problems) == (away_mm < 4)
         if not whole.problems:
             assert 0.5e-3 <= hasty.samples.clearance_m.min() <= whole.samples.clearance_m.min()
