@@ -15,8 +15,11 @@ from scipy.interpolate import CubicHermiteSpline
 from ctrplan.anatomy.parts import surface_distance
 from ctrplan.planning.certificate.allowances import TIGHT_M
 from ctrplan.planning.certificate.certify import certify
+from ctrplan.planning.certificate.closely_solved import closely_solved
 from ctrplan.planning.certificate.tour import joined_certificates
+from ctrplan.planning.certificate.walked_piece import least_of, walk_pieces
 from ctrplan.planning.certified import Certificate, Closest
+from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.plan import Plan
 from ctrplan.planning.plan_timing import joints_at
 
@@ -170,3 +173,15 @@ def test_no_corner_shape_of_the_path_comes_closer(make_plan: PlanMaker) -> None:
         apart = -surface_distance(scenario.anatomy[0], points.reshape(-1, 3)).reshape(points.shape[:2])
         least_m = min(least_m, float((apart - bodies.radius_m).min()))
     assert places(plan.certificate)[1].clearance_m <= least_m + 0.05e-3
+
+
+def test_where_a_path_is_narrow_everywhere_both_meshes_leave_the_same(make_plan: PlanMaker) -> None:
+    """The robot turns as a whole about the axis of a tube around it. Once no more than 60 samples were solved again."""
+    around = {"kind": "capsule", "role": "inside", "from_mm": [0, 0, -100], "to_mm": [0, 0, 300], "radius_mm": 80}
+    scenario = make_plan([[0, 60, 110, -30]], anatomy=[around]).scenario
+    legs = scenario.start + np.array([np.zeros(4), np.radians([34.0, 34.0, 34.0, 0.0])])
+    coarse, fine = (
+        walk_pieces(scenario, JointSpace.of(scenario), legs, accuracy, None) for accuracy in ("search", "certificate")
+    )
+    assert sum(len(piece.l_b) for piece in coarse) > 64
+    assert abs(least_of(closely_solved(scenario, coarse, np.inf)) - least_of(fine)) < TIGHT_M / 2

@@ -23,14 +23,13 @@ if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario
 
 CHUNK = 4  # samples at a time
-MOST_AGAIN = 60  # samples solved on the certificate mesh only to report the least clearance more closely
 
 
 def closely_solved(scenario: Scenario, pieces: Sequence[Piece], spare_m: float) -> list[Piece]:
-    """The narrowest samples solved on the certificate mesh: all that the search mesh refuses, and some of the others.
+    """The narrowest samples solved on the certificate mesh: all for which the search mesh shows less than is left.
 
-    So that the least clearance does not depend on the mesh that a sample happened to be walked on, unless it is more
-    than `spare_m` beyond the limit.
+    So the least clearance does not depend on the mesh that a sample happened to be walked on, unless it is more than
+    `spare_m` beyond the limit.
     """
     distance, limits = AnatomyDistance.of(scenario), path_limits(scenario)
     if distance is None:
@@ -39,10 +38,9 @@ def closely_solved(scenario: Scenario, pieces: Sequence[Piece], spare_m: float) 
     finer: list[dict[int, FinerShapes]] = [{} for _ in pieces]
     rows = sorted((float(c), p, k) for p, piece in enumerate(pieces) for k, c in enumerate(piece.clearance_m))
     narrow = [row for row in rows if pieces[row[1]].accuracy == "search"]
-    must = sum(value < limits.clearance_m for value, *_ in narrow)
     ceiling = limits.clearance_m + spare_m  # of the least clearance that is asked for
     with ThreadPoolExecutor(cores()) as pool:
-        for begin in range(0, min(len(narrow), must + MOST_AGAIN), CHUNK):
+        for begin in range(0, len(narrow), CHUNK):
             if narrow[begin][0] >= ceiling or ceiling < limits.clearance_m:
                 break
             chunk = narrow[begin : begin + CHUNK]
