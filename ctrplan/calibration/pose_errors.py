@@ -28,9 +28,13 @@ class Errors:
 
 
 def distances(prediction: Prediction, data: Measurements) -> Array:
-    """(K,) distance [m] of measured from predicted tips; from the base where the prediction is not finite."""
-    measured = data.position_m
-    distance = np.linalg.norm(prediction.position_m - measured, axis=1)
+    """(K,) distance [m] of measured from predicted points; from the base where the prediction is not finite.
+
+    Of a marker seen along an axis it is the distance in the plane across.
+    """
+    seen = data.given[:, :3]
+    measured = np.where(seen, data.position_m, 0.0)
+    distance = np.linalg.norm(np.where(seen, prediction.position_m, 0.0) - measured, axis=1)
     wrong: Array = np.where(np.isfinite(distance), distance, np.linalg.norm(measured, axis=1))
     return wrong
 

@@ -4,7 +4,8 @@ A pose has five numbers: three of its position, over the standard deviation of a
 the measured tangent in the plane normal to the predicted one, over the standard deviation of a small rotation. Of a
 tangent seen along an axis it is one: how far the predicted tangent is turned out of the plane of sight; one along the
 line of sight says nothing. What was not measured is zero, changes with no parameter, and counts nowhere: `given`.
-Poses of one configuration share the model's own numerical error; their common part counts for less accordingly.
+Poses of one point in one configuration share the model's own numerical error; their common part counts for less
+accordingly.
 """
 
 from __future__ import annotations
@@ -82,9 +83,10 @@ def residuals(
     """Residuals of all poses; `group` (K,) numbers the configurations."""
     given = data.given
     measured, plane = _compared(prediction.tangent, data.tangent)
-    position = (data.position_m - prediction.position_m) / noise.position_m
+    sigma_m = noise.position_m * (np.ones(data.count) if data.noise_ratio is None else data.noise_ratio)
+    position = np.where(given[:, :3], (data.position_m - prediction.position_m) / sigma_m[:, None], 0.0)
     tangent = np.where(given[:, 3:], _tangent_error(prediction.tangent, measured, plane) / noise.tangent_rad, 0.0)
-    position_by = prediction.position_by / noise.position_m
+    position_by = prediction.position_by / sigma_m[:, None, None] * given[:, :3, None]
     tangent_by = np.einsum("kcx,kxp->kcp", plane, prediction.tangent_by) / noise.tangent_rad * given[:, 3:, None]
     r = np.hstack([position, tangent])
     J = np.concatenate([position_by, tangent_by], axis=1)
@@ -92,7 +94,8 @@ def residuals(
     r, J = _unsound(r, J, prediction.sound, given)
     raw_norm = np.linalg.norm(r, axis=1)
     trust = _weight(raw_norm)[:, None] * given
-    r, J = _whitened(r, np.asarray(group), shares, trust), _whitened(J, np.asarray(group), shares[:, None], trust)
+    alike = np.asarray(group) * (int(data.seen_marker.max(initial=0)) + 1) + data.seen_marker
+    r, J = _whitened(r, alike, shares, trust), _whitened(J, alike, shares[:, None], trust)
     if noise.discrepancy is not None:
         r, J = noise.discrepancy.whitened(r), noise.discrepancy.whitened(J)
     return Residuals(r, J, _weight(np.linalg.norm(r, axis=1)), raw_norm, given)

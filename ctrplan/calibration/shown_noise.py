@@ -9,7 +9,7 @@ of a motion and sqrt(70) sigma of noise: the smaller of the two counts.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import comb
 
 import numpy as np
@@ -43,7 +43,8 @@ class ShownNoise:
 
 
 def shown_noises(data: Measurements) -> Iterator[ShownNoise]:
-    """Whatever of the three the data have enough of."""
+    """Whatever of the three the data have enough of; of tips, or where none were measured of a marker."""
+    data = _of_one_point(data)
     if not data.is_stream:
         yield from _within(data, repeats(data), "repeated poses")
         return
@@ -58,6 +59,18 @@ def shown_noises(data: Measurements) -> Iterator[ShownNoise]:
         )
         if noise is not None:
             yield ShownNoise(noise, f"third differences of {len(windows)} poses", SURE * np.sqrt(2 / len(windows)))
+
+
+def _of_one_point(data: Measurements) -> Measurements:
+    """Poses of the tip, or of the marker that was seen most often with all coordinates, its noise that of a tip."""
+    if not data.has_markers:
+        return data
+    whole = data.given[:, :3].all(axis=1)
+    point = 0 if np.any(data.seen_marker == 0) else int(np.argmax(np.bincount(data.seen_marker[whole], minlength=1)))
+    of = data.subset(whole & (data.seen_marker == point))
+    if of.noise_ratio is None or point == 0:
+        return of
+    return replace(of, position_m=of.position_m / of.noise_ratio[:, None])
 
 
 def repeats(data: Measurements) -> NDArray[np.int_]:

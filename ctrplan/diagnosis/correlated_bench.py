@@ -117,8 +117,7 @@ class CorrelatedBench(Workbench):
 
     @property
     def _run(self) -> NDArray[np.int_]:
-        run: NDArray[np.int_] = self.data.sequence[self.data.rows]
-        return run
+        return self.data.run
 
     def coloured(self, values: Array) -> Array:
         """Whitened numbers (K, 5, ...) as they are over the noise alone."""

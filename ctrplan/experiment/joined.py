@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import accumulate
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +60,18 @@ def joined_measurements(parts: Sequence[Measurements], trackers: Sequence[str]) 
         sha256=hashlib.sha256("".join(part.sha256 for part in parts).encode()).hexdigest(),
         warnings=(*dict.fromkeys(warning for part in parts for warning in part.warnings), *notes),
         frame=np.concatenate(frame) if len(names) > 1 else None,
+        marker=_of_poses(parts, "marker", 0),
+        noise_ratio=_of_poses(parts, "noise_ratio", 1.0),
     )
+
+
+def _of_poses(parts: Sequence[Measurements], name: str, usual: float) -> NDArray[Any] | None:
+    """(K,) of all parts, the usual value where one has none; None where none has any."""
+    if all(getattr(part, name) is None for part in parts):
+        return None
+    given = (getattr(part, name) for part in parts)
+    filled = (np.full(p.count, usual) if of is None else of for p, of in zip(parts, given, strict=True))
+    return np.concatenate(list(filled))
 
 
 def _runs(parts: Sequence[JointPath] | Sequence[Measurements]) -> NDArray[np.int_]:

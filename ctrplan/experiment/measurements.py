@@ -1,6 +1,7 @@
 """Measured data: the commanded waypoints of a robot in the order visited, and the poses measured at some of them.
 
-Format: one row per joint waypoint, between rows all joints move together linearly. SI units, robot's base frame.
+Format: one row per joint waypoint, between rows all joints move together linearly. SI units, robot's base frame. A pose
+is that of the tip, or the position of a marker on the body; of one waypoint there may be several.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ class Measurements:
     theta_commanded: Array  # (R, n) commanded base rotations, rad, not wrapped
     l_commanded: Array  # (R, n) commanded base translations, m
     rows: NDArray[np.int_]  # (K,) the measured waypoints
-    position_m: Array  # (K, 3) tip
+    position_m: Array  # (K, 3) tip or marker; NaN for coordinates that were not seen, of markers alone
     tangent: Array  # (K, 3) unit tip tangent; NaN where none was measured, one NaN: seen along that axis, `given`
     time_s: Array | None = None  # (R,) clock of the whole experiment
     is_stream: bool = False  # joints and poses logged together on a continuous motion, nothing settles
@@ -39,6 +40,10 @@ class Measurements:
     warnings: tuple[str, ...] = ()
     frame: NDArray[np.int_] | None = None  # (R,) number, from 1, of the tracker's frame where it was set up anew
     of_collars: bool = False  # whether joints are those of the collars, so that the drive's effects are in them
+    marker: NDArray[np.int_] | None = (
+        None  # (K,) number, from 1, of the robot's marker seen, 0: the tip; None: all tips
+    )
+    noise_ratio: Array | None = None  # (K,) noise of each position over that of a tip's, where they differ
 
     @property
     def n(self) -> int:
@@ -56,13 +61,31 @@ class Measurements:
         return np.ones(len(self.sequence), int) if self.frame is None else self.frame
 
     @cached_property
+    def seen_marker(self) -> NDArray[np.int_]:
+        """(K,) number, from 1, of the marker that each pose is of, 0 for the tip."""
+        return np.zeros(self.count, int) if self.marker is None else self.marker
+
+    @property
+    def has_markers(self) -> bool:
+        """Whether any pose is that of a marker."""
+        return bool(self.seen_marker.any())
+
+    @cached_property
+    def run(self) -> NDArray[np.int_]:
+        """(K,) number of each pose's run; a marker's poses are a run of their own."""
+        labels = np.column_stack([self.sequence[self.rows], self.seen_marker])
+        number: NDArray[np.int_] = np.unique(labels, axis=0, return_inverse=True)[1].ravel()
+        return number
+
+    @cached_property
     def given(self) -> NDArray[np.bool_]:
         """(K, 5) which of a pose's five numbers were measured: three of the position, two of the tangent.
 
         A tangent of two components is its direction in the plane of these two axes, as a camera sees it: one number.
         """
         components = np.isfinite(self.tangent).sum(axis=1)
-        given: NDArray[np.bool_] = np.column_stack([np.ones((self.count, 3), bool), components >= 2, components == 3])
+        seen = np.isfinite(self.position_m)
+        given: NDArray[np.bool_] = np.column_stack([seen, components >= 2, components == 3])
         return given
 
     @property
@@ -80,8 +103,12 @@ class Measurements:
 
     def subset(self, poses: NDArray[np.int_] | NDArray[np.bool_]) -> Measurements:
         """The same waypoints with some of the poses only, given by their numbers or a mask (K,)."""
-        chosen = {name: getattr(self, name)[poses] for name in ("rows", "position_m", "tangent")}
-        return replace(self, **chosen)
+        there = [name for name in ("marker", "noise_ratio") if getattr(self, name) is not None]
+        return replace(self, **{name: getattr(self, name)[poses] for name in ("rows", "position_m", "tangent", *there)})
+
+    def of_tips(self) -> Measurements:
+        """The poses of the tip alone."""
+        return self.subset(self.seen_marker == 0) if self.has_markers else self
 
     def rows_in_words(self, poses: NDArray[np.bool_]) -> str:
         """Rows of the file, from 1, of some of the poses, mask (K,); the first twenty."""

@@ -27,7 +27,7 @@ class Split:
 def groups(data: Measurements) -> NDArray[np.int_]:
     """(K,) poses that stand or fall together: configurations, or blocks of a continuous motion."""
     if data.is_stream:
-        return np.arange(data.count) // BLOCK_POSES
+        return np.unique(data.rows, return_inverse=True)[1].ravel() // BLOCK_POSES
     return data.configuration
 
 

@@ -51,7 +51,7 @@ class MappedTable(CsvTable):
         self._cells: dict[str, Cells] = {}
         self._numbers: dict[str, Array] = {}
         self._add_joints(robot)
-        self._add_poses(entry.run[k].frame)
+        self._add_poses(robot, entry.run[k].frame)
         units = entry.units
         if entry.columns.time is not None:
             self._cells["time_s"] = self._cell(entry.columns.time, SI[units.time], "time")
@@ -152,22 +152,39 @@ class MappedTable(CsvTable):
         for i in range(robot.n):
             self._numbers[f"theta_{i + 1}_rad"], self._numbers[f"l_{i + 1}_m"] = theta[:, i], l[:, i]
 
-    def _add_poses(self, frame: FrameEntry | str | None) -> None:
+    def _add_poses(self, robot: Robot, frame: FrameEntry | str | None) -> None:
         columns, unit = self._entry.columns, SI[self._entry.units.position]
-        for name, column in zip(POSITION, columns.position, strict=True):
+        if columns.position is None and (columns.tangent is not None or not columns.markers):
+            raise self._document.fault("is missing", "columns", "position")
+        for name, column in zip(POSITION, columns.position or (), strict=columns.position is not None):
             self._cells[name] = self._cell(column, unit, "position", POSITION.index(name), poses=True)
         seen = [(t, c) for t, c in zip(TANGENT, columns.tangent or (), strict=columns.tangent is not None) if c != ""]
         for name, column in seen:
             self._cells[name] = self._cell(column, 1.0, "tangent", TANGENT.index(name), poses=True)
+        points = [self._add_marker(name, given, robot, unit) for name, given in columns.markers.items()]
         if not isinstance(frame, FrameEntry):
             return
         if len(seen) not in (0, 3):
             raise self._document.fault("and tangents of two components exclude each other", *self._place, "frame")
+        if any(len(names) < 3 for names in points):
+            raise self._document.fault("and markers of two coordinates exclude each other", *self._place, "frame")
         turn = self._rotation(frame)
         shift = np.multiply(frame.position_mm, 1e-3)
-        self._move(POSITION, turn, shift)
+        for names in ([POSITION] if columns.position else []) + points:
+            self._move(names, turn, shift)
         if seen:
             self._move(TANGENT, turn, np.zeros(3))
+
+    def _add_marker(self, name: str, given: Sequence[Column], robot: Robot, unit: float) -> tuple[str, ...]:
+        """Names of the columns that there are of a marker."""
+        known = {marker.name: marker for marker in robot.markers}
+        if name not in known:
+            rule = f"must name a marker of the robot: {', '.join(known) or 'its file has no [[marker]]'}"
+            raise self._document.fault(rule, "columns", "markers", name)
+        there = [(k, column) for k, column in enumerate(given) if column != ""]
+        for k, column in there:
+            self._cells[known[name].columns[k]] = self._cell(column, unit, "markers", name, k, poses=True)
+        return tuple(known[name].columns[k] for k, _ in there)
 
     def _rotation(self, frame: FrameEntry) -> Rotation:
         w, x, y, z = frame.quaternion_wxyz

@@ -36,7 +36,8 @@ class RunEntry(Struct, forbid_unknown_fields=True, frozen=True):
 class ColumnsEntry(Struct, forbid_unknown_fields=True, frozen=True):
     """[columns]: of both files of a run counted on, those of the poses after those of the joints."""
 
-    position: Three
+    position: Three | None = None  # of the tip
+    markers: dict[str, Three] = {}  # marker of the robot -> columns, "" along the line of sight
     theta: Columns | None = None
     l: Columns | None = None  # noqa: E741 (as in the equations)
     joints: dict[str, Column] | None = None  # actuator -> column, in place of theta and l

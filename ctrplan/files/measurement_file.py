@@ -14,6 +14,7 @@ from ctrplan.experiment.joined import joined_measurements
 from ctrplan.experiment.measurements import Measurements, is_streamed
 from ctrplan.files.joint_path_file import joint_path
 from ctrplan.files.mapped_table import POSITION, TANGENT
+from ctrplan.files.seen_markers import SeenMarker, noise_ratio, seen_markers, with_markers
 from ctrplan.files.sources import Source, sources
 from ctrplan.pipeline.chain import Chain
 from ctrplan.pipeline.registration import registered
@@ -45,9 +46,15 @@ def load_measurements(path: str | os.PathLike[str], robot: Robot) -> Measurement
 def _measurements(source: Source, robot: Robot) -> Measurements:
     """One table's."""
     table = source.table
-    joints = joint_path(source, robot, needed=("sequence", *POSITION), known=TANGENT)
-    position, tangent, rows = _poses(table)
-    _check_positions(table, position, rows, robot, anywhere=not source.is_registered)
+    seen = seen_markers(table, robot, is_registered=source.is_registered)
+    bare = bool(seen) and not any(name in table.header for name in (*POSITION, *TANGENT))  # of markers alone
+    known = (*TANGENT, *(name for point in seen for name in point.columns))
+    joints = joint_path(source, robot, needed=("sequence", *(() if bare else POSITION)), known=known)
+    position, tangent, rows = (np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, int)) if bare else _poses(table, seen)
+    _check_positions(table, position, rows, POSITION, robot, anywhere=not source.is_registered)
+    for point in seen:
+        _check_positions(table, point.position_m, point.rows, point.columns, robot, anywhere=not source.is_registered)
+    position, tangent, rows, marker = with_markers(position, tangent, rows, seen)
     return Measurements(
         sequence=joints.sequence,
         theta_commanded=joints.theta_commanded,
@@ -60,12 +67,14 @@ def _measurements(source: Source, robot: Robot) -> Measurements:
         more=joints.more,
         file=table.file,
         sha256=table.sha256,
-        warnings=(*joints.notes, *_seen(table)),
+        warnings=(*joints.notes, *_seen(table), *(note for point in seen for note in point.notes)),
         of_collars=joints.of_collars,
+        marker=marker if seen else None,
+        noise_ratio=noise_ratio(robot, marker),
     )
 
 
-def _poses(table: CsvTable) -> tuple[Array, Array, NDArray[np.int_]]:
+def _poses(table: CsvTable, markers: Sequence[SeenMarker]) -> tuple[Array, Array, NDArray[np.int_]]:
     """Positions (K, 3) [m], tangents (K, 3) with NaN for what was not measured, and the rows (K,) they stand in."""
     seen = [name for name in TANGENT if name in table.header]
     if len(seen) == 1:
@@ -78,7 +87,7 @@ def _poses(table: CsvTable) -> tuple[Array, Array, NDArray[np.int_]]:
         rule = f"is empty, a pose needs all of {', '.join(names)}" + (", or the first three alone" if seen else "")
         raise table.fault(rule, row, names[int(given[row].argmin())])
     rows = np.flatnonzero(given[:, :3].all(axis=1))
-    if not len(rows):
+    if not len(rows) and not any(len(marker.rows) for marker in markers):
         raise table.fault(f"holds no pose: {', '.join(names)} are empty in every row")
     tangent = np.full((len(rows), 3), np.nan)
     if seen:
@@ -100,17 +109,29 @@ def _unit(table: CsvTable, tangent: Array, rows: NDArray[np.int_], names: Sequen
     return unit
 
 
-def _check_positions(table: CsvTable, position: Array, rows: NDArray[np.int_], robot: Robot, *, anywhere: bool) -> None:
+def _check_positions(
+    table: CsvTable,
+    position: Array,
+    rows: NDArray[np.int_],
+    columns: Sequence[str],
+    robot: Robot,
+    *,
+    anywhere: bool,
+) -> None:
     """Within reach of the base; `anywhere`: of their own middle, where nobody knows the base."""
+    if not len(position):
+        return
+    what = "tip" if columns[0] == POSITION[0] else "marker"
+    position = position[:, np.isfinite(position).all(axis=0)]
     with np.errstate(over="ignore"):  # what is beyond all numbers is too far
         far = np.linalg.norm(position - (np.median(position, axis=0) if anywhere else 0.0), axis=1)
     limit = FURTHEST * max(tube.length_m for tube in robot.tubes)
     for k in np.flatnonzero(far > limit).tolist():
         unit = ", are these millimetres?" if np.median(far) > 100 * limit else ""
-        rule = f"tip is {far[k]:g} m from the base, beyond the reach of {limit:.3g} m{unit}"
-        raise table.fault(rule, int(rows[k]), "x_m", position[k, 0])
+        rule = f"{what} is {far[k]:g} m from the base, beyond the reach of {limit:.3g} m{unit}"
+        raise table.fault(rule, int(rows[k]), columns[0], position[k, 0])
     if np.median(far) < limit / 2000 and not anywhere:
-        raise table.fault(f"tips are {np.median(far):.2g} m from the base, are these metres?", column="x_m")
+        raise table.fault(f"{what}s are {np.median(far):.2g} m from the base, are these metres?", column=columns[0])
 
 
 def _still_joints(theta_b: Array, l_b: Array, file: str) -> list[str]:

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
 
 from ctrplan.files.drive_file import HomeEntry, JointEntry
 from ctrplan.mechanics.tube import SOFTEST_NM2, STIFFEST_NM2, Contact, Tube, TubeSection
-from ctrplan.storage.number_ranges import LARGEST_NUMBER, Length, Name
+from ctrplan.sensor.marker import Marker
+from ctrplan.storage.number_ranges import LARGEST_NUMBER, Distance, Length, Name
 from ctrplan.storage.toml_document import Document
 
 MOST_TUBES = 12  # the bound visits 2**(n - 1) corners
+MOST_MARKERS = 200
 LONGEST_TUBE_MM = 5000.0  # beyond these two a value was most likely given in another unit
 LARGEST_CURVATURE_PER_M = 1000.0
 LARGEST_FRICTION = 2.0
 LENGTH_TOLERANCE_M = 1e-9
+TAKEN_NAMES = ("frictionless", "measured")  # of columns beside those of the tip
 
 Curvature = Annotated[float, Meta(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]  # narrower below, with a hint
 
@@ -57,6 +60,16 @@ class MeasurementEntry(Struct, forbid_unknown_fields=True):
     tangent_sigma_deg: Annotated[float, Meta(ge=1e-6, le=180)] | None = None  # of a tracker of positions alone
 
 
+class MarkerEntry(Struct, forbid_unknown_fields=True):
+    """[[marker]]: a point of the body whose position is measured, by its distance along a tube from one of its ends."""
+
+    name: Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9]{0,39}$")]
+    tube: Annotated[int, Meta(ge=1, le=MOST_TUBES)]
+    from_tip_mm: Distance | None = None
+    from_base_mm: Distance | None = None
+    position_sigma_mm: Annotated[float, Meta(ge=1e-6, le=1000)] | None = None
+
+
 class UncertaintyEntry(Struct, forbid_unknown_fields=True):
     """[uncertainty]: 95 % intervals of the file's own numbers, and how errors go together."""
 
@@ -75,6 +88,7 @@ class RobotEntry(Struct, forbid_unknown_fields=True):
     joint: Annotated[list[JointEntry], Meta(min_length=1)] | None = None
     model_error_mm: Annotated[float, Meta(ge=0, le=1000)] = 0.0
     measurement: MeasurementEntry | None = None
+    marker: Annotated[list[MarkerEntry], Meta(max_length=MOST_MARKERS)] = []
     uncertainty: UncertaintyEntry | None = None
     effects: dict[str, Any] = {}
     provenance: dict[str, Any] = {}  # where calibrated values come from
@@ -95,6 +109,34 @@ def build_contacts(entry: RobotEntry, document: Document) -> tuple[Contact, ...]
         rule = f"must be given once per neighbouring pair of tubes, {pairs} in all, not {given}"
         raise document.fault(rule, "contact")
     return tuple(_contact(contact, i, document) for i, contact in enumerate(entry.contact))
+
+
+def build_markers(entry: RobotEntry, document: Document) -> tuple[Marker, ...]:
+    """Markers of the file. Raises InputError for one that is nowhere on its tube and for names given twice."""
+    names = [marker.name for marker in entry.marker]
+    for k, name in enumerate(names):
+        if name in names[:k]:
+            raise document.fault("is the name of another marker", "marker", k, "name")
+        if name in TAKEN_NAMES:
+            raise document.fault("is a word of other columns of poses", "marker", k, "name")
+    return tuple(_marker(marker, k, entry, document) for k, marker in enumerate(entry.marker))
+
+
+def _marker(entry: MarkerEntry, k: int, robot: RobotEntry, document: Document) -> Marker:
+    if entry.tube > len(robot.tube):
+        raise document.fault(f"must be one of the {len(robot.tube)} tubes", "marker", k, "tube")
+    if (entry.from_tip_mm is None) == (entry.from_base_mm is None):
+        raise document.fault("must have from_tip_mm or from_base_mm, one of them", "marker", k)
+    key = "from_tip_mm" if entry.from_base_mm is None else "from_base_mm"
+    length_mm, at_mm = sum(s.length_mm for s in robot.tube[entry.tube - 1].section), getattr(entry, key)
+    if at_mm > length_mm:
+        raise document.fault(f"must be within the tube, which is {length_mm:g} mm long", "marker", k, key)
+    sigma = entry.position_sigma_mm
+    if sigma is not None and robot.measurement is None:
+        rule = "needs the noise of the tip beside it, position_sigma_mm of [measurement]"
+        raise document.fault(rule, "marker", k, "position_sigma_mm")
+    end: Literal["tip", "base"] = "tip" if key == "from_tip_mm" else "base"
+    return Marker(entry.name, entry.tube, at_mm * 1e-3, end, None if sigma is None else sigma * 1e-3)
 
 
 def _tube(entry: TubeEntry, i: int, document: Document) -> Tube:

@@ -12,7 +12,7 @@ from typing import Any
 import tomli_w
 
 from ctrplan.files.drive_file import HomeEntry, build_drive
-from ctrplan.files.robot_entries import MeasurementEntry, RobotEntry, build_contacts, build_tubes
+from ctrplan.files.robot_entries import MeasurementEntry, RobotEntry, build_contacts, build_markers, build_tubes
 from ctrplan.files.uncertainty_entries import build_intervals
 from ctrplan.robot.nesting import never_nests
 from ctrplan.robot.robot import Robot, diametral_gap_m
@@ -53,6 +53,7 @@ def _build(document: Document) -> Robot:
         drive=build_drive(entry.home or HomeEntry(), entry.joint, tubes, document),
         model_error_m=entry.model_error_mm * 1e-3,
         measurement=_measurement(entry.measurement),
+        markers=build_markers(entry, document),
         effects=entry.effects,
         provenance=entry.provenance,
         content=document.content,

@@ -7,6 +7,7 @@ next waypoint, from the friction state it had; the tip remembers that for some t
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -15,7 +16,9 @@ from ctrplan.errors import SolverError
 from ctrplan.mechanics.history import Start
 from ctrplan.mechanics.shapes import Status
 from ctrplan.pipeline.parametric_chain import ParametricChain
+from ctrplan.pipeline.point_table import on_body
 from ctrplan.pipeline.tip_table import nested
+from ctrplan.pipeline.walked_markers import walked
 from ctrplan.robot.robot import Robot
 
 MOST_RESTARTS = 20  # of a run; a robot that fails more often is not this robot
@@ -25,7 +28,7 @@ MOST_RESTARTS = 20  # of a run; a robot that fails more often is not this robot
 class Followed:
     """What a simulation says of K poses; NaN where it has no equilibrium."""
 
-    position_m: Array  # (K, 3) tips
+    position_m: Array  # (K, 3) tips and markers
     tangent: Array  # (K, 3)
     phi: Array  # (K, n - 1) circumferential friction state of each pair, averaged by normal force
     restarts: int  # waypoints without an equilibrium, behind which it began again
@@ -36,32 +39,40 @@ def followed(chain: ParametricChain, p: Array) -> Followed:
     data, robot = chain.data, chain.at(p).mechanics
     every = np.arange(len(data.sequence))
     blank = np.zeros((len(every), 3))
-    waypoints = replace(data, rows=every, position_m=blank, tangent=blank)
+    waypoints = replace(data, rows=every, position_m=blank, tangent=blank, marker=None, noise_ratio=None)
     collars = ParametricChain(chain.robot, waypoints, chain.terms).collars(p)
     l_b = nested(robot, collars.l)  # a fit may push collars against each other, and moves on
-    table, restarts = np.full((len(every), 6 + robot.n - 1), np.nan), 0
+    if not on_body(robot, data).any():
+        robot = replace(robot, markers=())  # nobody asks for them
+    table, restarts = np.full((len(every), 6 + robot.n - 1 + 6 * len(robot.markers)), np.nan), 0
     for run in np.unique(data.sequence[data.rows]).tolist():
         rows = np.flatnonzero(data.sequence == run)
         table[rows], failed = _run(robot, collars.theta[rows], l_b[rows])
         restarts += failed
-    found = table[data.rows]
-    return Followed(found[:, :3], found[:, 3:6], found[:, 6:], restarts)
+    found, ends = table[data.rows], np.cumsum([0, 3, 3, robot.n - 1])
+    position, tangent, phi = (found[:, a:b] for a, b in pairwise(ends.tolist()))
+    if robot.markers:
+        body = on_body(robot, data)
+        markers = found[body, ends[-1] :].reshape(-1, len(robot.markers), 6)
+        seen = markers[np.arange(len(markers)), data.seen_marker[body] - 1]
+        position[body], tangent[body] = seen[:, :3], seen[:, 3:]
+    return Followed(position, tangent, phi, restarts)
 
 
 def _run(robot: Robot, theta: Array, l_b: Array) -> tuple[Array, int]:
-    """(R, 6 + n - 1) tips, tangents and states of a run, and how often it was begun again."""
-    table, at, restarts = np.full((len(theta), 6 + robot.n - 1), np.nan), 0, 0
+    """(R, 6 + n - 1 + 6 M) tips, tangents, states and M markers of a run, and how often it was begun again."""
+    table, at, restarts = np.full((len(theta), 6 + robot.n - 1 + 6 * len(robot.markers)), np.nan), 0, 0
     start: Start = "released"
     while at < len(theta):
         try:
-            path = robot.history(start).follow(theta[at:], l_b[at:])
+            path, markers = walked(robot, robot.history(start), theta[at:], l_b[at:])
         except SolverError:  # no equilibrium where it was to start
             reached = 0
         else:
             failed = np.flatnonzero(path.status >= Status.FAILED)
             reached = int(failed[0]) if len(failed) else len(theta) - at
             sound = path.status[:reached] <= Status.MULTIPLE
-            rows = np.hstack([path.position_m, path.tangent, path.phi])[:reached]
+            rows = np.hstack([path.position_m, path.tangent, path.phi, markers.reshape(len(markers), -1)])[:reached]
             table[at : at + reached][sound] = rows[sound]
             start = np.clip(path.phi[reached - 1], -1.0, 1.0) if reached else start
         at += reached

@@ -12,7 +12,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.experiment.friction_states import friction_state
 from ctrplan.pipeline.followed_runs import followed
 from ctrplan.pipeline.parametric_chain import ParametricChain
-from ctrplan.pipeline.tip_table import tip_table
+from ctrplan.pipeline.point_table import point_table
 
 LARGEST_M = 5e-3  # corrections beyond it are a path that snapped, and are left out
 
@@ -24,12 +24,12 @@ def friction_correction(chain: ParametricChain, p: Array) -> tuple[Array, Array]
         return None
     # friction that a rest or a speed has changed is as much less in the states as in the history, to first order
     collars, phi = chain.collars(p), friction_state(chain.data, chain.at(p).release_m)
-    coarse = tip_table(robot, collars.theta, collars.l, phi)
+    coarse = point_table(robot, chain.data, collars, phi)
     if chain.data.is_stream:
         path = followed(chain, p)
         position, tangent = path.position_m, path.tangent
     else:
-        fine = tip_table(robot, collars.theta, collars.l, phi, accuracy="certificate")
+        fine = point_table(robot, chain.data, collars, phi, accuracy="certificate")
         position, tangent = fine.position_m, fine.tangent
     shift, turn = position - coarse.position_m, tangent - coarse.tangent
     wild = ~(np.linalg.norm(shift, axis=1) < LARGEST_M)

@@ -1,7 +1,7 @@
 """The chain as a function of the parameters of its terms, with derivatives: what fits and the diagnosis ask.
 
-The mechanics differentiate exactly. Clock, drive and sensor are a few lines of arithmetic each: finite differences of
-them are joined by the chain rule.
+The mechanics differentiate tips exactly. Clock, drive and sensor are a few lines of arithmetic each: finite differences
+of them are joined by the chain rule. Markers on the body are differenced from the parameter to the sensor.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from ctrplan.experiment.friction_states import friction_state, last_directions
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.pipeline.chain import Acting, Chain, taken_along
 from ctrplan.pipeline.installed import with_chain
-from ctrplan.pipeline.tip_table import TipTable, nested, tip_table
+from ctrplan.pipeline.point_table import on_body, point_table
+from ctrplan.pipeline.tip_table import TipTable, nested
 from ctrplan.robot.named_numbers import value_of, with_values
 from ctrplan.robot.robot import Robot
 from ctrplan.sensor.poses import Poses, frames_along
@@ -173,7 +174,7 @@ class ParametricChain:
         names, numbers_by = self._numbers(p) if derivatives else ([], np.zeros((0, 0)))
         joints = self._joint_names() if derivatives and (staged["drive"] or staged["clock"]) else []
         changes = chain.changing(self.data)
-        table = tip_table(robot, collars.theta, collars.l, phi, [*names, *joints, *changes])
+        table = self._table(robot, collars, phi, [*names, *joints], changes)
         position, tangent = _followed(table, changes)
         if self.correction is not None:
             position, tangent = position + self.correction[0], _unit(tangent + self.correction[1])
@@ -186,6 +187,7 @@ class ParametricChain:
             self._joint_columns(p, upstream[:, :, len(names) : len(names) + len(joints)], by)
             self._changing_columns(p, upstream[:, :, len(names) + len(joints) :], list(changes), by)
             self._release_columns(p, robot, collars, table, by)
+            self._body_columns(p, by)
             self._sensor_columns(p, poses, collars, seen, by)
         return Prediction(seen.position, seen.frame[:, :, 2], table.sound, table.failed, by[:, :3], by[:, 3:])
 
@@ -257,9 +259,57 @@ class ParametricChain:
                     moved, h = p.copy(), COARSE_STEP * self.prior[j]
                     h = h if p[j] + h <= self.upper[j] else -h
                     moved[j] += h
-                    other = tip_table(robot, collars.theta, collars.l, self.friction_state(moved))
+                    other = point_table(robot, self.data, collars, self.friction_state(moved))
                     by[:, :3, j] = (other.position_m - table.position_m) / h
                     by[:, 3:, j] = (other.tangent - table.tangent) / h
+
+    def _body_columns(self, p: Array, by: Array) -> None:
+        """Of markers, by differences of whole solves: the core differentiates tips alone."""
+        if not self._body.any():
+            return
+        places, chain = self._stages(), self._body_chain
+        chain.followed_phi = None if self.followed_phi is None else self.followed_phi[self._body]
+        here, _ = chain.before_sensor(p)
+        for j in (*places["clock"], *places["drive"], *places["mechanics"]):
+            left = np.ones(len(here), bool)
+            for h in COARSE_STEP * self.prior[j] * np.array([1.0, -1.0]):  # one way, or the other where it is barred
+                moved = p.copy()
+                moved[j] += h
+                if left.any() and self.lower[j] <= moved[j] <= self.upper[j]:
+                    there, open_way = chain.before_sensor(moved)
+                    by[np.flatnonzero(self._body)[left], :3, j] = ((there - here) / h)[left]
+                    left = left & ~open_way
+
+    def before_sensor(self, p: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Where the measured points (K, 3) [m] are at parameters (P,), before plate and sensor, on the coarse mesh.
+
+        And (K,) whether that is an equilibrium of collars that nest.
+        """
+        chain = self.at(p)
+        collars, changes = chain.collars(self.data, self._directions), chain.changing(self.data)
+        table = self._table(chain.mechanics, collars, self.friction_state(p), [], changes)
+        return _followed(table, changes)[0], table.sound
+
+    def _table(
+        self, robot: Robot, collars: Collars, phi: Array, names: Sequence[str], changes: Mapping[str, Array]
+    ) -> TipTable:
+        """The measured points; the last derivatives are those by numbers that change from pose to pose."""
+        table = point_table(robot, self.data, collars, phi, [*names, *changes])
+        for k, (name, amount) in enumerate(changes.items() if self._body.any() else (), start=len(names)):
+            h = float(np.abs(amount).max()) or 1.0
+            other = point_table(with_values(robot, {name: value_of(robot, name) + h}), self.data, collars, phi)
+            table.position_by[self._body, :, k] = (other.position_m - table.position_m)[self._body] / h
+        return table
+
+    @cached_property
+    def _body(self) -> NDArray[np.bool_]:
+        """(K,) poses of markers that are not the tip."""
+        return on_body(self.robot, self.data)
+
+    @cached_property
+    def _body_chain(self) -> ParametricChain:
+        """The same of these poses alone."""
+        return ParametricChain(self.robot, self.data.subset(self._body), self.terms)
 
     def _sensor_columns(self, p: Array, poses: Poses, collars: Collars, seen: Poses, by: Array) -> None:
         chain = self.at(p)

@@ -28,14 +28,15 @@ def registered(robot: Robot, data: Measurements, frames: Mapping[int, str]) -> M
     """The poses of some frames, number -> name, in the robot's frame, with a note each. Raises InputError."""
     position, tangent, notes = data.position_m.copy(), data.tangent.copy(), []
     for number, name in frames.items():
-        poses = data.frames[data.rows] == number
+        poses = (data.frames[data.rows] == number) & (data.seen_marker == 0)
         model, _, status = robot.mechanics.tips(*_collars(robot, data, poses))
         good = np.isfinite(model).all(axis=1)
         if good.sum() < LEAST_POSES:
             raise InputError(f"has {good.sum()} poses, too few to find its place: at least {LEAST_POSES}", key=name)
         turn, shift, rms_m = _motion(position[poses][good], model[good], name, data.file)
-        position[poses] = turn.apply(position[poses]) + shift
-        tangent[poses] = turn.apply(tangent[poses])
+        every = data.frames[data.rows] == number
+        position[every] = turn.apply(position[every]) + shift
+        tangent[every] = turn.apply(tangent[every])
         notes.append(
             f"{data.file}: the frame of {name} is not known: its poses were moved to where the robot file has the "
             f"tips, {rms_m * 1e3:.2f} mm off (rms). A fit needs base_misalignment or frame_shift besides."

@@ -38,11 +38,16 @@ def tip_table(
     sound = is_in_order(robot.tubes, l_b, NESTED_M)
     phi = phi * _rubbing(robot, names)
     rows = np.hstack([theta_b, inside, phi])
-    _, first, back = np.unique(np.round(rows / SAME) * SAME, axis=0, return_index=True, return_inverse=True)
+    first, back = distinct(rows)
     table = _solved(robot, theta_b[first], inside[first], phi[first], names, accuracy)
-    back = back.ravel()
     found = TipTable(*(getattr(table, key)[back] for key in TipTable.__dataclass_fields__))
     return replace(found, sound=found.sound & sound)
+
+
+def distinct(rows: Array) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+    """Of rows (K, c): the numbers (D,) of those that differ, and which of them each is (K,)."""
+    _, first, back = np.unique(np.round(rows / SAME) * SAME, axis=0, return_index=True, return_inverse=True)
+    return first, back.ravel()
 
 
 def _rubbing(robot: Robot, names: Sequence[str]) -> NDArray[np.bool_]:

@@ -16,6 +16,7 @@ from ctrplan.errors import InputError
 from ctrplan.mechanics.loads import Loads
 from ctrplan.mechanics.tube import Contact, Tube
 from ctrplan.robot.stated_intervals import StatedIntervals
+from ctrplan.sensor.marker import Marker
 from ctrplan.sensor.noise import SensorNoise
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ class Robot:
     drive: Drive
     model_error_m: float = 0.0
     measurement: SensorNoise | None = None
+    markers: tuple[Marker, ...] = ()  # on the body, in the order of the file
     loads: Loads = Loads()  # beyond the paper, set by [effects.*]
     effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # [effects.*] as in the file
     intervals: StatedIntervals = StatedIntervals()  # [uncertainty] as in the file, SI

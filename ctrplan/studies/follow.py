@@ -88,6 +88,7 @@ def follow(
     A row where no friction state has an equilibrium is left out. Raises InputError, and NoAnswerError where no pose
     can be followed.
     """
+    data = data.of_tips()
     chain = Chain.of(robot).on(data.time_s, data.more, of_collars=data.of_collars)
     built = replace(robot, drive=replace(robot.drive, terms=(), play=None))  # what it is given are collars
     collars = _collars(chain, data)
@@ -142,7 +143,7 @@ def _collars(chain: Chain, data: Measurements) -> Collars:
     """Where collars stand at every waypoint (R, n), measured or not."""
     every = np.arange(len(data.sequence))
     blank = np.zeros((len(every), 3))
-    waypoints = replace(data, rows=every, position_m=blank, tangent=blank)
+    waypoints = replace(data, rows=every, position_m=blank, tangent=blank, marker=None, noise_ratio=None)
     return chain.collars(waypoints, last_directions(waypoints))
 
 

@@ -10,7 +10,7 @@ import csv
 import io
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -28,6 +28,7 @@ from ctrplan.mechanics.core import Accuracy, Bounds, Status
 from ctrplan.mechanics.history import History, Start
 from ctrplan.pipeline.chain import Chain, at_instants
 from ctrplan.pipeline.left_ranges import range_notes
+from ctrplan.pipeline.walked_markers import walked
 from ctrplan.robot.nesting import nesting_violation
 from ctrplan.robot.robot import Robot
 from ctrplan.sensor.poses import Poses, frames_along
@@ -52,6 +53,8 @@ class Simulation:
     status: NDArray[np.int_]  # (S,) Status; the last may be FAILED
     bounds: Bounds  # (S,) with the frictionless tips
     measured: Poses | None  # (S,) what a tracker reports, if effects of clock or sensor stand in between
+    marker_m: Array  # (S, M, 3) markers on the body
+    measured_marker_m: Array | None  # (S, M, 3) what a tracker reports of them, as `measured`
     warnings: tuple[str, ...] = ()
 
     @property
@@ -107,8 +110,8 @@ def simulate(
     for run in path.runs:
         history = History(robot.mechanics, start, accuracy=accuracy)
         for place, *commanded, theta, l in _driven_legs(robot, chain, path, run):  # noqa: E741 (as in the equations)
-            found = history.follow(theta, l)
-            tip = found.position_m, found.tangent, found.phi, found.snaps, found.status
+            found, markers = walked(robot, history, theta, l)
+            tip = found.position_m, found.tangent, markers.reshape(len(place), -1), found.phi, found.snaps, found.status
             rows.append(np.column_stack((place, *commanded, theta, l, *tip)))
             told("simulating", (place[-1] + 1) / count)
             if stop.is_set() or found.status[-1] == Status.FAILED:
@@ -136,6 +139,10 @@ def poses_csv(result: Simulation) -> str:
     if result.measured is not None:
         seen = np.hstack([result.measured.position, result.measured.frame[:, :, 2]])[chosen]
         columns |= {f"measured_{name}": seen[:, i] for i, name in enumerate(("x_m", "y_m", "z_m", "tx", "ty", "tz"))}
+    for prefix, points in (("", result.marker_m), ("measured_", result.measured_marker_m)):
+        if points is not None:
+            for k, marker in enumerate(result.robot.markers):
+                columns |= {f"{prefix}{name}": points[chosen, k, i] for i, name in enumerate(marker.columns)}
     columns["deviation_mm"] = result.deviation_m[chosen] * 1e3
     columns["bound_mm"] = result.bounds.position_m[chosen] * 1e3
     columns |= {f"phi_{i + 1}": result.phi[chosen, i] for i in range(result.robot.n - 1)}
@@ -185,10 +192,29 @@ def _samples(path: JointPath, place: Array, commanded: Collars) -> Measurements:
     return Measurements(sequence, commanded.theta, commanded.l, every, blank, blank, time_s, more=more)
 
 
+def _is_seen_as_it_is(chain: Chain, collars: Collars) -> bool:
+    """Whether nothing stands between the robot and what a tracker reports."""
+    return not chain.of_stage("clock") and not chain.of_stage("sensor") and chain.plate_turn(collars) is None
+
+
+def _measured_markers(chain: Chain, samples: Measurements, collars: Collars, markers: Array) -> Array | None:
+    """(S, M, 3) what a tracker reports of markers (S, M, 6); None as `_measured`."""
+    if _is_seen_as_it_is(chain, collars):
+        return None
+    found = np.empty((*markers.shape[:2], 3))
+    for k in range(markers.shape[1]):
+        seen = at_instants(samples, markers[:, k], chain.delay_s)
+        tangent = np.nan_to_num(seen[:, 3:]) + np.isnan(seen[:, 3:]) * [0.0, 0.0, 1.0]
+        tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+        frames = frames_along(tangent, np.eye(3)[np.argmin(np.abs(tangent), axis=1)])
+        of_marker = replace(samples, marker=np.full(samples.count, k + 1))
+        found[:, k] = chain.seen(Poses(seen[:, :3], frames), collars, of_marker).position
+    return found
+
+
 def _measured(chain: Chain, samples: Measurements, collars: Collars, phi: Array, tips: Array) -> Poses | None:
     """What a tracker reports of tips and tangents (S, 6); None where nothing stands between tip and report."""
-    turn = chain.plate_turn(collars)
-    if not chain.of_stage("clock") and not chain.of_stage("sensor") and turn is None:
+    if _is_seen_as_it_is(chain, collars):
         return None
     across = across_tips(chain, collars, phi, tips[:, 3:])
     seen = at_instants(samples, np.hstack([tips, across]), chain.delay_s)
@@ -236,9 +262,11 @@ def _simulation(
     n = robot.n
     failed = np.flatnonzero(table[:, -1] == Status.FAILED)
     table = table[: failed[0] + 1] if len(failed) else table
-    place, theta_commanded, l_commanded, theta, l, position_m, tangent, phi, snaps, status = map(  # noqa: E741
-        np.ascontiguousarray, np.split(table, np.cumsum([1, n, n, n, n, 3, 3, n - 1, 1]), axis=1)
+    widths = [1, n, n, n, n, 3, 3, 6 * len(robot.markers), n - 1, 1]
+    place, theta_commanded, l_commanded, theta, l, position_m, tangent, markers, phi, snaps, status = map(  # noqa: E741
+        np.ascontiguousarray, np.split(table, np.cumsum(widths), axis=1)
     )
+    markers = markers.reshape(len(table), -1, 6) if robot.markers else np.zeros((len(table), 0, 6))
     collars = Collars(theta, l)
     bounds = robot.bound_many(theta, l, accuracy=accuracy, progress=lambda share: told("bounds", share))
     every = Chain.of(robot)
@@ -260,6 +288,8 @@ def _simulation(
         status=status[:, 0].astype(int),
         bounds=bounds,
         measured=_measured(chain, samples, collars, phi, np.hstack([position_m, tangent])),
+        marker_m=markers[:, :, :3],
+        measured_marker_m=_measured_markers(chain, samples, collars, markers),
         warnings=(
             *path.notes,
             *_left_out(every, path),

@@ -37,4 +37,5 @@ class SensorOffset(Effect):
     def sensor(self, values: Values, poses: Poses, data: Measurements) -> Poses:
         offset = np.array([values.get(f"offset_{axis}_mm", 0.0) for axis in "xyz"])
         tilt = rotation(np.array([values.get("tilt_x_deg", 0.0), values.get("tilt_y_deg", 0.0), 0.0]))
-        return Poses(poses.position + poses.frame @ offset, poses.frame @ tilt)
+        of_tip = (data.seen_marker == 0)[:, None]  # markers on the body have no such sensor
+        return Poses(poses.position + of_tip * (poses.frame @ offset), poses.frame @ tilt)
