@@ -36,6 +36,7 @@ examples:
   ctrplan simulate scenarios/robots/three_tube.toml path.csv -o out --igtl 18944
   ctrplan simulate robot.toml measurements.csv -o out --measured
   ctrplan simulate robot.toml measurements.csv -o out --measured --offset-mm 1 --offset-steps 50
+  ctrplan simulate robot.toml measurements.csv -o out --measured --slow contact.1.friction_coefficient=0.1
 
 With --measured the path is a log of measured tips (docs/measurements.md), and the robot is followed by them:
 followed.csv and followed.png say how far off tips are that an observer expects one step ahead, and those of a
@@ -75,6 +76,13 @@ def add_parser(commands: Any) -> None:
     add_number(parser, "--offset-mm", Number(0, LARGEST_OFFSET_MM, "mm"), default=0.0, metavar="MM", help=help_offset)
     help_steps = "rows over which that offset changes (default: never)"
     add_number(parser, "--offset-steps", Number(1, 1e9), default=float("inf"), metavar="ROWS", help=help_steps)
+    parser.add_argument(
+        "--slow",
+        action="append",
+        default=[],
+        metavar="NAME=SIGMA",
+        help="with --measured: a number of the robot that is estimated besides, and how far its value may be off, SI",
+    )
     help_members = "with --measured: friction states that are followed (default: %(default)s)"
     add_number(parser, "--histories", Whole(1, MOST_MEMBERS), default=9, metavar="N", help=help_members)
     add_igtl_option(parser, "the simulated tip, row after row,")

@@ -7,12 +7,14 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ctrplan.base.arguments import in_plain_digits
 from ctrplan.base.interrupts import interrupt_event
 from ctrplan.commands.progress_bar import ProgressBar
 from ctrplan.errors import InputError
 from ctrplan.storage.output_folder import output_folder, write_results
 
 if TYPE_CHECKING:
+    from ctrplan.robot.observer.slow_parameter import SlowParameter
     from ctrplan.studies.follow import Following
 
 OUTPUTS = ("followed.csv", "followed.png")
@@ -47,6 +49,7 @@ def run_simulate_measured(arguments: argparse.Namespace) -> int:
                 robot,
                 data,
                 offset=offset,
+                slow=[_slow(text) for text in arguments.slow],
                 members=arguments.histories,
                 progress=lambda share: bar.show("following", share),
                 interrupted=interrupted,
@@ -54,6 +57,17 @@ def run_simulate_measured(arguments: argparse.Namespace) -> int:
         _write(folder, result)
         print(_summary(folder, result))
     return 0
+
+
+def _slow(text: str) -> SlowParameter:
+    """NAME=SIGMA."""
+    from ctrplan.robot.observer.slow_parameter import SlowParameter
+
+    name, _, sigma = text.partition("=")
+    value = in_plain_digits(sigma)
+    if not name or value is None:
+        raise InputError("must be NAME=SIGMA, as contact.1.friction_coefficient=0.1", key="--slow", value=text)
+    return SlowParameter(name, value)
 
 
 def _write(folder: Path, result: Following) -> None:
@@ -72,6 +86,8 @@ def _summary(folder: Path, result: Following) -> str:
         if len(error_mm):
             rms, most = np.sqrt(np.mean(error_mm**2)), error_mm.max()
             lines.append(f"  {label:27} {rms:.3f} mm (rms), at most {most:.3f} mm")
+    for name, values in result.parameters.items():
+        lines.append(f"  {name:27} {values[-1, 0]:.4g} +- {1.96 * values[-1, 1]:.2g} in the end")
     held = np.all((result.low_m <= result.measured_m) & (result.measured_m <= result.high_m), axis=1).mean()
     lines.append(f"  {'measured within interval':27} {100 * held:.0f} % of the rows")
     lines.append(f"  {'written to':27} {folder}/{', '.join(OUTPUTS)}")

@@ -4,16 +4,44 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
+from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
+from ctrplan.mechanics.loads import Loads
 from ctrplan.mechanics.tube import Contact, Tube, TubeSection
-from ctrplan.robot.robot import Robot
 
 MAGNITUDE = "curvature_per_m"  # of a section's precurvature, whose direction stays
 
 
-def value_of(robot: Robot, name: str) -> float:
+class Numbered(Protocol):
+    """What has the numbers of a robot; a `Robot`, which may ask for them itself."""
+
+    @property
+    def tubes(self) -> tuple[Tube, ...]:
+        """Outermost first."""
+
+    @property
+    def contacts(self) -> tuple[Contact, ...]:
+        """Of neighbouring tubes."""
+
+    @property
+    def loads(self) -> Loads:
+        """Beyond the tubes' own."""
+
+    @property
+    def clearance_m(self) -> Array:
+        """(n - 1,) of each pair."""
+
+    @property
+    def friction(self) -> Array:
+        """(n - 1, 2) lowest and highest coefficient of each pair."""
+
+
+R = TypeVar("R", bound=Numbered)
+
+
+def value_of(robot: Numbered, name: str) -> float:
     """The number behind a name, SI. Raises InputError for a name the robot does not have."""
     steps = name.split(".")
     try:
@@ -22,7 +50,7 @@ def value_of(robot: Robot, name: str) -> float:
         raise InputError("no such parameter of the robot", key=name) from None
 
 
-def with_values(robot: Robot, values: Mapping[str, float]) -> Robot:
+def with_values(robot: R, values: Mapping[str, float]) -> R:
     """A copy of the robot with named numbers changed, SI. Raises InputError for a name the robot does not have."""
     tubes, contacts = list(robot.tubes), list(robot.contacts)
     loads: dict[str, Any] = {}
@@ -40,10 +68,11 @@ def with_values(robot: Robot, values: Mapping[str, float]) -> Robot:
     changed: dict[str, Any] = {"tubes": tuple(tubes), "contacts": tuple(contacts)}
     if loads:
         changed["loads"] = replace(robot.loads, **loads)
-    return replace(robot, **changed)
+    made: R = replace(robot, **changed)  # type: ignore[type-var]
+    return made
 
 
-def _read(robot: Robot, steps: list[str]) -> Any:
+def _read(robot: Numbered, steps: list[str]) -> Any:
     kind, place, *rest = steps
     if kind == "loads":
         return getattr(robot.loads, place)[_index(rest[0])]

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from ctrplan.mechanics.walker import Walker
     from ctrplan.robot.observer.observer import Observer
     from ctrplan.robot.observer.slow_offset import SlowOffset
+    from ctrplan.robot.observer.slow_parameter import SlowParameter
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +149,7 @@ class Robot:
         noise: SensorNoise | float | None = None,
         *,
         offset: SlowOffset | None = None,
+        slow: Sequence[SlowParameter] = (),
         members: int = 9,
         seed: int = 0,
         accuracy: Accuracy = "search",
@@ -155,11 +157,13 @@ class Robot:
         """Follows the robot by commanded joints and measured tips, from friction that nobody knows. See `Observer`.
 
         noise: of the tracker, or its standard deviation [m] of each coordinate; by default the robot file's
-        [measurement]. offset: what no friction state explains changes slowly, by default nothing is. members: friction
-        states that are followed, more where there are more corners. Raises InputError.
+        [measurement]. offset: what no friction state explains changes slowly, by default nothing is. slow: numbers of
+        the robot that are estimated besides. members: friction states that are followed, more where there are more
+        corners. Raises InputError.
         """
         from ctrplan.robot.observer.observer import Observer
         from ctrplan.robot.observer.slow_offset import SlowOffset
+        from ctrplan.robot.observer.slow_values import robot_with, values_of_slow
 
         known = self.measurement if noise is None else noise
         if known is None:
@@ -167,10 +171,11 @@ class Robot:
         if not isinstance(known, SensorNoise):
             known = SensorNoise(known)
         return Observer(
-            self.mechanics,
+            robot_with(self),
             self.drive,
             noise=known,
             offset=SlowOffset(0.0) if offset is None else offset,
+            slow=values_of_slow(self, slow),
             members=members,
             seed=seed,
             accuracy=accuracy,

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import threading
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +27,7 @@ from ctrplan.mechanics.shapes import Status
 from ctrplan.pipeline.chain import Chain
 from ctrplan.robot.observer.estimate import Observed
 from ctrplan.robot.observer.slow_offset import SlowOffset
+from ctrplan.robot.observer.slow_parameter import SlowParameter
 from ctrplan.robot.robot import Robot
 from ctrplan.sensor.noise import SensorNoise
 from ctrplan.sensor.poses import Poses, frames_along
@@ -48,6 +50,7 @@ class Following:
     friction: Array  # (K, n - 1)
     histories: NDArray[np.int_]  # (K,) followed
     unexplained_m: Array  # (K,)
+    parameters: Mapping[str, Array]  # (K, 2) value and standard deviation of each slow parameter, SI
 
     @property
     def error_m(self) -> Array:
@@ -78,12 +81,13 @@ def follow(
     *,
     noise: SensorNoise | None = None,
     offset: SlowOffset | None = None,
+    slow: Sequence[SlowParameter] = (),
     members: int = 9,
     seed: int = 0,
     progress: Progress | None = None,
     interrupted: threading.Event | None = None,
 ) -> Following:
-    """Follows a log row by row, by `Robot.observer`, whose arguments `noise`, `offset`, `members` and `seed` are.
+    """Follows a log row by row, by `Robot.observer`; `noise`, `offset`, `slow`, `members` and `seed` are as there.
 
     A row where no friction state has an equilibrium is left out. Raises InputError, and NoAnswerError where no pose
     can be followed.
@@ -96,12 +100,12 @@ def follow(
     seen = _seen_tips(chain, data, collars, without)
     pose = {row: k for k, row in enumerate(data.rows.tolist())}
     found: list[tuple[int, Observed]] = []
-    observer = built.observer(noise, offset=offset, members=members, seed=seed)
+    observer = built.observer(noise, offset=offset, slow=slow, members=members, seed=seed)
     for row in range(len(data.sequence)):
         if interrupted is not None and interrupted.is_set():
             raise KeyboardInterrupt
         if row == 0 or data.sequence[row] != data.sequence[row - 1]:
-            observer = built.observer(noise, offset=offset, members=members, seed=seed)
+            observer = built.observer(noise, offset=offset, slow=slow, members=members, seed=seed)
         tip = seen.position[pose[row]] if row in pose else None
         along = seen.frame[pose[row], :, 2] if row in pose and data.given[pose[row]].all() else None
         try:
@@ -132,6 +136,8 @@ def followed_csv(result: Following) -> str:
     columns |= {f"phi_{i + 1}": result.friction[:, i].tolist() for i in range(result.robot.n - 1)}
     columns["histories"] = result.histories.tolist()
     columns["unexplained_mm"] = (result.unexplained_m * 1e3).tolist()
+    for name, values in result.parameters.items():
+        columns |= {name: values[:, 0].tolist(), f"{name}_sigma": values[:, 1].tolist()}
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
@@ -203,4 +209,8 @@ def _following(
         friction=np.array([step.friction for step in steps]).reshape(len(steps), robot.n - 1),
         histories=np.array([step.histories for step in steps]),
         unexplained_m=np.array([step.unexplained_m for step in steps]),
+        parameters={
+            name: np.array([(step.parameters[name].value, step.parameters[name].sigma) for step in steps])
+            for name in steps[0].parameters
+        },
     )

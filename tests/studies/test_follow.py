@@ -14,8 +14,9 @@ from ctrplan.cli import main
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot
 from ctrplan.pipeline.chain import Chain
+from ctrplan.robot.observer.slow_parameter import SlowParameter
 from ctrplan.robot.robot import Robot
-from ctrplan.studies.follow import follow
+from ctrplan.studies.follow import follow, followed_csv
 
 PAIR = str(ROBOTS / "table_5_pair.toml")
 NOISE_MM = 0.1
@@ -64,12 +65,24 @@ def test_what_the_sensor_does_is_taken_off(tmp_path: Path) -> None:
     assert result.error_m[1:].max() < 2e-3 * NOISE_MM
 
 
+def test_slow_parameters_are_columns_of_the_table(tmp_path: Path) -> None:
+    robot = load_robot(PAIR, NOISE)
+    name = "contact.1.friction_coefficient"
+    result = follow(robot, load_measurements(log(robot, tmp_path, 0.0), robot), slow=[SlowParameter(name, 0.1)])
+    table = list(csv.DictReader(followed_csv(result).splitlines()))
+    assert float(table[24][f"{name}_sigma"]) < float(table[0][f"{name}_sigma"])
+    assert abs(float(table[-1][name]) - 0.2) < 2.5 * float(table[-1][f"{name}_sigma"])
+
+
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
         (["--start", "+1"], "--start = '+1': does not go with --measured"),
         (["--histories", "0"], "--histories = 0: must be a whole number from 1 to 1000"),
         (["--offset-mm", "-1"], "--offset-mm"),
+        (["--slow", "mu"], "--slow = 'mu': must be NAME=SIGMA"),
+        (["--slow", "mu=0"], "sigma = 0.0: must be a number above 0"),
+        ([*(w for k in NOISE for w in ("--set", k)), "--slow", "mu=1"], "mu: is not a parameter of this robot"),
         ([], "noise: must be given"),
     ],
 )

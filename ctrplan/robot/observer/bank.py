@@ -10,6 +10,7 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.errors import SolverError
 from ctrplan.mechanics.core import Status
+from ctrplan.robot.observer.slow_model import Slow
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.history import History, HistoryPath
@@ -26,14 +27,22 @@ class Member:
     position_m: Array  # (3,)
     tangent: Array  # (3,)
     phi: Array  # (n - 1,)
-    offset_m: Array  # (3,) of measured tips, if this history is the true one
+    slow: Slow  # offset and parameters, if this history is the true one
     score: float  # logarithm of its probability, but for what all have in common
+    values: Array  # (P,) of the parameters that the history is simulated with, less those of the robot file
+    slopes: Array  # (3, P) derivatives of the tip by the parameters
+    slopes_at: Array  # (2 n + n - 1,) collars and friction they are of
+
+    @property
+    def expected_m(self) -> Array:
+        """(3,) where the tip would be measured."""
+        return self.position_m + self.slow.moved_m(self.slopes, self.values)
 
 
-def begun(history: History, theta_b: Array, l_b: Array, offset_m: Array, score: float) -> Member | None:
+def begun(history: History, values: Array, theta_b: Array, l_b: Array, slow: Slow, score: float) -> Member | None:
     """A member at collars (n,) [rad], (n,) [m]; None without an equilibrium there."""
-    blank = np.zeros(3)
-    return moved(Member(history, blank, blank, blank, offset_m, score), theta_b, l_b)
+    blank, no_slopes = np.zeros(3), np.zeros((3, len(values)))
+    return moved(Member(history, blank, blank, blank, slow, score, values, no_slopes, np.zeros(0)), theta_b, l_b)
 
 
 def moved(member: Member, theta_b: Array, l_b: Array) -> Member | None:
@@ -83,5 +92,5 @@ def _are_one(a: Member, b: Member) -> bool:
         np.all(np.abs(a.position_m - b.position_m) < SAME_M)
         and np.all(np.abs(a.tangent - b.tangent) < SAME_RAD)
         and np.all(np.abs(a.phi - b.phi) < SAME_PHI)
-        and np.all(np.abs(a.offset_m - b.offset_m) < SAME_M)
+        and np.all(np.abs(a.expected_m - b.expected_m) < 2 * SAME_M)
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,14 @@ class TipEstimate:
     tangent: Array  # unit vector, mean
 
 
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """A slow parameter, SI."""
+
+    value: float
+    sigma: float  # standard deviation
+
+
 @dataclass(frozen=True, eq=False)
 class Observed:
     """What an observer makes of one step."""
@@ -31,22 +40,22 @@ class Observed:
     friction: Array  # (n - 1,) circumferential friction state of each pair, mean
     histories: int  # that are still followed
     unexplained_m: float  # what measured tips are off beyond the stated noise, of a coordinate, rms of the last steps
+    parameters: Mapping[str, ParameterEstimate]  # the slow ones
     started_anew: bool  # no history found an equilibrium on the way, all were begun again where the robot stands
 
 
-def estimate(position_m: Array, tangent: Array, weight: Array, variance: Array | float) -> TipEstimate:
-    """Of H histories' tips (H, 3) or (H, K, 3), probabilities (H,), each tip known to a variance [m^2], one or (K,).
+def estimate(position_m: Array, tangent: Array, weight: Array, variance: Array) -> TipEstimate:
+    """Of H histories' tips (H, 3) or (H, K, 3), probabilities (H,), each coordinate known to a variance [m^2], alike.
 
     The interval extends over the likeliest histories that carry 95 % together, and over 95 % of a normal error.
     """
     order = np.argsort(-weight, kind="stable")
     carried = np.cumsum(weight[order]) - weight[order] < CARRIED
-    likely = position_m[order[carried]]
-    beyond = NORMAL_95 * np.sqrt(np.asarray(variance))[..., None]
+    likely, beyond = position_m[order[carried]], NORMAL_95 * np.sqrt(variance[order[carried]])
     mean_tangent = np.tensordot(weight, tangent, axes=1)
     return TipEstimate(
         position_m=np.tensordot(weight, position_m, axes=1),
-        low_m=likely.min(axis=0) - beyond,
-        high_m=likely.max(axis=0) + beyond,
+        low_m=(likely - beyond).min(axis=0),
+        high_m=(likely + beyond).max(axis=0),
         tangent=mean_tangent / np.linalg.norm(mean_tangent, axis=-1, keepdims=True),
     )

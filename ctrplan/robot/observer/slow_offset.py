@@ -24,7 +24,3 @@ class SlowOffset:
     def kept(self) -> float:
         """What a step leaves of it."""
         return math.exp(-1.0 / self.memory_steps)
-
-    def variance_after(self, variance: float) -> float:
-        """That [m^2] of a coordinate after a step, of one before."""
-        return self.kept**2 * variance + (1 - self.kept**2) * self.sigma_m**2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
+from ctrplan.robot.observer.estimate import ParameterEstimate
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.accuracy import Accuracy
@@ -52,6 +54,7 @@ class ObserverState:
     histories: tuple[ObservedHistory, ...]  # H, likeliest first
     weight: Array  # (H,) probabilities, of sum 1
     offset_m: Array  # (3,) what was measured is this much off the simulated tips
+    parameters: Mapping[str, ParameterEstimate]  # slow ones; plans go by the robot that they are given
 
     def check(self, mechanics: Mechanics, theta_b: Array, l_b: Array) -> None:
         """Raises InputError unless it is of this robot, with collars at (n,) [rad], (n,) [m]."""

@@ -1,0 +1,82 @@
+"""What changes slowly beside the friction states: an offset of measured tips and named numbers, a Kalman filter.
+
+x = (offset of the tip, parameters less their values in the file), x' = F x + w, tip = p + (I, dp/dparameter) x.
+Every friction state has an x of its own (Rao-Blackwell).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ctrplan.base.arrays import Array
+from ctrplan.mechanics.core import Mechanics
+from ctrplan.robot.observer.slow_offset import SlowOffset
+from ctrplan.robot.observer.slow_parameter import SlowParameter
+
+MOST_SIGMA = 4.0  # standard deviations that a slow parameter is simulated at
+
+
+@dataclass(frozen=True, eq=False)
+class Slow:
+    """Mean (3 + P,) and covariance (3 + P, 3 + P) of the offset [m] and of P parameters."""
+
+    mean: Array
+    covariance: Array
+
+    def moved_m(self, slopes: Array, values: Array) -> Array:
+        """(3,) [m] what they displace a tip by; its slopes by the parameters (3, P), the values simulated with (P,)."""
+        moved: Array = self.mean[:3] + slopes @ (self.mean[3:] - values)
+        return moved
+
+    def spread_m2(self, slopes: Array) -> Array:
+        """(3, 3) covariance of that."""
+        H = np.hstack([np.eye(3), slopes])
+        spread: Array = H @ self.covariance @ H.T
+        return spread
+
+
+class SlowModel:
+    """How offset and parameters change from step to step, and what a tip says about them."""
+
+    def __init__(self, offset: SlowOffset, parameters: Sequence[SlowParameter]) -> None:
+        """offset, parameters: as `Robot.observer` has them."""
+        self.sigma = np.array([parameter.sigma for parameter in parameters])
+        self.names = tuple(parameter.name for parameter in parameters)
+        self.in_mechanics = np.array([not parameter.is_of_collar for parameter in parameters], dtype=bool)
+        self._sigma = np.array([*[offset.sigma_m] * 3, *(parameter.sigma for parameter in parameters)])
+        kept = [offset.kept] * 3 + [math.exp(-1.0 / parameter.memory_steps) for parameter in parameters]
+        self._kept = np.array(kept)
+
+    def simulated(self, slow: Slow) -> Array:
+        """(P,) what histories that begin now are simulated with; zeros of collars displace tips to first order only."""
+        within: Array = np.clip(slow.mean[3:], -MOST_SIGMA * self.sigma, MOST_SIGMA * self.sigma) * self.in_mechanics
+        return within
+
+    def start(self) -> Slow:
+        """Before anything is measured."""
+        return Slow(np.zeros(len(self._kept)), np.diag(self._sigma**2))
+
+    def after_step(self, slow: Slow) -> Slow:
+        """A step later, without a measurement."""
+        grown = np.diag((1 - self._kept**2) * self._sigma**2)
+        return Slow(self._kept * slow.mean, np.outer(self._kept, self._kept) * slow.covariance + grown)
+
+    def seen(self, slow: Slow, slopes: Array, off_m: Array, noise_m2: float) -> Slow:
+        """After a tip was measured that is off_m (3,) [m] from where it was expected, noise [m^2] of a coordinate."""
+        H = np.hstack([np.eye(3), slopes])
+        gain = np.linalg.solve(H @ slow.covariance @ H.T + noise_m2 * np.eye(3), H @ slow.covariance).T
+        left = np.eye(len(slow.mean)) - gain @ H
+        covariance = left @ slow.covariance @ left.T + noise_m2 * gain @ gain.T  # stays symmetric and positive (Joseph)
+        return Slow(slow.mean + gain @ off_m, covariance)
+
+    def slopes(self, mechanics: Mechanics, theta_b: Array, l_b: Array, phi: Array) -> Array:
+        """(K, 3, P) derivatives of tips at collars (K, n) [rad], (K, n) [m] in friction states (K, n - 1)."""
+        if not self.names:
+            return np.zeros((len(theta_b), 3, 0))
+        states = np.clip(phi, -1.0, 1.0)
+        found = mechanics.tips_with_friction(theta_b, l_b, states, parameters=self.names, threads=1)
+        return np.nan_to_num(found.position_by)
