@@ -1,13 +1,15 @@
 """Following a robot: time per step, and tip errors one step ahead, with an observer and without.
 
-    python benchmarks/observer.py [--sets N] [--measured ROBOT.toml LOG.csv]
+    python benchmarks/observer.py [--only times|friction|small|logs] [--sets N]
+    python benchmarks/observer.py --measured ROBOT.toml LOG.csv [--slow NAME=SIGMA ...]
 
 Small motions are of ctrplan's own histories, noise 0.1 mm. Synthetic logs come from the independent generator of
 tests/oracles/hidden_effects: three tubes on a continuous motion at 10 Hz, with friction, of tubes as ctrplan believes
 them or a little different. ctrplan is told the friction, or that times --friction-factor. It follows a log from row
 --from on, and knows nothing of what was before. Beside the observer: the frictionless robot, a history that starts
 released there, and that history corrected by the error of the row before, which needs no friction state. Held: share of
-measured coordinates inside the interval widened by the noise. With --measured: the same of a log of one's own. --logs
+measured coordinates inside the interval widened by the noise. Friction: large motions of ctrplan's own histories whose
+friction the file has wrong, with friction as slow parameters and without. With --measured: a log of one's own. --logs
 keeps the synthetic ones, which take a minute each.
 """
 
@@ -18,6 +20,7 @@ import json
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,7 +29,9 @@ import numpy as np
 import ctrplan
 from ctrplan.base.arrays import Array
 from ctrplan.experiment.measurements import Measurements
+from ctrplan.robot.named_numbers import with_values
 from ctrplan.robot.observer.slow_offset import SlowOffset
+from ctrplan.robot.observer.slow_parameter import SlowParameter
 from ctrplan.robot.robot import Robot
 from ctrplan.studies.follow import Following, follow
 
@@ -49,8 +54,8 @@ def held(error: Following) -> float:
     return float(inside.mean())
 
 
-def compared(name: str, robot: Robot, data: Measurements) -> None:
-    """One row of the table."""
+def compared(name: str, robot: Robot, data: Measurements, slow: Sequence[SlowParameter] = ()) -> None:
+    """One row of the table; another with slow parameters, if there are any."""
     bare = follow(robot, data)
     offset = follow(robot, data, offset=SlowOffset(2e-3, 20))
     history_off = bare.measured_m - bare.without_m
@@ -68,6 +73,62 @@ def compared(name: str, robot: Robot, data: Measurements) -> None:
     ]
     print(f"| {name} | {len(bare.measured_m)} | " + " | ".join(f"{cell:.3f}" for cell in cells), end=" | ")
     print(f"{100 * held(bare):.0f} % | {100 * held(offset):.0f} % |", flush=True)
+    if slow:
+        bare, offset = (follow(robot, data, offset=of, slow=slow) for of in (None, SlowOffset(2e-3, 20)))
+        cells[3:] = [rms_mm(bare.error_m[later]), rms_mm(offset.error_m[later])]
+        print(f"| {name}, slow parameters | {len(bare.measured_m)} | - | - | - | ", end="")
+        print(
+            " | ".join(f"{cell:.3f}" for cell in cells[3:])
+            + f" | {100 * held(bare):.0f} % | {100 * held(offset):.0f} % |"
+        )
+        for key, values in bare.parameters.items():
+            print(f"{key}: {values[-1, 0]:.4g} +- {1.96 * values[-1, 1]:.2g}")
+
+
+def wrong_friction() -> None:
+    """Friction of 0.3 where the file has 0.2: errors one step ahead, what is found, and the time of a step."""
+    print(
+        "| robot, rows | history, mm | observer, mm | with slow friction, mm | its last half, mm | held | found |",
+        end="",
+    )
+    print(" a step, median | 95 % |\n|" + " --- |" * 9)
+    noise = ["measurement.position_sigma_mm=0.1"]
+    for name in ("table_5_pair.toml", "three_tube.toml"):
+        robot = ctrplan.load_robot(ROBOTS / name, noise)
+        n, phase = robot.n, np.linspace(0, 12 * np.pi, 300)
+        theta = np.outer(1.0 + 0.6 * np.sin(phase) + 0.1 * np.sin(3.3 * phase), np.arange(n))
+        l_b = np.tile([0.0, -0.06] if n == 2 else [0.0, -0.017, -0.06], (len(phase), 1))
+        l_b[:, -1] += 0.5e-3 * np.sin(1.7 * phase)
+        names = [f"contact.{i}.friction_coefficient" for i in range(1, n)]
+        truth = with_values(robot, dict.fromkeys(names, 0.3)).history([0.4, -0.7][: n - 1]).follow(theta, l_b)
+        seen = truth.position_m + 0.1e-3 * np.random.default_rng(n).standard_normal(truth.position_m.shape)
+        data = Measurements(*logged(theta, l_b, seen))
+        spent: list[float] = []
+        bare, slow = follow(robot, data), timed(robot, data, [SlowParameter(key, 0.1) for key in names], spent)
+        half = len(phase) // 2
+        off = (bare.error_without_m, bare.error_m, slow.error_m)
+        cells = [f"{rms_mm(part[1:]):.3f}" for part in off] + [f"{rms_mm(slow.error_m[half:]):.3f}"]
+        found = ", ".join(f"{v[-1, 0]:.2f} +- {1.96 * v[-1, 1]:.2f}" for v in slow.parameters.values())
+        ms = [f"{np.median(spent):.1f} ms", f"{np.quantile(spent, 0.95):.1f} ms"]
+        print(f"| {robot.name}, {len(phase)} | " + " | ".join([*cells, f"{100 * held(slow):.0f} %", found, *ms]) + " |")
+
+
+def timed(robot: Robot, data: Measurements, slow: list[SlowParameter], spent: list[float]) -> Following:
+    """`follow`, the CPU time [ms] of its steps told."""
+    clock = [time.thread_time()]
+
+    def told(_share: float) -> None:
+        now = time.thread_time()
+        spent.append(1e3 * (now - clock[0]))
+        clock[0] = now
+
+    return follow(robot, data, slow=slow, progress=told)
+
+
+def logged(theta: Array, l_b: Array, seen: Array) -> tuple[Array, ...]:
+    """One run of joints and tips, every row measured."""
+    count = len(theta)
+    return np.zeros(count, int), theta, l_b, np.arange(count), seen, np.full(seen.shape, np.nan)
 
 
 def header() -> None:
@@ -88,9 +149,7 @@ def small_motions() -> None:
         l_b[:, -1] += 0.1e-3 * np.sin(3 * phase)
         truth = robot.history([0.7, -0.9][: n - 1]).follow(theta, l_b)
         seen = truth.position_m + 0.1e-3 * np.random.default_rng(n).standard_normal(truth.position_m.shape)
-        rows, unknown = np.arange(len(phase)), np.full(seen.shape, np.nan)
-        data = Measurements(np.zeros(len(rows), int), theta, l_b, rows, seen, unknown)
-        compared(f"small motions of a history, {robot.name}", robot, data)
+        compared(f"small motions of a history, {robot.name}", robot, Measurements(*logged(theta, l_b, seen)))
 
 
 def synthetic(folder: Path, sets: int, begin: int, factor: float) -> None:
@@ -192,6 +251,8 @@ def step_times_ms(robot: Robot, measured: bool) -> list[float]:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", choices=["times", "friction", "small", "logs"])
+    parser.add_argument("--slow", action="append", default=[], metavar="NAME=SIGMA", help="with --measured")
     parser.add_argument("--sets", type=int, default=4)
     parser.add_argument("--from", type=int, default=30, dest="begin")
     parser.add_argument("--friction-factor", type=float, default=1.0)
@@ -201,13 +262,19 @@ if __name__ == "__main__":
     arguments = parser.parse_args()
     if arguments.measured:
         own = ctrplan.load_robot(arguments.measured[0], arguments.overrides)
+        pairs = (text.split("=") for text in arguments.slow)
+        named = [SlowParameter(key, float(sigma)) for key, sigma in pairs]
         header()
-        compared(Path(arguments.measured[1]).stem, own, ctrplan.load_measurements(arguments.measured[1], own))
-    else:
+        compared(Path(arguments.measured[1]).stem, own, ctrplan.load_measurements(arguments.measured[1], own), named)
+    if not arguments.measured and arguments.only in (None, "times"):
         times()
-        print()
+    if not arguments.measured and arguments.only in (None, "friction"):
+        wrong_friction()
+    if not arguments.measured and arguments.only in (None, "small", "logs"):
         header()
-        small_motions()
-        with tempfile.TemporaryDirectory() as scratch:
-            folder = arguments.logs or Path(scratch)
-            synthetic(folder, arguments.sets, arguments.begin, arguments.friction_factor)
+        if arguments.only != "logs":
+            small_motions()
+        if arguments.only != "small":
+            with tempfile.TemporaryDirectory() as scratch:
+                folder = arguments.logs or Path(scratch)
+                synthetic(folder, arguments.sets, arguments.begin, arguments.friction_factor)
