@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from ctrplan.experiment.measurements import Measurements
 from ctrplan.pipeline.chain import Acting, Chain, taken_along
 from ctrplan.pipeline.installed import with_chain
 from ctrplan.pipeline.point_table import on_body, point_table
+from ctrplan.pipeline.remembered_slopes import remembered
 from ctrplan.pipeline.tip_table import TipTable, nested
 from ctrplan.robot.named_numbers import value_of, with_values
 from ctrplan.robot.robot import Robot
@@ -176,6 +177,7 @@ class ParametricChain:
         changes = chain.changing(self.data)
         table = self._table(robot, collars, phi, [*names, *joints], changes)
         position, tangent = _followed(table, changes)
+        coarse_m = position
         if self.correction is not None:
             position, tangent = position + self.correction[0], _unit(tangent + self.correction[1])
         poses = Poses(position, frames_along(tangent, self._tip_x(chain, collars, phi, tangent)))
@@ -187,7 +189,7 @@ class ParametricChain:
             self._joint_columns(p, upstream[:, :, len(names) : len(names) + len(joints)], by)
             self._changing_columns(p, upstream[:, :, len(names) + len(joints) :], list(changes), by)
             self._release_columns(p, robot, collars, table, by)
-            self._body_columns(p, by)
+            self._body_columns(p, coarse_m, by)
             self._sensor_columns(p, poses, collars, seen, by)
         return Prediction(seen.position, seen.frame[:, :, 2], table.sound, table.failed, by[:, :3], by[:, 3:])
 
@@ -263,22 +265,29 @@ class ParametricChain:
                     by[:, :3, j] = (other.position_m - table.position_m) / h
                     by[:, 3:, j] = (other.tangent - table.tangent) / h
 
-    def _body_columns(self, p: Array, by: Array) -> None:
-        """Of markers, by differences of whole solves: the core differentiates tips alone."""
+    def _body_columns(self, p: Array, here_m: Array, by: Array) -> None:
+        """Of markers, now at (K, 3) [m], by differences of whole solves: the core differentiates tips alone."""
         if not self._body.any():
             return
         places, chain = self._stages(), self._body_chain
         chain.followed_phi = None if self.followed_phi is None else self.followed_phi[self._body]
-        here, _ = chain.before_sensor(p)
+        here = here_m[self._body]
+        names = [(t.key, q.name) for t in self.terms for q in t.parameters]
         for j in (*places["clock"], *places["drive"], *places["mechanics"]):
-            left = np.ones(len(here), bool)
-            for h in COARSE_STEP * self.prior[j] * np.array([1.0, -1.0]):  # one way, or the other where it is barred
-                moved = p.copy()
-                moved[j] += h
-                if left.any() and self.lower[j] <= moved[j] <= self.upper[j]:
-                    there, open_way = chain.before_sensor(moved)
-                    by[np.flatnonzero(self._body)[left], :3, j] = ((there - here) / h)[left]
-                    left = left & ~open_way
+            column = partial(chain.differenced, p, j, here)
+            by[self._body, :3, j] = remembered(self.data, names[j], here, float(p[j]), float(self.prior[j]), column)
+
+    def differenced(self, p: Array, j: int, here: Array) -> Array:
+        """(K, 3) derivatives by parameter j of measured points that are at (K, 3) [m], before plate and sensor."""
+        by, left = np.zeros((len(here), 3)), np.ones(len(here), bool)
+        for h in COARSE_STEP * self.prior[j] * np.array([1.0, -1.0]):  # one way, or the other where it is barred
+            moved = p.copy()
+            moved[j] += h
+            if left.any() and self.lower[j] <= moved[j] <= self.upper[j]:
+                there, open_way = self.before_sensor(moved)
+                by[left] = ((there - here) / h)[left]
+                left = left & ~open_way
+        return by
 
     def before_sensor(self, p: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Where the measured points (K, 3) [m] are at parameters (P,), before plate and sensor, on the coarse mesh.

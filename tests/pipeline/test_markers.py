@@ -172,3 +172,16 @@ def test_a_marker_seen_less_exactly_counts_less() -> None:
         for d in (data, replace(data, noise_ratio=np.full(data.count, 2.0)))
     )
     np.testing.assert_allclose(half.raw_norm, whole.raw_norm / 2, rtol=1e-12)
+
+
+def test_derivatives_of_markers_are_asked_anew_where_the_robot_has_moved() -> None:
+    """They are remembered while a fit hardly moves, and are those of a chain without memories once it has."""
+    robot, plan = marked(), of(waypoints(marked(), 1), 3)
+    chain = chain_of(robot, plan, {"homing_offset": None})
+    near, far = (chain.neutral + share * chain.prior for share in (-0.001, -0.5))
+    first = chain.predict(chain.neutral).position_by
+    np.testing.assert_array_equal(chain.predict(near).position_by, first)
+    fresh = chain_of(robot, replace(plan, file="another"), {"homing_offset": None})
+    np.testing.assert_array_equal(chain.predict(far).position_by, fresh.predict(far).position_by)
+    exact = fresh.predict(near).position_by * chain.prior
+    np.testing.assert_allclose(first * chain.prior, exact, atol=0.01 * np.abs(exact).max())

@@ -124,6 +124,9 @@ def _mechanics(moved: _Moved) -> Iterator[Piece]:
 
 def _bumps(position_m: Array, count: int) -> Iterator[str]:
     """Places, `count` along each axis, that enough of the tips (K, 3) are nearest to, for something beside them."""
+    position_m = position_m[np.isfinite(position_m).all(axis=1)]  # markers seen along an axis are nowhere
+    if not len(position_m):
+        return
     scaled = (position_m - position_m.min(axis=0)) / np.maximum(np.ptp(position_m, axis=0), 1e-9)
     nearest = np.round(scaled * (count - 1)).astype(int) + 1
     for place, number in zip(*np.unique(nearest, axis=0, return_counts=True), strict=True):
