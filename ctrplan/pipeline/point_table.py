@@ -7,11 +7,14 @@ Tips come with exact derivatives. The core differentiates no other points: marke
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.cores import cores
 from ctrplan.drive.collars import Collars
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.mechanics.accuracy import Accuracy
@@ -77,7 +80,7 @@ def _marker_table(
     """Markers (K,) by number; a shape serves all that were seen on it."""
     inside = nested(robot, l_b)
     first, back = distinct(np.hstack([theta_b, inside, phi]))
-    shapes = [robot.mechanics.solve(theta_b[k], inside[k], phi[k], accuracy=accuracy) for k in first.tolist()]
+    shapes = _shapes(robot, theta_b[first], inside[first], phi[first], accuracy)
     failed = np.array([shape.status == Status.FAILED for shape in shapes])[back]
     sound = ~failed & np.array([shape.status != Status.UNSTABLE for shape in shapes])[back]
     tube = np.array([given.tube - 1 for given in robot.markers])[marker - 1]
@@ -87,6 +90,13 @@ def _marker_table(
     lost = ~np.isfinite(position).all(axis=1)
     position[lost], tangent[lost] = 0.0, [0.0, 0.0, 1.0]
     return TipTable(position, tangent, sound & ~lost & is_in_order(robot.tubes, l_b, NESTED_M), failed | lost, *_no(2))
+
+
+def _shapes(robot: Robot, theta_b: Array, l_b: Array, phi: Array, accuracy: Accuracy) -> list[Shape]:
+    """Of D configurations, on every core: the core solves without Python's lock."""
+    solve = partial(robot.mechanics.solve, accuracy=accuracy)
+    with ThreadPoolExecutor(min(cores(), len(theta_b))) as pool:
+        return list(pool.map(solve, theta_b, l_b, phi))
 
 
 def _no(count: int) -> Array:
