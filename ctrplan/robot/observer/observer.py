@@ -241,7 +241,7 @@ class Observer:
         moved_m, variance = np.empty((2, len(slopes), 3))
         for k, of in enumerate(slopes):
             slow = self._slow.after_step(slow)
-            moved_m[k], variance[k] = slow.moved_m(of, member.values), self._known_to(slow, of)
+            moved_m[k], variance[k] = slow.moved_m(of, member.values), self._known_to(slow, of, ahead=k)
         return moved_m, variance
 
     def _parameters(self) -> dict[str, ParameterEstimate]:
@@ -268,6 +268,8 @@ class Observer:
         surplus = [float(away @ away - np.trace(own)) / 3 for away, own in zip(off, spread, strict=True)]
         beyond = float(weights(self._members) @ np.array(surplus)) - sigma2
         self._unexplained = max(0.0, NEWS * self._unexplained + (1 - NEWS) * beyond)
+        best = int(np.argmax([member.score for member in self._members]))
+        self._slow.learn(off[best], float(np.trace(spread[best])) / 3 + sigma2, NEWS)
         for member, away in zip(self._members, off, strict=True):
             member.slow = self._slow.seen(member.slow, member.slopes, away, noise2)
         self._members = tidied(self._members)
@@ -307,10 +309,12 @@ class Observer:
         variance = np.array([self._known_to(member.slow, member.slopes) for member in self._members])
         return estimate(position, along, weights(self._members), variance)
 
-    def _known_to(self, slow: Slow, slopes: Array) -> Array:
-        """(3,) variances [m^2] of the coordinates of a history's tip, if it is the true one."""
+    def _known_to(self, slow: Slow, slopes: Array, ahead: int = 0) -> Array:
+        """(3,) variances [m^2] of the coordinates of a history's tip, if it is the true one, so many steps ahead."""
         least = self._noise.position_sigma_m**2  # what the bank is too coarse for can't be told from a row's noise
-        known: Array = np.diag(slow.spread_m2(slopes)) + max(self._unexplained, self._left, least)
+        known: Array = np.diag(slow.spread_m2(slopes, self._slow.shown_share(ahead))) + max(
+            self._unexplained, self._left, least
+        )
         return known
 
     def _collars(self, theta_commanded: ArrayLike, l_commanded: ArrayLike) -> tuple[Array, Array]:

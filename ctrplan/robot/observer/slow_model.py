@@ -17,6 +17,7 @@ from ctrplan.mechanics.core import Mechanics
 from ctrplan.robot.observer.slow_offset import SlowOffset
 from ctrplan.robot.observer.slow_parameter import SlowParameter
 
+LEAST_SHARE = 0.02  # of the offset's stated variance that it can show
 MOST_SIGMA = 4.0  # standard deviations that a slow parameter is simulated at
 
 
@@ -32,9 +33,9 @@ class Slow:
         moved: Array = self.mean[:3] + slopes @ (self.mean[3:] - values)
         return moved
 
-    def spread_m2(self, slopes: Array) -> Array:
-        """(3, 3) covariance of that."""
-        H = np.hstack([np.eye(3), slopes])
+    def spread_m2(self, slopes: Array, share: float = 1.0) -> Array:
+        """(3, 3) covariance of that; of the offset's variance a share."""
+        H = np.hstack([math.sqrt(share) * np.eye(3), slopes])
         spread: Array = H @ self.covariance @ H.T
         return spread
 
@@ -50,6 +51,7 @@ class SlowModel:
         self._sigma = np.array([*[offset.sigma_m] * 3, *(parameter.sigma for parameter in parameters)])
         kept = [offset.kept] * 3 + [math.exp(-1.0 / parameter.memory_steps) for parameter in parameters]
         self._kept = np.array(kept)
+        self._off2 = self._expected2 = 0.0  # m^2, of a coordinate, means of the last steps
 
     def simulated(self, slow: Slow) -> Array:
         """(P,) what histories that begin now are simulated with; zeros of collars displace tips to first order only."""
@@ -72,6 +74,21 @@ class SlowModel:
         left = np.eye(len(slow.mean)) - gain @ H
         covariance = left @ slow.covariance @ left.T + noise_m2 * gain @ gain.T  # stays symmetric and positive (Joseph)
         return Slow(slow.mean + gain @ off_m, covariance)
+
+    def learn(self, off_m: Array, expected_m2: float, news: float) -> None:
+        """How much of its stated variance the offset shows: tips were off_m (3,) where expected_m2 was expected.
+
+        news: what a step leaves of what is known. The filter goes by what is stated, intervals by what is shown.
+        """
+        if not self._expected2:
+            self._off2 = self._expected2 = expected_m2
+        self._off2 = news * self._off2 + (1 - news) * float(off_m @ off_m) / 3
+        self._expected2 = news * self._expected2 + (1 - news) * expected_m2
+
+    def shown_share(self, ahead: int) -> float:
+        """Of the offset's stated variance so many steps ahead, the first from 0: far ahead nothing has been shown."""
+        share = min(1.0, max(self._off2 / self._expected2, LEAST_SHARE)) if self._expected2 else 1.0
+        return float(share + (1 - share) * (1 - self._kept[0] ** (2 * ahead)))
 
     def slopes(self, mechanics: Mechanics, theta_b: Array, l_b: Array, phi: Array) -> Array:
         """(K, 3, P) derivatives of tips at collars (K, n) [rad], (K, n) [m] in friction states (K, n - 1)."""
