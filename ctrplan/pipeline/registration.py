@@ -1,7 +1,7 @@
 """Poses in a tracker's frame that nobody registered, moved to where the robot's own tips are.
 
-The rigid motion that brings measured positions nearest to the zero-clearance tips of the robot file (Kabsch 1976), far
-ones left out. It takes the place of a registration, not of a fit: base_misalignment or frame_shift beside it take up
+The rigid motion that brings measured positions nearest to the zero-clearance tips and markers of the robot file (Kabsch
+1976), far ones left out. It takes the place of a registration, not of a fit: base_misalignment or frame_shift beside it take up
 what a better model moves.
 """
 
@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.experiment.measurements import Measurements
+from ctrplan.pipeline.point_table import markers_on, on_body
 from ctrplan.robot.robot import Robot
 
 LEAST_POSES = 4
@@ -28,15 +29,14 @@ def registered(robot: Robot, data: Measurements, frames: Mapping[int, str]) -> M
     """The poses of some frames, number -> name, in the robot's frame, with a note each. Raises InputError."""
     position, tangent, notes = data.position_m.copy(), data.tangent.copy(), []
     for number, name in frames.items():
-        poses = (data.frames[data.rows] == number) & (data.seen_marker == 0)
-        model, _, status = robot.mechanics.tips(*_collars(robot, data, poses))
+        poses = data.frames[data.rows] == number
+        model = _believed_m(robot, data.subset(poses))
         good = np.isfinite(model).all(axis=1)
         if good.sum() < LEAST_POSES:
             raise InputError(f"has {good.sum()} poses, too few to find its place: at least {LEAST_POSES}", key=name)
         turn, shift, rms_m = _motion(position[poses][good], model[good], name, data.file)
-        every = data.frames[data.rows] == number
-        position[every] = turn.apply(position[every]) + shift
-        tangent[every] = turn.apply(tangent[every])
+        position[poses] = turn.apply(position[poses]) + shift
+        tangent[poses] = turn.apply(tangent[poses])
         notes.append(
             f"{data.file}: the frame of {name} is not known: its poses were moved to where the robot file has the "
             f"tips, {rms_m * 1e3:.2f} mm off (rms). A fit needs base_misalignment or frame_shift besides."
@@ -44,9 +44,18 @@ def registered(robot: Robot, data: Measurements, frames: Mapping[int, str]) -> M
     return replace(data, position_m=position, tangent=tangent, warnings=(*data.warnings, *notes)) if notes else data
 
 
-def _collars(robot: Robot, data: Measurements, poses: Array) -> tuple[Array, Array]:
-    rows = data.rows[poses]
-    commanded = data.theta_commanded[rows], data.l_commanded[rows]
+def _believed_m(robot: Robot, data: Measurements) -> Array:
+    """(K, 3) [m] where the robot file has the measured points without clearance and friction; NaN where it has none."""
+    theta_b, l_b = _collars(robot, data)
+    found, _, _ = robot.mechanics.tips(theta_b, l_b)
+    for k in np.flatnonzero(on_body(robot, data)).tolist():
+        shape = robot.zero_clearance(theta_b[k], l_b[k])
+        found[k] = markers_on(robot, shape, l_b[k])[0][data.seen_marker[k] - 1]
+    return found
+
+
+def _collars(robot: Robot, data: Measurements) -> tuple[Array, Array]:
+    commanded = data.theta_commanded[data.rows], data.l_commanded[data.rows]
     return commanded if data.of_collars else robot.collars(*commanded)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import tomli_w
 from measured_data import pair_robot
+from scipy.spatial.transform import Rotation
 
 from ctrplan.errors import InputError
 from ctrplan.experiment.measurements import Measurements
@@ -119,6 +120,26 @@ def test_what_says_too_little_is_refused(change: Any, sentence: str, poses: Path
     with pytest.raises(InputError) as refusal:
         load_measurements(rewritten(poses, change), robot())
     assert sentence in str(refusal.value)
+
+
+def test_markers_find_the_place_of_a_tracker_that_nobody_registered(tmp_path: Path) -> None:
+    """To where the file has them without clearance and friction: within what these two do."""
+    path = "sequence,theta_1_rad,theta_2_rad,l_1_m,l_2_m\n"
+    path += "".join(f"0,{0.5 * k},{1.1 * k},0,{-0.02 - 0.001 * k}\n" for k in range(8))
+    (tmp_path / "path.csv").write_text(path)
+    of = robot(marker=[{"name": "ring", "tube": 2, "from_tip_mm": 20}])
+    result = simulate(of, load_joint_path(tmp_path / "path.csv", of))
+    truth = result.marker_m[result.waypoints, 0]
+    moved = Rotation.from_rotvec([0.3, -0.2, 2.0]).apply(truth) + [0.1, -0.2, 0.05]
+    rows = [[*row.split(","), *map(repr, map(float, at))] for row, at in zip(path.splitlines()[1:], moved, strict=True)]
+    header = path.splitlines()[0] + ",ring_x_m,ring_y_m,ring_z_m"
+    (tmp_path / "log.csv").write_text("\n".join([header, *map(",".join, rows)]) + "\n")
+    columns = {"theta": ["theta_1_rad", "theta_2_rad"], "l": ["l_1_m", "l_2_m"], "sequence": "sequence"}
+    columns["markers"] = {"ring": ["ring_x_m", "ring_y_m", "ring_z_m"]}  # type: ignore[assignment]
+    mapping = {"run": [{"file": "log.csv", "frame": "unknown"}], "columns": columns}
+    (tmp_path / "map.toml").write_text(tomli_w.dumps(mapping))
+    found = load_measurements(tmp_path / "map.toml", of).position_m
+    assert np.sqrt(np.mean(np.sum((found - truth) ** 2, axis=1))) < 0.5e-3
 
 
 def test_a_mapping_file_names_the_columns_of_markers(poses: Path) -> None:
