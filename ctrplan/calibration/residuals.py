@@ -83,10 +83,10 @@ def residuals(
     """Residuals of all poses; `group` (K,) numbers the configurations."""
     given = data.given
     measured, plane = _compared(prediction.tangent, data.tangent)
-    sigma_m = noise.position_m * (np.ones(data.count) if data.noise_ratio is None else data.noise_ratio)
-    position = np.where(given[:, :3], (data.position_m - prediction.position_m) / sigma_m[:, None], 0.0)
+    sigma_m = noise.position_m * data.over_tip
+    position = np.where(given[:, :3], (data.position_m - prediction.position_m) / sigma_m, 0.0)
     tangent = np.where(given[:, 3:], _tangent_error(prediction.tangent, measured, plane) / noise.tangent_rad, 0.0)
-    position_by = prediction.position_by / sigma_m[:, None, None] * given[:, :3, None]
+    position_by = prediction.position_by / sigma_m[:, :, None] * given[:, :3, None]
     tangent_by = np.einsum("kcx,kxp->kcp", plane, prediction.tangent_by) / noise.tangent_rad * given[:, 3:, None]
     r = np.hstack([position, tangent])
     J = np.concatenate([position_by, tangent_by], axis=1)

@@ -95,7 +95,8 @@ class CorrelatedBench(Workbench):
     def left_out_m(self, scored: Scored) -> Array:
         """(K, 3) [m] errors of the position when a pose's fold had not been fitted, of what is handed over."""
         alike = self._alike(scored)
-        errors: Array = held_out_residuals(linear(alike), self.fold)[:, :3] * alike.noise.position_m
+        sigma_m = alike.noise.position_m * self.data.over_tip
+        errors: Array = held_out_residuals(linear(alike), self.fold)[:, :3] * sigma_m
         return errors
 
     def _alike(self, scored: Scored) -> Fit:

@@ -22,7 +22,7 @@ class Part:
 
 def part_of(bench: CorrelatedBench, base: Scored, chosen: Scored, found: Evidence) -> Part:
     """Of an effect in a set, where `base` is calibrated without effects and without a free frame."""
-    whole = held_out_residuals(linear(base.fit), bench.fold)[:, :3] * bench.plain.position_m
+    whole = held_out_residuals(linear(base.fit), bench.fold)[:, :3] * bench.plain.position_m * bench.data.over_tip
     before, after = mean_square(whole), mean_square(bench.left_out_m(chosen))
     free, gap = mean_square(bench.left_out_m(bench.scored([]))), max(before - bench.plain.floor_m**2, 1e-12)
     if found.term.name == FRAME:

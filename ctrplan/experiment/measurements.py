@@ -66,6 +66,11 @@ class Measurements:
         return np.zeros(self.count, int) if self.marker is None else self.marker
 
     @property
+    def over_tip(self) -> Array:
+        """(K, 1) noise of each position over that of a tip's."""
+        return np.ones((self.count, 1)) if self.noise_ratio is None else self.noise_ratio[:, None]
+
+    @property
     def has_markers(self) -> bool:
         """Whether any pose is that of a marker."""
         return bool(self.seen_marker.any())

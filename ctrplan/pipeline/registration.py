@@ -1,8 +1,8 @@
 """Poses in a tracker's frame that nobody registered, moved to where the robot's own tips are.
 
 The rigid motion that brings measured positions nearest to the zero-clearance tips and markers of the robot file (Kabsch
-1976), far ones left out. It takes the place of a registration, not of a fit: base_misalignment or frame_shift beside it take up
-what a better model moves.
+1976), far ones left out. It takes the place of a registration, not of a fit: base_misalignment or frame_shift beside it
+take up what a better model moves.
 """
 
 from __future__ import annotations
