@@ -45,8 +45,10 @@ TRIED_AT_ONCE = 2  # in a step, so that steps take no longer
 TRIED_SHARE = 0.1  # of the probability, given to them
 NEAR = 0.3  # standard deviation of those near the likeliest
 COARSE = HistoryOptions(state_change=0.1)  # of histories that no tip has told apart yet, docs/observer.md
-STALE = np.array([0.05, 1e-3, 0.1])  # rad, m and friction state, after which derivatives by parameters are taken anew
+STALE = np.array([0.1, 2e-3, 0.25])  # rad, m and friction state, after which derivatives by parameters are taken anew
+MOST_WITH_SLOW = 3  # measured histories beside slow parameters, by which many agree with a tip
 OTHERWISE = 0.3  # standard deviations of a slow parameter, by which histories may be simulated with another value
+ELSEWHERE = 4  # one in so many of the states tried beside slow parameters is not near the likeliest
 KNOWN_SHARE = 0.999  # of the probability, by the histories that `state` keeps
 
 
@@ -85,6 +87,7 @@ class Observer:
         self._at: tuple[Array, Array] | None = None
         self._waiting: list[Array] = []  # states that join with the first tip
         self._is_measured = False
+        self._tries = 0
         self._unexplained = 0.0  # m^2, of a coordinate, mean of the last steps
         self._left = 0.0  # m^2, of a coordinate, by the last step
         self._wait, self._pause = 0, 0  # steps until other friction states are tried again, and after that
@@ -218,26 +221,30 @@ class Observer:
             self._renew_slopes()
 
     def _renew_slopes(self) -> None:
-        """Derivatives by the slow parameters, of members that have moved or been loaded since theirs were taken."""
+        """Derivatives by the slow parameters, of members without, and of those whose are of elsewhere by now."""
         assert self._at is not None
         if not self._slow.names:
             return
         n = self._mechanics.n
-        limit = np.repeat(STALE, [n, n, n - 1])
         here = [np.concatenate([*self._at, member.phi]) for member in self._members]
-        stale = [
-            k for k, (m, at) in enumerate(zip(self._members, here, strict=True))
-            if not len(m.slopes_at) or np.any(np.abs(at - m.slopes_at) > limit)
-        ]  # fmt: skip
+        stale = [k for k, at in enumerate(here) if not self._has_slopes_near(self._members[k], at)]
         if stale:
             rows = np.array([here[k] for k in stale])
             slopes = self._slow.slopes(self._mechanics, *np.split(rows, [n, 2 * n], axis=1))
             for k, of in zip(stale, slopes, strict=True):
                 self._members[k].slopes, self._members[k].slopes_at = of, here[k]
 
+    def _has_slopes_near(self, member: Member, at: Array) -> bool:
+        """Whether a member's derivatives hold at collars and friction states (2 n + n - 1,), or (K, 2 n + n - 1)."""
+        n = self._mechanics.n
+        limit = np.repeat(STALE, [n, n, n - 1])
+        return len(member.slopes_at) > 0 and bool(np.all(np.abs(at - member.slopes_at) <= limit))
+
     def _ahead(self, member: Member, path: HistoryPath, theta_b: Array, l_b: Array) -> tuple[Array, Array]:
         """What slow errors displace a member's tips by (K, 3) [m] along its path, and (K, 3) variances of the tips."""
-        slow, slopes = member.slow, self._slow.slopes(self._mechanics, theta_b, l_b, path.phi)
+        slow, slopes = member.slow, np.broadcast_to(member.slopes, (len(theta_b), *member.slopes.shape))
+        if self._slow.names and not self._has_slopes_near(member, np.hstack([theta_b, l_b, path.phi])):
+            slopes = self._slow.slopes(self._mechanics, theta_b, l_b, path.phi)
         moved_m, variance = np.empty((2, len(slopes), 3))
         for k, of in enumerate(slopes):
             slow = self._slow.after_step(slow)
@@ -272,7 +279,7 @@ class Observer:
         self._slow.learn(off[best], float(np.trace(spread[best])) / 3 + sigma2, NEWS)
         for member, away in zip(self._members, off, strict=True):
             member.slow = self._slow.seen(member.slow, member.slopes, away, noise2)
-        self._members = tidied(self._members)
+        self._members = tidied(self._members)[: MOST_WITH_SLOW if self._slow.names else None]
         left = float(np.sum((seen - self._estimate().position_m) ** 2)) / 3  # the bank may be too coarse for this noise
         self._left = left if left > GROSS * sigma2 else 0.0
         if not (self._left or self._unexplained > SURPRISE * sigma2 or self._is_simulated_otherwise()):
@@ -297,8 +304,11 @@ class Observer:
         likeliest = max(self._members, key=lambda member: member.score)
         total = float(np.logaddexp.reduce([member.score for member in self._members]))
         states = states_nearby(likeliest.phi, count, NEAR, self._rng)
+        if self._slow.names:  # in turn, for each takes derivatives besides
+            self._tries += 1
+            states = [states[self._tries % ELSEWHERE == 0 and count > 1]]
         assert self._at is not None
-        joined = self._begin(states, *self._at, total + math.log(TRIED_SHARE / count))
+        joined = self._begin(states, *self._at, total + math.log(TRIED_SHARE / len(states)))
         kept = sorted(self._members, key=lambda member: -member.score)[: max(1, self._most - len(joined))]
         self._members = kept + joined
         self._renew_slopes()
@@ -312,10 +322,8 @@ class Observer:
     def _known_to(self, slow: Slow, slopes: Array, ahead: int = 0) -> Array:
         """(3,) variances [m^2] of the coordinates of a history's tip, if it is the true one, so many steps ahead."""
         least = self._noise.position_sigma_m**2  # what the bank is too coarse for can't be told from a row's noise
-        known: Array = np.diag(slow.spread_m2(slopes, self._slow.shown_share(ahead))) + max(
-            self._unexplained, self._left, least
-        )
-        return known
+        own: Array = np.diag(slow.spread_m2(slopes, self._slow.shown_share(ahead)))
+        return own + max(self._unexplained, self._left, least)
 
     def _collars(self, theta_commanded: ArrayLike, l_commanded: ArrayLike) -> tuple[Array, Array]:
         n = self._mechanics.n
