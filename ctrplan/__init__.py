@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from ctrplan.planning.planner import plan as plan
     from ctrplan.planning.scenario import Scenario
     from ctrplan.robot.robot import Robot
+    from ctrplan.studies.design.tube_design import TubeDesign, TubeDesigns
     from ctrplan.studies.plan_many import plan_many as plan_many
     from ctrplan.studies.study.study import Study
     from ctrplan.studies.study.table import StudyTable
@@ -76,6 +77,8 @@ _HOMES = {
     "place": "planning.placing.place",
     "plan_many": "studies.plan_many",
     "Study": "studies.study.study",
+    "TubeDesign": "studies.design.tube_design",
+    "TubeDesigns": "studies.design.tube_design",
     "StudyTable": "studies.study.table",
     "load_study": "studies.study.table",
     "bound_with_parameters": "uncertain.bound",
@@ -102,6 +105,8 @@ __all__ = [
     "Status",
     "Study",
     "StudyTable",
+    "TubeDesign",
+    "TubeDesigns",
     "Verification",
     "WrittenPlan",
     "bound_with_parameters",

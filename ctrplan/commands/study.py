@@ -6,18 +6,16 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Any
 
-from ctrplan.base.arguments import Whole
 from ctrplan.base.interrupts import INTERRUPTED
-from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
+from ctrplan.commands.options import add_allow_outside_option, add_set_option
 from ctrplan.commands.progress_bar import ProgressBar
-from ctrplan.errors import InputError
+from ctrplan.commands.worker_options import StageTeller, add_worker_options, chosen_workers
 from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 
 if TYPE_CHECKING:
-    from ctrplan.studies.study.run import Doing, Outcome
+    from ctrplan.studies.study.run import Outcome
     from ctrplan.studies.study.study import Study
 
-MOST_WORKERS = 1024
 EXAMPLES = """examples:
   ctrplan study STUDY.toml -o out
   ctrplan study STUDY.toml -o out --set targets.step_mm=2 --add
@@ -50,10 +48,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder of the study (default: %(default)s)"
     )
-    workers = "processes on this machine (default: one per core)"
-    add_number(parser, "--workers", Whole(1, MOST_WORKERS), metavar="N", help=workers)
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="of a dask cluster, such as tcp://10.0.0.5:8786")
-    parser.add_argument("--scheduler-file", metavar="FILE", help="that a dask scheduler wrote its address into")
+    add_worker_options(parser)
     parser.add_argument("--add", action="store_true", help="keep what the folder has of another study beside this one")
     parser.add_argument("--yes", action="store_true", help="also where it takes more than a week")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
@@ -64,44 +59,22 @@ def add_parser(commands: Any) -> None:
 
 def run_study_command(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code: 1 where no task has an answer. Raises CtrplanError."""
-    from ctrplan.studies.study.run import Where, refuse_endless, run_study
+    from ctrplan.studies.study.run import refuse_endless, run_study
     from ctrplan.studies.study.study import Study
 
-    for first, second in (("--scheduler", "--scheduler-file"), ("--scheduler", "--workers")):
-        values = [getattr(arguments, name[2:].replace("-", "_")) for name in (first, second)]
-        if all(value is not None for value in values):
-            raise InputError(f"does not go with {first}", key=second, value=values[1])
+    where = chosen_workers(arguments)
     study = Study.read(arguments.study, arguments.overrides, allow_outside=arguments.allow_outside)
-    where = Where(None, arguments.workers, arguments.scheduler, arguments.scheduler_file)
     refuse_endless(study, where, arguments.yes)
     print(_beforehand(study, where.expected), file=sys.stderr)
     terminal = sys.stderr is not None and sys.stderr.isatty()
     with ProgressBar(quiet=arguments.quiet or not terminal) as bar:
-        teller = _Teller(bar)
+        teller = StageTeller(bar)
         found = run_study(study, arguments.output, where, add=arguments.add, yes=arguments.yes, progress=teller)
     _write_report(study, found)
     print(_summary(study, found))
     if found.interrupted:
         return INTERRUPTED
     return 0 if found.table.done.any() else 1
-
-
-class _Teller:
-    """Shows how far a study is, and once where its workers can be watched."""
-
-    def __init__(self, bar: ProgressBar) -> None:
-        self.bar = bar
-        self.noted = ""
-
-    def __call__(self, doing: Doing) -> None:
-        from ctrplan.studies.study.run import in_words
-
-        if doing.note and doing.note != self.noted:
-            self.noted = doing.note
-            print(f"ctrplan: the workers can be watched at {doing.note}", file=sys.stderr)
-        left = "" if doing.left_s is None else f", {in_words(doing.left_s)} left"
-        note = f"{doing.done:,} of {doing.count:,}{left}" if doing.stage != "workers" else ""
-        self.bar.show(doing.stage, doing.share, note)
 
 
 def _beforehand(study: Study, workers: int) -> str:

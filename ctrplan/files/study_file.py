@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 
-from ctrplan.files.study_entries import StudyEntry
+from ctrplan.files.study_entries import StudyEntry, TargetsEntry
 from ctrplan.storage.toml_document import Document, read_document
 
 
@@ -30,7 +30,8 @@ def checked_study(document: Document) -> StudyEntry:
         raise document.fault("needs a scenario: a robot alone stands nowhere", "bases")
     for k in range(len(entry.vary)):
         _check_vary(entry, document, k)
-    _check_targets(entry, document)
+    if entry.targets is not None:
+        check_targets(entry.targets, document)
     if entry.bases is not None and (entry.bases.poses is None) == (entry.bases.patch is None):
         raise document.fault("must have one of poses and patch", "bases")
     return entry
@@ -62,11 +63,8 @@ def _check_vary(entry: StudyEntry, document: Document, k: int) -> None:
         raise document.fault("must lie from low to high", "vary", k, "mode")
 
 
-def _check_targets(entry: StudyEntry, document: Document) -> None:
+def check_targets(targets: TargetsEntry, document: Document) -> None:
     """Raises InputError unless [targets] says one set of points."""
-    targets = entry.targets
-    if targets is None:
-        return
     listed = (targets.points_mm is not None) + (targets.file is not None)
     shaped = (targets.within is not None) + (targets.on is not None)
     if listed + shaped != 1 and not (listed + shaped == 0 and targets.box_mm is not None):

@@ -95,7 +95,7 @@ def reach(
     near = order[q.error_m[order] <= tolerance_m + GAP_M]
     near = near[np.argsort(-_room(checker, q.joints[near]), kind="stable")] if len(near) else order[:1]
     chosen = distinct_rows(checker, q.joints, near)[:MOST_REFINED]
-    joints = _refined(checker, aim, q.joints[chosen], tolerance_m)
+    joints = refined(checker, aim, q.joints[chosen], tolerance_m)
     with ThreadPoolExecutor(cores()) as pool:
         found = list(pool.map(lambda joint: configuration(checker, target, joint), joints))
     nearest = min(found, key=lambda c: c.tip_error_m)
@@ -142,7 +142,7 @@ def _apart_mm(checker: MotionChecker, a: Array, b: Array) -> Array:
     return apart
 
 
-def _refined(checker: MotionChecker, target: TipTarget, q: Array, tolerance_m: float) -> Array:
+def refined(checker: MotionChecker, target: TipTarget, q: Array, tolerance_m: float) -> Array:
     """Damped Newton steps on the frictionless tip with clearance, by exact derivatives; the best place of each."""
     best, least, todo = q.copy(), np.full(len(q), np.inf), np.arange(len(q))
     for _ in range(CLEARANCE_STEPS):

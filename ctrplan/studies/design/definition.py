@@ -1,0 +1,119 @@
+"""What a search of designs is: its space, its targets, and the files that travel with the tasks."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import pickle
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from ctrplan.base.arrays import Array
+from ctrplan.base.version import __version__
+from ctrplan.files.design_entries import DesignEntry
+from ctrplan.files.scenario_file import load_scenario
+from ctrplan.planning.scenario import Scenario
+from ctrplan.storage.toml_document import Document
+from ctrplan.studies.design.front import Looked
+from ctrplan.studies.design.space import Design, DesignSpace, toml
+from ctrplan.studies.study.kinds.target_set import TARGET_S
+from ctrplan.studies.study.points import target_points
+from ctrplan.studies.study.sources import Sources
+from ctrplan.studies.study.task import KEY_DIGITS, Job, Task
+
+
+@dataclass(frozen=True, eq=False)
+class Definition:
+    """A search."""
+
+    entry: DesignEntry
+    document: Document
+    scenario: Scenario  # as in its file, with what every design has otherwise
+    space: DesignSpace
+    points_mm: Array  # (T, 3) targets
+    job: Job
+
+    @property
+    def name(self) -> str:
+        """As in the file, else the file's name."""
+        return self.entry.name or Path(self.document.file or "design").stem
+
+    @property
+    def content(self) -> bytes:
+        """What every worker is given once."""
+        return pickle.dumps(self.job)
+
+    @property
+    def expected_s(self) -> float:
+        """Seconds of one core that the search takes at most, roughly."""
+        local = self.entry.local.designs * self.entry.local.steps
+        return (self.entry.trials + local) * len(self.points_mm) * TARGET_S
+
+    @cached_property
+    def base(self) -> str:
+        """Hash of what all designs share."""
+        content = {"version": __version__, "task": dict(self.job.task), "start": self.job.sources.digest(self.job.main)}
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+    def task(self, index: int, design: Design, stage: str, front: list[dict[str, float]]) -> Task:
+        """What a worker does with a design; `front`: designs that a better one has to match, else it is given up."""
+        sides = [
+            {"name": side.name, "low": low, "high": high, "is_tolerance": side.is_tolerance}
+            for side, low, high in self.space.sides(design)
+        ]
+        overrides = self.space.overrides(design)
+        settings: dict[str, Any] = {"seed": self.entry.seed, "sides": sides, "front": front}
+        text = json.dumps([self.base, overrides, settings], sort_keys=True)
+        key = hashlib.sha256(text.encode()).hexdigest()[:KEY_DIGITS]
+        return Task(index, key, {"stage": stage, **self.space.inputs(design)}, tuple(overrides), settings)
+
+    def tolerance_costs(self, looked: Looked) -> list[tuple[str, float, str, float]]:
+        """Name, half width, unit and cost [mm] of every tolerance of a design, the costliest first."""
+        found = [
+            (side.name, side.width, side.unit, abs(float(looked.numbers[f"slope.{side.name}"])))
+            for side, _, _ in self.space.sides(looked.design)
+            if side.is_tolerance
+        ]
+        return sorted(found, key=lambda row: -row[3])
+
+
+def defined(entry: DesignEntry, document: Document, allow_outside: bool) -> Definition:
+    """The search of a file's entries. Raises InputError."""
+    folder = Path(document.file or ".").parent
+    main = folder / entry.scenario
+    if not main.is_file():
+        raise document.fault("is not a file that exists", "scenario")
+    overrides = [f"{key}={toml(value)}" for key, value in entry.set.items()]
+    scenario = load_scenario(main, overrides, allow_outside=allow_outside)
+    named = [main.parent / value for value in entry.set.values() if isinstance(value, str)]
+    sources = Sources.of([main, *(file for file in named if file.is_file())], folder)
+    points = target_points(entry.targets, scenario, document, folder)
+    task = {
+        "kind": "target_set",
+        "points_mm": points.tolist(),
+        "tolerance_mm": entry.targets.tolerance_mm or scenario.goal.tolerance_m * 1e3,
+        "starts": entry.starts,
+        "unreached_mm": entry.unreached_mm,
+    }
+    job = Job(
+        sources=sources,
+        main=sources.name(main),
+        is_robot=False,
+        task=task,
+        study_folder=sources.name(folder),
+        allow_outside=allow_outside,
+    )
+    found = Definition(entry, document, scenario, DesignSpace(entry, scenario.robot.n), points, job)
+    _check(found, os.fspath(main))
+    return found
+
+
+def _check(found: Definition, main: str) -> None:
+    """Raises InputError for keys that there are not: designs at both ends of all ranges are read."""
+    count = len(found.space.names)
+    for share in (0.0, 1.0, 0.5):
+        overrides = found.space.overrides(found.space.design([share] * count))
+        load_scenario(main, overrides, allow_outside=found.job.allow_outside)

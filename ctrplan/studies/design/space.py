@@ -1,0 +1,145 @@
+"""What may be chosen: shares from 0 to 1 of stock and of ranges, what --set is told of them, and tolerances to each."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ctrplan.files.design_entries import DesignEntry, ParameterEntry, StockEntry
+from ctrplan.studies.design.stock_choice import DIAMETERS, StockChoice, tube_keys
+
+STEP_SHARE = 0.01  # of a range: to either side of a parameter without tolerance, for its derivative
+DIGITS = 9
+Off = Mapping[str, float]  # offsets by the name of what is off
+
+
+@dataclass(frozen=True)
+class Side:
+    """A number of a design that may come out, or is moved, to either side."""
+
+    name: str
+    width: float  # to either side, in the unit of the file
+    unit: str
+    is_tolerance: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """A choice."""
+
+    shares: tuple[float, ...]  # of tubes first, then of parameters
+    stock: tuple[StockEntry, ...]
+    values: tuple[float, ...]  # of parameters, in the units of their keys
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """Equal where designs are."""
+        return (*(one.name for one in self.stock), *self.values)
+
+
+class DesignSpace:
+    """Stock for each of n tubes, if there is any, and P parameters."""
+
+    def __init__(self, entry: DesignEntry, tubes: int) -> None:
+        """Raises InputError where the stock does not nest."""
+        self.entry, self.parameters = entry, entry.parameter
+        self.choice = StockChoice(entry.stock, entry.made, tubes) if entry.stock else None
+        self.tubes = tubes if self.choice else 0
+
+    @property
+    def names(self) -> list[str]:
+        """Of all shares."""
+        return [*(f"tube {i + 1}" for i in range(self.tubes)), *(name_of(p) for p in self.parameters)]
+
+    def design(self, shares: Sequence[float]) -> Design:
+        """The design of shares (tubes + P,), values at what can be made."""
+        stock = tuple(self.choice.chosen(shares[: self.tubes])) if self.choice else ()
+        pairs = zip(self.parameters, shares[self.tubes :], strict=True)
+        return Design(tuple(shares), stock, tuple(_value(parameter, share) for parameter, share in pairs))
+
+    def inputs(self, design: Design) -> dict[str, Any]:
+        """Columns of the table."""
+        tubes = {f"tube {i}": one.name for i, one in enumerate(design.stock, start=1)}
+        return {**tubes, **dict(zip(map(name_of, self.parameters), design.values, strict=True))}
+
+    def overrides(self, design: Design) -> list[str]:
+        """Everything that --set is told."""
+        fixed = {key: value for key, value in self.entry.set.items()}
+        return [*(f"{key}={toml(value)}" for key, value in fixed.items()), *_assignments(self._keys(design, {}))]
+
+    def sides(self, design: Design) -> Iterator[tuple[Side, list[str], list[str]]]:
+        """Every number that may be off or be moved, and what --set is told of both ends, after all else."""
+        own = self._keys(design, {})
+        for side in self._widths(design):
+            ends = []
+            for sign in (-1, 1):
+                moved = self._keys(design, {side.name: sign * side.width})
+                ends.append(_assignments({key: value for key, value in moved.items() if value != own[key]}))
+            yield side, ends[0], ends[1]
+
+    def strain(self, design: Design) -> float:
+        """The largest by which a precurvature of the design is set, of those that are parameters."""
+        largest = 0.0
+        outer = {i: one.outer_diameter_mm for i, one in enumerate(design.stock, start=1)}
+        for key, value in self._keys(design, {}).items():
+            steps = key.split(".")
+            if steps[:2] == ["robot", "tube"] and steps[-1].startswith("curvature_") and int(steps[2]) in outer:
+                largest = max(largest, abs(value) * outer[int(steps[2])] / 2e3)
+        return largest
+
+    def _widths(self, design: Design) -> Iterator[Side]:
+        for i, one in enumerate(design.stock, start=1):
+            for key in DIAMETERS if one.diameter_tolerance_mm else ():
+                yield Side(f"tube {i} {key[:5]} diameter", one.diameter_tolerance_mm, "mm", True)
+            if one.stiffness_tolerance_percent:
+                yield Side(f"tube {i} stiffness", one.stiffness_tolerance_percent, "%", True)
+        for parameter, value in zip(self.parameters, design.values, strict=True):
+            width = parameter.tolerance or abs(value) * parameter.tolerance_percent / 100
+            step = STEP_SHARE * (parameter.high - parameter.low)
+            yield Side(name_of(parameter), width or step, _unit(parameter.key), width > 0)
+
+    def _keys(self, design: Design, off: Off) -> dict[str, float]:
+        """Values of all keys that depend on the design."""
+        found: dict[str, float] = {}
+        for i, one in enumerate(design.stock, start=1):
+            own = {key: off.get(f"tube {i} {key[:5]} diameter", 0.0) for key in DIAMETERS}
+            found |= tube_keys(one, i, {**own, "stiffness": off.get(f"tube {i} stiffness", 0.0)})
+        for parameter, value in zip(self.parameters, design.values, strict=True):
+            made = value + off.get(name_of(parameter), 0.0)
+            found[parameter.key] = made
+            found |= {key: rule.times * made + rule.plus for key, rule in parameter.also.items()}
+        return {key: round(value, DIGITS + 3) for key, value in found.items()}
+
+
+def name_of(parameter: ParameterEntry) -> str:
+    """What tables call it."""
+    return parameter.name or parameter.key.removeprefix("robot.")
+
+
+def toml(value: Any) -> str:
+    """A value of a file as TOML spells it on one line."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{json.dumps(str(key))} = {toml(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(toml, value)) + "]"
+    return json.dumps(value)
+
+
+def _assignments(keys: Mapping[str, float]) -> list[str]:
+    return [f"{key}={toml(value)}" for key, value in keys.items()]
+
+
+def _value(parameter: ParameterEntry, share: float) -> float:
+    value = parameter.low + share * (parameter.high - parameter.low)
+    if parameter.step is not None:
+        most = int((parameter.high - parameter.low) / parameter.step + 1e-9)
+        value = parameter.low + parameter.step * min(round((value - parameter.low) / parameter.step), most)
+    return float(f"{value:.{DIGITS}g}")
+
+
+def _unit(key: str) -> str:
+    last = key.rsplit(".", 1)[-1]
+    units = {"mm": "mm", "deg": "deg", "m": "1/m", "Nm2": "N m^2"}
+    return units.get(last.rsplit("_", 1)[-1], "")

@@ -1,0 +1,134 @@
+"""`ctrplan.TubeDesign`: a search for designs from its file or content, and what came of it."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from ctrplan.files.design_entries import DesignEntry
+from ctrplan.files.design_file import checked_design, read_design
+from ctrplan.files.robot_file import load_robot, write_robot
+from ctrplan.storage.atomic_write import write_atomically
+from ctrplan.storage.toml_document import Document
+from ctrplan.studies.design.definition import Definition, defined
+from ctrplan.studies.design.front import Archive, Looked
+from ctrplan.studies.design.search import search
+from ctrplan.studies.study.run import Report, Where
+from ctrplan.studies.study.sources import ROBOT_PREFIX
+from ctrplan.studies.study.table import StudyTable, load_study
+
+FRONT, ROBOTS = "front.json", "robots"
+
+
+class TubeDesign(Definition):
+    """A search over what can be made, for a set of targets in an anatomy; made by `TubeDesign.read` or `.of`."""
+
+    @classmethod
+    def read(
+        cls, path: str | os.PathLike[str], overrides: Sequence[str] = (), *, allow_outside: bool = False
+    ) -> TubeDesign:
+        """The search of a TOML file after `overrides` such as "trials=1000"; docs/tube_design.md has the keys.
+
+        Raises InputError, one sentence, for anything malformed, keys that robot or scenario do not have, stock that
+        does not nest, and files that do not exist.
+        """
+        return cls._of(*read_design(path, overrides), allow_outside)
+
+    @classmethod
+    def of(
+        cls, content: Mapping[str, Any], folder: str | os.PathLike[str] = ".", *, allow_outside: bool = False
+    ) -> TubeDesign:
+        """Likewise of a design file's content; files are named relative to `folder`."""
+        document = Document.of(content, "design", str(Path(folder) / "design.toml"))
+        return cls._of(checked_design(document), document, allow_outside)
+
+    def run(
+        self,
+        folder: str | os.PathLike[str],
+        *,
+        executor: Executor | None = None,
+        workers: int | None = None,
+        scheduler: str | None = None,
+        scheduler_file: str | None = None,
+        progress: Report | None = None,
+    ) -> TubeDesigns:
+        """Looks at designs, those aside that the folder has rows of, and writes the front. Raises CtrplanError.
+
+        The same seed gives the same designs on any number of workers and after any number of interruptions.
+        """
+        where = Where(executor, workers, scheduler, scheduler_file)
+        found = search(self, folder, where, progress or (lambda _: None))
+        made = TubeDesigns(self, Path(folder), found.archive, found.did, found.interrupted)
+        made.write()
+        return made
+
+    @classmethod
+    def _of(cls, entry: DesignEntry, document: Document, allow_outside: bool) -> TubeDesign:
+        made = defined(entry, document, allow_outside)
+        return cls(*(getattr(made, field.name) for field in fields(made)))
+
+
+@dataclass(frozen=True, eq=False)
+class TubeDesigns:
+    """What a search found."""
+
+    search: TubeDesign
+    folder: Path
+    archive: Archive
+    did: int  # designs looked at in this run
+    interrupted: bool
+
+    @property
+    def table(self) -> StudyTable:
+        """All designs, a row each, those too that were given up."""
+        return load_study(self.folder)
+
+    @property
+    def front(self) -> list[Looked]:
+        """Designs that no other is better than, the best by the first objective first."""
+        return self.archive.front
+
+    @property
+    def counts(self) -> tuple[int, int, int]:
+        """Designs that have all numbers, that were given up for the front, that can't be made or reach nothing."""
+        done = sum(looked.is_done for looked in self.archive.all)
+        given_up = sum("of the front" in looked.row["reason"] for looked in self.archive.all)
+        return done, given_up, len(self.archive.all) - done - given_up
+
+    def entries(self) -> list[dict[str, Any]]:
+        """The front as plain values: number, objectives, choices, --set, cost of each tolerance [mm]."""
+        return [self._entry(k, looked) for k, looked in enumerate(self.front, start=1)]
+
+    def write(self) -> None:
+        """front.json and a robot file for each design of the front; the folder's other files are there already."""
+        write_atomically(self.folder / FRONT, json.dumps(self.entries(), indent=1, ensure_ascii=False) + "\n")
+        robots = self.folder / ROBOTS
+        robots.mkdir(exist_ok=True)
+        for old in robots.glob("*.toml"):
+            old.unlink()
+        for k, looked in enumerate(self.front, start=1):
+            own = [text for text in looked.row["overrides"] if text.startswith(ROBOT_PREFIX)]
+            robot = load_robot(self.search.scenario.robot.path or "", [text.removeprefix(ROBOT_PREFIX) for text in own])
+            name = {"name": f"{self.search.name}, design {k}"}
+            write_robot(robots / f"{k:02d}.toml", {**dict(robot.content), **name})
+
+    def _entry(self, k: int, looked: Looked) -> dict[str, Any]:
+        costs = self.search.tolerance_costs(looked)
+        choices = {name: value for name, value in looked.row["inputs"].items() if name != "stage"}
+        numbers = {name: value for name, value in looked.numbers.items() if not name.startswith("slope.")}
+        return {
+            "number": k,
+            "row": looked.row["index"],
+            "stage": looked.row["inputs"]["stage"],
+            **numbers,
+            "choices": choices,
+            "set": looked.row["overrides"],
+            "tolerances": [
+                {"name": name, "half_width": width, "unit": unit, "costs_mm": cost} for name, width, unit, cost in costs
+            ],
+        }
