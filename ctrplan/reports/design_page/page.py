@@ -22,8 +22,8 @@ OBJECTIVES = {
 }
 MOST_ROWS = 30
 ERROR = (
-    "The error at worst is how far from its target friction may leave the tip, whatever its state: the frictionless tip's "
-    "distance and the bound together, the mean over all targets. A target that is not reached counts "
+    "The error at worst is how far from its target friction may leave the tip, whatever its state: the frictionless "
+    "tip's distance and the bound together, the mean over all targets. A target that is not reached counts "
 )
 COSTS = (
     "By how much the mean error at worst grows, to first order, where this alone comes out at the worse end of its "
