@@ -14,11 +14,13 @@ from ctrplan.base.arrays import Array
 from ctrplan.planning.goals.branches import Configuration, configuration, reach, refined
 from ctrplan.planning.goals.goal_descent import descended
 from ctrplan.planning.goals.goal_state import GoalState, tip_target
-from ctrplan.planning.goals.inverse_kinematics import TipSolver
+from ctrplan.planning.goals.inverse_kinematics import TipSolver, TipTarget
 from ctrplan.planning.motion import MotionChecker, path_limits
 from ctrplan.planning.scenario import Goal, Scenario
 
 SAMPLES = 4000  # configurations whose zero-clearance tips say what is within reach at all
+POLISHED = 3  # ways of each target
+FINE_M = 5e-5  # of a tip that is led onto its target
 NEAR_M = 15e-3  # a target with no such tip within this is out of reach
 
 
@@ -41,13 +43,30 @@ def target_worth(scenario: Scenario, starts: int, seed: int) -> TargetWorth | No
     """Of the scenario's goal, a tip position; None where no configuration was found from `starts` random ones."""
     checker, target = target_checker(scenario), tip_target(scenario)
     rng = np.random.default_rng(seed)
-    valid = [way for way in reach(checker, target, scenario.goal.tolerance_m, rng, starts).configurations if way.valid]
-    if not valid:
+    ways = reach(checker, target, scenario.goal.tolerance_m, rng, starts).configurations
+    best = _least(checker, target, [way for way in ways if way.valid])
+    if best is None:
         return None
-    best = min(valid, key=lambda way: way.tip_error_m + way.bound_m)
     trails = descended(checker, [GoalState(best.joints, best.bound_m, best.tip_error_m)])
-    states = [best, *(configuration(checker, target, state.joints) for trail in trails for state in trail[1:])]
-    return _worth(min((way for way in states if way.valid), key=lambda way: way.tip_error_m + way.bound_m))
+    states = [configuration(checker, target, state.joints) for trail in trails for state in trail[1:]]
+    return _worth(_least(checker, target, [best, *states]) or best)
+
+
+def _least(checker: MotionChecker, target: TipTarget, ways: Sequence[Configuration]) -> Configuration | None:
+    """The valid way that friction harms least, of the best ones and of those that lead their tips onto the target.
+
+    Ways are found within the target's tolerance, which is no error of the robot's.
+    """
+    best = sorted((way for way in ways if way.valid), key=_error_m)[:POLISHED]
+    if not best:
+        return None
+    joints = refined(checker, target, np.array([way.joints for way in best]), FINE_M)
+    near = [configuration(checker, target, row) for row in joints]
+    return min([*best, *(way for way in near if way.valid)], key=_error_m)
+
+
+def _error_m(way: Configuration) -> float:
+    return way.tip_error_m + way.bound_m
 
 
 def worth_beside(scenario: Scenario, near: TargetWorth) -> TargetWorth | None:
@@ -59,7 +78,7 @@ def worth_beside(scenario: Scenario, near: TargetWorth) -> TargetWorth | None:
     begin = checker.space.projected(checker.space.wound_into_limits(near.joints[None]), fallback=near.joints[None])
     if not checker.space.allowed(begin):
         return None
-    joints = refined(checker, target, begin, scenario.goal.tolerance_m)[0]
+    joints = refined(checker, target, begin, min(FINE_M, scenario.goal.tolerance_m))[0]
     found = configuration(checker, target, joints)
     return _worth(found) if found.valid and found.tip_error_m <= scenario.goal.tolerance_m else None
 

@@ -6,7 +6,7 @@ A step counts where the error at worst falls - that with tolerances, if it is an
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,15 +26,23 @@ class Descent:
 
     at: Looked
     step: float = FIRST
+    tried: set[tuple[object, ...]] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        """Where it begins is known."""
+        self.tried.add(self.at.design.key)
 
     def proposal(self, space: DesignSpace) -> Design | None:
-        """The next design, a step down; None where there is no way down."""
+        """The next design, a step down that was not tried; None where there is no way down."""
         down = downhill(space, self.at)
-        if self.step < LEAST or not down.any():
-            return None
-        shares = np.clip(np.array(self.at.design.shares) + self.step * down, 0.0, 1.0)
-        found = space.design(shares.tolist())
-        return None if found.key == self.at.design.key or space.strain(found) > space.entry.made.most_strain else found
+        while self.step >= LEAST and down.any():
+            shares = np.clip(np.array(self.at.design.shares) + self.step * down, 0.0, 1.0)
+            found = space.design(shares.tolist())
+            if found.key not in self.tried and space.strain(found) <= space.entry.made.most_strain:
+                self.tried.add(found.key)
+                return found
+            self.step *= SHORTER
+        return None
 
     def judge(self, looked: Looked, objective: str) -> None:
         """Goes on from a design that is better, else tries a shorter step."""
