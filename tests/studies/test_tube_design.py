@@ -51,7 +51,7 @@ def content(**changes: Any) -> dict[str, Any]:
         {"key": CURVATURE, "name": "inner", "low": 8.0, "high": 18.0, "tolerance_percent": 3.0},
         {"key": "robot.tube.1.section.2.curvature_y_per_m", "name": "outer", "low": 1.0, "high": 5.0},
     ]
-    search = {"objectives": ["robust_mm", "reach", "stability"], "trials": 6, "together": 3, "starts": 10}
+    search = {"objectives": ["robust_mm", "reach", "stability"], "trials": 4, "together": 2, "starts": 8}
     targets = {"points_mm": POINTS_MM, "tolerance_mm": 1.0}
     own = {"scenario": str(PAIR), "targets": targets, "parameter": parameters, "stock": STOCK, **search}
     return {**own, "local": {"designs": 1, "steps": 3}, **changes}
@@ -126,7 +126,7 @@ def test_wider_tolerances_cost_more(tmp_path: Path) -> None:
 
 
 def test_giving_up_early_loses_nothing(tmp_path: Path) -> None:
-    changes = {"sampler": "random", "trials": 12, "local": {"designs": 0}, "objectives": ["error_mm", "stability"]}
+    changes = {"sampler": "random", "trials": 8, "local": {"designs": 0}, "objectives": ["error_mm", "stability"]}
     whole, pruned = (run(tmp_path / f"{prune}", prune=prune, **changes) for prune in (False, True))
     assert pruned.counts[1] > 0 and whole.counts[1] == 0
     plain = [[{k: v for k, v in row.items() if k != "row"} for row in each.entries()] for each in (whole, pruned)]
@@ -134,10 +134,14 @@ def test_giving_up_early_loses_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "step"),
-    [(CURVATURE, 0.02), ("robot.tube.2.section.2.length_mm", 0.05), ("robot.tube.2.outer_diameter_mm", 1e-4)],
+    ("key", "step", "within"),
+    [
+        (CURVATURE, 0.02, 0.002),
+        ("robot.tube.2.outer_diameter_mm", 1e-4, 0.02),
+        ("robot.tube.2.section.2.length_mm", 0.05, 0.05),  # the mesh moves with the tube: 4e-5 of the tip's motion
+    ],
 )
-def test_slopes_of_the_bound_are_those_of_robots_solved_again(key: str, step: float) -> None:
+def test_slopes_of_the_bound_are_those_of_robots_solved_again(key: str, step: float, within: float) -> None:
     goal = Goal(None, np.array(POINTS_MM[0]) * 1e-3, 1e-7)
     scenario = aimed(ctrplan.load_scenario(PAIR), goal)
     at = target_worth(replace(scenario, goal=replace(goal, tolerance_m=1e-4)), 10, 0)
@@ -157,7 +161,7 @@ def test_slopes_of_the_bound_are_those_of_robots_solved_again(key: str, step: fl
         for side in (-1.0, 1.0)
     ]
     assert ends[0] is not None and ends[1] is not None
-    assert slope == pytest.approx((ends[1].bound_m - ends[0].bound_m) / 2, rel=0.02, abs=1e-9)
+    assert slope == pytest.approx((ends[1].bound_m - ends[0].bound_m) / 2, rel=within)
 
 
 def test_whatever_is_chosen_from_stock_nests() -> None:

@@ -18,7 +18,7 @@ from ctrplan.planning.goals.inverse_kinematics import TipSolver, TipTarget
 from ctrplan.planning.motion import MotionChecker, path_limits
 from ctrplan.planning.scenario import Goal, Scenario
 
-SAMPLES = 4000  # configurations whose zero-clearance tips say what is within reach at all
+SAMPLES = 2000  # configurations whose zero-clearance tips say what is within reach at all
 POLISHED = 3  # ways of each target
 FINE_M = 5e-5  # of a tip that is led onto its target
 NEAR_M = 15e-3  # a target with no such tip within this is out of reach
