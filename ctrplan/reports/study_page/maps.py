@@ -58,10 +58,11 @@ class Places:
 
 
 def map_figure(scenario: Any, table: StudyTable, places: Places, shown: list[Quantity]) -> go.Figure:
-    """Outcomes first, then a quantity each, chosen by buttons."""
+    """Shares where points stand for several rows, outcomes, then a quantity each, chosen by buttons."""
     rows = thinned_rows(len(places.points_mm))
     points_m = places.points_mm[rows] * 1e-3
-    groups: list[tuple[str, list[Any]]] = [("outcome", _outcome_traces(table, places, rows))]
+    groups = [(share.name, [_value_trace(points_m, values[rows], share)]) for share, values in _shares(table, places)]
+    groups.append(("outcome", _outcome_traces(table, places, rows)))
     for quantity in shown[:MOST_MAPS]:
         values = places.mean(table[quantity.column])[rows]
         if np.isfinite(values).any():
@@ -69,6 +70,9 @@ def map_figure(scenario: Any, table: StudyTable, places: Places, shown: list[Qua
     parts = [] if scenario is None else list(scenario.anatomy)
     surfaces = [anatomy_surface(part, TRIANGLES) for part in parts]
     anatomy = anatomy_traces(scenario, surfaces) if parts else []
+    for k, (_, group) in enumerate(groups):
+        for trace in group:
+            trace.visible = k == 0
     traces = [trace for _, group in groups for trace in group]
     figure = go.Figure([*traces, *anatomy])
     _choose(figure, groups, len(anatomy))
@@ -95,6 +99,17 @@ def outcomes(table: StudyTable) -> Indices:
     found[done & (kept == 1)] = 0
     found[done & (kept == 0)] = 1
     found[done & np.isnan(kept)] = 2
+    return found
+
+
+def _shares(table: StudyTable, places: Places) -> list[tuple[Quantity, Array]]:
+    """(P,) shares of each point's rows that are worth a map; none where every point has one row."""
+    if len(table) == len(places.points_mm):
+        return []
+    found = [(Quantity("", "share with an answer", "", 1), places.mean(table.done.astype(float)))]
+    if "within_tolerance" in table.columns:
+        kept = (table["within_tolerance"] == 1).astype(float)
+        found.insert(0, (Quantity("", "share within tolerance whatever friction does", "", 1), places.mean(kept)))
     return found
 
 

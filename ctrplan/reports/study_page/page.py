@@ -6,6 +6,7 @@ from ctrplan.base.version import __version__
 from ctrplan.reports.html_page import Markup, explained, facts, page, plot, script, section, tag
 from ctrplan.reports.plan_words.numbers import digits
 from ctrplan.reports.study_page.maps import BASES, TARGETS, Places, map_figure
+from ctrplan.reports.study_page.poses import poses_table
 from ctrplan.reports.study_page.quantities import Quantity, quantities
 from ctrplan.reports.study_page.sensitivities import sensitivity_section
 from ctrplan.reports.study_page.tables import along_axes, of_extremes, of_numbers, of_reasons, percent
@@ -27,7 +28,9 @@ MAPS = (
     (TARGETS, "Where: targets", "targets"),
     (BASES, "Where: base poses", "bases"),
 )
-SEVERAL = "A point that stands for several tasks has the worst of their outcomes, and the mean of their numbers."
+SEVERAL = (
+    "A point that stands for several tasks has their share, the worst of their outcomes, and the mean of their numbers."
+)
 
 
 def write_study_report(study: Definition, table: StudyTable) -> None:
@@ -107,6 +110,8 @@ def _maps(study: Definition, table: StudyTable, shown: list[Quantity], library: 
 def _tables(study: Definition, table: StudyTable, judged: Quantity | None) -> list[Markup]:
     found = [section(f"By {name}", content) for name, content in along_axes(study, table, judged)]
     if judged is not None:
+        if (poses := poses_table(table, judged)) is not None:
+            found.insert(0, section("Base poses, the best first", poses))
         found.append(section(f"Best and worst by {judged.name}", of_extremes(study, table, judged)))
     return found
 

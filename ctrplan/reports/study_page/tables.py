@@ -30,7 +30,7 @@ def along_axes(study: Definition, rows: StudyTable, judged: Quantity | None) -> 
     for name in inputs_of(study, rows):
         values = rows.columns[name]
         distinct = sorted(set(values), key=lambda value: (str(type(value)), value))
-        if 2 <= len(distinct) <= MOST_VALUES and not name.startswith(("target_", "base_q")):
+        if 2 <= len(distinct) <= MOST_VALUES and not name.startswith(("target_", "base_")):
             lines = [_line(rows, np.array([v == value for v in values]), value, judged) for value in distinct]
             found.append((name, table(_head(rows, name, judged), lines)))
     return found
