@@ -23,6 +23,7 @@ def rows(worst_mm: list[list[float | None]]) -> StudyTable:
             columns["status"].append("no answer" if error is None else "done")
             columns["worst_mm"].append(error)
             columns["within_tolerance"].append(None if error is None else error <= 2)
+    columns["index"] = list(range(len(columns["status"])))
     return StudyTable(columns, None)
 
 
