@@ -78,6 +78,40 @@ def test_base_poses_of_a_patch() -> None:
         study(bases={"poses": [{"position_mm": [0, 0, 0]}]})
 
 
+@pytest.mark.parametrize("own", ["direction = [0, 1, 2]", "look_at = [4, 0, 90]\nroll_deg = 30"])
+def test_base_poses_take_the_place_of_whatever_way_the_scenario_looks(own: str, tmp_path: Path) -> None:
+    """What [base] says besides the pose stays, and rows of scenarios that differ in their pose alone are the same."""
+    text = re.sub(r'(robot = )"', rf'\1"{SCENARIOS}/', Path(FREE).read_text(encoding="utf-8"))
+    poses = {"poses": [{"position_mm": [1, 2, 3], "direction": [0, 1, 1]}]}
+    made = []
+    for name, base in (("own", own), ("other", "direction = [1, 0, 0]")):
+        file = tmp_path / f"{name}.toml"
+        file.write_text(f"{text}\n[base]\nrotation_sigma_deg = 2\n{base}\n", encoding="utf-8")
+        content = {"scenario": str(file), "task": {"kind": "ik"}, "bases": poses}
+        made.append(Study.of(content, allow_outside=True))
+    found = made[0].scenario
+    assert found is not None
+    np.testing.assert_allclose(found.base_position_m, [1e-3, 2e-3, 3e-3])
+    np.testing.assert_allclose(found.base_R[:, 2], [0, 0.5**0.5, 0.5**0.5], atol=1e-9)
+    assert found.registration.rotation_sigma_rad == pytest.approx(np.radians(2))
+    assert made[0].tasks[0].overrides == made[1].tasks[0].overrides
+
+
+def test_scenarios_whose_bases_differ_in_more_than_the_pose_are_not_mixed(tmp_path: Path) -> None:
+    text = re.sub(r'(robot = )"', rf'\1"{SCENARIOS}/', Path(FREE).read_text(encoding="utf-8"))
+    for k in (1, 2):
+        base = f"\n[base]\ndirection = [0, 0, 1]\nposition_sigma_mm = {k}\n"
+        (tmp_path / f"{k}.toml").write_text(text + base, encoding="utf-8")
+    content = {
+        "scenario": str(tmp_path / "1.toml"),
+        "task": {"kind": "ik"},
+        "vary": [{"key": "scenario", "files": ["[12].toml"]}],
+        "bases": {"poses": [{"position_mm": [0, 0, 0], "direction": [0, 1, 1]}]},
+    }
+    with pytest.raises(InputError, match="say the same but for the pose"):
+        Study.of(content, tmp_path, allow_outside=True)
+
+
 @pytest.mark.parametrize(
     ("keys", "law"),
     [

@@ -138,11 +138,10 @@ class TargetAxis(Axis):
 class BaseAxis(Axis):
     """Poses of the plate: positions (K, 3) [mm] and quaternions (K, 4), w first."""
 
-    keys = ("base.position_mm", "base.quaternion_wxyz")
-
-    def __init__(self, position_mm: Array, quaternion: Array) -> None:
-        """quaternion: of norm 1."""
-        self.position_mm, self.quaternion = position_mm, quaternion
+    def __init__(self, position_mm: Array, quaternion: Array, beside: Mapping[str, Any] | None = None) -> None:
+        """quaternion: of norm 1. beside: what else [base] says, where all of it has to be said again."""
+        self.position_mm, self.quaternion, self.beside = position_mm, quaternion, beside
+        self.keys = ("base.position_mm", "base.quaternion_wxyz") if beside is None else ("base",)
 
     def __len__(self) -> int:
         """Number of poses."""
@@ -153,9 +152,10 @@ class BaseAxis(Axis):
         position, quaternion = self.position_mm[k].tolist(), self.quaternion[k].tolist()
         inputs = {f"base_{axis}_mm": value for axis, value in zip("xyz", position, strict=True)}
         inputs |= {f"base_q{axis}": value for axis, value in zip("wxyz", quaternion, strict=True)}
-        return Choice(
-            inputs, (f"base.position_mm={json.dumps(position)}", f"base.quaternion_wxyz={json.dumps(quaternion)}")
-        )
+        pose = {"position_mm": position, "quaternion_wxyz": quaternion}
+        if self.beside is not None:
+            return Choice(inputs, (f"base={_inline({**pose, **self.beside})}",))
+        return Choice(inputs, tuple(f"base.{key}={json.dumps(value)}" for key, value in pose.items()))
 
 
 def is_of_task(key: str) -> bool:

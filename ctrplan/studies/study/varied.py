@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.errors import InputError
 from ctrplan.files.study_entries import StudyEntry, VaryEntry
-from ctrplan.storage.toml_document import Document
+from ctrplan.storage.toml_document import Document, read_document
 from ctrplan.studies.study.axes import TASK_PREFIX, Axis, BaseAxis, DrawAxis, FileAxis, KeyAxis, Range, TargetAxis
 from ctrplan.studies.study.base_poses import base_poses
 from ctrplan.studies.study.draws import drawn
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario
 
 ROBOT, SCENARIO = "robot", "scenario"
+POSE, OTHER_WAYS = ("position_mm", "quaternion_wxyz"), ("direction", "look_at", "roll_deg")  # of [base]
 GOAL_KEYS = ("tolerance_mm", "direction", "direction_tolerance_deg")
 
 
@@ -47,7 +48,7 @@ def axes_of(
     folder = Path(document.file or ".").parent
     found: list[Axis] = [_files(vary, entry, sources, files[vary.key], folder) for vary in entry.vary if vary.files]
     if entry.bases is not None:
-        found.append(BaseAxis(*base_poses(entry.bases, document)))
+        found.append(BaseAxis(*base_poses(entry.bases, document), _beside_pose(entry, document, files)))
     found += [KeyAxis(vary.key, _values(vary)) for vary in entry.vary if vary.values or vary.count]
     if random := distributed(entry):
         found.append(DrawAxis([vary.key for vary in random], drawn(random, entry.draws)))
@@ -55,6 +56,21 @@ def axes_of(
         points = target_points(entry.targets, scenario, document, folder)
         found.append(TargetAxis(points, _goal(entry), of_scenario=entry.scenario is not None))
     return found
+
+
+def _beside_pose(
+    entry: StudyEntry, document: Document, files: Mapping[str, Sequence[Path]]
+) -> Mapping[str, Any] | None:
+    """What [base] of the scenario says besides a pose, if a quaternion does not go with the rest; else None."""
+    folder = Path(document.file or ".").parent
+    bases = [read_document(file).content.get("base") for file in files.get(SCENARIO, [folder / (entry.scenario or "")])]
+    tables = [base for base in bases if isinstance(base, dict)]
+    if not any(key in table for table in tables for key in OTHER_WAYS):
+        return None
+    beside = [{key: value for key, value in table.items() if key not in (*POSE, *OTHER_WAYS)} for table in tables]
+    if len(tables) < len(bases) or any(other != beside[0] for other in beside):
+        raise document.fault("needs scenarios whose [base] say the same but for the pose", "bases")
+    return beside[0]
 
 
 def distributed(entry: StudyEntry) -> list[VaryEntry]:
