@@ -162,6 +162,14 @@ def test_another_robot_has_another_field(pair: Robot, monkeypatch: pytest.Monkey
     assert fields._key(pair, choose_axes(pair)) != fields._key(other, choose_axes(other))
 
 
+def test_base_poses_share_the_field() -> None:
+    """It belongs to the robot: wherever it stands, and whatever is around it."""
+    bases = ([], ["base.position_mm=[5, -3, 12]", "base.direction=[0.2, 0, 1]"])
+    robots = [load_scenario(ROBOTS.parent / "pair_free.toml", base).robot for base in bases]
+    keys = {fields._key(robot, choose_axes(robot)) for robot in robots}
+    assert robots[0] is not robots[1] and len(keys) == 1
+
+
 def test_which_tubes_move_together_is_part_of_the_key() -> None:
     robot = load_robot(ROBOTS / "three_tube.toml")
     last = robot.drive.joints[-1]
