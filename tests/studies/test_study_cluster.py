@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -69,8 +70,10 @@ def test_a_worker_is_killed_and_another_joins_late(started: Any, tmp_path: Path)
 
     workers = [worker(), worker()]
     late: list[Any] = []
+    notes: set[str] = set()
 
     def watch(doing: Doing) -> None:
+        notes.add(doing.note)
         if doing.stage == "tasks" and doing.done >= 6 and not late:
             late.append(worker())
             workers[0].kill()
@@ -79,7 +82,7 @@ def test_a_worker_is_killed_and_another_joins_late(started: Any, tmp_path: Path)
     while not file.exists() and time.monotonic() < until:
         time.sleep(0.05)
     table = slow_study(tmp_path).run(tmp_path / "out", scheduler_file=str(file), progress=watch)
-    assert late and table.done.all()
+    assert late and table.done.all() and notes == {""}  # a scheduler without a dashboard has none to be watched
     assert table["pressed"].tolist() == [seed**2 for seed in range(40)]
 
 
@@ -94,6 +97,7 @@ def test_the_command_on_a_cluster_of_this_machine(tmp_path: Path, capsys: pytest
     said = capsys.readouterr()
     assert "9 of 9 tasks, 9 of them done now" in said.out and "results.parquet" in said.out
     assert "9 tasks (bound), about" in said.err
+    assert ("can be watched at http" in said.err) == (find_spec("bokeh") is not None)
     table = load_study(tmp_path / "out")
     assert (tmp_path / "out" / "report.html").is_file() and table.done.all()
     alone = Study.read(file).run(tmp_path / "pool", executor=Here())

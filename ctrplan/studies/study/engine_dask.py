@@ -11,6 +11,7 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
+from functools import cached_property
 from typing import Any
 
 from ctrplan.base.cores import cores
@@ -104,11 +105,14 @@ class DaskEngine(Engine):
             self.looked, self.count = time.monotonic(), sum(self.client.nthreads().values())
         return self.count
 
-    @property
+    @cached_property
     def note(self) -> str:  # type: ignore[override]
-        """Where dask shows what its workers do."""
-        link: str = self.client.dashboard_link if _has_dashboard() else ""
-        return link
+        """Where dask shows what its workers do; empty where its scheduler does not, or has no bokeh, which draws it."""
+        from importlib.util import find_spec
+
+        if "dashboard" not in self.client.scheduler_info()["services"]:  # dask would name a port all the same
+            return ""
+        return str(self.client.dashboard_link) if self.client.run_on_scheduler(find_spec, "bokeh") else ""
 
     def rows(self, content: bytes, chunks: Chunks, limit_s: float | None) -> Iterator[Sequence[Row]]:
         """Rows as chunks are done."""
@@ -144,8 +148,3 @@ class DaskEngine(Engine):
         """Leaves the cluster, and ends it where it was started here."""
         self.opened.close()
 
-
-def _has_dashboard() -> bool:
-    from importlib.util import find_spec
-
-    return find_spec("bokeh") is not None
