@@ -25,6 +25,7 @@ from ctrplan.studies.study.worker import check_version, do_tasks
 EXTRA = "pip install 'ctrplan[cluster]'"
 CONNECT_S = 5.0
 LOOK_S = 2.0  # between two looks at how many workers there are
+LONGEST_PAGE = 10_000  # bytes that are looked at
 FEWEST_AHEAD = 4  # chunks, where no worker has come yet
 
 
@@ -107,12 +108,9 @@ class DaskEngine(Engine):
 
     @cached_property
     def note(self) -> str:  # type: ignore[override]
-        """Where dask shows what its workers do; empty where its scheduler does not, or has no bokeh, which draws it."""
-        from importlib.util import find_spec
-
-        if "dashboard" not in self.client.scheduler_info()["services"]:  # dask would name a port all the same
-            return ""
-        return str(self.client.dashboard_link) if self.client.run_on_scheduler(find_spec, "bokeh") else ""
+        """Where dask shows what its workers do; empty where nothing is shown, for want of bokeh or of a dashboard."""
+        link: str | None = self.client.dashboard_link  # of a usual port, where a scheduler has none
+        return link if link and _shows_a_dashboard(link) else ""
 
     def rows(self, content: bytes, chunks: Chunks, limit_s: float | None) -> Iterator[Sequence[Row]]:
         """Rows as chunks are done."""
@@ -148,3 +146,14 @@ class DaskEngine(Engine):
         """Leaves the cluster, and ends it where it was started here."""
         self.opened.close()
 
+
+def _shows_a_dashboard(link: str) -> bool:
+    """Whether there is a page other than the one that asks for bokeh."""
+    from urllib.error import URLError
+    from urllib.request import urlopen
+
+    try:
+        with urlopen(link, timeout=CONNECT_S) as page:
+            return b"needs bokeh" not in page.read(LONGEST_PAGE)
+    except (URLError, OSError, ValueError):
+        return False
