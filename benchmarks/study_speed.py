@@ -1,7 +1,13 @@
 """How fast studies are: tasks a second against a plain loop on one core, what a task costs beside its work, memory.
 
-    python benchmarks/study_speed.py                      # all of it: some minutes, on an idle machine
-    python benchmarks/study_speed.py --bounds 4000 --plans 0 --many 0
+    python benchmarks/study_speed.py                      # all of it: some 5 minutes on two idle cores
+    python benchmarks/study_speed.py --bounds 1000 --plans 6 --empty 500 --many 10000     # a minute
+    python benchmarks/study_speed.py --bounds 4000 --plans 0 --many 0                     # bounds alone
+
+What it prints: tasks a second by the clock with 1 and 2 workers, and beside the loop; overhead of a task on its worker,
+and of client and scheduler, in ms; memory of client and scheduler as tasks are done; a cluster whose workers are
+started by hand, one killed in the middle and another joining late, and whether its table is the same; what the
+scheduler hands out.
 
 Times of the clock mean something on an idle machine only. Where others work on it, the ratio of processor times, of the
 loop to all workers together, is the share of the workers' time that is spent on tasks: with two cores for two workers
@@ -13,9 +19,12 @@ from __future__ import annotations
 import argparse
 import os
 import resource
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +42,7 @@ SCENARIOS = Path(__file__).resolve().parent.parent / "scenarios"
 ROBOT = str(SCENARIOS / "robots" / "three_tube.toml")
 SCENARIO = str(SCENARIOS / "pair_free.toml")
 WORKERS = 2
+START_S = 30.0  # for a scheduler to say where it is
 EMPTY = "def nothing(scenario, inputs, seed):\n    return {'seed': seed}\n"
 
 
@@ -74,12 +84,13 @@ def loop_of_plans(study: Study) -> float:
 class Run:
     """A study on workers of this machine: from the first row to the last, start-up left out, and memory meanwhile."""
 
-    def __init__(self, content: dict[str, Any], folder: Path) -> None:
+    def __init__(self, content: dict[str, Any], folder: Path, workers: int = WORKERS, **where: Any) -> None:
         self.memory: list[tuple[int, float]] = []
         self.begun: tuple[int, float, float] | None = None
         self.ended = (0, 0.0, 0.0)
         study = Study.of(content, folder)
-        self.table = study.run(folder / f"out-{len(list(folder.iterdir()))}", workers=WORKERS, progress=self.told)
+        given = where or {"workers": workers}
+        self.table = study.run(folder / f"out-{len(list(folder.iterdir()))}", progress=self.told, **given)
 
     def told(self, doing: Doing) -> None:
         if doing.stage != "tasks":
@@ -112,19 +123,66 @@ def resident_mb() -> float:
         return int(file.read().split()[1]) * resource.getpagesize() / 1e6
 
 
-def compare(name: str, content: dict[str, Any], folder: Path, loop: Any) -> None:
+def compare(name: str, content: dict[str, Any], folder: Path, loop: Any) -> Run:
+    """A line for each number of workers; the run of the most of them."""
     study = Study.of(content, folder)
     loop_s = loop(study)
-    found = Run(content, folder)
-    each = (found.work_s - loop_s) / study.count
     print(f"{name}: {study.count} tasks; plain loop {study.count / loop_s:.1f} a second of one core")
-    all_s = found.work_s + found.client_s * study.count
-    print(f"  by the clock: {found.rate:.1f} a second, {found.rate * loop_s / study.count:.2f} times as fast")
-    ratio = WORKERS * loop_s / all_s
-    print(f"  by processor time: study {all_s:.1f} s, loop {loop_s:.1f} s: {ratio:.2f} on {WORKERS} cores")
-    print(
-        f"  a task costs {each * 1e3:.2f} ms more on its worker, {found.client_s * 1e3:.2f} ms of client and scheduler"
-    )
+    for workers in range(1, WORKERS + 1):
+        found = Run(content, folder, workers)
+        all_s = found.work_s + found.client_s * study.count
+        by_clock, by_time = found.rate * loop_s / study.count, workers * loop_s / all_s
+        print(
+            f"  {workers} worker(s): {found.rate:.1f} a second by the clock, {by_clock:.2f} times the loop; "
+            f"by processor time {by_time:.2f} times"
+        )
+        each = (found.work_s - loop_s) / study.count
+        print(
+            f"    overhead of a task {1e3 * (each + found.client_s):.2f} ms: {each * 1e3:.2f} on its worker, "
+            f"{found.client_s * 1e3:.2f} of client and scheduler"
+        )
+    print_memory(found.memory)
+    return found
+
+
+def by_hand(content: dict[str, Any], folder: Path, same_as: Run) -> None:
+    """The same study with workers started by hand; one is killed in the middle, another joins late."""
+    file, killed = folder / "scheduler.json", []
+
+    def start(stack: ExitStack, program: str, *arguments: str) -> Any:
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        command = [
+            sys.executable,
+            "-m",
+            f"distributed.cli.dask_{program}",
+            "--scheduler-file",
+            str(file),
+            "--no-dashboard",
+        ]
+        process = subprocess.Popen([*command, *arguments], **quiet)
+        stack.callback(process.wait)
+        stack.callback(process.kill)
+        return process
+
+    with ExitStack() as stack:
+        start(stack, "scheduler", "--host", "127.0.0.1", "--port", "0")
+        one = ["--nthreads", "1", "--no-nanny", "--local-directory", str(folder / "dask")]
+        workers = [start(stack, "worker", *one) for _ in range(2)]
+
+        def watch(doing: Doing) -> None:
+            if doing.stage == "tasks" and doing.done >= doing.count / 3 and not killed:
+                workers[0].kill()
+                killed.append(doing.done)
+                start(stack, "worker", *one)
+
+        until = time.monotonic() + START_S
+        while not file.exists() and time.monotonic() < until:
+            time.sleep(0.05)
+        table = Study.of(content, folder).run(folder / "by-hand", scheduler_file=str(file), progress=watch)
+    same = table.results == same_as.table.results
+    where = len(set(table.columns["worker"]))
+    print(f"workers by hand: one killed after {killed[0] if killed else 'no'} of {len(table)} tasks, another joined")
+    print(f"  {table.done.sum()} done on {where} workers, the same table: {'yes' if same else 'NO'}")
 
 
 def empty_tasks(count: int, folder: Path) -> None:
@@ -174,7 +232,8 @@ def main() -> None:
         if asked.bounds:
             compare("bounds", bounds_study(asked.bounds), folder, loop_of_bounds)
         if asked.plans:
-            compare("plans", plans_study(asked.plans), folder, loop_of_plans)
+            found = compare("plans", plans_study(asked.plans), folder, loop_of_plans)
+            by_hand(plans_study(asked.plans), folder, found)
         if asked.empty:
             empty_tasks(asked.empty, folder)
         for line in scheduler_rate():

@@ -91,3 +91,23 @@ def test_the_entry_study_that_ships_tries_poses_beside_the_scenarios_own() -> No
     assert study.count == 13 * 13 * 8 and study.scenario is not None
     own = ctrplan.load_scenario(SCENARIOS / "ventricle.toml").base_R
     assert 0 < np.degrees(np.arccos(np.clip(study.scenario.base_R[2] @ own[2], -1, 1))) < 10
+
+
+def test_more_friction_is_never_less_error_and_the_inner_pair_matters_most(tmp_path: Path) -> None:
+    from ctrplan.studies.study.sensitivity import sensitivity
+
+    study = Study.read(STUDIES / "friction_ventricle.toml", ["draws.count=16"])
+    table = study.run(tmp_path / "out", executor=Here())
+    found = sensitivity(study, table, "bound_mm")
+    assert table.done.all() and found is not None
+    assert found.keys[int(np.argmax(found.total))] == "contact.2.friction_coefficient"
+    keys = [f"contact.{k}.friction_coefficient" for k in (1, 2)]
+    middle = {name: (vary.low + vary.high) / 2 for vary in study.entry.vary for name in [vary.key]}
+    bounds = []
+    for mu in (0.1, 0.2, 0.3):
+        values = {**middle, **dict.fromkeys(keys, mu)}
+        vary = [{"key": key, "values": [value]} for key, value in values.items()]
+        content = {"robot": str(SCENARIOS / "robots" / "three_tube_insertion.toml"), "task": dict(study.job.task)}
+        bounds.append(Study.of({**content, "vary": vary}).run(tmp_path / f"{mu}", executor=Here())["bound_mm"][0])
+    assert bounds == sorted(bounds)
+    assert table["bound_mm"].min() > 0.8 * bounds[0] and table["bound_mm"].max() < 1.2 * bounds[2]
