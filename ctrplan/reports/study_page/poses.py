@@ -40,7 +40,7 @@ class BasePoses:
         if len(poses) < 2:
             return None
 
-        def counted(flags: Array) -> NDArray[np.int_]:
+        def counted(flags: NDArray[np.bool_]) -> NDArray[np.int_]:
             return np.bincount(of_row[flags], minlength=len(poses))
 
         values = rows[column]
