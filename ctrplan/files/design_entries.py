@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, Struct, field
 
 from ctrplan.files.study_entries import Seed, TargetsEntry
-from ctrplan.storage.number_ranges import Component, Distance, Length, Name, Tolerance
+from ctrplan.storage.number_ranges import LARGEST_NUMBER, Component, Distance, Length, Name, Tolerance
 
 Objective = Literal["error_mm", "robust_mm", "reach", "stability", "clearance_mm"]
 Key = Annotated[str, Meta(min_length=1, max_length=200)]
@@ -48,8 +48,8 @@ class ParameterEntry(Struct, forbid_unknown_fields=True, frozen=True):
     low: Component
     high: Component
     name: Name | None = None
-    step: Annotated[float, Meta(gt=0)] | None = None  # what can be made: low, low + step, ...
-    tolerance: Annotated[float, Meta(ge=0)] = 0.0  # to either side
+    step: Annotated[float, Meta(gt=0, le=LARGEST_NUMBER)] | None = None  # what can be made: low, low + step, ...
+    tolerance: Annotated[float, Meta(ge=0, le=LARGEST_NUMBER)] = 0.0  # to either side
     tolerance_percent: Percent = 0.0
     also: dict[str, FollowsEntry] = {}  # keys that follow it
 

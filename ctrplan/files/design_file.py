@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from typing import Any
 
 from ctrplan.files.design_entries import DesignEntry
 from ctrplan.files.study_file import check_targets
@@ -37,6 +38,8 @@ def checked_design(document: Document) -> DesignEntry:
             raise document.fault(rule, "stock", k, "inner_diameter_mm")
         if any(other.name == stock.name for other in entry.stock[:k]):
             raise document.fault("is there twice", "stock", k, "name")
+    if not all(_is_plain(value) for value in entry.set.values()):
+        raise document.fault("must be numbers, texts, truth values, lists or tables", "set")
     if len(set(entry.objectives)) < len(entry.objectives):
         raise document.fault("names one twice", "objectives")
     if "robust_mm" in entry.objectives and not has_tolerances(entry):
@@ -48,6 +51,13 @@ def has_tolerances(entry: DesignEntry) -> bool:
     """Whether anything may come out otherwise than designed."""
     of_stock = any(stock.diameter_tolerance_mm or stock.stiffness_tolerance_percent for stock in entry.stock)
     return of_stock or any(parameter.tolerance or parameter.tolerance_percent for parameter in entry.parameter)
+
+
+def _is_plain(value: Any) -> bool:
+    """Whether --set can be told a value."""
+    if isinstance(value, dict):
+        return all(map(_is_plain, value.values()))
+    return all(map(_is_plain, value)) if isinstance(value, list) else isinstance(value, (str, int, float, bool))
 
 
 def _check_parameter(entry: DesignEntry, document: Document, k: int) -> None:

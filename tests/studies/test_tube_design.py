@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import json
 from collections.abc import Iterator
 from dataclasses import replace
@@ -190,6 +191,8 @@ def test_what_cannot_be_set_is_not_made(tmp_path: Path) -> None:
         ({"parameter": [], "stock": []}, "nothing may be chosen"),
         ({"stock": [], "parameter": [{"key": CURVATURE, "low": 1, "high": 2}]}, "nothing has a tolerance"),
         ({"objectives": ["speed", "reach"]}, "objectives"),
+        ({"set": {"name": datetime.date(2026, 1, 1)}}, "numbers, texts"),
+        ({"set": {"robot.tube.7.length_mm": 3}}, "tube.7"),
         ({"scenario": "missing.toml"}, "not a file that exists"),
     ],
 )

@@ -31,6 +31,7 @@ from ctrplan.cli import main
 from ctrplan.drive.trajectory import time_parameterise
 from ctrplan.effects.catalogue import CATALOGUE as EFFECTS
 from ctrplan.errors import CtrplanError, InputError
+from ctrplan.files.design_entries import DesignEntry
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_entries import RobotEntry
 from ctrplan.files.robot_file import load_robot, robot_from_dict, write_robot
@@ -72,15 +73,16 @@ def _keys(hint: Any, key: str) -> Iterator[tuple[str, Any]]:
 
 ROBOT_KEYS = dict(keys(RobotEntry))
 SCENARIO_KEYS = dict(keys(ScenarioEntry))
+DESIGN_KEYS = dict(keys(DesignEntry))
 SCENARIO_KEYS |= {key: hint for schema in PLANNERS.values() for key, hint in keys(schema, "planner.")}
 SCENARIO_KEYS |= {key: hint for schema in SHAPES.values() for key, hint in keys(schema, "anatomy.1.")}
 
 
-@pytest.mark.parametrize("key", sorted(ROBOT_KEYS | SCENARIO_KEYS))
+@pytest.mark.parametrize("key", sorted(ROBOT_KEYS | SCENARIO_KEYS | DESIGN_KEYS))
 def test_every_number_of_a_file_has_a_finite_range(key: str) -> None:
     if key.rpartition(".")[2] in BY_HAND or "friction_coefficient" in key:
         return
-    metas = [meta for meta in getattr((ROBOT_KEYS | SCENARIO_KEYS)[key], "__metadata__", ())]
+    metas = [meta for meta in getattr((ROBOT_KEYS | SCENARIO_KEYS | DESIGN_KEYS)[key], "__metadata__", ())]
     ends = [(meta.ge if meta.gt is None else meta.gt, meta.le if meta.lt is None else meta.lt) for meta in metas]
     assert any(None not in pair and all(map(math.isfinite, pair)) for pair in ends), key
 
@@ -382,7 +384,7 @@ def test_a_place_for_results_that_cannot_be_is_refused(
     assert not list(tmp_path.iterdir())
 
 
-COMMANDS_OF_A_FILE = ["plan", "bound", "ik", "simulate", "study", "field", "diagnose", "view", "calibrate"]
+COMMANDS_OF_A_FILE = ["plan", "bound", "ik", "simulate", "study", "design", "field", "diagnose", "view", "calibrate"]
 
 
 @pytest.mark.parametrize("command", COMMANDS_OF_A_FILE)
