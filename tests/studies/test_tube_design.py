@@ -23,6 +23,7 @@ from ctrplan.planning.scenario import Goal
 from ctrplan.planning.target_set.bound_slopes import RobotPair, bound_by, robot_at
 from ctrplan.planning.target_set.outlook import dominates
 from ctrplan.planning.target_set.target_worth import aimed, target_checker, target_worth, worth_beside
+from ctrplan.reports.design_page.page import design_report_html
 from ctrplan.studies.child_executor import ChildExecutor
 from ctrplan.studies.design.local_steps import is_better
 from ctrplan.studies.design.stock_choice import StockChoice
@@ -221,6 +222,20 @@ def test_the_command_writes_the_front_and_its_robots(tmp_path: Path, capsys: Any
         assert robot.tubes[1].sections[1].curvature_y_per_m == entry["choices"]["inner"]
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert "What tolerances of design 1 cost" in page and "robots/01.toml" in page
+
+
+def test_plans_confirm_what_a_design_is_worth(tmp_path: Path) -> None:
+    targets = {"points_mm": POINTS_MM[:1], "tolerance_mm": 1.0}
+    quickly = {"planner.time_s": 0.1}
+    made = run(tmp_path / "out", trials=1, plans=1, local={"designs": 0}, targets=targets, set=quickly)
+    plans = made.plans
+    assert plans is not None and plans.done.all() and plans["valid"].tolist() == [1]
+    assert plans["worst_mm"][0] == pytest.approx(made.front[0].numbers["error_mm"], abs=0.05)
+    again = Here()
+    assert run(tmp_path / "out", again, trials=1, plans=1, local={"designs": 0}, targets=targets, set=quickly).plans
+    assert again.done == 0
+    assert "With a valid certificate" in design_report_html(made)
+    json.loads((tmp_path / "out" / "front.json").read_text(encoding="utf-8"), parse_constant=pytest.fail)
 
 
 def test_the_design_that_ships_has_the_targets_of_the_entry_study() -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from ctrplan.base.version import __version__
 from ctrplan.reports.html_page import Markup, facts, page, plot, section, table, tag
 from ctrplan.reports.plan_words.numbers import digits
@@ -47,6 +49,7 @@ def design_report_html(found: TubeDesigns) -> str:
         _trade_offs(found),
         section("Front", _front(found, entries)) if entries else "",
         section("What tolerances of design 1 cost", _tolerances(entries[0])) if _has_tolerances(entries) else "",
+        _plans(found),
         _failures(found),
         section("Where this comes from", _provenance(found)),
     )
@@ -106,6 +109,21 @@ def _tolerances(entry: dict[str, Any]) -> Markup:
     sentence += f"{entry['error_mm']:.3f} mm as designed."
     head = ["Of", "To either side", "Costs (mm)"]
     return Markup(table(head, rows) + tag("p", sentence) + tag("p", COSTS, kind="quiet hint"))
+
+
+def _plans(found: TubeDesigns) -> Markup:
+    rows = found.plans
+    if rows is None:
+        return Markup("")
+    lines = []
+    for number in sorted(set(rows.columns["design"])):
+        own = rows["design"] == number
+        worst_mm = rows["worst_mm"][own & rows.done] if rows.done.any() else rows["design"][:0]
+        valid = int((rows["valid"][own] == 1).sum()) if rows.done.any() else 0
+        shown = [digits(float(pick(worst_mm))) for pick in (np.mean, np.max)] if len(worst_mm) else ["-", "-"]
+        lines.append([f"{number:.0f}", f"{own.sum()}", f"{len(worst_mm)}", f"{valid}", *shown])
+    head = ["Design", "Targets", "Plans found", "With a valid certificate", "Error at worst, mean (mm)", "Largest (mm)"]
+    return section("Plans from the start to every target", table(head, lines))
 
 
 def _failures(found: TubeDesigns) -> Markup:

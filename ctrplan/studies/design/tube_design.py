@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
@@ -15,6 +16,7 @@ from ctrplan.files.design_file import checked_design, read_design
 from ctrplan.files.robot_file import load_robot, write_robot
 from ctrplan.storage.atomic_write import write_atomically
 from ctrplan.storage.toml_document import Document
+from ctrplan.studies.design.confirm import PLANS
 from ctrplan.studies.design.definition import Definition, defined
 from ctrplan.studies.design.front import Archive, Looked
 from ctrplan.studies.design.search import search
@@ -89,6 +91,11 @@ class TubeDesigns:
         return load_study(self.folder)
 
     @property
+    def plans(self) -> StudyTable | None:
+        """Plans of the first designs of the front to every target, a row each; None where none were asked for."""
+        return load_study(self.folder / PLANS) if self.search.entry.plans and not self.interrupted else None
+
+    @property
     def front(self) -> list[Looked]:
         """Designs that no other is better than, the best by the first objective first."""
         return self.archive.front
@@ -120,7 +127,8 @@ class TubeDesigns:
     def _entry(self, k: int, looked: Looked) -> dict[str, Any]:
         costs = self.search.tolerance_costs(looked)
         choices = {name: value for name, value in looked.row["inputs"].items() if name != "stage"}
-        numbers = {name: value for name, value in looked.numbers.items() if not name.startswith("slope.")}
+        known = {name: value for name, value in looked.numbers.items() if not name.startswith("slope.")}
+        numbers = {name: None if value in (math.inf, -math.inf) else value for name, value in known.items()}
         return {
             "number": k,
             "row": looked.row["index"],
