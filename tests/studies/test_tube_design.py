@@ -128,7 +128,7 @@ def test_wider_tolerances_cost_more(tmp_path: Path) -> None:
 
 
 def test_giving_up_early_loses_nothing(tmp_path: Path) -> None:
-    changes = {"sampler": "random", "trials": 8, "local": {"designs": 0}, "objectives": ["error_mm", "stability"]}
+    changes = {"sampler": "random", "trials": 6, "local": {"designs": 0}, "objectives": ["error_mm", "stability"]}
     whole, pruned = (run(tmp_path / f"{prune}", prune=prune, **changes) for prune in (False, True))
     assert pruned.counts[1] > 0 and whole.counts[1] == 0
     plain = [[{k: v for k, v in row.items() if k != "row"} for row in each.entries()] for each in (whole, pruned)]
