@@ -115,6 +115,7 @@ def draw_front(axes: Axes, found: ctrplan.TubeDesigns) -> None:
     front = [looked.numbers for looked in found.front]
     ends = [row[name] for name in ("robust_mm", "stability") for row in front]
     axes.plot(ends[: len(front)], ends[len(front) :], "o", mfc="none", mec=palette.INK, ms=7, mew=0.8, label="front")
+    axes.set_xscale("log")
     axes.set_xlabel("mean error at worst, within tolerances (mm)")
     axes.set_ylabel("least stability on the way")
     axes.legend(frameon=False, fontsize=8)

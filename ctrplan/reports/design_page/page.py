@@ -92,7 +92,7 @@ def _front(found: TubeDesigns, entries: list[dict[str, Any]]) -> Markup:
         rows.append([link, *(_shown(entry[name]) for name in names), *choices])
     more = f" The other {len(entries) - MOST_ROWS} are in front.json." if len(entries) > MOST_ROWS else ""
     hint = f"Nothing is better than these in every objective. Numbers lead to their robot files.{more}"
-    return Markup(table(["", *titles, *search.space.names], rows) + tag("p", hint, kind="quiet hint"))
+    return Markup(table(["", *titles, *search.space.labels], rows) + tag("p", hint, kind="quiet hint"))
 
 
 def _has_tolerances(entries: list[dict[str, Any]]) -> bool:

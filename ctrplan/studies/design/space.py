@@ -53,6 +53,15 @@ class DesignSpace:
         """Of all shares."""
         return [*(f"tube {i + 1}" for i in range(self.tubes)), *(name_of(p) for p in self.parameters)]
 
+    @property
+    def labels(self) -> list[str]:
+        """Names with their units."""
+        units = [unit_of(parameter.key) for parameter in self.parameters]
+        named = [
+            f"{name} ({unit})" if unit else name for name, unit in zip(self.names[self.tubes :], units, strict=True)
+        ]
+        return [*self.names[: self.tubes], *named]
+
     def design(self, shares: Sequence[float]) -> Design:
         """The design of shares (tubes + P,), values at what can be made."""
         stock = tuple(self.choice.chosen(shares[: self.tubes])) if self.choice else ()
@@ -98,7 +107,7 @@ class DesignSpace:
         for parameter, value in zip(self.parameters, design.values, strict=True):
             width = parameter.tolerance or abs(value) * parameter.tolerance_percent / 100
             step = STEP_SHARE * (parameter.high - parameter.low)
-            yield Side(name_of(parameter), width or step, _unit(parameter.key), width > 0)
+            yield Side(name_of(parameter), width or step, unit_of(parameter.key), width > 0)
 
     def _keys(self, design: Design, off: Off) -> dict[str, float]:
         """Values of all keys that depend on the design."""
@@ -139,7 +148,8 @@ def _value(parameter: ParameterEntry, share: float) -> float:
     return float(f"{value:.{DIGITS}g}")
 
 
-def _unit(key: str) -> str:
+def unit_of(key: str) -> str:
+    """Of a key's value, as its name says; empty for a pure number."""
     last = key.rsplit(".", 1)[-1]
     units = {"mm": "mm", "deg": "deg", "m": "1/m", "Nm2": "N m^2"}
     return units.get(last.rsplit("_", 1)[-1], "")
