@@ -53,6 +53,7 @@ def add_parser(commands: Any) -> None:
         "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder of the search (default: %(default)s)"
     )
     add_worker_options(parser)
+    parser.add_argument("--yes", action="store_true", help="also where it takes more than a week")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     add_allow_outside_option(parser)
     add_set_option(parser, "the design file's key", "trials=1000")
@@ -81,6 +82,7 @@ def run_design_command(arguments: argparse.Namespace) -> int:
             workers=arguments.workers,
             scheduler=arguments.scheduler,
             scheduler_file=arguments.scheduler_file,
+            yes=arguments.yes,
             progress=StageTeller(bar),
         )
     return _told(arguments, found)

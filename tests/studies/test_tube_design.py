@@ -202,6 +202,12 @@ def test_bad_input_gets_a_sentence(changes: dict[str, Any], words: str) -> None:
         ctrplan.TubeDesign.of(content(**changes))
 
 
+def test_a_search_that_nobody_means_to_wait_for_is_refused_with_its_time(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"1,000,000 trials would take about \d+ days on 1 workers: --yes"):
+        run(tmp_path / "out", trials=1_000_000)
+    assert not (tmp_path / "out").exists()
+
+
 def test_without_optuna_a_sentence_says_what_to_install(monkeypatch: Any, capsys: Any) -> None:
     monkeypatch.setattr("ctrplan.studies.design.sampler.find_spec", lambda name: None)
     assert main(["design", str(SCENARIOS / "studies" / "design_ventricle.toml")]) == 2

@@ -20,7 +20,7 @@ from ctrplan.studies.design.confirm import PLANS
 from ctrplan.studies.design.definition import Definition, defined
 from ctrplan.studies.design.front import Archive, Looked
 from ctrplan.studies.design.search import search
-from ctrplan.studies.study.run import Report, Where
+from ctrplan.studies.study.run import Report, Where, refuse_longer_than_a_week
 from ctrplan.studies.study.sources import ROBOT_PREFIX
 from ctrplan.studies.study.table import StudyTable, load_study
 
@@ -57,13 +57,16 @@ class TubeDesign(Definition):
         workers: int | None = None,
         scheduler: str | None = None,
         scheduler_file: str | None = None,
+        yes: bool = False,
         progress: Report | None = None,
     ) -> TubeDesigns:
         """Looks at designs, those aside that the folder has rows of, and writes the front. Raises CtrplanError.
 
-        The same seed gives the same designs on any number of workers and after any number of interruptions.
+        The same seed gives the same designs on any number of workers and after any number of interruptions. Raises
+        InputError for a search of more than a week unless `yes`.
         """
         where = Where(executor, workers, scheduler, scheduler_file)
+        refuse_longer_than_a_week(self.entry.trials, self.expected_s, "trials", where, yes, self.document.file)
         found = search(self, folder, where, progress or (lambda _: None))
         made = TubeDesigns(self, Path(folder), found.archive, found.did, found.interrupted)
         made.write()

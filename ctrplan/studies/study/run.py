@@ -129,13 +129,18 @@ def run_study(
 
 def refuse_endless(study: Definition, where: Where, yes: bool) -> None:
     """Raises InputError, with the time that it would take, for a study that nobody means to wait for."""
-    expected_s = study.count * study.task_s / where.expected
-    if not yes and (study.count > MOST_TASKS or expected_s > MOST_DAYS * 86400):
+    refuse_longer_than_a_week(study.count, study.count * study.task_s, "tasks", where, yes, study.document.file)
+
+
+def refuse_longer_than_a_week(count: int, core_s: float, what: str, where: Where, yes: bool, file: str | None) -> None:
+    """Raises InputError for so many seconds of one core, or more than a million pieces of work, unless `yes`."""
+    expected_s = core_s / where.expected
+    if not yes and (count > MOST_TASKS or expected_s > MOST_DAYS * 86400):
         rule = (
-            f"{study.count:,} tasks would take about {in_words(expected_s)} on {where.expected} workers: "
+            f"{count:,} {what} would take about {in_words(expected_s)} on {where.expected} workers: "
             "--yes does them all the same"
         )
-        raise InputError(rule, file=study.document.file)
+        raise InputError(rule, file=file)
 
 
 def in_words(seconds: float) -> str:
