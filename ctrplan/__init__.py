@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from ctrplan.calibration.calibrate import Calibration, calibrate
     from ctrplan.diagnosis.diagnose import diagnose as diagnose
     from ctrplan.diagnosis.result import Diagnosis
+    from ctrplan.cases.case import Case
+    from ctrplan.cases.case import case as case
     from ctrplan.errors import CtrplanError, InputError, NoAnswerError
     from ctrplan.experiment.measurements import Measurements
     from ctrplan.files.measurement_file import load_measurements
@@ -47,6 +49,8 @@ _HOMES = {
     "Calibration": "calibration.calibrate",
     "Diagnosis": "diagnosis.result",
     "calibrate": "calibration.calibrate",
+    "Case": "cases.case",
+    "case": "cases.case",
     "Measurements": "experiment.measurements",
     "diagnose": "diagnosis.diagnose",
     "load_measurements": "files.measurement_file",
@@ -89,6 +93,7 @@ __all__ = [
     "Bound",
     "Bounds",
     "Calibration",
+    "Case",
     "CtrplanError",
     "Diagnosis",
     "History",
@@ -111,6 +116,7 @@ __all__ = [
     "WrittenPlan",
     "bound_with_parameters",
     "calibrate",
+    "case",
     "diagnose",
     "inverse_kinematics",
     "load_measurements",

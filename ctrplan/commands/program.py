@@ -13,6 +13,7 @@ import ctrplan
 from ctrplan.commands import (
     bound,
     calibrate,
+    case,
     design,
     diagnose,
     export,
@@ -29,7 +30,23 @@ from ctrplan.commands import (
 from ctrplan.commands.command_line import CommandLine
 from ctrplan.errors import CtrplanError
 
-COMMANDS = (plan, verify, render, export, bound, ik, place, simulate, study, design, field, calibrate, diagnose, view)
+COMMANDS = (
+    plan,
+    case,
+    verify,
+    render,
+    export,
+    bound,
+    ik,
+    place,
+    simulate,
+    study,
+    design,
+    field,
+    calibrate,
+    diagnose,
+    view,
+)
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

@@ -20,14 +20,18 @@ TURNS = ("quaternion_wxyz", "direction", "look_at", "roll_deg")
 
 def placed_scenario(document: Document, pose: BasePose, file: Path) -> str:
     """The content of `document`, a scenario's, as a file at `file`; read back, it has exactly the pose."""
-    content = copy.deepcopy(document.content)
-    if not pose.is_own:
-        content["base"] = {**_pose(pose), **_without_turns(content.get("base", {}))}
+    content = copy.deepcopy(document.content) if pose.is_own else content_at(document.content, pose)
     here = Path(document.file or ".").parent
     if here.resolve() != file.parent.resolve():
         _name_files_from(content, here, file.parent)
     direction = ", ".join(f"{x:.4f}" for x in pose.direction)
     return f"# Base pose proposed by `ctrplan place`; it looks along [{direction}].\n{tomli_w.dumps(content)}"
+
+
+def content_at(content: dict[str, Any], pose: BasePose | Pose) -> dict[str, Any]:
+    """A scenario's content with its robot at a pose, and with what was said of how well the base is known."""
+    base = {**_pose(pose), **_without_turns(content.get("base", {}))}
+    return {**copy.deepcopy(content), "base": base}
 
 
 def names_files_outside(document: Document, file: Path) -> bool:
@@ -36,7 +40,7 @@ def names_files_outside(document: Document, file: Path) -> bool:
     return any(not (here / table[key]).resolve().is_relative_to(inside) for table, key in _files(document.content))
 
 
-def _pose(pose: BasePose) -> dict[str, Any]:
+def _pose(pose: BasePose | Pose) -> dict[str, Any]:
     quaternion = Pose(pose.position_m, pose.R).quaternion_wxyz
     position_mm = np.round(pose.position_m * MM_PER_M, MM_DIGITS) + 0.0  # no -0
     return {"position_mm": position_mm.tolist(), "quaternion_wxyz": (np.round(quaternion, DIGITS) + 0.0).tolist()}

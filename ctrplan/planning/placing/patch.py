@@ -54,7 +54,7 @@ class Patch:
     along_m: Array | None  # (3,) the other end of an opening
     radius_m: float
     cone_rad: float
-    aim_m: Array  # (3,) middle of the targets
+    aim_m: Array  # (3,) the middle of the targets, or another place to look at
     upright: Array  # (3, 3) base rotation from which others are the shortest turn
     rolls: bool  # whether tubes can't all turn together, so that it matters how the base is rolled
 

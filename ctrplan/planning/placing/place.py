@@ -79,6 +79,7 @@ def place(
     *,
     center_m: ArrayLike | None = None,
     along_m: ArrayLike | None = None,
+    aim_m: ArrayLike | None = None,
     radius_m: float = RADIUS_M,
     cone_rad: float = CONE_RAD,
     candidates: int = CANDIDATES,
@@ -91,8 +92,8 @@ def place(
     """Base poses from which a scenario's tip targets are reached, best first.
 
     Positions lie on a disc of `radius_m` [m] around `center_m` (3,) [m], anatomy's frame, by default the scenario's own
-    base, across the way to the targets; with `along_m` (3,) [m] along the opening between both. Directions lie in a
-    cone of half angle `cone_rad` about the way to the targets' middle. `candidates` of them with a valid start are
+    base, across that way; with `along_m` (3,) [m] along the opening between both. Directions lie in a
+    cone of half angle `cone_rad` about the way to `aim_m` (3,) [m], by default the targets' middle. `candidates` of them with a valid start are
     looked at cheaply, the best `confirmed` by inverse kinematics with bounds of all corners, the best `plans` of those
     by a plan each. Ranked by valid start, plan, targets reached, the worst error beside its tolerance, clearance.
 
@@ -103,7 +104,7 @@ def place(
         if goal.tip_m is None:
             raise InputError("says nothing of a place: a tip is needed", file=scenario.path, key=goal.place)
     report, has_patch = progress or (lambda _stage, _share: None), center_m is not None
-    patch = _patch(scenario, center_m, along_m, float(radius_m), float(cone_rad))
+    patch = _patch(scenario, center_m, along_m, aim_m, float(radius_m), float(cone_rad))
     with interrupt_event(interrupted) as stop:
         own = base_pose(scenario, seed, is_own=True)
         search = _Search(scenario, patch, seed, report, stop)
@@ -119,12 +120,18 @@ def place(
 
 
 def _patch(
-    scenario: Scenario, center_m: ArrayLike | None, along_m: ArrayLike | None, radius_m: float, cone_rad: float
+    scenario: Scenario,
+    center_m: ArrayLike | None,
+    along_m: ArrayLike | None,
+    aim_m: ArrayLike | None,
+    radius_m: float,
+    cone_rad: float,
 ) -> Patch:
     center = scenario.base_position_m if center_m is None else _point("center_m", center_m)
     along = None if along_m is None else _point("along_m", along_m)
+    aim = middle_of(scenario.targets) if aim_m is None else _point("aim_m", aim_m)
     rolls = TipSolver(JointSpace.of(scenario), scenario.robot.mechanics).common_rotation is None
-    return Patch(center, along, radius_m, cone_rad, middle_of(scenario.targets), scenario.base_R, rolls)
+    return Patch(center, along, radius_m, cone_rad, aim, scenario.base_R, rolls)
 
 
 def _point(key: str, value: ArrayLike) -> Array:

@@ -1,0 +1,63 @@
+"""Step 4: a certified plan from placed.toml, in a folder with its report, its picture and the drive's trajectory."""
+
+from __future__ import annotations
+
+from ctrplan.base.units import MM_PER_M
+from ctrplan.cases.bases_table import read_bases
+from ctrplan.cases.steps.placed import PlacedStep
+from ctrplan.cases.work import BASES, PLACED, PLAN, ROBOT, Step, Work, raw_files
+from ctrplan.errors import NoAnswerError
+from ctrplan.files.trajectory_file import trajectory_formats
+from ctrplan.planning.plan import Plan
+from ctrplan.planning.planner import plan
+from ctrplan.reports.plan_folder import FORMATS, plan_outputs, save_plan
+from ctrplan.storage.output_folder import output_folder
+
+TRIES = 3  # base poses that are planned from
+
+
+class PlanStep(Step):
+    """Plans from the base pose that was chosen, and from the next ones of the table where it has no plan."""
+
+    name = "plan"
+    files = ()
+    results = (f"{PLAN}/plan.json", f"{PLAN}/report.html")
+
+    def made_from(self, work: Work) -> object:
+        said = work.request.part("seed", "time_s", "bases")
+        return [said, work.state(PLACED, ROBOT), raw_files(work.scenario(PLACED))]
+
+    def make(self, work: Work) -> str:
+        output_folder(str(work.file(PLAN)), plan_outputs(trajectory_formats(FORMATS)))
+        made = self._planned(work)
+        save_plan(made, work.file(PLAN))
+        work.plan = made
+        certificate = made.certificate
+        bound = f"{certificate.goal_bound_m * MM_PER_M:.2f} mm of friction error at the goal at worst"
+        if certificate.min_clearance_m < 1e3:
+            bound += f", clearance {certificate.min_clearance_m * MM_PER_M:.2f} mm beyond the margins"
+        return f"{'certified' if certificate.valid else 'NOT certified'}: {len(made.legs)} legs, {bound}"
+
+    def _planned(self, work: Work) -> Plan:
+        asked, record = work.request, work.record
+        rows = 1 if record.edited("placed") else len(read_bases(work.file(BASES)))
+        number = record.steps["placed"].chosen if "placed" in record.steps else 1
+        last = min(rows, number - 1 + (TRIES if asked.bases is None else asked.bases))
+        while True:
+            try:
+                return plan(
+                    work.scenario(PLACED),
+                    seed=asked.seed or 0,
+                    time_s=asked.time_s,
+                    progress=lambda told: work.progress(told.stage, told.fraction),
+                    interrupted=work.stop,
+                )
+            except NoAnswerError as error:
+                if number >= last or work.stop.is_set():
+                    raise
+                work.note(f"no plan from row {number} of {BASES}: {error}")
+            number += 1
+            step = PlacedStep()
+            record.begin(step.name)
+            sentence = step.make(work, number)
+            work.end(step, sentence, number)

@@ -1,0 +1,173 @@
+"""`ctrplan case`: from a patient's scan and points to a certified plan, in one command that can be taken up again."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ctrplan.base.arguments import SEARCH_TIME, SEED, Number, Whole, in_plain_digits
+from ctrplan.base.interrupts import INTERRUPTED, interrupt_event
+from ctrplan.base.units import LONGEST_MM
+from ctrplan.commands.options import add_number
+from ctrplan.commands.progress_bar import ProgressBar
+from ctrplan.errors import InputError
+
+if TYPE_CHECKING:
+    from ctrplan.cases.case import Case, StepTold
+
+NAMES = ("scenario", "bases", "placed", "plan", "slicer")
+PATIENCE_S = 1.0  # before a progress bar shows up
+EXAMPLES = """examples:
+  ctrplan case patient/ --target 17.3 3 88 --entry 0 0 0 --frame LPS --lumen airway -o case
+  ctrplan case seg.seg.nrrd points.mrk.json --lumen trachea --avoid vessels -o case   # points called target and entry
+  ctrplan case ct_labels.nii.gz --lumen 1 --avoid 2 --target nodule.fcsv --entry mouth.fcsv --robot robot.toml -o case
+  ctrplan case -o case                    # after an edit of case/scenario.toml, bases.csv or placed.toml: what follows
+  ctrplan case -o case --from bases --radius-mm 8
+
+Written into DIR, a step each; edit a file and run again, and only what depends on it is done anew:
+  scenario  scenario.toml, robot.toml, more_entries.csv   structures, roles, margins, targets, start
+  bases     bases.csv                                     where the robot could stand, best first
+  placed    placed.toml                                   the scenario with its base at the first row
+  plan      plan/                                         plan.json, trajectory, report.html, plan.png
+  slicer    slicer/scene.mrml                             opens in 3D Slicer
+"""
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command to the command line."""
+    parser = commands.add_parser(
+        "case",
+        help="a patient's scan and points to a certified plan: scenario, base, plan, report, 3D Slicer's scene",
+        description="Make a scenario of images, label maps, surfaces and points, propose where the robot stands, plan, "
+        "and write report and 3D Slicer's scene. Every step's result is a file that can be edited.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "inputs", metavar="FILES", nargs="*", help="images, meshes, .mrk.json and .fcsv, or folders of them"
+    )
+    parser.add_argument("-o", "--output", metavar="DIR", required=True, help="the case's folder")
+    _add_places(parser)
+    _add_roles(parser)
+    _add_numbers(parser)
+    parser.add_argument("--from", dest="from_step", choices=NAMES, help="make this step and all after it anew")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    parser.set_defaults(run=run_case)
+
+
+def _add_places(parser: argparse.ArgumentParser) -> None:
+    where = "X Y Z in mm of --frame; or a file of markups, FILE:LABEL, or a label; several times for several"
+    for option, what in (("--target", "where the tip shall go, a line for a path to follow"), ("--entry", "the plate")):
+        parser.add_argument(
+            option, dest=option[2:], action="append", nargs="+", metavar="PLACE", help=f"{what}: {where}"
+        )
+    frames = ("RAS", "LPS")
+    parser.add_argument("--frame", choices=frames, help="of the numbers in this command and of the case's files")
+    parser.add_argument("--file-frame", choices=frames, help="of files that do not say theirs")
+    parser.add_argument("--unit", choices=("mm", "cm", "m"), help="of meshes (default: mm)")
+
+
+def _add_roles(parser: argparse.ArgumentParser) -> None:
+    roles = (
+        ("--lumen", "lumens", "a structure that the robot stays inside of"),
+        ("--avoid", "avoids", "a structure that it keeps clear of"),
+        ("--ignore", "ignored", "a structure to leave out although its name is that of one of these"),
+    )
+    for option, name, what in roles:
+        parser.add_argument(
+            option, dest=name, action="append", metavar="[FILE:]NAME", help=f"{what}: segment, label, mesh, or range"
+        )
+    parser.add_argument("--robot", metavar="FILE", help="default: three tubes on a drive that advances all of them")
+
+
+def _add_numbers(parser: argparse.ArgumentParser) -> None:
+    length, above = Number(0, LONGEST_MM, "mm"), Number(0, LONGEST_MM, "mm", above=True)
+    numbers: tuple[tuple[str, Number | Whole, str, str], ...] = (
+        (
+            "--margin-mm",
+            length,
+            "D",
+            "kept from every structure, besides what its surface may be off by (default: 0.5)",
+        ),
+        ("--surface-error-mm", length, "E", "what surfaces of volumes may be off by (default: from their voxels)"),
+        ("--tolerance-mm", above, "T", "of the tip at a target (default: 1)"),
+        ("--sheath-mm", above, "R", "inner radius of a straight sheath from the entry into the lumen"),
+        ("--radius-mm", length, "R", "of the places around an entry where the robot may stand (default: 4)"),
+        (
+            "--cone-deg",
+            Number(0, 90, "deg"),
+            "A",
+            "by which it may look past the target, or the entry's line (default: 20)",
+        ),
+        ("--candidates", Whole(1, 100_000), "N", "base poses that are looked at (default: 128)"),
+        ("--bases", Whole(1, 1000), "N", "of them to plan from, until one has a plan (default: 3)"),
+        ("--seed", SEED, "N", "of every search (default: 0)"),
+        ("--time", SEARCH_TIME, "S", "seconds of the plan's search by the clock"),
+    )
+    for option, kind, metavar, what in numbers:
+        add_number(parser, option, kind, metavar=metavar, help=what)
+
+
+def run_case(arguments: argparse.Namespace) -> int:
+    """Runs the command; returns its exit code. Raises CtrplanError where a step fails."""
+    places = {name: _places(f"--{name}", getattr(arguments, name)) for name in ("target", "entry")}
+    with interrupt_event() as interrupted:  # imports take a second
+        from ctrplan.cases.case import case
+
+        if interrupted.is_set():
+            raise KeyboardInterrupt
+        terminal = sys.stderr is not None and sys.stderr.isatty()
+        with ProgressBar(quiet=arguments.quiet or not terminal, patience_s=PATIENCE_S) as bar:
+            found = case(
+                arguments.output,
+                arguments.inputs or None,
+                targets=places["target"],
+                entries=places["entry"],
+                progress=bar.show,
+                told=_tell,
+                note=lambda text: print(f"ctrplan: {text.rstrip('.')}.", file=sys.stderr),
+                interrupted=interrupted,
+                time_s=arguments.time,
+                **{name: getattr(arguments, name) for name in KEPT},
+            )
+        print(_summary(found))
+        return INTERRUPTED if found.interrupted else 0
+
+
+KEPT = ("frame", "file_frame", "unit", "lumens", "avoids", "ignored", "robot", "margin_mm", "surface_error_mm")
+KEPT += ("tolerance_mm", "sheath_mm", "radius_mm", "cone_deg", "candidates", "bases", "seed", "from_step")
+
+
+def _places(option: str, given: Sequence[Sequence[str]] | None) -> list[Any] | None:
+    """Three numbers each, or a name. Raises InputError."""
+    if given is None:
+        return None
+    found: list[Any] = []
+    for words in given:
+        numbers = [in_plain_digits(word) for word in words]
+        if len(words) == 3 and None not in numbers:
+            found.append(numbers)
+        elif len(words) == 1 and numbers[0] is None:
+            found.append(words[0])
+        else:
+            raise InputError("must be three numbers X Y Z, or one name", key=option, value=" ".join(words))
+    return found
+
+
+def _tell(step: StepTold) -> None:
+    number = NAMES.index(step.name) + 1
+    time = f"{step.seconds:5.1f} s" if step.is_made else "       "
+    print(f"[{number}/{len(NAMES)}] {step.name:9} {time}  {step.sentence}", flush=True)
+
+
+def _summary(case: Case) -> str:
+    seconds = sum(step.seconds for step in case.steps)
+    lines = [f"{case.folder}: {seconds:.0f} s"]
+    for what, name in (("report", "plan/report.html"), ("3D Slicer", "slicer/scene.mrml")):
+        if (Path(case.folder) / name).exists() and not case.interrupted:
+            lines.append(f"  {what:27} {case.folder / name}")
+    lines.append(f"  {'after an edit of its files':27} ctrplan case -o {case.folder}")
+    return "\n".join(lines)
