@@ -13,10 +13,10 @@ from ctrplan.base.version import __version__ as __version__
 if TYPE_CHECKING:
     from ctrplan import planning
     from ctrplan.calibration.calibrate import Calibration, calibrate
-    from ctrplan.diagnosis.diagnose import diagnose as diagnose
-    from ctrplan.diagnosis.result import Diagnosis
     from ctrplan.cases.case import Case
     from ctrplan.cases.case import case as case
+    from ctrplan.diagnosis.diagnose import diagnose as diagnose
+    from ctrplan.diagnosis.result import Diagnosis
     from ctrplan.errors import CtrplanError, InputError, NoAnswerError
     from ctrplan.experiment.measurements import Measurements
     from ctrplan.files.measurement_file import load_measurements

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ctrplan.base.arguments import EVENT, PROGRESS, SEARCH_TIME, SEED, Choice, Number, Texts, Whole, checked
+from ctrplan.base.arrays import numbers
 from ctrplan.base.interrupts import interrupt_event
 from ctrplan.base.progress import StageProgress
 from ctrplan.base.units import LONGEST_MM
@@ -76,6 +77,7 @@ class Case:
     seed=SEED,
     time_s=SEARCH_TIME,
     from_step=Choice(*NAMES),
+    until=Choice(*NAMES),
     progress=PROGRESS,
     told=PROGRESS,
     note=PROGRESS,
@@ -105,6 +107,7 @@ def case(
     seed: int | None = None,
     time_s: float | None = None,
     from_step: str | None = None,
+    until: str | None = None,
     progress: StageProgress | None = None,
     told: Callable[[StepTold], object] | None = None,
     note: Callable[[str], object] | None = None,
@@ -119,9 +122,10 @@ def case(
     them are planned from until one has a plan. What is None is as the run before had it, or as ctrplan chooses.
 
     Every step writes files into `output`. A step whose files and sources are as they were is not done again; files
-    that were edited are kept and count for the steps after. `from_step` makes that step and all after it anew. `told`
-    hears of each step, `note` warnings and what was recognised. Raises InputError for what can't be understood and for
-    an edited file whose sources have changed, NoAnswerError where nothing is reached or no plan found.
+    that were edited are kept and count for the steps after. `from_step` makes that step and all after it anew, `until`
+    is the last one that is done. `told` hears of each step, `note` warnings and what was recognised. Raises InputError
+    for what can't be understood and for an edited file whose sources have changed, NoAnswerError where nothing is
+    reached or no plan found.
     """
     asked = Request(
         inputs=None if not inputs else tuple(os.fspath(path) for path in inputs),
@@ -156,7 +160,7 @@ def case(
             progress=progress or (lambda _stage, _share: None),
             note=note or (lambda _sentence: None),
         )
-        done = [*_done(work, from_step, told or (lambda _step: None))]
+        done = [*_done(work, from_step, until, told or (lambda _step: None))]
         return Case(folder, tuple(done), work.plan, stop.is_set())
 
 
@@ -166,14 +170,24 @@ def _places(places: Sequence[str | ArrayLike] | None) -> tuple[Place, ...] | Non
         return None
     if isinstance(places, str) or (len(places) == 3 and all(np.isscalar(x) and not isinstance(x, str) for x in places)):
         places = [places]  # type: ignore[list-item]
-    return tuple(place if isinstance(place, str) else tuple(np.asarray(place, float).tolist()) for place in places)  # type: ignore[misc]
+    return tuple(place if isinstance(place, str) else _numbers(place) for place in places)
+
+
+def _numbers(place: ArrayLike) -> tuple[float, float, float]:
+    point = numbers(place, "place")
+    if point.shape != (3,):
+        raise InputError("must be three numbers", key="place", value=place, unit="mm")
+    x, y, z = point.tolist()
+    return x, y, z
 
 
 def _texts(texts: Sequence[str] | None) -> tuple[str, ...] | None:
     return None if texts is None else tuple(texts)
 
 
-def _done(work: Work, from_step: str | None, told: Callable[[StepTold], object]) -> Iterator[StepTold]:
+def _done(
+    work: Work, from_step: str | None, until: str | None, told: Callable[[StepTold], object]
+) -> Iterator[StepTold]:
     """Every step in its turn."""
     forced = False
     work.record.request = work.request
@@ -185,7 +199,7 @@ def _done(work: Work, from_step: str | None, told: Callable[[StepTold], object])
         result = StepTold(step.name, sentence, time.monotonic() - began, not kept)
         told(result)
         yield result
-        if work.stop.is_set():
+        if work.stop.is_set() or step.name == until:
             return
 
 

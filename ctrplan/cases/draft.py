@@ -1,4 +1,4 @@
-"""The first scenario of a case: its robot, structures, targets, and a base that stands at the entry and looks along it."""
+"""The first scenario of a case: its robot, structures, targets, and a base at the entry that looks along it."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def draft(
     """
     goals = [_goal(target, request) for target in targets]
     return {
-        "name": request.inputs[0][-60:] if request.inputs else "case",
+        "name": Path((request.inputs or ("case",))[0]).resolve().name[-60:] or "case",
         "robot": "robot.toml",
         "frame": frame,
         "start": dict(start),

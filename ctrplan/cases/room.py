@@ -15,6 +15,7 @@ from ctrplan.planning.scenario import Scenario
 DIRECTIONS, SHELLS = 400, 60
 FARTHEST_M = 30e-3  # at which room is looked for
 SLACK_M = 1e-4
+LEAST_WAY_M = 2e-3  # between an entry and a target
 
 
 def refuse_targets_without_room(scenario: Scenario) -> None:
@@ -26,7 +27,11 @@ def refuse_targets_without_room(scenario: Scenario) -> None:
 
 
 def refuse_entry_without_room(scenario: Scenario, entry_m: Array) -> None:
-    """The same of a place (3,) for the front plate, through which all tubes have to come."""
+    """The same of a place (3,) for the front plate, through which all tubes have to come, and of one at the targets."""
+    away = min(float(np.linalg.norm(goal.tip_m - entry_m)) for goal in scenario.targets if goal.tip_m is not None)
+    if away < LEAST_WAY_M:
+        rule = f"is {away * MM_PER_M:.3g} mm from a target: are its numbers in metres, not in millimetres?"
+        raise InputError(rule, key=f"entry {_shown(entry_m)}")
     needed = scenario.robot.tubes[0].outer_diameter_m / 2
     if why := blocked(scenario, entry_m, needed, 0.0):
         raise _refusal(scenario, f"entry {_shown(entry_m)}", entry_m, needed, why)

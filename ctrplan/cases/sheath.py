@@ -32,7 +32,8 @@ def sheath(scenario: Scenario, entry_m: Array, towards_m: Array, radius_mm: floa
     elif depth_mm.max() > 0:  # a lumen narrower than the sheath: to its middle
         end = along_mm[int(np.argmax(depth_mm))]
     else:
-        rule = f"the straight way from the entry meets no lumen in {LONGEST_MM:g} mm, it passes {-depth_mm.max():.3g} mm by"
+        apart = f"it passes {-depth_mm.max():.3g} mm by"
+        rule = f"the straight way from the entry meets no lumen in {LONGEST_MM:g} mm, {apart}"
         raise InputError(rule, key="--sheath-mm", value=radius_mm)
     return {
         "kind": "capsule",

@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from ctrplan.cases.case import Case, StepTold
 
 NAMES = ("scenario", "bases", "placed", "plan", "slicer")
+HANDED_ON = (
+    *("frame", "file_frame", "unit", "lumens", "avoids", "ignored", "robot", "margin_mm", "surface_error_mm"),
+    *("tolerance_mm", "sheath_mm", "radius_mm", "cone_deg", "candidates", "bases", "seed", "from_step", "until"),
+)
 PATIENCE_S = 1.0  # before a progress bar shows up
 EXAMPLES = """examples:
   ctrplan case patient/ --target 17.3 3 88 --entry 0 0 0 --frame LPS --lumen airway -o case
@@ -54,6 +58,7 @@ def add_parser(commands: Any) -> None:
     _add_roles(parser)
     _add_numbers(parser)
     parser.add_argument("--from", dest="from_step", choices=NAMES, help="make this step and all after it anew")
+    parser.add_argument("--until", choices=NAMES, help="do no step after this one")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     parser.set_defaults(run=run_case)
 
@@ -131,14 +136,10 @@ def run_case(arguments: argparse.Namespace) -> int:
                 note=lambda text: print(f"ctrplan: {text.rstrip('.')}.", file=sys.stderr),
                 interrupted=interrupted,
                 time_s=arguments.time,
-                **{name: getattr(arguments, name) for name in KEPT},
+                **{name: getattr(arguments, name) for name in HANDED_ON},
             )
         print(_summary(found))
         return INTERRUPTED if found.interrupted else 0
-
-
-KEPT = ("frame", "file_frame", "unit", "lumens", "avoids", "ignored", "robot", "margin_mm", "surface_error_mm")
-KEPT += ("tolerance_mm", "sheath_mm", "radius_mm", "cone_deg", "candidates", "bases", "seed", "from_step")
 
 
 def _places(option: str, given: Sequence[Sequence[str]] | None) -> list[Any] | None:

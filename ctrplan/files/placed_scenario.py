@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomli_w
 
 from ctrplan.base.units import MM_PER_M
 from ctrplan.planning.placing.base_pose import BasePose
 from ctrplan.planning.placing.patch import DIGITS, MM_DIGITS, Pose
 from ctrplan.storage.toml_document import Document
+from ctrplan.storage.toml_text import toml_text
 
 TURNS = ("quaternion_wxyz", "direction", "look_at", "roll_deg")
 
@@ -25,7 +25,7 @@ def placed_scenario(document: Document, pose: BasePose, file: Path) -> str:
     if here.resolve() != file.parent.resolve():
         _name_files_from(content, here, file.parent)
     direction = ", ".join(f"{x:.4f}" for x in pose.direction)
-    return f"# Base pose proposed by `ctrplan place`; it looks along [{direction}].\n{tomli_w.dumps(content)}"
+    return f"# Base pose proposed by `ctrplan place`; it looks along [{direction}].\n{toml_text(content)}"
 
 
 def content_at(content: dict[str, Any], pose: BasePose | Pose) -> dict[str, Any]:
@@ -58,5 +58,5 @@ def _name_files_from(content: dict[str, Any], old: Path, new: Path) -> None:
 
 def _files(content: dict[str, Any]) -> list[tuple[dict[str, Any], str]]:
     """Tables and keys that name a file."""
-    parts = [(part, "file") for part in content.get("anatomy", []) if "file" in part]
-    return [(content, "robot"), *parts]
+    parts = [*content.get("anatomy", []), *content.get("fixture", [])]
+    return [(content, "robot"), *((part, "file") for part in parts if "file" in part)]

@@ -1,4 +1,4 @@
-"""Where a robot begins when nobody says it: drawn back as far as it goes, tubes turned to where they are most stable."""
+"""Where a robot begins when nobody says it: drawn back as far as it goes, tubes turned to be most stable."""
 
 from __future__ import annotations
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import tomli_w
-
 from ctrplan.base.units import MM_PER_M
 from ctrplan.cases.bases_table import read_bases
 from ctrplan.cases.work import BASES, PLACED, SCENARIO, Step, Work
@@ -13,6 +11,7 @@ from ctrplan.errors import InputError
 from ctrplan.files.placed_scenario import content_at
 from ctrplan.storage.atomic_write import write_atomically
 from ctrplan.storage.toml_document import Document, read_document
+from ctrplan.storage.toml_text import toml_text
 
 
 class PlacedStep(Step):
@@ -31,7 +30,7 @@ class PlacedStep(Step):
         pose = rows[number - 1].pose
         content = content_at(read_document(work.file(SCENARIO)).content, pose)
         head = f"# Row {number} of {BASES}, by `ctrplan case`. Edit it, and the next run plans from here."
-        write_atomically(work.file(PLACED), f"{head}\n{tomli_w.dumps(content)}")
+        write_atomically(work.file(PLACED), f"{head}\n{toml_text(content)}")
         kept = replace(
             work.scenario(SCENARIO),
             base_position_m=pose.position_m,

@@ -9,7 +9,7 @@ from ctrplan.cases.work import BASES, PLACED, PLAN, ROBOT, Step, Work, raw_files
 from ctrplan.errors import NoAnswerError
 from ctrplan.files.trajectory_file import trajectory_formats
 from ctrplan.planning.plan import Plan
-from ctrplan.planning.planner import plan
+from ctrplan.planning.planner import Progress, plan
 from ctrplan.reports.plan_folder import FORMATS, plan_outputs, save_plan
 from ctrplan.storage.output_folder import output_folder
 
@@ -43,13 +43,17 @@ class PlanStep(Step):
         rows = 1 if record.edited("placed") else len(read_bases(work.file(BASES)))
         number = record.steps["placed"].chosen if "placed" in record.steps else 1
         last = min(rows, number - 1 + (TRIES if asked.bases is None else asked.bases))
+
+        def report(told: Progress) -> None:
+            work.progress(told.stage, told.fraction)
+
         while True:
             try:
                 return plan(
                     work.scenario(PLACED),
                     seed=asked.seed or 0,
                     time_s=asked.time_s,
-                    progress=lambda told: work.progress(told.stage, told.fraction),
+                    progress=report,
                     interrupted=work.stop,
                 )
             except NoAnswerError as error:

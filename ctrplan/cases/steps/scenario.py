@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomli_w
 
 from ctrplan.anatomy.shape import Role
+from ctrplan.base.units import MM_PER_M
 from ctrplan.cases import draft
 from ctrplan.cases.inputs import Structure, found_in
 from ctrplan.cases.points import Named, case_frame, places_of
@@ -28,9 +28,10 @@ from ctrplan.planning.drawn_back import drawn_back
 from ctrplan.planning.scenario import Scenario
 from ctrplan.storage.atomic_write import write_atomically
 from ctrplan.storage.toml_document import Document
+from ctrplan.storage.toml_text import toml_text
 
 DEFAULT_ROBOT = "three_tube_insertion.toml"
-UNIT = "mm"
+UNIT, SMALLEST_MM = "mm", 2.0  # of a structure of a patient
 PART = re.compile(r"anatomy\.(\d+)\.")
 ENTRY_COLUMNS = "x_mm,y_mm,z_mm,look_x_mm,look_y_mm,look_z_mm"
 
@@ -93,15 +94,24 @@ def _text(robot: Path) -> str:
 
 
 def _checked(work: Work, content: dict[str, Any], structures: Sequence[tuple[Structure, Role]]) -> Scenario:
-    """The scenario of the content, its robot where it comes from: nothing is written yet. What it refuses of an image or a mesh is said of that file."""
+    """The scenario of the content, its robot where it comes from, since nothing is written yet.
+
+    What it refuses of an image or a mesh is said of that file.
+    """
     beside = {**content, "robot": draft.from_folder(work.folder, robot_file(work.request.robot))}
     try:
-        return scenario_from_dict(beside, file=str(work.file(SCENARIO)), allow_outside=True)
+        scenario = scenario_from_dict(beside, file=str(work.file(SCENARIO)), allow_outside=True)
     except InputError as error:
         match = PART.match(error.key or "")
         if match is None or not 0 < int(match[1]) <= len(structures):
             raise
         raise InputError(error.rule, file=structures[int(match[1]) - 1][0].file) from error
+    for part, (structure, _) in zip(scenario.anatomy, structures, strict=False):  # a sheath comes after them
+        across_mm = float(np.max(part.box[1] - part.box[0])) * MM_PER_M
+        if structure.entry["kind"] == "mesh" and across_mm < SMALLEST_MM:
+            rule = f"is {across_mm:.3g} mm across: are its coordinates in metres? --unit says so"
+            raise InputError(rule, file=structure.file)
+    return scenario
 
 
 def _sheaths(
@@ -125,7 +135,7 @@ def _with_head(content: dict[str, Any]) -> str:
     head = (
         "# Made by `ctrplan case`. Edit it and run `ctrplan case -o` on this folder again: what follows is made anew."
     )
-    return f"{head}\n{tomli_w.dumps(content)}"
+    return f"{head}\n{toml_text(content)}"
 
 
 def _counted(count: int, thing: str) -> str:

@@ -92,10 +92,11 @@ def place(
     """Base poses from which a scenario's tip targets are reached, best first.
 
     Positions lie on a disc of `radius_m` [m] around `center_m` (3,) [m], anatomy's frame, by default the scenario's own
-    base, across that way; with `along_m` (3,) [m] along the opening between both. Directions lie in a
-    cone of half angle `cone_rad` about the way to `aim_m` (3,) [m], by default the targets' middle. `candidates` of them with a valid start are
-    looked at cheaply, the best `confirmed` by inverse kinematics with bounds of all corners, the best `plans` of those
-    by a plan each. Ranked by valid start, plan, targets reached, the worst error beside its tolerance, clearance.
+    base; with `along_m` (3,) [m] along the opening between both. Directions lie in a cone of half angle `cone_rad`
+    about the way to `aim_m` (3,) [m], by default the targets' middle; the disc stands across that way. `candidates` of
+    them with a valid start are looked at cheaply, the best `confirmed` by inverse kinematics with bounds of all
+    corners, the best `plans` of those by a plan each. Ranked by valid start, plan, targets reached, the worst error
+    beside its tolerance, clearance.
 
     The same for the same seed. Ctrl-C, or setting `interrupted`, keeps what was found so far. Raises InputError for a
     goal of joints, NoAnswerError where no pose of the patch leaves room for the robot.
