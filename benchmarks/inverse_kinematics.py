@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ctrplan.files.robot_file import load_robot
-from ctrplan.planning.goals.inverse_kinematics import REACHED_M, TipSolver, TipTarget
+from ctrplan.planning.goals.tip_solver import REACHED_M, TipSolver, TipTarget
 from ctrplan.planning.joint_space import JointSpace
 
 ROBOTS = Path(__file__).resolve().parents[1] / "scenarios" / "robots"

@@ -16,7 +16,7 @@ from ctrplan.base.units import LONGEST_MM
 from ctrplan.errors import InputError
 from ctrplan.planning.bare_scenario import bare_scenario
 from ctrplan.planning.goals.branches import Configuration, Reach, reach
-from ctrplan.planning.goals.inverse_kinematics import TipTarget
+from ctrplan.planning.goals.tip_solver import TipTarget
 from ctrplan.planning.motion import MotionChecker, path_limits
 from ctrplan.planning.scenario import Scenario
 from ctrplan.robot.robot import Robot

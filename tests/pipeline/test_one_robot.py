@@ -28,7 +28,7 @@ from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.core import Mechanics
 from ctrplan.pipeline.chain import Chain
 from ctrplan.pipeline.parametric_chain import ParametricChain
-from ctrplan.planning.goals.inverse_kinematics import TipSolver, TipTarget
+from ctrplan.planning.goals.tip_solver import TipSolver, TipTarget
 from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.reports.live.state import LiveState

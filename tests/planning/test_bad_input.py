@@ -135,7 +135,7 @@ def test_nearest_point_is_where_the_sentence_says() -> None:
     """Beyond the longest robot straight ahead: nothing is nearer than what is reported, by brute force."""
     from ctrplan.files.bare_scenario import load_robot_or_scenario
     from ctrplan.planning.goals.branches import reach
-    from ctrplan.planning.goals.inverse_kinematics import TipTarget
+    from ctrplan.planning.goals.tip_solver import TipTarget
 
     scenario = load_robot_or_scenario(SCENARIOS / "robots" / "three_tube.toml")
     checker, target = MotionChecker(scenario), np.array([0.06, 0.02, 0.27])

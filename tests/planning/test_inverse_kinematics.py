@@ -15,7 +15,7 @@ from ctrplan.errors import NoAnswerError
 from ctrplan.files.bare_scenario import bare_scenario, load_robot_or_scenario
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.planning.goals.branches import reach
-from ctrplan.planning.goals.inverse_kinematics import REACHED_M, TipSolver, TipTarget, angle_to
+from ctrplan.planning.goals.tip_solver import REACHED_M, TipSolver, TipTarget, angle_to
 from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.reports.live.state import LiveState

@@ -14,8 +14,8 @@ from ctrplan.effects.catalogue import CATALOGUE
 from ctrplan.files.bare_scenario import bare_scenario
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.planning.finish.compensate import tip_jacobian
-from ctrplan.planning.goals.inverse_kinematics import TipSolver
 from ctrplan.planning.goals.tip_slopes import bound_slopes, tips_by_joints
+from ctrplan.planning.goals.tip_solver import TipSolver
 from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.robot.robot import Robot

@@ -9,7 +9,8 @@ from ctrplan.cases.work import BASES, PLACED, PLAN, ROBOT, Step, Work, raw_files
 from ctrplan.errors import NoAnswerError
 from ctrplan.files.trajectory_file import trajectory_formats
 from ctrplan.planning.plan import Plan
-from ctrplan.planning.planner import Progress, plan
+from ctrplan.planning.planner import plan
+from ctrplan.planning.search.stage_search import Progress
 from ctrplan.reports.plan_folder import FORMATS, plan_outputs, save_plan
 from ctrplan.storage.output_folder import output_folder
 

@@ -18,7 +18,8 @@ from ctrplan.base.arrays import Array
 from ctrplan.base.cores import cores
 from ctrplan.base.units import MM_PER_M
 from ctrplan.mechanics.core import Status
-from ctrplan.planning.goals.inverse_kinematics import (
+from ctrplan.planning.goals.tip_slopes import tips_by_joints
+from ctrplan.planning.goals.tip_solver import (
     DAMPING,
     LONGEST_STEP_M,
     M_PER_RAD,
@@ -27,7 +28,6 @@ from ctrplan.planning.goals.inverse_kinematics import (
     TipTarget,
     angle_to,
 )
-from ctrplan.planning.goals.tip_slopes import tips_by_joints
 from ctrplan.planning.motion import MotionChecker
 
 SAMPLES = 1500  # random configurations whose tips are looked at

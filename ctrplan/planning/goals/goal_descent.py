@@ -12,8 +12,8 @@ from ctrplan.base.cores import cores
 from ctrplan.base.units import MM_PER_M
 from ctrplan.planning.goals.branches import configuration
 from ctrplan.planning.goals.goal_state import GoalState, tip_target
-from ctrplan.planning.goals.inverse_kinematics import TipSolver, TipTarget
 from ctrplan.planning.goals.tip_slopes import bound_slopes
+from ctrplan.planning.goals.tip_solver import TipSolver, TipTarget
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.search_clock import ROOM_NS
 from ctrplan.planning.search_watch import SearchOver

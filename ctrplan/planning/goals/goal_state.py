@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.planning.goals.inverse_kinematics import TipTarget
+from ctrplan.planning.goals.tip_solver import TipTarget
 
 if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario

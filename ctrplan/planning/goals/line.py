@@ -11,7 +11,7 @@ from ctrplan.drive.legs import distance_from_polyline
 from ctrplan.errors import NoAnswerError
 from ctrplan.mechanics.core import Status
 from ctrplan.planning.goals.goal_state import GoalState
-from ctrplan.planning.goals.inverse_kinematics import TipSolver, TipTarget
+from ctrplan.planning.goals.tip_solver import TipSolver, TipTarget
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.scenario import Goal
 

@@ -18,7 +18,7 @@ from ctrplan.base.interrupts import interrupt_event
 from ctrplan.base.progress import StageProgress
 from ctrplan.base.units import LONGEST_MM
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.planning.goals.inverse_kinematics import TipSolver
+from ctrplan.planning.goals.tip_solver import TipSolver
 from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.placing.base_pose import BasePose, base_pose, placed
 from ctrplan.planning.placing.patch import Patch, Pose, middle_of

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from ctrplan.anatomy.distance_field import SignedDistanceField
 from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.base.arrays import Array
-from ctrplan.planning.goals.inverse_kinematics import TipSolver, TipTarget, angle_to
+from ctrplan.planning.goals.tip_solver import TipSolver, TipTarget, angle_to
 from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.motion import DEFINITE_COLLISION_M, breach, search_limits
 from ctrplan.planning.placing.patch import Patch, Pose

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.base.units import MM_PER_M
 from ctrplan.planning.goals.goal_state import GoalState
-from ctrplan.planning.goals.inverse_kinematics import TipSolver, TipTarget
+from ctrplan.planning.goals.tip_solver import TipSolver, TipTarget
 from ctrplan.planning.motion import MotionChecker
 
 STATION_MM = 6.0  # along the body between neighbours of a chain

@@ -17,7 +17,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.base.units import MM_PER_M
 from ctrplan.planning.goals.goal_descent import Trail
 from ctrplan.planning.goals.goal_state import GoalState
-from ctrplan.planning.goals.inverse_kinematics import TipSolver, TipTarget
+from ctrplan.planning.goals.tip_solver import TipSolver, TipTarget
 from ctrplan.planning.motion import DEFINITE_COLLISION_M, MotionChecker
 from ctrplan.planning.search.insertion_chains import SKIPS, Roadmap
 from ctrplan.planning.search_clock import ROOM_NS

@@ -11,7 +11,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.base.units import MM_PER_M
 from ctrplan.errors import InputError
 from ctrplan.planning.goals.branches import reach
-from ctrplan.planning.goals.inverse_kinematics import TipTarget
+from ctrplan.planning.goals.tip_solver import TipTarget
 from ctrplan.reports.live.standing import Standing
 
 NEAR_M = 0.2e-3  # of the frictionless tip from what was picked
