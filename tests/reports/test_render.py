@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 from written_plan_files import write_small_plan
 
+from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.base.surface import Surface, capsule
 from ctrplan.cli import main
 from ctrplan.errors import InputError
@@ -20,12 +21,14 @@ from ctrplan.files.plan_file import WrittenPlan
 from ctrplan.planning.plan import Plan
 from ctrplan.reports.render.body import Body
 from ctrplan.reports.render.camera import Camera, look_at
+from ctrplan.reports.render.compass import letters
 from ctrplan.reports.render.film import film
 from ctrplan.reports.render.film_file import film_suffix, write_film
 from ctrplan.reports.render.fragments import fragments
 from ctrplan.reports.render.picture import Stage
 from ctrplan.reports.render.views import VIEWS, camera_of, robot_points
 from ctrplan.reports.slicer_case.files import case_files
+from ctrplan.reports.stated_error import stated_error_m
 from ctrplan.reports.written_motion import WrittenMotion, written_motion
 
 SIZE = 120
@@ -120,6 +123,27 @@ def test_pictures_of_a_motion_differ_and_show_the_robot(motion: WrittenMotion, v
     assert [image.shape for image in images] == [(120, 160, 3)] * 3
     assert all(np.any(a != b) for a, b in zip(images[:-1], images[1:], strict=True))
     assert all(len(np.unique(image[20:100].reshape(-1, 3), axis=0)) > 50 for image in images)
+
+
+def test_the_last_picture_states_what_the_plan_states(motion: WrittenMotion) -> None:
+    """Samples have the bounds of a coarser mesh: what a film shows of the goal is the number of plan and report."""
+    shown, certificate = stated_error_m(motion), motion.plan.certificate
+    assert certificate["goal_bound_m"] > motion.plan.column("bound_m")[-1]  # else this says nothing
+    assert shown[-1] == certificate["goal_bound_m"]
+    assert np.all(shown <= certificate["worst_bound_m"]) and np.all(shown >= motion.at("bound_m"))
+
+
+@pytest.mark.parametrize("frame", ["RAS", "LPS"])
+def test_letters_stand_where_the_sides_of_the_patient_are(frame: Frame) -> None:
+    """Seen from the front, upright, the patient's right is on the left of the picture; from below, front is up."""
+    front = np.array([0, 1.0, 0]) if frame == "RAS" else np.array([0, -1.0, 0])
+    upright = letters(look_at(0.1 * front, np.zeros(3), UP, 0.5), frame)
+    assert {name: np.round(place).tolist() for name, place in upright.items()} == {
+        **{"R": [-1, 0], "L": [1, 0]},
+        **{"S": [0, 1], "I": [0, -1]},
+    }
+    below = letters(look_at(-0.1 * UP, np.zeros(3), front, 0.5), frame)
+    assert np.round(below["A"]).tolist() == [0, 1] and np.round(below["R"]).tolist() == [-1, 0]
 
 
 def test_a_gif_plays_all_pictures_at_its_pace(tmp_path: Path) -> None:

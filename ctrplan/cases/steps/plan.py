@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from ctrplan.base.units import MM_PER_M
 from ctrplan.cases.bases_table import read_bases
 from ctrplan.cases.steps.placed import PlacedStep
@@ -12,6 +14,7 @@ from ctrplan.planning.plan import Plan
 from ctrplan.planning.planner import plan
 from ctrplan.planning.search.stage_search import Progress
 from ctrplan.reports.plan_folder import FORMATS, plan_outputs, save_plan
+from ctrplan.reports.plan_words.worst_miss import worst_miss
 from ctrplan.storage.output_folder import output_folder
 
 TRIES = 3  # base poses that are planned from
@@ -33,11 +36,7 @@ class PlanStep(Step):
         made = self._planned(work)
         save_plan(made, work.file(PLAN))
         work.plan = made
-        certificate = made.certificate
-        bound = f"{certificate.goal_bound_m * MM_PER_M:.2f} mm of friction error at the goal at worst"
-        if certificate.min_clearance_m < 1e3:
-            bound += f", clearance {certificate.min_clearance_m * MM_PER_M:.2f} mm beyond the margins"
-        return f"{'certified' if certificate.valid else 'NOT certified'}: {len(made.legs)} legs, {bound}"
+        return _sentence(made)
 
     def _planned(self, work: Work) -> Plan:
         asked, record = work.request, work.record
@@ -66,3 +65,14 @@ class PlanStep(Step):
             record.begin(step.name)
             sentence = step.make(work, number)
             work.end(step, sentence, number)
+
+
+def _sentence(made: Plan) -> str:
+    """Whether it is certified, where the tip ends at worst, and how near the robot comes."""
+    certificate = made.certificate
+    miss = worst_miss(made)
+    parts = [f"{'certified' if certificate.valid else 'NOT certified'}, {len(made.legs)} legs"]
+    parts += [miss.sentence.rstrip(".")] if miss else []
+    if math.isfinite(certificate.min_clearance_m):
+        parts.append(f"clearance {certificate.min_clearance_m * MM_PER_M:.2f} mm beyond the margins")
+    return "; ".join(parts)

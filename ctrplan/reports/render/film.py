@@ -15,14 +15,18 @@ from ctrplan.reports import palette
 from ctrplan.reports import scene_looks as looks
 from ctrplan.reports.plan_words.numbers import millimetres
 from ctrplan.reports.render.bodies import moving_bodies, rgb, still_bodies
+from ctrplan.reports.render.camera import Camera
+from ctrplan.reports.render.compass import draw_compass
 from ctrplan.reports.render.picture import Picture, Stage
 from ctrplan.reports.render.views import View, camera_of
+from ctrplan.reports.stated_error import stated_error_m
 from ctrplan.reports.written_motion import WrittenMotion
 
 SKY = np.stack([rgb("#FFFFFF"), rgb("#E4EAF0")])
 DARK = np.stack([rgb("#14090A"), rgb("#14090A")])
 SAMPLES = {True: 1, False: 2}  # rays a pixel each way, where the camera moves and where it stands
 TEXT = 0.026  # height of letters, of the picture's
+COMPASS = 3.0  # letters from the middle of the patient's sides to the picture's edge
 
 
 def film(motion: WrittenMotion, view: View, width: int, height: int) -> Iterator[Picture]:
@@ -33,11 +37,11 @@ def film(motion: WrittenMotion, view: View, width: int, height: int) -> Iterator
     for pose, caption in zip(motion.path, captions, strict=True):
         if stage is None or camera(pose) is not stage.camera:
             stage = Stage(still, camera(pose), width, height, SAMPLES[inside], DARK if inside else SKY)
-        yield _labelled(stage.with_moving(moving_bodies(pose, motion, inside)), motion, caption, inside)
+        yield _labelled(stage.with_moving(moving_bodies(pose, motion, inside)), motion, caption, inside, stage.camera)
 
 
 def _captions(motion: WrittenMotion) -> list[str]:
-    bound, clearance, last = motion.at("bound_m"), motion.at("clearance_m"), motion.times_s[-1]
+    bound, clearance, last = stated_error_m(motion), motion.at("clearance_m"), motion.times_s[-1]
     texts = []
     for time_s, bound_m, clearance_m in zip(motion.times_s, bound.tolist(), clearance.tolist(), strict=True):
         words = [f"{time_s:.1f} of {last:.1f} s"]
@@ -49,7 +53,7 @@ def _captions(motion: WrittenMotion) -> list[str]:
     return texts
 
 
-def _labelled(picture: Picture, motion: WrittenMotion, caption: str, inside: bool) -> Picture:
+def _labelled(picture: Picture, motion: WrittenMotion, caption: str, inside: bool, camera: Camera) -> Picture:
     image = Image.fromarray(picture)
     draw, size = ImageDraw.Draw(image), max(11, round(TEXT * image.height))
     ink = "#F3ECEA" if inside else palette.INK
@@ -59,6 +63,9 @@ def _labelled(picture: Picture, motion: WrittenMotion, caption: str, inside: boo
     draw.text((margin, image.height - margin), caption, fill=ink, font=_font(size), anchor="ls", **halo)
     _bar(draw, image.size, caption, motion)
     _key(draw, image.width - margin, margin, size, motion, ink, inside, halo)
+    corner = (image.width - margin - COMPASS * size, image.height - margin - COMPASS * size)
+    frame = motion.scenario.frame
+    draw_compass(draw, corner, (COMPASS - 0.5) * size, camera, frame, _font(round(0.85 * size)), ink, halo)
     return np.asarray(image)
 
 
