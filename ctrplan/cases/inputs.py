@@ -48,6 +48,7 @@ class Found:
     markups: tuple[Markup, ...]
     grey: tuple[Path, ...]
     notes: tuple[str, ...] = ()
+    series: str | None = None  # that is meant of a DICOM folder
 
     @property
     def listed(self) -> str:
@@ -55,7 +56,7 @@ class Found:
         return ", ".join(one.called for one in self.structures) or "no structures"
 
 
-def found_in(inputs: Sequence[str], unit: str, output: Path) -> Found:
+def found_in(inputs: Sequence[str], unit: str, output: Path, series: str | None = None) -> Found:
     """What files and folders hold; what a case has written into `output` is none of it. Raises InputError."""
     structures, markups, grey, notes = list[Structure](), list["Markup"](), list[Path](), list[str]()
     for path in _files(inputs, output):
@@ -70,7 +71,7 @@ def found_in(inputs: Sequence[str], unit: str, output: Path) -> Found:
             structures += of_image
             grey += [] if of_image else [path]
             notes += [why_not] if why_not else []
-    return Found(tuple(structures), tuple(markups), tuple(grey), tuple(notes))
+    return Found(tuple(structures), tuple(markups), tuple(grey), tuple(notes), series)
 
 
 def stem(path: Path) -> str:

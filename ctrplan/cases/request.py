@@ -20,6 +20,7 @@ class Request:
     frame: str | None = None  # of the case, in which numbers are said
     file_frame: str | None = None  # of files that do not say theirs
     unit: str | None = None  # of meshes
+    series: str | None = None  # UID, of a DICOM folder with several
     lumens: tuple[str, ...] | None = None
     avoids: tuple[str, ...] | None = None
     ignored: tuple[str, ...] | None = None

@@ -63,7 +63,7 @@ def named(found: Found, option: str, text: str) -> Structure:
     file, colon, name = text.partition(":")
     if not matches and colon:
         if (image := _grey_file(found, file)) is not None:
-            return _range(image, option, text, name)
+            return _range(found, image, option, text, name)
         within = [one for one in found.structures if file in (one.file.name, str(one.file))]
         matches = [one for one in within if name in (one.name, _group_of(one, name))]
         if not matches and within and within[0].entry["kind"] == "mesh":
@@ -86,7 +86,7 @@ def _grey_file(found: Found, name: str) -> Path | None:
     return next((path for path in found.grey if name in (path.name, str(path), stem(path))), None)
 
 
-def _range(image: Path, option: str, text: str, said: str) -> Structure:
+def _range(found: Found, image: Path, option: str, text: str, said: str) -> Structure:
     ends: dict[str, Any] = {}
     place = 0
     while match := RANGE.match(said, place):
@@ -97,7 +97,8 @@ def _range(image: Path, option: str, text: str, said: str) -> Structure:
             f"{image.name} has grey values: say a range as {image.name}:below=-500 or {image.name}:above=100,below=300"
         )
         raise InputError(rule, key=option, value=text)
-    return Structure(image, said, "grey values", {"kind": "volume", **ends})
+    series = {"series": found.series} if image.is_dir() and found.series else {}
+    return Structure(image, said, "grey values", {"kind": "volume", **series, **ends})
 
 
 def _grey(found: Found) -> str:
@@ -107,9 +108,9 @@ def _grey(found: Found) -> str:
 
 
 def _recognised(roles: dict[Structure, Any]) -> list[str]:
-    words = {"inside": "a lumen, to stay inside", "avoid": "to be avoided"}
+    words = {"inside": "a lumen, to stay inside", "avoid": "an obstacle, to be avoided"}
     return [
-        f"{one.called} is taken for {words[role]}: by its name (--ignore {one.name} leaves it out)"
+        f"{one.called} is taken for {words[role]}: by its name (--ignore "{one.name}" leaves it out)"
         for one, role in roles.items()
     ]
 

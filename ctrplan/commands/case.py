@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 NAMES = ("scenario", "bases", "placed", "plan", "slicer")
 HANDED_ON = (
-    *("frame", "file_frame", "unit", "lumens", "avoids", "ignored", "robot", "margin_mm", "surface_error_mm"),
+    *("frame", "file_frame", "unit", "series", "lumens", "avoids", "ignored", "robot", "margin_mm", "surface_error_mm"),
     *("tolerance_mm", "sheath_mm", "radius_mm", "cone_deg", "candidates", "bases", "seed", "from_step", "until"),
 )
 PATIENCE_S = 1.0  # before a progress bar shows up
@@ -72,6 +72,7 @@ def _add_places(parser: argparse.ArgumentParser) -> None:
     frames = ("RAS", "LPS")
     parser.add_argument("--frame", choices=frames, help="of the numbers in this command and of the case's files")
     parser.add_argument("--file-frame", choices=frames, help="of files that do not say theirs")
+    parser.add_argument("--series", metavar="UID", help="of a DICOM folder that has several")
     parser.add_argument("--unit", choices=("mm", "cm", "m"), help="of meshes (default: mm)")
 
 

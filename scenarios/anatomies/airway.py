@@ -17,6 +17,11 @@ LOBAR_TURN = np.radians(75)  # of a lobar bronchus against its main bronchus, ab
 
 def airway() -> Mesh:
     """A trachea of 18 mm diameter, two main bronchi, four lobar bronchi, flowing into each other."""
+    return surface(airway_distance(), (-36, -24, FRONT_MM - 3), (36, 24, 114), 1.75)
+
+
+def airway_distance() -> Distance:
+    """Its distance, which phantoms are made of."""
     tube: list[Distance] = [round_cone((0, 0, FRONT_MM - 20), (0, 0, CARINA_MM - 6), TRACHEA_RADIUS)]
     carina = np.array([0, 0, CARINA_MM - 8.0])
     for side in (0.0, np.pi):
@@ -25,7 +30,7 @@ def airway() -> Mesh:
         for turn in (-LOBAR_TURN, LOBAR_TURN):
             end = fork + LOBAR_LENGTH * _direction(LOBAR_INCLINATION, side + turn)
             tube.append(round_cone(fork, end, LOBAR_RADIUS))
-    return surface(cut_at_z(united(tube, 3.0), FRONT_MM), (-36, -24, FRONT_MM - 3), (36, 24, 114), 1.75)
+    return cut_at_z(united(tube, 3.0), FRONT_MM)
 
 
 def _direction(inclination: float, azimuth: float) -> Array:

@@ -27,10 +27,17 @@ class Volume(Mesh):
     """The surface of a structure between the voxels of an image, in the anatomy's frame.
 
     image_box_m (8, 3): corners of the image. notes: what to know. surface_error_m: what the surface may be off by.
+    segment: its name in the file, where it has one.
     """
 
     kind = "volume"
     image_box_m: Array | None = None
+    segment: str | None = None
+
+    @property
+    def name(self) -> str:
+        """What messages call it: several segments are in one file."""
+        return self.segment or super().name
 
 
 @register(Volume)
@@ -82,7 +89,7 @@ def volume(image: Image, choice: Choice, file: str, surface_error_mm: float | No
         error = surface_error_mm / MM_PER_M
     places, faces, moved = thinned(image.place_m(vertices + found.first), faces)
     notes = (*image.notes, *_notes(found, error), *thinning_note(faces, moved))
-    return Volume(places, faces, file, notes, error + moved, _box(image))
+    return Volume(places, faces, file, notes, error + moved, _box(image), choice.segment)
 
 
 def _voxels_off(found: Structure) -> float:

@@ -44,7 +44,9 @@ class ScenarioStep(Step):
 
     def made_from(self, work: Work) -> object:
         asked = work.request
-        said = asked.part("inputs", "targets", "entries", "frame", "file_frame", "unit", "lumens", "avoids", "ignored")
+        said = asked.part(
+            "inputs", "targets", "entries", "frame", "file_frame", "unit", "series", "lumens", "avoids", "ignored"
+        )
         said |= asked.part("robot", "margin_mm", "surface_error_mm", "tolerance_mm", "sheath_mm")
         stamps = [stamp_of(Path(name)) for name in asked.inputs or ()] + [stamp_of(robot_file(asked.robot))]
         return [said, stamps]
@@ -54,7 +56,7 @@ class ScenarioStep(Step):
         if not asked.inputs:
             raise InputError("are needed: images, meshes and files of markups, or folders of them", key="FILES")
         robot_text = _text(robot_file(asked.robot))
-        found = found_in(asked.inputs, asked.unit or UNIT, work.folder)
+        found = found_in(asked.inputs, asked.unit or UNIT, work.folder, asked.series)
         structures, told = chosen(found, asked.lumens or (), asked.avoids or (), asked.ignored or ())
         for sentence in (*found.notes, *told):
             work.note(sentence)

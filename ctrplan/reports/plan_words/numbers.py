@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+LEAST = 1e-4  # of which Python would write a power of ten
+
 
 def millimetres(length_m: float) -> str:
     """A length for people, about three digits."""
@@ -21,4 +23,4 @@ def digits(value: float) -> str:
         return "?"
     if value == 0 or abs(value) >= 0.1:
         return f"{value:.{max(0, 2 - max(0, math.floor(math.log10(abs(value) or 1))))}f}"
-    return f"{value:.2g}"
+    return f"{value:.2g}" if abs(value) >= LEAST else f"{value:.5f}"

@@ -20,7 +20,7 @@ def letters(camera: Camera, frame: Frame | None) -> dict[str, tuple[float, float
     Letters of axes that point to the eye or away from it are left out. Without a frame they are those of x, y and z.
     """
     ends = AXES if frame is None else ENDS[frame]
-    found = {}
+    found = dict[str, tuple[float, float]]()
     for axis, (minus, plus) in enumerate(ends):
         right, up = float(camera.axes[0, axis]), float(camera.axes[1, axis])
         if np.hypot(right, up) >= LEAST:
