@@ -110,7 +110,7 @@ def _grey(found: Found) -> str:
 def _recognised(roles: dict[Structure, Any]) -> list[str]:
     words = {"inside": "a lumen, to stay inside", "avoid": "an obstacle, to be avoided"}
     return [
-        f"{one.called} is taken for {words[role]}: by its name (--ignore "{one.name}" leaves it out)"
+        f"{one.called} is taken for {words[role]}: by its name (--ignore '{one.name}' leaves it out)"
         for one, role in roles.items()
     ]
 
