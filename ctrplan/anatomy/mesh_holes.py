@@ -46,7 +46,7 @@ def closed(vertices: Array, faces: Indices, repair: Repair) -> tuple[Indices, tu
         patch = triangulated(vertices, opening)
         away = _away_m(vertices[patch], tree)
         if away > FARTHEST_M and not (repair == "caps" and opening.off_plane_m <= FLAT_M):
-            raise MeshRefusal(_too_large(opening, away, repair))
+            raise MeshRefusal(_too_large(opening, away, repair), opening.middle_m)
         patches.append(patch)
         notes.append((away, opening))
     return np.concatenate([faces, *patches]), (_note(notes),)
@@ -91,7 +91,8 @@ def triangulated(vertices: Array, opening: Opening) -> Indices:
     """Triangles (n - 2, 3) over a loop: the ear of the shortest new edge first, within the loop where it is flat."""
     loop = opening.loop.tolist()
     if len(loop) > LONGEST:
-        raise MeshRefusal(f"has an opening of {len(loop)} edges at {opening.place}: must have at most {LONGEST}")
+        rule = f"has an opening of {len(loop)} edges at {opening.place}: must have at most {LONGEST}"
+        raise MeshRefusal(rule, opening.middle_m)
     axes = np.linalg.svd(opening.normal[None])[2][1:]
     flat = (vertices[opening.loop] - opening.middle_m) @ axes.T
     points, turn = vertices[opening.loop], np.sign(_area(flat)) or 1.0
@@ -155,4 +156,4 @@ def _too_large(opening: Opening, away_m: float, repair: Repair) -> str:
 def _undecided(place_m: Array, what: str) -> None:
     x, y, z = place_m * MM_PER_M
     rule = "inside and outside can't be told apart: clean it where the mesh was made, or say kind = 'surface'"
-    raise MeshRefusal(f"is not closed at ({x:.2f}, {y:.2f}, {z:.2f}) mm, where {what}: {rule}")
+    raise MeshRefusal(f"is not closed at ({x:.2f}, {y:.2f}, {z:.2f}) mm, where {what}: {rule}", place_m)

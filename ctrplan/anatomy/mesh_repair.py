@@ -21,7 +21,15 @@ logger = logging.getLogger(__name__)
 
 
 class MeshRefusal(Exception):
-    """A rule that a mesh breaks, as the end of a sentence; whoever reads the mesh says where it was named."""
+    """A rule that a mesh breaks, as the end of a sentence; whoever reads the mesh says where it was named.
+
+    place_m: (3,) where in the file's frame, of what has a place.
+    """
+
+    def __init__(self, rule: str, place_m: Array | None = None) -> None:
+        """rule: see the class."""
+        self.place_m = place_m
+        super().__init__(rule)
 
 
 def welded(vertices: Array, faces: Indices) -> tuple[Array, Indices]:
@@ -39,9 +47,10 @@ def refuse_open(vertices: Array, faces: Indices) -> None:
     odd = odd_edges(faces)
     if len(odd):
         # The place is reported in the file's own frame, as the viewer of the mesh shows it (but in mm).
-        x, y, z = vertices[odd[0]].mean(axis=0) * 1e3
+        place = vertices[odd[0]].mean(axis=0)
+        x, y, z = place * 1e3
         count = f"{len(odd)} open edge{'s' if len(odd) > 1 else ''}"
-        raise MeshRefusal(f"is not closed: has {count}, one at ({x:.2f}, {y:.2f}, {z:.2f}) mm, must have none")
+        raise MeshRefusal(f"is not closed: has {count}, one at ({x:.2f}, {y:.2f}, {z:.2f}) mm, must have none", place)
 
 
 def merged(vertices: Array, faces: Indices) -> tuple[Array, Indices]:
@@ -156,7 +165,7 @@ def _refuse_inside_out(vertices: Array, faces: Indices) -> None:
     if len(wrong):
         x, y, z = middle[wrong[0]] * 1e3
         rule = "its bodies share walls and can't be told apart, must bound a solid on one side"
-        raise MeshRefusal(f"can't be turned outward at ({x:.2f}, {y:.2f}, {z:.2f}) mm: {rule}")
+        raise MeshRefusal(f"can't be turned outward at ({x:.2f}, {y:.2f}, {z:.2f}) mm: {rule}", middle[wrong[0]])
 
 
 def _each(patch: Indices) -> Iterator[NDArray[np.bool_]]:
@@ -172,9 +181,10 @@ def _consistent(vertices: Array, faces: Indices) -> tuple[Indices, Indices]:
     turned = np.where((vote < 0)[patch][:, None], oriented[:, ::-1], oriented)
     bad = _unbalanced_edges(turned)  # one-sided, or patches that end at edges of more triangles and do not go together
     if len(bad):
-        x, y, z = vertices[bad[0]].mean(axis=0) * 1e3
+        where = vertices[bad[0]].mean(axis=0)
+        x, y, z = where * 1e3
         place = f"({x:.2f}, {y:.2f}, {z:.2f}) mm"
-        raise MeshRefusal(f"can't be turned outward: its two sides meet at {place}, must bound a solid")
+        raise MeshRefusal(f"can't be turned outward: its two sides meet at {place}, must bound a solid", where)
     return turned, patch
 
 

@@ -7,12 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
+from ctrplan.anatomy.mesh_defect import MeshDefect, MeshDefectError
 from ctrplan.anatomy.mesh_file import read_triangles, stated_frame
 from ctrplan.anatomy.mesh_holes import Repair, closed
 from ctrplan.anatomy.mesh_repair import Indices, MeshRefusal, merged, refuse_open, turned_outward
 from ctrplan.anatomy.mesh_thinning import thinned, thinning_note
 from ctrplan.anatomy.patient_frame import Frame, to_scenario
 from ctrplan.base.arrays import Array
+from ctrplan.base.surface import Surface
 from ctrplan.storage.toml_table import Table
 
 
@@ -33,6 +35,7 @@ def read_body(
     table: Table, path: Path, unit: str, frame: Frame | None, group: str | None, repair: Repair
 ) -> SurfaceFile:
     """The closed surface of a body that `table` names, turned outward. Raises InputError."""
+    vertices, faces = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
     try:
         vertices, faces = merged(*read_triangles(path, unit, group))
         faces, notes = closed(vertices, faces, repair)
@@ -41,7 +44,10 @@ def read_body(
         faces = turned_outward(vertices, faces)
         return SurfaceFile(_placed(table, path, frame, vertices), faces, (*notes, *thinning_note(faces, error)), error)
     except MeshRefusal as refusal:
-        raise table.fault(str(refusal), "file") from refusal.__cause__
+        fault = table.fault(str(refusal), "file")
+        if refusal.place_m is None:
+            raise fault from refusal.__cause__
+        raise MeshDefectError(fault, MeshDefect(path, Surface(vertices, faces), refusal.place_m)) from None
 
 
 def read_sheet(table: Table, path: Path, unit: str, frame: Frame | None, group: str | None) -> SurfaceFile:

@@ -28,6 +28,7 @@ from ctrplan.commands import (
     view,
 )
 from ctrplan.commands.command_line import CommandLine
+from ctrplan.commands.refused_mesh import tell_picture
 from ctrplan.errors import CtrplanError
 
 COMMANDS = (
@@ -64,6 +65,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return code
     except CtrplanError as error:
         print(f"ctrplan: {error}", file=sys.stderr)
+        tell_picture(error)
         return error.exit_code
     except MemoryError:
         print("ctrplan: there is not enough memory for this.", file=sys.stderr)

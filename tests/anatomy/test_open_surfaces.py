@@ -153,7 +153,21 @@ def vtk_files(folder: Path, mesh: trimesh.Trimesh) -> list[str]:
     arrays = {"Points": v, "connectivity": f, "offsets": ends}
     for name, packed, form in (("inline", False, "binary"), ("packed", True, "binary"), ("raw", True, "appended")):
         (folder / f"{name}.vtp").write_bytes(vtp(arrays, len(v), len(f), packed, form))
-    return ["text.vtk", "old.vtk", "new.vtk", "inline.vtp", "packed.vtp", "raw.vtp"]
+        (folder / f"{name}.vtu").write_bytes(vtu(arrays, len(v), len(f), packed, form))
+    vtk = ["text.vtk", "old.vtk", "new.vtk"]
+    return [*vtk, *(f"{name}.{kind}" for name in ("inline", "packed", "raw") for kind in ("vtp", "vtu"))]
+
+
+def vtu(arrays: dict[str, Any], points: int, faces: int, packed: bool, form: str) -> bytes:
+    """The same as cells of an unstructured grid, with a line and a tetrahedron among them that are no surface."""
+    corners = np.concatenate([arrays["connectivity"].reshape(-1), [0, 1], [0, 1, 2, 3]])
+    ends = np.concatenate([arrays["offsets"], arrays["offsets"][-1] + np.array([2, 6])])
+    kinds = np.array([5] * faces + [3, 10])
+    content = vtp({"Points": arrays["Points"], "connectivity": corners, "offsets": ends}, points, faces, packed, form)
+    text = content.replace(b"PolyData", b"UnstructuredGrid").replace(b"NumberOfPolys", b"NumberOfCells")
+    coded = " ".join(map(str, kinds)).encode()
+    types = b'<DataArray type="UInt8" Name="types" format="ascii">' + coded + b"</DataArray>"
+    return text.replace(b"<Polys>", b"<Cells>").replace(b"</Polys>", types + b"</Cells>")
 
 
 def vtp(arrays: dict[str, Any], points: int, faces: int, packed: bool, form: str) -> bytes:

@@ -87,6 +87,59 @@ def test_a_nifti_file_written_byte_by_byte(form: str, tmp_path: Path) -> None:
     check_hand(part_of(tmp_path, "LPS", kind="volume", file="a.nii.gz", label=1), near_points(), "LPS")
 
 
+def nifti_2(path: Path, sizes: tuple[int, int, int], axes: Array, origin: Array, values: Array, ahead: Any = 0) -> None:
+    """A NIfTI-2 file by its standard, whose sform is moved `ahead` [mm] of its quaternion."""
+    head = bytearray(544)
+    struct.pack_into("<i8s2h", head, 0, 540, b"n+2\0\r\n\x1a\n", 2, 8)
+    struct.pack_into("<8q", head, 16, 3, *sizes, 1, 1, 1, 1)
+    x, y, z, _ = Rotation.from_matrix(axes / SPACING @ np.diag([1, 1, -1])).as_quat(canonical=True)
+    struct.pack_into("<8d", head, 104, -1, *SPACING, 1, 1, 1, 1)
+    struct.pack_into("<q2d", head, 168, 544, 1.0, 0.0)
+    struct.pack_into("<2i6d", head, 344, 1, 1, x, y, z, *origin)
+    struct.pack_into("<12d", head, 400, *np.column_stack([axes, origin + ahead]).ravel())
+    struct.pack_into("<i", head, 500, 2)
+    with gzip.open(path, "wb") as stream:
+        stream.write(bytes(head) + values.tobytes(order="F"))
+
+
+def test_a_nifti_2_file_is_where_both_of_its_forms_say(tmp_path: Path) -> None:
+    axes, origin, size = ras_grid()
+    values = voxels_in_ras(axes, origin, size)
+    nifti_2(tmp_path / "a.nii.gz", size, axes, origin, values)
+    for frame in ("RAS", "LPS"):
+        check_hand(part_of(tmp_path, frame, kind="volume", file="a.nii.gz", label=1), near_points(), frame)
+    nifti_2(tmp_path / "a.nii.gz", size, axes, origin, values, ahead=(0, 3, 0))
+    with pytest.raises(InputError, match=r"says two places that lie 3 mm apart \(qform, sform\)"):
+        part_of(tmp_path, kind="volume", file="a.nii.gz", label=1)
+    nifti_2(tmp_path / "a.nii.gz", size, axes, origin, values[:, :, : size[2] // 2])
+    with pytest.raises(InputError, match="is damaged or cut short: it has 25200 bytes of voxels, 50400 are due"):
+        part_of(tmp_path, kind="volume", file="a.nii.gz", label=1)
+
+
+def test_segments_in_layers_overlap_and_each_is_whole(tmp_path: Path) -> None:
+    """As 3D Slicer writes them: voxels have a value in each layer, and one label means two things in two layers."""
+    axes, origin, size = ras_grid()
+    whole = voxels_in_ras(axes, origin, size)
+    half = whole * (np.arange(size[0]) < size[0] // 2)[:, None, None].astype(whole.dtype)
+    layers = np.ascontiguousarray(np.stack([half, whole], axis=-1).transpose(2, 1, 0, 3))  # (nz, ny, nx, layers)
+    made = SimpleITK.GetImageFromArray(layers, isVector=True)
+    lps = np.diag(TO_RAS) @ axes
+    made.SetSpacing(np.asarray(SPACING, float).tolist())
+    made.SetOrigin((origin * TO_RAS).tolist())
+    made.SetDirection((lps / SPACING).ravel().tolist())
+    for k, (name, layer) in enumerate((("half", 0), ("whole", 1))):
+        for key, value in (("Name", name), ("ID", name), ("LabelValue", "1"), ("Layer", str(layer))):
+            made.SetMetaData(f"Segment{k}_{key}", value)
+    written(made, tmp_path / "a.seg.nrrd")
+    check_hand(part_of(tmp_path, kind="volume", file="a.seg.nrrd", segment="whole"), near_points(), "LPS")
+    parts = [part_of(tmp_path, kind="volume", file="a.seg.nrrd", segment=name) for name in ("half", "whole")]
+    assert np.ptp(parts[0].box, axis=0).sum() < 0.9 * np.ptp(parts[1].box, axis=0).sum()
+    inside = np.array(parts[0].shape.surface().vertices_m)
+    assert parts[1].shape.distance(inside).max() < 1e-3 * max(SPACING)  # no segment cuts a hole into another one
+    with pytest.raises(InputError, match="has segments that overlap: say a segment of 'half'"):
+        part_of(tmp_path, kind="volume", file="a.seg.nrrd", label=1)
+
+
 def nrrd(folder: Path, space: str, turned: Any = TO_RAS, extra: str = "", kinds: str = "domain domain domain") -> Path:
     """A NRRD file by hand, its numbers those of LPS multiplied by `turned` ones."""
     axes, origin, size = ras_grid()

@@ -31,10 +31,12 @@ class Header:
     """frame: what the file's coordinates are in, None where it does not say.
 
     corners_mm: (2, 3) centres of the first and last voxel as this header has them, in that frame; None if unread.
+    affine_mm: (3, 4) of indices along (x, y, z) to that frame, of NIfTI.
     """
 
     frame: Frame | None
     corners_mm: Array | None = None
+    affine_mm: Array | None = None
 
 
 def read_header(path: Path) -> Header:
@@ -60,7 +62,8 @@ def check_gzip(path: Path) -> None:
         raise ImageRefusal(f"is damaged or cut short ({' '.join(str(error).split())})") from error
 
 
-def _first_bytes(path: Path, count: int) -> bytes:
+def first_bytes(path: Path, count: int) -> bytes:
+    """Those of a file, unpacked. Raises ImageRefusal for one that is damaged."""
     try:
         with path.open("rb") as plain:
             if plain.read(2) != b"\x1f\x8b":
@@ -75,7 +78,7 @@ def _first_bytes(path: Path, count: int) -> bytes:
 def _fields(path: Path, mark: str, last: bytes) -> dict[str, str]:
     """Lines "name mark value" of a text header, which ends with the line `last` or an empty one."""
     found: dict[str, str] = {}
-    for line in _first_bytes(path, HEADER_BYTES).split(b"\n"):
+    for line in first_bytes(path, HEADER_BYTES).split(b"\n"):
         name, there, value = line.decode("latin-1").strip().partition(mark)
         if there and not name.startswith("#"):
             found[name.strip().lower()] = value.strip(" =\t")
@@ -117,44 +120,63 @@ def _runs_from(axes: Array) -> str:
     return "".join(letters)
 
 
+@dataclass(frozen=True)
+class _Layout:
+    """Where a NIfTI header has its numbers, and of what types."""
+
+    dim: tuple[str, int]
+    pixdim: tuple[str, int]
+    codes: tuple[str, int]
+    quaternion: tuple[str, int]  # b, c, d, and the offset
+    affine: tuple[str, int]
+    unit: tuple[str, int]
+
+    def read(self, head: bytes, order: str, field: tuple[str, int]) -> tuple[float, ...]:
+        """The numbers of a field."""
+        kind, offset = field
+        return struct.unpack_from(order + kind, head, offset)
+
+
+NIFTI_1 = _Layout(("8h", 40), ("8f", 76), ("2h", 252), ("6f", 256), ("12f", 280), ("B", 123))
+NIFTI_2 = _Layout(("8q", 16), ("8d", 104), ("2i", 344), ("6d", 352), ("12d", 400), ("i", 500))
+LAYOUTS = {348: NIFTI_1, 540: NIFTI_2}
+
+
 def _nifti(path: Path) -> Header:
-    head = _first_bytes(path, 540)
+    head = first_bytes(path, 540)
     if len(head) < 348:
         raise ImageRefusal("is damaged or cut short: it has no whole NIfTI header")
-    order = "<" if struct.unpack("<i", head[:4])[0] in (348, 540) else ">"
+    order = "<" if struct.unpack("<i", head[:4])[0] in LAYOUTS else ">"
     size = struct.unpack(order + "i", head[:4])[0]
-    if size == 540:
-        return Header("RAS")  # NIfTI-2: where it is, is left to its reader
-    if size != 348:
+    if size not in LAYOUTS:
         raise ImageRefusal("is damaged: its header is none of NIfTI")
-    dim = struct.unpack(order + "8h", head[40:56])
-    pixdim = np.array(struct.unpack(order + "8f", head[76:108]))
-    q_code, s_code = struct.unpack(order + "2h", head[252:256])
+    if len(head) < size:
+        raise ImageRefusal("is damaged or cut short: it has no whole NIfTI header")
+    layout = LAYOUTS[size]
+    dim, pixdim = layout.read(head, order, layout.dim), np.array(layout.read(head, order, layout.pixdim))
+    q_code, s_code = layout.read(head, order, layout.codes)
     if not (np.isfinite(pixdim[1:4]) & (pixdim[1:4] > 0)).all():
         raise ImageRefusal("does not say the size of its voxels (pixdim)")
     if q_code <= 0 and s_code <= 0:
         raise ImageRefusal("does not say where the patient's sides are (qform_code and sform_code are 0)")
-    unit = NIFTI_UNITS_MM.get(head[123] & 7, 1.0)
+    unit = NIFTI_UNITS_MM.get(int(layout.read(head, order, layout.unit)[0]) & 7, 1.0)
     last = np.array([[0, 0, 0], [n - 1 for n in dim[1:4]]], dtype=float)
-    q = _corners(_quaternion_form(head, order, pixdim), last) * unit if q_code > 0 else None
-    s = (
-        _corners(np.array(struct.unpack(order + "12f", head[280:328])).reshape(3, 4), last) * unit
-        if s_code > 0
-        else None
-    )
+    quaternion = layout.read(head, order, layout.quaternion)
+    forms = _quaternion_form(quaternion, pixdim) * unit, np.array(layout.read(head, order, layout.affine)) * unit
+    q = _corners(forms[0], last) if q_code > 0 else None
+    s = _corners(forms[1].reshape(3, 4), last) if s_code > 0 else None
     if q is not None and s is not None and (apart := float(np.abs(q - s).max())) > max(APART_MM, 1e-4 * np.ptp(s)):
         raise ImageRefusal(f"says two places that lie {apart:.3g} mm apart (qform, sform): save it with one")
-    corners = s if s is not None else q
-    return Header("RAS", corners)
+    return Header("RAS", q if s is None else s, forms[0] if s is None else forms[1].reshape(3, 4))
 
 
 def _corners(affine: Array, index: Array) -> Array:
     return np.asarray(index @ affine[:, :3].T + affine[:, 3])
 
 
-def _quaternion_form(head: bytes, order: str, pixdim: Array) -> Array:
-    """Affine (3, 4) of the header's quaternion, in RAS."""
-    b, c, d, *offset = struct.unpack(order + "6f", head[256:280])
+def _quaternion_form(quaternion: tuple[float, ...], pixdim: Array) -> Array:
+    """Affine (3, 4) of the header's quaternion and offset, in RAS."""
+    b, c, d, *offset = quaternion
     a = np.sqrt(max(0.0, 1.0 - (b * b + c * c + d * d)))
     rotation = np.array(
         [

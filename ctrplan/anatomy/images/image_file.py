@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.anatomy.images.header import Header, check_gzip, read_header
+from ctrplan.anatomy.images.header import Header, check_gzip, first_bytes, read_header
 from ctrplan.anatomy.images.image import Image, ImageRefusal
+from ctrplan.anatomy.images.nifti_2 import SIZE as NIFTI_2_BYTES
+from ctrplan.anatomy.images.nifti_2 import is_nifti_2, read_nifti_2, shape_and_type
 from ctrplan.anatomy.images.segments import segments_of
 from ctrplan.anatomy.images.simpleitk import quiet, reason, simpleitk
 from ctrplan.anatomy.patient_frame import TURNED
@@ -31,6 +33,8 @@ def is_image(path: Path) -> bool:
 def read_image(path: Path) -> Image:
     """The volume. Raises ImageRefusal."""
     sitk, header = simpleitk(), read_header(path)
+    if is_nifti_2(head := first_bytes(path, NIFTI_2_BYTES)):
+        return _nifti_2(path, head, header)
     reader = sitk.ImageFileReader()
     reader.SetFileName(str(path))
     try:
@@ -49,12 +53,28 @@ def read_image(path: Path) -> Image:
         raise ImageRefusal(f"is damaged or cut short: {reason(error)}") from error
 
 
-def _check_kind(sitk: Any, reader: Any, is_segmentation: bool) -> None:
-    size, pixel = reader.GetSize(), sitk.GetPixelIDValueAsString(reader.GetPixelID())
+def _nifti_2(path: Path, head: bytes, header: Header) -> Image:
+    shape, kind = shape_and_type(head)
+    _check_shape(shape)
+    check_bytes(shape, kind.itemsize)
+    check_gzip(path)
+    affine = np.zeros((3, 4)) if header.affine_mm is None else header.affine_mm * 1e-3
+    spacing = np.linalg.norm(affine[:, :3], axis=0)
+    if not (np.isfinite(affine).all() and (spacing > 0).all()):
+        raise ImageRefusal("has a spacing or an origin that is not finite")
+    return _checked(read_nifti_2(path, head), spacing, affine[:, 3], affine[:, :3] / spacing, header)
+
+
+def _check_shape(size: tuple[int, ...]) -> None:
     if len(size) != 3:
         shown = " x ".join(map(str, size))
         what = f"is a time series of {size[3]} volumes, {shown}" if len(size) == 4 else f"is no volume: {shown} voxels"
         raise ImageRefusal(f"{what}: must be one volume of three dimensions")
+
+
+def _check_kind(sitk: Any, reader: Any, is_segmentation: bool) -> None:
+    size, pixel = reader.GetSize(), sitk.GetPixelIDValueAsString(reader.GetPixelID())
+    _check_shape(size)
     if reader.GetNumberOfComponents() > 1 and not is_segmentation:
         raise ImageRefusal(f"has {reader.GetNumberOfComponents()} values a voxel (colour?): must have one")
     if "complex" in pixel:
@@ -78,14 +98,25 @@ def _bytes(pixel: str) -> int:
 def checked(sitk: Any, image: Any, header: Header, segments: tuple[Any, ...] = ()) -> Image:
     """SimpleITK's image as ours. Raises ImageRefusal for places or values that are none."""
     direction, spacing = np.array(image.GetDirection()).reshape(3, 3), np.array(image.GetSpacing()) * 1e-3
-    if not (np.isfinite(direction).all() and np.abs(direction.T @ direction - np.eye(3)).max() <= SKEW):
-        raise ImageRefusal("has axes that are not at right angles: resample it to a straight grid")
     origin = np.array(image.GetOrigin()) * 1e-3
-    if not (np.isfinite(spacing).all() and np.isfinite(origin).all()):
-        raise ImageRefusal("has a spacing or an origin that is not finite")
-    voxels: NDArray[Any] = sitk.GetArrayFromImage(image)
     if header.frame == "RAS":  # the reader turns everything to LPS
         origin, direction = TURNED * origin, TURNED[:, None] * direction
+    return _checked(sitk.GetArrayFromImage(image), spacing, origin, direction, header, segments)
+
+
+def _checked(
+    voxels: NDArray[Any],
+    spacing: Array,
+    origin: Array,
+    direction: Array,
+    header: Header,
+    segments: tuple[Any, ...] = (),
+) -> Image:
+    """The image. Raises ImageRefusal for places or values that are none."""
+    if not (np.isfinite(direction).all() and np.abs(direction.T @ direction - np.eye(3)).max() <= SKEW):
+        raise ImageRefusal("has axes that are not at right angles: resample it to a straight grid")
+    if not (np.isfinite(spacing).all() and np.isfinite(origin).all()):
+        raise ImageRefusal("has a spacing or an origin that is not finite")
     found = Image(voxels, spacing, origin, direction, header.frame, segments)
     _check_place(found, header.corners_mm)
     _check_size(found)

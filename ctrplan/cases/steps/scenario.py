@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ctrplan.anatomy.mesh_defect import MeshDefectError
 from ctrplan.anatomy.shape import Role
 from ctrplan.base.units import MM_PER_M
 from ctrplan.cases import draft
@@ -107,7 +108,8 @@ def _checked(work: Work, content: dict[str, Any], structures: Sequence[tuple[Str
         match = PART.match(error.key or "")
         if match is None or not 0 < int(match[1]) <= len(structures):
             raise
-        raise InputError(error.rule, file=structures[int(match[1]) - 1][0].file) from error
+        told = InputError(error.rule, file=structures[int(match[1]) - 1][0].file)
+        raise (MeshDefectError(told, error.defect) if isinstance(error, MeshDefectError) else told) from error
     for part, (structure, _) in zip(scenario.anatomy, structures, strict=False):  # a sheath comes after them
         across_mm = float(np.max(part.box[1] - part.box[0])) * MM_PER_M
         if structure.entry["kind"] == "mesh" and across_mm < SMALLEST_MM:

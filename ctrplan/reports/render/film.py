@@ -97,6 +97,14 @@ def _key(
         draw.text((right - 1.2 * size, y + 0.4 * size), look.name, fill=ink, font=font, anchor="rm", **halo)
 
 
+def write_caption(image: Image.Image, text: str) -> None:
+    """Writes a line along the lower edge."""
+    size = max(11, round(TEXT * image.height))
+    place = (0.8 * size, image.height - 0.8 * size)
+    halo: dict[str, Any] = {"stroke_width": max(1, size // 9), "stroke_fill": "#F4F7F9"}
+    ImageDraw.Draw(image).text(place, text, fill=palette.INK, font=_font(size), anchor="ls", **halo)
+
+
 @cache
 def _font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
     """DejaVu, which comes with matplotlib."""
