@@ -15,7 +15,7 @@ from ctrplan.reports.render.body import Body, vertex_normals
 from ctrplan.reports.render.camera import Camera, look_at
 from ctrplan.reports.render.film import SKY, write_caption
 from ctrplan.reports.render.picture import Picture, Stage
-from ctrplan.reports.surface import capsule
+from ctrplan.reports.surface import Surface, capsule
 
 WIDTH, HEIGHT, SAMPLES = 900, 700, 2
 TISSUE, EDGE = rgb("#C9B3A6"), "#D62222"
@@ -31,11 +31,18 @@ def mesh_defect_png(defect: MeshDefect) -> bytes:
     order = np.argsort(np.linalg.norm(edges.mean(axis=1) - defect.place_m, axis=1))[:MOST_EDGES]
     across = _seen_m(defect, edges[order])
     thick = 0.006 * across
-    marks = [Body(capsule(a, b, thick, 8), rgb(EDGE)) for a, b in edges[order]]
+    marks = [Body(_joined([capsule(a, b, thick, 6) for a, b in edges[order]]), rgb(EDGE))] if len(order) else []
     place = Body(capsule(defect.place_m, defect.place_m, 2.5 * thick, 24), rgb(EDGE), 0.5, 1.0)
     camera = _camera(defect, across)
     stage = Stage([Body(surface, TISSUE), *marks, place], camera, WIDTH, HEIGHT, SAMPLES, SKY)
     return _labelled(stage.with_moving([]), defect)
+
+
+def _joined(surfaces: list[Surface]) -> Surface:
+    """One of many, which is drawn much faster."""
+    before = np.cumsum([0, *(len(surface.vertices_m) for surface in surfaces)])
+    faces = [surface.faces + count for surface, count in zip(surfaces, before, strict=False)]
+    return Surface(np.concatenate([surface.vertices_m for surface in surfaces]), np.concatenate(faces))
 
 
 def _seen_m(defect: MeshDefect, edges: Array) -> float:

@@ -47,9 +47,8 @@ def read_nifti_2(path: Path, head: bytes) -> NDArray[Any]:
     start, count = int(_read(head, order, OFFSET)[0]), int(np.prod(shape))
     data = _bytes(path, start, count * kind.itemsize)
     if start < SIZE or len(data) < count * kind.itemsize:
-        raise ImageRefusal(
-            f"is damaged or cut short: it has {len(data)} bytes of voxels, {count * kind.itemsize} are due"
-        )
+        due = f"it has {len(data)} bytes of voxels, {count * kind.itemsize} are due"
+        raise ImageRefusal(f"is damaged or cut short: {due}")
     values = np.frombuffer(data, kind, count).reshape(shape[::-1]).astype(kind.newbyteorder("="))
     if slope in (0.0, 1.0) and intercept == 0 or not np.isfinite([slope, intercept]).all():
         return values
