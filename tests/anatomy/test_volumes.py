@@ -265,6 +265,26 @@ def test_the_surface_lies_between_the_voxels_without_stairs(spacing: Any, tmp_pa
         assert part.margin_m == pytest.approx(0.5e-3 + level_surface.LABEL_ERROR * wide * 1e-3)
 
 
+def test_labels_leave_a_wall_along_the_voxels_open_by_nearly_one(tmp_path: Path) -> None:
+    """Two boxes have the same labels: what is said of one surface can't be nearer to both than half their distance."""
+    voxel, sizes = 1.0, (6.05, 6.95)
+
+    def box(half: float) -> Any:
+        return lambda points: np.abs(points).max(axis=1) - half
+
+    made = [image(box(half), np.zeros(3), 12.0 - voxel / 2, voxel, np.eye(3)) for half in sizes]
+    assert np.array_equal(*map(SimpleITK.GetArrayFromImage, made))
+    assert np.any(np.isclose(np.mod(made[0].GetOrigin(), voxel), 0))  # voxels at whole mm: 6 is within both, 7 is not
+    written(made[0], tmp_path / "a.nrrd")
+    part = part_of(tmp_path, kind="volume", file="a.nrrd", label=3)
+    places = part.shape.surface().vertices_m * 1e3
+    wall = places[(np.sort(np.abs(places), axis=1)[:, 1] < 3.0)]  # of flat sides, away from edges
+    off = [np.abs(box(half)(wall)).max() for half in sizes]
+    least = (sizes[1] - sizes[0]) / 2
+    assert max(off) >= least > 0.15 * voxel
+    assert max(off) <= part.shape.surface_error_m * 1e3  # which the margin includes
+
+
 def test_grey_values_cross_a_threshold_between_voxels(tmp_path: Path) -> None:
     body = capsule(CENTRE - 9 * OBLIQUE[1], CENTRE + 9 * OBLIQUE[1], 6)
     written(image(body, CENTRE, 24, 1.0, grey=True), tmp_path / "a.nrrd")

@@ -16,6 +16,7 @@ from places import ROBOTS
 from ctrplan.anatomy.mesh_defect import MeshDefect
 from ctrplan.base.surface import Surface
 from ctrplan.cli import main
+from ctrplan.reports import mesh_defect_picture
 from ctrplan.reports.mesh_defect_picture import mesh_defect_png
 
 
@@ -24,6 +25,11 @@ def pierced(side: float) -> trimesh.Trimesh:
     ball = trimesh.creation.icosphere(subdivisions=3, radius=20.0)
     away = np.linalg.norm(ball.triangles_center - (20 * side, 0, 0), axis=1)
     return trimesh.Trimesh(ball.vertices, ball.faces[away > 6], process=False)
+
+
+@pytest.fixture(autouse=True)
+def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mesh_defect_picture, "SAMPLES", 1)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
