@@ -13,11 +13,11 @@ import numpy as np
 import phantoms
 import pytest
 import SimpleITK
+from dicom_series import write_series
 from phantoms import AXES, CENTRE, OBLIQUE, Array, capsule, distance_mm, hand, image, part_of, torus, written
 from scipy.spatial.transform import Rotation
 
 from ctrplan.anatomy.images import level_surface
-from ctrplan.anatomy.images.simpleitk import kept_locale
 from ctrplan.anatomy.images.structure import Structure
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import scenario_from_dict
@@ -193,32 +193,6 @@ def test_names_of_segments_and_layers_that_overlap(tmp_path: Path) -> None:
         part_of(tmp_path, kind="volume", file="a.nrrd", segment="lung")
     with pytest.raises(InputError, match=r"label = 7: a.nrrd has no voxel of that label, but 'a bone'"):
         part_of(tmp_path, kind="volume", file="a.nrrd", label=7)
-
-
-@kept_locale()
-def write_series(folder: Path, made: Any, uid: str, skip: int = -1, order: int = 1) -> None:
-    writer = SimpleITK.ImageFileWriter()
-    writer.KeepOriginalImageUIDOn()
-    direction = np.array(made.GetDirection()).reshape(3, 3)
-    for k in range(made.GetSize()[2]):
-        if k == skip:
-            continue
-        one = made[:, :, k]
-        position = made.TransformIndexToPhysicalPoint((0, 0, k))
-        tags = {
-            "0008|0060": "CT",
-            "0008|103e": f"series {uid}",
-            "0020|000e": f"1.2.826.{uid}",
-            "0020|000d": "1.2.826.9",
-            "0008|0018": f"1.2.826.{uid}.{k + 1}",
-            "0020|0013": str(k),
-            "0020|0032": "\\".join(f"{x:.9f}" for x in position),
-            "0020|0037": "\\".join(f"{x:.12f}" for x in direction[:, :2].T.ravel()),
-        }
-        for key, value in tags.items():
-            one.SetMetaData(key, value)
-        writer.SetFileName(str(folder / f"{uid}_{order * k + 500}.dcm"))
-        writer.Execute(one)
 
 
 @pytest.mark.parametrize("order", [1, -1])

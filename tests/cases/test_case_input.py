@@ -14,6 +14,7 @@ import phantoms
 import pytest
 import SimpleITK
 import trimesh
+from dicom_series import write_series
 
 import ctrplan
 from ctrplan.anatomy.parts import exact_clearance
@@ -227,6 +228,32 @@ def test_damaged_files_are_refused_by_their_names(
             arguments += ["--target", str(tmp_path / name)]
         told = _refused(arguments, tmp_path / f"of {name}", capsys)
         assert re.search(rule, told), (name, told)
+
+
+def test_of_several_dicom_series_one_is_said(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "ct").mkdir()
+    grey = phantoms.image(phantom.lumen, (phantom.ENTRY + phantom.FAR) / 2, 200.0, 20.0, grey=True)
+    for uid in ("11", "12"):
+        write_series(tmp_path / "ct", grey, uid)
+    where = ["--target", *map(str, TARGET), "--entry", *map(str, phantom.ENTRY), "--frame", "LPS"]
+    said = [str(tmp_path / "ct"), *where, "--lumen", "ct:above=-500"]
+    told = _refused(said, tmp_path / "both", capsys)
+    assert re.search(r"ct: holds 2 series: .*1.2.826.11 \(CT 'series 11', .* images\); 1.2.826.12", told), told
+    told = _refused([*said[:-1], "ct"], tmp_path / "no range", capsys)
+    assert "ct has grey values" in told and "ct:below=-500" in told
+    output = tmp_path / "one"
+    scenario = made(
+        output,
+        tmp_path / "ct",
+        frame="LPS",
+        targets=[TARGET],
+        entries=[phantom.ENTRY],
+        series="1.2.826.12",
+        lumens=["ct:above=-500"],
+        avoids=None,
+    )
+    off = scenario.anatomy[0].shape.distance(TARGET[None] * 1e-3)[0] * 1e3 - phantom.lumen(TARGET[None])[0]
+    assert abs(off) < 5.0
 
 
 def test_toml_is_written_as_it_is_read(tmp_path: Path) -> None:

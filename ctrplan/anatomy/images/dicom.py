@@ -39,7 +39,7 @@ def read_series(folder: Path, series: str | None) -> Image:
         raise ImageRefusal("holds no DICOM images")
     if series is None and len(found) > 1:
         raise ImageRefusal(
-            f"holds {len(found)} series: say which with the key series = its series UID, {_listed(sitk, folder, found)}"
+            f"holds {len(found)} series: say which by its UID (key series, or --series), {_listed(sitk, folder, found)}"
         )
     if series is not None and series not in found:
         raise ImageRefusal(f"has no series of that series UID, but {_listed(sitk, folder, found)}")

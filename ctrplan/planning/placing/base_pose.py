@@ -10,6 +10,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.planning.goals.branches import Configuration, reach
+from ctrplan.planning.goals.clearances import start_trouble
 from ctrplan.planning.goals.goal_state import tip_target
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.placing.patch import Pose, middle_of
@@ -111,7 +112,13 @@ def base_pose(scenario: Scenario, seed: int, *, is_own: bool = False) -> BasePos
     """Every target of a scenario by inverse kinematics, with bounds and clearances of all corners."""
     checker = MotionChecker(scenario, reserve_m=0.0)
     targets = tuple(_reached(checker, goal, seed + k) for k, goal in enumerate(scenario.targets))
-    return BasePose(scenario, targets, checker.probe(scenario.start)[0].reason, is_own)
+    return BasePose(scenario, targets, _start_reason(checker), is_own)
+
+
+def _start_reason(checker: MotionChecker) -> str:
+    """Why the start is not valid, with the place where it leaves the lumen or enters a structure; empty if it is."""
+    reason = checker.probe(checker.scenario.start)[0].reason
+    return (start_trouble(checker) or reason) if reason else ""
 
 
 def _reached(checker: MotionChecker, goal: Goal, seed: int) -> ReachedTarget:
