@@ -22,19 +22,22 @@ from ctrplan.cases.case import Case, case
 from ctrplan.cases.work import BASES, PLACED, SCENARIO
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.planning.placing import screen as screening
+from ctrplan.reports import plan_folder
 from ctrplan.storage.toml_document import read_document
 
-TARGET = phantom.ENTRY + phantoms.OBLIQUE @ (31.7, 36.4, 208.8)
+TARGET = phantom.ENTRY + phantoms.OBLIQUE @ (33.4, -25.7, 166.3)  # near where the robot begins
 POINTS = {"target": TARGET, "entry": phantom.ENTRY}
 FEW: dict[str, Any] = {"candidates": 4, "radius_mm": 2.0, "cone_deg": 5.0, "tolerance_mm": 3.0, "time_s": 0.3}
 
 
 @pytest.fixture(autouse=True, scope="module")
 def coarse() -> Any:
-    """What is wide needs neither many samples of the robot nor a fine grid."""
+    """What is wide needs neither many samples of the robot nor a fine grid; pages have tests of their own."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(screening, "SAMPLES", 1500)
         patch.setattr(clearance_grid, "MAX_DEFAULT_NODES", 5e4)
+        for page in ("write_plan_png", "write_plan_report"):
+            patch.setattr(plan_folder, page, lambda path, _: path.write_text("a page"))
         yield
 
 

@@ -18,11 +18,12 @@ from dicom_series import write_series
 
 import ctrplan
 from ctrplan.anatomy.parts import exact_clearance
-from ctrplan.cases.case import case
+from ctrplan.cases.case import NAMES, case
 from ctrplan.cases.roles import by_name
 from ctrplan.cases.steps.scenario import robot_file
 from ctrplan.cases.work import SCENARIO
 from ctrplan.cli import main
+from ctrplan.commands import case as commands
 from ctrplan.errors import CtrplanError
 from ctrplan.files.slicer.markups_file import read_markups
 from ctrplan.planning.drawn_back import drawn_back
@@ -266,6 +267,10 @@ def test_toml_is_written_as_it_is_read(tmp_path: Path) -> None:
     }
     (tmp_path / "a.toml").write_text(toml_text(content))
     assert read_document(tmp_path / "a.toml").content == content
+
+
+def test_the_command_lists_the_steps_that_there_are() -> None:
+    assert commands.NAMES == NAMES  # written down twice, so that --help imports no planner
 
 
 def test_a_case_raises_what_the_command_says(folder: Path, tmp_path: Path) -> None:

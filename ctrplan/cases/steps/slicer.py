@@ -26,6 +26,7 @@ class SlicerStep(Step):
         folder = output_folder(str(work.file(SLICER)), [SCENE])
         written = load_plan(work.file(f"{PLAN}/plan.json"), work.file(PLACED), allow_outside=True)
         motion = written_motion(written, STEPS, lambda share: work.progress("solving", share))
-        files = case_files(motion, patient_frame(written.scenario, None))
+        said = work.request.frame if written.scenario.frame is None else None  # of a scenario that people wrote
+        files = case_files(motion, patient_frame(written.scenario, said))
         write_results(folder, files)
         return f"{len(files)} files for 3D Slicer, {len(motion.path)} poses"
