@@ -20,13 +20,14 @@ class Difference:
     """A figure that does not come out again."""
 
     figure: str  # its name, "samples.bound_m" for the worst sample of a column
-    stated: float
-    found: float
+    stated: float | str
+    found: float | str
 
     @property
     def sentence(self) -> str:
         """Figure and both values, without a full stop."""
-        return f"{self.figure} is stated as {self.stated:.6g} and found to be {self.found:.6g}"
+        stated, found = (x if isinstance(x, str) else f"{x:.6g}" for x in (self.stated, self.found))
+        return f"{self.figure} is stated as {stated} and found to be {found}"
 
 
 def differences(stated: Any, found: Any, *, of: str = "", skip: tuple[str, ...] = ()) -> tuple[Difference, ...]:
@@ -61,7 +62,7 @@ def _compared(figure: str, stated: Any, found: Any) -> Iterator[Difference]:
         yield from differences(stated, found, of=f"{figure}.")
     elif isinstance(stated, str):
         if stated != found:
-            yield Difference(figure, np.nan, np.nan)
+            yield Difference(figure, stated, str(found))
     elif isinstance(stated, tuple):
         if len(stated) != len(found):
             yield Difference(figure, len(stated), len(found))

@@ -127,7 +127,7 @@ def _differences(figure: str, stated: Any, found: Any) -> Iterator[Difference]:
         for k, (a, b) in enumerate(zip(stated, found, strict=True), start=1):
             yield from _differences(f"{figure}.{k}", a, b)
     elif stated != found:
-        yield Difference(figure, _as_number(stated), _as_number(found))
+        yield Difference(figure, _shown(stated), _shown(found))
 
 
 def _numbers_differ(figure: str, stated: Any, found: Any) -> Iterator[Difference]:
@@ -148,5 +148,8 @@ def _is_numeric(value: Any) -> bool:
     return value is None or (isinstance(value, (int, float)) and not isinstance(value, bool))
 
 
-def _as_number(value: Any) -> float:
+def _shown(value: Any) -> float | str:
+    """A number or a text as it is; NaN for what is neither."""
+    if isinstance(value, str):
+        return value
     return float(value) if isinstance(value, (int, float)) else np.nan

@@ -72,6 +72,13 @@ def test_a_figure_that_was_changed_is_found_out(driven: Plan, figure: str) -> No
     assert found.sentence.startswith("Not confirmed: ") and "is stated as" in found.sentence
 
 
+def test_texts_that_differ_are_both_said(driven: Plan) -> None:
+    closest = driven.certificate.closest
+    assert closest is not None
+    found = replace(driven.certificate, closest=replace(closest, part="anatomy.7 (elsewhere)")).recheck()
+    assert f"is stated as anatomy.7 (elsewhere) and found to be {closest.part}" in found.sentence
+
+
 def test_a_plan_that_drives_something_else_is_found_out(driven: Plan) -> None:
     elsewhere = np.array([0.0, 0.0, 1e-3, 0.0])
     last = driven.legs[-1]
