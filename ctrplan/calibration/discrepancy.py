@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 
 POSITION, TANGENT = slice(0, 3), slice(3, None)  # of the numbers of a pose
-SIZES = np.concatenate([[0.0], np.geomspace(0.1, 100.0, 25)])  # of s, over the noise
+SIZES = np.concatenate([[0.0], np.geomspace(0.1, 1000.0, 33)])  # of s, over the noise
 SHARES = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0])  # of the variance that approaches of a configuration share
 MEMORIES = 12  # tried, from half a step to a quarter of the motion
 

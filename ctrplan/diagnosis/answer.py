@@ -81,7 +81,15 @@ def _with_built(part: Answer, otherwise: Answer, teller: Teller) -> Answer:
         return replace(otherwise, interrupted=True, notes=(*otherwise.notes, INTERRUPTED))
     if built is None:
         return otherwise
-    return replace(part, chosen=built.scored, built=built, otherwise=otherwise, path=(*part.path, *built.path))
+    return replace(
+        part,
+        chosen=built.scored,
+        judgement=built.partly.judgement,
+        partly=built.partly,
+        built=built,
+        otherwise=otherwise,
+        path=(*part.path, *built.path, *built.partly.path),
+    )
 
 
 def _beside_a_rest(

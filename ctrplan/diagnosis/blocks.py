@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from ctrplan.base.arrays import Array
 from ctrplan.experiment.measurements import Measurements
+from ctrplan.experiment.motion import clock
 from ctrplan.experiment.split import FOLDS, SEED, VAULT_SHARE, Split
 
 MEMORIES_IN_BLOCK = 2.0  # correlation times that a block of a continuous motion lasts at least
@@ -22,18 +23,18 @@ KIN_RAD, KIN_M = np.radians(2.0), 0.5e-3  # joints nearer than this are the same
 KIN_SHARE = 0.5  # of the poses of a block of a continuous motion that have kin in another, which makes the blocks one
 
 
-def blocks(data: Measurements, memory_s: float) -> NDArray[np.int_]:
-    """(K,) number of each pose's block."""
-    if not data.is_stream or data.time_s is None:
+def blocks(data: Measurements, memory: float) -> NDArray[np.int_]:
+    """(K,) number of each pose's block; the memory is in s, of a log without times in rows."""
+    if not data.is_stream:
         return _joined(data.configuration, _kin_pairs(data), share=0.0)
-    time_s, run = data.time_s[data.rows], data.sequence[data.rows]
-    lasts = sum(float(np.ptp(time_s[run == number])) for number in np.unique(run))
-    length_s = min(MEMORIES_IN_BLOCK * memory_s, lasts / LEAST_BLOCKS)
+    time, run = clock(data), data.sequence[data.rows]
+    lasts = sum(float(np.ptp(time[run == number])) for number in np.unique(run))
+    length = min(MEMORIES_IN_BLOCK * memory, lasts / LEAST_BLOCKS)
     number, count = np.zeros(data.count, dtype=np.int_), 0
     for one in np.unique(run).tolist():
         inside = run == one
-        since = time_s[inside] - time_s[inside].min()
-        pieces = max(1, int(since.max() // length_s))
+        since = time[inside] - time[inside].min()
+        pieces = max(1, int(since.max() // length))
         number[inside] = count + np.minimum((since / max(since.max(), 1e-9) * pieces).astype(np.int_), pieces - 1)
         count += pieces
     return _joined(number, _kin_pairs(data), share=KIN_SHARE)

@@ -99,7 +99,7 @@ def confirm(found: Diagnosis, data: Measurements) -> Confirmation:
     some = np.flatnonzero(usable_poses(found.robot, data))
     some = some[:: max(1, -(-len(some) // MOST_POSES))] if data.is_stream else some
     asked = data.subset(some)
-    memory = found.partly.rest.memory_s if found.partly else None
+    memory = found.partly.rest.memory if found.partly else None
     block = blocks(asked, memory or 1.0)
     count = len(np.unique(block))
     if count < LEAST_BLOCKS:

@@ -24,6 +24,7 @@ from ctrplan.diagnosis.held_out import held_out_residuals
 from ctrplan.diagnosis.workbench import Scored, Workbench, linear
 from ctrplan.effects.catalogue import CATALOGUE
 from ctrplan.experiment.measurements import Measurements
+from ctrplan.experiment.motion import clock
 from ctrplan.pipeline.followed_runs import followed
 from ctrplan.pipeline.parametric_chain import ParametricChain, Term, term
 from ctrplan.robot.robot import Robot
@@ -139,13 +140,13 @@ class CorrelatedBench(Workbench):
         r, J = self.coloured(parts.r) * solved, self.coloured(parts.J) * solved[:, :, None]
         offset = scored.fit.p - scored.fit.chain.neutral
         left = Linearised(r + J @ offset, J, scored.fit.precision)
-        if not self.data.is_stream or self.data.time_s is None:
+        if not self.data.is_stream:
             return discrepancy.of_configurations(left, self.data.configuration)
-        time_s = self.data.time_s[self.data.rows]
-        found = discrepancy.of_motion(left, time_s, self._run, float(np.ptp(time_s)))
+        time = clock(self.data)
+        found = discrepancy.of_motion(left, time, self._run, float(np.ptp(time)))
         stretch = np.unique(np.column_stack([self.group, self._run]), axis=0, return_inverse=True)[1].ravel()
         poses = [np.flatnonzero(stretch == number) for number in np.unique(stretch)]
-        return discrepancy.within(found, poses, lambda rows, memory: discrepancy.decay(time_s[rows], memory))
+        return discrepancy.within(found, poses, lambda rows, memory: discrepancy.decay(time[rows], memory))
 
     def chain(self, terms: Sequence[Term]) -> ParametricChain:
         """Of terms, with friction as it is known by now."""

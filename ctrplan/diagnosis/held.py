@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from ctrplan.diagnosis.correlated_bench import FRAME
 from ctrplan.diagnosis.holding import Evidence, evidence, in_its_place
-from ctrplan.diagnosis.partial_search import PartialSelector
+from ctrplan.diagnosis.partial_search import PartialSelector, is_built
 from ctrplan.diagnosis.selection import Step
 from ctrplan.diagnosis.verdict import CLOSE, CLOSE_ERRORS, Alternative, Finding, is_close
 from ctrplan.diagnosis.workbench import Panel, Scored
@@ -29,14 +29,18 @@ class Held:
 
 
 def held(selector: PartialSelector, chosen: Scored) -> Held:
-    """The set without what does not hold, the least certain dropped first and the rest asked again."""
+    """The set without what does not hold, the least certain dropped first and the rest asked again.
+
+    Built terms stay: whether they hold is asked elsewhere.
+    """
     bench, doubted, dropped = selector.partial_bench, list[Evidence](), list[Step]()
     while True:
         selector.tell(f"asking what holds of {', '.join(chosen.names)}" if chosen.terms else "asking what holds")
         chance = selector.chance(chosen)
         among = [*bench.basis(chosen.terms), *chosen.terms]
         panel = bench.panel(chosen, selector.candidates.beside(chosen.terms))
-        asked = [evidence(bench, panel, among, t, chance) for t in among if t.name == FRAME or t in chosen.terms]
+        named = [t for t in among if t.name == FRAME or (t in chosen.terms and not is_built(t))]
+        asked = [evidence(bench, panel, among, t, chance) for t in named]
         failing = [e for e in asked if not e.holds and e.term in chosen.terms]
         if not failing:
             found = tuple(e for e in asked if e.holds and not _is_replaceable(selector, panel, among, e.term))

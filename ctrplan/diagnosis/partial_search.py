@@ -6,6 +6,8 @@ from ctrplan.diagnosis.candidates import Candidates
 from ctrplan.diagnosis.correlated_bench import FRAME, CorrelatedBench
 from ctrplan.diagnosis.selection import Report, Selection, Selector, step
 from ctrplan.diagnosis.workbench import Scored, certainty
+from ctrplan.effects.learned.learned import Learned
+from ctrplan.pipeline.parametric_chain import Term
 
 MOST_PARTS = 5  # effects named beside a rest that nothing explains
 TIMES_CHANCE = 3.0  # the gain that surrogates of the residual exceed in 2 % of draws
@@ -15,15 +17,16 @@ CERTAIN_AT_FIRST = 3.0  # standard errors over blocks, while what is still missi
 class PartialSelector(Selector):
     """Searches a `CorrelatedBench`, where a residual never has to look like noise."""
 
-    def __init__(self, bench: CorrelatedBench, candidates: Candidates, tell: Report = lambda _: None) -> None:
-        """bench: with nothing estimated yet; tell: called with a sentence before each round of fits."""
-        super().__init__(bench, testable_beside(candidates, bench), tell)
+    def __init__(
+        self, bench: CorrelatedBench, candidates: Candidates, tell: Report, begun: Scored | None = None
+    ) -> None:
+        """tell: called with a sentence before each round of fits; begun: a settled set, the base if not given."""
+        super().__init__(bench, testable_beside(candidates, bench), tell, begun or bench.begun())
         self.partial_bench = bench
-        self.found.chosen = bench.begun()
 
     def run(self) -> Selection:
         """Adds what passes, and nothing else: what holds beside the others is asked in the end."""
-        while len(self.found.chosen.terms) < MOST_PARTS and self._grow(self.found):
+        while sum(not is_built(t) for t in self.found.chosen.terms) < MOST_PARTS and self._grow(self.found):
             pass
         return self.found
 
@@ -51,6 +54,11 @@ class PartialSelector(Selector):
         if taken is not None:
             found.chosen = self.bench.corrected(taken)
         return taken is not None
+
+
+def is_built(t: Term) -> bool:
+    """Whether it was built of a rest, and is no name."""
+    return isinstance(t.effect, Learned)
 
 
 def testable_beside(known: Candidates, bench: CorrelatedBench) -> Candidates:

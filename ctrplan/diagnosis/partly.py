@@ -23,7 +23,7 @@ from ctrplan.diagnosis.holding import Evidence
 from ctrplan.diagnosis.localise import localise
 from ctrplan.diagnosis.partial_search import PartialSelector
 from ctrplan.diagnosis.rest import Rest
-from ctrplan.diagnosis.selection import Report, Step
+from ctrplan.diagnosis.selection import Report, Selection, Step
 from ctrplan.diagnosis.shares import Part, mean_square, part_of
 from ctrplan.diagnosis.verdict import MOST_RIVALS, Judgement
 from ctrplan.diagnosis.workbench import Scored, Workbench
@@ -48,6 +48,7 @@ class Partly:
     parts: tuple[Part, ...]
     rest: Rest
     path: tuple[Step, ...]
+    known: Candidates  # that were asked
     doubted: tuple[Evidence, ...]  # effects that were found and do not hold
 
     def to_json(self) -> dict[str, Any]:
@@ -55,7 +56,7 @@ class Partly:
         found = self.rest
         return {
             "rms_mm": round(found.rms_m * 1e3, 4),
-            "memory_s": found.memory_s and round(found.memory_s, 3),
+            **({"memory_rows" if found.memory_in_rows else "memory_s": found.memory and round(found.memory, 3)}),
             "of_configuration": round(found.of_configuration, 3),
             "of_history": round(found.of_history, 3),
             "of_time": round(found.of_time, 3),
@@ -92,14 +93,25 @@ def partly(
 ) -> Partly:
     """Searches, asks what holds, and describes the rest; `usable` (K,) are the poses to go by."""
     tell("looking for what holds beside a rest")
-    block = blocks(data, _memory_s(robot, data, usable, noise))
+    block = blocks(data, _memory(robot, data, usable, noise))
     parts = _thinned(block_split(data, usable, block), data)
     bench = CorrelatedBench(robot, data.subset(parts.selection), noise, block[parts.selection], parts.fold)
-    selector = PartialSelector(bench, known, tell)
-    searched = selector.run()
-    found = held(selector, searched.chosen)
-    chosen = found.chosen
     base = Workbench(robot, bench.data, noise, bench.group, bench.fold).scored([])
+    selector = PartialSelector(bench, known, tell)
+    return concluded(selector, selector.run(), known, parts, block, base)
+
+
+def concluded(
+    selector: PartialSelector,
+    searched: Selection,
+    known: Candidates,
+    parts: Split,
+    block: NDArray[np.int_],
+    base: Scored,
+) -> Partly:
+    """What a search ended with, as far as it holds, beside the built terms that are in it."""
+    bench, found = selector.partial_bench, held(selector, searched.chosen)
+    chosen = found.chosen
     asked = [finding(selector, found, e.term) for e in found.found]
     kept = tuple(f for f, _ in asked if len(f.alternatives) <= MOST_RIVALS)
     compared = tuple(a for _, tried in asked for a in tried)
@@ -107,15 +119,24 @@ def partly(
     judgement = Judgement("partial" if kept else "unexplained", kept, left, compared)
     names = {f.term.key for f in kept}
     shares = tuple(part_of(bench, base, chosen, e) for e in found.found if e.term.key in names)
-    path = (*searched.path, *found.dropped)
     return Partly(
-        bench, parts, block, base, chosen, judgement, shares, rest_beside(bench, chosen, noise), path, found.doubted
+        bench,
+        parts,
+        block,
+        base,
+        chosen,
+        judgement,
+        shares,
+        rest_beside(bench, chosen, bench.plain),
+        (*searched.path, *found.dropped),
+        known,
+        found.doubted,
     )
 
 
-def _memory_s(robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: Noise) -> float:
-    """Of the calibrated model's errors on a continuous motion."""
-    if not data.is_stream or data.time_s is None:
+def _memory(robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: Noise) -> float:
+    """Of the calibrated model's errors on a continuous motion, in s, or in rows where these have no times."""
+    if not data.is_stream:
         return 0.0
     some = np.flatnonzero(usable)
     some = some[:: _step(len(some))]
@@ -145,7 +166,8 @@ def rest_beside(bench: CorrelatedBench, chosen: Scored, noise: Noise) -> Rest:
     place = localise(data, bench.coloured(chosen.fit.residuals.r), bench.group, distance, floor, "With these effects")
     if data.is_stream:
         shares = rest.shares_of_motion(error, data, bench.group, floor)
-        return Rest(size, found.memory if found else 0.0, shares[0], shares[1], shares[2], place.sentence)
+        memory = found.memory if found else 0.0
+        return Rest(size, memory, *shares, place.sentence, memory_in_rows=data.time_s is None)
     of_time = rest.share_of_time(error, data, bench.group, floor)
     shared = (found.memory if found else 0.0) * (1 - of_time)
     return Rest(size, None, shared, 1 - of_time - shared, of_time, place.sentence)

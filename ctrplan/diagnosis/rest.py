@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.experiment.friction_states import friction_state, last_directions
 from ctrplan.experiment.measurements import Measurements
+from ctrplan.experiment.motion import clock
 
 SCALES = (0.5, 1.0, 2.0)  # of a kernel, in rad of relative rotation or what counts as much
 RIDGES = (0.1, 0.5, 2.0)  # noise of a kernel fit, over what it explains
@@ -22,16 +23,18 @@ class Rest:
     """What nothing in the catalogue explains. Shares are of its variance, the noise's taken out."""
 
     rms_m: float  # of the distance, noise taken out
-    memory_s: float | None  # after which it has forgotten itself; None for poses at rest
+    memory: float | None  # [s] after which it has forgotten itself; None for poses at rest
     of_configuration: float  # share that a configuration has whenever it comes back
     of_history: float  # share that depends on how it was reached besides
     of_time: float  # share that changes with the time of the experiment besides
     place: str  # where it is, as a sentence
+    memory_in_rows: bool = False  # of a log without times
 
     @property
     def sentence(self) -> str:
         """Size, memory and shares."""
-        lasting = "" if self.memory_s is None else f", which last {self.memory_s:.2g} s"
+        unit = "rows" if self.memory_in_rows else "s"
+        lasting = "" if self.memory is None else f", which last {self.memory:.2g} {unit}"
         shares = [
             f"{100 * share:.0f} % {what}"
             for share, what in (
@@ -45,14 +48,17 @@ class Rest:
         return f"{self.rms_m * 1e3:.2f} mm remain (rms, noise taken out){lasting}. {fixed}"
 
 
-def shares_of_motion(error_m: Array, data: Measurements, block: NDArray[np.int_], floor_m: float) -> tuple[float, ...]:
+def shares_of_motion(
+    error_m: Array, data: Measurements, block: NDArray[np.int_], floor_m: float
+) -> tuple[float, float, float]:
     """Of configuration, history and time in errors (K, 3), by what each adds when blocks (K,) are left out."""
     wanted = max(float((error_m**2).sum()) - len(error_m) * floor_m**2, 1e-12)
     features, explained = list[Array](), [0.0]
     for more in (_configuration(data), _history(data), _time(data)):
         features.append(more)
         explained.append(max(explained[-1], _explained(error_m, np.hstack(features), block)))
-    return tuple(float(min(1.0, step / wanted)) for step in np.diff(explained))
+    configuration, history, time = (float(min(1.0, step / wanted)) for step in np.diff(explained))
+    return configuration, history, time
 
 
 def share_of_time(error_m: Array, data: Measurements, block: NDArray[np.int_], floor_m: float) -> float:
@@ -72,8 +78,8 @@ def _history(data: Measurements) -> Array:
 
 
 def _time(data: Measurements) -> Array:
-    clock: Array = data.rows.astype(float) if data.time_s is None else data.time_s[data.rows]
-    since: Array = (clock - clock.min())[:, None] / max(float(np.ptp(clock)), 1e-9) * QUARTERS
+    time = clock(data)
+    since: Array = (time - time.min())[:, None] / max(float(np.ptp(time)), 1e-9) * QUARTERS
     return since
 
 

@@ -48,10 +48,12 @@ class Selection:
 class Selector:
     """Searches sets of effects on a workbench."""
 
-    def __init__(self, bench: Workbench, candidates: Candidates, tell: Report = lambda _: None) -> None:
-        """tell: called with a sentence before each round of fits."""
+    def __init__(
+        self, bench: Workbench, candidates: Candidates, tell: Report = lambda _: None, begun: Scored | None = None
+    ) -> None:
+        """tell: called with a sentence before each round of fits; begun: the set to grow, nothing if not given."""
         self.bench, self.candidates, self.tell = bench, candidates, tell
-        self.found = Selection(bench.scored([]))  # so far
+        self.found = Selection(begun or bench.scored([]))  # so far
 
     def run(self) -> Selection:
         """Adds what passes the threshold, drops what no longer does, swaps what another effect does better."""

@@ -9,6 +9,12 @@ from ctrplan.base.arrays import Array
 from ctrplan.experiment.measurements import SAME_ROTATION_RAD, SAME_TRANSLATION_M, Measurements
 
 
+def clock(data: Measurements) -> Array:
+    """(K,) [s] of the poses; a log without times counts its rows."""
+    found: Array = data.rows.astype(float) if data.time_s is None else data.time_s[data.rows]
+    return found
+
+
 def rest_began(data: Measurements) -> NDArray[np.int_]:
     """(R,) the waypoint from which on no joint has moved."""
     joints = np.hstack([data.theta_commanded, data.l_commanded])

@@ -1,7 +1,7 @@
 """The robot followed along whole runs, friction and all: tips and friction states at the poses of a continuous motion.
 
-Every waypoint is simulated, however few of the poses are asked about. Where a simulation stops, it begins again at the
-next waypoint, from the friction state it had; the tip remembers that for some tens of degrees only.
+The whole motion is simulated, however few of the poses are asked about. Where a simulation stops, it begins again at
+the next waypoint, from the friction state it had; the tip remembers that for some tens of degrees only.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import SolverError
+from ctrplan.experiment.needed_waypoints import needed_waypoints
 from ctrplan.mechanics.history import Start
 from ctrplan.mechanics.shapes import Status
 from ctrplan.pipeline.parametric_chain import ParametricChain
@@ -47,6 +48,8 @@ def followed(chain: ParametricChain, p: Array) -> Followed:
     table, restarts = np.full((len(every), 6 + robot.n - 1 + 6 * len(robot.markers)), np.nan), 0
     for run in np.unique(data.sequence[data.rows]).tolist():
         rows = np.flatnonzero(data.sequence == run)
+        asked = np.flatnonzero(np.isin(rows, data.rows))
+        rows = rows[needed_waypoints(collars.theta[rows], l_b[rows], asked)]
         table[rows], failed = _run(robot, collars.theta[rows], l_b[rows])
         restarts += failed
     found, ends = table[data.rows], np.cumsum([0, 3, 3, robot.n - 1])

@@ -25,14 +25,19 @@ def streamed(theta: np.ndarray) -> Measurements:
 
 def test_a_block_lasts_at_least_two_memories() -> None:
     data = streamed(np.linspace(0.1, 3.0, 1200))
-    found = blocks(data, memory_s=3.0)
+    found = blocks(data, memory=3.0)
     lasts = [np.ptp(data.time_s[found == number]) for number in np.unique(found)]
     assert min(lasts) > 5.8 and len(lasts) == 19
 
 
+def test_a_log_without_times_counts_its_rows() -> None:
+    data = streamed(np.linspace(0.1, 3.0, 1200))
+    np.testing.assert_array_equal(blocks(replace(data, time_s=None), memory=30.0), blocks(data, memory=3.0))
+
+
 def test_a_motion_that_comes_back_is_one_block_with_itself() -> None:
     there = np.linspace(0.0, 3.0, 600)
-    found = blocks(streamed(np.concatenate([there, there[::-1]])), memory_s=3.0)
+    found = blocks(streamed(np.concatenate([there, there[::-1]])), memory=3.0)
     np.testing.assert_array_equal(found[:600], found[600:][::-1])
     assert len(np.unique(found)) > 5
 

@@ -13,12 +13,16 @@ from measured_data import SIGMA_M, measured, pair_robot, waypoints
 
 from ctrplan.calibration.residuals import Noise
 from ctrplan.cli import main
-from ctrplan.diagnosis import Diagnosis, diagnose
+from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
 from ctrplan.diagnosis.building.dictionary import Piece, pieces
 from ctrplan.diagnosis.building.probes import wide
 from ctrplan.diagnosis.building.search import built_term
+from ctrplan.diagnosis.candidates import candidates
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
+from ctrplan.diagnosis.noise_floor import noise_floor
+from ctrplan.diagnosis.partly import partly
 from ctrplan.diagnosis.sentences import verdict_sentence
+from ctrplan.diagnosis.usable_poses import usable_poses
 from ctrplan.diagnosis.workbench import values_by_name
 from ctrplan.effects.learned import parts
 from ctrplan.experiment.measurements import Measurements
@@ -29,13 +33,14 @@ from ctrplan.reports.diagnosis_page.selection_errors import selection_errors
 ROBOT = pair_robot()
 PLAN = waypoints(ROBOT, 18)
 RIPPLE_DEG = 7.0
+OFFSET = {"sensor_offset": {"offset_x_mm": 0.6, "offset_y_mm": -0.4}}
 
 
-def rippled(plan: Measurements = PLAN) -> Measurements:
+def rippled(values: dict[str, dict[str, float]] | None = None, plan: Measurements = PLAN) -> Measurements:
     """Measured while gears turned tube 2 further, three times a turn: made without any built term."""
     theta = plan.theta_commanded.copy()
     theta[:, 1] += np.radians(RIPPLE_DEG) * np.sin(3 * theta[:, 1] + 0.5)
-    return replace(measured(ROBOT, replace(plan, theta_commanded=theta)), theta_commanded=plan.theta_commanded)
+    return replace(measured(ROBOT, replace(plan, theta_commanded=theta), values), theta_commanded=plan.theta_commanded)
 
 
 def warmed() -> Measurements:
@@ -74,6 +79,18 @@ def test_the_robot_that_is_handed_over_turns_as_the_true_one() -> None:
     theta_b, _ = robot.collars(np.column_stack([0 * angle, angle]), np.tile([0.0, -0.01], (40, 1)))
     true = angle + np.radians(RIPPLE_DEG) * np.sin(3 * angle + 0.5)
     assert np.abs(theta_b[:, 1] - true - np.mean(theta_b[:, 1] - true)).max() < np.radians(1.2)
+
+
+def test_what_the_catalogue_has_is_named_beside_a_built_term_that_had_hidden_it() -> None:
+    data, quick = rippled(OFFSET), {name: CATALOGUE[name] for name in ("sensor_offset", "tip_load")}
+    noise, usable = noise_floor(ROBOT, data)[0], usable_poses(ROBOT, data)
+    before = partly(ROBOT, data, usable, noise, candidates(ROBOT, data, quick), lambda _: None)
+    assert not before.judgement.findings
+    after = diagnose(ROBOT, data, catalogue=quick)
+    assert after.verdict == "partial" and [t.name for t in after.listed] == ["sensor_offset"]
+    assert [t.name for t in after.built_terms] == ["learned_theta_2"]
+    value = after.to_json()["effects"][0]["parameters"]["offset_x_mm"]["value"]
+    assert value == pytest.approx(OFFSET["sensor_offset"]["offset_x_mm"], abs=0.15)
 
 
 def test_a_robot_that_has_its_term_lacks_nothing_more() -> None:

@@ -31,6 +31,11 @@ def test_size_and_memory_are_found_again(memory_s: float) -> None:
     assert memory_s / 2.5 < found.memory < 2.5 * memory_s
 
 
+def test_errors_of_millimetres_are_found_beside_a_tracker_of_micrometres() -> None:
+    found = estimate(drawn(decay(TIME_S, 8.0), 400.0, seed=6))
+    assert 280 < found.position < 570
+
+
 def test_noise_has_none() -> None:
     found = estimate(drawn(np.eye(240), 0.0, seed=2))
     assert max(found.position, found.tangent) < 0.4

@@ -40,8 +40,8 @@ def test_a_lag_is_named_beside_a_rest_with_the_memory_that_it_has() -> None:
     assert found.verdict == "partial" and [t.name for t in found.listed] == ["lag"]
     tau = found.to_json()["effects"][0]["parameters"]["tau_s"]
     assert abs(tau["value"] - LATE_S) < 0.75 * (tau["ci95"][1] - tau["ci95"][0]) < 0.05
-    assert found.partly is not None and found.partly.rest.memory_s is not None
-    assert MEMORY_S / 3 < found.partly.rest.memory_s < 3 * MEMORY_S
+    assert found.partly is not None and found.partly.rest.memory is not None
+    assert MEMORY_S / 3 < found.partly.rest.memory < 3 * MEMORY_S
     assert 0.5e-3 < found.partly.rest.rms_m < 1.1e-3 and found.partly.rest.of_configuration < 0.4
 
 

@@ -14,9 +14,10 @@ from ctrplan.calibration.estimates import estimates
 from ctrplan.diagnosis.building.search import Round, Tried, grown
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.holding import SAYS_SOMETHING, summed
-from ctrplan.diagnosis.partly import Partly, rest_beside
+from ctrplan.diagnosis.partial_search import PartialSelector, is_built
+from ctrplan.diagnosis.partly import Partly, concluded
 from ctrplan.diagnosis.rest import Rest
-from ctrplan.diagnosis.selection import Step
+from ctrplan.diagnosis.selection import Selection, Step
 from ctrplan.diagnosis.shares import mean_square
 from ctrplan.diagnosis.workbench import Scored, certainty
 from ctrplan.effects.learned.learned import Learned
@@ -38,6 +39,7 @@ class Built:
 
     scored: Scored  # named and built
     named: Scored  # without the built ones
+    partly: Partly  # what holds of the catalogue beside the built ones
     rounds: tuple[Round, ...]
     gain: float
     error: float  # standard error over blocks
@@ -49,7 +51,7 @@ class Built:
     @property
     def terms(self) -> tuple[Term, ...]:
         """The built ones."""
-        return tuple(t for t in self.scored.terms if isinstance(t.effect, Learned))
+        return tuple(t for t in self.scored.terms if is_built(t))
 
     @property
     def path(self) -> tuple[Step, ...]:
@@ -96,21 +98,36 @@ def tried(found: Partly, tell: Callable[[str], None]) -> Built | None:
     bench, named = found.bench, found.chosen
     if found.is_noise or found.rest.rms_m < WORTH * bench.plain.floor_m:
         return None
-    scored, rounds = grown(bench, named, tell)
+    path = list[Step]()
+
+    def with_names(here: Scored) -> Scored:
+        searched = _selector(found, here, tell).run()
+        path.extend(searched.path)
+        return searched.chosen
+
+    scored, rounds = grown(bench, named, tell, with_names)
     if scored is named:
         return None
-    plain = bench.scored(named.terms, named.fit)  # beside the discrepancy that is left now
-    return _evidence(bench, scored, plain, rounds)
+    searched = Selection(scored, path)
+    again = concluded(_selector(found, scored, tell), searched, found.known, found.split, found.block, found.base)
+    if not any(is_built(t) for t in again.chosen.terms):
+        return None
+    return _evidence(again, rounds)
 
 
-def _evidence(bench: CorrelatedBench, scored: Scored, plain: Scored, rounds: list[Round]) -> Built:
+def _selector(found: Partly, here: Scored, tell: Callable[[str], None]) -> PartialSelector:
+    return PartialSelector(found.bench, found.known, tell, here)
+
+
+def _evidence(found: Partly, rounds: list[Round]) -> Built:
+    bench, scored = found.bench, found.chosen
+    plain = bench.scored([t for t in scored.terms if not is_built(t)], scored.fit)  # beside what is left now
     gains = bench.by_group((plain.held_out - scored.held_out) / 2)
     telling = gains[np.abs(gains) > SAYS_SOMETHING]
     winning = float((telling > 0).mean()) if len(telling) else 0.0
     before, after = mean_square(bench.left_out_m(plain)), mean_square(bench.left_out_m(scored))
     share = (before - after) / max(before - bench.plain.floor_m**2, 1e-12)
-    rest = rest_beside(bench, scored, bench.plain)
-    return Built(scored, plain, tuple(rounds), *summed(gains), certainty(gains), winning, share, rest)
+    return Built(scored, plain, found, tuple(rounds), *summed(gains), certainty(gains), winning, share, found.rest)
 
 
 def refusals(bench: CorrelatedBench, built: Built) -> list[str]:

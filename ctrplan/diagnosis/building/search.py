@@ -1,4 +1,7 @@
-"""Forward selection of pieces: each far above what surrogates of the residual reach, by blocks that were left out."""
+"""Forward selection of pieces: each far above what surrogates of the residual reach, by blocks that were left out.
+
+After each piece the catalogue is asked again. What it has may have been small beside the rest before, and has a name.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,7 @@ from ctrplan.diagnosis.building.probes import Wide, wide
 from ctrplan.diagnosis.chance import null_threshold
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.held_out import Linear, held_out_loss
+from ctrplan.diagnosis.partial_search import is_built
 from ctrplan.diagnosis.shares import mean_square
 from ctrplan.diagnosis.workbench import Scored, certainty
 from ctrplan.effects.learned.learned import Learned, learned
@@ -47,8 +51,13 @@ class Round:
     taken: Piece | None
 
 
-def grown(bench: CorrelatedBench, chosen: Scored, tell: Callable[[str], None]) -> tuple[Scored, list[Round]]:
-    """The set with what was built beside it, if anything, and the rounds that were asked."""
+def grown(
+    bench: CorrelatedBench, chosen: Scored, tell: Callable[[str], None], named: Callable[[Scored], Scored]
+) -> tuple[Scored, list[Round]]:
+    """The set with what was built beside it, if anything, and the rounds that were asked.
+
+    named: adds what the catalogue has beside a set.
+    """
     known, rounds, here = pieces(bench.robot, bench.data), list[Round](), chosen
     known = [piece for piece in known if piece.on.effect_name not in bench.robot.effects]
     while len(rounds) < MOST_PIECES:
@@ -57,7 +66,7 @@ def grown(bench: CorrelatedBench, chosen: Scored, tell: Callable[[str], None]) -
         rounds.append(taken)
         if there is None:
             return here, rounds
-        here = there
+        here = _needed(bench, named(there), taken.chance, known=there)
         known = [piece for piece in known if piece != taken.taken]
     return here, rounds
 
@@ -77,6 +86,17 @@ def _round(bench: CorrelatedBench, here: Scored, known: Sequence[Piece], times: 
     if best is None or not _is_worth(bench, here, best[1], needed):
         return Round(tuple(tried), chance, None), None
     return Round(tuple(tried), chance, best[0]), bench.corrected(best[1])
+
+
+def _needed(bench: CorrelatedBench, here: Scored, least: float, known: Scored) -> Scored:
+    """Without built terms whose place the names that came besides have taken; the `known` set had none of these."""
+    if here is known:
+        return here
+    for t in (t for t in here.terms if is_built(t)):
+        without = bench.scored([other for other in here.terms if other is not t], here.fit)
+        if bench.difference(here, without)[0] < least:
+            return _needed(bench, bench.corrected(without), least, known)
+    return here
 
 
 def _tried(bench: CorrelatedBench, table: Wide, known: Sequence[Piece]) -> list[Tried]:
