@@ -5,9 +5,11 @@ is off by run.
 
 FOLDER holds Joint_Values_RUN.dat and EM_Trajectory_RUN.dat (in the repository's history, Output_Files/Phantom): rows
 that belong together, without clock; translations [m] and rotations [rad, wrapped now and then], innermost tube first;
-the tip [m] in the robot's frame, no tangent. OUTPUT gets robot.toml, a mapping file for each set of runs and a copy of
-the data, which have no licence: keep them out of any repository. Tubes are those of controller_node.cpp. Its outer tube
-has an inner diameter of 1.1448 mm, into which the middle tube of 1.372 mm does not fit: taken for 1.448 mm. With
+the tip [m] in a frame at the robot's base, no tangent. A second sensor at the base gives that frame, which was set up
+anew between runs: each run has a frame of its own. OUTPUT gets robot.toml, a mapping file for each set of runs and a
+copy of the data, which have no licence: keep them out of any repository. Tubes are those of controller_node.cpp. Its
+outer tube has an inner diameter of 1.1448 mm, into which the middle tube of 1.372 mm does not fit: taken for 1.448 mm.
+With
 --calibrate: ordinary calibration without friction and with the base free on square_1, helix_1 and hypo_1, and the rms
 by run on all.
 """
@@ -59,7 +61,9 @@ def mapping(runs: Sequence[str]) -> dict[str, object]:
         "tubes": "innermost first",
         "rotations": "wrapped",
         "columns": {"l": [1, 2, 3], "theta": [4, 5, 6], "position": [1, 2, 3]},
-        "run": [{"joints": f"Joint_Values_{run}.dat", "poses": f"EM_Trajectory_{run}.dat"} for run in runs],
+        "run": [
+            {"joints": f"Joint_Values_{run}.dat", "poses": f"EM_Trajectory_{run}.dat", "tracker": run} for run in runs
+        ],
     }
 
 

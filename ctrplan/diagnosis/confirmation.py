@@ -1,13 +1,14 @@
 """Effects found on some runs, asked once on runs that nothing has read.
 
-Model and effects stay as they were found; only the frame between robot and tracker is found anew, as it is after every
-mounting. An effect is confirmed where runs are predicted better with it than by a model that was calibrated without it,
-block after block.
+Model and effects stay as they were found; only the frames between robot and tracker are found anew, as they are after
+every mounting: for each block of poses by the other blocks. An effect is confirmed where runs are predicted better with
+it than by a model that was calibrated without it, block after block.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,14 +18,16 @@ from ctrplan.base.arguments import Made, checked
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.least_squares import Fit, fit
 from ctrplan.calibration.pose_errors import Errors, distances, summary
-from ctrplan.calibration.residuals import Noise, residuals, robust_square
+from ctrplan.calibration.residuals import Noise, robust_square
 from ctrplan.calibration.unsolved import excused
 from ctrplan.diagnosis.blocks import blocks
-from ctrplan.diagnosis.correlated_bench import FRAME, fixed, frame
+from ctrplan.diagnosis.correlated_bench import fixed
+from ctrplan.diagnosis.frames import FRAMES, frames
+from ctrplan.diagnosis.held_out import held_out_residuals
 from ctrplan.diagnosis.holding import summed
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.usable_poses import usable_poses
-from ctrplan.diagnosis.workbench import certainty
+from ctrplan.diagnosis.workbench import certainty, linear, values_by_name
 from ctrplan.errors import InputError
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.pipeline.friction_path import friction_correction
@@ -55,14 +58,18 @@ class Confirmation:
     sha256: str
     poses: int
     blocks: int
-    before: Errors  # calibrated, without any effect
-    after: Errors  # with all of them
+    calibrated: Errors  # without any effect, and in the frame that the robot file has
+    before: Errors  # the same in frames found anew
+    after: Errors  # with all effects
     effects: tuple[Confirmed, ...]
 
     @property
     def sentence(self) -> str:
         """Effect by effect."""
-        errors = f"{self.before.rms_m * 1e3:.2f} mm rms without the effects, {self.after.rms_m * 1e3:.2f} mm with them"
+        calibrated, before, after = (e.rms_m * 1e3 for e in (self.calibrated, self.before, self.after))
+        errors = (
+            f"{calibrated:.2f} mm rms calibrated, {before:.2f} mm in frames found anew, {after:.2f} mm with all effects"
+        )
         said = [f"{e.name} {e.verdict} ({e.z:.1f} standard errors)" for e in self.effects] or ["no effect to confirm"]
         return f"On {self.file or 'new runs'}, which nothing had read: {', '.join(said)}; {errors}."
 
@@ -72,6 +79,7 @@ class Confirmation:
             "measurements_sha256": self.sha256,
             "poses": self.poses,
             "blocks": self.blocks,
+            "calibrated_rms_mm": round(self.calibrated.rms_m * 1e3, 4),
             "before_rms_mm": round(self.before.rms_m * 1e3, 4),
             "after_rms_mm": round(self.after.rms_m * 1e3, 4),
             "effects": [
@@ -105,17 +113,17 @@ def confirm(found: Diagnosis, data: Measurements) -> Confirmation:
     if count < LEAST_BLOCKS:
         rule = f"has {count} usable blocks of poses, too few to confirm anything: at least {LEAST_BLOCKS}"
         raise InputError(rule, file=data.file)
-    noise = _noise(found)
-    whole, listed = _predicted(found.chosen.fit, asked, noise), {t.key for t in (*found.listed, *found.built_terms)}
+    new = _New(asked, _noise(found), block)
+    whole, listed = new.predicted(found.chosen.fit), {t.key for t in (*found.listed, *found.built_terms)}
     effects = tuple(
-        _confirmed(t, whole, _predicted(_without(found, t), asked, noise), block)
+        _confirmed(t, whole, new.predicted(_without(found, t)), block)
         for t in found.chosen.fit.chain.terms
-        if t.key in listed
+        if t.key in listed and t.name not in FRAMES
     )
-    before = _predicted(found.base.fit, asked, noise)
-    both = before.counted & whole.counted
-    without, with_them = (summary(p.distance_m[both], block[both]) for p in (before, whole))
-    return Confirmation(data.file or "", data.sha256, asked.count, count, without, with_them, effects)
+    models = (new.as_it_is(found.base.fit), new.predicted(found.base.fit), whole)
+    counted = np.logical_and.reduce([model.counted for model in models])
+    errors = (summary(model.distance_m[counted], block[counted]) for model in models)
+    return Confirmation(data.file or "", data.sha256, asked.count, count, *errors, effects)
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,18 +160,40 @@ def _without(found: Diagnosis, gone: Term) -> Fit:
     return fit(whole.chain.with_terms([t for t, _ in places]), whole.noise, whole.group, start)
 
 
-def _predicted(found: Fit, data: Measurements, noise: Noise) -> _Predicted:
-    """New poses by a fit that has not seen them, with a frame of their own."""
-    terms = [
-        t if t.name == FRAME else fixed(t, found.p[place])
-        for t, place in zip(found.chain.terms, found.chain.slices(), strict=True)
-    ]
-    has_frame = any(t.name == FRAME for t in terms)
-    chain = ParametricChain(found.chain.robot, data, terms if has_frame else [*terms, frame(found.chain.robot)])
-    p = found.p if has_frame else np.concatenate([found.p, np.zeros(len(chain.parameters) - len(found.p))])
-    chain.correction = friction_correction(chain, p)
-    alone = np.arange(data.count)
-    placed = fit(chain, noise, alone, p)
-    prediction = chain.predict(placed.p)
-    norm = residuals(data, prediction, replace(noise, discrepancy=None), alone).norm
-    return _Predicted(robust_square(norm), distances(prediction, data), ~excused(prediction.failed))
+@dataclass(frozen=True, eq=False)
+class _New:
+    """Runs that a diagnosis has not read, with noise and blocks (K,)."""
+
+    data: Measurements
+    noise: Noise
+    block: NDArray[np.int_]
+
+    def as_it_is(self, found: Fit) -> _Predicted:
+        """By a model with nothing found anew."""
+        chain, p = self._chain(found, [t for t in found.chain.terms if t.name not in FRAMES])
+        prediction = chain.predict(p, derivatives=False)
+        distance = distances(prediction, self.data)
+        return _Predicted(robust_square(distance / self.noise.position_m), distance, ~excused(prediction.failed))
+
+    def predicted(self, found: Fit) -> _Predicted:
+        """Each block by a model in the frames that the other blocks show."""
+        kept = [
+            fixed(t, found.p[place])
+            for t, place in zip(found.chain.terms, found.chain.slices(), strict=True)
+            if t.name not in FRAMES
+        ]
+        chain, p = self._chain(found, [*kept, *frames(found.chain.robot, self.data)])
+        placed = fit(chain, self.noise, np.arange(self.data.count), p)
+        left = held_out_residuals(linear(placed), self.block)
+        failed = chain.predict(placed.p, derivatives=False).failed
+        distance = np.linalg.norm(left[:, :3], axis=1) * self.noise.position_m
+        return _Predicted(robust_square(np.linalg.norm(left, axis=1)), distance, ~excused(failed))
+
+    def _chain(self, found: Fit, terms: Sequence[Term]) -> tuple[ParametricChain, Array]:
+        """Of terms with the values that they have in a fit, frames where nothing is displaced."""
+        chain = ParametricChain(found.chain.robot, self.data, terms)
+        keys = [(t.name, q.name) for t in chain.terms for q in t.parameters]
+        known = {key: value for key, value in values_by_name(found).items() if key[0] not in FRAMES}
+        p = np.array([known.get(key, value) for key, value in zip(keys, chain.neutral.tolist(), strict=True)])
+        chain.correction = friction_correction(chain, p)
+        return chain, p

@@ -1,4 +1,4 @@
-"""Fits beside a discrepancy: what no effect explains has a size and a memory, and the robot's frame is always free.
+"""Fits beside a discrepancy: what no effect explains has a size and a memory, and the robot's frames are always free.
 
 With it in the covariance, poses count for as much as they say, and everything that holds on white noise holds again.
 On a continuous motion, friction follows the simulated history from the first comparison on.
@@ -20,6 +20,7 @@ from ctrplan.calibration.residuals import Noise
 from ctrplan.calibration.symptoms import PHYSICAL_POISSON
 from ctrplan.diagnosis import surrogates
 from ctrplan.diagnosis.chance import DRAWS
+from ctrplan.diagnosis.frames import frames_beside
 from ctrplan.diagnosis.held_out import held_out_residuals
 from ctrplan.diagnosis.workbench import Scored, Workbench, linear
 from ctrplan.effects.catalogue import CATALOGUE
@@ -29,7 +30,6 @@ from ctrplan.pipeline.followed_runs import followed
 from ctrplan.pipeline.parametric_chain import ParametricChain, Term, term
 from ctrplan.robot.robot import Robot
 
-FRAME = "base_misalignment"  # of the robot in the tracker's frame, free in every fit
 HELD = 1e-4  # of a prior, which holds a parameter
 USUAL_FRICTION = 0.2  # coefficient at which states are simulated while nobody knows any
 
@@ -56,9 +56,8 @@ class CorrelatedBench(Workbench):
         return Term(whole.effect, tuple(bounded))
 
     def basis(self, terms: Sequence[Term]) -> list[Term]:
-        """Ordinary calibration and the frame, unless the frame is among the terms or in the robot file."""
-        has_one = FRAME in self.robot.effects or any(t.name == FRAME for t in terms)
-        return [self.base(terms)] if has_one else [self.base(terms), frame(self.robot)]
+        """Ordinary calibration and the frames, but those that are among the terms or in the robot file."""
+        return [self.base(terms), *frames_beside(self.robot, self.data, terms)]
 
     def begun(self) -> Scored:
         """The base, its discrepancy estimated."""
@@ -93,11 +92,19 @@ class CorrelatedBench(Workbench):
         """The set as it stands against the noise alone, so that what remains shows."""
         return replace(scored, fit=fit_at(scored.fit.chain, self.plain, self.whitening_group, scored.fit.p))
 
-    def left_out_m(self, scored: Scored) -> Array:
-        """(K, 3) [m] errors of the position when a pose's fold had not been fitted, of what is handed over."""
+    def left_out_m(self, scored: Scored, *lacking: Term) -> Array:
+        """(K, 3) [m] errors of the position when a pose's fold had not been fitted, of what is handed over.
+
+        To first order without the terms that are `lacking`.
+        """
         alike = self._alike(scored)
+        system, chain = linear(alike), alike.chain
+        if lacking:
+            names = {t.name for t in lacking}
+            mine = [t.name in names for t in chain.terms for _ in t.parameters]
+            system = system.without(np.array(mine)).refitted()
         sigma_m = alike.noise.position_m * self.data.over_tip
-        errors: Array = held_out_residuals(linear(alike), self.fold)[:, :3] * sigma_m
+        errors: Array = held_out_residuals(system, self.fold)[:, :3] * sigma_m
         return errors
 
     def _alike(self, scored: Scored) -> Fit:
@@ -176,9 +183,3 @@ def fixed(t: Term, p: Array) -> Term:
         replace(q, prior=HELD * q.prior, neutral=float(value) / q.si) for q, value in zip(t.parameters, p, strict=True)
     ]
     return Term(t.effect, tuple(held))
-
-
-def frame(robot: Robot) -> Term:
-    """The rigid motion between robot and tracker, all of it."""
-    effect = CATALOGUE[FRAME]
-    return term(effect, [parameter.name for parameter in effect.parameters(robot)], robot)

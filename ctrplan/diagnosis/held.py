@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ctrplan.diagnosis.correlated_bench import FRAME
+from ctrplan.diagnosis.frames import FRAMES
 from ctrplan.diagnosis.holding import Evidence, evidence, in_its_place
 from ctrplan.diagnosis.partial_search import PartialSelector, is_built
 from ctrplan.diagnosis.selection import Step
@@ -39,7 +39,7 @@ def held(selector: PartialSelector, chosen: Scored) -> Held:
         chance = selector.chance(chosen)
         among = [*bench.basis(chosen.terms), *chosen.terms]
         panel = bench.panel(chosen, selector.candidates.beside(chosen.terms))
-        named = [t for t in among if t.name == FRAME or (t in chosen.terms and not is_built(t))]
+        named = [t for t in among if t.name in FRAMES or (t in chosen.terms and not is_built(t))]
         asked = [evidence(bench, panel, among, t, chance) for t in named]
         failing = [e for e in asked if not e.holds and e.term in chosen.terms]
         if not failing:
@@ -54,7 +54,7 @@ def held(selector: PartialSelector, chosen: Scored) -> Held:
 def finding(selector: PartialSelector, found: Held, t: Term) -> tuple[Finding, list[Alternative]]:
     """An effect that holds with what does as well in its place, refitted; and all that was tried there."""
     bench, chosen = selector.partial_bench, found.chosen
-    if t.name == FRAME:
+    if t.name in FRAMES:
         return Finding(t), []
     others, tried = [other for other in chosen.terms if other is not t], []
     for other, _, _ in in_its_place(bench, found.panel, found.among, t)[:TRIED]:
@@ -64,8 +64,8 @@ def finding(selector: PartialSelector, found: Held, t: Term) -> tuple[Finding, l
 
 
 def _is_replaceable(selector: PartialSelector, panel: Panel, among: Sequence[Term], t: Term) -> bool:
-    """Whether another effect does as well in the place of the frame, which is free in every fit."""
-    if t.name != FRAME:
+    """Whether another effect does as well in the place of a frame, which is free in every fit."""
+    if t.name not in FRAMES:
         return False
     ranked = in_its_place(selector.bench, panel, among, t)
     return any(behind < max(CLOSE, CLOSE_ERRORS * error) for _, behind, error in ranked)

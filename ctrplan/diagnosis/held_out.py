@@ -32,6 +32,18 @@ class Linear:
             self.r, self.J[:, :, chosen], self.weight, self.precision[chosen], self.offset[chosen], self.given
         )
 
+    def without(self, gone: NDArray[np.bool_]) -> Linear:
+        """With some of the parameters, mask (P,), back at the priors' centres, and no longer fitted."""
+        back = Linear(
+            self.r + self.J[:, :, gone] @ self.offset[gone],
+            self.J,
+            self.weight,
+            self.precision,
+            self.offset,
+            self.given,
+        )
+        return back.columns(np.flatnonzero(~gone).tolist())
+
     def refitted(self) -> Linear:
         """After one Gauss-Newton step."""
         H, gradient = self._system()

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from ctrplan.diagnosis.candidates import Candidates
-from ctrplan.diagnosis.correlated_bench import FRAME, CorrelatedBench
+from ctrplan.diagnosis.correlated_bench import CorrelatedBench
+from ctrplan.diagnosis.frames import FRAMES
 from ctrplan.diagnosis.selection import Report, Selection, Selector, step
 from ctrplan.diagnosis.workbench import Scored, certainty
 from ctrplan.effects.learned.learned import Learned
@@ -62,6 +63,6 @@ def is_built(t: Term) -> bool:
 
 
 def testable_beside(known: Candidates, bench: CorrelatedBench) -> Candidates:
-    """What may be missing beside a free frame and, on a continuous motion, friction that follows its history."""
-    always = {FRAME, "translation_release"} if bench.data.is_stream else {FRAME}
+    """What may be missing beside free frames and, on a continuous motion, friction that follows its history."""
+    always = {*FRAMES, "translation_release"} if bench.data.is_stream else {*FRAMES}
     return Candidates(tuple(t for t in known.terms if t.name not in always), known.not_testable)

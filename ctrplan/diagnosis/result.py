@@ -15,7 +15,7 @@ from ctrplan.calibration.residuals import Noise
 from ctrplan.calibration.robot_content import calibrated_content, model_error_m
 from ctrplan.diagnosis.building.built import Built
 from ctrplan.diagnosis.chi_square import ChiSquare
-from ctrplan.diagnosis.correlated_bench import FRAME
+from ctrplan.diagnosis.frames import FRAMES
 from ctrplan.diagnosis.gap import Gap
 from ctrplan.diagnosis.localise import Place
 from ctrplan.diagnosis.next_experiment import Proposal
@@ -78,7 +78,7 @@ class Diagnosis:
 
     def robot_content(self) -> dict[str, Any]:
         """The content of the new robot file: calibrated, with the effects of the verdict and a free frame in it."""
-        frame = [t for t in self.chosen.fit.chain.terms if t.name == FRAME and t not in self.listed]
+        frame = [t for t in self.chosen.fit.chain.terms if t.name in FRAMES and t not in self.listed]
         effects = [*self.listed, *self.built_terms, *frame]
         return calibrated_content(self.chosen.fit, effects, self.data, self.model_error_m)
 

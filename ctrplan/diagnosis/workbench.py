@@ -75,11 +75,9 @@ class Panel:
 
     def without(self, gone: Term) -> Panel:
         """With one of its effects taken back to where it does nothing, and none of its parameters."""
-        mine = np.array([name == gone.name for name, _ in self.keys])
-        w = self.whole
-        left = Linear(w.r + w.J[:, :, mine] @ w.offset[mine], w.J, w.weight, w.precision, w.offset, w.given)
-        rest = np.flatnonzero(~mine).tolist()
-        return Panel(tuple(self.keys[k] for k in rest), left.columns(rest), self.variants)
+        mine: NDArray[np.bool_] = np.array([name == gone.name for name, _ in self.keys])
+        keys = tuple(key for key, gone in zip(self.keys, mine, strict=True) if not gone)
+        return Panel(keys, self.whole.without(mine), self.variants)
 
     def others(self, among: Sequence[Term]) -> list[Term]:
         """Variants of effects that are not among the terms."""

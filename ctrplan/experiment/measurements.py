@@ -122,10 +122,14 @@ class Measurements:
 
 
 def is_streamed(sequence: NDArray[np.int_], rows: NDArray[np.int_], joints: Array) -> bool:
-    """Whether poses were logged on a continuous motion of the joints (R, 2 n), rather than after settling."""
+    """Whether poses were logged on a continuous motion of the joints (R, 2 n), rather than after settling.
+
+    Poses in the midst of a standstill say neither.
+    """
     moves = np.abs(np.diff(joints, axis=0, prepend=joints[:1], append=joints[-1:])).max(axis=1) > 0
     measured = np.zeros(len(sequence) + 2, bool)
     measured[rows + 1] = True
     run = np.concatenate([[-1], sequence, [-1]])
     inside = measured[rows] & measured[rows + 2] & (run[rows] == run[rows + 1]) & (run[rows + 2] == run[rows + 1])
-    return bool((inside & moves[rows] & moves[rows + 1]).mean() > STREAMED_SHARE)
+    going = moves[rows] | moves[rows + 1]
+    return bool(going.any() and (inside & moves[rows] & moves[rows + 1])[going].mean() > STREAMED_SHARE)

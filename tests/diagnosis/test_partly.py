@@ -67,15 +67,30 @@ def test_a_rest_alone_names_nothing() -> None:
     assert found.verdict == "unexplained" and not found.listed
 
 
+def test_runs_of_a_tracker_that_was_set_up_anew_have_frames_of_their_own() -> None:
+    data = beside_a_rest(KNOWN)
+    later = PLAN.sequence > np.median(PLAN.sequence)
+    position = data.position_m + np.outer(later[PLAN.rows], [5e-3, -3e-3, 2e-3])
+    found = diagnose(ROBOT, replace(data, position_m=position, frame=1 + later), catalogue=QUICK)
+    assert "backlash" in {t.name for t in found.listed}
+    assert found.gap.before.rms_m > 2e-3 and found.gap.after.rms_m < 1.2 * partial().gap.after.rms_m
+    assert found.robot_content()["effects"]["frame_shift"]["shift_x_2_mm"] == pytest.approx(5.0, abs=1.0)
+
+
 def test_the_report_splits_the_gap() -> None:
     page = diagnosis_report_html(partial(), selection_errors(partial()))
     assert "remains, unexplained" in page and "Closes as the last" in page and "In part:" in page
 
 
 def test_other_runs_confirm_what_is_there_and_not_what_is_not() -> None:
-    there = confirm(partial(), beside_a_rest(KNOWN, OTHERS, seed=9))
+    there_data = beside_a_rest(KNOWN, OTHERS, seed=9)
+    there = confirm(partial(), there_data)
     assert [(e.name, e.verdict) for e in there.effects] == [("backlash", "confirmed")]
     assert there.after.rms_m < there.before.rms_m and "backlash confirmed" in there.sentence
+    moved = replace(there_data, position_m=there_data.position_m + [4e-3, -2e-3, 1e-3])
+    elsewhere = confirm(partial(), moved)
+    assert elsewhere.calibrated.rms_m > 4e-3 > 3 * elsewhere.after.rms_m  # the tracker was set up anew
+    assert elsewhere.after.rms_m == pytest.approx(there.after.rms_m, rel=0.1)
     gone = confirm(partial(), beside_a_rest({}, OTHERS, seed=9))
     assert gone.effects[0].verdict == "contradicted" and gone.effects[0].gain < 0
     same = replace(partial().data, sha256="1" * 64)

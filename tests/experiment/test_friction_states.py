@@ -63,3 +63,5 @@ def test_a_stream_is_told_from_waypoints() -> None:
     assert is_streamed(run, np.arange(20), moving)
     assert not is_streamed(np.repeat(np.arange(10), 2), np.arange(1, 20, 2), moving)
     assert not is_streamed(run, np.arange(20), np.repeat(moving[:4], 5, axis=0))  # measured again and again at rest
+    paused = np.repeat(moving, np.where(np.arange(20) % 7 == 3, 40, 1), axis=0)  # a log with long standstills
+    assert is_streamed(np.zeros(len(paused), int), np.arange(len(paused)), paused)

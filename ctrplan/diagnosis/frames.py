@@ -1,0 +1,32 @@
+"""The rigid motions between robot and tracker, one for each set-up of the tracker: free wherever something remains.
+
+A robot that is held in a hand, or registered anew, stands elsewhere in every run. Nothing else can be told before that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ctrplan.effects.catalogue import CATALOGUE
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.pipeline.parametric_chain import Term, term
+from ctrplan.robot.robot import Robot
+
+FRAME, SHIFT = "base_misalignment", "frame_shift"  # of the first set-up, and of the others beside it
+FRAMES = (FRAME, SHIFT)
+
+
+def frames(robot: Robot, data: Measurements) -> list[Term]:
+    """One rigid motion, and one more for every further frame that the poses are in."""
+    effect, shift = CATALOGUE[FRAME], CATALOGUE[SHIFT]
+    found = [term(effect, [parameter.name for parameter in effect.parameters(robot)], robot)]
+    if not shift.untestable(robot, data):
+        (names,) = shift.variants(robot, data)
+        found.append(term(shift, names, robot))
+    return found
+
+
+def frames_beside(robot: Robot, data: Measurements, terms: Sequence[Term]) -> list[Term]:
+    """Those that are neither among the terms nor in the robot file."""
+    known = {*robot.effects, *(t.name for t in terms)}
+    return [t for t in frames(robot, data) if t.name not in known]
