@@ -21,7 +21,7 @@ from ctrplan.diagnosis.partly import Partly, partly
 from ctrplan.diagnosis.rescaled_noise import rescaled_noise
 from ctrplan.diagnosis.selection import Selector, Step
 from ctrplan.diagnosis.teller import Interrupted, Teller
-from ctrplan.diagnosis.usable_poses import bench_of, checked_split, without_outliers
+from ctrplan.diagnosis.usable_poses import bench_of, checked_split, thinned, without_outliers
 from ctrplan.diagnosis.verdict import Finding, Judgement, judge
 from ctrplan.diagnosis.workbench import Scored, Workbench
 from ctrplan.experiment.measurements import Measurements
@@ -60,7 +60,9 @@ def answer(
     wrong, parts, bench = without_outliers(robot, data, usable, noise)
     is_long = data.is_stream and int((usable & ~wrong).sum()) > LONG_LOG
     if is_long:
-        first = _beside_a_rest(_nothing(data, parts, bench, wrong), data, usable, noise, known, teller)
+        few = thinned(parts, data)
+        nothing = _nothing(data, few, bench_of(robot, data, few, noise), wrong)
+        first = _beside_a_rest(nothing, data, usable, noise, known, teller)
         if first.interrupted or (first.partly and not first.partly.is_noise):
             return _with_built(first, first, teller)
     found = _ordinary(data, usable, wrong, bench, parts, known, teller)

@@ -36,9 +36,9 @@ def held(selector: PartialSelector, chosen: Scored) -> Held:
     bench, doubted, dropped = selector.partial_bench, list[Evidence](), list[Step]()
     while True:
         selector.tell(f"asking what holds of {', '.join(chosen.names)}" if chosen.terms else "asking what holds")
-        chance = selector.chance(chosen)
         among = [*bench.basis(chosen.terms), *chosen.terms]
         panel = bench.panel(chosen, selector.candidates.beside(chosen.terms))
+        chance = selector.chance(chosen, panel, among)
         named = [t for t in among if t.name in FRAMES or (t in chosen.terms and not is_built(t))]
         asked = [evidence(bench, panel, among, t, chance) for t in named]
         failing = [e for e in asked if not e.holds and e.term in chosen.terms]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from ctrplan.diagnosis.candidates import Candidates
+from ctrplan.diagnosis.chance import null_threshold
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.frames import FRAMES
 from ctrplan.diagnosis.selection import Report, Selection, Selector, step
-from ctrplan.diagnosis.workbench import Scored, certainty
+from ctrplan.diagnosis.workbench import Panel, Scored, certainty
 from ctrplan.effects.learned.learned import Learned
 from ctrplan.pipeline.parametric_chain import Term
 
@@ -31,11 +34,14 @@ class PartialSelector(Selector):
             pass
         return self.found
 
-    def chance(self, chosen: Scored) -> float:
-        """Gain of the best candidate beside a set that surrogates of its residual exceed in 2 % of draws."""
-        others = self._others(chosen)
-        screened = self.bench.screened(chosen, others, self.candidates.completed)
-        return self._threshold(chosen, screened) if screened else 0.0
+    def chance(self, chosen: Scored, panel: Panel, among: Sequence[Term]) -> float:
+        """Gain of the best candidate beside a set that surrogates of its residual exceed in 2 % of draws.
+
+        To first order, as the evidence is; `among` is all that is fitted.
+        """
+        beside = [panel.of([*among, other]) for other in panel.others(among)]
+        draws = self.bench.null_draws(chosen)
+        return null_threshold(panel.of(among), beside, self.bench.fold, draws) if beside else 0.0
 
     def _grow(self, found: Selection) -> bool:
         """The first of the best candidates that is certain; another one may need it to become so."""

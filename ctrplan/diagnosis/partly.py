@@ -25,14 +25,13 @@ from ctrplan.diagnosis.partial_search import PartialSelector
 from ctrplan.diagnosis.rest import Rest
 from ctrplan.diagnosis.selection import Report, Selection, Step
 from ctrplan.diagnosis.shares import Part, mean_square, part_of
+from ctrplan.diagnosis.usable_poses import thinned, thinning
 from ctrplan.diagnosis.verdict import MOST_RIVALS, Judgement
 from ctrplan.diagnosis.workbench import Scored, Workbench
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.experiment.split import Split
 from ctrplan.pipeline.parametric_chain import Term
 from ctrplan.robot.robot import Robot
-
-MOST_POSES = 260  # of a continuous motion that are compared; the others stand near them and say the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +93,7 @@ def partly(
     """Searches, asks what holds, and describes the rest; `usable` (K,) are the poses to go by."""
     tell("looking for what holds beside a rest")
     block = blocks(data, _memory(robot, data, usable, noise))
-    parts = _thinned(block_split(data, usable, block), data)
+    parts = thinned(block_split(data, usable, block), data)
     bench = CorrelatedBench(robot, data.subset(parts.selection), noise, block[parts.selection], parts.fold)
     base = Workbench(robot, bench.data, noise, bench.group, bench.fold).scored([])
     selector = PartialSelector(bench, known, tell)
@@ -139,22 +138,10 @@ def _memory(robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: 
     if not data.is_stream:
         return 0.0
     some = np.flatnonzero(usable)
-    some = some[:: _step(len(some))]
+    some = some[:: thinning(len(some))]
     alone = np.arange(len(some))
     bench = CorrelatedBench(robot, data.subset(some), noise, alone, alone)
     return bench.estimated(bench.scored([])).memory
-
-
-def _thinned(parts: Split, data: Measurements) -> Split:
-    """Of a continuous motion so many poses that they stand apart."""
-    if not data.is_stream:
-        return parts
-    some = np.arange(len(parts.selection))[:: _step(len(parts.selection))]
-    return Split(parts.selection[some], parts.held_out_set, parts.fold[some])
-
-
-def _step(count: int) -> int:
-    return max(1, -(-count // MOST_POSES))
 
 
 def rest_beside(bench: CorrelatedBench, chosen: Scored, noise: Noise) -> Rest:

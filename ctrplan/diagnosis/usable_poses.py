@@ -16,6 +16,7 @@ from ctrplan.pipeline.tip_table import nested
 from ctrplan.robot.robot import Robot
 
 LEAST_STABILITY = 0.03  # of the believed robot: nearer to snapping no model is asked
+MOST_POSES = 260  # of a continuous motion that are compared; the others stand near them and say the same
 LEAST_GROUPS = 12  # configurations, or blocks of a continuous motion
 
 
@@ -56,8 +57,22 @@ def without_outliers(
     wrong = np.zeros(data.count, bool)
     while True:
         parts = checked_split(data, usable & ~wrong)
-        bench = bench_of(robot, data, parts, noise)
+        some = thinned(parts, data)
+        bench = bench_of(robot, data, some, noise)
         more = gross_outliers(bench.scored([]).fit, data, usable & ~wrong)
         if not more.any() or too_many(wrong | more, usable):
-            return wrong, parts, bench
+            return wrong, parts, bench if some is parts else bench_of(robot, data, parts, noise)
         wrong |= more
+
+
+def thinned(parts: Split, data: Measurements) -> Split:
+    """Of a continuous motion so many poses for the selection that they stand apart."""
+    step = thinning(len(parts.selection))
+    if not data.is_stream or step == 1:
+        return parts
+    return Split(parts.selection[::step], parts.held_out_set, parts.fold[::step])
+
+
+def thinning(count: int) -> int:
+    """Every how manieth of the poses of a continuous motion is enough."""
+    return max(1, -(-count // MOST_POSES))
