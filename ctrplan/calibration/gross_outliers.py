@@ -31,7 +31,7 @@ def gross_outliers(fit: Fit, data: Measurements, asked: NDArray[np.bool_]) -> ND
     judged = data.subset(asked)
     chain = ParametricChain(fit.chain.robot, judged, fit.chain.terms)
     chain.correction = friction_correction(chain, fit.p)
-    prediction = chain.predict(fit.p)
+    prediction = chain.predict(fit.p, derivatives=False)
     norm = residuals(judged, prediction, fit.noise, np.arange(judged.count)).raw_norm
     solved = ~excused(prediction.failed)
     wrong = np.zeros(data.count, bool)
