@@ -16,7 +16,7 @@ from ctrplan.pipeline.tip_table import nested
 from ctrplan.robot.robot import Robot
 
 LEAST_STABILITY = 0.03  # of the believed robot: nearer to snapping no model is asked
-MOST_POSES = 260  # of a continuous motion that are compared; the others stand near them and say the same
+MOST_POSES = 200  # of a continuous motion that are compared; the others stand near them and say the same
 LEAST_GROUPS = 12  # configurations, or blocks of a continuous motion
 
 

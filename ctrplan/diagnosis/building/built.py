@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from ctrplan.diagnosis.building.search import Round, Tried, grown
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.holding import SAYS_SOMETHING, summed
 from ctrplan.diagnosis.partial_search import PartialSelector, is_built
-from ctrplan.diagnosis.partly import Partly, concluded
+from ctrplan.diagnosis.partly import Partly, concluded, rest_beside
 from ctrplan.diagnosis.rest import Rest
 from ctrplan.diagnosis.selection import Selection, Step
 from ctrplan.diagnosis.shares import mean_square
@@ -108,6 +108,9 @@ def tried(found: Partly, tell: Callable[[str], None]) -> Built | None:
     scored, rounds = grown(bench, named, tell, with_names)
     if scored is named:
         return None
+    alone = _evidence(replace(found, chosen=scored, rest=rest_beside(bench, scored, bench.plain)), rounds)
+    if refusals(bench, alone):
+        return alone  # what holds beside it is of no matter
     searched = Selection(scored, path)
     again = concluded(_selector(found, scored, tell), searched, found.known, found.split, found.block, found.base)
     if not any(is_built(t) for t in again.chosen.terms):
