@@ -80,6 +80,7 @@ def test_runs_of_a_tracker_that_was_set_up_anew_have_frames_of_their_own() -> No
 def test_the_report_splits_the_gap() -> None:
     page = diagnosis_report_html(partial(), selection_errors(partial()))
     assert "remains, unexplained" in page and "Closes as the last" in page and "In part:" in page
+    assert "noise of the measurement" in page and "remain (rms, noise taken out)" in page
 
 
 def test_other_runs_confirm_what_is_there_and_not_what_is_not() -> None:

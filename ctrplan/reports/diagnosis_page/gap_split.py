@@ -32,8 +32,9 @@ def gap_split(found: Diagnosis) -> Markup:
         ("noise of the measurement", noise, NOISE),
     ]
     shown = [(label, share, colour) for label, share, colour in parts if share > LEAST_SHOWN]
+    told = [part for part in parts if part in shown or part[2] == NOISE]  # however small the noise is
     words = tag("p", "Shares are of squared errors on the poses kept aside, which add up.", kind="quiet small")
-    return tag("div", _bar(shown), _key(shown), words)
+    return tag("div", _bar(shown), _key(told), words)
 
 
 def _bar(parts: Sequence[tuple[str, float, str]]) -> Markup:
@@ -50,10 +51,14 @@ def _key(parts: Sequence[tuple[str, float, str]]) -> Markup:
     square = "display: inline-block; width: 11px; height: 11px; border-radius: 3px; margin-right: 6px"
     entries = [
         f'<span style="margin-right: 22px"><i style="{square}; background: {colour}"></i>'
-        f"<b>{100 * share:.0f} %</b> {escaped(label)}</span>"
+        f"<b>{_percent(share)}</b> {escaped(label)}</span>"
         for label, share, colour in parts
     ]
     return Markup(f"<p>{''.join(entries)}</p>")
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %" if share >= 0.01 else "below 1 %"
 
 
 def share_table(partly: Partly) -> Markup:

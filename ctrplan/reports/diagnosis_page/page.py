@@ -78,7 +78,8 @@ def diagnosis_report_html(found: Diagnosis, errors: SelectionErrors) -> str:
 
 
 def _parts(found: Diagnosis) -> list[Markup]:
-    return [share_table(found.partly)] if found.partly else []
+    rest = [tag("p", found.rest.sentence)] if found.rest else []
+    return [share_table(found.partly), *rest] if found.partly else rest
 
 
 def _tiles(found: Diagnosis) -> Markup:
