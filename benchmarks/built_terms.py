@@ -6,7 +6,7 @@ nulls with memory.
     python benchmarks/built_terms.py table FOLDER
 
 Every world is solved once and measured in 32 configurations, five approaches each. A set adds noise to it, and smooth
-random errors: of 0.3 mm, to nulls of 1 to 3 mm and several memories. Asked is what holds of the whole catalogue beside
+random errors: of 0.3 and 1 mm, to nulls of 1 to 3 mm and several memories. Asked is what holds of the whole catalogue beside
 a rest, what can be built of the rest, and what holds beside that, without the ordinary search before it. The gap is
 what the poses kept aside show, their noise taken out. Resumable.
 """
@@ -101,7 +101,7 @@ def worlds() -> list[tuple[str, Hidden]]:
 def leftovers(row: str) -> list[Leftover]:
     """Sizes [mm] and memories, rad of joints or s, of the sets of a world."""
     if row != NULL:
-        return [Leftover(0.3, "configuration", 0.7)]
+        return [Leftover(0.3, "configuration", 0.7), Leftover(1.0, "configuration", 1.5)]
     kinds = (("configuration", 0.3), ("configuration", 0.7), ("configuration", 1.5), ("time", 20.0), ("time", 100.0))
     return [Leftover(size, kind, memory) for _ in range(3) for size in (1.0, 2.0, 3.0) for kind, memory in kinds]
 

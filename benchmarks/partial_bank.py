@@ -5,7 +5,8 @@
     python benchmarks/partial_bank.py table FOLDER
 
 Every world is solved once and gets several smooth random errors besides, fixed to the configuration or to the time, of
-several memories. Asked is what holds beside a rest, without the ordinary search before it. Resumable.
+several memories. Asked is what holds beside a rest, and beside terms built of it, without the ordinary search before it.
+Resumable.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from hidden_effects.noise import add_noise
 from hidden_effects.score import wilson
 from hidden_effects.world import believed
 
+from ctrplan.diagnosis.building.built import build
 from ctrplan.diagnosis.candidates import candidates
 from ctrplan.diagnosis.noise_floor import noise_floor
 from ctrplan.diagnosis.partly import partly
@@ -148,6 +150,8 @@ def ask(folder: Path) -> None:
         began = time.perf_counter()
         noise, usable = noise_floor(robot, data)[0], usable_poses(robot, data)
         found = partly(robot, data, usable, noise, candidates(robot, data), lambda _: None)
+        if built := build(found, lambda _: None):
+            found = built.partly
         names = [[f.term.name, *(a.term.name for a in f.alternatives)] for f in found.judgement.findings]
         doubted = {e.term.name: e.doubts for e in found.doubted}
         seconds = round(time.perf_counter() - began, 1)
