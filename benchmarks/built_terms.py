@@ -6,9 +6,9 @@ nulls with memory.
     python benchmarks/built_terms.py table FOLDER
 
 Every world is solved once and measured in 32 configurations, five approaches each. A set adds noise to it, and smooth
-random errors: of 0.3 and 1 mm, to nulls of 1 to 3 mm and several memories. Asked is what holds of the whole catalogue beside
-a rest, what can be built of the rest, and what holds beside that, without the ordinary search before it. The gap is
-what the poses kept aside show, their noise taken out. Resumable.
+random errors: of 0.3 and 1 mm, to nulls of 1 to 3 mm and several memories. Asked is what holds of the whole catalogue
+beside a rest, what can be built of the rest, and what holds beside that, without the ordinary search before it. The gap
+is what the poses kept aside show, their noise taken out. Resumable.
 """
 
 from __future__ import annotations

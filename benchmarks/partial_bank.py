@@ -5,7 +5,7 @@
     python benchmarks/partial_bank.py table FOLDER
 
 Every world is solved once and gets several smooth random errors besides, fixed to the configuration or to the time, of
-several memories. Asked is what holds beside a rest, and beside terms built of it, without the ordinary search before it.
+several memories. Asked is what holds beside a rest, and beside terms built of it, without the ordinary search before.
 Resumable.
 """
 
