@@ -78,17 +78,19 @@ def adequacy(fit: Linear, group: NDArray[np.int_], ignored: NDArray[np.bool_]) -
     root = information_inverse(fit.J, fit.weight, fit.precision)
     hat = J @ root  # (K, 5, P): hat hat^T is the share of noise that the fit took
     means, mean_hats = _group_means(r, group, given), _group_means(hat, group, given)
-    total = ChiSquare(float((r**2).sum()), given.sum() - float((hat**2).sum()))
-    between = ChiSquare(
-        float((means**2).sum()), _group_sums(given, group).astype(bool).sum() - float((mean_hats**2).sum())
-    )
+    total = ChiSquare(float((r**2).sum()), given.sum() - _taken(hat))
+    between = ChiSquare(float((means**2).sum()), _group_sums(given, group).astype(bool).sum() - _taken(mean_hats))
     within = ChiSquare(total.value - between.value, total.dof - between.dof)
     parts = (slice(0, 3), slice(3, PER_POSE))
     position, tangent = (
-        ChiSquare(float((r[:, part] ** 2).sum()), given[:, part].sum() - float((hat[:, part] ** 2).sum()))
-        for part in parts
+        ChiSquare(float((r[:, part] ** 2).sum()), given[:, part].sum() - _taken(hat[:, part])) for part in parts
     )
     return Adequacy(total, between, within, position, tangent)
+
+
+def _taken(hat: Array) -> float:
+    """Degrees of freedom that a fit takes: one a parameter at most, which small robust weights would exceed."""
+    return min(float((hat**2).sum()), float(hat.shape[2]))
 
 
 def remains(bench: Workbench, scored: Scored) -> Adequacy:

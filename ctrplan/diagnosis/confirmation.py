@@ -7,6 +7,7 @@ it than by a model that was calibrated without it, block after block.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -108,7 +109,7 @@ def confirm(found: Diagnosis, data: Measurements) -> Confirmation:
     some = some[:: max(1, -(-len(some) // MOST_POSES))] if data.is_stream else some
     asked = data.subset(some)
     memory = found.partly.rest.memory if found.partly else None
-    block = blocks(asked, memory or 1.0)
+    block = blocks(asked, math.inf if memory is None else memory)  # as long as can be where nobody knows
     count = len(np.unique(block))
     if count < LEAST_BLOCKS:
         rule = f"has {count} usable blocks of poses, too few to confirm anything: at least {LEAST_BLOCKS}"

@@ -96,6 +96,7 @@ def diagnose(
         partly=found.partly if judgement.verdict == "partial" else None,
         built=found.built,
         named_gap=asked.named_gap,
+        framed_gap=asked.framed_gap,
     )
 
 

@@ -36,10 +36,24 @@ class Opened:
     notes: tuple[str, ...]
     answer: Answer  # that it is of: without a built term where that failed
     named_gap: Gap | None = None  # without the built term, where there is one
+    framed_gap: Gap | None = None  # with free frames alone, where something remains
 
 
 def opened(answer: Answer, data: Measurements) -> Opened:
     """What the poses kept aside say of an answer; a built term that makes any region worse is taken back."""
+    asked = _with_or_without_built(answer, data)
+    return replace(asked, framed_gap=_framed(asked.answer, data)) if asked.answer.partly else asked
+
+
+def _framed(answer: Answer, data: Measurements) -> Gap:
+    """What frames alone do for the poses kept aside."""
+    assert answer.partly is not None
+    bench, kept = answer.partly.bench, answer.split.held_out_set
+    frames = bench.handed_over(bench.scored([]))
+    return open_held_out_set(answer.base.fit, frames.fit, data.subset(kept), answer.group[kept], answer.noise)
+
+
+def _with_or_without_built(answer: Answer, data: Measurements) -> Opened:
     if answer.built is None or answer.otherwise is None:
         return _opened(answer, data)
     found, without = _opened(answer, data), _opened(_only_named(answer, answer.built), data)

@@ -69,6 +69,7 @@ class Diagnosis:
     partly: Partly | None = None  # what remains beside the effects, where that is the verdict
     built: Built | None = None  # a term of what the effects leave; of `chosen` too, and no cause
     named_gap: Gap | None = None  # the gap without the built term, where there is one
+    framed_gap: Gap | None = None  # the gap with free frames alone, where something remains
     confirmations: tuple[Confirmed, ...] = ()  # on other runs, asked once
 
     @property
@@ -102,7 +103,7 @@ class Diagnosis:
         return {
             "verdict": self.verdict,
             "effects": [self._effect(k) for k in range(len(self.judgement.findings))],
-            "gap": _gap(self.gap) | self._named_gap(),
+            "gap": _gap(self.gap) | self._partial_gaps(),
             "where": self.place.sentence,
             "rest": self.partly.to_json() if self.partly else None,
             "built": self.built.to_json(self.chosen) if self.built else None,
@@ -131,8 +132,9 @@ class Diagnosis:
             "schema_version": SCHEMA_VERSION,
         }
 
-    def _named_gap(self) -> dict[str, float]:
-        return {"named_rms_mm": _millimetres(self.named_gap.after.rms_m)} if self.named_gap else {}
+    def _partial_gaps(self) -> dict[str, float]:
+        gaps = {"framed_rms_mm": self.framed_gap, "named_rms_mm": self.named_gap}
+        return {name: _millimetres(gap.after.rms_m) for name, gap in gaps.items() if gap}
 
     def _effect(self, k: int) -> dict[str, Any]:
         finding = self.judgement.findings[k]

@@ -15,9 +15,11 @@ from measured_data import measured, pair_robot, waypoints, write_csv
 from ctrplan.cli import main
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
 from ctrplan.diagnosis.confirmation import confirm
+from ctrplan.diagnosis.sentences import effect_lines
 from ctrplan.errors import InputError
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.reports.diagnosis_page.gap_split import gap_split
 from ctrplan.reports.diagnosis_page.page import diagnosis_report_html
 from ctrplan.reports.diagnosis_page.selection_errors import selection_errors
 
@@ -74,6 +76,9 @@ def test_runs_of_a_tracker_that_was_set_up_anew_have_frames_of_their_own() -> No
     found = diagnose(ROBOT, replace(data, position_m=position, frame=1 + later), catalogue=QUICK)
     assert "backlash" in {t.name for t in found.listed}
     assert found.gap.before.rms_m > 2e-3 and found.gap.after.rms_m < 1.2 * partial().gap.after.rms_m
+    assert found.framed_gap is not None and found.gap.after.rms_m < found.framed_gap.after.rms_m < 2e-3
+    assert "a frame of its own in each of 2 set-ups" in effect_lines(found)[0]
+    assert "frames of robot and tracker" in gap_split(found)
     assert found.robot_content()["effects"]["frame_shift"]["shift_x_2_mm"] == pytest.approx(5.0, abs=1.0)
 
 

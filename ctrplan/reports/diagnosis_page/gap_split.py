@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ctrplan.calibration.estimates import estimates
+from ctrplan.diagnosis.frames import FRAMES
 from ctrplan.diagnosis.partly import Partly
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.sentences import built_lines
@@ -13,6 +14,7 @@ from ctrplan.reports import palette
 from ctrplan.reports.html_page import Markup, escaped, table, tag
 
 NAMED, REMAINING, NOISE, BUILT = palette.SERIES[0], palette.SERIES[1], palette.PLATE, palette.SERIES[2]
+FRAMED = palette.SERIES[4]
 LEAST_SHOWN = 0.002  # of the bar
 
 
@@ -22,11 +24,15 @@ def gap_split(found: Diagnosis) -> Markup:
     whole = max(gap.before.rms_m, gap.after.rms_m, gap.floor_m) ** 2
     noise = min(gap.floor_m, gap.after.rms_m) ** 2 / whole
     remaining = gap.after.rms_m**2 / whole - noise
-    names = " and ".join(t.effect.title for t in found.listed) or "effects"
+    names = " and ".join(t.effect.title for t in found.listed if t.name not in FRAMES) or "effects"
     built = max(found.named_gap.after.rms_m**2 - gap.after.rms_m**2, 0.0) / whole if found.named_gap else 0.0
     built = min(built, max(1 - remaining - noise, 0.0))
+    named = max(1 - remaining - noise - built, 0.0)
+    framed = max(1 - found.framed_gap.after.rms_m**2 / whole, 0.0) if found.framed_gap else 0.0
+    framed = min(framed, named) if any(t.name not in FRAMES for t in found.listed) else named if framed else 0.0
     parts = [
-        (f"named: {names}", 1 - remaining - noise - built, NAMED),
+        ("frames of robot and tracker, found with the rest", framed, FRAMED),
+        (f"named: {names}", named - framed, NAMED),
         (f"built: {' and '.join(t.effect.title for t in found.built_terms)}", built, BUILT),
         ("remains, unexplained", remaining, REMAINING),
         ("noise of the measurement", noise, NOISE),
