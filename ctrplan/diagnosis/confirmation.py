@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arguments import Made, checked
 from ctrplan.base.arrays import Array
+from ctrplan.calibration.gross_outliers import gross_outliers, too_many
 from ctrplan.calibration.least_squares import Fit, fit
 from ctrplan.calibration.pose_errors import Errors, distances, summary
 from ctrplan.calibration.residuals import Noise, robust_square
@@ -105,16 +106,12 @@ def confirm(found: Diagnosis, data: Measurements) -> Confirmation:
     """
     if data.sha256 and data.sha256 == found.data.sha256:
         raise InputError("must be runs that the diagnosis has not read", file=data.file, key="confirm")
-    some = np.flatnonzero(usable_poses(found.robot, data))
-    some = some[:: max(1, -(-len(some) // MOST_POSES))] if data.is_stream else some
-    asked = data.subset(some)
-    memory = found.partly.rest.memory if found.partly else None
-    block = blocks(asked, math.inf if memory is None else memory)  # as long as can be where nobody knows
-    count = len(np.unique(block))
-    if count < LEAST_BLOCKS:
-        rule = f"has {count} usable blocks of poses, too few to confirm anything: at least {LEAST_BLOCKS}"
-        raise InputError(rule, file=data.file)
-    new = _New(asked, _noise(found), block)
+    usable = usable_poses(found.robot, data)
+    new = _new(found, data, usable)
+    wrong = gross_outliers(new.placed(found.chosen.fit), data, usable)
+    if wrong.any() and not too_many(wrong, usable):
+        new = _new(found, data, usable & ~wrong)
+    block, count = new.block, len(np.unique(new.block))
     whole, listed = new.predicted(found.chosen.fit), {t.key for t in (*found.listed, *found.built_terms)}
     effects = tuple(
         _confirmed(t, whole, new.predicted(_without(found, t)), block)
@@ -124,7 +121,20 @@ def confirm(found: Diagnosis, data: Measurements) -> Confirmation:
     models = (new.as_it_is(found.base.fit), new.predicted(found.base.fit), whole)
     counted = np.logical_and.reduce([model.counted for model in models])
     errors = (summary(model.distance_m[counted], block[counted]) for model in models)
-    return Confirmation(data.file or "", data.sha256, asked.count, count, *errors, effects)
+    return Confirmation(data.file or "", data.sha256, new.data.count, count, *errors, effects)
+
+
+def _new(found: Diagnosis, data: Measurements, usable: NDArray[np.bool_]) -> _New:
+    """The poses to go by, of `usable` ones (K,), in blocks that last as long as can be where no memory is known."""
+    some = np.flatnonzero(usable)
+    asked = data.subset(some[:: max(1, -(-len(some) // MOST_POSES))] if data.is_stream else some)
+    memory = found.partly.rest.memory if found.partly else None
+    block = blocks(asked, math.inf if memory is None else memory)
+    count = len(np.unique(block))
+    if count < LEAST_BLOCKS:
+        rule = f"has {count} usable blocks of poses, too few to confirm anything: at least {LEAST_BLOCKS}"
+        raise InputError(rule, file=data.file)
+    return _New(asked, _noise(found), block)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,17 +188,21 @@ class _New:
 
     def predicted(self, found: Fit) -> _Predicted:
         """Each block by a model in the frames that the other blocks show."""
+        placed = self.placed(found)
+        left = held_out_residuals(linear(placed), self.block)
+        failed = placed.chain.predict(placed.p, derivatives=False).failed
+        distance = np.linalg.norm(left[:, :3], axis=1) * self.noise.position_m
+        return _Predicted(robust_square(np.linalg.norm(left, axis=1)), distance, ~excused(failed))
+
+    def placed(self, found: Fit) -> Fit:
+        """A model in the frames that these runs show."""
         kept = [
             fixed(t, found.p[place])
             for t, place in zip(found.chain.terms, found.chain.slices(), strict=True)
             if t.name not in FRAMES
         ]
         chain, p = self._chain(found, [*kept, *frames(found.chain.robot, self.data)])
-        placed = fit(chain, self.noise, np.arange(self.data.count), p)
-        left = held_out_residuals(linear(placed), self.block)
-        failed = chain.predict(placed.p, derivatives=False).failed
-        distance = np.linalg.norm(left[:, :3], axis=1) * self.noise.position_m
-        return _Predicted(robust_square(np.linalg.norm(left, axis=1)), distance, ~excused(failed))
+        return fit(chain, self.noise, np.arange(self.data.count), p)
 
     def _chain(self, found: Fit, terms: Sequence[Term]) -> tuple[ParametricChain, Array]:
         """Of terms with the values that they have in a fit, frames where nothing is displaced."""

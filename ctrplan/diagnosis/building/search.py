@@ -18,7 +18,7 @@ from ctrplan.diagnosis.held_out import Linear, held_out_loss
 from ctrplan.diagnosis.partial_search import is_built
 from ctrplan.diagnosis.shares import mean_square
 from ctrplan.diagnosis.workbench import Scored, certainty
-from ctrplan.effects.learned.learned import Learned, learned
+from ctrplan.effects.learned.learned import Learned, learned, named
 from ctrplan.effects.learned.ranges import Range
 from ctrplan.effects.learned.targets import Target
 from ctrplan.pipeline.parametric_chain import Term
@@ -52,11 +52,11 @@ class Round:
 
 
 def grown(
-    bench: CorrelatedBench, chosen: Scored, tell: Callable[[str], None], named: Callable[[Scored], Scored]
+    bench: CorrelatedBench, chosen: Scored, tell: Callable[[str], None], with_names: Callable[[Scored], Scored]
 ) -> tuple[Scored, list[Round]]:
     """The set with what was built beside it, if anything, and the rounds that were asked.
 
-    named: adds what the catalogue has beside a set.
+    with_names: adds what the catalogue has beside a set.
     """
     known, rounds, here = pieces(bench.robot, bench.data), list[Round](), chosen
     known = [piece for piece in known if piece.on.effect_name not in bench.robot.effects]
@@ -66,7 +66,7 @@ def grown(
         rounds.append(taken)
         if there is None:
             return here, rounds
-        here = _needed(bench, named(there), taken.chance, known=there)
+        here = _needed(bench, with_names(there), taken.chance, known=there)
         known = [piece for piece in known if piece != taken.taken]
     return here, rounds
 
@@ -127,8 +127,14 @@ def _with_piece(terms: Sequence[Term], piece: Piece, ranges: dict[str, Range], b
     if old is not None:
         assert isinstance(old.effect, Learned)
         names, spans = list(old.effect.parts), {**ranges, **old.effect.ranges}
-    names += [name for name in piece.names if name not in names]
+    names += [name for name in (*piece.names, *_zero(piece)) if name not in names]
     return [*(t for t in terms if t is not old), built_term(piece.on, names, spans, bench.robot.n)]
+
+
+def _zero(piece: Piece) -> list[str]:
+    """The constant that goes with a slope of the drive: where a slope is zero is arbitrary, and no wrong zero of a joint."""
+    is_slope = any(part.startswith("slope_") for part in piece.parts)
+    return named(piece.on, "constant") if is_slope and piece.on.kind.stage == "drive" and not piece.on.of_way else []
 
 
 def built_term(on: Target, names: Sequence[str], ranges: dict[str, Range], n: int) -> Term:
