@@ -120,8 +120,9 @@ def confirm(found: Diagnosis, data: Measurements) -> Confirmation:
     )
     models = (new.as_it_is(found.base.fit), new.predicted(found.base.fit), whole)
     counted = np.logical_and.reduce([model.counted for model in models])
-    errors = (summary(model.distance_m[counted], block[counted]) for model in models)
-    return Confirmation(data.file or "", data.sha256, new.data.count, count, *errors, effects)
+    calibrated, before, after = (summary(model.distance_m[counted], block[counted]) for model in models)
+    file = data.file or ""
+    return Confirmation(file, data.sha256, new.data.count, count, calibrated, before, after, effects)
 
 
 def _new(found: Diagnosis, data: Measurements, usable: NDArray[np.bool_]) -> _New:

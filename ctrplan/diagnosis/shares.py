@@ -29,7 +29,8 @@ def part_of(bench: CorrelatedBench, base: Scored, chosen: Scored, found: Evidenc
     free, gap = mean_square(bench.left_out_m(none)), max(before - bench.plain.floor_m**2, 1e-12)
     if found.term.name in FRAMES:
         others = [t for t in none.fit.chain.terms if t.name in FRAMES and t.name != found.term.name]
-        alone, last = (mean_square(bench.left_out_m(*one)) for one in ((none, *others), (chosen, found.term)))
+        alone = mean_square(bench.left_out_m(none, *others))
+        last = mean_square(bench.left_out_m(chosen, found.term))
         return Part(found, (before - alone) / gap, (last - after) / gap)
     alone = mean_square(bench.left_out_m(bench.scored([found.term], chosen.fit)))
     rest_of = [t for t in chosen.terms if t is not found.term]
