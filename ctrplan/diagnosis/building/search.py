@@ -132,7 +132,7 @@ def _with_piece(terms: Sequence[Term], piece: Piece, ranges: dict[str, Range], b
 
 
 def _zero(piece: Piece) -> list[str]:
-    """The constant that goes with a slope of the drive: where a slope is zero is arbitrary, no wrong zero of a joint."""
+    """The constant that goes with a slope of the drive: where that is zero is arbitrary, no wrong zero of a joint."""
     is_slope = any(part.startswith("slope_") for part in piece.parts)
     return named(piece.on, "constant") if is_slope and piece.on.kind.stage == "drive" and not piece.on.of_way else []
 
