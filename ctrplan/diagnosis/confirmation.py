@@ -192,7 +192,7 @@ class _New:
         placed = self.placed(found)
         left = held_out_residuals(linear(placed), self.block)
         failed = placed.chain.predict(placed.p, derivatives=False).failed
-        distance = np.linalg.norm(left[:, :3], axis=1) * self.noise.position_m
+        distance = np.linalg.norm(left[:, :3] * self.noise.position_m * self.data.over_tip, axis=1)
         return _Predicted(robust_square(np.linalg.norm(left, axis=1)), distance, ~excused(failed))
 
     def placed(self, found: Fit) -> Fit:
