@@ -129,8 +129,7 @@ def _new(found: Diagnosis, data: Measurements, usable: NDArray[np.bool_]) -> _Ne
     """The poses to go by, of `usable` ones (K,), in blocks that last as long as can be where no memory is known."""
     some = np.flatnonzero(usable)
     asked = data.subset(some[:: max(1, -(-len(some) // MOST_POSES))] if data.is_stream else some)
-    memory = found.partly.rest.memory if found.partly else None
-    block = blocks(asked, math.inf if memory is None else memory)
+    block = blocks(asked, math.inf if found.memory is None else found.memory)
     count = len(np.unique(block))
     if count < LEAST_BLOCKS:
         rule = f"has {count} usable blocks of poses, too few to confirm anything: at least {LEAST_BLOCKS}"

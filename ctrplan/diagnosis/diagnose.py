@@ -96,6 +96,7 @@ def diagnose(
         partly=found.partly if judgement.verdict == "partial" else None,
         built=found.built,
         named_gap=asked.named_gap,
+        memory=found.partly.rest.memory if found.partly else None,
         framed_gap=asked.framed_gap,
     )
 

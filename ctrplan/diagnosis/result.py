@@ -69,6 +69,7 @@ class Diagnosis:
     partly: Partly | None = None  # what remains beside the effects, where that is the verdict
     built: Built | None = None  # a term of what the effects leave; of `chosen` too, and no cause
     named_gap: Gap | None = None  # the gap without the built term, where there is one
+    memory: float | None = None  # of what remains, s or rows of a continuous motion, whatever the verdict
     framed_gap: Gap | None = None  # the gap with free frames alone, where something remains
     confirmations: tuple[Confirmed, ...] = ()  # on other runs, asked once
 
