@@ -14,7 +14,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.planning.goals.branches import Configuration, configuration, reach, refined
 from ctrplan.planning.goals.goal_descent import descended
 from ctrplan.planning.goals.goal_state import GoalState, tip_target
-from ctrplan.planning.goals.inverse_kinematics import TipSolver, TipTarget
+from ctrplan.planning.goals.tip_solver import TipSolver, TipTarget
 from ctrplan.planning.motion import MotionChecker, path_limits
 from ctrplan.planning.scenario import Goal, Scenario
 
