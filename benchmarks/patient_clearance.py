@@ -1,0 +1,238 @@
+"""How far a written plan stays from a patient's raw data: voxels as boxes, triangles as they are in the file.
+
+Judges by as little of ctrplan as can be: joints are read from trajectory.csv, drive and base from the TOML files, voxels
+by SimpleITK, STL by numpy; distances are below. Only the shape of the robot in a friction state is the core's.
+"""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+import ctrplan
+
+Array = np.ndarray
+REACH_MM = 25.0  # of structures around the body that are looked at
+
+
+@dataclass(frozen=True)
+class Measured:
+    """The narrowest place of a motion."""
+
+    room_mm: float  # from the outer surface to the structure's voxels or triangles, margin taken off
+    part: str
+    time_s: float
+    point_mm: Array  # (3,) of the centreline, patient's frame
+    states: int  # shapes that were looked at
+
+
+def measured_clearance(scenario_file: Path, robot_file: Path, plan_folder: Path, moments: int = 40) -> Measured:
+    """The least room of a plan's motion in the frictionless state and every corner of friction."""
+    scenario, robot = (tomllib.loads(path.read_text()) for path in (scenario_file, robot_file))
+    bodies = list(_bodies(scenario, robot, robot_file, plan_folder, moments))
+    points = np.concatenate([body for _, body, _ in bodies])
+    radii = np.concatenate([radius for _, _, radius in bodies])
+    times = np.concatenate([np.full(len(body), time) for time, body, _ in bodies])
+    best = (np.inf, "", 0)
+    for name, room in _rooms(scenario, points):
+        k = int(np.argmin(room - radii))
+        best = min(best, (float((room - radii)[k]), name, k))
+    room_mm, name, k = best
+    return Measured(room_mm, name, float(times[k]), points[k], len(bodies))
+
+
+def _bodies(scenario: dict[str, Any], robot: dict[str, Any], robot_file: Path, folder: Path, moments: int) -> Any:
+    """Time, points (K, 3) [mm] of the centreline in the patient's frame, outer radius (K,) [mm] there."""
+    solver = ctrplan.load_robot(robot_file)
+    position, R = _base(scenario["base"])
+    pairs = len(robot["tube"]) - 1
+    corners = [np.zeros(pairs), *map(np.array, itertools.product((-1.0, 1.0), repeat=pairs))]
+    for time, theta, l in _collars(robot, folder / "trajectory.csv", moments):  # noqa: E741
+        for phi in corners:
+            points, radii = _body(robot, solver.solve(theta, l, phi))
+            yield time, points @ R.T + position, radii
+
+
+def _base(base: dict[str, Any]) -> tuple[Array, Array]:
+    """Position (3,) [mm] and rotation (3, 3)."""
+    position = np.array(base["position_mm"], dtype=float)
+    if "quaternion_wxyz" in base:
+        w, *v = np.array(base["quaternion_wxyz"], dtype=float) / np.linalg.norm(base["quaternion_wxyz"])
+        cross = np.cross(np.eye(3), v)
+        return position, np.eye(3) - 2 * w * cross + 2 * cross @ cross
+    z = np.array(base["direction"], dtype=float) / np.linalg.norm(base["direction"])
+    axis = np.cross([0, 0, 1], z)
+    cross = np.cross(np.eye(3), axis)
+    return position, np.eye(3) - cross + cross @ cross / (1 + z[2])  # tubes turn all together: any roll does
+
+
+def _collars(robot: dict[str, Any], path: Path, moments: int) -> Any:
+    """Time, rotations (n,) [rad] and translations (n,) [m] of the tubes at about evenly spaced rows, the last included."""
+    with path.open() as file:
+        rows = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
+    home_theta, home_l = np.radians(robot["home"]["theta_deg"]), np.array(robot["home"]["l_mm"]) * 1e-3
+    for k in np.unique(np.linspace(0, len(rows) - 1, moments).round().astype(int)):
+        theta, l = home_theta.copy(), home_l.copy()  # noqa: E741
+        for joint in robot["joint"]:
+            kind = "theta" if "theta" in joint["moves"] else "l"
+            value = rows[k][joint["name"] + ("_position_rad" if kind == "theta" else "_position_m")]
+            moved = np.array(joint["moves"][kind], dtype=float) * value
+            theta, l = (theta + moved, l) if kind == "theta" else (theta, l + moved)  # noqa: E741
+        yield rows[k]["time_s"], theta, l
+
+
+def _body(robot: dict[str, Any], shape: Any) -> tuple[Array, Array]:
+    """Points (K, 3) [mm] of all tubes in front of the plate, at most 0.25 mm apart, and outer radii (K,) [mm]."""
+    points, radii = [], []
+    for tube, solved in zip(robot["tube"], shape.tubes, strict=True):
+        line = np.asarray(solved.centreline_m) * 1e3
+        line = line[np.asarray(solved.s_m) >= -1e-12]
+        steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
+        along = np.concatenate([[0], np.cumsum(steps)])
+        if len(line) < 2 or along[-1] == 0:
+            continue
+        fine = np.linspace(0, along[-1], int(along[-1] / 0.25) + 2)
+        points.append(np.stack([np.interp(fine, along, axis) for axis in line.T], axis=1))
+        radii.append(np.full(len(fine), tube["outer_diameter_mm"] / 2))
+    return np.concatenate(points), np.concatenate(radii)
+
+
+def _rooms(scenario: dict[str, Any], points: Array) -> Any:
+    """Name and room (K,) of every part to avoid, and of all lumens together."""
+    lumens = []
+    for part in scenario["anatomy"]:
+        files = part.get("files", [part.get("file", "")])
+        rooms = [_room(part, file, scenario["frame"], points) - part["margin_mm"] for file in files]
+        room = np.min(rooms, axis=0) - part.get("motion_margin_mm", 0)
+        name = Path(files[0]).name or part["kind"]
+        if part["role"] == "inside":
+            lumens.append((name, room))
+        else:
+            yield name, room
+    if lumens:
+        yield " + ".join(name for name, _ in lumens), np.max([room for _, room in lumens], axis=0)
+
+
+def _room(part: dict[str, Any], file: str, frame: str, points: Array) -> Array:
+    """(K,) mm from points of the scenario's frame to what is not allowed."""
+    inside = part["role"] == "inside"
+    if part["kind"] == "capsule":
+        a, b = np.array(part["from_mm"], dtype=float), np.array(part["to_mm"], dtype=float)
+        share = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
+        apart = np.linalg.norm(points - a - share[:, None] * (b - a), axis=1) - part["radius_mm"]
+        return -apart if inside else apart
+    if part["kind"] == "volume":
+        return _voxel_room(file, part["label"], inside, points * ([-1, -1, 1] if frame == "RAS" else 1))
+    if part.get("frame", frame) != frame:
+        points = points * [-1, -1, 1]
+    return _triangle_room(_triangles(Path(file)), inside, points)
+
+
+def _voxel_room(file: str, label: int, inside: bool, points_lps: Array) -> Array:
+    """To the nearest box of a voxel that has the label, or of one that has not; at most `REACH_MM`, negative within."""
+    import SimpleITK
+
+    image = SimpleITK.ReadImage(file)
+    spacing, size = np.array(image.GetSpacing()), np.array(image.GetSize())
+    turned = np.array(image.GetDirection()).reshape(3, 3)
+    index = (points_lps - image.GetOrigin()) @ turned / spacing  # of voxels' centres; turned is orthogonal
+    lower = np.clip(np.floor(index.min(axis=0) - REACH_MM / spacing), 0, size - 1).astype(int)
+    upper = np.clip(np.ceil(index.max(axis=0) + REACH_MM / spacing) + 1, 1, size).astype(int)
+    lower = np.minimum(lower, upper - 1)
+    cut = tuple(slice(a, b) for a, b in zip(lower[::-1], upper[::-1], strict=True))
+    has = np.pad(SimpleITK.GetArrayViewFromImage(image)[cut] == label, 1).transpose(2, 1, 0)
+    forbidden = ~has if inside else has
+    near = np.zeros_like(forbidden)
+    for axis in range(3):
+        for step in (-1, 1):
+            near |= np.roll(~forbidden, step, axis)
+    boxes = np.argwhere(forbidden & near) + lower - 1
+    at = np.clip(np.rint(index).astype(int) - lower + 1, 0, np.array(has.shape) - 1)
+    outside = forbidden[tuple(at.T)]
+    return np.where(outside, -1.0, 1.0) * _to_boxes(boxes * spacing, spacing / 2, index * spacing)
+
+
+def _to_boxes(centres: Array, half: Array, points: Array) -> Array:
+    """(K,) from points to the nearest of equal boxes; centres in reach of the half diagonal decide."""
+    if not len(centres):
+        return np.full(len(points), REACH_MM)
+    tree, corner = cKDTree(centres), float(np.linalg.norm(half))
+    to_centre, _ = tree.query(points)
+    found = np.full(len(points), REACH_MM)
+    for k in np.flatnonzero(to_centre < REACH_MM):
+        close = centres[tree.query_ball_point(points[k], to_centre[k] + corner + 1e-9)]
+        away = np.maximum(np.abs(points[k] - close) - half, 0)
+        found[k] = np.sqrt((away**2).sum(axis=1).min())
+    return found
+
+
+def _triangles(path: Path) -> Array:
+    """(F, 3, 3) of a binary STL, or of what trimesh or meshio read."""
+    if path.suffix == ".stl":
+        raw = path.read_bytes()
+        kind = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
+        return np.frombuffer(raw, kind, int.from_bytes(raw[80:84], "little"), 84)["corners"].astype(float)
+    import meshio
+
+    mesh = meshio.read(path)
+    return mesh.points[np.concatenate([cells.data for cells in mesh.cells if cells.type == "triangle"])].astype(float)
+
+
+def _triangle_room(triangles: Array, inside: bool, points: Array) -> Array:
+    """To the nearest triangle, negative on the wrong side by the winding number of the whole surface."""
+    middles = triangles.mean(axis=1)
+    reach = np.linalg.norm(triangles - middles[:, None], axis=2).max(axis=1)
+    tree, found = cKDTree(middles), np.empty(len(points))
+    to_middle, _ = tree.query(points)
+    for k, point in enumerate(points):
+        close = triangles[tree.query_ball_point(point, to_middle[k] + reach.max() + 1e-9)]
+        found[k] = _to_triangles(point, close)
+    within = _within(triangles, points, found)
+    return np.where(within == inside, found, -found)
+
+
+def _to_triangles(point: Array, triangles: Array) -> float:
+    """From a point (3,) to the nearest of triangles (F, 3, 3): its foot in the plane, else the nearest edge."""
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    normal = np.cross(b - a, c - a)
+    long = np.linalg.norm(normal, axis=1)
+    normal = normal / np.where(long > 0, long, 1)[:, None]
+    off = np.einsum("fi,fi->f", point - a, normal)
+    foot = point - off[:, None] * normal
+    over = long > 0
+    least = np.full(len(triangles), np.inf)
+    for p, q in ((a, b), (b, c), (c, a)):
+        over &= np.einsum("fi,fi->f", np.cross(q - p, foot - p), normal) >= 0
+        share = np.einsum("fi,fi->f", point - p, q - p) / np.maximum(np.einsum("fi,fi->f", q - p, q - p), 1e-30)
+        least = np.minimum(least, np.linalg.norm(point - p - np.clip(share, 0, 1)[:, None] * (q - p), axis=1))
+    return float(np.where(over, np.abs(off), least).min())
+
+
+def _within(triangles: Array, points: Array, room: Array) -> Array:
+    """(K,) whether points are inside; asked of one point, then of those that the surface may part from it."""
+    within, known = np.zeros(len(points), bool), -1
+    for k, point in enumerate(points):
+        if known < 0 or np.linalg.norm(point - points[known]) >= room[known] + room[k]:
+            within[k] = _winding(triangles, point) > 0.5
+        else:
+            within[k] = within[known]
+        known = k
+    return within
+
+
+def _winding(triangles: Array, point: Array) -> float:
+    """The share of the sphere that a surface takes of a point's view, by the angles of its triangles."""
+    rays = triangles - point
+    lengths = np.linalg.norm(rays, axis=2)
+    volume = np.linalg.det(rays)
+    a, b, c = np.moveaxis(rays, 1, 0)
+    la, lb, lc = lengths.T
+    below = la * lb * lc + (a * b).sum(1) * lc + (b * c).sum(1) * la + (c * a).sum(1) * lb
+    return abs(float(np.arctan2(volume, below).sum() / (2 * np.pi)))
