@@ -6,151 +6,182 @@ and entries from its files where it has them. `docs/patients.md` has the licence
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-START = {  # tips behind the plate
-    "lung_needle": {"advance all": -109, "translate inner": -80},
-    "brain_cannula": {"advance all": -79, "translate inner": -50},
-    "liver_needle": {"advance all": -159, "translate inner": -90},
-    "three_tube_insertion": {"rotate middle": 180, "rotate inner": 90, "advance all": -149, "translate inner": -86.4},
-}
+ROBOTS = Path(__file__).resolve().parents[1] / "scenarios" / "robots"
+Place = str | tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class Structure:
-    """A part of the anatomy: a file and the rest of its `[[anatomy]]`."""
-
-    file: str  # in the case's folder; several phases of one, separated by spaces
-    role: str
-    margin_mm: float
-    more: str = ""  # further lines of TOML
-
-
-@dataclass(frozen=True)
-class Case:
-    """A patient, a robot and a task; positions and directions in the files' frame."""
+class PublicCase:
+    """A patient, a robot and a task."""
 
     name: str
     organ: str
     folder: str  # below the folder with the clones
     robot: str
-    structures: tuple[Structure, ...]
-    target: str | tuple[float, float, float]  # a file with three numbers, or the numbers (mm)
-    entry: str | tuple[float, ...]  # a file with a 4 x 4 matrix whose z axis looks into the patient; or place and axis
+    target: Place  # a file with three numbers, or the numbers (mm)
+    entry: Place  # a file with a 4 x 4 matrix whose last column counts, or the numbers (mm)
+    avoid: tuple[str, ...] = ()
+    lumen: tuple[str, ...] = ()
     frame: str = "RAS"
-    radius_mm: float = 5.0  # of the patch of entries
-    cone_deg: float = 30.0
-    tolerance_mm: float = 2.0
-    lumens: tuple[str, ...] = field(default=())  # bodies in TOML that the robot may be in, too
+    more: tuple[str, ...] = ()  # further options
 
-    def target_mm(self, root: Path) -> np.ndarray:
-        """(3,) in the frame of the case."""
-        if isinstance(self.target, str):
-            return np.loadtxt(root / self.folder / self.target).ravel()
-        return np.array(self.target)
-
-    def entry_mm(self, root: Path) -> tuple[np.ndarray, np.ndarray]:
-        """(3,) place and (3,) unit direction."""
-        if isinstance(self.entry, str):
-            matrix = np.loadtxt(root / self.folder / self.entry)
-            return matrix[:3, 3], matrix[:3, 2]
-        place, away = np.array(self.entry[:3]), np.array(self.entry[3:])
-        return place, away / np.linalg.norm(away)
-
-    def scenario(self, root: Path, robots: Path) -> str:
-        """The scenario's TOML, with paths of this machine."""
-        place, direction = self.entry_mm(root)
-        start = "\n".join(f'"{joint}" = {value}' for joint, value in self._start(robots))
-        parts = "\n".join([*(self._part(root, part) for part in self.structures), *self.lumens])
-        return f"""name = "{self.name}"
-frame = "{self.frame}"
-robot = "{robots / self.robot}.toml"
-[base]
-position_mm = {place.round(3).tolist()}
-direction = {direction.round(6).tolist()}
-[start]
-{start}
-[goal]
-tip_mm = {self.target_mm(root).round(3).tolist()}
-tolerance_mm = {self.tolerance_mm}
-{parts}
-[planner]
-time_s = 5
-"""
-
-    def _start(self, robots: Path) -> Iterator[tuple[str, float]]:
-        names = re.findall(r'^name = "(.+)"$', (robots / f"{self.robot}.toml").read_text(), re.MULTILINE)[1:]
-        for name in names:
-            yield name, START[self.robot].get(name, 0)
-
-    def _part(self, root: Path, part: Structure) -> str:
-        paths = [str(root / self.folder / name) for name in part.file.split("|")]
-        is_volume = paths[0].endswith(".nii.gz")
-        kind = 'kind = "volume"\nlabel = 1' if is_volume else f'kind = "mesh"\nunit = "mm"\nframe = "{self.frame}"'
-        files = f'file = "{paths[0]}"' if len(paths) == 1 else f"files = {paths}"
-        return f'[[anatomy]]\n{kind}\n{files}\nrole = "{part.role}"\nmargin_mm = {part.margin_mm}\n{part.more}'
+    def command(self, root: Path) -> list[str]:
+        """Arguments of ctrplan, without the output folder."""
+        files = [str(root / self.folder / file) for file in (*self.lumen, *self.avoid)]
+        roles = [word for file in self.lumen for word in ("--lumen", file)]
+        roles += [word for file in self.avoid for word in ("--avoid", file)]
+        places = ["--target", *_place(root / self.folder, self.target)]
+        places += ["--entry", *_place(root / self.folder, self.entry)]
+        robot = ["--robot", str(ROBOTS / f"{self.robot}.toml")]
+        return ["case", *files, *roles, *places, "--frame", self.frame, *robot, *self.more]
 
 
-def _avoid(*files: str, margin_mm: float) -> tuple[Structure, ...]:
-    return tuple(Structure(file, "avoid", margin_mm) for file in files)
+def _place(folder: Path, place: Place) -> Sequence[str]:
+    if not isinstance(place, str):
+        return [f"{x:g}" for x in place]
+    rows = [list(map(float, line.split())) for line in (folder / place).read_text().splitlines() if line.strip()]
+    numbers = [row[3] for row in rows[:3]] if len(rows) == 4 else [row[0] for row in rows]
+    return [f"{x:.3f}" for x in numbers]
 
 
-def _brains() -> Iterator[Case]:
+def _brains() -> Iterator[PublicCase]:
     """Burr hole to a globus pallidus, around vessels and ventricles."""
     for k in range(1, 6):
-        yield Case(
+        yield PublicCase(
             name=f"brain {k}",
             organ="brain",
             folder=f"Med-RAD/Data/Brain/Patient{k}",
             robot="brain_cannula",
-            structures=_avoid("vessels.nii.gz", "ventricles.nii.gz", margin_mm=0.5),
             target="target1.txt",
             entry="start1.txt",
+            avoid=("vessels.nii.gz", "ventricles.nii.gz"),
+            more=("--tolerance-mm", "1"),
         )
 
 
-def _livers() -> Iterator[Case]:
+def _livers() -> Iterator[PublicCase]:
     """Through the skin to a nodule, around arteries and veins."""
     tasks = [
-        (1, "target", "start1", "hepaticArtery hepaticVein portalVein"),
-        (2, "target1", "target1_start1", "hepaticArtery hepaticVein portalVein"),
-        (2, "target2", "target2_start1", "hepaticArtery hepaticVein portalVein"),
-        (3, "target1", "nodule1_start1", "hepaticartery hepaticvein portalvein"),
-        (3, "target2", "nodule2_start1", "hepaticartery hepaticvein portalvein"),
-        (4, "target", "start1", "hepaticArtery hepaticVein portalVein"),
-        (5, "target1", "target1_start1", "hepaticArtery hepaticVein portalVein"),
-        (5, "target2", "target2_start1", "hepaticArtery hepaticVein portalVein"),
+        (1, "target", "start1"),
+        (2, "target1", "target1_start1"),
+        (2, "target2", "target2_start1"),
+        (3, "target1", "nodule1_start1"),
+        (4, "target", "start1"),
+        (5, "target1", "target1_start1"),
     ]
-    for patient, target, entry, vessels in tasks:
-        yield Case(
+    for patient, target, entry in tasks:
+        vessels = ("hepaticArtery", "hepaticVein", "portalVein")
+        yield PublicCase(
             name=f"liver {patient}" + (f".{target[-1]}" if target[-1].isdigit() else ""),
             organ="liver",
             folder=f"Med-RAD/Data/Liver/Patient{patient}",
             robot="liver_needle",
-            structures=_avoid(*(f"{name}.nii.gz" for name in vessels.split()), margin_mm=0.5),
             target=f"{target}.txt",
             entry=f"{entry}.txt",
-            radius_mm=8.0,
+            avoid=tuple(f"{name.lower() if patient == 3 else name}.nii.gz" for name in vessels),
+            more=("--tolerance-mm", "2", "--radius-mm", "8"),
         )
 
 
-def _lungs() -> Iterator[Case]:
+def _lungs() -> Iterator[PublicCase]:
     """Through the wall of a bronchus to a nodule, around vessels."""
     for patient, entry in ((1, 2), (2, 1), (3, 4), (4, 2), (5, 1)):
-        yield Case(
+        yield PublicCase(
             name=f"lung {patient}",
             organ="lung",
             folder=f"Med-RAD/Data/Lungs/TumorTargetEnvironments/Patient{patient}",
             robot="lung_needle",
-            structures=_avoid("vessels.nii.gz", margin_mm=0.3),
             target="target.txt",
             entry=f"start{entry}.txt",
+            avoid=("vessels.nii.gz",),
+            more=("--tolerance-mm", "2", "--margin-mm", "0.3", "--cone-deg", "30"),
         )
 
 
-CASES = {case.name: case for case in [*_brains(), *_livers(), *_lungs()]}
+def _ventricles() -> Iterator[PublicCase]:
+    """A burr hole in front of the coronal suture and a sheath into a lateral ventricle, to its body."""
+    places = {
+        1: ((-90, -117, 168), (-102.5, -72.6, 198.3)),
+        2: ((-94, -130, 111), (-107.3, -87.1, 142.3)),
+        5: ((-82, -117, 101), (-68.7, -78.5, 134.4)),
+    }
+    for patient, (target, entry) in places.items():
+        yield PublicCase(
+            name=f"ventricle {patient}",
+            organ="brain",
+            folder=f"Med-RAD/Data/Brain/Patient{patient}",
+            robot="brain_cannula",
+            target=target,
+            entry=entry,
+            lumen=("ventricles.nii.gz",),
+            avoid=("vessels.nii.gz",),
+            more=("--margin-mm", "0.2", "--sheath-mm", "3", "--radius-mm", "1", "--cone-deg", "3"),
+        )
+
+
+def _airways() -> Iterator[PublicCase]:
+    """From a bronchoscope in the trachea into a lobar bronchus, between its walls."""
+    nodules, breathing = "TumorTargetEnvironments/Patient", "RespiratoryMotionEnvironments/Patient"
+    tasks = [
+        ("airway 1 right", f"{nodules}1/bronchialTree", (-34.5, 124.3, 1255.1), (1.3, 132, 1300.6)),
+        ("airway 1 left", f"{nodules}1/bronchialTree", (27.8, 135.9, 1232.7), (5.2, 132, 1288.7)),
+        ("airway 3 left", f"{nodules}3/bronchialTree", (33.2, 130.3, -178.6), (8.8, 132.7, -117.7)),
+        ("airway 7 right", f"{breathing}2/BronchialTree", (-37.5, -153.5, -152.7), (15.6, -156.3, -127.5)),
+    ]
+    for name, file, target, entry in tasks:
+        folder, tree = f"Med-RAD/Data/Lungs/{file}.nii.gz".rsplit("/", 1)
+        yield PublicCase(
+            name=name,
+            organ="lung",
+            folder=folder,
+            robot="three_tube_insertion",
+            target=target,
+            entry=entry,
+            lumen=(tree,),
+            more=("--margin-mm", "0.2", "--tolerance-mm", "2", "--cone-deg", "45", "--candidates", "256"),
+        )
+
+
+def _throats() -> Iterator[PublicCase]:
+    """From a laryngoscope's end through the larynx to its floor or into the trachea, between its walls."""
+    tasks = [
+        ("throat 4074", "TCGA-BA-4074", (17.5, 216, 166), (17.1, 209.4, 200)),
+        ("throat 4077", "TCGA-BA-4077", (2.5, 137.6, -455), (6, 150.6, -383)),
+        ("throat 5558", "TCGA-BA-5558", (-0.2, 151, 46), (-1.5, 147.5, 93)),
+        ("throat 5331", "TCGA-CQ-5331", (-3.2, 35, -479), (-1.2, 44.3, -431)),
+        ("throat 7872", "TCGA-BB-7872", (213, 198, -428), (217, 190, -376)),
+    ]
+    for name, folder, target, entry in tasks:
+        yield PublicCase(
+            name=name,
+            organ="larynx",
+            folder=f"SPIE-2021/anatomical-models/{folder}",
+            robot="three_tube_insertion",
+            target=target,
+            entry=entry,
+            avoid=("tissue.stl",),
+            more=("--file-frame", "RAS", "--margin-mm", "0.5", "--cone-deg", "40", "--candidates", "256"),
+        )
+
+
+def _hearts() -> Iterator[PublicCase]:
+    """Through the mitral valve of a left atrium to the mouths of two pulmonary veins."""
+    for name, target in (("atrium far vein", (230.4, 180.3, 128)), ("atrium near vein", (226, 152, 92))):
+        yield PublicCase(
+            name=name,
+            organ="heart",
+            folder="VaMPy/models/atrium",
+            robot="three_tube_insertion",
+            target=target,
+            entry=(217, 189, 74),
+            lumen=("atrium.vtp",),
+            more=("--repair", "caps", "--file-frame", "RAS", "--margin-mm", "0.5", "--radius-mm", "4", "--cone-deg", "30"),
+        )
+
+
+KINDS = (_brains, _ventricles, _livers, _lungs, _airways, _throats, _hearts)
+CASES = {case.name: case for cases in KINDS for case in cases()}

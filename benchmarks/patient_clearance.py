@@ -41,7 +41,7 @@ def measured_clearance(scenario_file: Path, robot_file: Path, plan_folder: Path,
     radii = np.concatenate([radius for _, _, radius in bodies])
     times = np.concatenate([np.full(len(body), time) for time, body, _ in bodies])
     best = (np.inf, "", 0)
-    for name, room in _rooms(scenario, points):
+    for name, room in _rooms(scenario, scenario_file.parent, points):
         k = int(np.argmin(room - radii))
         best = min(best, (float((room - radii)[k]), name, k))
     room_mm, name, k = best
@@ -66,11 +66,11 @@ def _base(base: dict[str, Any]) -> tuple[Array, Array]:
     if "quaternion_wxyz" in base:
         w, *v = np.array(base["quaternion_wxyz"], dtype=float) / np.linalg.norm(base["quaternion_wxyz"])
         cross = np.cross(np.eye(3), v)
-        return position, np.eye(3) - 2 * w * cross + 2 * cross @ cross
+        return position, np.eye(3) + 2 * w * cross + 2 * cross @ cross
     z = np.array(base["direction"], dtype=float) / np.linalg.norm(base["direction"])
     axis = np.cross([0, 0, 1], z)
     cross = np.cross(np.eye(3), axis)
-    return position, np.eye(3) - cross + cross @ cross / (1 + z[2])  # tubes turn all together: any roll does
+    return position, np.eye(3) + cross + cross @ cross / (1 + z[2])  # tubes turn all together: any roll does
 
 
 def _collars(robot: dict[str, Any], path: Path, moments: int) -> Any:
@@ -82,7 +82,7 @@ def _collars(robot: dict[str, Any], path: Path, moments: int) -> Any:
         theta, l = home_theta.copy(), home_l.copy()  # noqa: E741
         for joint in robot["joint"]:
             kind = "theta" if "theta" in joint["moves"] else "l"
-            value = rows[k][joint["name"] + ("_position_rad" if kind == "theta" else "_position_m")]
+            value = rows[k][joint["name"].replace(" ", "_") + ("_position_rad" if kind == "theta" else "_position_m")]
             moved = np.array(joint["moves"][kind], dtype=float) * value
             theta, l = (theta + moved, l) if kind == "theta" else (theta, l + moved)  # noqa: E741
         yield rows[k]["time_s"], theta, l
@@ -104,12 +104,12 @@ def _body(robot: dict[str, Any], shape: Any) -> tuple[Array, Array]:
     return np.concatenate(points), np.concatenate(radii)
 
 
-def _rooms(scenario: dict[str, Any], points: Array) -> Any:
+def _rooms(scenario: dict[str, Any], folder: Path, points: Array) -> Any:
     """Name and room (K,) of every part to avoid, and of all lumens together."""
     lumens = []
     for part in scenario["anatomy"]:
         files = part.get("files", [part.get("file", "")])
-        rooms = [_room(part, file, scenario["frame"], points) - part["margin_mm"] for file in files]
+        rooms = [_room(part, folder / file, scenario["frame"], points) - part["margin_mm"] for file in files]
         room = np.min(rooms, axis=0) - part.get("motion_margin_mm", 0)
         name = Path(files[0]).name or part["kind"]
         if part["role"] == "inside":
@@ -120,7 +120,7 @@ def _rooms(scenario: dict[str, Any], points: Array) -> Any:
         yield " + ".join(name for name, _ in lumens), np.max([room for _, room in lumens], axis=0)
 
 
-def _room(part: dict[str, Any], file: str, frame: str, points: Array) -> Array:
+def _room(part: dict[str, Any], file: Path, frame: str, points: Array) -> Array:
     """(K,) mm from points of the scenario's frame to what is not allowed."""
     inside = part["role"] == "inside"
     if part["kind"] == "capsule":
@@ -132,14 +132,14 @@ def _room(part: dict[str, Any], file: str, frame: str, points: Array) -> Array:
         return _voxel_room(file, part["label"], inside, points * ([-1, -1, 1] if frame == "RAS" else 1))
     if part.get("frame", frame) != frame:
         points = points * [-1, -1, 1]
-    return _triangle_room(_triangles(Path(file)), inside, points)
+    return _triangle_room(_triangles(file), inside, points)
 
 
-def _voxel_room(file: str, label: int, inside: bool, points_lps: Array) -> Array:
+def _voxel_room(file: Path, label: int, inside: bool, points_lps: Array) -> Array:
     """To the nearest box of a voxel that has the label, or of one that has not; at most `REACH_MM`, negative within."""
     import SimpleITK
 
-    image = SimpleITK.ReadImage(file)
+    image = SimpleITK.ReadImage(str(file))
     spacing, size = np.array(image.GetSpacing()), np.array(image.GetSize())
     turned = np.array(image.GetDirection()).reshape(3, 3)
     index = (points_lps - image.GetOrigin()) @ turned / spacing  # of voxels' centres; turned is orthogonal
@@ -174,15 +174,20 @@ def _to_boxes(centres: Array, half: Array, points: Array) -> Array:
 
 
 def _triangles(path: Path) -> Array:
-    """(F, 3, 3) of a binary STL, or of what trimesh or meshio read."""
+    """(F, 3, 3) of a binary STL, or of a VTP by VTK's own reader (`pip install vtk`)."""
     if path.suffix == ".stl":
         raw = path.read_bytes()
         kind = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
         return np.frombuffer(raw, kind, int.from_bytes(raw[80:84], "little"), 84)["corners"].astype(float)
-    import meshio
+    from vtk import vtkTriangleFilter, vtkXMLPolyDataReader
 
-    mesh = meshio.read(path)
-    return mesh.points[np.concatenate([cells.data for cells in mesh.cells if cells.type == "triangle"])].astype(float)
+    reader, flat = vtkXMLPolyDataReader(), vtkTriangleFilter()
+    reader.SetFileName(str(path))
+    flat.SetInputConnection(reader.GetOutputPort())
+    flat.Update()
+    mesh = flat.GetOutput()
+    cells = (mesh.GetCell(k).GetPointIds() for k in range(mesh.GetNumberOfCells()))
+    return np.array([[mesh.GetPoint(ids.GetId(k)) for k in range(3)] for ids in cells])
 
 
 def _triangle_room(triangles: Array, inside: bool, points: Array) -> Array:
