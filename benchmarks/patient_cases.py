@@ -179,7 +179,18 @@ def _hearts() -> Iterator[PublicCase]:
             target=target,
             entry=(217, 189, 74),
             lumen=("atrium.vtp",),
-            more=("--repair", "caps", "--file-frame", "RAS", "--margin-mm", "0.5", "--radius-mm", "4", "--cone-deg", "30"),
+            more=(
+                "--repair",
+                "caps",
+                "--file-frame",
+                "RAS",
+                "--margin-mm",
+                "0.5",
+                "--radius-mm",
+                "4",
+                "--cone-deg",
+                "30",
+            ),
         )
 
 

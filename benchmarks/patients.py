@@ -75,7 +75,9 @@ def _figures(folder: Path) -> dict[str, Any]:
 
 def table(out: Path) -> None:
     """Prints what the folders below OUT hold."""
-    print("| case | processor (clock), s | memory, MB | clearance claimed | measured | bound at the goal | without it |")
+    print(
+        "| case | processor (clock), s | memory, MB | clearance claimed | measured | bound at the goal | without it |"
+    )
     print("|---|---|---|---|---|---|---|")
     for case in CASES.values():
         file = out / case.name.replace(" ", "_") / "result.json"

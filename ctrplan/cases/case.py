@@ -63,6 +63,7 @@ class Case:
     frame=Choice("RAS", "LPS"),
     file_frame=Choice("RAS", "LPS"),
     unit=Choice("mm", "cm", "m"),
+    repair=Choice("holes", "caps", "off"),
     lumens=Texts(),
     avoids=Texts(),
     ignored=Texts(),
@@ -93,6 +94,7 @@ def case(
     file_frame: str | None = None,
     unit: str | None = None,
     series: str | None = None,
+    repair: str | None = None,
     lumens: Sequence[str] | None = None,
     avoids: Sequence[str] | None = None,
     ignored: Sequence[str] | None = None,
@@ -118,10 +120,10 @@ def case(
 
     `inputs` are images, meshes and files of markups, or folders of them. Targets and entries are places (3,) in mm in
     `frame`, or names of markups, of files of them, or of their points' labels; `lumens` and `avoids` name structures.
-    `unit` is that of meshes, `series` the UID of one in a DICOM folder, `file_frame` the frame of files that say none,
-    `sheath_mm` the inner radius of a sheath from the entry into a lumen. Base poses lie within `radius_mm` and
-    `cone_deg` of an entry, and the first `bases` of them are planned from until one has a plan. What is None is as the
-    run before had it, or as ctrplan chooses.
+    `unit` and `repair` are those of meshes, `series` the UID of one in a DICOM folder, `file_frame` the frame of
+    files that say none, `sheath_mm` the inner radius of a sheath from the entry into a lumen. Base poses lie within
+    `radius_mm` and `cone_deg` of an entry, and the first `bases` of them are planned from until one has a plan. What
+    is None is as the run before had it, or as ctrplan chooses.
 
     Every step writes files into `output`. A step whose files and sources are as they were is not done again; files
     that were edited are kept and count for the steps after. `from_step` makes that step and all after it anew, `until`
@@ -137,6 +139,7 @@ def case(
         file_frame=file_frame,
         unit=unit,
         series=series,
+        repair=repair,
         lumens=_texts(lumens),
         avoids=_texts(avoids),
         ignored=_texts(ignored),

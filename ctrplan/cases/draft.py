@@ -76,6 +76,8 @@ def _part(structure: Structure, role: Role, request: Request, output: Path) -> d
     kind, *rest = structure.entry.items()
     part = {kind[0]: kind[1], "file": from_folder(output, structure.file), **dict(rest)}
     is_volume = structure.entry["kind"] == "volume"
+    if not is_volume and request.repair is not None:
+        part["repair"] = request.repair
     if is_volume and request.surface_error_mm is not None:
         part["surface_error_mm"] = request.surface_error_mm
     if _said_frame(structure.file) is None:

@@ -7,6 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from ctrplan.base.units import MM_PER_M
+
+RADIUS_MM = 4.0  # of the patch of base poses, where none is said
 Place = tuple[float, float, float] | str  # mm in the case's frame; or a file of markups, a label in one, a structure
 
 
@@ -21,6 +24,7 @@ class Request:
     file_frame: str | None = None  # of files that do not say theirs
     unit: str | None = None  # of meshes
     series: str | None = None  # UID, of a DICOM folder with several
+    repair: str | None = None  # of their openings: holes, caps or off
     lumens: tuple[str, ...] | None = None
     avoids: tuple[str, ...] | None = None
     ignored: tuple[str, ...] | None = None
@@ -52,6 +56,11 @@ class Request:
         """As JSON had it."""
         known = {field.name for field in dataclasses.fields(cls)}
         return cls(**{name: _tuples(value) for name, value in content.items() if name in known})
+
+
+def patch_radius_m(request: Request) -> float:
+    """[m] around an entry in which base poses are looked for."""
+    return (RADIUS_MM if request.radius_mm is None else request.radius_mm) / MM_PER_M
 
 
 def _tuples(value: Any) -> Any:

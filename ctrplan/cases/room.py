@@ -26,14 +26,20 @@ def refuse_targets_without_room(scenario: Scenario) -> None:
             raise _refusal(scenario, f"target {_shown(goal.tip_m)}", goal.tip_m, needed, why)
 
 
-def refuse_entry_without_room(scenario: Scenario, entry_m: Array) -> None:
-    """The same of a place (3,) for the front plate, through which all tubes have to come, and of one at the targets."""
+def refuse_entry_without_room(scenario: Scenario, entry_m: Array, radius_m: float) -> None:
+    """Raises InputError for a place (3,) of the plate that lies at a target, or with no room for the tubes within a radius.
+
+    Base poses are looked for within that radius, so the entry itself need not have room.
+    """
     away = min(float(np.linalg.norm(goal.tip_m - entry_m)) for goal in scenario.targets if goal.tip_m is not None)
     if away < LEAST_WAY_M:
         rule = f"is {away * MM_PER_M:.3g} mm from a target: are its numbers in metres, not in millimetres?"
         raise InputError(rule, key=f"entry {_shown(entry_m)}")
     needed = scenario.robot.tubes[0].outer_diameter_m / 2
     if why := blocked(scenario, entry_m, needed, 0.0):
+        near = nearest_room(scenario, entry_m, needed)
+        if near is not None and np.linalg.norm(near - entry_m) <= radius_m:
+            return
         raise _refusal(scenario, f"entry {_shown(entry_m)}", entry_m, needed, why)
 
 

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 NAMES = ("scenario", "bases", "placed", "plan", "slicer")
 HANDED_ON = (
-    *("frame", "file_frame", "unit", "series", "lumens", "avoids", "ignored", "robot", "margin_mm", "surface_error_mm"),
+    *("frame", "file_frame", "unit", "repair", "series", "lumens", "avoids", "ignored", "robot"),
+    *("margin_mm", "surface_error_mm"),
     *("tolerance_mm", "sheath_mm", "radius_mm", "cone_deg", "candidates", "bases", "seed", "from_step", "until"),
 )
 PATIENCE_S = 1.0  # before a progress bar shows up
@@ -74,6 +75,8 @@ def _add_places(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--file-frame", choices=frames, help="of files that do not say theirs")
     parser.add_argument("--series", metavar="UID", help="of a DICOM folder that has several")
     parser.add_argument("--unit", choices=("mm", "cm", "m"), help="of meshes (default: mm)")
+    repairs = "of openings of meshes: holes up to 2 mm from a vertex, also flat cuts of any size, none (default: holes)"
+    parser.add_argument("--repair", choices=("holes", "caps", "off"), help=repairs)
 
 
 def _add_roles(parser: argparse.ArgumentParser) -> None:

@@ -11,6 +11,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.base.directions import shortest_rotation
 from ctrplan.base.units import MM_PER_M
 from ctrplan.cases.bases_table import bases_text
+from ctrplan.cases.request import patch_radius_m
 from ctrplan.cases.steps.scenario import ENTRY_COLUMNS
 from ctrplan.cases.work import BASES, ENTRIES, ROBOT, SCENARIO, Step, Work, raw_files
 from ctrplan.errors import InputError, NoAnswerError
@@ -20,7 +21,7 @@ from ctrplan.planning.scenario import Scenario
 from ctrplan.storage.atomic_write import write_atomically
 from ctrplan.storage.csv_table import CsvTable
 
-RADIUS_MM, CONE_DEG, CANDIDATES = 4.0, 20.0, 128
+CONE_DEG, CANDIDATES = 20.0, 128
 
 
 class BasesStep(Step):
@@ -40,7 +41,7 @@ class BasesStep(Step):
                 placement = self._placed(work, scenario)
                 tried += placement.drawn
                 found += [pose for pose in placement.poses if pose.reached]
-                reasons += [pose.reason for pose in placement.poses[:1] if not pose.reached]
+                reasons += [] if placement.poses[0].reached else [placement.sentence.rstrip(".")]
             except NoAnswerError as error:
                 reasons.append(str(error).partition(": ")[2].rstrip(".") or str(error))
         if not found:
@@ -59,7 +60,7 @@ class BasesStep(Step):
         placement = place(
             scenario,
             aim_m=scenario.base_position_m + scenario.base_R[:, 2] * _away(scenario),
-            radius_m=(RADIUS_MM if asked.radius_mm is None else asked.radius_mm) / MM_PER_M,
+            radius_m=patch_radius_m(asked),
             cone_rad=math.radians(CONE_DEG if asked.cone_deg is None else asked.cone_deg),
             candidates=asked.candidates or CANDIDATES,
             seed=asked.seed or 0,

@@ -18,6 +18,7 @@ from ctrplan.cases import draft
 from ctrplan.cases.inputs import Structure, found_in
 from ctrplan.cases.points import Named, case_frame, places_of
 from ctrplan.cases.record import stamp_of
+from ctrplan.cases.request import patch_radius_m
 from ctrplan.cases.roles import chosen
 from ctrplan.cases.room import refuse_entry_without_room, refuse_targets_without_room
 from ctrplan.cases.sheath import sheath
@@ -46,7 +47,17 @@ class ScenarioStep(Step):
     def made_from(self, work: Work) -> object:
         asked = work.request
         said = asked.part(
-            "inputs", "targets", "entries", "frame", "file_frame", "unit", "series", "lumens", "avoids", "ignored"
+            "inputs",
+            "targets",
+            "entries",
+            "frame",
+            "file_frame",
+            "unit",
+            "repair",
+            "series",
+            "lumens",
+            "avoids",
+            "ignored",
         )
         said |= asked.part("robot", "margin_mm", "surface_error_mm", "tolerance_mm", "sheath_mm")
         stamps = [stamp_of(Path(name)) for name in asked.inputs or ()] + [stamp_of(robot_file(asked.robot))]
@@ -74,7 +85,7 @@ class ScenarioStep(Step):
             scenario = _checked(work, content, structures)
         refuse_targets_without_room(scenario)
         for entry in entries:
-            refuse_entry_without_room(scenario, entry.points_mm[0] / 1e3)
+            refuse_entry_without_room(scenario, entry.points_mm[0] / 1e3, patch_radius_m(asked))
         for warning in scenario.warnings:
             work.note(warning)
         write_atomically(work.file(ROBOT), robot_text)
