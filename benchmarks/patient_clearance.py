@@ -1,19 +1,19 @@
 """How far a written plan stays from a patient's raw data: voxels as boxes, triangles as they are in the file.
 
-Judges by as little of ctrplan as can be: joints are read from trajectory.csv, drive and base from the TOML files, voxels
-by SimpleITK, STL by numpy; distances are below. Only the shape of the robot in a friction state is the core's.
+Judges by as little of ctrplan as can be: joints are read from trajectory.csv, drive and base from the TOML files,
+voxels by SimpleITK, STL by numpy; distances are below. Only the shape of the robot in a friction state is the core's.
 """
 
 from __future__ import annotations
 
 import csv
 import itertools
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomllib
 from scipy.spatial import cKDTree
 
 import ctrplan
@@ -74,7 +74,7 @@ def _base(base: dict[str, Any]) -> tuple[Array, Array]:
 
 
 def _collars(robot: dict[str, Any], path: Path, moments: int) -> Any:
-    """Time, rotations (n,) [rad] and translations (n,) [m] of the tubes at about evenly spaced rows, the last included."""
+    """Time, rotations (n,) [rad] and translations (n,) [m] of tubes at about evenly spaced rows, the last included."""
     with path.open() as file:
         rows = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
     home_theta, home_l = np.radians(robot["home"]["theta_deg"]), np.array(robot["home"]["l_mm"]) * 1e-3
@@ -193,31 +193,35 @@ def _triangles(path: Path) -> Array:
 def _triangle_room(triangles: Array, inside: bool, points: Array) -> Array:
     """To the nearest triangle, negative on the wrong side by the winding number of the whole surface."""
     middles = triangles.mean(axis=1)
-    reach = np.linalg.norm(triangles - middles[:, None], axis=2).max(axis=1)
+    reach = np.linalg.norm(triangles - middles[:, None], axis=2).max()
     tree, found = cKDTree(middles), np.empty(len(points))
-    to_middle, _ = tree.query(points)
-    for k, point in enumerate(points):
-        close = triangles[tree.query_ball_point(point, to_middle[k] + reach.max() + 1e-9)]
-        found[k] = _to_triangles(point, close)
+    for begin in range(0, len(points), 2000):
+        some = points[begin : begin + 2000]
+        away, near = tree.query(some, k=min(24, len(triangles)))
+        found[begin : begin + 2000] = _to_triangles(some, triangles[near])
+        for k in np.flatnonzero(away[:, -1] - reach < found[begin : begin + 2000]):  # a farther one may be nearer
+            close = triangles[tree.query_ball_point(some[k], found[begin + k] + reach)]
+            found[begin + k] = _to_triangles(some[k : k + 1], close[None])[0]
     within = _within(triangles, points, found)
     return np.where(within == inside, found, -found)
 
 
-def _to_triangles(point: Array, triangles: Array) -> float:
-    """From a point (3,) to the nearest of triangles (F, 3, 3): its foot in the plane, else the nearest edge."""
-    a, b, c = np.moveaxis(triangles, 1, 0)
+def _to_triangles(points: Array, triangles: Array) -> Array:
+    """(K,) from points (K, 3) to the nearest of triangles (K, F, 3, 3): a foot in its plane, else the nearest edge."""
+    a, b, c = np.moveaxis(triangles, 2, 0)
+    point = points[:, None]
     normal = np.cross(b - a, c - a)
-    long = np.linalg.norm(normal, axis=1)
-    normal = normal / np.where(long > 0, long, 1)[:, None]
-    off = np.einsum("fi,fi->f", point - a, normal)
-    foot = point - off[:, None] * normal
-    over = long > 0
-    least = np.full(len(triangles), np.inf)
+    long = np.linalg.norm(normal, axis=2)
+    normal = normal / np.where(long > 0, long, 1)[..., None]
+    off = ((point - a) * normal).sum(axis=2)
+    foot = point - off[..., None] * normal
+    over, least = long > 0, np.full(off.shape, np.inf)
     for p, q in ((a, b), (b, c), (c, a)):
-        over &= np.einsum("fi,fi->f", np.cross(q - p, foot - p), normal) >= 0
-        share = np.einsum("fi,fi->f", point - p, q - p) / np.maximum(np.einsum("fi,fi->f", q - p, q - p), 1e-30)
-        least = np.minimum(least, np.linalg.norm(point - p - np.clip(share, 0, 1)[:, None] * (q - p), axis=1))
-    return float(np.where(over, np.abs(off), least).min())
+        over &= (np.cross(q - p, foot - p) * normal).sum(axis=2) >= 0
+        share = ((point - p) * (q - p)).sum(axis=2) / np.maximum(((q - p) ** 2).sum(axis=2), 1e-30)
+        nearest = p + np.clip(share, 0, 1)[..., None] * (q - p)
+        least = np.minimum(least, np.linalg.norm(point - nearest, axis=2))
+    return np.where(over, np.abs(off), least).min(axis=1)
 
 
 def _within(triangles: Array, points: Array, room: Array) -> Array:

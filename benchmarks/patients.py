@@ -4,8 +4,8 @@
     python benchmarks/patients.py FOLDER OUT --table            # what OUT holds already
     python benchmarks/patients.py FOLDER OUT --commands         # what would be run
 
-FOLDER has the clones that docs/patients.md lists. Each case is a folder below OUT, as `ctrplan case` writes it. Commands
-are processes of their own; processor time and largest memory are the operating system's figures of them.
+FOLDER has the clones that docs/patients.md lists. Each case is a folder below OUT, as `ctrplan case` writes it.
+Commands are processes of their own; processor time and largest memory are the operating system's figures of them.
 """
 
 from __future__ import annotations
