@@ -27,7 +27,7 @@ def refuse_targets_without_room(scenario: Scenario) -> None:
 
 
 def refuse_entry_without_room(scenario: Scenario, entry_m: Array, radius_m: float) -> None:
-    """Raises InputError for a place (3,) of the plate that lies at a target, or with no room for the tubes within a radius.
+    """Raises InputError for a plate's place (3,) that lies at a target, or where tubes have no room within a radius.
 
     Base poses are looked for within that radius, so the entry itself need not have room.
     """
