@@ -89,16 +89,17 @@ def _collars(robot: dict[str, Any], path: Path, moments: int) -> Any:
 
 
 def _body(robot: dict[str, Any], shape: Any) -> tuple[Array, Array]:
-    """Points (K, 3) [mm] of all tubes in front of the plate, at most 0.25 mm apart, and outer radii (K,) [mm]."""
-    points, radii = [], []
+    """Points (K, 3) [mm] in front of the plate, at most 0.5 mm apart, and the outer radii (K,) [mm] of tubes there."""
+    points, radii, covered = [], [], 0.0
     for tube, solved in zip(robot["tube"], shape.tubes, strict=True):
         line = np.asarray(solved.centreline_m) * 1e3
-        line = line[np.asarray(solved.s_m) >= -1e-12]
+        line = line[max(int(np.searchsorted(solved.s_m, covered + 1e-9)) - 1, 0) :]  # what lies in no other tube
+        covered = max(covered, float(solved.s_m[-1]))
         steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
         along = np.concatenate([[0], np.cumsum(steps)])
         if len(line) < 2 or along[-1] == 0:
             continue
-        fine = np.linspace(0, along[-1], int(along[-1] / 0.25) + 2)
+        fine = np.linspace(0, along[-1], int(along[-1] / 0.5) + 2)
         points.append(np.stack([np.interp(fine, along, axis) for axis in line.T], axis=1))
         radii.append(np.full(len(fine), tube["outer_diameter_mm"] / 2))
     return np.concatenate(points), np.concatenate(radii)
@@ -225,14 +226,15 @@ def _to_triangles(points: Array, triangles: Array) -> Array:
 
 
 def _within(triangles: Array, points: Array, room: Array) -> Array:
-    """(K,) whether points are inside; asked of one point, then of those that the surface may part from it."""
-    within, known = np.zeros(len(points), bool), -1
+    """(K,) whether points are inside: as the one before or the first, unless the surface may lie between them."""
+    within = np.zeros(len(points), bool)
     for k, point in enumerate(points):
-        if known < 0 or np.linalg.norm(point - points[known]) >= room[known] + room[k]:
-            within[k] = _winding(triangles, point) > 0.5
+        for known in {max(k - 1, 0), 0} if k else ():
+            if np.linalg.norm(point - points[known]) < room[known] + room[k]:
+                within[k] = within[known]
+                break
         else:
-            within[k] = within[known]
-        known = k
+            within[k] = _winding(triangles, point) > 0.5
     return within
 
 
