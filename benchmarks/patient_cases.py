@@ -124,13 +124,14 @@ def _ventricles() -> Iterator[PublicCase]:
 
 
 def _airways() -> Iterator[PublicCase]:
-    """From a bronchoscope in the trachea into a lobar bronchus, between its walls."""
+    """From a bronchoscope in the trachea down a main bronchus, between its walls."""
     nodules, breathing = "TumorTargetEnvironments/Patient", "RespiratoryMotionEnvironments/Patient"
     tasks = [
-        ("airway 1 right", f"{nodules}1/bronchialTree", (-34.5, 124.3, 1255.1), (1.3, 132, 1300.6)),
-        ("airway 1 left", f"{nodules}1/bronchialTree", (27.8, 135.9, 1232.7), (5.2, 132, 1288.7)),
-        ("airway 3 left", f"{nodules}3/bronchialTree", (33.2, 130.3, -178.6), (8.8, 132.7, -117.7)),
-        ("airway 7 right", f"{breathing}2/BronchialTree", (-37.5, -153.5, -152.7), (15.6, -156.3, -127.5)),
+        ("airway 1 left", f"{nodules}1/bronchialTree", (-25.1, 121.5, 1258.6), (-0.9, 136.4, 1312.5)),
+        ("airway 1 right", f"{nodules}1/bronchialTree", (18.9, 129.3, 1258.6), (-0.3, 135.9, 1309.7)),
+        ("airway 3 left", f"{nodules}3/bronchialTree", (-12, 125.3, -157.6), (7.4, 135.9, -110)),
+        ("airway 3 right", f"{nodules}3/bronchialTree", (26.3, 129, -159.7), (6.5, 136.3, -107.9)),
+        ("airway 7 right", f"{breathing}2/BronchialTree", (43.6, -161.9, -157.6), (26.8, -152.8, -97.4)),
     ]
     for name, file, target, entry in tasks:
         folder, tree = f"Med-RAD/Data/Lungs/{file}.nii.gz".rsplit("/", 1)

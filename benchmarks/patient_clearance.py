@@ -193,6 +193,7 @@ def _triangles(path: Path) -> Array:
 
 def _triangle_room(triangles: Array, inside: bool, points: Array) -> Array:
     """To the nearest triangle, negative on the wrong side by the winding number of the whole surface."""
+    whole, triangles = triangles, _in_pieces(triangles)
     middles = triangles.mean(axis=1)
     reach = np.linalg.norm(triangles - middles[:, None], axis=2).max()
     tree, found = cKDTree(middles), np.empty(len(points))
@@ -203,8 +204,21 @@ def _triangle_room(triangles: Array, inside: bool, points: Array) -> Array:
         for k in np.flatnonzero(away[:, -1] - reach < found[begin : begin + 2000]):  # a farther one may be nearer
             close = triangles[tree.query_ball_point(some[k], found[begin + k] + reach)]
             found[begin + k] = _to_triangles(some[k : k + 1], close[None])[0]
-    within = _within(triangles, points, found)
+    within = _within(whole, points, found)
     return np.where(within == inside, found, -found)
+
+
+def _in_pieces(triangles: Array, longest_mm: float = 3.0) -> Array:
+    """(F, 3, 3) with triangles that have longer edges cut in four: the same surface."""
+    done = []
+    while len(triangles):
+        edges = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2).max(axis=1)
+        done.append(triangles[edges <= longest_mm])
+        a, b, c = np.moveaxis(triangles[edges > longest_mm], 1, 0)
+        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+        corners = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
+        triangles = np.concatenate([np.stack(piece, axis=1) for piece in corners])
+    return np.concatenate(done)
 
 
 def _to_triangles(points: Array, triangles: Array) -> Array:
