@@ -262,3 +262,18 @@ def test_arguments_are_checked(scenario: ctrplan.Scenario) -> None:
             place(scenario, **keys)  # type: ignore[arg-type]
     with pytest.raises(NoAnswerError, match="base poses were tried"):
         place(scenario, center_m=[0, 0, 0.9], candidates=1)
+
+
+def test_a_target_just_out_of_reach_is_not_counted_as_reached(folder: Path) -> None:
+    """Those within reach come first: with a needle of few joints, poses that nearly reach crowded them out."""
+    robot = ctrplan.load_robot(PAIR)
+    longest = robot.bound(*robot.drive.collars(np.array([0.0, 0.0, robot.drive.upper[2]]))).frictionless
+    tip, onwards = longest.tip_m, longest.tubes[-1].frames[-1, :, 2]
+    for beyond_mm, likely in ((-3.0, 1), (1.5, 0)):
+        place_mm = (1e3 * tip + beyond_mm * onwards).tolist()
+        content = {"robot": "robot.toml", "start": START, "goal": {"tip_mm": place_mm, "tolerance_mm": 1.0}}
+        (folder / "free.toml").write_text(tomli_w.dumps(content), encoding="utf-8")
+        scenario = ctrplan.load_scenario(folder / "free.toml")
+        where = patch(scenario, radius_m=0.0, cone_rad=0.0)
+        (worth,) = Screen(scenario, where, np.random.default_rng(0)).look([Pose(np.zeros(3), np.eye(3))])
+        assert (worth.likely, worth.possible) == (likely, 1)

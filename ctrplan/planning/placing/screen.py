@@ -38,8 +38,8 @@ class Worth:
     """What a pose seems to be worth."""
 
     pose: Pose
-    likely: int  # targets reached with room for the friction error
-    possible: int  # targets reached without definite collision
+    likely: int  # targets reached within tolerance, with room for the friction error
+    possible: int  # targets reached without definite collision, or nearly
     share: float  # worst bound of those, in tolerances of their targets
     room_m: float  # least of those, beyond the bound
 
@@ -107,7 +107,11 @@ class Screen:
         usable = found.error_m <= self.tolerance_m[tried.target] + GAP_M
         usable &= (room > DEFINITE_COLLISION_M) & self._looks_right(poses, tried, found.tangent)
         bound = self._bounds(found.joints, np.flatnonzero(usable))
-        return [self._worth(pose, tried.target[rows], bound[rows], room[rows]) for pose, rows in _each(poses, tried)]
+        reaches = found.error_m <= self.tolerance_m[tried.target]
+        return [
+            self._worth(pose, tried.target[rows], bound[rows], room[rows], reaches[rows])
+            for pose, rows in _each(poses, tried)
+        ]
 
     def _attempts(self, poses: Sequence[Pose]) -> _Attempts:
         """For every pose and target the samples near it that have most room."""
@@ -156,14 +160,19 @@ class Screen:
             bound[rows] = np.where(sound, solved.position_m, np.inf)
         return bound
 
-    def _worth(self, pose: Pose, target: NDArray[np.int_], bound: Array, room: Array) -> Worth:
+    def _worth(
+        self, pose: Pose, target: NDArray[np.int_], bound: Array, room: Array, reaches: NDArray[np.bool_]
+    ) -> Worth:
         likely, shares, rooms = 0, [0.0], [np.inf]
         for k, tolerance in enumerate(self.tolerance_m):
             rows = np.flatnonzero((target == k) & np.isfinite(bound))
             if len(rows):
                 left = np.minimum(room[rows] - bound[rows], ENOUGH_M)
-                best = rows[np.lexsort((bound[rows], -np.minimum(left, 0.0)))[0]]  # that fits first, then least bound
-                likely += bool(room[best] >= bound[best])
+                fits = -np.minimum(left, 0.0)
+                best = rows[
+                    np.lexsort((bound[rows], fits, ~reaches[rows]))[0]
+                ]  # what reaches and fits, then least bound
+                likely += bool(reaches[best] and room[best] >= bound[best])
                 shares.append(bound[best] / tolerance)
                 rooms.append(room[best] - bound[best])
         return Worth(pose, likely, len(rooms) - 1, max(shares), min(rooms))
