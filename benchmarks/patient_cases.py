@@ -143,7 +143,7 @@ def _airways() -> Iterator[PublicCase]:
             target=target,
             entry=entry,
             lumen=(tree,),
-            more=("--margin-mm", "0.2", "--tolerance-mm", "2", "--cone-deg", "45", "--candidates", "256"),
+            more=("--margin-mm", "0.1", "--tolerance-mm", "2", "--cone-deg", "45", "--candidates", "256"),
         )
 
 
@@ -171,14 +171,14 @@ def _throats() -> Iterator[PublicCase]:
 
 def _hearts() -> Iterator[PublicCase]:
     """Through the mitral valve of a left atrium to the mouths of two pulmonary veins."""
-    for name, target in (("atrium far vein", (230.4, 180.3, 128)), ("atrium near vein", (226, 152, 92))):
+    for name, target in (("atrium far vein", (226.5, 174.6, 121)), ("atrium near vein", (224.5, 159, 99.5))):
         yield PublicCase(
             name=name,
             organ="heart",
             folder="VaMPy/models/atrium",
             robot="three_tube_insertion",
             target=target,
-            entry=(217, 189, 74),
+            entry=(216.8, 189.2, 75),
             lumen=("atrium.vtp",),
             more=(
                 "--repair",
