@@ -38,8 +38,8 @@ p {{ margin: 6px 0 10px; max-width: 75ch; }}
   font-size: 1.1rem; font-weight: 600; max-width: none; }}
 .good {{ color: {palette.MET}; }} .bad {{ color: {palette.LIMIT}; }}
 .caution {{ color: {palette.CAUTION}; }} .quiet {{ color: {palette.MUTED}; }}
-.tiles {{ display: grid; grid-template-columns: repeat(auto-fit, minmax(140px, 1fr)); gap: 12px; margin: 0 0 18px; }}
-.tile {{ background: #fff; border-radius: 8px; padding: 12px 14px; }}
+.tiles {{ display: flex; flex-wrap: wrap; gap: 12px; margin: 0 0 18px; }}
+.tile {{ background: #fff; border-radius: 8px; padding: 12px 14px; flex: 1 1 110px; }}
 .tile b {{ display: block; font-size: 1.5rem; line-height: 1.3; white-space: nowrap; }}
 .tile > span {{ color: {palette.MUTED}; font-size: 0.9rem; }}
 section {{ background: #fff; border-radius: 8px; padding: 18px 22px; margin: 0 0 18px; }}
@@ -70,7 +70,7 @@ dt {{ font-weight: 600; }} dd {{ margin: 0 0 8px; color: {palette.MUTED}; max-wi
 @media (max-width: 800px) {{
   main {{ padding: 16px 10px 40px; }} section {{ padding: 14px 14px; }} h1 {{ font-size: 1.5rem; }}
   .verdict {{ font-size: 1rem; padding: 10px 14px; }} .tile {{ padding: 8px 12px; }} .tile b {{ font-size: 1.25rem; }}
-  .tiles {{ grid-template-columns: repeat(auto-fit, minmax(140px, 1fr)); gap: 8px; }}
+  .tiles {{ gap: 8px; }} .tile {{ flex-basis: 140px; }}
   .motion {{ grid-template-columns: minmax(0, 1fr); }} .scene {{ height: 42vh; min-height: 260px; }}
   .twin > div {{ min-width: 620px; }} .wide th, .wide td {{ min-width: 4.2em; }}
   .moment {{ display: flex; gap: 12px; }} .moment > div {{ flex: 1; }} .moment b {{ font-size: 1.15rem; }}
