@@ -73,27 +73,32 @@ def _figures(folder: Path) -> dict[str, Any]:
     return found | {"at_mm": measured.point_mm.round(1).tolist(), "shapes": measured.states, "report_MB": report}
 
 
+HEADER = "case | robot | processor time (clock), s | memory, MB | clearance certified | worst friction | measured |"
+BOUNDS = " bound at the goal | without it in the cost |"
+
+
 def table(out: Path) -> None:
-    """Prints what the folders below OUT hold."""
-    print(
-        "| case | processor (clock), s | memory, MB | clearance claimed | measured | bound at the goal | without it |"
-    )
-    print("|---|---|---|---|---|---|---|")
+    """Prints what the folders below OUT hold; clearances and bounds in mm."""
+    print(f"| {HEADER}{BOUNDS}\n|{'---|' * 9}")
     for case in CASES.values():
         file = out / case.name.replace(" ", "_") / "result.json"
         if file.exists():
-            _row(json.loads(file.read_text()))
+            _row(json.loads(file.read_text()), file.parent / "case" / "plan" / "plan.json")
 
 
-def _row(found: dict[str, Any]) -> None:
+def _row(found: dict[str, Any], plan: Path) -> None:
     made = found["made"]
-    start = f"| {found['case']} | {made['processor_s']:.0f} ({made['clock_s']:.0f}) | {made['memory_MB']} "
-    if "plan_bound_mm" not in found:
-        print(start + f"| no plan: {made['words'][-1]} | | | |")
+    spent = f"{made['processor_s']:.0f} ({made['clock_s']:.0f}) | {made['memory_MB']}"
+    start = f"| {found['case']} | `{found['robot']}` | {spent} |"
+    if "measured_mm" not in found:
+        why = next((words for words in reversed(made["words"]) if words.startswith("ctrplan:")), "")
+        print(f"{start} no plan: {why} | | | | |")
         return
+    certificate = json.loads(plan.read_text())["certificate"]
+    worst = certificate["closest"]["clearance_m"] * 1e3
+    clearances = f"{found['plan_claimed_mm']:.2f} | {worst:.2f} | {found['measured_mm']:.2f}"
     without = f"{found['without_bound_mm']:.2f}" if "without_bound_mm" in found else "no plan"
-    claims = f"{found['plan_claimed_mm']:.2f} | {found['measured_mm']:.2f}"
-    print(start + f"| {claims} | {found['plan_bound_mm']:.2f} | {without} |")
+    print(f"{start} {clearances} | {found['plan_bound_mm']:.2f} | {without} |")
 
 
 def main() -> None:
