@@ -23,7 +23,7 @@ from ctrplan.planning.placing import screen as screening
 from ctrplan.planning.placing.base_pose import BasePose, base_pose, placed
 from ctrplan.planning.placing.patch import Patch, Pose
 from ctrplan.planning.placing.place import Placement, place
-from ctrplan.planning.placing.screen import Screen
+from ctrplan.planning.placing.screen import Screen, Worth
 
 PAIR = ROBOTS / "table_5_pair.toml"
 WAY = {"rotate outer": 20.0, "rotate inner": 140.0, "translate inner": 10.0}  # there and back
@@ -269,11 +269,22 @@ def test_a_target_just_out_of_reach_is_not_counted_as_reached(folder: Path) -> N
     robot = ctrplan.load_robot(PAIR)
     longest = robot.bound(*robot.drive.collars(np.array([0.0, 0.0, robot.drive.upper[2]]))).frictionless
     tip, onwards = longest.tip_m, longest.tubes[-1].frames[-1, :, 2]
-    for beyond_mm, likely in ((-3.0, 1), (1.5, 0)):
+    for beyond_mm, reached in ((-3.0, 1), (1.5, 0)):
         place_mm = (1e3 * tip + beyond_mm * onwards).tolist()
         content = {"robot": "robot.toml", "start": START, "goal": {"tip_mm": place_mm, "tolerance_mm": 1.0}}
         (folder / "free.toml").write_text(tomli_w.dumps(content), encoding="utf-8")
         scenario = ctrplan.load_scenario(folder / "free.toml")
         where = patch(scenario, radius_m=0.0, cone_rad=0.0)
         (worth,) = Screen(scenario, where, np.random.default_rng(0)).look([Pose(np.zeros(3), np.eye(3))])
-        assert (worth.likely, worth.possible) == (likely, 1)
+        assert (worth.likely, worth.reached, worth.possible) == (reached, reached, 1)
+
+
+def test_poses_that_lack_the_least_room_are_looked_at_first() -> None:
+    """In a narrow lumen no pose seems to have room for friction's error; a low bound there is no help."""
+    pose = Pose(np.zeros(3), np.eye(3))
+    fits = Worth(pose, likely=1, reached=1, possible=1, share=3.0, room_m=1e-4)
+    nearly = Worth(pose, likely=0, reached=1, possible=1, share=2.0, room_m=-1e-4)
+    far_from_it = Worth(pose, likely=0, reached=1, possible=1, share=0.5, room_m=-2e-3)
+    beside_it = Worth(pose, likely=0, reached=0, possible=1, share=0.1, room_m=1e-3)
+    order = [fits, nearly, far_from_it, beside_it]
+    assert sorted(reversed(order), key=lambda worth: worth.rank) == order

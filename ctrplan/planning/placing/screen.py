@@ -30,7 +30,6 @@ NEAR_M = 15e-3  # a target with no sample within this is out of reach
 STEPS = 8  # of each that is led to its target
 GAP_M = 1e-3  # about what clearance moves a tip
 TURN_RAD = 0.2  # likewise of its tangent, with friction
-ENOUGH_M = 1e-3  # of room beyond friction's error, more of which is no better
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,15 +37,16 @@ class Worth:
     """What a pose seems to be worth."""
 
     pose: Pose
-    likely: int  # targets reached within tolerance, with room for the friction error
+    likely: int  # targets reached with room for the friction error
+    reached: int  # targets reached within their tolerance, without definite collision
     possible: int  # targets reached without definite collision, or nearly
     share: float  # worst bound of those, in tolerances of their targets
     room_m: float  # least of those, beyond the bound
 
     @property
     def rank(self) -> tuple[float, ...]:
-        """Less is better."""
-        return (-self.likely, -self.possible, self.share, -self.room_m)
+        """Less is better: where friction's error has no room, the pose comes first that lacks least of it."""
+        return (-self.likely, -self.reached, -self.possible, max(0.0, -self.room_m), self.share, -self.room_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,19 +163,19 @@ class Screen:
     def _worth(
         self, pose: Pose, target: NDArray[np.int_], bound: Array, room: Array, reaches: NDArray[np.bool_]
     ) -> Worth:
-        likely, shares, rooms = 0, [0.0], [np.inf]
+        likely, reached, shares, rooms = 0, 0, [0.0], [np.inf]
         for k, tolerance in enumerate(self.tolerance_m):
             rows = np.flatnonzero((target == k) & np.isfinite(bound))
             if len(rows):
-                left = np.minimum(room[rows] - bound[rows], ENOUGH_M)
-                fits = -np.minimum(left, 0.0)
+                lacks = np.maximum(bound[rows] - room[rows], 0.0)
                 best = rows[
-                    np.lexsort((bound[rows], fits, ~reaches[rows]))[0]
+                    np.lexsort((bound[rows], lacks, ~reaches[rows]))[0]
                 ]  # what reaches and fits, then least bound
+                reached += bool(reaches[best])
                 likely += bool(reaches[best] and room[best] >= bound[best])
                 shares.append(bound[best] / tolerance)
                 rooms.append(room[best] - bound[best])
-        return Worth(pose, likely, len(rooms) - 1, max(shares), min(rooms))
+        return Worth(pose, likely, reached, len(rooms) - 1, max(shares), min(rooms))
 
     def _reduced(self, points: Array) -> Array:
         """Points (K, 3) of the robot's frame without what turning all tubes together changes."""
