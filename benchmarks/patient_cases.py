@@ -23,7 +23,7 @@ class PublicCase:
     folder: str  # below the folder with the clones
     robot: str
     target: Place  # a file with three numbers, or the numbers (mm)
-    entry: Place  # a file with a 4 x 4 matrix whose last column counts, or the numbers (mm)
+    entry: Place  # files, apart by spaces, with a 4 x 4 matrix whose last column counts, or the numbers (mm)
     avoid: tuple[str, ...] = ()
     lumen: tuple[str, ...] = ()
     frame: str = "RAS"
@@ -35,7 +35,8 @@ class PublicCase:
         roles = [word for file in self.lumen for word in ("--lumen", file)]
         roles += [word for file in self.avoid for word in ("--avoid", file)]
         places = ["--target", *_place(root / self.folder, self.target)]
-        places += ["--entry", *_place(root / self.folder, self.entry)]
+        for entry in self.entry.split() if isinstance(self.entry, str) else [self.entry]:
+            places += ["--entry", *_place(root / self.folder, entry)]
         robot = ["--robot", str(ROBOTS / f"{self.robot}.toml")]
         return ["case", *files, *roles, *places, "--frame", self.frame, *robot, *self.more]
 
@@ -89,16 +90,16 @@ def _livers() -> Iterator[PublicCase]:
 
 def _lungs() -> Iterator[PublicCase]:
     """Through the wall of a bronchus to a nodule, around vessels."""
-    for patient, entry in ((1, 2), (2, 1), (3, 4), (4, 2), (5, 1)):
+    for patient, entries in ((1, (1, 3)), (2, (1, 3)), (3, (4, 5)), (4, (2, 4)), (5, (1, 2))):
         yield PublicCase(
             name=f"lung {patient}",
             organ="lung",
             folder=f"Med-RAD/Data/Lungs/TumorTargetEnvironments/Patient{patient}",
             robot="lung_needle",
             target="target.txt",
-            entry=f"start{entry}.txt",
+            entry=" ".join(f"start{entry}.txt" for entry in entries),
             avoid=("vessels.nii.gz",),
-            more=("--tolerance-mm", "2", "--margin-mm", "0.3", "--cone-deg", "30"),
+            more=("--tolerance-mm", "2", "--margin-mm", "0.1", "--cone-deg", "30", "--candidates", "256"),
         )
 
 
