@@ -25,15 +25,12 @@ def thinned(vertices: Array, faces: Indices) -> tuple[Array, Indices, float]:
 
     As it is, and 0, where it is not HUGE, can't be thinned by as little, or the extra package is missing.
     """
-    if len(faces) <= HUGE or (simplify := _simplify()) is None:
+    if len(faces) <= HUGE:
         return vertices, faces, 0.0
     for doubled in range(TRIES):
-        share = 1 - 2**doubled * ENOUGH / len(faces)
-        if share <= 0:
+        if (wanted := 2**doubled * ENOUGH) >= len(faces) or (found := collapsed(vertices, faces, wanted)) is None:
             break
-        points, triangles = simplify(vertices * MM_PER_M, faces.astype(np.int32), share)[:2]
-        points = np.ascontiguousarray(points, dtype=np.float64) / MM_PER_M
-        triangles = np.ascontiguousarray(triangles, dtype=np.int64)
+        points, triangles = found
         error = np.inf if len(odd_edges(triangles)) else _error_m(vertices, faces, points, triangles)
         if error <= MOST_ERROR_M:
             return points, triangles, float(error)
@@ -45,6 +42,18 @@ def thinning_note(faces: Indices, error_m: float) -> tuple[str, ...]:
     if not error_m:
         return ()
     return (f"was thinned to {len(faces)} triangles, off by {error_m * MM_PER_M:.2g} mm at most, part of the margin",)
+
+
+def collapsed(vertices: Array, faces: Indices, triangles: int) -> tuple[Array, Indices] | None:
+    """The surface (V, 3) [m], (F, 3) in about so many triangles, by edges whose collapse moves it least.
+
+    None where the extra package is missing.
+    """
+    if (simplify := _simplify()) is None:
+        return None
+    share = max(0.0, 1 - triangles / len(faces))
+    points, left = simplify(vertices * MM_PER_M, faces.astype(np.int32), share)[:2]
+    return np.ascontiguousarray(points, dtype=np.float64) / MM_PER_M, np.ascontiguousarray(left, dtype=np.int64)
 
 
 def _simplify() -> Any:

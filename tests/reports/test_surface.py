@@ -77,3 +77,16 @@ def test_coarse_meshes_stay_as_they_are() -> None:
     box = trimesh.creation.box()
     surface = Surface(np.array(box.vertices), np.array(box.faces))
     assert thinned(surface, 12) is surface
+
+
+def test_thin_vessels_stay_whole_when_they_are_thinned() -> None:
+    """Merged in cells of a grid, those that are thinner than a cell fell to flakes."""
+    t = np.linspace(0, 40, 3000)
+    line = np.stack([np.cos(t), np.sin(t), 0.05 * t], axis=1) * 0.05
+    tangent = np.gradient(line, t, axis=0)
+    rod = Rod(line, tangent / np.linalg.norm(tangent, axis=1, keepdims=True), np.full(len(t), 4e-4))
+    whole = rod.surface(8)
+    few = thinned(whole, 4000)
+    assert len(few.faces) <= 4000 < len(whole.faces) / 10
+    assert mesh(few).is_watertight
+    assert mesh(few).volume == pytest.approx(mesh(whole).volume, rel=0.1)
