@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import re
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -288,3 +289,17 @@ def test_poses_that_lack_the_least_room_are_looked_at_first() -> None:
     beside_it = Worth(pose, likely=0, reached=0, possible=1, share=0.1, room_m=1e-3)
     order = [fits, nearly, far_from_it, beside_it]
     assert sorted(reversed(order), key=lambda worth: worth.rank) == order
+
+
+def test_a_target_that_is_walled_off_says_where_it_is_tightest(folder: Path) -> None:
+    robot = ctrplan.load_robot(PAIR)
+    tip = robot.bound(*robot.drive.collars(np.zeros(3))).frictionless.tip_m
+    wall = {"kind": "sphere", "center_mm": [0.0, 0.0, 40.0], "radius_mm": 6.0}  # before the plate, around all tubes
+    goal = {"tip_mm": (1e3 * tip).tolist(), "tolerance_mm": 1.0}
+    content = {"robot": "robot.toml", "start": START, "goal": goal, "anatomy": [wall]}
+    (folder / "walled.toml").write_text(tomli_w.dumps(content), encoding="utf-8")
+    (target,) = base_pose(ctrplan.load_scenario(folder / "walled.toml"), 0).targets
+    assert target.found and not target.valid
+    (said,) = re.findall(r"too close to the anatomy, tightest to anatomy.1 \(sphere\) at \[(.*)\] mm", target.reason)
+    place = np.array([float(x) for x in said.split(",")])
+    assert np.linalg.norm(place - wall["center_mm"]) < 6.0

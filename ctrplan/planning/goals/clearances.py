@@ -58,8 +58,7 @@ def start_trouble(checker: MotionChecker) -> str:
     scenario = checker.scenario
     if not scenario.anatomy or not checker.space.allowed(scenario.start):
         return ""
-    points, radius = checker.mechanics.body(*checker.space.drive.collars(scenario.start))
-    located = points[0] @ scenario.base_R.T + scenario.base_position_m
+    located, radius = _body(checker, scenario.start)
     lumens = [(k, part) for k, part in enumerate(scenario.anatomy) if part.role == "inside"]
     if lumens:
         depth = np.max([-surface_distance(part, located) for _, part in lumens], axis=0)
@@ -76,8 +75,33 @@ def start_trouble(checker: MotionChecker) -> str:
     return _margin_trouble(scenario, located, radius)
 
 
+def tightest_place(checker: MotionChecker, joints: Array) -> str:
+    """Where the frictionless body of joints (m,) has least room beyond the margins, in words; empty in free space."""
+    if not checker.scenario.anatomy:
+        return ""
+    located, radius = _body(checker, joints)
+    k, worst, _, _ = _tightest(checker.scenario, located, radius)
+    return f"{called(checker.scenario, k)} at {_at(located[worst])}"
+
+
+def _body(checker: MotionChecker, joints: Array) -> tuple[Array, Array]:
+    """Points (N, 3) [m] of the frictionless centreline in the anatomy's frame, radii (N,)."""
+    points, radius = checker.mechanics.body(*checker.space.drive.collars(joints))
+    return points[0] @ checker.scenario.base_R.T + checker.scenario.base_position_m, radius
+
+
 def _margin_trouble(scenario: Scenario, located: Array, radius: Array) -> str:
     """The margin that the body, points (N, 3) in the anatomy's frame and radii (N,), breaks most."""
+    k, worst, room, beyond = _tightest(scenario, located, radius)
+    if beyond >= scenario.robot.model_error_m:
+        return ""
+    margin_mm, where = scenario.anatomy[k].margin_m * MM_PER_M, _at(located[worst])
+    near = f"the robot is {room * MM_PER_M:.2f} mm from {called(scenario, k)} at {where}"
+    return f"{near}, less than margin_mm = {margin_mm:g}"
+
+
+def _tightest(scenario: Scenario, located: Array, radius: Array) -> tuple[int, int, float, float]:
+    """The part and the point of a body with least room beyond margins; room [m] there, and beyond the margin."""
     sides = np.array([1.0 if part.role == "avoid" else -1.0 for part in scenario.anatomy])
     margins = np.array([part.margin_m for part in scenario.anatomy])
     rooms = sides[:, None] * [surface_distance(part, located) for part in scenario.anatomy] - radius
@@ -87,11 +111,7 @@ def _margin_trouble(scenario: Scenario, located: Array, radius: Array) -> str:
         best = np.argmax(np.where(lumens[:, None], beyond, -np.inf), axis=0)
         beyond[lumens[:, None] & (np.arange(len(sides))[:, None] != best)] = np.inf
     k, worst = np.unravel_index(np.argmin(beyond), beyond.shape)
-    if beyond[k, worst] >= scenario.robot.model_error_m:
-        return ""
-    margin_mm, where = margins[k] * MM_PER_M, _at(located[worst])
-    near = f"the robot is {rooms[k, worst] * MM_PER_M:.2f} mm from {called(scenario, int(k))} at {where}"
-    return f"{near}, less than margin_mm = {margin_mm:g}"
+    return int(k), int(worst), float(rooms[k, worst]), float(beyond[k, worst])
 
 
 def refuse_impossible_margins(scenario: Scenario) -> None:

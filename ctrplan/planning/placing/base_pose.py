@@ -10,7 +10,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.planning.goals.branches import Configuration, reach
-from ctrplan.planning.goals.clearances import start_trouble
+from ctrplan.planning.goals.clearances import start_trouble, tightest_place
 from ctrplan.planning.goals.goal_state import tip_target
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.placing.patch import Pose, middle_of
@@ -121,6 +121,12 @@ def _start_reason(checker: MotionChecker) -> str:
     return (start_trouble(checker) or reason) if reason else ""
 
 
+def _why_not(checker: MotionChecker, way: Configuration) -> str:
+    """Why a configuration is not valid, with its tightest place where room is what it lacks."""
+    where = tightest_place(checker, way.joints) if way.clearance_m < checker.limits.clearance_m else ""
+    return f"{way.reason}, tightest to {where}" if where else way.reason
+
+
 def _reached(checker: MotionChecker, goal: Goal, seed: int) -> ReachedTarget:
     target = tip_target(replace(checker.scenario, goal=goal, via=()))
     found = reach(checker, target, goal.tolerance_m, np.random.default_rng(seed), STARTS)
@@ -129,7 +135,7 @@ def _reached(checker: MotionChecker, goal: Goal, seed: int) -> ReachedTarget:
     if valid:
         return ReachedTarget(goal, len(ways), len(valid), min(valid, key=lambda c: c.tip_error_m + c.bound_m), "")
     if ways:
-        return ReachedTarget(goal, len(ways), 0, None, max(ways, key=lambda c: c.clearance_m).reason)
+        return ReachedTarget(goal, len(ways), 0, None, _why_not(checker, max(ways, key=lambda c: c.clearance_m)))
     near = found.nearest.tip_error_m
     why = f"the nearest tip is {near * 1e3:.3g} mm away" if near > goal.tolerance_m else "the direction is not reached"
     return ReachedTarget(goal, 0, 0, None, why)
