@@ -1,6 +1,7 @@
 """Public patients, from their files to certified plans, measured against the raw voxels and triangles.
 
     python benchmarks/patients.py FOLDER OUT [CASE ...]         # of patient_cases.py; default: all
+    python benchmarks/patients.py FOLDER OUT --without          # only plans without the bound in the cost
     python benchmarks/patients.py FOLDER OUT --table            # what OUT holds already
     python benchmarks/patients.py FOLDER OUT --commands         # what would be run
 
@@ -33,7 +34,13 @@ def run_case(case: PublicCase, root: Path, out: Path) -> None:
     made = _run([*case.command(root), "-o", str(folder / "case"), "--quiet", "--from", "scenario"], folder / "case.log")
     found: dict[str, Any] = {"case": case.name, "organ": case.organ, "robot": case.robot, "made": made}
     if made["code"] == 0:
-        found |= _figures(folder / "case")
+        measure = [
+            sys.executable,
+            __file__,
+            str(folder / "case"),
+            "--measure",
+        ]  # so that this process stays small, since
+        found |= json.loads(subprocess.run(measure, capture_output=True, check=True).stdout)  # children start as large
     (folder / "result.json").write_text(json.dumps(found, indent=1) + "\n")
 
 
@@ -115,17 +122,20 @@ def _row(found: dict[str, Any], plan: Path) -> None:
 
 
 def main() -> None:
+    if sys.argv[2:] == ["--measure"]:
+        print(json.dumps(_figures(Path(sys.argv[1]))))
+        return
     root, out, *names = sys.argv[1:]
     if names == ["--commands"]:
         for case in CASES.values():
             print(shlex.join(["ctrplan", *case.command(Path(root)), "-o", case.name.replace(" ", "_")]))
         return
-    if names != ["--table"]:
-        for name in names or CASES:
-            run_case(CASES[name], Path(root).resolve(), Path(out).resolve())
-            print(name, flush=True)
-        for name in names or CASES:
-            run_without(CASES[name], Path(out).resolve())
+    chosen = [case for case in CASES.values() if case.name in names or not names]
+    for case in chosen:
+        run_case(case, Path(root).resolve(), Path(out).resolve())
+        print(case.name, flush=True)
+    for case in chosen or (CASES.values() if names == ["--without"] else []):
+        run_without(case, Path(out).resolve())
     table(Path(out))
 
 
