@@ -1,4 +1,4 @@
-"""The robots that come along are those of the paper."""
+"""The robots that come along: those of the paper, and needles for public patients."""
 
 from __future__ import annotations
 
@@ -12,6 +12,9 @@ from ctrplan.robot.nesting import nesting_violation
 SHIPPED = ROBOTS
 
 SHIPPED_CLEARANCES_MM = {
+    "brain_cannula": [0.05],
+    "liver_needle": [0.05],
+    "lung_needle": [0.05],
     "table_1_pair": [0.05],
     "table_4_pair": [1.625],
     "table_5_pair": [0.0375],
@@ -20,6 +23,9 @@ SHIPPED_CLEARANCES_MM = {
     "three_tube_insertion": [0.0425, 0.0625],
 }
 SHIPPED_RADII_MM = {  # y-curvature of the curved section of each tube
+    "brain_cannula": [np.inf, 60],
+    "liver_needle": [np.inf, 80],
+    "lung_needle": [np.inf, 60],
     "table_1_pair": [150, 150],
     "table_4_pair": [365, 56],
     "table_5_pair": [288.1, 79.3],
@@ -34,11 +40,11 @@ def test_every_shipped_robot_is_listed_here() -> None:
 
 
 @pytest.mark.parametrize("name", SHIPPED_CLEARANCES_MM)
-def test_shipped_robots_are_those_of_the_paper(name: str) -> None:
+def test_shipped_robots_have_the_dimensions_that_they_are_known_for(name: str) -> None:
     robot = load_robot(SHIPPED / f"{name}.toml")
     assert robot.clearance_m * 1e3 == pytest.approx(SHIPPED_CLEARANCES_MM[name], rel=1e-12)
-    radii_mm = [1e3 / tube.sections[-1].curvature_y_per_m for tube in robot.tubes]
-    assert radii_mm == pytest.approx(SHIPPED_RADII_MM[name], rel=1e-10)
+    curvatures_per_m = [tube.sections[-1].curvature_y_per_m for tube in robot.tubes]
+    assert curvatures_per_m == pytest.approx([1e3 / radius for radius in SHIPPED_RADII_MM[name]], rel=1e-10)
     assert len(robot.warnings) == (name == "table_4_pair")
     q = np.zeros(len(robot.drive.joints))
     for moved in (q, np.where(robot.drive.is_rotation, 0, robot.drive.lower)):

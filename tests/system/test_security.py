@@ -52,7 +52,7 @@ def test_no_code_is_made_from_text() -> None:
     assert not used
 
 
-PICKLING = {"batch.py", "definition.py", "run.py", "worker.py"}  # bounds of many rows, and studies
+PICKLING = {"batch.py", "confirm.py", "definition.py", "run.py", "worker.py"}  # bounds of many rows, and studies
 
 
 def test_pickles_come_from_the_process_itself_only() -> None:

@@ -49,7 +49,7 @@ def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece], spare_m
     solved, distance = least_of(pieces), AnatomyDistance.of(scenario)
     enough = max(limits.clearance_m, min(solved - TIGHT_M, limits.clearance_m + spare_m))
     needed = Needed(enough, limits.stability, limits.max_strain)
-    looks = [_Look(scenario, piece, needed, distance) for piece in pieces]
+    looks = [_Look(scenario, piece, needed, limits.clearance_m, distance) for piece in pieces]
     with ThreadPoolExecutor(cores()) as pool:
         first = pool.map(lambda some: looks[some[0]].least(some[1]), _narrowest(pieces))
         narrowest = (one.clearance_m for of_piece in first for one in of_piece)
@@ -99,6 +99,7 @@ class _Look:
     scenario: Scenario
     piece: Piece
     needed: Needed
+    limit_m: float  # of clearance: of less it need not be known how little
     distance: AnatomyDistance | None
     _states: dict[tuple[int, Accuracy], SampleStates] = field(default_factory=dict)
     _found: dict[int, LeastOfStates] = field(default_factory=dict)
@@ -138,12 +139,12 @@ class _Look:
             if sample % LOOK_EVERY:
                 yield _Try(own, depth, is_between=True)
             if is_walked_closely or not sample % LOOK_EVERY:
-                yield _Try(own, depth)
+                yield _Try(own, depth, is_last=is_walked_closely)
                 if is_walked_closely or not np.isfinite(self._found[sample].clearance_m):
                     return
         if self.piece.clearance_m[sample] >= self.needed.clearance_m + SPARE_M:
             yield _Try("certificate", DEPTH, is_between=True)
-        yield _Try("certificate", DEPTH)
+        yield _Try("certificate", DEPTH, is_last=True)
 
     def _cube(self, sample: int, one: _Try) -> CubeAsked:
         """Only what is solved for itself is looked at in all cells, whatever is found in some."""
@@ -157,6 +158,7 @@ class _Look:
             one.depth,
             self._least_depth(sample),
             is_attempt=one.is_between,
+            floor_m=self.limit_m + self._offset_m(sample, one) if one.is_last else np.inf,
         )
 
     def _offset_m(self, sample: int, one: _Try) -> float:
@@ -190,3 +192,4 @@ class _Try:
     accuracy: Accuracy
     depth: int
     is_between: bool = False  # by interpolation along the path
+    is_last: bool = False

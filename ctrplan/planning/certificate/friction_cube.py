@@ -24,6 +24,7 @@ from ctrplan.robot.robot import Robot
 DEPTH = 3  # halvings: 9 states along every pair
 LEAST_DEPTH = 1  # the middle of the cube alone is where errors may vanish by symmetry, beside a fold
 NUMBERS_DEPTH = 6  # where only stability or strain ask for them: near a fold both bend sharply
+LESS_M = 0.1e-3  # than the least clearance found is asked for, until it is kept
 MOST_TUBES = 6  # whose cube, halved once, has 275 corners and middles; of seven 793
 
 Solve = Callable[[Sequence[State]], Sequence[Solved]]
@@ -47,6 +48,7 @@ class CubeAsked:
     depth: int = DEPTH  # how often cells are halved at most
     least_depth: int = LEAST_DEPTH  # and all of them at least
     is_attempt: bool = False  # ends at the first cells that will not keep what is needed
+    floor_m: float = np.inf  # where less clearance than needed is left: how little of it is still asked for
 
 
 def least_of_cube(asked: CubeAsked, distance: Distance | None) -> LeastOfStates:
@@ -57,7 +59,9 @@ def least_of_cube(asked: CubeAsked, distance: Distance | None) -> LeastOfStates:
 def least_of_cubes(asked: Sequence[CubeAsked], distance: Distance | None) -> list[LeastOfStates]:
     """What is known of every state of each configuration once its cells were halved until they keep what is needed.
 
-    Bodies are looked at where they come near enough to the anatomy to matter, not at all without a `distance`.
+    Where they do not keep the clearance that is needed, what they have was found at some state, and another one may have
+    less. Less is asked for then, until no state has less than that, or less than the floor was found. Bodies are looked
+    at where they come near enough to the anatomy to matter, not at all without a `distance`.
     """
     cubes = [_Cube(one) for one in asked]
     while open_ := [cube for cube in cubes if cube.cells]:
@@ -77,9 +81,13 @@ class _Cube:
     cells: list[Cell] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.solved = dict(self.asked.known)
+        self.solved, self.needed = dict(self.asked.known), self.asked.needed
+        self._solves = 0
+        self._begin()
+
+    def _begin(self) -> None:
         pairs = len(next(iter(self.solved)))
-        self.least = LeastOfStates(np.inf, np.inf, -np.inf, (0.0,) * pairs, np.zeros(3), 0)
+        self.least = LeastOfStates(np.inf, np.inf, -np.inf, (0.0,) * pairs, np.zeros(3), self._solves)
         self.cells = [Cell((-1.0,) * pairs, (1.0,) * pairs, 0)]
 
     def cells_asked(self) -> list[CellAsked]:
@@ -88,27 +96,37 @@ class _Cube:
         wanted = list(dict.fromkeys(state for of_cell in states for state in of_cell if state not in self.solved))
         if wanted:
             self.solved.update(zip(wanted, self.asked.solve(wanted), strict=True))
-            self.least = replace(self.least, solves=self.least.solves + len(wanted))
+            self._solves += len(wanted)
         is_looked_at = self.cells[0].depth >= self.asked.least_depth  # else it is halved anyway
         return [
             CellAsked(
                 cell,
                 [self.solved[state] for state in of_cell],
                 self.asked.radius_m,
-                self.asked.needed.clearance_m if is_looked_at else None,
+                self.needed.clearance_m if is_looked_at else None,
             )
             for cell, of_cell in zip(self.cells, states, strict=True)
         ]
 
     def go_on(self, found: Sequence[LeastOfStates]) -> None:
         """Halves the cells that do not keep what is needed, and takes over what is known of the others."""
-        needed, halved = self.asked.needed, list[Cell]()
+        halved = list[Cell]()
         for cell, of_cell in zip(self.cells, found, strict=True):
-            is_short = of_cell.clearance_m < needed.clearance_m
+            is_short = of_cell.clearance_m < self.needed.clearance_m
             deepest = max(self.asked.depth, self.asked.least_depth) if is_short else NUMBERS_DEPTH
-            is_open = cell.depth < self.asked.least_depth or not of_cell.keeps(needed)
+            is_open = cell.depth < self.asked.least_depth or not of_cell.keeps(self.needed)
             if is_open and cell.depth < deepest and np.isfinite(of_cell.stability):
                 halved += cell.halves()
             else:
                 self.least = self.least.with_less_of(of_cell)
-        self.cells = [] if self.asked.is_attempt and not self.least.keeps(needed) else halved
+        self.cells = [] if self.asked.is_attempt and not self.least.keeps(self.needed) else halved
+        if not self.cells:
+            self._ask_for_less()
+
+    def _ask_for_less(self) -> None:
+        """Begins again where some state has less than is needed, so that no other has less than what is said."""
+        self.least = replace(self.least, solves=self._solves)
+        found, floor = self.least.clearance_m, self.asked.floor_m
+        if floor <= found < self.needed.clearance_m:
+            self.needed = replace(self.needed, clearance_m=max(floor, found - LESS_M))
+            self._begin()

@@ -121,6 +121,7 @@ class StageSearch:
         Raises NoAnswerError or KeyboardInterrupt without one.
         """
         for candidate in sorted(self.certified, key=lambda candidate: candidate.walk.cost_mm):
+            self._tell()
             if candidate.certificate.valid:
                 return self.first or candidate, candidate
             self.failure = candidate.certificate.problems[0]
