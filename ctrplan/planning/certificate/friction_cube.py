@@ -59,9 +59,9 @@ def least_of_cube(asked: CubeAsked, distance: Distance | None) -> LeastOfStates:
 def least_of_cubes(asked: Sequence[CubeAsked], distance: Distance | None) -> list[LeastOfStates]:
     """What is known of every state of each configuration once its cells were halved until they keep what is needed.
 
-    Where they do not keep the clearance that is needed, what they have was found at some state, and another one may have
-    less. Less is asked for then, until no state has less than that, or less than the floor was found. Bodies are looked
-    at where they come near enough to the anatomy to matter, not at all without a `distance`.
+    Where they do not keep the clearance that is needed, what they have was found at some state, and another one may
+    have less. Less is asked for then, until no state has less than that, or less than the floor was found. Bodies are
+    looked at where they come near enough to the anatomy to matter, not at all without a `distance`.
     """
     cubes = [_Cube(one) for one in asked]
     while open_ := [cube for cube in cubes if cube.cells]:
