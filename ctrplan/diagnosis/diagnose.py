@@ -96,9 +96,16 @@ def diagnose(
         partly=found.partly if judgement.verdict == "partial" else None,
         built=found.built,
         named_gap=asked.named_gap,
-        memory=found.partly.rest.memory if found.partly else None,
+        memory=_memory(found),
         framed_gap=asked.framed_gap,
     )
+
+
+def _memory(found: Answer) -> float | None:
+    """Of what remains of the model that is handed over."""
+    if found.built:
+        return found.built.rest.memory
+    return found.partly.rest.memory if found.partly else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,10 +13,10 @@ from ctrplan.calibration.unsolved import excused
 from ctrplan.diagnosis.agreement import contradiction
 from ctrplan.diagnosis.answer import Answer
 from ctrplan.diagnosis.building.built import LEAST_SHARE_ASIDE, Built, worse_in
-from ctrplan.diagnosis.chi_square import ignored, remains
+from ctrplan.diagnosis.chi_square import Adequacy, ignored, remains
 from ctrplan.diagnosis.gap import Gap, open_held_out_set
 from ctrplan.diagnosis.localise import Place, localise
-from ctrplan.diagnosis.partly import Partly
+from ctrplan.diagnosis.partly import Partly, left_by_names
 from ctrplan.diagnosis.rescaled_noise import held_out_probability
 from ctrplan.diagnosis.verdict import Judgement, specific
 from ctrplan.diagnosis.workbench import Scored
@@ -91,7 +91,7 @@ def _opened(answer: Answer, data: Measurements) -> Opened:
     judgement, notes = _after_held_out_set(answer, gap, place)
     written = _written(answer, judgement)
     if written is not answer.chosen:  # errors are of the model that is handed over
-        judgement = replace(judgement, adequacy=remains(answer.bench, written))
+        judgement = replace(judgement, adequacy=_left(answer, written))
         gap = open_held_out_set(answer.base.fit, written.fit, aside, group, answer.noise)
         if doubt := contradiction(judgement.verdict, gap, place):
             judgement, notes = replace(judgement, verdict="unexplained"), [*notes, doubt]
@@ -136,6 +136,11 @@ def _written(answer: Answer, judgement: Judgement) -> Scored:
     scored = bench.sized(chosen if len(kept) == len(chosen.terms) else bench.scored(kept, chosen.fit))
     inside = within_file(scored.fit)
     return scored if inside is scored.fit else replace(scored, fit=inside)
+
+
+def _left(answer: Answer, written: Scored) -> Adequacy:
+    """Whether noise alone is left beside the effects of the verdict."""
+    return left_by_names(answer.partly.bench, written) if answer.partly else remains(answer.bench, written)
 
 
 def _beside_a_rest(found: Partly, scored: Scored) -> Scored:

@@ -16,12 +16,12 @@ from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import rest
 from ctrplan.diagnosis.blocks import block_split, blocks
 from ctrplan.diagnosis.candidates import Candidates
-from ctrplan.diagnosis.chi_square import remains
+from ctrplan.diagnosis.chi_square import Adequacy, remains
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.held import finding, held
 from ctrplan.diagnosis.holding import Evidence
 from ctrplan.diagnosis.localise import localise
-from ctrplan.diagnosis.partial_search import PartialSelector
+from ctrplan.diagnosis.partial_search import PartialSelector, is_built
 from ctrplan.diagnosis.rest import Rest
 from ctrplan.diagnosis.selection import Report, Selection, Step
 from ctrplan.diagnosis.shares import Part, mean_square, part_of
@@ -108,14 +108,17 @@ def concluded(
     block: NDArray[np.int_],
     base: Scored,
 ) -> Partly:
-    """What a search ended with, as far as it holds, beside the built terms that are in it."""
+    """What a search ended with, as far as it holds, beside the built terms that are in it.
+
+    What remains is what the catalogue leaves: a built term explains nothing.
+    """
     bench, found = selector.partial_bench, held(selector, searched.chosen)
     chosen = found.chosen
     asked = [finding(selector, found, e.term) for e in found.found]
     kept = tuple(f for f, _ in asked if len(f.alternatives) <= MOST_RIVALS)
     compared = tuple(a for _, tried in asked for a in tried)
-    left = remains(bench, bench.over_noise(chosen))
-    judgement = Judgement("partial" if kept else "unexplained", kept, left, compared)
+    beside, named = _by_name(bench, chosen)
+    judgement = Judgement("partial" if kept else "unexplained", kept, left_by_names(beside, named), compared)
     names = {f.term.key for f in kept}
     shares = tuple(part_of(bench, base, chosen, e) for e in found.found if e.term.key in names)
     return Partly(
@@ -126,11 +129,26 @@ def concluded(
         chosen,
         judgement,
         shares,
-        rest_beside(bench, chosen, bench.plain),
+        rest_beside(beside, named, bench.plain),
         (*searched.path, *found.dropped),
         known,
         found.doubted,
     )
+
+
+def left_by_names(bench: CorrelatedBench, chosen: Scored) -> Adequacy:
+    """Whether noise alone is left without the built terms of a set, against the noise and not beside a rest."""
+    beside, named = _by_name(bench, chosen)
+    return remains(beside, beside.over_noise(named))
+
+
+def _by_name(bench: CorrelatedBench, chosen: Scored) -> tuple[CorrelatedBench, Scored]:
+    """The set without its built terms, on a bench whose discrepancy is all that these stand for."""
+    names = [t for t in chosen.terms if not is_built(t)]
+    if len(names) == len(chosen.terms):
+        return bench, chosen
+    beside = CorrelatedBench(bench.robot, bench.data, bench.plain, bench.group, bench.fold)
+    return beside, beside.corrected(beside.scored(names, chosen.fit))
 
 
 def _memory(robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: Noise) -> float:

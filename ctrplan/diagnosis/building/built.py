@@ -39,7 +39,7 @@ class Built:
 
     scored: Scored  # named and built
     named: Scored  # without the built ones
-    partly: Partly  # what holds of the catalogue beside the built ones
+    partly: Partly  # what holds of the catalogue beside the built ones, and what the catalogue leaves
     rounds: tuple[Round, ...]
     gain: float
     error: float  # standard error over blocks
@@ -108,7 +108,7 @@ def tried(found: Partly, tell: Callable[[str], None]) -> Built | None:
     scored, rounds = grown(bench, named, tell, with_names)
     if scored is named:
         return None
-    alone = _evidence(replace(found, chosen=scored, rest=rest_beside(bench, scored, bench.plain)), rounds)
+    alone = _evidence(replace(found, chosen=scored), rounds)
     if refusals(bench, alone):
         return alone  # what holds beside it is of no matter
     searched = Selection(scored, path)
@@ -130,7 +130,8 @@ def _evidence(found: Partly, rounds: list[Round]) -> Built:
     winning = float((telling > 0).mean()) if len(telling) else 0.0
     before, after = mean_square(bench.left_out_m(plain)), mean_square(bench.left_out_m(scored))
     share = (before - after) / max(before - bench.plain.floor_m**2, 1e-12)
-    return Built(scored, plain, found, tuple(rounds), *summed(gains), certainty(gains), winning, share, found.rest)
+    rest = rest_beside(bench, scored, bench.plain)
+    return Built(scored, plain, found, tuple(rounds), *summed(gains), certainty(gains), winning, share, rest)
 
 
 def refusals(bench: CorrelatedBench, built: Built) -> list[str]:
