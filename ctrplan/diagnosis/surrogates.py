@@ -34,13 +34,11 @@ def of_configurations(r: Array, configuration: NDArray[np.int_], count: int) -> 
     members = [np.flatnonzero(configuration == number) for number in np.unique(configuration)]
     means = np.array([r[rows].mean(axis=0) for rows in members])
     own = np.concatenate([r[rows] - mean for rows, mean in zip(members, means, strict=True)])
-    drawn = np.empty((*r.shape, count))
+    rows, which = np.concatenate(members), np.repeat(np.arange(len(members)), [len(some) for some in members])
+    drawn = np.empty((count, *r.shape))
     for d in range(count):
         traded, left = rng.permutation(len(members)), rng.permutation(len(own))
-        signs = rng.choice([-1.0, 1.0], len(members))
-        at = 0
-        for k, rows in enumerate(members):
-            others = own[left[at : at + len(rows)]]
-            drawn[rows, :, d] = signs[k] * means[traded[k]] + rng.choice([-1.0, 1.0], (len(rows), 1)) * others
-            at += len(rows)
-    return drawn
+        signs = rng.choice([-1.0, 1.0], (len(members), 1))
+        drawn[d, rows] = (signs * means[traded])[which] + rng.choice([-1.0, 1.0], (len(own), 1)) * own[left]
+    moved: Array = np.ascontiguousarray(np.moveaxis(drawn, 0, -1))
+    return moved

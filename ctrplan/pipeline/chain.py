@@ -111,8 +111,12 @@ class Chain:
 
     def seen(self, poses: Poses, collars: Collars, data: Measurements) -> Poses:
         """What is measured of the K poses of the tip: turned with the plate, then as the sensor has them."""
+        return self.sensor(self.turned(poses, collars), data)
+
+    def turned(self, poses: Poses, collars: Collars) -> Poses:
+        """The K poses of the tip, turned with the plate."""
         turn = self.plate_turn(collars)
-        return self.sensor(poses if turn is None else moved_rigidly(poses, turn, np.zeros(3)), data)
+        return poses if turn is None else moved_rigidly(poses, turn, np.zeros(3))
 
     def changing(self, data: Measurements) -> dict[str, Array]:
         """By how much (K,) named numbers of the mechanics differ at each pose."""

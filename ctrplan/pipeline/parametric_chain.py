@@ -94,6 +94,7 @@ class ParametricChain:
         self.followed_phi: Array | None = None  # (K, n - 1) friction states of a simulated history, not of the rule
         self._in_file = Chain.of(robot).on(data.time_s, data.more, of_collars=data.of_collars)
         self._across: Array | None = None
+        self._last_ideal: tuple[list[tuple[Effect, dict[str, float]]], Robot] | None = None
         for t in self.terms:
             if missing := t.effect.missing_columns(data.time_s, data.more):
                 raise InputError(f"needs a column {', '.join(missing)}", file=data.file, key=f"effects.{t.name}")
@@ -129,15 +130,26 @@ class ParametricChain:
 
         An effect that the file has too acts once, where the file has it, with the file's values of what does not vary.
         """
-        ideal, effects = self._in_file.ideal, {given.effect.name: given for given in self._in_file.acting}
+        effects, of_file = {given.effect.name: given for given in self._in_file.acting}, []
         for t, values in zip(self.terms, self.values(p), strict=True):
             if t.effect.of_the_file:
-                if named := t.effect.mechanics(values, ideal):
-                    ideal = with_values(ideal, named)
+                of_file.append((t.effect, values))
             else:
                 held = effects[t.name].values if t.name in effects else {}
                 effects[t.name] = Acting(t.effect, {**held, **values})
-        return Chain(ideal, tuple(effects.values()))
+        return Chain(self._ideal(of_file), tuple(effects.values()))
+
+    def _ideal(self, of_file: list[tuple[Effect, dict[str, float]]]) -> Robot:
+        """With the file's own numbers; the last one is kept, for derivatives by other parameters leave it as it is."""
+        known = self._last_ideal
+        if known is not None and known[0] == of_file:
+            return known[1]
+        ideal = self._in_file.ideal
+        for effect, values in of_file:
+            if named := effect.mechanics(values, ideal):
+                ideal = with_values(ideal, named)
+        self._last_ideal = of_file, ideal
+        return ideal
 
     def installed_at(self, p: Array) -> Robot:
         """The robot with its parameters at `p`, its effects at work: as if read from the file that a fit writes."""
@@ -328,8 +340,11 @@ class ParametricChain:
                    for j in range(s.start, s.stop)]  # fmt: skip
         direct = {*self._stages()["sensor"], *turning}
         h = 1e-5  # m and rad alike
+        turned = chain.turned(poses, collars)
         for j in range(by.shape[2]):
-            if j in direct:
+            if j in direct and j not in turning:
+                by[:, :, j] = self._difference(lambda p: _stacked(self.at(p).sensor(turned, self.data)), p, j)
+            elif j in direct:
                 by[:, :, j] = self._difference(lambda p: _stacked(self.at(p).seen(poses, collars, self.data)), p, j)
             else:
                 size = max(float(np.abs(by[:, :, j]).max()), 1e-12)
