@@ -42,6 +42,7 @@ SCENARIOS = Path(__file__).resolve().parent.parent / "scenarios"
 ROBOT = str(SCENARIOS / "robots" / "three_tube.toml")
 SCENARIO = str(SCENARIOS / "pair_free.toml")
 WORKERS = 2
+SHORT_S = 0.05  # of search, of many plans
 START_S = 30.0  # for a scheduler to say where it is
 EMPTY = "def nothing(scenario, inputs, seed):\n    return {'seed': seed}\n"
 
@@ -53,9 +54,9 @@ def bounds_study(count: int) -> dict[str, Any]:
     return {"robot": ROBOT, "task": {"kind": "bound", "theta_deg": [0, 0, 0], "l_mm": [0, -17, -62.8]}, "vary": turns}
 
 
-def plans_study(count: int) -> dict[str, Any]:
+def plans_study(count: int, time_s: float = 0.5) -> dict[str, Any]:
     """Plans of a pair in free space, a second or so each."""
-    seeds = [{"key": "seed", "values": list(range(count))}, {"key": "planner.time_s", "values": [0.5]}]
+    seeds = [{"key": "seed", "values": list(range(count))}, {"key": "planner.time_s", "values": [time_s]}]
     return {"scenario": SCENARIO, "task": {"kind": "plan"}, "vary": seeds}
 
 
@@ -207,6 +208,12 @@ def many_bounds(count: int, folder: Path) -> None:
     print_memory(found.memory)
 
 
+def many_plans(count: int, folder: Path) -> None:
+    found = Run(plans_study(count, time_s=SHORT_S), folder)
+    print(f"many plans: {len(found.table):,} at {found.rate:.1f} a second by the clock")
+    print_memory(found.memory)
+
+
 def scheduler_rate() -> Iterator[str]:
     """How many tasks a second dask's scheduler hands out, and where it would saturate."""
     with DaskEngine(WORKERS) as engine:
@@ -224,7 +231,8 @@ def main() -> None:
     parser.add_argument("--bounds", type=int, default=4000)
     parser.add_argument("--plans", type=int, default=24)
     parser.add_argument("--empty", type=int, default=2000)
-    parser.add_argument("--many", type=int, default=100_000)
+    parser.add_argument("--many", type=int, default=100_000, help="bounds for memory")
+    parser.add_argument("--many-plans", type=int, default=0, help="plans for memory, of a short search")
     asked = parser.parse_args()
     print(f"load of the machine {os.getloadavg()[0]:.1f}, {os.cpu_count()} cores, {WORKERS} workers")
     with tempfile.TemporaryDirectory() as name:
@@ -240,6 +248,8 @@ def main() -> None:
             print(line)
         if asked.many:
             many_bounds(asked.many, folder)
+        if asked.many_plans:
+            many_plans(asked.many_plans, folder)
 
 
 if __name__ == "__main__":
