@@ -92,3 +92,8 @@ def part_of(folder: Path, own: str | None = "LPS", **entry: Any) -> AnatomyPart:
 
 def distance_mm(part: AnatomyPart, points_mm: Any) -> Array:
     return np.asarray(part.shape.distance(np.asarray(points_mm, float) * 1e-3) * 1e3)
+
+
+def near_points() -> Array:
+    """(400, 3) around the phantom's middle, mm, LPS."""
+    return np.random.default_rng(1).uniform(-16, 16, (400, 3)) + CENTRE
