@@ -1,10 +1,11 @@
-"""Clearance on a regular grid, sampled trilinearly as the core does."""
+"""Clearance on a regular grid, sampled trilinearly by the core."""
 
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+import ctrplan._model as _model
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.base.arrays import Array
 
@@ -35,17 +36,10 @@ class SignedDistanceField:
         Outside the grid: the value at the nearest point of the grid's box minus the distance to it, a lower bound since
         clearance is 1-Lipschitz.
         """
-        points = np.asarray(points_m, dtype=np.float64).reshape(-1, 3)
-        top = np.array(self.values_m.shape) - 1
-        position = (points - self.origin_m) / self.spacing_m
-        clamped = np.clip(position, 0, top)
-        node = np.minimum(clamped.astype(np.int64), top - 1)
-        weight = clamped - node
-        result = -self.spacing_m * np.linalg.norm(position - clamped, axis=1)
-        strides = np.array([self.values_m.shape[1] * self.values_m.shape[2], self.values_m.shape[2], 1])
-        values, first = self.values_m.reshape(-1), node @ strides
-        sides = 1.0 - weight, weight
-        for i, j, k in np.ndindex(2, 2, 2):
-            share = sides[i][:, 0] * sides[j][:, 1] * sides[k][:, 2]
-            result += share * values[first + (i * strides[0] + j * strides[1] + k)]
-        return np.asarray(result)
+        points = np.ascontiguousarray(points_m, dtype=np.float64).reshape(-1, 3)
+        origin = np.ascontiguousarray(self.origin_m, dtype=np.float64)
+        grid = _model.Grid(
+            values=self.values_m, origin=origin, spacing=self.spacing_m, R_AB=np.eye(3), p_AB=np.zeros(3)
+        )
+        found: Array = grid.sample(points)
+        return found

@@ -11,3 +11,4 @@ void bind_history(nanobind::module_& m);
 void bind_shape(nanobind::module_& m);
 void bind_model(nanobind::module_& m);
 void bind_walker(nanobind::module_& m);
+void bind_triangle_tree(nanobind::module_& m);

@@ -21,4 +21,5 @@ NB_MODULE(_model, m) {
     bind_history(m);
     bind_model(m);
     bind_walker(m);
+    bind_triangle_tree(m);
 }

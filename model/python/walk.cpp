@@ -46,6 +46,17 @@ void make_grid(Grid* self, Grid::Values values, Vector origin, double spacing, M
     std::copy_n(origin.data(), 3, field.origin.begin());
 }
 
+nb::object sample(const Grid& grid, Matrix points) {
+    if (points.shape(1) != 3) throw ctr::InvalidInput("points have three coordinates");
+    std::vector<double> found(points.shape(0));
+    const double* p = points.data();
+    {
+        const nb::gil_scoped_release release;
+        for (std::size_t k = 0; k < found.size(); ++k) found[k] = grid.field.sample({p[3 * k], p[3 * k + 1], p[3 * k + 2]});
+    }
+    return array(std::move(found));
+}
+
 }  // namespace
 
 nb::dict to_python(std::vector<Sample>&& samples, bool shapes) {
@@ -77,7 +88,8 @@ nb::dict to_python(std::vector<Sample>&& samples, bool shapes) {
 void bind_walk(nb::module_& m) {
     nb::class_<Grid>(m, "Grid")
         .def("__init__", &make_grid, nb::kw_only(), "values"_a.noconvert(), "origin"_a.noconvert(), "spacing"_a, "R_AB"_a.noconvert(),
-             "p_AB"_a.noconvert());
+             "p_AB"_a.noconvert())
+        .def("sample", &sample, "points_m"_a.noconvert());
     nb::class_<ctr::PathDensity>(m, "PathDensity")
         .def("__init__", [](ctr::PathDensity* self, double rotation, double translation, double motion, double near, double point_spacing) {
             new (self) ctr::PathDensity{rotation, translation, motion, near, point_spacing};

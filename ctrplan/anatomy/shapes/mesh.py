@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import PartEntry, Shape, register
+from ctrplan.anatomy.triangle_tree import triangle_tree
 from ctrplan.base.arrays import Array, numbers, read_only
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
@@ -79,24 +80,24 @@ class MeshEntry(PartEntry):
 
 
 class _MeshDistance:
-    """Signed distance to a closed mesh: nearest triangle from an AABB tree, sign from the fast winding number.
+    """Signed distance to a closed mesh: that to its triangles, with the sign of the fast winding number.
 
-    Where bodies of one mesh overlap, a point in the overlap has winding number 2 and is inside as it should be.
+    Where bodies of one mesh overlap, a point in the overlap has winding number 2 and is inside as it should be. The
+    sign of a run of points is that of its first one: each is nearer to the next one than surfaces are to both.
     """
 
     def __init__(self, mesh: Mesh) -> None:
         import igl
 
-        self.vertices_m, self.faces = mesh.vertices_m, mesh.faces
-        self.tree, self.winding = igl.AABB(), igl.FastWindingNumberBVH()
-        self.tree.init(self.vertices_m, self.faces)
-        self.winding.init(self.vertices_m, self.faces)
+        self.tree, self.winding = triangle_tree(mesh.vertices_m, mesh.faces), igl.FastWindingNumberBVH()
+        self.winding.init(mesh.vertices_m, mesh.faces)
 
     def __call__(self, points_m: Array) -> Array:
-        squared = np.asarray(self.tree.squared_distance(self.vertices_m, self.faces, points_m)[0])
-        inside = np.asarray(self.winding.winding_number(points_m)) > 0.5
-        distance: Array = np.sqrt(squared)
-        np.negative(distance, where=inside, out=distance)
+        distance = self.tree.distance(points_m)
+        steps = np.linalg.norm(np.diff(points_m, axis=0), axis=1)
+        begins = np.append(True, distance[1:] + distance[:-1] <= steps)[: len(distance)]
+        inside = np.asarray(self.winding.winding_number(points_m[begins])) > 0.5
+        np.negative(distance, where=inside[np.cumsum(begins) - 1], out=distance)
         return distance
 
 

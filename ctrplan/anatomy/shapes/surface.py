@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from typing import Any, Literal
 from weakref import WeakKeyDictionary
 
-import numpy as np
-
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import PartEntry, register
 from ctrplan.anatomy.shapes.mesh import Mesh
+from ctrplan.anatomy.triangle_tree import triangle_tree
 from ctrplan.base.arrays import Array
 from ctrplan.storage.toml_table import Table
 
@@ -23,12 +22,8 @@ class Sheet(Mesh):
 
     def distance(self, points_m: Array) -> Array:
         if self not in _trees:
-            import igl
-
-            _trees[self] = igl.AABB()
-            _trees[self].init(self.vertices_m, self.faces)
-        squared = _trees[self].squared_distance(self.vertices_m, self.faces, np.ascontiguousarray(points_m))[0]
-        return np.asarray(np.sqrt(np.asarray(squared)))
+            _trees[self] = triangle_tree(self.vertices_m, self.faces)
+        return _trees[self].distance(points_m)
 
 
 @register(Sheet)

@@ -57,8 +57,7 @@ class AnatomyDistance:
         located = self._located(points_m)
         rough = self.grid.sample(located)
         doubt = self._doubt(rough)
-        ceiling = np.full(count, np.inf)
-        np.minimum.at(ceiling, owner, rough + doubt - radius_m)
+        ceiling = self._ceilings(located, rough - radius_m, radius_m, owner, count)
         near = np.flatnonzero(beside(rough - doubt, HALF_M) - radius_m <= ceiling[owner])
         at_points = exact_clearance_of_many(self.scenario.anatomy, located[near])
         least = np.full(count, np.inf)
@@ -69,6 +68,14 @@ class AnatomyDistance:
         values = beside(pieces, HALF_M / PARTS) - np.tile(radius_m[open_], PARTS)
         np.minimum.at(least, np.tile(owner[open_], PARTS), values)
         return least
+
+    def _ceilings(self, located: Array, rough: Array, radius_m: Array, owner: NDArray[np.intp], count: int) -> Array:
+        """(count,) [m] clearance of each owner where the grid says that it is least, exact; inf without points."""
+        order = np.lexsort((rough, owner))
+        owners, first = np.unique(owner[order], return_index=True)
+        rows, ceiling = order[first], np.full(count, np.inf)
+        ceiling[owners] = exact_clearance_of_many(self.scenario.anatomy, located[rows]) - radius_m[rows]
+        return ceiling
 
     def near(self, points_m: Array, radius_m: Array) -> NDArray[np.intp]:
         """Indices of points (K, 3) with radii (K,) among which the one of least clearance surely is."""

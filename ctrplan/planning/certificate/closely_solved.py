@@ -1,6 +1,7 @@
 """The narrowest samples of walked pieces solved on the certificate mesh.
 
-Pieces are walked on the mesh of the search, whose allowance may take too much from a clearance.
+Pieces are walked on the mesh of the search, whose allowance may take too much from a clearance. Samples one after the
+other are walked to as pieces are, the first of them from scratch.
 """
 
 from __future__ import annotations
@@ -8,21 +9,28 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ctrplan.base.arrays import Array
 from ctrplan.base.cores import cores
-from ctrplan.planning.certificate.allowances import SAME_BRANCH_M
+from ctrplan.mechanics.core import PathDensity, Status
+from ctrplan.planning.certificate.allowances import POINT_SPACING_M, SAME_BRANCH_M, mesh_allowance_m
 from ctrplan.planning.certificate.anatomy_distance import AnatomyDistance
-from ctrplan.planning.certificate.sample_states import SampleStates
-from ctrplan.planning.certificate.walked_piece import FinerShapes, Piece
+from ctrplan.planning.certificate.friction_states import Solved, corner_states
+from ctrplan.planning.certificate.walked_piece import FinerShapes, Piece, shapes_of
 from ctrplan.planning.motion import path_limits
 
 if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario
 
-CHUNK = 4  # samples at a time
+FIRST = 4  # narrowest samples: no others than those that seem to have less have to be solved
+LONGEST = 12  # samples that one thread walks to
+ONLY_THESE = PathDensity(near_m=20e-3, point_spacing_m=POINT_SPACING_M)  # samples; more only where shapes leap
+
+Run = tuple[int, list[int]]  # piece, samples one after the other
 
 
 def closely_solved(scenario: Scenario, pieces: Sequence[Piece], spare_m: float) -> list[Piece]:
@@ -32,7 +40,7 @@ def closely_solved(scenario: Scenario, pieces: Sequence[Piece], spare_m: float) 
     `spare_m` beyond the limit.
     """
     distance, limits = AnatomyDistance.of(scenario), path_limits(scenario)
-    if distance is None:
+    if distance is None or spare_m < 0:
         return list(pieces)
     closer = [piece.clearance_m.copy() for piece in pieces]
     finer: list[dict[int, FinerShapes]] = [{} for _ in pieces]
@@ -40,29 +48,54 @@ def closely_solved(scenario: Scenario, pieces: Sequence[Piece], spare_m: float) 
     narrow = [row for row in rows if pieces[row[1]].accuracy == "search"]
     ceiling = limits.clearance_m + spare_m  # of the least clearance that is asked for
     with ThreadPoolExecutor(cores()) as pool:
-        for begin in range(0, len(narrow), CHUNK):
-            if narrow[begin][0] >= ceiling or ceiling < limits.clearance_m:
-                break
-            chunk = narrow[begin : begin + CHUNK]
-            solved = pool.map(lambda row: _on_certificate_mesh(scenario, distance, pieces[row[1]], row[2]), chunk)
-            for (value, p, k), (found, shapes) in zip(chunk, solved, strict=True):
-                closer[p][k] = max(value, found)
-                ceiling = min(ceiling, closer[p][k])
-                if shapes:
-                    finer[p][k] = shapes
+        for some in (narrow[:FIRST], narrow[FIRST:]):
+            runs = _runs([(p, k) for value, p, k in some if value < ceiling])
+            solved = pool.map(lambda run: _on_certificate_mesh(scenario, distance, pieces[run[0]], run[1]), runs)
+            for (p, samples), found in zip(runs, solved, strict=True):
+                for k, (clearance, shapes) in zip(samples, found, strict=True):
+                    closer[p][k] = max(closer[p][k], clearance)
+                    ceiling = min(ceiling, closer[p][k])
+                    if shapes:
+                        finer[p][k] = shapes
     changed = zip(pieces, closer, finer, strict=True)
     return [replace(piece, clearance_m=values, finer=shapes) for piece, values, shapes in changed]
 
 
+def _runs(places: Sequence[tuple[int, int]]) -> list[Run]:
+    """Pieces and samples as runs of samples one after the other, none longer than LONGEST."""
+    found = list[Run]()
+    for (piece, _), of_run in groupby(enumerate(sorted(places)), lambda row: (row[1][0], row[1][1] - row[0])):
+        samples = [k for _, (_, k) in of_run]
+        found += [(piece, samples[i : i + LONGEST]) for i in range(0, len(samples), LONGEST)]
+    return found
+
+
 def _on_certificate_mesh(
-    scenario: Scenario, distance: AnatomyDistance, piece: Piece, sample: int
-) -> tuple[float, FinerShapes | None]:
-    """Clearance of the solved shapes of a sample, all allowances taken off, and the shapes; -inf on another branch."""
-    states = SampleStates(scenario, piece, sample, "certificate")
-    solved, radius = states.known
-    if states.apart_m > SAME_BRANCH_M:
-        return -np.inf, None
-    points = np.concatenate([one.body_m for one in solved.values()])
-    owner = np.zeros(len(points), dtype=np.intp)
-    least = float(distance.least(points, np.tile(radius, len(solved)), owner, 1)[0])
-    return least - float(piece.offset_m(scenario, "certificate")[sample]), (solved, radius)
+    scenario: Scenario, distance: AnatomyDistance, piece: Piece, samples: Sequence[int]
+) -> list[tuple[float, FinerShapes | None]]:
+    """Clearance of each sample's solved shapes, all allowances taken off, and these; -inf on another branch."""
+    found = scenario.robot.mechanics.check_path(
+        piece.theta_b[samples], piece.l_b[samples], density=ONLY_THESE, accuracy="certificate", bodies=True
+    )
+    states = [(0.0,) * (scenario.robot.n - 1), *corner_states(scenario.robot.n - 1)]
+    offset, nothing = piece.offset_m(scenario, "certificate"), (-np.inf, None)
+    solved: list[tuple[float, FinerShapes | None]] = [nothing] * len(samples)
+    is_asked = (found.fraction == 1) | (np.arange(len(found.fraction)) == 0)
+    for row in np.flatnonzero(is_asked & (found.status != Status.FAILED)):
+        at = int(found.segment[row] + found.fraction[row])
+        bodies, radius = shapes_of(scenario, found.bodies[row])
+        if _apart_m(scenario, piece, samples[at], bodies) > SAME_BRANCH_M:
+            continue
+        numbers = zip(bodies, found.shape_stability[row].tolist(), found.shape_max_strain[row].tolist(), strict=True)
+        shapes = dict(zip(states, (Solved(*one) for one in numbers), strict=True)), radius
+        owner = np.zeros(bodies.shape[0] * bodies.shape[1], dtype=np.intp)
+        least = distance.least(bodies.reshape(-1, 3), np.tile(radius, len(bodies)), owner, 1)[0]
+        solved[at] = float(least) - float(offset[samples[at]]), shapes
+    return solved
+
+
+def _apart_m(scenario: Scenario, piece: Piece, sample: int, bodies: Array) -> float:
+    """How far tips of shapes (1 + C, N, 3) lie from those that were walked to, beyond what meshes differ by."""
+    walked = shapes_of(scenario, piece.samples.bodies[sample])[0]
+    apart = np.linalg.norm(bodies[:, -1] - walked[:, -1], axis=1)
+    return float(np.nan_to_num(apart.max(), nan=np.inf)) - mesh_allowance_m(scenario.robot, piece.accuracy)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -27,7 +28,7 @@ class Solved:
     @cached_property
     def has_body(self) -> bool:
         """Whether an equilibrium was found, and where it is known how far off it may be."""
-        return bool(np.isfinite(self.body_m).all() and np.isfinite(self.doubt_m).all())
+        return math.isfinite(self.body_m.sum()) and math.isfinite(np.sum(self.doubt_m))  # a NaN stays in sums
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class Cell:
     high: State
     depth: int
 
-    @property
+    @cached_property
     def middle(self) -> State:
         """Halfway between both ends."""
         return tuple((a + b) / 2 for a, b in zip(self.low, self.high, strict=True))

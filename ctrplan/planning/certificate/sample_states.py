@@ -47,7 +47,6 @@ class SampleStates:
             numbers = zip(bodies, samples.shape_stability[k], samples.shape_max_strain[k], strict=True)
             solved = [Solved(body, float(stability), float(strain)) for body, stability, strain in numbers]
         elif k in self.piece.finer:
-            self._compared = True
             return self.piece.finer[k]
         else:
             bodies, radius, solved = self.solve(self.states)
