@@ -41,5 +41,4 @@ class SignedDistanceField:
         grid = _model.Grid(
             values=self.values_m, origin=origin, spacing=self.spacing_m, R_AB=np.eye(3), p_AB=np.zeros(3)
         )
-        found: Array = grid.sample(points)
-        return found
+        return np.asarray(grid.sample(points))

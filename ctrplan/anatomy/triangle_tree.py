@@ -23,8 +23,7 @@ class TriangleTree:
 
     def distance(self, points_m: Array) -> Array:
         """(K,) [m] from points (K, 3) to the nearest triangle, zero or more."""
-        found: Array = self.core.distance(np.ascontiguousarray(points_m))
-        return found
+        return np.asarray(self.core.distance(np.ascontiguousarray(points_m)))
 
 
 def triangle_tree(vertices_m: Array, faces: NDArray[np.int64]) -> TriangleTree:

@@ -79,6 +79,16 @@ def test_the_sign_of_a_run_of_points_is_that_of_each() -> None:
         assert np.array_equal(mesh.distance(points), alone)
 
 
+def test_points_on_both_sides_of_a_wall_have_signs_of_their_own() -> None:
+    """As far from it as they can be with the wall in between."""
+    rng, vertices = np.random.default_rng(4), np.array(list(np.ndindex(2, 2, 2)), dtype=float)
+    sides = [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4], [2, 6, 3], [3, 6, 7], [0, 4, 2]]
+    mesh = Mesh(vertices, np.array([*sides, [2, 4, 6], [1, 3, 5], [3, 7, 5]])[:, ::-1])
+    for away in 10.0 ** rng.uniform(-6, -1, size=200):
+        points = np.array([[0.4, 0.4, -away], [0.4, 0.4, away], [0.4, 0.4, -away], [0.4, 0.4, away]])
+        assert np.sign(mesh.distance(points)) == pytest.approx([1, -1, 1, -1])
+
+
 def sphere() -> tuple[Array, Array]:
     """An octahedron, halved three times, on the unit sphere and turned outward."""
     vertices = np.concatenate([np.eye(3), -np.eye(3)])

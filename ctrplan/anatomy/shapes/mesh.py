@@ -18,6 +18,7 @@ from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
 from ctrplan.storage.toml_table import Table
 
+SURELY = 1 + 1e-6  # beyond rounding
 Indices = NDArray[np.int64]
 
 
@@ -95,7 +96,7 @@ class _MeshDistance:
     def __call__(self, points_m: Array) -> Array:
         distance = self.tree.distance(points_m)
         steps = np.linalg.norm(np.diff(points_m, axis=0), axis=1)
-        begins = np.append(True, distance[1:] + distance[:-1] <= steps)[: len(distance)]
+        begins = np.append(True, distance[1:] + distance[:-1] <= steps * SURELY)[: len(distance)]
         inside = np.asarray(self.winding.winding_number(points_m[begins])) > 0.5
         np.negative(distance, where=inside[np.cumsum(begins) - 1], out=distance)
         return distance

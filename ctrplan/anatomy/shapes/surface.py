@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 from weakref import WeakKeyDictionary
 
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import PartEntry, register
 from ctrplan.anatomy.shapes.mesh import Mesh
-from ctrplan.anatomy.triangle_tree import triangle_tree
+from ctrplan.anatomy.triangle_tree import TriangleTree, triangle_tree
 from ctrplan.base.arrays import Array
 from ctrplan.storage.toml_table import Table
 
@@ -45,4 +45,4 @@ class SheetEntry(PartEntry):
         return Sheet(found.vertices_m, found.faces, str(file), found.notes, found.error_m)
 
 
-_trees: WeakKeyDictionary[Sheet, Any] = WeakKeyDictionary()  # cannot be pickled with it
+_trees: WeakKeyDictionary[Sheet, TriangleTree] = WeakKeyDictionary()  # cannot be pickled with it

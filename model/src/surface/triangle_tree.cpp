@@ -30,16 +30,12 @@ double from_segment(const Vec3& p, const Vec3& along) {
     return dot(apart, apart);
 }
 
-// Square of the distance from the triangle between the origin, `b` and `c`.
-double from_triangle(const Vec3& p, const Vec3& b, const Vec3& c) {
-    const Vec3 normal = cross(b, c);
-    const double area = dot(normal, normal);
-    if (area > 0) {
-        const double to_b = dot(cross(p, c), normal), to_c = dot(cross(b, p), normal);
-        if (to_b >= 0 && to_c >= 0 && to_b + to_c <= area) {
-            const double height = dot(p, normal);
-            return height * height / area;
-        }
+// Square of the distance from the triangle between the origin, `b` and `c`, with the normal of length 1 or 0.
+double from_triangle(const Vec3& p, const Vec3& b, const Vec3& c, const Vec3& normal) {
+    const double to_b = dot(cross(p, c), normal), to_c = dot(cross(b, p), normal), area = dot(cross(b, c), normal);
+    if (area > 0 && to_b >= 0 && to_c >= 0 && to_b + to_c <= area) {
+        const double height = dot(p, normal);
+        return height * height;
     }
     return std::min({from_segment(p, b), from_segment(p, c), from_segment(minus(p, b), minus(c, b))});
 }
@@ -109,7 +105,7 @@ void TriangleTree::distance(const double* points, std::size_t count, double* fou
         if (k % kLook == 0) Watch::look();
         const Vec3 p{points[3 * k], points[3 * k + 1], points[3 * k + 2]};
         const Triangle& t = triangle_[last];
-        Nearest nearest{from_triangle(minus(p, t.corner), t.ab, t.ac), last};
+        Nearest nearest{from_triangle(minus(p, t.corner), t.ab, t.ac, t.normal), last};
         descend(p, nearest);
         found[k] = std::sqrt(nearest.square);
         last = nearest.triangle;
@@ -122,7 +118,7 @@ void TriangleTree::look(const Vec3& p, const Child& leaf, Nearest& nearest) cons
         const Vec3 from_corner = minus(p, t.corner);
         const double height = dot(from_corner, t.normal);
         if (height * height >= nearest.square) continue;
-        const double square = from_triangle(from_corner, t.ab, t.ac);
+        const double square = from_triangle(from_corner, t.ab, t.ac, t.normal);
         if (square < nearest.square) nearest = {square, f};
     }
 }
