@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,9 @@ from ctrplan.files.scenario_file import scenario_from_dict
 from ctrplan.planning.goals.clearances import start_trouble
 from ctrplan.planning.motion import MotionChecker
 from ctrplan.planning.plan import Plan
+from ctrplan.reports.plan_page.page import plan_report_html
+from ctrplan.reports.plan_picture.picture import plan_figure
+from ctrplan.reports.plan_scene import plan_scene
 
 
 def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
@@ -101,6 +105,19 @@ def test_heart_of_80_metres_asks_for_millimetres(tmp_path: Path, capsys: pytest.
     assert code == 2 and "is 80 m across" in sentence and "millimetres?" in sentence
 
 
+@pytest.fixture(scope="module")
+def drawn(plan: Plan) -> Iterator[None]:
+    """What is written of the plan is drawn once for all faults; it is written anew for each."""
+    scene = plan_scene(plan)
+    figure, page = plan_figure(scene), plan_report_html(scene)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ctrplan.reports.plan_folder.plan_scene", lambda _: scene)
+        patch.setattr("ctrplan.reports.plan_picture.picture.plan_figure", lambda _: figure)
+        patch.setattr("ctrplan.reports.plan_page.page.plan_report_html", lambda _: page)
+        yield
+
+
+@pytest.mark.usefixtures("drawn")
 @pytest.mark.parametrize("fault", [errno.ENOSPC, errno.EACCES, errno.EIO])
 @pytest.mark.parametrize("at", [1, 3, 5, 6])
 def test_trouble_while_writing_leaves_nothing_behind(
