@@ -100,9 +100,9 @@ def test_an_obj_of_many_groups_takes_time_in_proportion_to_its_lines(tmp_path: P
     for count in (50_000, 100_000):
         groups = "".join(f"g group{k}\nusemtl material{k}\nf 1 2 3\n" for k in range(count))
         (tmp_path / "groups.obj").write_text(obj() + groups)
-        began = time.perf_counter()
+        began = time.process_time()  # others on the machine don't count
         assert len(read_obj(tmp_path / "groups.obj")[1]) == count + 12
-        times.append(time.perf_counter() - began)
+        times.append(time.process_time() - began)
     assert times[1] < 4 * times[0] + 0.2 and times[1] < 5
 
 
@@ -121,15 +121,15 @@ def ply(
     header += ["property float x", "property float y", "property float z"] + ["property uchar red"] * extra
     header += [f"element face {len(rows)}"] + ["property uchar flags"] * extra
     header += [f"property list {count} {index} vertex_indices"] + ["property list uchar float texcoord"] * extra
-    content = (end.join([*header, "end_header"]) + end).encode()
+    content = [(end.join([*header, "end_header"]) + end).encode()]
     for place in CORNERS:
-        content += struct.pack(f"{order}3f", *place) + b"\x07" * extra
+        content.append(struct.pack(f"{order}3f", *place) + b"\x07" * extra)
     for k, row in enumerate(rows):
-        content += b"\x01" * extra + struct.pack(f"{order}{codes[count]}", len(row))
-        content += struct.pack(f"{order}{len(row)}{codes[index]}", *row)
+        content.append(b"\x01" * extra + struct.pack(f"{order}{codes[count]}", len(row)))
+        content.append(struct.pack(f"{order}{len(row)}{codes[index]}", *row))
         if extra:
-            content += struct.pack(f"{order}B{k % 3}f", k % 3, *[0.5] * (k % 3))
-    return content
+            content.append(struct.pack(f"{order}B{k % 3}f", k % 3, *[0.5] * (k % 3)))
+    return b"".join(content)
 
 
 TRIANGLES = [face for quad in QUADS for face in (quad[:3], (quad[0], *quad[2:]))]
@@ -164,6 +164,6 @@ def test_a_binary_ply_cut_short_is_damaged(lost: int, tmp_path: Path) -> None:
 def test_a_large_mixed_ply_is_read_in_seconds(tmp_path: Path) -> None:
     path = tmp_path / "large.ply"
     path.write_bytes(ply(faces=[*MIXED, *[QUADS[0], QUADS[0][:3]] * 100_000]))
-    began = time.perf_counter()
+    began = time.process_time()
     assert volume_mm3(path) == pytest.approx(1000.0)  # repeated triangles are one
-    assert time.perf_counter() - began < 5
+    assert time.process_time() - began < 5

@@ -14,11 +14,12 @@ import pytest
 from ompl import base as ob
 from ompl import geometric as og
 from places import SCENARIOS
+from small_scenarios import pair_past_a_sphere, pair_without_named_joints
 
 import ctrplan
 from ctrplan.drive.trajectory import verify_limits
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.files.scenario_file import load_scenario, scenario_from_dict
+from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.core import Status
 from ctrplan.planning.certificate.allowances import SEARCH_MESH_M, SPACING_M, TIGHT_M, bound_allowance_m
 from ctrplan.planning.certificate.certify import certify
@@ -53,34 +54,6 @@ def ribs(told: list[Progress]) -> ctrplan.Plan:
 @pytest.fixture(scope="module")
 def snap() -> ctrplan.Plan:
     return ctrplan.plan(scenario("snap", "planner.time_s=0.5"), seed=0)
-
-
-def pair_past_a_sphere(planner: str) -> Scenario:
-    """Of two tubes, whose certificate takes a fraction of what one of three takes."""
-    start = {"rotate outer": 0, "rotate inner": 0, "translate inner": -30}
-    sphere = {"kind": "sphere", "center_mm": [30, 30, 150], "radius_mm": 12, "margin_mm": 1}
-    content = {
-        "robot": "robots/table_5_pair.toml",
-        "start": start,
-        "goal": {"tip_mm": [50, 10, 200], "tolerance_mm": 1},
-        "anatomy": [sphere],
-        "planner": {"name": planner, "time_s": 0.5},
-    }
-    return scenario_from_dict(content, file=str(SCENARIOS / "case.toml"))
-
-
-def pair_without_named_joints(folder: Path, cost: dict[str, float]) -> Scenario:
-    """Without [[joint]] every tube has its own translation, and many configurations reach a tip."""
-    robot = (SCENARIOS / "robots" / "table_5_pair.toml").read_text().split("[[joint]]")[0]
-    (folder / "robot.toml").write_text(robot)
-    content = {
-        "robot": "robot.toml",
-        "start": {f"{what} {tube}": 0 for tube in (1, 2) for what in ("rotate", "translate")},
-        "goal": {"tip_mm": [50, 10, 200], "tolerance_mm": 2},
-        "cost": cost,
-        "planner": {"time_s": 0.5},
-    }
-    return scenario_from_dict(content, file=str(folder / "case.toml"))
 
 
 def check(plan: ctrplan.Plan) -> None:
@@ -138,7 +111,7 @@ def test_progress_of_a_search_only_rises(ribs: ctrplan.Plan, told: list[Progress
 def test_bound_aware_plan_ends_with_less_error_than_blind_one(tmp_path: Path) -> None:
     # how much less is the user's choice: here the target matters most
     weights = ({"error_goal": 100.0}, {"error_along": 0.0, "error_goal": 0.0})
-    aware, blind = (ctrplan.plan(pair_without_named_joints(tmp_path, cost), seed=0) for cost in weights)
+    aware, blind = (ctrplan.plan(pair_without_named_joints(tmp_path, **cost), seed=0) for cost in weights)
     assert aware.certificate.goal_bound_m < 0.5 * blind.certificate.goal_bound_m
 
 
@@ -166,7 +139,7 @@ def test_walk_reports_a_snap_it_was_not_told_about(snap: ctrplan.Plan) -> None:
 
 @pytest.mark.parametrize("name", ["RRT*", "RRTConnect"])
 def test_other_planners(name: str) -> None:
-    plan = ctrplan.plan(pair_past_a_sphere(name), seed=1)
+    plan = ctrplan.plan(pair_past_a_sphere(name=name), seed=1)
     check(plan)
     assert plan.planner == name and np.isfinite(plan.certificate.min_clearance_m)
 
@@ -328,7 +301,7 @@ def test_path_outside_limits_is_refused_with_joint_and_row() -> None:
 
 def test_tip_goal_of_a_robot_whose_tubes_all_translate(tmp_path: Path) -> None:
     """The goal's configurations touch the nesting limits."""
-    check(ctrplan.plan(pair_without_named_joints(tmp_path, {})))
+    check(ctrplan.plan(pair_without_named_joints(tmp_path)))
 
 
 def test_unstable_start_is_refused() -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from places import SCENARIOS
+from small_scenarios import pair_past_a_sphere
 
 import ctrplan
 from ctrplan.cli import main
@@ -82,7 +83,7 @@ def test_a_plan_says_that_it_depends_on_the_speed_of_the_machine(tmp_path: Path)
 
 
 def test_a_search_that_ends_by_count_gives_the_same_legs_to_the_last_bit() -> None:
-    scenario = load_scenario(SCENARIOS / "vessel.toml", ["planner.time_s=0.3"])
+    scenario = pair_past_a_sphere(time_s=0.3)
     first, second = (plan_to_json(ctrplan.plan(scenario, seed=4)) for _ in range(2))
     assert first["search_ended_by"] == "count"
     for key in ("legs", "certificate", "search_ended_by", "notes"):

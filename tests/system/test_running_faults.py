@@ -208,8 +208,9 @@ def test_files_that_may_not_grow_leave_the_old_plan_and_nothing_else(tmp_path: P
     folder = tmp_path / "disk"
     folder.mkdir()
     (folder / "plan.json").write_text("old")
-    plan = f"'{sys.executable}' -m ctrplan.cli plan '{SCENARIOS / 'pair_free.toml'}' --time 1 -o '{folder}'"
-    done = subprocess.run(["sh", "-c", f"ulimit -f 200; {plan}"], capture_output=True, text=True)
+    arguments = f"plan '{SCENARIOS / 'pair_free.toml'}' --set planner.time_s=0.2 -o '{folder}'"
+    command = f"ulimit -f 200; '{sys.executable}' -m ctrplan.cli {arguments}"
+    done = subprocess.run(["sh", "-c", command], capture_output=True, text=True)
     assert done.returncode == 1, done.stderr
     assert "File too large" in done.stderr and "Traceback" not in done.stderr
     assert [path.name for path in folder.iterdir()] == ["plan.json"]
@@ -218,7 +219,7 @@ def test_files_that_may_not_grow_leave_the_old_plan_and_nothing_else(tmp_path: P
 
 @needs_namespaces
 def test_a_full_disk_leaves_the_old_plan_and_nothing_else(tmp_path: Path) -> None:
-    arguments = f"plan '{SCENARIOS / 'pair_free.toml'}' --time 1 -o '{tmp_path / 'disk'}'"
+    arguments = f"plan '{SCENARIOS / 'pair_free.toml'}' --set planner.time_s=0.2 -o '{tmp_path / 'disk'}'"
     done = in_a_small_world(tmp_path, "rw", arguments)
     assert done.stdout.split() == ["exit", "1", "cache", "plan.json", "old"], done.stdout + done.stderr
     assert "No space left on device" in done.stderr and "Traceback" not in done.stderr
@@ -235,7 +236,7 @@ def test_a_read_only_disk_is_refused_before_anything_is_computed(tmp_path: Path)
 @needs_namespaces
 @pytest.mark.parametrize("options", ["ro", "size=8k"])
 def test_a_cache_without_room_or_permission_is_no_error_to_those_who_only_use_it(options: str, tmp_path: Path) -> None:
-    arguments = f"plan '{SCENARIOS / 'pair_free.toml'}' --time 1 -o '{tmp_path / 'out'}'"
+    arguments = f"plan '{SCENARIOS / 'pair_free.toml'}' --set planner.time_s=0.2 -o '{tmp_path / 'out'}'"
     done = in_a_small_world(tmp_path, options, arguments)
     assert "exit 0\n" in done.stdout and not done.stderr, done.stderr
     assert ".ctrplan-" not in done.stdout and (tmp_path / "out" / "plan.json").exists()

@@ -93,7 +93,7 @@ def test_plan_and_its_report_need_no_network_and_show_hostile_names_as_text(tmp_
     (tmp_path / "robots" / "table_5_pair.toml").write_text(f"name = '{HOSTILE}'\n" + without_name(robot))
     scenario = (SCENARIOS / "pair_free.toml").read_text()
     (tmp_path / "case.toml").write_text(f"name = '{HOSTILE}'\n" + without_name(scenario))
-    done = offline("plan", str(tmp_path / "case.toml"), "--time", "1", "-o", str(tmp_path / "out"))
+    done = offline("plan", str(tmp_path / "case.toml"), "--set", "planner.time_s=0.2", "-o", str(tmp_path / "out"))
     assert done.returncode == 0, done.stderr
     assert json.loads((tmp_path / "out" / "plan.json").read_text())["certificate"]["valid"]
     assert_harmless((tmp_path / "out" / "report.html").read_text())
