@@ -7,8 +7,6 @@ import json
 import os
 import shlex
 import signal
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +14,10 @@ import numpy as np
 import pytest
 import tomli_w
 from claimed_plans import claiming
-from interruptible import INTERRUPTIBLE
 from places import SCENARIOS
 
 from ctrplan.cli import main
+from ctrplan.commands.progress_bar import ProgressBar
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.files.trajectory_file import trajectory_formats, write_trajectory
 from ctrplan.planning.plan_json import write_plan_json
@@ -127,14 +125,23 @@ def test_bad_input_is_one_sentence(
     assert sentence in shown and shown.count("\n") == 1
 
 
-def test_ctrl_c_prints_what_was_found_so_far(written: Path) -> None:
-    command = [sys.executable, "-c", INTERRUPTIBLE, *arguments(written, "--time", "600")]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None and process.stdout.readline() == "up\n"
-        try:
-            process.wait(timeout=3.5)
-        except subprocess.TimeoutExpired:
-            os.kill(process.pid, signal.SIGINT)
-        out, err = process.communicate(timeout=60)
-    assert process.returncode == 130, err
-    assert out.startswith("scenario: no claim was found broken, interrupted")
+def test_ctrl_c_prints_what_was_found_so_far(
+    written: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Pressed as soon as something is told of a hunt that would go on for ten minutes."""
+    show, pressed = ProgressBar.show, list[float]()
+
+    def pressing(bar: ProgressBar, stage: str, fraction: float, note: str = "") -> None:
+        show(bar, stage, fraction, note)
+        if stage == "hunting" and not pressed:
+            pressed.append(fraction)
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(ProgressBar, "show", pressing)
+    previous = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        assert main(arguments(written, "--time", "600")) == 130
+    finally:
+        signal.signal(signal.SIGINT, previous)
+    assert pressed and pressed[0] < 0.5
+    assert capsys.readouterr().out.startswith("scenario: no claim was found broken, interrupted")
