@@ -115,13 +115,21 @@ def _of_parts(pairs: int) -> Array:
 def _nearest(clearances: Callable[[Array], Array], phi: Array, least_m: float, changes: Array) -> tuple[float, Array]:
     """Clearance [m] and state of a pattern search: single changes both ways, and the better ones together."""
     step = STEP
+
+    def clearances_of(tried: Array) -> Array:
+        """At the end of the range a change leads nowhere else."""
+        found, is_other = np.full(len(tried), least_m), np.any(tried != phi, axis=(1, 2))
+        if is_other.any():
+            found[is_other] = clearances(tried[is_other])
+        return found
+
     while step >= LEAST_STEP:
         tried = np.clip(phi + step * np.concatenate([changes, -changes]), -1, 1)
-        found = clearances(tried)
+        found = clearances_of(tried)
         ways = found.reshape(2, -1)
         better = np.where(ways.min(axis=0) < least_m, np.where(ways[0] <= ways[1], 1.0, -1.0), 0.0)
         together = np.clip(phi + step * np.tensordot(better, changes, axes=1), -1, 1)
-        found, tried = np.append(found, clearances(together[None])), np.concatenate([tried, together[None]])
+        found, tried = np.append(found, clearances_of(together[None])), np.concatenate([tried, together[None]])
         k = int(np.argmin(found))
         if found[k] < least_m - WORTH_M:
             least_m, phi = float(found[k]), tried[k]
