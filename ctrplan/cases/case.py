@@ -67,6 +67,7 @@ class Case:
     lumens=Texts(),
     avoids=Texts(),
     ignored=Texts(),
+    motion_margin_mm=LENGTH_MM,
     margin_mm=LENGTH_MM,
     surface_error_mm=LENGTH_MM,
     tolerance_mm=ABOVE_ZERO_MM,
@@ -98,6 +99,8 @@ def case(
     lumens: Sequence[str] | None = None,
     avoids: Sequence[str] | None = None,
     ignored: Sequence[str] | None = None,
+    phases: Sequence[Sequence[str | os.PathLike[str]]] | None = None,
+    motion_margin_mm: float | None = None,
     robot: str | os.PathLike[str] | None = None,
     margin_mm: float | None = None,
     surface_error_mm: float | None = None,
@@ -119,7 +122,9 @@ def case(
     """A patient's case in the folder `output`: a scenario of `inputs`, base poses, a certified plan, 3D Slicer's scene.
 
     `inputs` are images, meshes and files of markups, or folders of them. Targets and entries are places (3,) in mm in
-    `frame`, or names of markups, of files of them, or of their points' labels; `lumens` and `avoids` name structures.
+    `frame`, or names of markups, of files of them, or of their points' labels; a target also the name of a structure,
+    whose middle is meant. `lumens` and `avoids` name structures, `phases` the files of each that moves, with
+    `motion_margin_mm` for places between its phases (None: half the way from one to the next).
     `unit` and `repair` are those of meshes, `series` the UID of one in a DICOM folder, `file_frame` the frame of
     files that say none, `sheath_mm` the inner radius of a sheath from the entry into a lumen. Base poses lie within
     `radius_mm` and `cone_deg` of an entry, and the first `bases` of them are planned from until one has a plan. What
@@ -131,8 +136,10 @@ def case(
     for what can't be understood and for an edited file whose sources have changed, NoAnswerError where nothing is
     reached or no plan found.
     """
+    moving = tuple(tuple(map(os.fspath, group)) for group in phases or ())
+    named = dict.fromkeys([*(file for group in moving for file in group), *map(os.fspath, inputs or ())])
     asked = Request(
-        inputs=None if not inputs else tuple(os.fspath(path) for path in inputs),
+        inputs=tuple(named) or None,
         targets=_places(targets),
         entries=_places(entries),
         frame=frame,
@@ -143,6 +150,8 @@ def case(
         lumens=_texts(lumens),
         avoids=_texts(avoids),
         ignored=_texts(ignored),
+        phases=moving or None,
+        motion_margin_mm=motion_margin_mm,
         robot=None if robot is None else os.fspath(robot),
         margin_mm=margin_mm,
         surface_error_mm=surface_error_mm,

@@ -16,9 +16,9 @@ from ctrplan.anatomy.mesh_file import stated_frame
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import Role
 from ctrplan.base.arrays import Array
-from ctrplan.cases.inputs import Structure
 from ctrplan.cases.points import Named
 from ctrplan.cases.request import Request
+from ctrplan.cases.structures import Structure
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
 
@@ -45,7 +45,7 @@ def draft(
         "frame": frame,
         "start": dict(start),
         **({"goal": goals[0]} if len(goals) == 1 else {"target": goals}),
-        "anatomy": [_part(one, role, request, output) for one, role in structures],
+        "anatomy": [part(one, role, request, output) for one, role in structures],
     }
 
 
@@ -71,21 +71,29 @@ def _goal(target: Named, request: Request) -> dict[str, Any]:
     return {**name, **(place or {"tip_mm": _rounded(target.points_mm[0])}), "tolerance_mm": tolerance}
 
 
-def _part(structure: Structure, role: Role, request: Request, output: Path) -> dict[str, Any]:
+def part(structure: Structure, role: Role, request: Request, output: Path) -> dict[str, Any]:
+    """[[anatomy]] of a structure. Raises InputError for a file that does not say its frame."""
     margin = MARGIN_MM if request.margin_mm is None else request.margin_mm
     kind, *rest = structure.entry.items()
-    part = {kind[0]: kind[1], "file": from_folder(output, structure.file), **dict(rest)}
+    found = {kind[0]: kind[1], **_files(structure, request, output), **dict(rest)}
     is_volume = structure.entry["kind"] == "volume"
     if not is_volume and request.repair is not None:
-        part["repair"] = request.repair
+        found["repair"] = request.repair
     if is_volume and request.surface_error_mm is not None:
-        part["surface_error_mm"] = request.surface_error_mm
-    if _said_frame(structure.file) is None:
+        found["surface_error_mm"] = request.surface_error_mm
+    if any(_said_frame(file) is None for file in (structure.file, *structure.phases)):
         if request.file_frame is None:
             rule = "does not say whether its coordinates are in RAS or in LPS: --file-frame says it"
             raise InputError(rule, file=structure.file)
-        part["frame"] = request.file_frame
-    return {**part, "role": role, "margin_mm": margin}
+        found["frame"] = request.file_frame
+    return {**found, "role": role, "margin_mm": margin}
+
+
+def _files(structure: Structure, request: Request, output: Path) -> dict[str, Any]:
+    if not structure.phases:
+        return {"file": from_folder(output, structure.file)}
+    every = [from_folder(output, file) for file in (structure.file, *structure.phases)]
+    return {"files": every, "motion_margin_mm": request.motion_margin_mm or 0.0}
 
 
 def _said_frame(path: Path) -> Frame | None:

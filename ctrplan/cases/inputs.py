@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from ctrplan.anatomy.images.image import Image, ImageRefusal
-from ctrplan.anatomy.images.image_file import is_image, read_image
+from ctrplan.anatomy.images.image import ImageRefusal, UnfitImageRefusal
+from ctrplan.anatomy.images.image_file import is_image
 from ctrplan.anatomy.mesh_file import SUFFIXES as MESHES
+from ctrplan.cases.moving import later_phases
+from ctrplan.cases.structures import Structure, of_image, of_mesh
 from ctrplan.errors import InputError
 from ctrplan.files.slicer.markups_file import is_markups, read_markups
 
@@ -21,23 +20,6 @@ if TYPE_CHECKING:
     from ctrplan.files.slicer.markups_file import Markup
 
 MOST_FILES = 200
-MOST_LABELS = 256  # of a label map; what has more values holds grey ones
-PACKED = re.compile(r"\.(seg\.nrrd|nii\.gz|mrk\.json)$|\.[^.]+$", re.IGNORECASE)
-
-
-@dataclass(frozen=True, eq=False)
-class Structure:
-    """Something that a file holds: its name, how large it is, and the keys of the [[anatomy]] that takes it."""
-
-    file: Path
-    name: str
-    size: str
-    entry: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def called(self) -> str:
-        """As messages list it."""
-        return f"{self.name} ({self.size} in {self.file.name})"
 
 
 @dataclass(frozen=True)
@@ -56,27 +38,37 @@ class Found:
         return ", ".join(one.called for one in self.structures) or "no structures"
 
 
-def found_in(inputs: Sequence[str], unit: str, output: Path, series: str | None = None) -> Found:
-    """What files and folders hold; what a case has written into `output` is none of it. Raises InputError."""
+def found_in(
+    inputs: Sequence[str],
+    unit: str,
+    output: Path,
+    series: str | None = None,
+    phases: Sequence[Sequence[str]] = (),
+) -> Found:
+    """What files and folders hold; what a case has written into `output` is none of it. Raises InputError.
+
+    phases: files among them of one structure each, in several phases: what the first holds is found, the others go with
+    it. Images in a folder that are too large, or of a kind that is not read, are left out with a note.
+    """
     structures, markups, grey, notes = list[Structure](), list["Markup"](), list[Path](), list[str]()
-    for path in _files(inputs, output):
+    later, named = later_phases(phases), [Path(name) for name in inputs]
+    others = {file.resolve() for files in later.values() for file in files}
+    for path in dict.fromkeys(_files(inputs, output)):
+        if path.resolve() in others:
+            continue
         if is_markups(path):
             markups += read_markups(path)
         elif path.suffix.lower() in MESHES:
-            structures.append(_mesh(path, unit))
+            structures.append(of_mesh(path, unit))
         elif path.is_dir():
             grey.append(path)
         else:
-            of_image, why_not = _of_image(path)
-            structures += of_image
-            grey += [] if of_image else [path]
+            within, why_not = _of_image(path, is_named=path in named)
+            structures += within
+            grey += [] if within else [path]
             notes += [why_not] if why_not else []
-    return Found(tuple(structures), tuple(markups), tuple(grey), tuple(notes), series)
-
-
-def stem(path: Path) -> str:
-    """The name without its ending, also of a double one."""
-    return PACKED.sub("", path.name) or path.name
+    moving = [replace(one, phases=later.get(one.file.resolve(), ())) for one in structures]
+    return Found(tuple(moving), tuple(markups), tuple(grey), tuple(notes), series)
 
 
 def _files(inputs: Sequence[str], output: Path) -> Iterator[Path]:
@@ -120,50 +112,11 @@ def _is_known(path: Path) -> bool:
     return is_image(path) or is_markups(path) or path.suffix.lower() in MESHES
 
 
-def _mesh(path: Path, unit: str) -> Structure:
-    return Structure(path, stem(path), "mesh", {"kind": "mesh", "unit": unit})
-
-
-def _of_image(path: Path) -> tuple[list[Structure], str]:
-    """Its labels or segments, none of an image of grey values; and why it was not looked at, if that is so."""
+def _of_image(path: Path, *, is_named: bool) -> tuple[list[Structure], str]:
+    """Its structures; and why it was not looked at, if that is so. Raises InputError for one that is damaged."""
     try:
-        image = read_image(path)
+        return of_image(path), ""
     except ImageRefusal as refusal:
+        if isinstance(refusal, UnfitImageRefusal) and not is_named:
+            return [], f"{path.name} is left out, since it {refusal}"
         raise InputError(str(refusal), file=path) from refusal.__cause__
-    if image.segments:
-        return [_segment(path, image, one.name, one.label, one.layer) for one in image.segments], ""
-    counts = _labels(image)
-    name = stem(path)
-    size = {label: f"{count * image.voxel_mm3 / 1e3:.3g} ml" for label, count in counts.items()}
-    if len(counts) == 1:
-        return [Structure(path, name, text, _label(label)) for label, text in size.items()], ""
-    return [Structure(path, str(label), text, _label(label)) for label, text in size.items()], ""
-
-
-def _label(label: int) -> dict[str, Any]:
-    return {"kind": "volume", "label": label}
-
-
-def _segment(path: Path, image: Image, name: str, label: int, layer: int) -> Structure:
-    voxels = image.voxels if image.voxels.ndim == 3 else image.voxels[..., layer]
-    size = np.count_nonzero(voxels == label) * image.voxel_mm3 / 1e3
-    return Structure(path, name, f"{size:.3g} ml", {"kind": "volume", "segment": name})
-
-
-def _labels(image: Image) -> dict[int, int]:
-    """Voxels by label; none where values are those of a grey image."""
-    voxels = image.voxels
-    if voxels.ndim != 3 or voxels.min() < 0 or voxels.max() < 1 or voxels.max() > np.iinfo(np.int32).max:
-        return {}
-    if voxels.dtype.kind == "f" and np.any(voxels != np.round(voxels)):
-        return {}
-    if voxels.max() < 1 << 16:
-        counts = np.zeros(1 << 16, np.int64)
-        for plane in voxels:
-            counts += np.bincount(plane.astype(np.uint16).reshape(-1), minlength=1 << 16)
-        values = np.flatnonzero(counts)
-        numbers = counts[values]
-    else:
-        values, numbers = np.unique(voxels, return_counts=True)
-    found = {int(value): int(number) for value, number in zip(values, numbers, strict=True) if value != 0}
-    return found if len(found) <= MOST_LABELS else {}

@@ -51,7 +51,7 @@ def places_of(
 ) -> list[Named]:
     """What an option, --target or --entry, says; or else what the files' markups call so. Raises InputError."""
     if places is None:
-        found = [one for markup in markups for one in _called(markup, WORDS[option])]
+        found = [one for markup in markups for one in says(markup, WORDS[option])]
         if not found:
             raise InputError(f"is needed: X Y Z in mm, or a file of markups{_there(markups)}", key=option)
     else:
@@ -72,13 +72,20 @@ def _number(option: str, place: Sequence[float]) -> tuple[Array, Markup]:
     return point[None], Markup("", point[None], ("",), None, False)
 
 
-def _called(markup: Markup, word: re.Pattern[str]) -> list[Markup]:
+def says(markup: Markup, word: re.Pattern[str]) -> list[Markup]:
     """A markup that its file's name calls so, or those of its points whose labels do."""
     rows = [k for k, label in enumerate(markup.labels) if word.search(label)]
     others = [other for other in WORDS.values() if other is not word]
     if word.search(markup.name) and not any(other.search(label) for other in others for label in markup.labels):
         return [markup]
     return [] if markup.is_line else [_rows(markup, rows)] if rows else []
+
+
+def is_point(name: str, markups: Sequence[Markup]) -> bool:
+    """Whether a name is that of a file of markups, of one that was read, or the label of a point."""
+    if is_markups(name) or is_markups(name.partition(":")[0]):
+        return True
+    return any(name == markup.name or name in markup.labels for markup in markups)
 
 
 def _by_name(option: str, name: str, markups: Sequence[Markup]) -> list[Markup]:
@@ -92,7 +99,9 @@ def _by_name(option: str, name: str, markups: Sequence[Markup]) -> list[Markup]:
         return same
     found = [_rows(markup, [k]) for markup in markups for k, text in enumerate(markup.labels) if text == name]
     if len(found) != 1:
-        there = "is the label of several points" if found else "is no file of markups and no label of a point"
+        there = (
+            "is the label of several points" if found else "is no file of markups, no label of a point and no structure"
+        )
         raise InputError(f"{there}{_there(markups)}", key=option, value=name)
     return found
 

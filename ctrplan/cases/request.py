@@ -28,6 +28,8 @@ class Request:
     lumens: tuple[str, ...] | None = None
     avoids: tuple[str, ...] | None = None
     ignored: tuple[str, ...] | None = None
+    phases: tuple[tuple[str, ...], ...] | None = None  # files of one structure each
+    motion_margin_mm: float | None = None  # for places between phases
     robot: str | None = None
     margin_mm: float | None = None
     surface_error_mm: float | None = None

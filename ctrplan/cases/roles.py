@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from ctrplan.anatomy.shape import Role
-from ctrplan.cases.inputs import Found, Structure, stem
+from ctrplan.cases.inputs import Found
+from ctrplan.cases.structures import Structure, stem
 from ctrplan.errors import InputError
 
 LUMEN = re.compile(r"airway|trachea|bronch|lumen|ventric|cavity|phary|laryn", re.IGNORECASE)
@@ -20,12 +21,16 @@ RANGE = re.compile(r"\s*(above|below)\s*=\s*(-?\d+(\.\d+)?)\s*(,|$)")
 
 
 def chosen(
-    found: Found, lumens: Sequence[str], avoids: Sequence[str], ignored: Sequence[str]
+    found: Found,
+    lumens: Sequence[str],
+    avoids: Sequence[str],
+    ignored: Sequence[str],
+    targets: Sequence[Structure] = (),
 ) -> tuple[list[tuple[Structure, Role]], list[str]]:
     """Structures with their roles, and a note of those that were recognised or left out. Raises InputError.
 
     Names are of segments, labels, meshes or files; "FILE:NAME" where two files have one, "FILE:above=200" of grey
-    values.
+    values. targets: structures to be reached, which are not avoided.
     """
     roles: dict[Structure, Role | None] = {}
     told: list[tuple[str, Sequence[str], Role | None]] = [
@@ -38,6 +43,9 @@ def chosen(
             one = named(found, option, name)
             if roles.setdefault(one, role) != role:
                 raise InputError("is said to be two things", key=option, value=name)
+    for one in targets:
+        if roles.setdefault(one, None) == "avoid":
+            raise InputError("is said to be two things", key="--target", value=one.name)
     recognised = {one: role for one in found.structures if one not in roles and (role := by_name(one.name))}
     roles |= recognised
     taken = [(one, role) for one, role in roles.items() if role]
@@ -58,6 +66,15 @@ def by_name(name: str) -> Role | None:
 
 def named(found: Found, option: str, text: str) -> Structure:
     """The structure that an option names. Raises InputError with those that there are."""
+    one = matching(found, option, text)
+    if one is None:
+        rule = f"is not there: the files hold {found.listed}{_grey(found)}"
+        raise InputError(rule, key=option, value=text)
+    return one
+
+
+def matching(found: Found, option: str, text: str) -> Structure | None:
+    """The structure that a text names; None where none is called so. Raises InputError for several."""
     matches = [one for one in found.structures if text in (one.name, one.file.name)]
     matches = matches or [one for one in found.structures if text.lower() == one.name.lower()]
     file, colon, name = text.partition(":")
@@ -68,13 +85,13 @@ def named(found: Found, option: str, text: str) -> Structure:
         matches = [one for one in within if name in (one.name, _group_of(one, name))]
         if not matches and within and within[0].entry["kind"] == "mesh":
             return Structure(within[0].file, name, "group", {**within[0].entry, "group": name})
-    if len(matches) == 1:
-        return matches[0]
     if len({one.file for one in matches}) > 1:
         rule = f"is in several files, say which as FILE:{matches[0].name}: {', '.join(one.called for one in matches)}"
         raise InputError(rule, key=option, value=text)
-    there = "names several structures" if matches else "is not there"
-    raise InputError(f"{there}: the files hold {found.listed}{_grey(found)}", key=option, value=text)
+    if len(matches) > 1:
+        rule = f"names several structures: the files hold {found.listed}{_grey(found)}"
+        raise InputError(rule, key=option, value=text)
+    return matches[0] if matches else None
 
 
 def _group_of(one: Structure, name: str) -> str | None:

@@ -77,5 +77,6 @@ class Step(ABC):
 
 def raw_files(scenario: Scenario) -> list[object]:
     """Stamps of images and meshes."""
-    files = {str(file) for part in scenario.anatomy if (file := getattr(part.shape, "file", None))}
+    shapes = [shape for part in scenario.anatomy for shape in getattr(part.shape, "shapes", (part.shape,))]
+    files = {str(file) for shape in shapes if (file := getattr(shape, "file", None))}
     return [stamp_of(Path(file)) for file in sorted(files)]

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 NAMES = ("scenario", "bases", "placed", "plan", "slicer")
 HANDED_ON = (
     *("frame", "file_frame", "unit", "repair", "series", "lumens", "avoids", "ignored", "robot"),
-    *("margin_mm", "surface_error_mm"),
+    *("phases", "motion_margin_mm", "margin_mm", "surface_error_mm"),
     *("tolerance_mm", "sheath_mm", "radius_mm", "cone_deg", "candidates", "bases", "seed", "from_step", "until"),
 )
 PATIENCE_S = 1.0  # before a progress bar shows up
@@ -66,7 +66,8 @@ def add_parser(commands: Any) -> None:
 
 def _add_places(parser: argparse.ArgumentParser) -> None:
     where = "X Y Z in mm of --frame; or a file of markups, FILE:LABEL, or a label; several times for several"
-    for option, what in (("--target", "where the tip shall go, a line for a path to follow"), ("--entry", "the plate")):
+    goal = "where the tip shall go, a line for a path to follow, a structure for its middle"
+    for option, what in (("--target", goal), ("--entry", "the plate")):
         parser.add_argument(
             option, dest=option[2:], action="append", nargs="+", metavar="PLACE", help=f"{what}: {where}"
         )
@@ -89,6 +90,8 @@ def _add_roles(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             option, dest=name, action="append", metavar="[FILE:]NAME", help=f"{what}: segment, label, mesh, or range"
         )
+    moves = "files of one structure that moves, one of each phase of breath or heart beat; the first names it"
+    parser.add_argument("--phases", action="append", nargs="+", metavar="FILE", help=moves)
     parser.add_argument("--robot", metavar="FILE", help="default: three tubes on a drive that advances all of them")
 
 
@@ -100,6 +103,12 @@ def _add_numbers(parser: argparse.ArgumentParser) -> None:
             length,
             "D",
             "kept from every structure, besides what its surface may be off by (default: 0.5)",
+        ),
+        (
+            "--motion-margin-mm",
+            length,
+            "D",
+            "kept for places between phases (default: half the way from one to the next)",
         ),
         ("--surface-error-mm", length, "E", "what surfaces of volumes may be off by (default: from their voxels)"),
         ("--tolerance-mm", above, "T", "of the tip at a target (default: 1)"),

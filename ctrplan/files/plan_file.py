@@ -64,7 +64,7 @@ class WrittenPlan:
 
 def load_plan(
     path: str | os.PathLike[str],
-    scenario: str | os.PathLike[str] | None = None,
+    scenario: str | os.PathLike[str] | Scenario | None = None,
     overrides: Sequence[str] = (),
     *,
     trajectory: str | os.PathLike[str] | None = None,
@@ -72,14 +72,17 @@ def load_plan(
 ) -> WrittenPlan:
     """The plan in a plan.json, with the trajectory.csv beside it, or the one named.
 
-    The scenario is that of the file named, or else of the one that the plan names, from here or from the plan's folder;
-    `overrides` are those that were planned with. Raises InputError, one sentence, for what is malformed, of an older
-    version, or of another scenario or robot; and for a trajectory that leaves the plan's legs.
+    The scenario is one that was read before, that of the file named, or else of the one that the plan names, from here
+    or from the plan's folder; `overrides` are those that files were planned with. Raises InputError, one sentence, for
+    what is malformed, of an older version, or of another scenario or robot; and for a trajectory that leaves the legs.
     """
     file = file_name(path, "a plan.json")
     content = _json_object(file)
     entry = Document(content, file).to(PlanEntry)
-    found = load_scenario(scenario or _scenario_file(entry, file), overrides, allow_outside=allow_outside)
+    if isinstance(scenario, Scenario):
+        found = scenario
+    else:
+        found = load_scenario(scenario or _scenario_file(entry, file), overrides, allow_outside=allow_outside)
     _check_origin(entry, found, file)
     beside = Path(file).parent / "trajectory.csv"
     return _checked(found, content, file, played_samples(trajectory or beside, found.robot.drive))

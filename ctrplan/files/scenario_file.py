@@ -11,6 +11,7 @@ from typing import Any, cast, get_args
 
 import numpy as np
 
+from ctrplan.anatomy.images.kept import images_kept
 from ctrplan.base.arrays import Array, read_only
 from ctrplan.base.directions import unit
 from ctrplan.files.base_rotation import base_rotation
@@ -70,7 +71,8 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool) ->
         raise document.fault("must be one line of printable text", "name")
     robot = load_robot(file_inside(entry.robot, document, allow_outside, "robot"), for_robot)
     goals = _goals(entry, robot, document)
-    anatomy = tuple(anatomy_part(Table(document, ("anatomy", k), allow_outside)) for k in range(len(entry.anatomy)))
+    with images_kept():
+        anatomy = tuple(anatomy_part(Table(document, ("anatomy", k), allow_outside)) for k in range(len(entry.anatomy)))
     refuse_targets_outside_images(anatomy, goals, document)
     return Scenario(
         name=entry.name or (Path(document.file).stem if document.file else "scenario"),

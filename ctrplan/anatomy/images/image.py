@@ -17,6 +17,10 @@ class ImageRefusal(Exception):
     """A rule that a volume breaks, as the end of a sentence; whoever reads it says where it was named."""
 
 
+class UnfitImageRefusal(ImageRefusal):
+    """Of an image that is whole, but too large or of a kind that is not read: it may lie beside what is meant."""
+
+
 @dataclass(frozen=True)
 class Segment:
     """A name that a segmentation gives to a label, in one of its layers."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.anatomy.images.header import Header, check_gzip, first_bytes, read_header
-from ctrplan.anatomy.images.image import Image, ImageRefusal
+from ctrplan.anatomy.images.image import Image, ImageRefusal, UnfitImageRefusal
 from ctrplan.anatomy.images.nifti_2 import SIZE as NIFTI_2_BYTES
 from ctrplan.anatomy.images.nifti_2 import is_nifti_2, read_nifti_2, shape_and_type
 from ctrplan.anatomy.images.segments import segments_of
@@ -69,26 +69,26 @@ def _check_shape(size: tuple[int, ...]) -> None:
     if len(size) != 3:
         shown = " x ".join(map(str, size))
         what = f"is a time series of {size[3]} volumes, {shown}" if len(size) == 4 else f"is no volume: {shown} voxels"
-        raise ImageRefusal(f"{what}: must be one volume of three dimensions")
+        raise UnfitImageRefusal(f"{what}: must be one volume of three dimensions")
 
 
 def _check_kind(sitk: Any, reader: Any, is_segmentation: bool) -> None:
     size, pixel = reader.GetSize(), sitk.GetPixelIDValueAsString(reader.GetPixelID())
     _check_shape(size)
     if reader.GetNumberOfComponents() > 1 and not is_segmentation:
-        raise ImageRefusal(f"has {reader.GetNumberOfComponents()} values a voxel (colour?): must have one")
+        raise UnfitImageRefusal(f"has {reader.GetNumberOfComponents()} values a voxel (colour?): must have one")
     if "complex" in pixel:
-        raise ImageRefusal("has complex values: must have real ones")
+        raise UnfitImageRefusal("has complex values: must have real ones")
     check_bytes(size, reader.GetNumberOfComponents() * _bytes(pixel))
 
 
 def check_bytes(size: tuple[int, ...], voxel_bytes: int) -> None:
-    """Raises ImageRefusal for more than MOST_BYTES of voxels."""
+    """Raises UnfitImageRefusal for more than MOST_BYTES of voxels."""
     total = float(np.prod(size, dtype=float)) * voxel_bytes
     if total > MOST_BYTES:
         shown = " x ".join(map(str, size))
         rule = f"crop it to the structure and what the robot reaches, at most {MOST_BYTES / 1e9:g} GB"
-        raise ImageRefusal(f"holds {shown} voxels, {total / 1e9:.3g} GB: {rule}")
+        raise UnfitImageRefusal(f"holds {shown} voxels, {total / 1e9:.3g} GB: {rule}")
 
 
 def _bytes(pixel: str) -> int:

@@ -2,30 +2,31 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ctrplan.anatomy.mesh_defect import MeshDefectError
+from ctrplan.anatomy.images.kept import images_kept
+from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import Role
-from ctrplan.base.units import MM_PER_M
 from ctrplan.cases import draft
-from ctrplan.cases.inputs import Structure, found_in
+from ctrplan.cases.aims import aimed_at, middles
+from ctrplan.cases.drafted import drafted, shape_of, with_motion_margins
+from ctrplan.cases.inputs import found_in
 from ctrplan.cases.points import Named, case_frame, places_of
 from ctrplan.cases.record import stamp_of
 from ctrplan.cases.request import patch_radius_m
 from ctrplan.cases.roles import chosen
 from ctrplan.cases.room import refuse_entry_without_room, refuse_targets_without_room
 from ctrplan.cases.sheath import sheath
+from ctrplan.cases.structures import Structure
 from ctrplan.cases.work import ENTRIES, ROBOT, SCENARIO, Step, Work
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot
-from ctrplan.files.scenario_file import scenario_from_dict
 from ctrplan.planning.drawn_back import drawn_back
 from ctrplan.planning.scenario import Scenario
 from ctrplan.storage.atomic_write import write_atomically
@@ -33,8 +34,7 @@ from ctrplan.storage.toml_document import Document
 from ctrplan.storage.toml_text import toml_text
 
 DEFAULT_ROBOT = "three_tube_insertion.toml"
-UNIT, SMALLEST_MM = "mm", 2.0  # of a structure of a patient
-PART = re.compile(r"anatomy\.(\d+)\.")
+UNIT = "mm"
 ENTRY_COLUMNS = "x_mm,y_mm,z_mm,look_x_mm,look_y_mm,look_z_mm"
 
 
@@ -58,6 +58,8 @@ class ScenarioStep(Step):
             "lumens",
             "avoids",
             "ignored",
+            "phases",
+            "motion_margin_mm",
         )
         said |= asked.part("robot", "margin_mm", "surface_error_mm", "tolerance_mm", "sheath_mm")
         stamps = [stamp_of(Path(name)) for name in asked.inputs or ()] + [stamp_of(robot_file(asked.robot))]
@@ -68,33 +70,71 @@ class ScenarioStep(Step):
         if not asked.inputs:
             raise InputError("are needed: images, meshes and files of markups, or folders of them", key="FILES")
         robot_text = _text(robot_file(asked.robot))
-        found = found_in(asked.inputs, asked.unit or UNIT, work.folder, asked.series)
-        structures, told = chosen(found, asked.lumens or (), asked.avoids or (), asked.ignored or ())
-        for sentence in (*found.notes, *told):
-            work.note(sentence)
-        frame = case_frame(asked.frame, [*(asked.targets or ()), *(asked.entries or ())])
-        targets = places_of("--target", asked.targets, found.markups, frame, asked.file_frame)
-        entries = places_of("--entry", asked.entries, found.markups, frame, asked.file_frame)
-        robot = load_robot(robot_file(asked.robot))
-        start = draft.start_values(robot.drive, drawn_back(robot))
-        content = draft.draft(asked, work.folder, frame, structures, targets, start)
-        content["base"] = draft.base(entries[0], targets)
-        scenario = _checked(work, content, structures)
-        if asked.sheath_mm is not None:
-            content["anatomy"] += _sheaths(scenario, entries, targets, asked.sheath_mm)
-            scenario = _checked(work, content, structures)
+        with images_kept():
+            task = _task(work)
+            content, scenario = _drafted(work, task)
         refuse_targets_without_room(scenario)
-        for entry in entries:
+        for entry in task.entries:
             refuse_entry_without_room(scenario, entry.points_mm[0] / 1e3, patch_radius_m(asked))
         for warning in scenario.warnings:
             work.note(warning)
         write_atomically(work.file(ROBOT), robot_text)
-        write_atomically(work.file(ENTRIES), _more(entries, targets))
+        write_atomically(work.file(ENTRIES), _more(task.entries, task.targets))
         write_atomically(work.file(SCENARIO), _with_head(content))
         robot = load_robot(work.file(ROBOT))
         work.keep(SCENARIO, replace(scenario, robot=robot, sha256=Document(content).sha256))
-        roles = [f"{one.name} ({'inside' if role == 'inside' else 'avoid'})" for one, role in structures]
-        return f"{', '.join(roles)}; {_counted(len(targets), 'target')}, {_counted(len(entries), 'entry')}, in {frame}"
+        return task.sentence
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """What the files and options say."""
+
+    frame: Frame
+    structures: Sequence[tuple[Structure, Role]]
+    targets: Sequence[Named]
+    entries: Sequence[Named]
+
+    @property
+    def sentence(self) -> str:
+        roles = [f"{one.name} ({'inside' if role == 'inside' else 'avoid'})" for one, role in self.structures]
+        counts = f"{_counted(len(self.targets), 'target')}, {_counted(len(self.entries), 'entry')}"
+        return f"{', '.join(roles)}; {counts}, in {self.frame}"
+
+
+def _task(work: Work) -> _Task:
+    """Structures with their roles, targets and entries; what was recognised is told. Raises InputError."""
+    asked = work.request
+    found = found_in(asked.inputs or (), asked.unit or UNIT, work.folder, asked.series, asked.phases or ())
+    lumens, avoids, ignored = asked.lumens or (), asked.avoids or (), asked.ignored or ()
+    aimed = aimed_at(found, asked.targets, (*lumens, *avoids, *ignored))
+    for sentence in found.notes:
+        work.note(sentence)
+    structures, told = chosen(found, lumens, avoids, ignored, tuple(aimed.values()))
+    frame = case_frame(asked.frame, [*(asked.targets or ()), *(asked.entries or ())])
+    points, more = middles(aimed, frame, lambda one: shape_of(work, one, frame))
+    for sentence in (*told, *more):
+        work.note(sentence)
+    targets = places_of("--target", asked.targets, [*found.markups, *points], frame, asked.file_frame)
+    entries = places_of("--entry", asked.entries, found.markups, frame, asked.file_frame)
+    return _Task(frame, structures, targets, entries)
+
+
+def _drafted(work: Work, task: _Task) -> tuple[dict[str, Any], Scenario]:
+    """The scenario, as the content of its file and read."""
+    asked, structures = work.request, [one for one, _ in task.structures]
+    robot = load_robot(robot_file(asked.robot))
+    start = draft.start_values(robot.drive, drawn_back(robot))
+    content = draft.draft(asked, work.folder, task.frame, task.structures, task.targets, start)
+    content["base"] = draft.base(task.entries[0], task.targets)
+    beside = draft.from_folder(work.folder, robot_file(asked.robot))
+    scenario = with_motion_margins(work, drafted(work, content, beside, structures), content)
+    if asked.sheath_mm is not None:
+        sheaths = _sheaths(scenario, task.entries, task.targets, asked.sheath_mm)
+        content["anatomy"] += sheaths
+        alone = drafted(work, {**content, "anatomy": sheaths}, beside, ())  # images are not read again
+        scenario = replace(scenario, anatomy=scenario.anatomy + alone.anatomy)
+    return content, scenario
 
 
 def robot_file(said: str | None) -> Path:
@@ -105,28 +145,6 @@ def robot_file(said: str | None) -> Path:
 def _text(robot: Path) -> str:
     load_robot(robot)  # refuses what is none
     return robot.read_text(encoding="utf-8-sig")
-
-
-def _checked(work: Work, content: dict[str, Any], structures: Sequence[tuple[Structure, Role]]) -> Scenario:
-    """The scenario of the content, its robot where it comes from, since nothing is written yet.
-
-    What it refuses of an image or a mesh is said of that file.
-    """
-    beside = {**content, "robot": draft.from_folder(work.folder, robot_file(work.request.robot))}
-    try:
-        scenario = scenario_from_dict(beside, file=str(work.file(SCENARIO)), allow_outside=True)
-    except InputError as error:
-        match = PART.match(error.key or "")
-        if match is None or not 0 < int(match[1]) <= len(structures):
-            raise
-        told = InputError(error.rule, file=structures[int(match[1]) - 1][0].file)
-        raise (MeshDefectError(told, error.defect) if isinstance(error, MeshDefectError) else told) from error
-    for part, (structure, _) in zip(scenario.anatomy, structures, strict=False):  # a sheath comes after them
-        across_mm = float(np.max(part.box[1] - part.box[0])) * MM_PER_M
-        if structure.entry["kind"] == "mesh" and across_mm < SMALLEST_MM:
-            rule = f"is {across_mm:.3g} mm across: are its coordinates in metres? --unit says so"
-            raise InputError(rule, file=structure.file)
-    return scenario
 
 
 def _sheaths(

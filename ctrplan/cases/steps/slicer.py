@@ -24,7 +24,7 @@ class SlicerStep(Step):
 
     def make(self, work: Work) -> str:
         folder = output_folder(str(work.file(SLICER)), [SCENE])
-        written = load_plan(work.file(f"{PLAN}/plan.json"), work.file(PLACED), allow_outside=True)
+        written = load_plan(work.file(f"{PLAN}/plan.json"), work.scenario(PLACED))
         motion = written_motion(written, STEPS, lambda share: work.progress("solving", share))
         said = work.request.frame if written.scenario.frame is None else None  # of a scenario that people wrote
         files = case_files(motion, patient_frame(written.scenario, said))

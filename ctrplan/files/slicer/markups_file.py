@@ -42,7 +42,7 @@ class Markup:
     def name(self) -> str:
         """Of the file, without what says that it is one of markups."""
         name = Path(self.file).name
-        return next(name[: -len(suffix)] for suffix in SUFFIXES if name.lower().endswith(suffix))
+        return next((name[: -len(suffix)] for suffix in SUFFIXES if name.lower().endswith(suffix)), "")
 
 
 def is_markups(path: str | os.PathLike[str]) -> bool:

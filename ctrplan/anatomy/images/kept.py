@@ -1,0 +1,41 @@
+"""Images that several structures are taken from are read once: kept while a scenario is made of them, and no longer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
+
+from ctrplan.anatomy.images.image import Image
+
+MOST_BYTES = 600_000_000  # of voxels that are kept; what was read last stays
+Key = tuple[object, ...]
+_KEPT: ContextVar[dict[Key, Image] | None] = ContextVar("kept", default=None)
+
+
+@contextmanager
+def images_kept() -> Iterator[None]:
+    """Within it an image that was read is not read again, unless its file has changed or others took its room."""
+    if _KEPT.get() is not None:
+        yield
+        return
+    before = _KEPT.set({})
+    try:
+        yield
+    finally:
+        _KEPT.reset(before)
+
+
+def kept(path: Path, series: str | None, read: Callable[[], Image]) -> Image:
+    """The image of a file, or of a folder's series, read where it is not kept."""
+    images = _KEPT.get()
+    if images is None or path.is_dir():  # a folder does not say that one of its files has changed
+        return read()
+    told = path.stat()
+    key = (path.resolve(), series, told.st_size, told.st_mtime_ns)
+    if key not in images:
+        images[key] = read()
+        while len(images) > 1 and sum(image.voxels.nbytes for image in images.values()) > MOST_BYTES:
+            del images[next(iter(images))]
+    return images[key]
