@@ -147,6 +147,21 @@ def test_overlapping_bodies_of_one_mesh_are_solid() -> None:
     assert (exact_clearance([mesh_part(both)], points[in_either]) < 0).all()
 
 
+def test_a_side_does_not_depend_on_the_points_asked_for_together() -> None:
+    """Of points along a way, in which few are asked on which side they are, and of each by itself: through bodies that
+    overlap, out of them and back, standing still in between."""
+    vertices, faces = np.asarray(ICOSPHERE.vertices), np.asarray(ICOSPHERE.faces)
+    both = trimesh.Trimesh(np.concatenate([vertices, vertices + [0.02, 0, 0]]), [*faces, *(faces + len(vertices))])
+    part = mesh_part(both)
+    corners = np.repeat(random_points(12), 2, axis=0)
+    for steps in (3, 40, 400):
+        share = np.linspace(0, 1, steps)[:, None]
+        way = np.concatenate([a + share * (b - a) for a, b in zip(corners[:-1], corners[1:], strict=True)])
+        alone = [float(part.shape.distance(point[None])[0]) for point in way[:: max(1, steps // 40)]]
+        assert min(alone) < 0 < max(alone)
+        np.testing.assert_array_equal(part.shape.distance(way)[:: max(1, steps // 40)], alone)
+
+
 def test_no_parts_leave_all_clear_and_points_must_be_finite() -> None:
     assert (exact_clearance([], random_points(3)) == np.inf).all()
     assert exact_clearance(mixture(), np.empty((0, 3))).shape == (0,)
