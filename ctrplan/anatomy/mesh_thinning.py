@@ -12,7 +12,7 @@ from ctrplan.anatomy.mesh_repair import Indices, odd_edges
 from ctrplan.base.arrays import Array
 from ctrplan.base.units import MM_PER_M
 
-HUGE, ENOUGH = 400_000, 200_000  # triangles: what is thinned, and to what
+HUGE, ENOUGH = 1_000_000, 200_000  # triangles: what is thinned, and to what
 MOST_ERROR_M = 0.05e-3
 TRIES = 3  # each with twice the triangles of the one before
 HALVINGS = 4

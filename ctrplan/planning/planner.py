@@ -17,6 +17,7 @@ from ctrplan.base.interrupts import interrupt_event
 from ctrplan.base.progress import part_of
 from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import InputError, NoAnswerError
+from ctrplan.planning.certificate.failed_walk import failure_with_place
 from ctrplan.planning.certificate.friction_cube import refuse_many_tubes
 from ctrplan.planning.certificate.start_branches import other_start
 from ctrplan.planning.certificate.tour import joined_certificates
@@ -218,7 +219,7 @@ def _along_line(checker: MotionChecker, began: float) -> tuple[Candidate, Candid
     found_s = time.monotonic() - began
     walk = None if failed else walk_legs(scenario, corners)
     if walk is None or walk.failure:
-        why = failed or (walk.failure if walk else "")
+        why = failed or (failure_with_place(walk) if walk else "")
         key = f"{scenario.goal.table}.line_mm"
         raise NoAnswerError(f"{scenario.path or scenario.name}: {key}: {why.rstrip('.')}.")
     motion = checker.along(corners)
@@ -233,7 +234,7 @@ def _without_motion(checker: MotionChecker, began: float) -> tuple[Candidate, Ca
     walk = walk_legs(scenario, corners)
     if walk.failure:
         where = f"{scenario.path or scenario.name}: {scenario.goal.table}"
-        raise NoAnswerError(f"{where}: is the start, which fails: {walk.failure}")
+        raise NoAnswerError(f"{where}: is the start, which fails: {failure_with_place(walk)}")
     return _found(as_given(checker, corners), walk, found_s, began, "start")
 
 

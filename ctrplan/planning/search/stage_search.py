@@ -15,6 +15,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import NoAnswerError
 from ctrplan.planning.certificate.certify import finished
+from ctrplan.planning.certificate.failed_walk import failure_with_place
 from ctrplan.planning.certificate.uneven_friction import NEAR_LIMIT_M
 from ctrplan.planning.certificate.walked_legs import WalkedLegs, walk_legs
 from ctrplan.planning.finish.reorder import Reordered, as_given, least_error
@@ -85,6 +86,7 @@ class StageSearch:
     before: float = 0.0  # spent on other searches of the same plan
     whole: float | None = None  # budget of the plan, if this search has a share of it only
     failure: str = ""  # of the last certificate
+    failed: WalkedLegs | None = None  # the last walk that failed
     first: Candidate | None = None  # that was certified
     best: Candidate | None = None
     certified: list[Candidate] = field(default_factory=list)
@@ -129,7 +131,9 @@ class StageSearch:
             raise KeyboardInterrupt
         name = self.checker.scenario.path or self.checker.scenario.name
         if self.failure:
-            raise NoAnswerError(f"{name}: no path in time passed its certificate: {self.failure}")
+            failed = self.failed if self.failed and self.failed.failure == self.failure else None
+            why = failure_with_place(failed) if failed else self.failure
+            raise NoAnswerError(f"{name}: no path in time passed its certificate: {why}")
         outcome = f"no valid path to any of {len(self.goals)} goal states was found in time"
         raise NoAnswerError(f"{name}: planner.time_s = {self.budget:g} s: {outcome}.")
 
@@ -280,6 +284,7 @@ class StageSearch:
         walk = walk_legs(checker.scenario, way, spare_m=NEAR_LIMIT_M, progress=self._certifying)
         self.failure = walk.failure
         if self.failure:
+            self.failed = walk
             return self.failure
         certified_s = time.monotonic() - self.began
         self._keep(as_given(checker, way), walk, found_by, found_s, certified_s, tidied=False)
@@ -297,7 +302,7 @@ class StageSearch:
         self._tell()
         walk = walk_legs(checker.scenario, result.after, spare_m=NEAR_LIMIT_M, progress=self._certifying)
         if walk.failure:
-            self.failure = walk.failure
+            self.failure, self.failed = walk.failure, walk
             return self.failure
         certified_s = time.monotonic() - self.began
         self._keep(result, walk, found_by, found_s, certified_s, tidied=True)
