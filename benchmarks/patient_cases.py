@@ -26,19 +26,21 @@ class PublicCase:
     entry: Place  # files, apart by spaces, with a 4 x 4 matrix whose last column counts, or the numbers (mm)
     avoid: tuple[str, ...] = ()
     lumen: tuple[str, ...] = ()
+    phases: tuple[str, ...] = ()  # files of one structure that moves, of which a lumen or obstacle is the first
     frame: str = "RAS"
     more: tuple[str, ...] = ()  # further options
 
     def command(self, root: Path) -> list[str]:
         """Arguments of ctrplan, without the output folder."""
-        files = [str(root / self.folder / file) for file in (*self.lumen, *self.avoid)]
+        files = [str(root / self.folder / file) for file in (*self.lumen, *self.avoid) if file not in self.phases]
         roles = [word for file in self.lumen for word in ("--lumen", file)]
         roles += [word for file in self.avoid for word in ("--avoid", file)]
         places = ["--target", *_place(root / self.folder, self.target)]
         for entry in self.entry.split() if isinstance(self.entry, str) else [self.entry]:
             places += ["--entry", *_place(root / self.folder, entry)]
         robot = ["--robot", str(ROBOTS / f"{self.robot}.toml")]
-        return ["case", *files, *roles, *places, "--frame", self.frame, *robot, *self.more]
+        moving = ["--phases", *(str(root / self.folder / file) for file in self.phases)] if self.phases else []
+        return ["case", *files, *moving, *roles, *places, "--frame", self.frame, *robot, *self.more]
 
 
 def _place(folder: Path, place: Place) -> Sequence[str]:
@@ -196,5 +198,35 @@ def _hearts() -> Iterator[PublicCase]:
         )
 
 
-KINDS = (_brains, _ventricles, _livers, _lungs, _airways, _throats, _hearts)
+def _moving_hearts() -> Iterator[PublicCase]:
+    """As before, of an atrium that beats: four of its twenty phases, 0.7 to 0.9 mm from one to the next."""
+    yield PublicCase(
+        name="moving atrium",
+        organ="heart",
+        folder="VaMPy/models/moving_atrium/model_moved",
+        robot="three_tube_insertion",
+        target=(25, -162.7, -1085),
+        entry=(-15.3, -151.7, -1089.7),
+        lumen=("model_moved_00.vtp",),
+        phases=tuple(f"model_moved_{k:02}.vtp" for k in (0, 1, 2, 5)),
+        more=("--repair", "caps", "--file-frame", "RAS", "--margin-mm", "0.5", "--radius-mm", "4", "--cone-deg", "30"),
+    )
+
+
+KINDS = (_brains, _ventricles, _livers, _lungs, _airways, _throats, _hearts, _moving_hearts)
 CASES = {case.name: case for cases in KINDS for case in cases()}
+PAGE = (  # those of docs/patients.md
+    *(
+        "brain 1",
+        "brain 2",
+        "brain 3",
+        "brain 4",
+        "ventricle 1",
+        "liver 2.1",
+        "liver 3.1",
+        "liver 5.1",
+        "lung 2",
+        "lung 5",
+    ),
+    *("airway 3 right", "throat 4077", "throat 5558", "atrium far vein", "atrium near vein", "moving atrium"),
+)

@@ -1,12 +1,14 @@
 """Public patients, from their files to certified plans, measured against the raw voxels and triangles.
 
     python benchmarks/patients.py FOLDER OUT [CASE ...]         # of patient_cases.py; default: all
-    python benchmarks/patients.py FOLDER OUT --without          # only plans without the bound in the cost
+    python benchmarks/patients.py FOLDER OUT --page             # those of docs/patients.md, and the sizes of scans.py
     python benchmarks/patients.py FOLDER OUT --table            # what OUT holds already
     python benchmarks/patients.py FOLDER OUT --commands         # what would be run
 
 FOLDER has the clones that docs/patients.md lists. Each case is a folder below OUT, as `ctrplan case` writes it.
-Commands are processes of their own; processor time and largest memory are the operating system's figures of them.
+Commands are processes of their own; processor time and largest memory are the operating system's figures of them. The
+cases follow each other on one core, from an empty cache; what is measured of them and the plans without the bound in
+the cost run on another one meanwhile.
 """
 
 from __future__ import annotations
@@ -14,14 +16,15 @@ from __future__ import annotations
 import json
 import os
 import shlex
+import shutil
 import subprocess
 import sys
 import time
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from patient_cases import CASES, PublicCase
-from patient_clearance import measured_clearance
+from patient_cases import CASES, PAGE, PublicCase
 
 COMMAND = Path(sys.executable).with_name("ctrplan")
 WITHOUT = ["--set", "cost.error_along=0", "--set", "cost.error_goal=0"]
@@ -30,43 +33,43 @@ WITHOUT = ["--set", "cost.error_along=0", "--set", "cost.error_goal=0"]
 def run_case(case: PublicCase, root: Path, out: Path) -> None:
     """Writes what came of a case to result.json in its folder."""
     folder = out / case.name.replace(" ", "_")
-    folder.mkdir(parents=True, exist_ok=True)
-    made = _run([*case.command(root), "-o", str(folder / "case"), "--quiet", "--from", "scenario"], folder / "case.log")
-    found: dict[str, Any] = {"case": case.name, "organ": case.organ, "robot": case.robot, "made": made}
-    if made["code"] == 0:
-        measure = [
-            sys.executable,
-            __file__,
-            str(folder / "case"),
-            "--measure",
-        ]  # so that this process stays small, since
-        found |= json.loads(subprocess.run(measure, capture_output=True, check=True).stdout)  # children start as large
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    made = _run([*case.command(root), "-o", str(folder / "case"), "--quiet"], folder, "case.log", core=0)
+    _write(folder, {"case": case.name, "organ": case.organ, "robot": case.robot, "made": made})
+
+
+def judge_case(case: PublicCase, out: Path) -> None:
+    """Measures a case that has a plan, and plans it again with a cost that says nothing of the bound."""
+    folder = out / case.name.replace(" ", "_")
+    found = json.loads((folder / "result.json").read_text())
+    if found["made"]["code"] == 0:
+        measure = [sys.executable, __file__, str(folder / "case"), "--measure"]  # a process of its own: this one stays
+        found |= json.loads(subprocess.run(measure, capture_output=True, check=True).stdout)  # small for what it starts
+        plan = ["plan", str(folder / "case" / "placed.toml"), "--allow-outside", "--quiet", "--formats", "csv"]
+        found["without"] = _run([*plan, "-o", str(folder / "without"), *WITHOUT], folder, "without.log", core=-1)
+    if "without" in found and found["without"]["code"] == 0:
+        certificate = json.loads((folder / "without" / "plan.json").read_text())["certificate"]
+        found["without_bound_mm"] = certificate["goal_bound_m"] * 1e3
+    shutil.rmtree(folder / "cache", ignore_errors=True)
+    _write(folder, found)
+
+
+def _write(folder: Path, found: dict[str, Any]) -> None:
     (folder / "result.json").write_text(json.dumps(found, indent=1) + "\n")
 
 
-def run_without(case: PublicCase, out: Path) -> None:
-    """Plans a case that has a plan again, with a cost that says nothing of the bound."""
-    folder = out / case.name.replace(" ", "_")
-    file = folder / "result.json"
-    found = json.loads(file.read_text()) if file.exists() else {}
-    if "plan_bound_mm" not in found or "without" in found:
-        return
-    plan = ["plan", str(folder / "case" / "placed.toml"), "--allow-outside", "--quiet", "-o", str(folder / "without")]
-    found["without"] = _run([*plan, *WITHOUT], folder / "without.log")
-    if found["without"]["code"] == 0:
-        certificate = json.loads((folder / "without" / "plan.json").read_text())["certificate"]
-        found["without_bound_mm"] = certificate["goal_bound_m"] * 1e3
-    file.write_text(json.dumps(found, indent=1) + "\n")
-
-
-def _run(arguments: list[str], file: Path) -> dict[str, Any]:
-    """Runs a command of ctrplan: exit code, clock and processor time [s], largest memory [MB], what it said."""
+def _run(arguments: list[str], folder: Path, log: str, core: int) -> dict[str, Any]:
+    """Runs a command on one core: exit code, clock and processor time [s], largest memory [MB], its last words."""
     begun = time.perf_counter()
-    with file.open("w+") as log:
-        process = subprocess.Popen([COMMAND, *arguments], stdout=log, stderr=log)
+    cores = sorted(os.sched_getaffinity(0))
+    own = os.environ | {"CTRPLAN_CACHE_DIR": str(folder / "cache")}
+    command = ["taskset", "--cpu-list", str(cores[core]), str(COMMAND), *arguments]
+    with (folder / log).open("w+") as stream:
+        process = subprocess.Popen(command, stdout=stream, stderr=stream, env=own)
         _, status, used = os.wait4(process.pid, 0)
-        log.seek(0)
-        words = log.read().strip().splitlines()
+        stream.seek(0)
+        words = stream.read().strip().splitlines()
     return {
         "command": shlex.join(["ctrplan", *arguments]),
         "code": os.waitstatus_to_exitcode(status),
@@ -79,6 +82,8 @@ def _run(arguments: list[str], file: Path) -> dict[str, Any]:
 
 def _figures(case: Path) -> dict[str, Any]:
     """Claimed and measured clearance, the bound at the goal, the report's size."""
+    from patient_clearance import measured_clearance  # with ctrplan, which the process that starts others needs not
+
     certificate = json.loads((case / "plan" / "plan.json").read_text())["certificate"]
     measured = measured_clearance(case / "placed.toml", case / "robot.toml", case / "plan")
     return {
@@ -121,6 +126,25 @@ def _row(found: dict[str, Any], plan: Path) -> None:
     print(f"{start} {clearances} | {found['plan_bound_mm']:.2f} | {without} |")
 
 
+def run(chosen: list[PublicCase], root: Path, out: Path) -> None:
+    """All cases one after the other, each judged while the next ones run."""
+    begun = time.perf_counter()
+    with ThreadPoolExecutor(max_workers=1) as judge:
+        judged: list[Future[None]] = []
+        for case in chosen:
+            run_case(case, root, out)
+            judged.append(judge.submit(judge_case, case, out))
+            print(f"{time.perf_counter() - begun:4.0f} s  {case.name}", flush=True)
+        for one in judged:
+            one.result()
+
+
+def sizes() -> None:
+    """Large volumes and meshes, each in a process of its own, on all cores."""
+    for what in ("volume", "mesh"):
+        subprocess.run([sys.executable, str(Path(__file__).with_name("scans.py")), what], check=True)
+
+
 def main() -> None:
     if sys.argv[2:] == ["--measure"]:
         print(json.dumps(_figures(Path(sys.argv[1]))))
@@ -130,13 +154,12 @@ def main() -> None:
         for case in CASES.values():
             print(shlex.join(["ctrplan", *case.command(Path(root)), "-o", case.name.replace(" ", "_")]))
         return
-    chosen = [case for case in CASES.values() if case.name in names or not names]
-    for case in chosen:
-        run_case(case, Path(root).resolve(), Path(out).resolve())
-        print(case.name, flush=True)
-    for case in chosen or (CASES.values() if names == ["--without"] else []):
-        run_without(case, Path(out).resolve())
+    wanted = PAGE if names == ["--page"] else names
+    chosen = [case for case in CASES.values() if case.name in wanted or not names]
+    run(chosen, Path(root).resolve(), Path(out).resolve())
     table(Path(out))
+    if names == ["--page"]:
+        sizes()
 
 
 if __name__ == "__main__":
