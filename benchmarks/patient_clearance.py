@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 import tomllib
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 import ctrplan
@@ -180,20 +182,23 @@ def _triangles(path: Path) -> Array:
         raw = path.read_bytes()
         kind = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
         return np.frombuffer(raw, kind, int.from_bytes(raw[80:84], "little"), 84)["corners"].astype(float)
-    from vtk import vtkTriangleFilter, vtkXMLPolyDataReader
+    from vtk import vtkCleanPolyData, vtkPolyDataNormals, vtkTriangleFilter, vtkXMLPolyDataReader
 
-    reader, flat = vtkXMLPolyDataReader(), vtkTriangleFilter()
+    reader, flat, joined, turned = vtkXMLPolyDataReader(), vtkTriangleFilter(), vtkCleanPolyData(), vtkPolyDataNormals()
     reader.SetFileName(str(path))
     flat.SetInputConnection(reader.GetOutputPort())
-    flat.Update()
-    mesh = flat.GetOutput()
+    joined.SetInputConnection(flat.GetOutputPort())
+    turned.SetInputConnection(joined.GetOutputPort())
+    turned.ConsistencyOn(), turned.SplittingOff()  # neighbours wound alike, no point moved
+    turned.Update()
+    mesh = turned.GetOutput()
     cells = (mesh.GetCell(k).GetPointIds() for k in range(mesh.GetNumberOfCells()))
     return np.array([[mesh.GetPoint(ids.GetId(k)) for k in range(3)] for ids in cells])
 
 
 def _triangle_room(triangles: Array, inside: bool, points: Array) -> Array:
-    """To the nearest triangle, negative on the wrong side by the winding number of the whole surface."""
-    whole, triangles = triangles, _in_pieces(triangles)
+    """To the nearest triangle, negative on the wrong side by the winding number of the surface, its openings capped."""
+    whole, triangles = np.concatenate([triangles, _caps(triangles)]), _in_pieces(triangles)
     middles = triangles.mean(axis=1)
     reach = np.linalg.norm(triangles - middles[:, None], axis=2).max()
     tree, found = cKDTree(middles), np.empty(len(points))
@@ -206,6 +211,20 @@ def _triangle_room(triangles: Array, inside: bool, points: Array) -> Array:
             found[begin + k] = _to_triangles(some[k : k + 1], close[None])[0]
     within = _within(whole, points, found)
     return np.where(within == inside, found, -found)
+
+
+def _caps(triangles: Array) -> Array:
+    """(C, 3, 3) fans over the openings, each about its middle: for sides only, no distance is to them."""
+    corners, index = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
+    rows = index.reshape(-1, 3)
+    edges = np.concatenate([rows[:, [0, 1]], rows[:, [1, 2]], rows[:, [2, 0]]])
+    both = set(map(tuple, edges.tolist()))
+    rim = np.array([(a, b) for a, b in edges.tolist() if (b, a) not in both], dtype=int).reshape(-1, 2)
+    joined = coo_array((np.ones(len(rim)), rim.T), shape=(len(corners),) * 2)
+    opening = connected_components(joined, directed=False)[1][rim[:, 0]]
+    middles = {k: corners[rim[opening == k, 0]].mean(axis=0) for k in np.unique(opening)}
+    fans = [(corners[b], corners[a], middles[k]) for (a, b), k in zip(rim, opening, strict=True)]
+    return np.array(fans).reshape(-1, 3, 3)
 
 
 def _in_pieces(triangles: Array, longest_mm: float = 3.0) -> Array:

@@ -48,8 +48,8 @@ def add_parser(commands: Any) -> None:
 
 def run_export(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises InputError for what is no plan, and without a frame."""
-    from ctrplan.files.slicer.slicer_space import patient_frame
-    from ctrplan.reports.slicer_case.files import SCENE, case_files
+    from ctrplan.files.slicer.slicer_space import SCENE, patient_frame
+    from ctrplan.reports.slicer_case.files import case_files
 
     plan = read_plan(arguments)
     frame = patient_frame(plan.scenario, arguments.frame)

@@ -13,7 +13,6 @@ from ctrplan.files.trajectory_file import trajectory_formats
 from ctrplan.planning.plan import Plan
 from ctrplan.planning.planner import plan
 from ctrplan.planning.search.stage_search import Progress
-from ctrplan.reports.plan_folder import FORMATS, plan_outputs, save_plan
 from ctrplan.reports.plan_words.worst_miss import worst_miss
 from ctrplan.storage.output_folder import output_folder
 
@@ -32,6 +31,8 @@ class PlanStep(Step):
         return [said, work.state(PLACED, ROBOT), raw_files(work.scenario(PLACED))]
 
     def make(self, work: Work) -> str:
+        from ctrplan.reports.plan_folder import FORMATS, plan_outputs, save_plan  # pictures take a second to import
+
         output_folder(str(work.file(PLAN)), plan_outputs(trajectory_formats(FORMATS)))
         made = self._planned(work)
         save_plan(made, work.file(PLAN))

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from ctrplan.cases.work import PLACED, PLAN, SLICER, Step, Work
 from ctrplan.files.plan_file import load_plan
-from ctrplan.files.slicer.slicer_space import patient_frame
-from ctrplan.reports.slicer_case.files import SCENE, case_files
-from ctrplan.reports.written_motion import written_motion
+from ctrplan.files.slicer.slicer_space import SCENE, patient_frame
 from ctrplan.storage.output_folder import output_folder, write_results
 
 STEPS = 40  # poses of the motion
@@ -23,6 +21,9 @@ class SlicerStep(Step):
         return work.state(f"{PLAN}/plan.json", f"{PLAN}/trajectory.csv")
 
     def make(self, work: Work) -> str:
+        from ctrplan.reports.slicer_case.files import case_files  # surfaces take a second to import
+        from ctrplan.reports.written_motion import written_motion
+
         folder = output_folder(str(work.file(SLICER)), [SCENE])
         written = load_plan(work.file(f"{PLAN}/plan.json"), work.scenario(PLACED))
         motion = written_motion(written, STEPS, lambda share: work.progress("solving", share))

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 SPACE: Frame = "LPS"  # of all files
 
 
+SCENE = "scene.mrml"  # of a case folder: what 3D Slicer is to open
+
+
 def patient_frame(scenario: Scenario, given: str | None, key: str = "--frame") -> Frame:
     """The frame of a scenario's anatomy: the one that its file says, or else the one given.
 

@@ -11,6 +11,7 @@ from ctrplan.files.slicer.markups import MarkupType, markups_text
 from ctrplan.files.slicer.model_sequence import browser_node, model_sequence, sequence_node
 from ctrplan.files.slicer.mrml import Node, markup_nodes, model_nodes, scene_text, storage_node
 from ctrplan.files.slicer.ply_model import ply_model
+from ctrplan.files.slicer.slicer_space import SCENE
 from ctrplan.reports import scene_looks as looks
 from ctrplan.reports.plan_words.numbers import millimetres
 from ctrplan.reports.pose import stand
@@ -18,7 +19,6 @@ from ctrplan.reports.surface import Surface
 from ctrplan.reports.swept_space import swept_surface
 from ctrplan.reports.written_motion import WrittenMotion
 
-SCENE = "scene.mrml"
 PERCENTS = tuple(range(0, 101, 10))  # of the motion's time, at which centrelines are written
 MOST_POINTS = 300  # of a curve: Slicer draws each of them
 SIDES, ENVELOPE_SIDES = 16, 14
