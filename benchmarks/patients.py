@@ -1,7 +1,7 @@
 """Public patients, from their files to certified plans, measured against the raw voxels and triangles.
 
     python benchmarks/patients.py FOLDER OUT [CASE ...]         # of patient_cases.py; default: all
-    python benchmarks/patients.py FOLDER OUT --page             # those of docs/patients.md, and the sizes of scans.py
+    python benchmarks/patients.py FOLDER OUT --page             # those of docs/patients.md, what docs/case.md shows, sizes of docs/anatomy.md
     python benchmarks/patients.py FOLDER OUT --table            # what OUT holds already
     python benchmarks/patients.py FOLDER OUT --commands         # what would be run
 
@@ -139,6 +139,22 @@ def run(chosen: list[PublicCase], root: Path, out: Path) -> None:
             one.result()
 
 
+def printed(out: Path) -> None:
+    """What docs/case.md shows: the words of the case of our own, and of brain 2."""
+    make = Path(__file__).resolve().parents[1] / "scenarios" / "make_scan.py"
+    folder = out / "lungs"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    subprocess.run([sys.executable, str(make), str(folder / "scan")], check=True, stdout=subprocess.DEVNULL)
+    own = _run(["case", str(folder / "scan"), "-o", str(folder / "case"), "--quiet"], folder, "case.log", core=0)
+    brain = json.loads((out / "brain_2" / "result.json").read_text())["made"]
+    for name, made in (("lungs", own), ("brain 2", brain)):
+        print(
+            f"{name}: {made['clock_s']} s by the clock, {made['processor_s']} s of a processor, {made['memory_MB']} MB"
+        )
+        print("\n".join(line for line in made["words"] if line.startswith("[")))
+
+
 def sizes() -> None:
     """Large volumes and meshes, each in a process of its own, on all cores."""
     for what in ("volume", "mesh"):
@@ -159,6 +175,7 @@ def main() -> None:
     run(chosen, Path(root).resolve(), Path(out).resolve())
     table(Path(out))
     if names == ["--page"]:
+        printed(Path(out).resolve())
         sizes()
 
 
