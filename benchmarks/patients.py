@@ -1,7 +1,7 @@
 """Public patients, from their files to certified plans, measured against the raw voxels and triangles.
 
     python benchmarks/patients.py FOLDER OUT [CASE ...]         # of patient_cases.py; default: all
-    python benchmarks/patients.py FOLDER OUT --page             # those of docs/patients.md, what docs/case.md shows, sizes of docs/anatomy.md
+    python benchmarks/patients.py FOLDER OUT --page             # what docs/patients.md, case.md and anatomy.md show
     python benchmarks/patients.py FOLDER OUT --table            # what OUT holds already
     python benchmarks/patients.py FOLDER OUT --commands         # what would be run
 
