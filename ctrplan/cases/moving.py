@@ -16,11 +16,13 @@ STEP_MM = 0.1  # to which a margin is rounded up
 
 
 def later_phases(phases: Sequence[Sequence[str]]) -> dict[Path, tuple[Path, ...]]:
-    """Files of further phases by that of the first. Raises InputError for a single one, and for one said twice."""
+    """Files of further phases by that of the first. Raises InputError for a single one, a folder, one said twice."""
     files = [Path(name).resolve() for group in phases for name in group]
     for group in phases:
         if len(group) < 2:
             raise InputError("must be two files at least, one of each phase", key="--phases", value=" ".join(group))
+    if folders := [file for file in files if file.is_dir()]:
+        raise InputError("is a folder: name the files of the phases", key="--phases", value=folders[0].name)
     if twice := [file for file in files if files.count(file) > 1]:
         raise InputError("is said twice", key="--phases", value=twice[0].name)
     return {Path(group[0]).resolve(): tuple(map(Path, group[1:])) for group in phases}

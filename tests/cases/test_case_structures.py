@@ -117,8 +117,14 @@ def test_phases_of_a_structure_are_kept_clear_of_together(image: Path, tmp_path:
     assert moving.shape.distance(np.array([far, halfway, far + 7.3 * phantoms.OBLIQUE[:, 0]]) * 1e-3).max() < 0
     said, _ = scenario_of(tmp_path / "said", image, **keys, motion_margin_mm=2.0)
     assert said.anatomy[2].margin_m == pytest.approx(2.5e-3)
-    with pytest.raises(InputError, match="--phases = .*two files at least"):
-        scenario_of(tmp_path / "one", image, **keys | {"phases": [[tmp_path / "heart_in.stl"]]})
+    still, other = tmp_path / "heart_in.stl", tmp_path / "heart_out.stl"
+    for files, rule in (
+        ([still], "two files at least"),
+        ([still, other, still], "said twice"),
+        ([still, tmp_path], "folder"),
+    ):
+        with pytest.raises(InputError, match=f"--phases = .*{rule}"):
+            scenario_of(tmp_path / "refused", image, **keys | {"phases": [files]})
 
 
 def test_an_image_is_read_once_for_all_that_is_taken_from_it(
