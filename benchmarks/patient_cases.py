@@ -199,7 +199,7 @@ def _hearts() -> Iterator[PublicCase]:
 
 
 def _moving_hearts() -> Iterator[PublicCase]:
-    """As before, of an atrium that beats: four of its twenty phases, 0.7 to 0.9 mm from one to the next."""
+    """As before, of an atrium that beats: four of its twenty phases, at most 1.2 mm from one to the next."""
     yield PublicCase(
         name="moving atrium",
         organ="heart",
