@@ -136,8 +136,8 @@ def case(
     for what can't be understood and for an edited file whose sources have changed, NoAnswerError where nothing is
     reached or no plan found.
     """
-    moving = tuple(tuple(map(os.fspath, group)) for group in phases or ())
-    named = dict.fromkeys([*(file for group in moving for file in group), *map(os.fspath, inputs or ())])
+    moving = tuple(tuple(os.fspath(file) for file in group) for group in phases or ())
+    named = dict.fromkeys([*(file for group in moving for file in group), *(os.fspath(path) for path in inputs or ())])
     asked = Request(
         inputs=tuple(named) or None,
         targets=_places(targets),
