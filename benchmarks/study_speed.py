@@ -43,6 +43,7 @@ ROBOT = str(SCENARIOS / "robots" / "three_tube.toml")
 SCENARIO = str(SCENARIOS / "pair_free.toml")
 WORKERS = 2
 SHORT_S = 0.05  # of search, of many plans
+NEAR = {"rotate inner": 10.0, "translate inner": -27.0}  # goals of many plans, 0.3 s of a core each
 START_S = 30.0  # for a scheduler to say where it is
 EMPTY = "def nothing(scenario, inputs, seed):\n    return {'seed': seed}\n"
 
@@ -54,10 +55,18 @@ def bounds_study(count: int) -> dict[str, Any]:
     return {"robot": ROBOT, "task": {"kind": "bound", "theta_deg": [0, 0, 0], "l_mm": [0, -17, -62.8]}, "vary": turns}
 
 
-def plans_study(count: int, time_s: float = 0.5) -> dict[str, Any]:
+def plans_study(count: int) -> dict[str, Any]:
     """Plans of a pair in free space, a second or so each."""
-    seeds = [{"key": "seed", "values": list(range(count))}, {"key": "planner.time_s", "values": [time_s]}]
+    seeds = [{"key": "seed", "values": list(range(count))}, {"key": "planner.time_s", "values": [0.5]}]
     return {"scenario": SCENARIO, "task": {"kind": "plan"}, "vary": seeds}
+
+
+def near_plans_study(count: int) -> dict[str, Any]:
+    """Plans to goals near the start, each to another: cheap ones, with all that a plan and its certificate hold."""
+    goals = [{"key": 'goal.joints."rotate outer"', "low": 5.0, "high": 20.0, "count": count}]
+    goals += [{"key": f'goal.joints."{joint}"', "values": [value]} for joint, value in NEAR.items()]
+    searches = [{"key": "planner.time_s", "values": [SHORT_S]}]
+    return {"scenario": SCENARIO, "task": {"kind": "plan"}, "vary": [*goals, *searches]}
 
 
 def loop_of_bounds(study: Study) -> float:
@@ -86,7 +95,7 @@ class Run:
     """A study on workers of this machine: from the first row to the last, start-up left out, and memory meanwhile."""
 
     def __init__(self, content: dict[str, Any], folder: Path, workers: int = WORKERS, **where: Any) -> None:
-        self.memory: list[tuple[int, float]] = []
+        self.memory: list[tuple[int, float, float]] = []
         self.begun: tuple[int, float, float] | None = None
         self.ended = (0, 0.0, 0.0)
         study = Study.of(content, folder)
@@ -98,7 +107,7 @@ class Run:
             return
         now = (doing.done, time.monotonic(), time.process_time())
         self.begun, self.ended = self.begun or now, now
-        self.memory.append((doing.done, resident_mb()))
+        self.memory.append((doing.done, resident_mb("self"), max(map(resident_mb, children()), default=0.0)))
 
     @property
     def rate(self) -> float:
@@ -118,10 +127,18 @@ class Run:
         return float(np.nansum(self.table["seconds"]))
 
 
-def resident_mb() -> float:
-    """Of this process, where the client is and, in a LocalCluster, the scheduler too."""
-    with open("/proc/self/statm", encoding="ascii") as file:
-        return int(file.read().split()[1]) * resource.getpagesize() / 1e6
+def resident_mb(process: str) -> float:
+    """Of "self", where the client is and, in a LocalCluster, the scheduler too; or of one of its children."""
+    try:
+        with open(f"/proc/{process}/statm", encoding="ascii") as file:
+            return int(file.read().split()[1]) * resource.getpagesize() / 1e6
+    except OSError:  # it has ended
+        return 0.0
+
+
+def children() -> list[str]:
+    """Processes that this one started: workers, and some smaller ones."""
+    return " ".join(file.read_text("ascii") for file in Path("/proc/self/task").glob("*/children")).split()
 
 
 def compare(name: str, content: dict[str, Any], folder: Path, loop: Any) -> Run:
@@ -196,10 +213,10 @@ def empty_tasks(count: int, folder: Path) -> None:
     print_memory(found.memory)
 
 
-def print_memory(memory: Sequence[tuple[int, float]]) -> None:
-    for share in (0.1, 0.25, 0.5, 0.75, 1.0):
-        done, size = memory[max(0, round(share * len(memory)) - 1)]
-        print(f"  {done:>8,} tasks: client and scheduler hold {size:.0f} MB")
+def print_memory(memory: Sequence[tuple[int, float, float]]) -> None:
+    for share in (0.0, 0.1, 0.25, 0.5, 0.75, 1.0):
+        done, size, worker = memory[max(0, round(share * len(memory)) - 1)]
+        print(f"  {done:>8,} tasks: client and scheduler hold {size:.0f} MB, the larger worker {worker:.0f}", flush=True)
 
 
 def many_bounds(count: int, folder: Path) -> None:
@@ -209,7 +226,7 @@ def many_bounds(count: int, folder: Path) -> None:
 
 
 def many_plans(count: int, folder: Path) -> None:
-    found = Run(plans_study(count, time_s=SHORT_S), folder)
+    found = Run(near_plans_study(count), folder)
     print(f"many plans: {len(found.table):,} at {found.rate:.1f} a second by the clock")
     print_memory(found.memory)
 
@@ -232,7 +249,7 @@ def main() -> None:
     parser.add_argument("--plans", type=int, default=24)
     parser.add_argument("--empty", type=int, default=2000)
     parser.add_argument("--many", type=int, default=100_000, help="bounds for memory")
-    parser.add_argument("--many-plans", type=int, default=0, help="plans for memory, of a short search")
+    parser.add_argument("--many-plans", type=int, default=0, help="plans for memory, to near goals")
     asked = parser.parse_args()
     print(f"load of the machine {os.getloadavg()[0]:.1f}, {os.cpu_count()} cores, {WORKERS} workers")
     with tempfile.TemporaryDirectory() as name:
