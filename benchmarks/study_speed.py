@@ -216,7 +216,9 @@ def empty_tasks(count: int, folder: Path) -> None:
 def print_memory(memory: Sequence[tuple[int, float, float]]) -> None:
     for share in (0.0, 0.1, 0.25, 0.5, 0.75, 1.0):
         done, size, worker = memory[max(0, round(share * len(memory)) - 1)]
-        print(f"  {done:>8,} tasks: client and scheduler hold {size:.0f} MB, the larger worker {worker:.0f}", flush=True)
+        print(
+            f"  {done:>8,} tasks: client and scheduler hold {size:.0f} MB, the larger worker {worker:.0f}", flush=True
+        )
 
 
 def many_bounds(count: int, folder: Path) -> None:

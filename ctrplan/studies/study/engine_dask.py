@@ -27,7 +27,7 @@ CONNECT_S = 5.0
 LOOK_S = 2.0  # between two looks at how many workers there are
 LONGEST_PAGE = 10_000  # bytes that are looked at
 FEWEST_AHEAD = 4  # chunks, where no worker has come yet
-# On one machine the workers' cores are those of the client: dask looks at itself less often, which took 5 % of two cores.
+# On one machine workers and client share the cores, of which dask took 5 % to look at itself.
 QUIET = {
     "distributed.worker.profile.enabled": False,  # samples the stack of every worker each 10 ms
     "distributed.admin.tick.interval": "1s",
