@@ -260,7 +260,10 @@ def test_where_no_way_to_the_joints_is_found_one_to_the_tip_is_sought(
         raise NoAnswerError("to joints" if scenario.goal.joints is not None else "to a tip")
 
     monkeypatch.setattr("ctrplan.planning.plan", blocked)
-    store, engine = Store(found.folder), ExecutorEngine(Here(), 1)
+    store, engine = Store(found.folder), ExecutorEngine(Here(most=3), 1)
+    with pytest.raises(KeyboardInterrupt):  # and what was not done then is done afterwards
+        confirm(found.search, found.front[:1], store, engine, lambda _: None)
+    engine = ExecutorEngine(Here(), 1)
     confirm(found.search, found.front[:1], store, engine, lambda _: None)
     plans = load_study(found.folder / "plans")
     assert plans.columns["reason"] == ["to joints"] * 2 + ["to a tip"] * 2

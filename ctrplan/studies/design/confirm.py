@@ -49,14 +49,20 @@ def confirm(definition: Definition, best: Sequence[Looked], search: Store, engin
 
 def _do(tasks: Sequence[Task], content: bytes, store: Store, engine: Engine, report: Report) -> None:
     store.write_keys(task.key for task in tasks)
-    missing = [[task] for task in tasks if bytes.fromhex(task.key) not in store.offsets]
+    missing = [[task] for task in tasks if _status(task, store) in (None, "lost")]
     for done, rows in enumerate(engine.rows(content, iter(missing), None), start=1):
         store.add(rows)
         report(Doing("plans", done, len(missing), None, engine.note))
 
 
 def _is_blocked(task: Task, store: Store) -> bool:
-    return task.inputs["to"] == JOINTS and store.failed.get(bytes.fromhex(task.key)) == "no answer"
+    return task.inputs["to"] == JOINTS and _status(task, store) == "no answer"
+
+
+def _status(task: Task, store: Store) -> str | None:
+    """None where there is no row."""
+    key = bytes.fromhex(task.key)
+    return store.failed.get(key, "done") if key in store.offsets else None
 
 
 def _task(definition: Definition, index: int, number: int, looked: Looked, goal: Mapping[str, Any]) -> Task:

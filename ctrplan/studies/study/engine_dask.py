@@ -19,6 +19,7 @@ from ctrplan.base.version import __version__
 from ctrplan.errors import CtrplanError, InputError
 from ctrplan.studies.study.engine import AHEAD, Chunks, Engine, answer
 from ctrplan.studies.study.limited import do_limited
+from ctrplan.studies.study.no_main import no_main_module
 from ctrplan.studies.study.task import Row, Task
 from ctrplan.studies.study.worker import check_version, do_tasks
 
@@ -84,6 +85,7 @@ class DaskEngine(Engine):
         from distributed import LocalCluster
 
         self.opened.enter_context(dask.config.set(QUIET))
+        self.opened.enter_context(no_main_module())  # also where dask starts a worker anew
         try:
             cluster = LocalCluster(
                 n_workers=workers,
