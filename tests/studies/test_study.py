@@ -169,6 +169,8 @@ def test_keys_that_do_not_exist(tmp_path: Path) -> None:
         ({"key": "theta_2", "values": [0.0], "count": 3}, "must have one of values"),
         ({"key": "theta_2", "low": 3, "high": 1, "count": 3}, "must be below high"),
         ({"key": "robot", "files": ["*.nothing"]}, "names no file that exists"),
+        ({"key": "theta_5", "values": [1.0]}, "theta_5: no such tube, they are counted from 1"),
+        ({"key": "theta_2", "values": [1.0, "a"]}, "vary, values of theta_2 = 'a': must be numbers"),
     ):
         with pytest.raises(InputError, match=sentence.replace("?", r"\?")):
             Study.of(bounds(vary=[vary]), tmp_path)
@@ -176,6 +178,11 @@ def test_keys_that_do_not_exist(tmp_path: Path) -> None:
         Study.of(bounds(task={"kind": "plan"}), tmp_path)
     with pytest.raises(InputError, match="must be one of"):
         Study.of(bounds(task={"kind": "bounds"}), tmp_path)
+    with pytest.raises(InputError, match="task.function = 'mine': must be module:function"):
+        Study.of(bounds(task={"kind": "function", "function": "mine"}, vary=[]), tmp_path)
+    task = {"kind": "function", "function": "missing_module:f"}
+    (reason,) = run(bounds(task=task, vary=[]), tmp_path / "out").columns["reason"]
+    assert reason.startswith("missing_module: is neither missing_module.py beside the study nor installed")
 
 
 def test_a_billion_tasks_are_refused_with_their_time(tmp_path: Path) -> None:
