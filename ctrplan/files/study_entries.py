@@ -68,9 +68,10 @@ class PoseEntry(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class PatchEntry(Struct, forbid_unknown_fields=True, frozen=True):
-    """A round patch of skin, or an opening: positions on a grid, each with directions tilted from the inward normal."""
+    """A round patch of skin, or an opening along a line: positions, each with directions tilted from the normal."""
 
     center_mm: Point
+    along_mm: Point | None = None  # of an opening, which goes from center_mm to here
     normal: Vector  # into the body
     radius_mm: Distance = 0.0
     step_mm: Length | None = None

@@ -32,6 +32,7 @@ FEWEST_AHEAD = 4  # chunks, where no worker has come yet
 QUIET = {
     "distributed.worker.profile.enabled": False,  # samples the stack of every worker each 10 ms
     "distributed.admin.tick.interval": "1s",
+    "distributed.admin.low-level-log-length": 100,  # entries for each kind; 1,000 of them are 10 MB
     "distributed.admin.system-monitor.interval": "2s",
     "distributed.admin.system-monitor.gil.enabled": False,
     "distributed.worker.memory.monitor-interval": "1s",
