@@ -12,12 +12,11 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.base.units import MM_PER_M
 from ctrplan.errors import NoAnswerError
-from ctrplan.planning.certificate.goal_miss import goal_miss_m
 from ctrplan.planning.clearance_shares import with_shares
 from ctrplan.planning.goals.branches import Configuration, Reach, distinct_rows, reach
 from ctrplan.planning.goals.clearances import refuse_blocked_target
 from ctrplan.planning.goals.goal_descent import descended
-from ctrplan.planning.goals.goal_state import GoalState, tip_target
+from ctrplan.planning.goals.goal_state import GoalState, target_in_robot_frame, tip_target
 from ctrplan.planning.motion import MotionChecker
 
 if TYPE_CHECKING:
@@ -70,9 +69,12 @@ def _joint_goal(checker: MotionChecker, joints: Array) -> GoalState:
         least_m = np.nan if samples is None else float(samples.clearance_m[-1])
         reason = with_shares(checker, joints, state.reason, least_m)
         raise _no_answer(checker, f"the goal state is not valid: {reason}")
+    scenario = checker.scenario
+    if scenario.goal.tip_m is None:
+        return GoalState(joints, state.end_bound_m, 0.0)
     assert samples is not None
-    scenario, miss_m = checker.scenario, goal_miss_m(checker.scenario, samples.tip_m[-1])
-    if scenario.goal.tip_m is not None and miss_m > scenario.goal.tolerance_m:
+    miss_m = float(np.linalg.norm(samples.tip_m[-1] - target_in_robot_frame(scenario)))
+    if miss_m > scenario.goal.tolerance_m:
         meant = f"{scenario.goal.table}.{scenario.goal.tip_key}, beyond tolerance_mm"
         allowed_mm = scenario.goal.tolerance_m * MM_PER_M
         sentence = f"leads the frictionless tip to {miss_m * MM_PER_M:.2f} mm from {meant} = {allowed_mm:g}"
