@@ -9,9 +9,8 @@ and of client and scheduler, in ms; memory of client and scheduler as tasks are 
 started by hand, one killed in the middle and another joining late, and whether its table is the same; what the
 scheduler hands out.
 
-Times of the clock mean something on an idle machine only. Where others work on it, the ratio of processor times, of the
-loop to all workers together, is the share of the workers' time that is spent on tasks: with two cores for two workers
-the speed is twice that.
+Times of the clock mean something on an idle machine only. Where others work on it, look at the ratio of processor
+times: that of the loop to that of workers, client and scheduler together, times the number of workers.
 """
 
 from __future__ import annotations
@@ -40,9 +39,11 @@ from ctrplan.studies.study.study import Study
 
 SCENARIOS = Path(__file__).resolve().parent.parent / "scenarios"
 ROBOT = str(SCENARIOS / "robots" / "three_tube.toml")
+PAIR = str(SCENARIOS / "robots" / "table_5_pair.toml")
 SCENARIO = str(SCENARIOS / "pair_free.toml")
 WORKERS = 2
 SHORT_S = 0.05  # of search, of many plans
+NEAR = {"rotate inner": 10.0, "translate inner": -27.0}  # goals of many plans, 0.3 s of a core each
 START_S = 30.0  # for a scheduler to say where it is
 EMPTY = "def nothing(scenario, inputs, seed):\n    return {'seed': seed}\n"
 
@@ -54,10 +55,27 @@ def bounds_study(count: int) -> dict[str, Any]:
     return {"robot": ROBOT, "task": {"kind": "bound", "theta_deg": [0, 0, 0], "l_mm": [0, -17, -62.8]}, "vary": turns}
 
 
-def plans_study(count: int, time_s: float = 0.5) -> dict[str, Any]:
+def cheap_bounds_study(count: int) -> dict[str, Any]:
+    """Bounds of a pair, a quarter of a millisecond or so each: many of them for what is held in memory."""
+    side = max(2, round(count**0.5))
+    turns = {"key": "theta_2", "low": 0, "high": 350, "count": side}
+    lengths = {"key": "l_2", "low": -60, "high": -30, "count": side}
+    task = {"kind": "bound", "theta_deg": [0, 0], "l_mm": [0, -60]}
+    return {"robot": PAIR, "task": task, "vary": [turns, lengths]}
+
+
+def plans_study(count: int) -> dict[str, Any]:
     """Plans of a pair in free space, a second or so each."""
-    seeds = [{"key": "seed", "values": list(range(count))}, {"key": "planner.time_s", "values": [time_s]}]
+    seeds = [{"key": "seed", "values": list(range(count))}, {"key": "planner.time_s", "values": [0.5]}]
     return {"scenario": SCENARIO, "task": {"kind": "plan"}, "vary": seeds}
+
+
+def near_plans_study(count: int) -> dict[str, Any]:
+    """Plans to goals near the start, each to another: cheap ones, with all that a plan and its certificate hold."""
+    goals = [{"key": 'goal.joints."rotate outer"', "low": 5.0, "high": 20.0, "count": count}]
+    goals += [{"key": f'goal.joints."{joint}"', "values": [value]} for joint, value in NEAR.items()]
+    searches = [{"key": "planner.time_s", "values": [SHORT_S]}]
+    return {"scenario": SCENARIO, "task": {"kind": "plan"}, "vary": [*goals, *searches]}
 
 
 def loop_of_bounds(study: Study) -> float:
@@ -83,12 +101,13 @@ def loop_of_plans(study: Study) -> float:
 
 
 class Run:
-    """A study on workers of this machine: from the first row to the last, start-up left out, and memory meanwhile."""
+    """A study on workers of this machine: from when they are there to the last row, and memory meanwhile."""
 
     def __init__(self, content: dict[str, Any], folder: Path, workers: int = WORKERS, **where: Any) -> None:
-        self.memory: list[tuple[int, float]] = []
-        self.begun: tuple[int, float, float] | None = None
-        self.ended = (0, 0.0, 0.0)
+        self.memory: list[tuple[int, float, float]] = []
+        self.begun: tuple[int, float, float, float] | None = None
+        self.ended = (0, 0.0, 0.0, 0.0)
+        self.asked = time.monotonic()
         study = Study.of(content, folder)
         given = where or {"workers": workers}
         self.table = study.run(folder / f"out-{len(list(folder.iterdir()))}", progress=self.told, **given)
@@ -96,9 +115,9 @@ class Run:
     def told(self, doing: Doing) -> None:
         if doing.stage != "tasks":
             return
-        now = (doing.done, time.monotonic(), time.process_time())
+        now = (doing.done, time.monotonic(), time.process_time(), sum(map(processor_s, children())))
         self.begun, self.ended = self.begun or now, now
-        self.memory.append((doing.done, resident_mb()))
+        self.memory.append((doing.done, resident_mb("self"), max(map(resident_mb, children()), default=0.0)))
 
     @property
     def rate(self) -> float:
@@ -108,20 +127,44 @@ class Run:
 
     @property
     def client_s(self) -> float:
-        """Processor time of client and scheduler for each task, from the first row to the last."""
+        """Processor time of client and scheduler for each task, meanwhile."""
         assert self.begun is not None
         return (self.ended[2] - self.begun[2]) / max(self.ended[0] - self.begun[0], 1)
 
     @property
-    def work_s(self) -> float:
-        """Processor time that workers measured on their tasks."""
-        return float(np.nansum(self.table["seconds"]))
+    def workers_s(self) -> float:
+        """Likewise of all workers, what they do beside tasks included."""
+        assert self.begun is not None
+        return (self.ended[3] - self.begun[3]) / max(self.ended[0] - self.begun[0], 1)
+
+    @property
+    def start_s(self) -> float:
+        """Seconds of the clock until all workers were there."""
+        assert self.begun is not None
+        return self.begun[1] - self.asked
 
 
-def resident_mb() -> float:
-    """Of this process, where the client is and, in a LocalCluster, the scheduler too."""
-    with open("/proc/self/statm", encoding="ascii") as file:
-        return int(file.read().split()[1]) * resource.getpagesize() / 1e6
+def resident_mb(process: str) -> float:
+    """Of "self", where the client is and, in a LocalCluster, the scheduler too; or of one of its children."""
+    try:
+        with open(f"/proc/{process}/statm", encoding="ascii") as file:
+            return int(file.read().split()[1]) * resource.getpagesize() / 1e6
+    except OSError:  # it has ended
+        return 0.0
+
+
+def processor_s(process: str) -> float:
+    """Processor time [s] of a process so far."""
+    try:
+        fields = Path(f"/proc/{process}/stat").read_text("ascii").rpartition(")")[2].split()
+    except OSError:  # it has ended
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def children() -> list[str]:
+    """Processes that this one started: workers, and some smaller ones."""
+    return " ".join(file.read_text("ascii") for file in Path("/proc/self/task").glob("*/children")).split()
 
 
 def compare(name: str, content: dict[str, Any], folder: Path, loop: Any) -> Run:
@@ -131,16 +174,16 @@ def compare(name: str, content: dict[str, Any], folder: Path, loop: Any) -> Run:
     print(f"{name}: {study.count} tasks; plain loop {study.count / loop_s:.1f} a second of one core")
     for workers in range(1, WORKERS + 1):
         found = Run(content, folder, workers)
-        all_s = found.work_s + found.client_s * study.count
-        by_clock, by_time = found.rate * loop_s / study.count, workers * loop_s / all_s
+        loop_s = (loop_s + loop(study)) / 2  # before and after: machines wander
+        each_s = loop_s / study.count
+        by_clock, by_time = found.rate * each_s, workers * each_s / (found.workers_s + found.client_s)
         print(
             f"  {workers} worker(s): {found.rate:.1f} a second by the clock, {by_clock:.2f} times the loop; "
-            f"by processor time {by_time:.2f} times"
+            f"by processor time {by_time:.2f} times; {found.start_s:.1f} s to start them"
         )
-        each = (found.work_s - loop_s) / study.count
         print(
-            f"    overhead of a task {1e3 * (each + found.client_s):.2f} ms: {each * 1e3:.2f} on its worker, "
-            f"{found.client_s * 1e3:.2f} of client and scheduler"
+            f"    overhead of a task {1e3 * (found.workers_s - each_s + found.client_s):.2f} ms: "
+            f"{1e3 * (found.workers_s - each_s):.2f} on its worker, {1e3 * found.client_s:.2f} of client and scheduler"
         )
     print_memory(found.memory)
     return found
@@ -196,20 +239,22 @@ def empty_tasks(count: int, folder: Path) -> None:
     print_memory(found.memory)
 
 
-def print_memory(memory: Sequence[tuple[int, float]]) -> None:
-    for share in (0.1, 0.25, 0.5, 0.75, 1.0):
-        done, size = memory[max(0, round(share * len(memory)) - 1)]
-        print(f"  {done:>8,} tasks: client and scheduler hold {size:.0f} MB")
+def print_memory(memory: Sequence[tuple[int, float, float]]) -> None:
+    for share in (0.0, 0.1, 0.25, 0.5, 0.75, 1.0):
+        done, size, worker = memory[max(0, round(share * len(memory)) - 1)]
+        print(
+            f"  {done:>8,} tasks: client and scheduler hold {size:.0f} MB, the larger worker {worker:.0f}", flush=True
+        )
 
 
 def many_bounds(count: int, folder: Path) -> None:
-    found = Run(bounds_study(count), folder)
+    found = Run(cheap_bounds_study(count), folder)
     print(f"many bounds: {len(found.table):,} at {found.rate:.0f} a second by the clock")
     print_memory(found.memory)
 
 
 def many_plans(count: int, folder: Path) -> None:
-    found = Run(plans_study(count, time_s=SHORT_S), folder)
+    found = Run(near_plans_study(count), folder)
     print(f"many plans: {len(found.table):,} at {found.rate:.1f} a second by the clock")
     print_memory(found.memory)
 
@@ -228,11 +273,11 @@ def scheduler_rate() -> Iterator[str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--bounds", type=int, default=4000)
-    parser.add_argument("--plans", type=int, default=24)
+    parser.add_argument("--bounds", type=int, default=8000)
+    parser.add_argument("--plans", type=int, default=48)
     parser.add_argument("--empty", type=int, default=2000)
     parser.add_argument("--many", type=int, default=100_000, help="bounds for memory")
-    parser.add_argument("--many-plans", type=int, default=0, help="plans for memory, of a short search")
+    parser.add_argument("--many-plans", type=int, default=0, help="plans for memory, to near goals")
     asked = parser.parse_args()
     print(f"load of the machine {os.getloadavg()[0]:.1f}, {os.cpu_count()} cores, {WORKERS} workers")
     with tempfile.TemporaryDirectory() as name:

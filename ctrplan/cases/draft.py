@@ -58,10 +58,7 @@ def base(entry: Named, targets: Sequence[Named]) -> dict[str, Any]:
 
 def start_values(drive: Drive, joints: Array) -> dict[str, float]:
     """Joint values (m,) [rad or m] by name, in deg or mm."""
-    return {
-        joint.name: round(float(value / joint.si_per_unit), DIGITS) + 0.0
-        for joint, value in zip(drive.joints, joints, strict=True)
-    }
+    return {name: round(value, DIGITS) + 0.0 for name, value in drive.named(joints).items()}
 
 
 def _goal(target: Named, request: Request) -> dict[str, Any]:

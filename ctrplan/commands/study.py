@@ -82,7 +82,8 @@ def _beforehand(study: Study, workers: int) -> str:
     from ctrplan.studies.study.run import in_words
 
     expected = in_words(study.count * study.task_s / workers)
-    return f"ctrplan: {study.name}: {study.count:,} tasks ({study.kind.kind}), about {expected} on {workers} workers."
+    tasks = "1 task" if study.count == 1 else f"{study.count:,} tasks"
+    return f"ctrplan: {study.name}: {tasks} ({study.kind.kind}), about {expected} on {workers} workers."
 
 
 def _write_report(study: Study, found: Outcome) -> None:

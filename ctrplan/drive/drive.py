@@ -84,6 +84,10 @@ class Drive:
             raise InputError(rule, key="joint values")
         return self.home_theta_rad + values @ self.matrix_theta.T, self.home_l_m + values @ self.matrix_l.T
 
+    def named(self, q: Array) -> dict[str, float]:
+        """Joint values (m,) by the joints' names, in deg or mm, as scenario files have them."""
+        return {joint.name: float(value) / joint.si_per_unit for joint, value in zip(self.joints, q, strict=True)}
+
     def reached(self, theta: ArrayLike, l: ArrayLike) -> tuple[Array, Array]:  # noqa: E741 (as in the equations)
         """theta_b [rad] and l_b [m] where theta, l, each (n,) or (K, n), are commanded: with the drive's effects."""
         theta_b, l_b = numbers(theta, "theta_commanded"), numbers(l, "l_commanded")

@@ -115,8 +115,10 @@ def _goals(entry: ScenarioEntry, robot: Robot, document: Document) -> list[Goal]
 
 def _goal(entry: GoalEntry, robot: Robot, document: Document, *path: Step) -> list[Goal]:
     """The goal, and before it the beginning of its line if it has one."""
-    if sum(given is not None for given in (entry.joints, entry.tip_mm, entry.line_mm)) != 1:
-        raise document.fault("must have one of joints, tip_mm and line_mm", *path)
+    given = [key for key in ("joints", "tip_mm", "line_mm") if getattr(entry, key) is not None]
+    if len(given) != 1 and given != ["joints", "tip_mm"]:
+        rule = "must have one of joints, tip_mm and line_mm"
+        raise document.fault(f"{rule}; joints may have the tip_mm that they are for" if given else rule, *path)
     if entry.joints is not None and entry.direction is not None:
         raise document.fault("goes with tip_mm, not with joints", *path, "direction")
     if (entry.direction is None) != (entry.direction_tolerance_deg is None):

@@ -68,10 +68,11 @@ class PoseEntry(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class PatchEntry(Struct, forbid_unknown_fields=True, frozen=True):
-    """A round patch of skin, or an opening: positions on a grid, each with directions tilted from the inward normal."""
+    """A round patch of skin, or an opening along a line: positions, each with directions tilted from the normal."""
 
     center_mm: Point
     normal: Vector  # into the body
+    along_mm: Point | None = None  # of an opening, which goes from center_mm to here
     radius_mm: Distance = 0.0
     step_mm: Length | None = None
     tilts_deg: Annotated[list[Tilt], Meta(min_length=1)] = msgspec.field(default_factory=lambda: [0.0])

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 class Goal:
     """Either joint values, or a tip position in the anatomy's frame, possibly with a tip direction.
 
+    With both, the joints are what is planned to, and the tip that they are for is what the plan is judged by.
     With a line, the tip comes from the line's first point, within the tolerance of it all the way.
     """
 
@@ -38,7 +39,7 @@ class Goal:
     @property
     def place(self) -> str:
         """What the scenario's file calls the place to be reached: its key, and the value of a tip position."""
-        if self.tip_m is None:
+        if self.tip_m is None or self.joints is not None:
             return f"{self.table}.joints"
         return f"{self.table}.{self.tip_key} = {[round(float(x), 3) for x in self.tip_m * MM_PER_M]}"
 

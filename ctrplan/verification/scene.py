@@ -64,8 +64,7 @@ def _commands(folder: Path, found: Finding) -> list[str]:
 
 def _scenario(scenario: Scenario, found: Finding, anatomy: list[dict[str, Any]]) -> dict[str, Any]:
     """The robot where the claim breaks; the goal is to stay there."""
-    joints = scenario.robot.drive.joints
-    here = {joint.name: float(q) / joint.si_per_unit for joint, q in zip(joints, found.joints, strict=True)}
+    here = scenario.robot.drive.named(found.joints)
     x, y, z, w = Rotation.from_matrix(scenario.base_R).as_quat().tolist()
     return {
         "name": f"{scenario.name}: {found.claim} broken",

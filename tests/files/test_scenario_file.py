@@ -81,6 +81,8 @@ position_mm = [1, 2, 3] -> position_mm = [1, 2, 3]\nroll_deg = 5
     scenario.toml: goals: unknown key, did you mean goal?
 tip_mm = [12, 40, 190] ->
     scenario.toml: goal: must have one of joints, tip_mm and line_mm.
+tip_mm = [12, 40, 190] -> line_mm = [[1, 2, 3], [4, 5, 6]]\njoints = { "rotate outer" = 0 }
+    scenario.toml: goal: must have one of joints, tip_mm and line_mm; joints may have the tip_mm that they are for.
 tip_mm = [12, 40, 190] -> joints = { "rotate outer" = 0 }
     scenario.toml: goal.direction = [0, 3, 4]: goes with tip_mm, not with joints.
 tip_mm = [12, 40, 190] -> tip_cm = [1.2, 4, 19]

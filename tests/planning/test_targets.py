@@ -63,6 +63,24 @@ def test_every_target_is_reached_in_order(tour: ctrplan.Plan) -> None:
     assert [t.leg for t in targets] == sorted(t.leg for t in targets) and targets[-1].leg == len(tour.legs) - 1
 
 
+def test_joints_are_planned_to_for_the_tip_that_they_are_meant_for() -> None:
+    joints = {"rotate outer": 5, "rotate inner": 10, "translate inner": -27}
+    there = pair(goal={"joints": joints})
+    assert there.goal.joints is not None
+    tip_m = there.robot.bound(*there.robot.drive.collars(there.goal.joints)).frictionless.tip_m
+
+    def meant(off_mm: float) -> Scenario:
+        tip_mm = (there.base_R @ tip_m + there.base_position_m) * 1e3 + [off_mm, 0, 0]
+        return pair(goal={"joints": joints, "tip_mm": tip_mm.tolist(), "tolerance_mm": 0.5}, planner={"time_s": 0.1})
+
+    plan = ctrplan.plan(meant(0.3))
+    np.testing.assert_allclose(plan.legs[-1].end, there.goal.joints, atol=1e-9)
+    assert plan.certificate.valid and plan.certificate.goal_tip_error_m == pytest.approx(0.3e-3, abs=2e-5)
+    words = r"goal.joints: leads the frictionless tip to 1.00 mm from goal.tip_mm, beyond tolerance_mm = 0.5"
+    with pytest.raises(NoAnswerError, match=words):
+        ctrplan.plan(meant(1.0))
+
+
 def test_figures_of_a_tour_add_up(tour: ctrplan.Plan) -> None:
     certificate, weights = tour.certificate, tour.scenario.cost
     samples = certificate.samples

@@ -15,7 +15,7 @@ from places import ROBOTS, SCENARIOS
 
 import ctrplan
 from ctrplan.errors import InputError
-from ctrplan.studies.study.run import Doing, chunk_size
+from ctrplan.studies.study.run import Doing, chunk_size, chunk_sizes
 from ctrplan.studies.study.study import Study
 from ctrplan.studies.study.table import load_study
 
@@ -169,6 +169,8 @@ def test_keys_that_do_not_exist(tmp_path: Path) -> None:
         ({"key": "theta_2", "values": [0.0], "count": 3}, "must have one of values"),
         ({"key": "theta_2", "low": 3, "high": 1, "count": 3}, "must be below high"),
         ({"key": "robot", "files": ["*.nothing"]}, "names no file that exists"),
+        ({"key": "theta_5", "values": [1.0]}, "theta_5: no such tube, they are counted from 1"),
+        ({"key": "theta_2", "values": [1.0, "a"]}, "vary, values of theta_2 = 'a': must be numbers"),
     ):
         with pytest.raises(InputError, match=sentence.replace("?", r"\?")):
             Study.of(bounds(vary=[vary]), tmp_path)
@@ -176,6 +178,11 @@ def test_keys_that_do_not_exist(tmp_path: Path) -> None:
         Study.of(bounds(task={"kind": "plan"}), tmp_path)
     with pytest.raises(InputError, match="must be one of"):
         Study.of(bounds(task={"kind": "bounds"}), tmp_path)
+    with pytest.raises(InputError, match="task.function = 'mine': must be module:function"):
+        Study.of(bounds(task={"kind": "function", "function": "mine"}, vary=[]), tmp_path)
+    task = {"kind": "function", "function": "missing_module:f"}
+    (reason,) = run(bounds(task=task, vary=[]), tmp_path / "out").columns["reason"]
+    assert reason.startswith("missing_module: is neither missing_module.py beside the study nor installed")
 
 
 def test_a_billion_tasks_are_refused_with_their_time(tmp_path: Path) -> None:
@@ -230,6 +237,9 @@ def test_the_table_in_its_file(tmp_path: Path) -> None:
 def test_chunks_grow_with_the_cluster_and_leave_something_for_everybody() -> None:
     assert chunk_size(1e-3, 100_000, 2) == 500 and chunk_size(1e-3, 10**7, 1000) == 2000
     assert chunk_size(1e-3, 100, 2) == 13 and chunk_size(9.0, 100, 2) == 1
+    sizes = list(chunk_sizes(1e-3, 4000, 2))  # the last ones are short, so that both are done at about the same time
+    assert sum(sizes) == 4000 and sizes[0] == 500 and sizes[-2] == 50 and sizes == sorted(sizes, reverse=True)
+    assert sum(chunk_sizes(1e-3, 100, 2)) == 100 and max(chunk_sizes(1e-3, 100, 2)) == 13
     for workers in (1, 50, 400, 1600):  # so many chunks a second the scheduler has to hand out, of 1,000 it can
         assert workers / (chunk_size(1e-3, 10**9, workers) * 1e-3) <= 500 + 1
 

@@ -53,6 +53,19 @@ def test_points_of_a_volume_keep_their_depth() -> None:
     assert apart.min() >= 8 and apart.min(axis=1).max() < 24
 
 
+def test_base_poses_along_an_opening() -> None:
+    line = {"center_mm": [0, 0, -10], "along_mm": [0, 30, 30], "normal": [0, 0, 1], "step_mm": 12, "tilts_deg": [0, 8]}
+    made = study(bases={"patch": line})
+    inputs = [made.tasks[k].inputs for k in range(made.count)]
+    places = np.array([[row[f"base_{axis}_mm"] for axis in "xyz"] for row in inputs])
+    ends = np.linspace([0, 0, -10], [0, 30, 30], 6)  # 50 mm in steps of 10
+    np.testing.assert_allclose(places, np.repeat(ends, 9, axis=0), atol=1e-9)  # each straight, and tilted to 8 sides
+    for change, words in (({"step_mm": None}, "step_mm: is missing"), ({"radius_mm": 3}, "does not go with radius_mm")):
+        given = {key: value for key, value in {**line, **change}.items() if value is not None}
+        with pytest.raises(InputError, match=words):
+            study(bases={"patch": given})
+
+
 def test_base_poses_of_a_patch() -> None:
     patch = {
         "center_mm": [1, 2, 3],

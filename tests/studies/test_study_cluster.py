@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -86,7 +87,13 @@ def test_a_worker_is_killed_and_another_joins_late(started: Any, tmp_path: Path)
     assert table["pressed"].tolist() == [seed**2 for seed in range(40)]
 
 
-def test_the_command_on_a_cluster_of_this_machine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_on_a_cluster_of_this_machine(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script = ModuleType("__main__")  # one without a guard: workers that ran it again would end at once
+    script.__file__ = str(tmp_path / "script.py")
+    (tmp_path / "script.py").write_text("raise SystemExit(3)\n", encoding="utf-8")
+    monkeypatch.setitem(sys.modules, "__main__", script)
     file = tmp_path / "study.toml"
     file.write_text(
         f'robot = "{PAIR}"\ntask = {{kind = "bound", theta_deg = [0, 90], l_mm = [0, -60.4]}}\n'
@@ -94,6 +101,7 @@ def test_the_command_on_a_cluster_of_this_machine(tmp_path: Path, capsys: pytest
         encoding="utf-8",
     )
     assert main(["study", str(file), "-o", str(tmp_path / "out"), "--workers", "1", "--quiet"]) == 0
+    assert sys.modules["__main__"] is script
     said = capsys.readouterr()
     assert "9 of 9 tasks, 9 of them done now" in said.out and "results.parquet" in said.out
     assert "9 tasks (bound), about" in said.err

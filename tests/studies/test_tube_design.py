@@ -16,7 +16,7 @@ from places import SCENARIOS
 
 import ctrplan
 from ctrplan.cli import main
-from ctrplan.errors import InputError
+from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.files.design_entries import MadeEntry, StockEntry
 from ctrplan.files.robot_file import load_robot
 from ctrplan.planning.scenario import Goal
@@ -25,10 +25,13 @@ from ctrplan.planning.target_set.outlook import dominates
 from ctrplan.planning.target_set.target_worth import aimed, target_checker, target_worth, worth_beside
 from ctrplan.reports.design_page.page import design_report_html
 from ctrplan.studies.child_executor import ChildExecutor
+from ctrplan.studies.design.confirm import confirm
 from ctrplan.studies.design.local_steps import is_better
 from ctrplan.studies.design.stock_choice import StockChoice
 from ctrplan.studies.study.engine import ExecutorEngine
+from ctrplan.studies.study.store import Store
 from ctrplan.studies.study.study import Study
+from ctrplan.studies.study.table import load_study
 
 pytest.importorskip("optuna")
 
@@ -240,8 +243,31 @@ def test_plans_confirm_what_a_design_is_worth(tmp_path: Path) -> None:
     plans = made.plans
     assert plans is not None and plans.done.all() and plans["valid"].tolist() == [1]
     assert plans["worst_mm"][0] == pytest.approx(made.front[0].numbers["error_mm"], abs=0.05)
+    (goal,) = made.entries()[0]["goals"]
+    kept = json.loads((tmp_path / "out" / "plans" / "plans" / "000000" / "plan.json").read_text(encoding="utf-8"))
+    end = {name: next(iter(value.values())) for name, value in kept["legs"][-1]["end"].items()}
+    assert end == pytest.approx(goal["joints"], abs=1e-9) and plans.columns["to"] == ["joints"]
+    drive = (again := ctrplan.load_scenario(PAIR, [*made.entries()[0]["set"], goal["set"]])).robot.drive
+    assert again.goal.joints is not None and drive.named(again.goal.joints) == pytest.approx(goal["joints"])
     assert "With a valid certificate" in design_report_html(made)
     json.loads((tmp_path / "out" / "front.json").read_text(encoding="utf-8"), parse_constant=pytest.fail)
+
+
+def test_where_no_way_to_the_joints_is_found_one_to_the_tip_is_sought(
+    found: ctrplan.TubeDesigns, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def blocked(scenario: ctrplan.Scenario, **_: Any) -> None:
+        raise NoAnswerError("to joints" if scenario.goal.joints is not None else "to a tip")
+
+    monkeypatch.setattr("ctrplan.planning.plan", blocked)
+    store, engine = Store(found.folder), ExecutorEngine(Here(most=3), 1)
+    with pytest.raises(KeyboardInterrupt):  # and what was not done then is done afterwards
+        confirm(found.search, found.front[:1], store, engine, lambda _: None)
+    engine = ExecutorEngine(Here(), 1)
+    confirm(found.search, found.front[:1], store, engine, lambda _: None)
+    plans = load_study(found.folder / "plans")
+    assert plans.columns["reason"] == ["to joints"] * 2 + ["to a tip"] * 2
+    assert plans["target_x_mm"].tolist() == [27, -33] * 2 and plans.columns["to"] == ["joints"] * 2 + ["tip"] * 2
 
 
 def test_the_design_that_ships_has_the_targets_of_the_entry_study() -> None:

@@ -36,7 +36,8 @@ def descended(checker: MotionChecker, goals: list[GoalState]) -> list[Trail]:
     direction asked for may turn within its tolerance. None for joint goals, or without joints to spare. Where the
     search is over on the way, trails end where they are.
     """
-    if checker.scenario.goal.tip_m is None:
+    goal = checker.scenario.goal
+    if goal.tip_m is None or goal.joints is not None:
         return []
     trails = [[goal] for goal in goals]
     with suppress(SearchOver):

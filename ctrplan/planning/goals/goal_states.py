@@ -16,7 +16,7 @@ from ctrplan.planning.clearance_shares import with_shares
 from ctrplan.planning.goals.branches import Configuration, Reach, distinct_rows, reach
 from ctrplan.planning.goals.clearances import refuse_blocked_target
 from ctrplan.planning.goals.goal_descent import descended
-from ctrplan.planning.goals.goal_state import GoalState, tip_target
+from ctrplan.planning.goals.goal_state import GoalState, target_in_robot_frame, tip_target
 from ctrplan.planning.motion import MotionChecker
 
 if TYPE_CHECKING:
@@ -69,7 +69,17 @@ def _joint_goal(checker: MotionChecker, joints: Array) -> GoalState:
         least_m = np.nan if samples is None else float(samples.clearance_m[-1])
         reason = with_shares(checker, joints, state.reason, least_m)
         raise _no_answer(checker, f"the goal state is not valid: {reason}")
-    return GoalState(joints, state.end_bound_m, 0.0)
+    scenario = checker.scenario
+    if scenario.goal.tip_m is None:
+        return GoalState(joints, state.end_bound_m, 0.0)
+    assert samples is not None
+    miss_m = float(np.linalg.norm(samples.tip_m[-1] - target_in_robot_frame(scenario)))
+    if miss_m > scenario.goal.tolerance_m:
+        meant = f"{scenario.goal.table}.{scenario.goal.tip_key}, beyond tolerance_mm"
+        allowed_mm = scenario.goal.tolerance_m * MM_PER_M
+        sentence = f"leads the frictionless tip to {miss_m * MM_PER_M:.2f} mm from {meant} = {allowed_mm:g}"
+        raise _no_answer(checker, sentence)
+    return GoalState(joints, state.end_bound_m, miss_m)
 
 
 def _tip_goals(checker: MotionChecker, rng: np.random.Generator) -> list[GoalState]:

@@ -102,7 +102,7 @@ def place(
     goal of joints, NoAnswerError where no pose of the patch leaves room for the robot.
     """
     for goal in scenario.targets:
-        if goal.tip_m is None:
+        if goal.tip_m is None or goal.joints is not None:  # joints would lead elsewhere from another pose
             raise InputError("says nothing of a place: a tip is needed", file=scenario.path, key=goal.place)
     report, has_patch = progress or (lambda _stage, _share: None), center_m is not None
     patch = _patch(scenario, center_m, along_m, aim_m, float(radius_m), float(cone_rad))

@@ -13,6 +13,7 @@ from ctrplan.reports.study_page.quantities import Quantity
 from ctrplan.reports.study_page.tables import of_reasons, percent
 from ctrplan.reports.study_page.trade_off import trade_off_figure
 from ctrplan.storage.atomic_write import write_atomically
+from ctrplan.studies.design.confirm import JOINTS
 from ctrplan.studies.design.tube_design import ROBOTS, TubeDesigns
 
 OBJECTIVES = {
@@ -23,6 +24,10 @@ OBJECTIVES = {
     "clearance_mm": Quantity("clearance_mm", "least clearance beyond margins", "mm", 1),
 }
 MOST_ROWS = 30
+PLANNED = (
+    "They end at the joints that a design was judged by. Where no way there was certified, one to the tip alone was "
+    "sought, which weighs its length against the error. Folders of the plans are in plans/plans, in the table's order."
+)
 ERROR = (
     "The error at worst is how far from its target friction may leave the tip, whatever its state: the frictionless "
     "tip's distance and the bound together, the mean over all targets. A target that is not reached counts "
@@ -118,12 +123,17 @@ def _plans(found: TubeDesigns) -> Markup:
     lines = []
     for number in sorted(set(rows.columns["design"])):
         own = rows["design"] == number
+        to_joints = sum(to == JOINTS for to in rows["to"][own & rows.done])
+        targets = len({*zip(*(rows[f"target_{axis}_mm"][own] for axis in "xyz"), strict=True)})
         worst_mm = rows["worst_mm"][own & rows.done] if rows.done.any() else rows["design"][:0]
         valid = int((rows["valid"][own] == 1).sum()) if rows.done.any() else 0
         shown = [digits(float(pick(worst_mm))) for pick in (np.mean, np.max)] if len(worst_mm) else ["-", "-"]
-        lines.append([f"{number:.0f}", f"{own.sum()}", f"{len(worst_mm)}", f"{valid}", *shown])
+        found_of = f"{len(worst_mm)}, {to_joints} of them to the design's joints"
+        lines.append([f"{number:.0f}", f"{targets}", found_of, f"{valid}", *shown])
     head = ["Design", "Targets", "Plans found", "With a valid certificate", "Error at worst, mean (mm)", "Largest (mm)"]
-    return section("Plans from the start to every target", table(head, lines))
+    return section(
+        "Plans from the start to every target", Markup(table(head, lines) + tag("p", PLANNED, kind="quiet hint"))
+    )
 
 
 def _failures(found: TubeDesigns) -> Markup:

@@ -70,6 +70,12 @@ class Definition:
         key = hashlib.sha256(text.encode()).hexdigest()[:KEY_DIGITS]
         return Task(index, key, {"stage": stage, **self.space.inputs(design)}, tuple(overrides), settings)
 
+    def goals(self, looked: Looked) -> list[dict[str, Any]]:
+        """[goal] for each target: its tip, and the joints that the design was judged by where it is reached."""
+        found = json.loads(looked.numbers.get("joints", "[]")) or [None] * len(self.points_mm)
+        tips = [{"tip_mm": point, "tolerance_mm": self.job.task["tolerance_mm"]} for point in self.points_mm.tolist()]
+        return [tip | ({"joints": own} if own else {}) for tip, own in zip(tips, found, strict=True)]
+
     def tolerance_costs(self, looked: Looked) -> list[tuple[str, float, str, float]]:
         """Name, half width, unit and cost [mm] of every tolerance of a design, the costliest first."""
         found = [

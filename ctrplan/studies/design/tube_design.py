@@ -20,6 +20,7 @@ from ctrplan.studies.design.confirm import PLANS
 from ctrplan.studies.design.definition import Definition, defined
 from ctrplan.studies.design.front import Archive, Looked
 from ctrplan.studies.design.search import search
+from ctrplan.studies.study.axes import goal_overrides
 from ctrplan.studies.study.run import Report, Where, refuse_longer_than_a_week
 from ctrplan.studies.study.sources import ROBOT_PREFIX
 from ctrplan.studies.study.table import StudyTable, load_study
@@ -130,7 +131,7 @@ class TubeDesigns:
     def _entry(self, k: int, looked: Looked) -> dict[str, Any]:
         costs = self.search.tolerance_costs(looked)
         choices = {name: value for name, value in looked.row["inputs"].items() if name != "stage"}
-        known = {name: value for name, value in looked.numbers.items() if not name.startswith("slope.")}
+        known = {name: value for name, value in looked.numbers.items() if not name.startswith(("slope.", "joints"))}
         numbers = {name: None if value in (math.inf, -math.inf) else value for name, value in known.items()}
         return {
             "number": k,
@@ -139,6 +140,7 @@ class TubeDesigns:
             **numbers,
             "choices": choices,
             "set": looked.row["overrides"],
+            "goals": [{**goal, "set": goal_overrides(goal)[0]} for goal in self.search.goals(looked)],
             "tolerances": [
                 {"name": name, "half_width": width, "unit": unit, "costs_mm": cost} for name, width, unit, cost in costs
             ],

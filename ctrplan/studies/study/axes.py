@@ -131,8 +131,7 @@ class TargetAxis(Axis):
         point = self.points_mm[k].tolist()
         inputs = {f"target_{axis}_mm": value for axis, value in zip("xyz", point, strict=True)}
         goal = {"tip_mm": point, **self.common}
-        overrides = (f"goal={_inline(goal)}", "target=[]") if self.of_scenario else ()
-        return Choice(inputs, overrides, {"target": goal})
+        return Choice(inputs, goal_overrides(goal) if self.of_scenario else (), {"target": goal})
 
 
 class BaseAxis(Axis):
@@ -171,8 +170,15 @@ def keyed(values: Mapping[str, Any]) -> Choice:
     return Choice(inputs, of_files, of_task)
 
 
+def goal_overrides(goal: Mapping[str, Any]) -> tuple[str, ...]:
+    """What --set is told for a scenario to have this [goal] alone."""
+    return f"goal={_inline(goal)}", "target=[]"
+
+
 def _toml(value: Any) -> str:
-    """A number, text, truth value or list of them as TOML spells it, which is as JSON does."""
+    """A number, text, truth value, list or table of them as TOML spells it, which is as JSON does but for tables."""
+    if isinstance(value, Mapping):
+        return _inline({json.dumps(key): inner for key, inner in value.items()})
     return json.dumps(value.item() if isinstance(value, np.generic) else value)
 
 

@@ -35,11 +35,16 @@ def base_poses(bases: BasesEntry, document: Document) -> tuple[Array, Array]:
 def _on_patch(patch: PatchEntry, document: Document) -> tuple[Array, Array]:
     if not any(patch.normal):
         raise document.fault("must not be zero", "bases", "patch", "normal")
-    if patch.radius_mm and patch.step_mm is None:
-        raise document.fault("is missing, a patch with a radius needs it", "bases", "patch", "step_mm")
+    if patch.radius_mm and patch.along_mm is not None:
+        raise document.fault("does not go with radius_mm, an opening is a line", "bases", "patch", "along_mm")
+    if (patch.radius_mm or patch.along_mm is not None) and patch.step_mm is None:
+        extent = "a radius" if patch.radius_mm else "along_mm"
+        raise document.fault(f"is missing, a patch with {extent} needs it", "bases", "patch", "step_mm")
     inward = _turned_to(patch.normal)
     offsets = _disc(patch.radius_mm, patch.step_mm or 1.0)
     places = np.array(patch.center_mm) + inward.apply(np.column_stack([offsets, np.zeros(len(offsets))]))
+    if patch.along_mm is not None:
+        places = _line(np.array(patch.center_mm), np.array(patch.along_mm), patch.step_mm or 1.0)
     positions, rotations = [], []
     for place, tilt, turn in product(places, _tilts(patch), patch.turns_deg):
         positions.append(place)
@@ -60,6 +65,13 @@ def _disc(radius: float, step: float) -> Array:
     order = np.argsort(np.round(away, 9), kind="stable")
     kept: Array = grid[order][away[order] <= radius * (1 + 1e-12)]
     return kept
+
+
+def _line(start: Array, end: Array, step: float) -> Array:
+    """(K, 3) points from start to end, both included, evenly spaced and at most a step apart."""
+    count = math.ceil(float(np.linalg.norm(end - start)) / step - 1e-9)
+    points: Array = np.linspace(start, end, count + 1) if count else start[None]
+    return points
 
 
 def _tilts(patch: PatchEntry) -> list[Rotation]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from ctrplan.base.version import __version__
 from ctrplan.errors import InputError
-from ctrplan.files.study_entries import StudyEntry
+from ctrplan.files.study_entries import StudyEntry, VaryEntry
 from ctrplan.storage.toml_document import Document
 from ctrplan.storage.toml_table import Table
 from ctrplan.studies.study.axes import CONFIGURATION, TASK_PREFIX, Axis
@@ -145,11 +145,21 @@ def _check(study: Definition) -> None:
     settings = [vary.key for vary in study.entry.vary if vary.key.startswith(TASK_PREFIX)]
     check_settings(study.kind, [key.removeprefix(TASK_PREFIX) for key in settings], study.document.file)
     for vary in study.entry.vary:
-        if CONFIGURATION.fullmatch(vary.key) and study.kind.kind != "bound":
-            raise InputError("goes with a bound task only", file=study.document.file, key="vary", value=vary.key)
+        if CONFIGURATION.fullmatch(vary.key):
+            _check_configuration(study, vary)
     for task in (study.tasks[0], study.tasks[study.count - 1]):
         try:
             loaded = Loaded(study.job, task)
             loaded.check()
+            study.kind.check(task, loaded)
         except InputError as error:
             raise InputError(study.sources.said(str(error)).rstrip(".")) from None
+
+
+def _check_configuration(study: Definition, vary: VaryEntry) -> None:
+    file = study.document.file
+    if study.kind.kind != "bound":
+        raise InputError("goes with a bound task only", file=file, key="vary", value=vary.key)
+    for value in vary.values or ():
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise InputError("must be numbers", file=file, key=f"vary, values of {vary.key}", value=value)

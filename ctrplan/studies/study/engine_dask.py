@@ -19,6 +19,7 @@ from ctrplan.base.version import __version__
 from ctrplan.errors import CtrplanError, InputError
 from ctrplan.studies.study.engine import AHEAD, Chunks, Engine, answer
 from ctrplan.studies.study.limited import do_limited
+from ctrplan.studies.study.no_main import no_main_module
 from ctrplan.studies.study.task import Row, Task
 from ctrplan.studies.study.worker import check_version, do_tasks
 
@@ -27,6 +28,15 @@ CONNECT_S = 5.0
 LOOK_S = 2.0  # between two looks at how many workers there are
 LONGEST_PAGE = 10_000  # bytes that are looked at
 FEWEST_AHEAD = 4  # chunks, where no worker has come yet
+# On one machine workers and client share the cores, of which dask took 5 % to look at itself.
+QUIET = {
+    "distributed.worker.profile.enabled": False,  # samples the stack of every worker each 10 ms
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.low-level-log-length": 100,  # entries for each kind; 1,000 of them are 10 MB
+    "distributed.admin.system-monitor.interval": "2s",
+    "distributed.admin.system-monitor.gil.enabled": False,
+    "distributed.worker.memory.monitor-interval": "1s",
+}
 
 
 def is_installed() -> bool:
@@ -72,8 +82,11 @@ class DaskEngine(Engine):
         return self.opened.enter_context(Client(self._local(workers or cores())))
 
     def _local(self, workers: int) -> Any:
+        import dask
         from distributed import LocalCluster
 
+        self.opened.enter_context(dask.config.set(QUIET))
+        self.opened.enter_context(no_main_module())  # also where dask starts a worker anew
         try:
             cluster = LocalCluster(
                 n_workers=workers,

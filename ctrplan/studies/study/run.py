@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import islice, repeat
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,8 @@ MOST_DAYS = 7.0
 CHUNK_S = 0.5  # of one worker, for up to 250 workers
 SCHEDULED_S = 1e-3  # of the scheduler for a chunk, as dask states it: 500 workers with chunks of 0.5 s keep it busy
 MOST_IN_CHUNK = 4096
-SHARES = 4  # chunks for each worker, at least: none is left with the last long one
+SHARES = 4  # chunks for each worker, at least, of what is left: none is left with the last long one
+LEAST_S = 0.05  # of chunks that become smaller towards the end
 PLAN_FILES = ("plan.json", "trajectory.csv", "report.html", "plan.png")
 
 
@@ -201,6 +203,7 @@ def _do(
     report(Doing("workers", 0, 1))
     try:
         with where.engine() as engine:
+            report(Doing("tasks", 0, count, None, engine.note))
             if not engine.workers:
                 report(Doing("waiting for a worker to join", 0, 1))
             for study in studies:
@@ -244,18 +247,23 @@ def _chunks(
     study: Definition, studies: Sequence[Definition], store: Store, count: int, workers: int
 ) -> Iterator[Sequence[Task]]:
     """Tasks that are missing, so many at a time that neither their worker nor the scheduler notices the hand-over."""
-    size = 1
-    if study.kind.together and study.kind.time_limit_s is None:
-        size = chunk_size(study.task_s, count, max(workers, 1))
-    chunk: list[Task] = []
-    for owner, task in _tasks(studies):
-        if owner is study and _is_missing(study, task, store):
-            chunk.append(task)
-            if len(chunk) == size:
-                yield chunk
-                chunk = []
-    if chunk:
+    missing = (task for owner, task in _tasks(studies) if owner is study and _is_missing(study, task, store))
+    in_chunks = study.kind.together and study.kind.time_limit_s is None
+    sizes = chunk_sizes(study.task_s, count, max(workers, 1)) if in_chunks else repeat(1)
+    for size in sizes:
+        chunk = list(islice(missing, size))
+        if not chunk:
+            return
         yield chunk
+
+
+def chunk_sizes(task_s: float, count: int, workers: int) -> Iterator[int]:
+    """Of all chunks of `count` tasks in their order: smaller ones at the end, where workers would wait for the last."""
+    first, least = chunk_size(task_s, count, workers), math.ceil(LEAST_S / task_s)
+    while count > 0:
+        size = min(first, max(least, chunk_size(task_s, count, workers)), count)
+        yield size
+        count -= size
 
 
 def chunk_size(task_s: float, count: int, workers: int) -> int:

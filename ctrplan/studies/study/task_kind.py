@@ -63,6 +63,9 @@ class TaskKind(Struct, metaclass=AbstractStruct, forbid_unknown_fields=True, kw_
             except Exception as error:
                 yield task, error
 
+    def check(self, task: Task, loaded: Loaded) -> None:  # noqa: B027 (most have nothing that needs it)
+        """Raises InputError for a task of the study, the first or the last one, that no robot could do."""
+
     def files(self) -> Sequence[str]:
         """Files beside the robot or scenario that tasks read, relative to the study's folder."""
         return ()

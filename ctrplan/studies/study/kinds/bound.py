@@ -40,6 +40,9 @@ class BoundTask(TaskKind, frozen=True, kw_only=True):
     def expected_s(self, robot: Robot, scenario: Scenario | None) -> float:
         return CHUNK_S / rows_in_a_chunk(robot.n, self.accuracy)
 
+    def check(self, task: Task, loaded: Loaded) -> None:
+        self._commanded(loaded.robot, loaded, [task])
+
     def numbers(self, task: Task, loaded: Loaded) -> Mapping[str, Any]:
         (found,) = self._of_one_robot([task], loaded)
         if isinstance(found[1], Exception):

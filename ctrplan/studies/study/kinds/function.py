@@ -6,14 +6,14 @@ import importlib
 import importlib.util
 import inspect
 import numbers
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from msgspec import Meta
 
 from ctrplan.errors import CtrplanError, InputError
 from ctrplan.studies.study.loaded import Loaded
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from ctrplan.robot.robot import Robot
     from ctrplan.studies.study.task import Task
 
+NAMED = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 UNKNOWN_S = 1.0  # how long somebody else's function takes
 
 
@@ -36,13 +37,15 @@ class FunctionTask(TaskKind, frozen=True, kw_only=True):
     study, which travels with the tasks, or one that is installed where the workers are.
     """
 
-    function: Annotated[str, Meta(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$")]
+    function: str
     options: dict[str, Any] = {}  # further keyword arguments
 
     def expected_s(self, robot: Robot, scenario: Scenario | None) -> float:
         return UNKNOWN_S
 
     def files(self) -> Sequence[str]:
+        if not NAMED.fullmatch(self.function):
+            raise InputError("must be module:function", key="task.function", value=self.function)
         return (f"{self.function.partition(':')[0].replace('.', '/')}.py",)
 
     def numbers(self, task: Task, loaded: Loaded) -> Mapping[str, Any]:
@@ -60,6 +63,11 @@ class FunctionTask(TaskKind, frozen=True, kw_only=True):
         beside = loaded.job.sources.here / loaded.job.study_folder / self.files()[0]
         try:
             found = _module(beside) if beside.is_file() else importlib.import_module(module)
+        except ModuleNotFoundError as error:
+            if error.name != module.partition(".")[0]:
+                raise UserFunctionError(f"{module}: needs the module {error.name}, which is not installed.") from error
+            where = f"neither {self.files()[0]} beside the study nor installed where the task is done"
+            raise UserFunctionError(f"{module}: is {where}.") from error
         except Exception as error:
             raise UserFunctionError(f"{module}: can't be imported: {_in_words(error)}.") from error
         function = getattr(found, name, None)

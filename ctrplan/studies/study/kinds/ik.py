@@ -93,7 +93,7 @@ def _numbers(found: InverseKinematics, tolerance_mm: float) -> Mapping[str, Any]
 
 
 def _figures(found: InverseKinematics, c: Configuration) -> dict[str, Any]:
-    joints = zip(c.joints.tolist(), found.scenario.robot.drive.joints, strict=True)
+    named = found.scenario.robot.drive.named(c.joints)
     return {
         "tip_error_mm": c.tip_error_m * 1e3,
         "bound_mm": c.bound_m * 1e3,
@@ -101,7 +101,7 @@ def _figures(found: InverseKinematics, c: Configuration) -> dict[str, Any]:
         "stability": c.stability,
         "max_strain": c.max_strain,
         "clearance_mm": c.clearance_m * 1e3,
-        "joints": json.dumps({joint.name: round(q / joint.si_per_unit, 9) for q, joint in joints}),
+        "joints": json.dumps({name: round(value, 9) for name, value in named.items()}),
     }
 
 

@@ -70,6 +70,7 @@ class TargetSetTask(TaskKind, frozen=True, kw_only=True):
             "stability": worth.stability,
             "clearance_mm": worth.clearance_mm,
             "errors_mm": json.dumps([round(value, 6) for value in worth.errors_mm.tolist()]),
+            "joints": json.dumps([target and scenario.robot.drive.named(target.joints) for target in worth.targets]),
         }
         found |= {f"slope.{pair.name}": value for pair, value in zip(pairs, slopes_mm.tolist(), strict=True)}
         rows = [k for k, side in enumerate(self.sides) if side.is_tolerance]
