@@ -23,7 +23,7 @@ def pair_past_a_sphere(**planner: Any) -> Scenario:
     return scenario_from_dict({**PAIR, "planner": {"time_s": 0.5, **planner}}, file=str(SCENARIOS / "case.toml"))
 
 
-def pair_without_named_joints(folder: Path, **cost: float) -> Scenario:
+def pair_without_named_joints(folder: Path, time_s: float = 0.5, **cost: float) -> Scenario:
     """Without [[joint]] every tube has its own translation, and many configurations reach a tip."""
     robot = (SCENARIOS / "robots" / "table_5_pair.toml").read_text().split("[[joint]]")[0]
     (folder / "robot.toml").write_text(robot)
@@ -32,6 +32,6 @@ def pair_without_named_joints(folder: Path, **cost: float) -> Scenario:
         "start": {f"{what} {tube}": 0 for tube in (1, 2) for what in ("rotate", "translate")},
         "goal": {"tip_mm": [50, 10, 200], "tolerance_mm": 2},
         "cost": cost,
-        "planner": {"time_s": 0.5},
+        "planner": {"time_s": time_s},
     }
     return scenario_from_dict(content, file=str(folder / "case.toml"))
