@@ -5,10 +5,11 @@ nulls with memory.
     python benchmarks/built_terms.py ask FOLDER      # about 30 s each
     python benchmarks/built_terms.py table FOLDER
 
-Every world is solved once and measured in 32 configurations, five approaches each. A set adds noise to it, and smooth
-random errors: of 0.3 and 1 mm, to nulls of 1 to 3 mm and several memories. Asked is what holds of the whole catalogue
-beside a rest, what can be built of the rest, and what holds beside that, without the ordinary search before it. The gap
-is what the poses kept aside show, their noise taken out. Resumable.
+Every world is solved once and measured in 32 configurations, with three tubes five approaches each. A set adds noise
+and smooth random errors: of 0.3 and 1 mm, to nulls of 1 to 3 mm and several memories. Robots of two and four tubes are
+asked as well. Asked is what holds of the whole catalogue beside a rest, what can be built of the rest, and what holds
+beside that, without the ordinary search before it. The gap is what the poses kept aside show, their noise taken out.
+Resumable.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ import pickle
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -31,14 +34,13 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "oracles"))
 
-from hidden_effects.case import Case, make
+from hidden_effects.case import Case, Made, make
 from hidden_effects.dataset import measurements_csv, robot_toml
 from hidden_effects.effects import truth_name
 from hidden_effects.equilibrium import NoEquilibrium
 from hidden_effects.leftovers import Leftover, add_leftover
 from hidden_effects.noise import add_noise
 from hidden_effects.score import wilson
-from hidden_effects.world import believed
 
 from ctrplan.calibration.pose_errors import distances
 from ctrplan.diagnosis.building import built as limits
@@ -77,22 +79,36 @@ BEYOND = (  # what no piece has the form of, beside something known
     ("collar_slip", "base_misalignment"),
     ("plate_friction", "tip_load"),
 )
+OTHER_ROBOTS = (  # what is unknown and what is known, on two and on four tubes
+    ("third_harmonic", "sensor_offset"),
+    ("heading_shift", "backlash"),
+    ("guide_bend", "joint_scale"),
+    ("overlap_stiffness", "base_misalignment"),
+)
 SIZES, KNOWN_SIZE = (4.0, 4.0, 2.0), 3.0  # 1 leaves about the noise after recalibration
 NULL_WORLDS = 6  # besides, half of them with a temperature that nothing depends on
-NULL = "null"
+NULL, BOTH = "null", "unknown and known"
+THREE, ROBOTS = "three tubes", ("three tubes", "two tubes", "four tubes")
 
 
-def worlds() -> list[tuple[str, Hidden]]:
-    """Row of the table and what is hidden, in the order in which they are made."""
+def worlds() -> list[tuple[str, Hidden, str]]:
+    """Row of the table, what is hidden and in which robot, in the order in which they are made."""
+    others = [(row, hidden, robot) for row, hidden in of_other_robots() for robot in ROBOTS[1:]]
+    return [(row, hidden, THREE) for row, hidden in of_three_tubes()] + others
+
+
+def of_other_robots() -> list[tuple[str, Hidden]]:
+    beside: list[tuple[str, Hidden]] = [(BOTH, ((name, 4.0), (other, KNOWN_SIZE))) for name, other in OTHER_ROBOTS]
+    return [(NULL, ()), *beside[:2], (NULL, ()), *beside[2:]]
+
+
+def of_three_tubes() -> list[tuple[str, Hidden]]:
     found: list[tuple[str, Hidden]] = []
     for k, size in enumerate(SIZES):
         found += [(NULL, ())]
         found += [("unknown alone", ((name, size),)) for name in UNKNOWN]
         beside = (KNOWN[(i + k) % len(KNOWN)] for i in range(len(UNKNOWN)))
-        found += [
-            ("unknown and known", ((name, size), (other, KNOWN_SIZE)))
-            for name, other in zip(UNKNOWN, beside, strict=True)
-        ]
+        found += [(BOTH, ((name, size), (other, KNOWN_SIZE))) for name, other in zip(UNKNOWN, beside, strict=True)]
     logged: tuple[Hidden, ...] = ((), (("logged_room", 1.0),))
     found += [(NULL, logged[k % 2]) for k in range(NULL_WORLDS)]
     return found + [("no piece and known", ((name, 4.0), (other, KNOWN_SIZE))) for name, other in BEYOND]
@@ -106,23 +122,29 @@ def leftovers(row: str) -> list[Leftover]:
     return [Leftover(size, kind, memory) for _ in range(3) for size in (1.0, 2.0, 3.0) for kind, memory in kinds]
 
 
-def solve(folder: Path) -> None:
-    """Worlds and their sets, FOLDER/w00.pickle and FOLDER/w00_00."""
+def solve(folder: Path, only: str) -> None:
+    """Worlds and their sets, FOLDER/w00.pickle and FOLDER/w00_00; of one robot where it is named."""
     folder.mkdir(parents=True, exist_ok=True)
-    for k, (row, hidden) in enumerate(worlds()):
+    for k, (row, hidden, robot) in enumerate(worlds()):
+        if only and robot != only:
+            continue
         stored = folder / f"w{k:02d}.pickle"
-        if not stored.exists():
-            for attempt in range(RETRIES):
-                try:
-                    case = Case(stored.stem, row, 50000 + 17 * k + 1000 * attempt, hidden, "gaussian", CONFIGURATIONS)
-                    made = make(case)
-                except (NoEquilibrium, np.linalg.LinAlgError):
-                    continue
-                stored.write_bytes(pickle.dumps((case, made.experiment, made.poses, made.world.room)))
-                print(stored.stem, row, hidden, flush=True)
-                break
+        case = Case(stored.stem, row, 50000 + 17 * k, hidden, "gaussian", CONFIGURATIONS, robot=robot)
+        if not stored.exists() and (made := made_of(case)):
+            stored.write_bytes(pickle.dumps((made.case, made.experiment, made.poses, made.world.room)))
+            print(stored.stem, row, hidden, robot, flush=True)
         if stored.exists():
             write(folder, stored)
+
+
+def made_of(case: Case) -> Made | None:
+    """With the first seed of which every pose has an equilibrium."""
+    for attempt in range(RETRIES):
+        try:
+            return make(replace(case, seed=case.seed + 1000 * attempt))
+        except (NoEquilibrium, np.linalg.LinAlgError):
+            continue
+    return None
 
 
 def write(folder: Path, stored: Path) -> None:
@@ -133,15 +155,15 @@ def write(folder: Path, stored: Path) -> None:
         target.mkdir(exist_ok=True)
         p, tangent = add_leftover(poses.p, poses.tangent, plan, left, rng)
         p, tangent = add_noise(p, tangent, "gaussian", rng)
-        (target / "robot.toml").write_text(robot_toml(believed(), "three tubes"))
+        (target / "robot.toml").write_text(robot_toml(case.believed(), case.robot))
         (target / "measurements.csv").write_text(measurements_csv(plan, p, tangent, room))
-        truth = {"row": case.row, "hidden": case.hidden, "size_mm": left.size_mm}
+        truth = {"row": case.row, "hidden": case.hidden, "robot": case.robot, "size_mm": left.size_mm}
         (target / "truth.json").write_text(json.dumps({**truth, "kind": left.kind, "memory": left.memory}))
 
 
 def ask(folder: Path) -> None:
     """What holds and what is built, into FOLDER/w00_00/found.json."""
-    for path in sorted(folder.glob("w*_*/truth.json"), key=_mixed):
+    for path in _in_turn(folder):
         answer = path.with_name("found.json")
         if not answer.exists():
             answer.write_text("{}")  # taken, where two ask
@@ -149,8 +171,16 @@ def ask(folder: Path) -> None:
             print(path.parent.name, json.loads(path.read_text())["hidden"], answer.read_text(), flush=True)
 
 
-def _mixed(path: Path) -> str:
-    """Rows in turn by chance, so that what is there at any time is a fair part of all."""
+def _in_turn(folder: Path) -> list[Path]:
+    """Rows and robots in turn, by chance within each, so that what is there at any time is a fair part of all."""
+    rows: dict[tuple[str, str], list[Path]] = {}
+    for path in sorted(folder.glob("w*_*/truth.json"), key=_by_chance):
+        truth = json.loads(path.read_text())
+        rows.setdefault((truth["row"], truth.get("robot", THREE)), []).append(path)
+    return [path for turn in zip_longest(*rows.values()) for path in turn if path is not None]
+
+
+def _by_chance(path: Path) -> str:
     return hashlib.md5(path.parent.name.encode()).hexdigest()
 
 
@@ -158,16 +188,16 @@ def asked(folder: Path) -> dict[str, Any]:
     """Gaps [mm] on the poses kept aside: calibrated, with named effects, with the built term; and the evidence."""
     robot = load_robot(folder / "robot.toml")
     data = load_measurements(folder / "measurements.csv", robot)
-    began = time.perf_counter()
+    began = time.process_time()
     noise, usable = noise_floor(robot, data)[0], usable_poses(robot, data)
     found = partly(robot, data, usable, noise, candidates(robot, data), lambda _: None)
-    halfway = time.perf_counter()
+    halfway = time.process_time()
     bench, aside = found.bench, data.subset(found.split.held_out_set)
     result: dict[str, Any] = {"named": names(found), "seconds": [round(halfway - began, 1)]}
     result["before_mm"] = gap_mm(found.base, aside, noise.floor_m)
     result["named_mm"] = gap_mm(bench.handed_over(bench.sized(found.chosen)), aside, noise.floor_m)
     built = tried(found, lambda _: None)
-    result["seconds"].append(round(time.perf_counter() - halfway, 1))
+    result["seconds"].append(round(time.process_time() - halfway, 1))
     if built is None:
         return result | {"built": False}
     result["beside_mm"] = gap_mm(bench.handed_over(bench.sized(built.named)), aside, noise.floor_m)
@@ -194,32 +224,14 @@ def gap_mm(scored: Scored, aside: Measurements, floor_m: float) -> float:
 
 
 def table(folder: Path) -> None:
-    """Shares with their Wilson intervals, and the median of the gap that is left."""
-    sets = []
-    for path in sorted(folder.glob("w*_*/found.json")):
-        if found := json.loads(path.read_text()):
-            found["built"] = is_handed_over(found)
-            found["left_mm"] = found["built_mm"] if found["built"] else found["named_mm"]
-            found["names"] = [set(part) for part in (found["names"] if found["built"] else found["named"])]
-            sets.append((json.loads(path.with_name("truth.json").read_text()), found))
-    print("| | hits | trials | 95 % interval |\n|---|---|---|---|")
-    nulls = [found for truth, found in sets if truth["row"] == NULL]
-    _line("built term in a null", nulls, lambda found: found["built"])
-    _line("name in a null", nulls, lambda found: bool(found["names"]))
-    alone = [found for truth, found in sets if truth["row"] == "unknown alone"]
-    _line("unknown alone: given a name", alone, lambda found: bool(found["names"]))
-    both = [(known(truth), found["names"]) for truth, found in sets if known(truth)]
-    _line("unknown and known: the known part is listed", both, lambda one: any(one[0] & part for part in one[1]))
-    parts = [(known(truth), part) for truth, found in sets for part in found["names"]]
-    _line("wrong parts, of all that are listed", parts, lambda one: not one[0] & one[1])
-    for row in ("unknown alone", "unknown and known"):
-        those = [found for truth, found in sets if truth["row"] == row]
-        _line(f"{row}: a term was built", those, lambda found: found["built"])
-        _line(f"{row}: the gap beside named effects is halved", those, lambda found: left(found) <= 0.5)
-        if those:
-            print(f"| {row}: median of the gap that is left | {100 * np.median([*map(left, those)]):.0f} % | | |")
-    built = [found for _, found in sets if found["built"]]
-    _line("built terms with which the poses kept aside are worse by 5 %", built, lambda found: left(found) > 1.05)
+    """Shares with their Wilson intervals, by robot, and the median of the gap that is left."""
+    sets = read(folder)
+    for robot in ROBOTS:
+        if those := [one for one in sets if one[0].get("robot", THREE) == robot]:
+            print(
+                f"\n{robot}, {len(those)} sets, {np.median([sum(f['seconds']) for _, f in those]):.0f} s of processor"
+            )
+            _shares(those)
     print("\n| effect | sets | built | median gap: named effects, built term [mm] | median share that is left |")
     print("|---|---|---|---|---|")
     for name in UNKNOWN:
@@ -228,6 +240,39 @@ def table(folder: Path) -> None:
             sizes = [np.median([found[key] for found in those]) for key in ("named_mm", "left_mm")]
             count, share = sum(f["built"] for f in those), 100 * np.median([*map(left, those)])
             print(f"| {name} | {len(those)} | {count} | {sizes[0]:.2f}, {sizes[1]:.2f} | {share:.0f} % |")
+
+
+def read(folder: Path) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+    """Truth, and what was found and handed over."""
+    sets = []
+    for path in sorted(folder.glob("w*_*/found.json")):
+        if found := json.loads(path.read_text()):
+            found["built"] = is_handed_over(found)
+            found["left_mm"] = found["built_mm"] if found["built"] else found["named_mm"]
+            found["names"] = [set(part) for part in (found["names"] if found["built"] else found["named"])]
+            sets.append((json.loads(path.with_name("truth.json").read_text()), found))
+    return sets
+
+
+def _shares(sets: list[tuple[dict[str, Any], dict[str, Any]]]) -> None:
+    print("\n| | hits | trials | 95 % interval |\n|---|---|---|---|")
+    nulls = [found for truth, found in sets if truth["row"] == NULL]
+    _line("built term in a null", nulls, lambda found: found["built"])
+    _line("name in a null", nulls, lambda found: bool(found["names"]))
+    alone = [found for truth, found in sets if truth["row"] == "unknown alone"]
+    _line("unknown alone: given a name", alone, lambda found: bool(found["names"]))
+    both = [(known(truth), found["names"]) for truth, found in sets if known(truth)]
+    _line(f"{BOTH}: the known part is listed", both, lambda one: any(one[0] & part for part in one[1]))
+    parts = [(known(truth), part) for truth, found in sets for part in found["names"]]
+    _line("wrong parts, of all that are listed", parts, lambda one: not one[0] & one[1])
+    for row in ("unknown alone", BOTH):
+        those = [found for truth, found in sets if truth["row"] == row]
+        _line(f"{row}: a term was built", those, lambda found: found["built"])
+        _line(f"{row}: the gap beside named effects is halved", those, lambda found: left(found) <= 0.5)
+        if those:
+            print(f"| {row}: median of the gap that is left | {100 * np.median([*map(left, those)]):.0f} % | | |")
+    built = [found for _, found in sets if found["built"]]
+    _line("built terms with which the poses kept aside are worse by 5 %", built, lambda found: left(found) > 1.05)
 
 
 def known(truth: dict[str, Any]) -> set[str]:
@@ -259,8 +304,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("action", choices=["make", "ask", "table"])
     parser.add_argument("folder", type=Path)
+    parser.add_argument("--robot", choices=ROBOTS, default="", help="make the worlds of this one only")
     given = parser.parse_args()
-    {"make": solve, "ask": ask, "table": table}[given.action](given.folder)
+    if given.action == "make":
+        solve(given.folder, given.robot)
+    else:
+        {"ask": ask, "table": table}[given.action](given.folder)
 
 
 if __name__ == "__main__":

@@ -14,13 +14,14 @@ from hidden_effects import drive, effects, sensor
 from hidden_effects.bank import cases, make
 from hidden_effects.case import Case
 from hidden_effects.chain import Poses, poses
+from hidden_effects.dataset import robot_toml
 from hidden_effects.effects import Draw
 from hidden_effects.experiment import Experiment, approaches, continuous_motion
 from hidden_effects.friction import remaining
 from hidden_effects.leftover import leftover_over_noise
 from hidden_effects.mesh import Fineness
 from hidden_effects.noise import NOISE, add_noise
-from hidden_effects.world import Motion, Ordinary, World, believed
+from hidden_effects.world import ROBOTS, Motion, Ordinary, World, believed
 
 import ctrplan
 
@@ -135,6 +136,19 @@ def test_sensor_terms() -> None:
     np.testing.assert_allclose(
         field(p, F, time_s)[1][:, :, 2], along / np.linalg.norm(along, axis=1)[:, None], atol=1e-8
     )
+
+
+@pytest.mark.parametrize("name", ["two tubes", "four tubes"])
+def test_robots_of_two_and_four_tubes_are_what_the_model_says(name: str, tmp_path: Path) -> None:
+    world = ROBOTS[name]()
+    (tmp_path / "robot.toml").write_text(robot_toml(world, name))
+    robot = ctrplan.load_robot(tmp_path / "robot.toml")
+    plan = approaches(world, 1, np.random.default_rng(1))
+    k = np.flatnonzero(plan.measured)
+    assert len(k) == 2 ** (world.n - 1) + 1 and np.all(np.abs(plan.motion.l - world.middle_m) <= world.half_m + 1e-12)
+    one = replace(plan, measured=np.arange(len(plan.measured)) == k[-1])
+    shape = robot.solve(plan.motion.theta[k[-1]], plan.motion.l[k[-1]])
+    np.testing.assert_allclose(poses(world, one).p[0], shape.tip_m, atol=0.1e-3)
 
 
 def test_lag_reports_where_the_tip_was() -> None:

@@ -13,7 +13,7 @@ from hidden_effects.chain import Poses, poses
 from hidden_effects.dataset import measurements_csv, robot_toml, write_folder
 from hidden_effects.leftover import leftover_over_noise
 from hidden_effects.noise import add_noise
-from hidden_effects.world import Ordinary, World, believed, draw_ordinary
+from hidden_effects.world import ROBOTS, Ordinary, World, draw_ordinary
 
 SOFTENING = {"nonlinear_elasticity", "shaft_torsion", "ovality"}  # effects that make the robot snap earlier
 CALMER = 2.2  # stability of the configurations they are measured in
@@ -31,6 +31,11 @@ class Case:
     count: int = 15  # configurations, or rows of a continuous motion
     continuous: bool = False
     left_out: str = ""  # an effect that the diagnosis' catalogue has to do without
+    robot: str = "three tubes"
+
+    def believed(self) -> World:
+        """What the user's robot file says."""
+        return ROBOTS[self.robot]()
 
 
 @dataclass(frozen=True)
@@ -46,22 +51,22 @@ class Made:
 
     def leftover(self) -> float:
         """What the effects leave after recalibration, over the noise."""
-        plain = self.ordinary.of(believed())
+        plain = self.ordinary.of(self.case.believed())
         return leftover_over_noise(plain, self.experiment, self.poses) if self.case.hidden else 0.0
 
 
 def make(case: Case) -> Made:
     """Draws the robot and the experiment, applies the effects, solves every pose."""
-    rng = np.random.default_rng([case.seed, 0])
-    ordinary = draw_ordinary(believed().n, rng)
+    rng, believed = np.random.default_rng([case.seed, 0]), case.believed()
+    ordinary = draw_ordinary(believed.n, rng)
     names = [name for name, _ in case.hidden]
     if case.continuous:
-        plan = experiment.continuous_motion(believed(), case.count, rng)
+        plan = experiment.continuous_motion(believed, case.count, rng)
     else:
         translate = "translation_release" in names
         least = CALMER if SOFTENING.intersection(names) else experiment.LEAST_STABILITY
-        plan = experiment.approaches(believed(), case.count, rng, translate_last=translate, least_stability=least)
-    world, parameters = ordinary.of(believed()), {}
+        plan = experiment.approaches(believed, case.count, rng, translate_last=translate, least_stability=least)
+    world, parameters = ordinary.of(believed), {}
     for i, (name, size) in enumerate(case.hidden):
         draw = effects.Draw(size, np.random.default_rng([case.seed, 1, i]), plan.duration_s)
         world, parameters[name] = effects.apply(name, world, draw)
@@ -81,7 +86,7 @@ def write(case: Case, parent: Path) -> None:
         "case": asdict(case),
     }
     files = {
-        "robot.toml": robot_toml(believed(), "three-tube robot, nominal values"),
+        "robot.toml": robot_toml(case.believed(), f"{case.robot}, nominal values"),
         "measurements.csv": measurements_csv(made.experiment, p, tangent, made.world.room),
     }
     write_folder(parent / case.name, files, truth)

@@ -52,7 +52,6 @@ BUILDABLE: dict[str, Effect] = {}  # in no catalogue either, and not in the bank
 TRUTH_NAME = {"homing_rotation": "off_plane_precurvature|homing_offset", "homing_translation": "homing_offset"}
 TRUTH_NAME["off_plane_precurvature"] = TRUTH_NAME["homing_rotation"]  # a straight base and one curved section
 CONTINUOUS_ONLY = frozenset({"lag"})
-MIDDLE_M, HALF_M = -0.0755, 0.0395  # of the innermost tube's translation in all experiments
 
 
 def _register(table: dict[str, Effect]) -> Callable[[Effect], Effect]:
@@ -70,6 +69,11 @@ def truth_name(name: str) -> str:
 
 def apply(name: str, world: World, draw: Draw) -> tuple[World, Parameters]:
     return (CATALOGUE.get(name) or UNKNOWN.get(name) or BUILDABLE[name])(world, draw)
+
+
+def innermost(world: World) -> tuple[float, float]:
+    """Middle and half of the range [m] of its translation."""
+    return float(world.middle_m[-1]), float(world.half_m[-1])
 
 
 def by_axis(name: str, values: Array) -> Parameters:
@@ -290,7 +294,7 @@ def third_harmonic(world: World, draw: Draw) -> tuple[World, Parameters]:
 @_register(UNKNOWN)
 def screw_coupling(world: World, draw: Draw) -> tuple[World, Parameters]:
     rate = draw.one_of(world.n, world.n - 1, draw.sign() * draw.size * np.deg2rad(100.0))
-    reference = draw.one_of(world.n, world.n - 1, -0.077)
+    reference = draw.one_of(world.n, world.n - 1, innermost(world)[0])
     return add_drive(world, drive.Screw(rate, reference)), {"rate_rad_per_m": rate.tolist()}
 
 
@@ -321,7 +325,7 @@ def guide_bend(world: World, draw: Draw) -> tuple[World, Parameters]:
     """The guide bends the more the further the innermost tube is pushed."""
     across = draw.rng.standard_normal(3) * [1, 1, 0]
     turn = draw.size * np.deg2rad(0.8) * across / np.linalg.norm(across)
-    bend = GuideBend(world.n - 1, (float(turn[0]), float(turn[1]), 0.0), draw.rng.uniform(-1, 1), MIDDLE_M, HALF_M)
+    bend = GuideBend(world.n - 1, (float(turn[0]), float(turn[1]), 0.0), draw.rng.uniform(-1, 1), *innermost(world))
     return replace(world, guide=bend), {"turn_rad": turn.tolist(), "bow": bend.bow}
 
 
@@ -329,7 +333,7 @@ def guide_bend(world: World, draw: Draw) -> tuple[World, Parameters]:
 def overlap_stiffness(world: World, draw: Draw) -> tuple[World, Parameters]:
     """A tube is stiffer or softer the further the innermost one is pushed."""
     amount = draw.sign() * min(draw.size * 0.14, 0.7)
-    stiffening = Stiffening(draw.inner_tube(world.n), world.n - 1, amount, MIDDLE_M, HALF_M)
+    stiffening = Stiffening(draw.inner_tube(world.n), world.n - 1, amount, *innermost(world))
     return replace(world, stiffening=stiffening), {"tube": stiffening.tube + 1, "amount": amount}
 
 

@@ -38,12 +38,12 @@ class Experiment:
 def draw_configurations(
     world: World, count: int, rng: np.random.Generator, least_stability: float = LEAST_STABILITY
 ) -> tuple[Array, Array]:
-    """Rotations and translations (count, n) of stable configurations of the believed three-tube robot."""
+    """Rotations and translations (count, n) of stable configurations of the believed robot."""
     thetas: list[Array] = []
     ls: list[Array] = []
     while len(thetas) < count:
         theta = np.concatenate([[0.0], np.cumsum(rng.uniform(-np.pi, np.pi, world.n - 1))])
-        l_b = np.array([0.0, -0.017, rng.uniform(-0.115, -0.036)])[: world.n]
+        l_b = np.cumsum([low if low == high else rng.uniform(low, high) for low, high in world.travel_m])
         if is_calm(world, theta, l_b, least_stability):
             thetas.append(theta)
             ls.append(l_b)
@@ -109,7 +109,7 @@ def continuous_motion(world: World, count: int, rng: np.random.Generator) -> Exp
     time_s = LOG_S * np.arange(count)
     while True:
         theta = np.zeros((count, world.n))
-        l_b = np.tile(np.array([0.0, -0.017, -0.077])[: world.n], (count, 1))
+        l_b = np.tile(world.middle_m, (count, 1))
         for i in range(1, world.n):
             theta[:, i] = theta[:, i - 1] + rng.uniform(-np.pi, np.pi) + _wave(time_s, 1.1, rng)
         l_b[:, -1] += _wave(time_s, 0.012, rng)

@@ -89,10 +89,21 @@ class World:
     stiffening: Stiffening | None = None
     guide: GuideBend | None = None
     room: Room | None = None  # logged with the poses
+    travel_m: tuple[tuple[float, float], ...] = ()  # of every translation, from that of the tube outside
 
     @property
     def n(self) -> int:
         return len(self.tubes)
+
+    @property
+    def middle_m(self) -> Array:
+        """(n,) translations in the middle of their ranges."""
+        return np.cumsum([np.mean(ends) for ends in self.travel_m])
+
+    @property
+    def half_m(self) -> Array:
+        """(n,) how far they reach from there."""
+        return np.cumsum([(ends[1] - ends[0]) / 2 for ends in self.travel_m])
 
     def tubes_at(self, time_s: float, l_b: Array | None = None) -> tuple[Tube, ...]:
         tubes = self.tubes
@@ -122,23 +133,37 @@ def stiffened(tube: Tube, factor: float) -> Tube:
 
 def believed() -> World:
     """The three-tube robot of Ha et al. 2019, Table II: what the user's robot file says."""
-    curved = 3.77358
-    return paired(
-        (
-            Tube(1.32e-3, 1.195e-3, 0.0507, 0.3, (Section(0.150, (0, curved)),)),
-            Tube(1.1525e-3, 0.975e-3, 0.0507, 0.3, (Section(0.017, (0, 0)), Section(0.150, (0, curved)))),
-            Tube(0.9125e-3, 0.8e-3, 0.0145, 0.3, (Section(0.184, (0, 0)), Section(0.0864, (0, 18.1818)))),
-        )
-    )
+    return paired(THREE, (FIXED, (-0.017, -0.017), INSERTED))
 
 
-def paired(tubes: tuple[Tube, ...]) -> World:
+def pair() -> World:
+    """The two inner ones of these tubes."""
+    return paired(THREE[1:], (FIXED, INSERTED))
+
+
+def four_tubes() -> World:
+    """These tubes, and a thinner one of the same alloy within them, which reaches 10 to 30 mm further."""
+    fourth = Tube(0.7e-3, 0.6e-3, 0.0047, 0.3, (Section(0.270, (0, 0)), Section(0.04, (0, 12.0))))
+    return paired((*THREE, fourth), (FIXED, (-0.017, -0.017), INSERTED, (-0.0296, -0.0096)))
+
+
+CURVED = Section(0.150, (0, 3.77358))
+THREE = (
+    Tube(1.32e-3, 1.195e-3, 0.0507, 0.3, (CURVED,)),
+    Tube(1.1525e-3, 0.975e-3, 0.0507, 0.3, (Section(0.017, (0, 0)), CURVED)),
+    Tube(0.9125e-3, 0.8e-3, 0.0145, 0.3, (Section(0.184, (0, 0)), Section(0.0864, (0, 18.1818)))),
+)
+FIXED, INSERTED = (0.0, 0.0), (-0.098, -0.019)
+ROBOTS: dict[str, Callable[[], World]] = {"three tubes": believed, "two tubes": pair, "four tubes": four_tubes}
+
+
+def paired(tubes: tuple[Tube, ...], travel_m: tuple[tuple[float, float], ...] = ()) -> World:
     """A frictionless world whose clearances are what the radii leave."""
     pairs = tuple(
         Pair(outer.inner_radius_m - inner.outer_radius_m, 0.0, outer.inner_radius_m, inner.outer_radius_m)
         for outer, inner in zip(tubes[:-1], tubes[1:], strict=True)
     )
-    return World(tubes, pairs)
+    return World(tubes, pairs, travel_m=travel_m)
 
 
 @dataclass(frozen=True)
