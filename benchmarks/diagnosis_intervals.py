@@ -23,7 +23,7 @@ from ctrplan.diagnosis import CATALOGUE
 from ctrplan.diagnosis.workbench import Workbench
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot
-from ctrplan.pipeline.parametric_chain import term
+from ctrplan.pipeline.term import term
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "oracles"))
 from hidden_effects.case import Case, make

@@ -32,7 +32,8 @@ from ctrplan.errors import InputError
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.experiment.split import groups
 from ctrplan.pipeline.friction_path import friction_correction
-from ctrplan.pipeline.parametric_chain import ParametricChain, Term, term
+from ctrplan.pipeline.parametric_chain import ParametricChain
+from ctrplan.pipeline.term import Term, term
 from ctrplan.robot.named_numbers import value_of
 from ctrplan.robot.robot import Robot
 

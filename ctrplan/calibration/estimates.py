@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctrplan.calibration.least_squares import Fit
-from ctrplan.pipeline.parametric_chain import Term
+from ctrplan.pipeline.term import Term
 
 CI95 = 1.959964  # standard deviations
 DIGITS = 6

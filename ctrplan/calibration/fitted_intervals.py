@@ -11,7 +11,7 @@ import numpy as np
 from ctrplan.calibration.estimates import CI95
 from ctrplan.calibration.least_squares import Fit
 from ctrplan.effects.effect import Effect
-from ctrplan.pipeline.parametric_chain import Term
+from ctrplan.pipeline.term import Term
 from ctrplan.robot.named_numbers import MAGNITUDE, with_values
 from ctrplan.robot.robot import Robot
 from ctrplan.robot.stated_intervals import StatedIntervals, file_key

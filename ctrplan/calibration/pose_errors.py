@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.experiment.measurements import Measurements
-from ctrplan.pipeline.parametric_chain import Prediction
+from ctrplan.pipeline.prediction import Prediction
 
 RESAMPLES, SEED = 400, 2
 SPAN_PERCENT = (2.5, 97.5)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import Discrepancy
 from ctrplan.experiment.measurements import Measurements
-from ctrplan.pipeline.parametric_chain import Prediction
+from ctrplan.pipeline.prediction import Prediction
 
 PER_POSE = 5
 MODEL_POSITION_M, MODEL_TANGENT_RAD = 0.05e-3, np.radians(0.05)  # of the solver, docs/model.md

@@ -18,7 +18,8 @@ from ctrplan.calibration.least_squares import Fit, fit
 from ctrplan.effects.effect import Parameter
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.pipeline.chain import taken_along
-from ctrplan.pipeline.parametric_chain import ParametricChain, Term
+from ctrplan.pipeline.parametric_chain import ParametricChain
+from ctrplan.pipeline.term import Term
 from ctrplan.robot.named_numbers import with_values
 
 DIGITS = 7  # of numbers in the file

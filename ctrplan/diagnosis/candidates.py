@@ -9,7 +9,8 @@ from ctrplan.effects.catalogue import CATALOGUE
 from ctrplan.effects.effect import Effect
 from ctrplan.errors import InputError
 from ctrplan.experiment.measurements import Measurements
-from ctrplan.pipeline.parametric_chain import DRIVEN_ALREADY, Term, term
+from ctrplan.pipeline.parametric_chain import DRIVEN_ALREADY
+from ctrplan.pipeline.term import Term, term
 from ctrplan.robot.robot import Robot
 
 __all__ = ["CATALOGUE", "Candidates", "candidates"]

@@ -33,7 +33,8 @@ from ctrplan.diagnosis.workbench import certainty, linear, values_by_name
 from ctrplan.errors import InputError
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.pipeline.friction_path import friction_correction
-from ctrplan.pipeline.parametric_chain import ParametricChain, Term
+from ctrplan.pipeline.parametric_chain import ParametricChain
+from ctrplan.pipeline.term import Term
 
 CONFIRMED, CONTRADICTED = 3.0, -2.0  # standard errors over blocks
 LEAST_BLOCKS = 5

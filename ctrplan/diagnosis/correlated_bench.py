@@ -27,7 +27,8 @@ from ctrplan.effects.catalogue import CATALOGUE
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.experiment.motion import clock
 from ctrplan.pipeline.followed_runs import followed
-from ctrplan.pipeline.parametric_chain import ParametricChain, Term, term
+from ctrplan.pipeline.parametric_chain import ParametricChain
+from ctrplan.pipeline.term import Term, term
 from ctrplan.robot.robot import Robot
 
 HELD = 1e-4  # of a prior, which holds a parameter

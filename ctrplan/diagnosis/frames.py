@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from ctrplan.effects.catalogue import CATALOGUE
 from ctrplan.experiment.measurements import Measurements
-from ctrplan.pipeline.parametric_chain import Term, term
+from ctrplan.pipeline.term import Term, term
 from ctrplan.robot.robot import Robot
 
 FRAME, SHIFT = "base_misalignment", "frame_shift"  # of the first set-up, and of the others beside it

@@ -16,7 +16,8 @@ from ctrplan.calibration.unsolved import excused
 from ctrplan.diagnosis.chi_square import ChiSquare, outliers
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.pipeline.friction_path import friction_correction
-from ctrplan.pipeline.parametric_chain import ParametricChain, Prediction
+from ctrplan.pipeline.parametric_chain import ParametricChain
+from ctrplan.pipeline.prediction import Prediction
 
 
 @dataclass(frozen=True, eq=False)

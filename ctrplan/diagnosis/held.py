@@ -11,7 +11,7 @@ from ctrplan.diagnosis.partial_search import PartialSelector, is_built
 from ctrplan.diagnosis.selection import Step
 from ctrplan.diagnosis.verdict import CLOSE, CLOSE_ERRORS, Alternative, Finding, is_close
 from ctrplan.diagnosis.workbench import Panel, Scored
-from ctrplan.pipeline.parametric_chain import Term
+from ctrplan.pipeline.term import Term
 
 TRIED = 3  # effects that are fitted in the place of one that holds
 

@@ -10,7 +10,7 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.diagnosis.held_out import Linear, held_out_loss
 from ctrplan.diagnosis.workbench import Panel, Workbench, certainty
-from ctrplan.pipeline.parametric_chain import Term
+from ctrplan.pipeline.term import Term
 
 LEAST_Z = 4.0  # standard errors over blocks that the gain of an effect must exceed zero by
 TIMES_CHANCE = 3.0  # the gain that surrogates of the residual exceed in 2 % of draws

@@ -11,7 +11,7 @@ from ctrplan.diagnosis.frames import FRAMES
 from ctrplan.diagnosis.selection import Report, Selection, Selector, step
 from ctrplan.diagnosis.workbench import Panel, Scored, certainty
 from ctrplan.effects.learned.learned import Learned
-from ctrplan.pipeline.parametric_chain import Term
+from ctrplan.pipeline.term import Term
 
 MOST_PARTS = 5  # effects named beside a rest that nothing explains
 TIMES_CHANCE = 3.0  # the gain that surrogates of the residual exceed in 2 % of draws

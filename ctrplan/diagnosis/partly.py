@@ -30,7 +30,7 @@ from ctrplan.diagnosis.verdict import MOST_RIVALS, Judgement
 from ctrplan.diagnosis.workbench import Scored, Workbench
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.experiment.split import Split
-from ctrplan.pipeline.parametric_chain import Term
+from ctrplan.pipeline.term import Term
 from ctrplan.robot.robot import Robot
 
 

@@ -26,7 +26,7 @@ from ctrplan.diagnosis.verdict import Judgement, Verdict
 from ctrplan.diagnosis.workbench import Scored
 from ctrplan.effects.learned.learned import Learned
 from ctrplan.experiment.measurements import Measurements
-from ctrplan.pipeline.parametric_chain import Term
+from ctrplan.pipeline.term import Term
 from ctrplan.robot.robot import Robot
 
 SCHEMA_VERSION = 1

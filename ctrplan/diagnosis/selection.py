@@ -10,7 +10,7 @@ from ctrplan.diagnosis.candidates import Candidates
 from ctrplan.diagnosis.chance import null_threshold
 from ctrplan.diagnosis.chi_square import remains
 from ctrplan.diagnosis.workbench import Scored, Screened, Workbench, linear
-from ctrplan.pipeline.parametric_chain import Term
+from ctrplan.pipeline.term import Term
 
 MOST_EFFECTS = 4
 CAUTION = 2.0  # times the threshold, for an effect that the residuals do not ask for: they look like noise already

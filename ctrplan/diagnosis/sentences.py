@@ -8,7 +8,7 @@ from ctrplan.calibration.estimates import estimates
 from ctrplan.diagnosis.agreement import times_noise
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.experiment.measurements import MOST_ROWS
-from ctrplan.pipeline.parametric_chain import Term
+from ctrplan.pipeline.term import Term
 
 WORTH_TELLING = 0.9  # of the error without them, which frames have to undercut
 

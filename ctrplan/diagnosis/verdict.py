@@ -15,7 +15,7 @@ from ctrplan.calibration.symptoms import is_strained
 from ctrplan.diagnosis.chi_square import Adequacy, remains
 from ctrplan.diagnosis.selection import Selection, Selector
 from ctrplan.diagnosis.workbench import Scored, Workbench
-from ctrplan.pipeline.parametric_chain import Term, term
+from ctrplan.pipeline.term import Term, term
 
 Verdict = Literal["named", "no_missing_effect", "ambiguous", "partial", "unexplained"]
 

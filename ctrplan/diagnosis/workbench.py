@@ -17,7 +17,8 @@ from ctrplan.diagnosis.chance import white
 from ctrplan.diagnosis.held_out import Linear, held_out_loss
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.pipeline.friction_path import friction_correction
-from ctrplan.pipeline.parametric_chain import ParametricChain, Term, term
+from ctrplan.pipeline.parametric_chain import ParametricChain
+from ctrplan.pipeline.term import Term, term
 from ctrplan.robot.robot import Robot
 
 MOST_WIDENINGS = 3

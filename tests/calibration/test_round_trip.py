@@ -20,7 +20,8 @@ from ctrplan.calibration.robot_content import calibrated_content
 from ctrplan.effects.catalogue import CATALOGUE
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.pipeline.parametric_chain import ParametricChain, Term, term
+from ctrplan.pipeline.parametric_chain import ParametricChain
+from ctrplan.pipeline.term import Term, term
 from ctrplan.robot.robot import Robot
 
 PLAIN = pair_robot(contact=[{"friction_coefficient": 0.1, "clearance_mm": 0.05}])

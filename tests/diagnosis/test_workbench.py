@@ -13,7 +13,7 @@ from ctrplan.diagnosis import CATALOGUE
 from ctrplan.diagnosis.noise_floor import noise_floor
 from ctrplan.diagnosis.workbench import Workbench
 from ctrplan.experiment.measurements import Measurements
-from ctrplan.pipeline.parametric_chain import Term, term
+from ctrplan.pipeline.term import Term, term
 
 ROBOT = pair_robot()
 TRUE = {

@@ -16,7 +16,8 @@ from ctrplan.calibration.residuals import Noise, residuals
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.pipeline.friction_path import friction_correction
-from ctrplan.pipeline.parametric_chain import ParametricChain, Term
+from ctrplan.pipeline.parametric_chain import ParametricChain
+from ctrplan.pipeline.term import Term
 from ctrplan.robot.robot import Robot
 
 NOISE = Noise(SIGMA_M, 0.05)

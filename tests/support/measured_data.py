@@ -18,7 +18,8 @@ from ctrplan.experiment.measurements import Measurements, is_streamed
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.core import Mechanics
 from ctrplan.mechanics.shapes import Status, Tips
-from ctrplan.pipeline.parametric_chain import ParametricChain, Term, term
+from ctrplan.pipeline.parametric_chain import ParametricChain
+from ctrplan.pipeline.term import Term, term
 from ctrplan.robot.robot import Robot
 
 QUARTER = np.radians(90.0)

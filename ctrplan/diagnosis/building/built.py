@@ -22,7 +22,7 @@ from ctrplan.diagnosis.shares import mean_square
 from ctrplan.diagnosis.workbench import Scored, certainty
 from ctrplan.effects.learned.learned import Learned
 from ctrplan.experiment.measurements import Measurements
-from ctrplan.pipeline.parametric_chain import Term
+from ctrplan.pipeline.term import Term
 
 LEAST_Z = 5.0  # standard errors over blocks
 LEAST_WINNING = 0.85  # of the blocks that say something

@@ -25,7 +25,9 @@ from ctrplan.effects.learned.parts import Part
 from ctrplan.effects.learned.ranges import Range
 from ctrplan.effects.learned.targets import Target
 from ctrplan.experiment.friction_states import last_directions
-from ctrplan.pipeline.parametric_chain import ParametricChain, Prediction, Term
+from ctrplan.pipeline.parametric_chain import ParametricChain
+from ctrplan.pipeline.prediction import Prediction
+from ctrplan.pipeline.term import Term
 from ctrplan.sensor.poses import Poses, frames_along
 
 

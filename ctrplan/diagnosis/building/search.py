@@ -21,7 +21,7 @@ from ctrplan.diagnosis.workbench import Scored, certainty
 from ctrplan.effects.learned.learned import Learned, learned, named
 from ctrplan.effects.learned.ranges import Range
 from ctrplan.effects.learned.targets import Target
-from ctrplan.pipeline.parametric_chain import Term
+from ctrplan.pipeline.term import Term
 
 MOST_PIECES = 4
 DRAWS = 200  # surrogates

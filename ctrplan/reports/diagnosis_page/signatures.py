@@ -10,7 +10,7 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.diagnosis.localise import quantities
 from ctrplan.diagnosis.result import Diagnosis
-from ctrplan.pipeline.parametric_chain import Term
+from ctrplan.pipeline.term import Term
 
 PARTS = 8  # of a quantity's range, by rank
 LEAST_M = 1e-9  # a shift that has a direction

@@ -10,7 +10,7 @@ from ctrplan.base.version import __version__
 from ctrplan.calibration.estimates import estimates
 from ctrplan.calibration.pose_errors import Errors
 from ctrplan.diagnosis.result import Diagnosis
-from ctrplan.pipeline.parametric_chain import Term
+from ctrplan.pipeline.term import Term
 from ctrplan.reports.diagnosis_page.figures import signature_figure
 from ctrplan.reports.diagnosis_page.selection_errors import SelectionErrors
 from ctrplan.reports.glossary import term
