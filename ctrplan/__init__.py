@@ -12,7 +12,8 @@ from ctrplan.base.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from ctrplan import planning
-    from ctrplan.calibration.calibrate import Calibration, calibrate
+    from ctrplan.calibration.calibrate import calibrate
+    from ctrplan.calibration.calibration import Calibration
     from ctrplan.cases.case import Case
     from ctrplan.cases.case import case as case
     from ctrplan.diagnosis.diagnose import diagnose as diagnose
@@ -46,7 +47,7 @@ if TYPE_CHECKING:
     from ctrplan.verification.verify import verify as verify
 
 _HOMES = {
-    "Calibration": "calibration.calibrate",
+    "Calibration": "calibration.calibration",
     "Diagnosis": "diagnosis.result",
     "calibrate": "calibration.calibrate",
     "Case": "cases.case",

@@ -8,104 +8,28 @@ squared apart, which is the likelihood of independent Gaussian errors. With weig
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arguments import SEED, Choice, Interval, Made, Number, Table, Texts, Whole, checked
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.base_parameters import ABSOLUTE_STIFFNESS, BaseParameters
-from ctrplan.calibration.estimates import Estimate, estimates
-from ctrplan.calibration.gross_outliers import gross_outliers, outlier_sentences, too_many
-from ctrplan.calibration.identifiability import Combination, combinations
+from ctrplan.calibration.calibration import Calibration, calibrated
+from ctrplan.calibration.chosen_terms import chosen_terms, spelled_out
+from ctrplan.calibration.gross_outliers import gross_outliers, too_many
 from ctrplan.calibration.least_squares import Fit, fit
-from ctrplan.calibration.pose_errors import Errors, distances, summary
 from ctrplan.calibration.residuals import Noise
-from ctrplan.calibration.robot_content import calibrated_content, model_error_m, within_file
-from ctrplan.calibration.symptoms import symptoms
-from ctrplan.calibration.unsolved import excused, unsolved_sentence
-from ctrplan.effects.catalogue import CATALOGUE
-from ctrplan.effects.effect import Effect, Parameter, Values
+from ctrplan.calibration.weighting import Weighting, weighed_by
+from ctrplan.effects.effect import Parameter
 from ctrplan.errors import InputError
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.experiment.split import groups
 from ctrplan.pipeline.friction_path import friction_correction
 from ctrplan.pipeline.parametric_chain import ParametricChain
-from ctrplan.pipeline.term import Term, term
-from ctrplan.robot.named_numbers import value_of
+from ctrplan.pipeline.term import Term
 from ctrplan.robot.robot import Robot
 
-Weighting = Literal["stated", "paper"]
-
-PAPER = Noise(1e-3, float(np.radians(1.0)))  # 1 deg of the tangent weighs as much as 1 mm, text at (49)
-NO_TANGENT_SIGMA = "is missing, needed for the tangents of these measurements"
-RELATIVE_PRIOR, LEAST_PRIOR = 0.2, 0.2  # of a named number whose size is known, and of one that is zero
-IN_FILES = (  # keys that a robot file has
-    "bending_stiffness_Nm2",
-    "poisson_ratio",
-    "curvature_x_per_m",
-    "curvature_y_per_m",
-    "length_m",
-    "clearance_m",
-    "friction_coefficient",
-)
 SPREAD = 0.7  # of the priors that further starts are drawn with
-
-
-class NamedParameters(Effect):
-    """Numbers of the robot by their names, `parameters.py`, as a term of the mechanics."""
-
-    name = "named"
-    stage = "mechanics"
-    of_the_file = True
-
-    def __init__(self, names: Sequence[str], priors: Mapping[str, float], bounds: Mapping[str, tuple[float, float]]):
-        """priors: name -> standard deviation; bounds: name -> (lowest, highest); usual ones for names not in them."""
-        self.names, self.priors, self.bounds = tuple(names), priors, bounds
-
-    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        """The named numbers, with the priors and bounds that were given for them."""
-        return tuple(self._parameter(robot, name) for name in self.names)
-
-    def mechanics(self, values: Values, robot: Robot) -> Mapping[str, float]:
-        """The robot's numbers are the parameters themselves."""
-        return dict(values)
-
-    def _parameter(self, robot: Robot, name: str) -> Parameter:
-        value = value_of(robot, name)
-        low, high = self.bounds.get(name, _usual_bounds(name))
-        prior = self.priors.get(
-            name, 0.15 if name.endswith("poisson_ratio") else RELATIVE_PRIOR * abs(value) or LEAST_PRIOR
-        )
-        return Parameter(name, prior, neutral=value, lower=low, upper=high)
-
-
-@dataclass(frozen=True, eq=False)
-class Calibration:
-    """A fit of named parameters. Estimates are in the units of the names."""
-
-    fit: Fit
-    estimates: Mapping[str, Estimate]
-    training: Errors
-    held_out: Errors | None  # None when no pose was kept aside
-    nominal: Errors  # of all poses, with the file's values
-    combinations: tuple[Combination, ...]  # least known first
-    model_error_m: float
-    notes: tuple[str, ...]
-    data: Measurements
-    first: Fit | None = None  # of two passes
-
-    @property
-    def robot(self) -> Robot:
-        """The calibrated robot, its effects at work."""
-        return self.fit.chain.installed_at(self.fit.p)
-
-    def robot_content(self) -> dict[str, Any]:
-        """The content of the new robot file; the parent is not touched."""
-        effects = [t for t in self.fit.chain.terms if not t.effect.of_the_file]
-        return calibrated_content(self.fit, effects, self.data, self.model_error_m, self.first)
 
 
 @checked(
@@ -142,16 +66,16 @@ def calibrate(
     Poses that went wrong, `gross_outliers.py`, are left out of all fits and errors, and a note names their rows.
     Raises InputError for unknown names, for names given twice and for too few poses.
     """
-    names = _spelled_out(["calibration"] if parameters is None else parameters, robot, measurements)
-    second_pass = _spelled_out(second_pass, robot, measurements)
+    names = spelled_out(["calibration"] if parameters is None else parameters, robot, measurements)
+    second_pass = spelled_out(second_pass, robot, measurements)
     for name in names:
         if [*names, *second_pass].count(name) > 1:
             raise InputError("is named twice", key=name)
-    noise = _noise(robot, measurements, weighting)
+    noise = weighed_by(robot, measurements, weighting)
     group = groups(measurements)
     aside = _aside(group, held_out, seed)
-    terms = _terms(robot, names, priors or {}, bounds or {})
-    more = _terms(robot, second_pass, priors or {}, bounds or {}) if second_pass else []
+    terms = chosen_terms(robot, names, priors or {}, bounds or {})
+    more = chosen_terms(robot, second_pass, priors or {}, bounds or {}) if second_pass else []
 
     def fitted(poses: NDArray[np.bool_]) -> list[Fit]:
         _check_count(measurements.subset(poses), group[poses], len(names) + len(second_pass))
@@ -159,7 +83,7 @@ def calibrate(
         return [first, _second(first, more)] if more else [first]
 
     passes, wrong = _without_outliers(fitted, measurements, aside)
-    return _calibration(passes, measurements, group, aside, wrong)
+    return calibrated(passes, measurements, group, aside, wrong)
 
 
 def _without_outliers(
@@ -173,68 +97,6 @@ def _without_outliers(
         if not more.any() or too_many(wrong | more, np.ones_like(wrong)):
             return passes, wrong
         wrong |= more
-
-
-def _base_names(robot: Robot) -> list[str]:
-    return [p.name for p in BaseParameters().parameters(robot) if p.name != ABSOLUTE_STIFFNESS]
-
-
-def _spelled_out(names: Sequence[str], robot: Robot, data: Measurements) -> list[str]:
-    """Names with "calibration" and whole effects in the place of their parameters."""
-    spelled: list[str] = []
-    for name in names:
-        kind, _, effect = name.partition(".")
-        if name == BaseParameters.name:
-            spelled += _base_names(robot)
-        elif kind == "effects" and effect in CATALOGUE:
-            if reason := CATALOGUE[effect].untestable(robot, data):
-                raise InputError(f"can't be fitted: {reason}", file=data.file, key=name)
-            widest = max(CATALOGUE[effect].variants(robot, data), key=len)
-            spelled += [f"{name}.{parameter}" for parameter in widest]
-        else:
-            spelled.append(name)
-    return spelled
-
-
-def _terms(
-    robot: Robot, names: Sequence[str], priors: Mapping[str, float], bounds: Mapping[str, tuple[float, float]]
-) -> list[Term]:
-    base = {parameter.name for parameter in BaseParameters().parameters(robot)}
-    sorted_names: dict[str, list[str]] = {}
-    for name in names:
-        kind, *rest = name.split(".")
-        if kind == "effects":
-            if len(rest) != 2 or rest[0] not in CATALOGUE:
-                raise InputError(f"unknown effect, known ones are {', '.join(CATALOGUE)}", key=name)
-            if rest[1] not in {parameter.name for parameter in CATALOGUE[rest[0]].parameters(robot)}:
-                raise InputError(f"is not a parameter of {rest[0]}", key=name)
-            sorted_names.setdefault(rest[0], []).append(rest[1])
-        else:
-            if name not in base:
-                _check_named(robot, name)
-            sorted_names.setdefault("base" if name in base else "named", []).append(name)
-    effects: dict[str, Effect] = {"base": BaseParameters()} | dict(CATALOGUE)
-    effects["named"] = NamedParameters(sorted_names.get("named", []), priors, bounds)
-    order = sorted(sorted_names, key=lambda kind: ("base", "named").index(kind) if kind in ("base", "named") else 2)
-    return [term(effects[kind], sorted_names[kind], robot) for kind in order]
-
-
-def _check_named(robot: Robot, name: str) -> None:
-    value_of(robot, name)
-    if name.rsplit(".", 1)[-1] not in IN_FILES:
-        rule = f"has no key in a robot file, use effects.NAME.PARAMETER with NAME of {', '.join(CATALOGUE)}"
-        raise InputError(rule, key=name)
-
-
-def _noise(robot: Robot, data: Measurements, weighting: Weighting | None) -> Noise:
-    stated = robot.measurement
-    if weighting == "stated" and stated is None:
-        raise InputError("is missing, needed for weights from the stated noise", file=robot.path, key="measurement")
-    if stated is None or weighting == "paper":
-        return PAPER
-    if stated.tangent_sigma_rad is None and data.has_tangents:
-        raise InputError(NO_TANGENT_SIGMA, file=robot.path, key="measurement.tangent_sigma_deg")
-    return Noise(stated.position_sigma_m, stated.tangent_sigma_rad or PAPER.tangent_rad)
 
 
 def _aside(group: NDArray[np.int_], share: float, seed: int) -> NDArray[np.bool_]:
@@ -280,87 +142,3 @@ def _held(parameter: Parameter, value: float) -> Parameter:
     return Parameter(
         parameter.name, tight, neutral=value, lower=parameter.lower, upper=parameter.upper, si=parameter.si
     )
-
-
-def _calibration(
-    passes: Sequence[Fit],
-    everything: Measurements,
-    everyones: NDArray[np.int_],
-    apart: NDArray[np.bool_],
-    wrong: NDArray[np.bool_],
-) -> Calibration:
-    """Of all poses, their groups, those kept aside and those that went wrong, (K,) each."""
-    data, group, aside = everything.subset(~wrong), everyones[~wrong], apart[~wrong]
-    passes, noticed = [*passes[:-1], within_file(passes[-1])], symptoms(passes[0])
-    first, found = passes[0], passes[-1]
-    robot, terms = found.chain.robot, found.chain.terms
-    trained = held = PoseErrors.of(found.chain, found.p, group[~aside])
-    if aside.any():
-        chain = ParametricChain(robot, data.subset(aside), terms)
-        chain.correction = friction_correction(chain, found.p)
-        held = PoseErrors.of(chain, found.p, group[aside])
-    whole = ParametricChain(robot, data, terms)
-    nominal = PoseErrors.of(whole, whole.neutral, group)
-    least_known = tuple(combinations(first))
-    unknown = [
-        f"The data can't tell {' and '.join(c.parameters)} apart from the prior: "
-        f"{100 * c.posterior_share:.0f} % of it is left."
-        for c in least_known
-        if not c.is_known
-    ]
-    return Calibration(
-        fit=found,
-        estimates={n: e for f in reversed(passes) for t in f.chain.terms for n, e in estimates(f, t).items()},
-        training=trained.errors,
-        held_out=held.errors if aside.any() else None,
-        nominal=nominal.errors,
-        combinations=least_known,
-        model_error_m=model_error_m(held.distance_m, found.noise.position_m),
-        notes=(
-            *data.warnings,
-            *unknown,
-            *unsolved_sentence(data, nominal.failed, nominal.counted, "with the file's values"),
-            *_unsolved(data, aside, trained, held),
-            *outlier_sentences(found, everything, wrong),
-            *noticed,
-        ),
-        data=everything,
-        first=passes[0] if len(passes) > 1 else None,
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class PoseErrors:
-    """What a fit leaves of the poses (K,) of a chain."""
-
-    distance_m: Array  # of those that count: not where the model has no solution, unless it has none at too many
-    errors: Errors
-    failed: NDArray[np.bool_]  # (K,)
-    counted: NDArray[np.bool_]  # (K,)
-
-    @classmethod
-    def of(cls, chain: ParametricChain, p: Array, group: NDArray[np.int_]) -> PoseErrors:
-        """Of a chain at parameters (P,); `group` (K,) numbers the configurations."""
-        prediction = chain.predict(p, derivatives=False)
-        counted = ~excused(prediction.failed)
-        distance = distances(prediction, chain.data)[counted]
-        return cls(distance, summary(distance, group[counted]), prediction.failed, counted)
-
-
-def _unsolved(data: Measurements, aside: NDArray[np.bool_], trained: PoseErrors, held: PoseErrors) -> list[str]:
-    failed, counted = np.zeros((2, data.count), bool)
-    failed[~aside], counted[~aside] = trained.failed, trained.counted
-    if aside.any():
-        failed[aside], counted[aside] = held.failed, held.counted
-    return unsolved_sentence(data, failed, counted, "calibrated")
-
-
-def _usual_bounds(name: str) -> tuple[float, float]:
-    key = name.rsplit(".", 1)[-1]
-    if key == "poisson_ratio":
-        return -0.95, 2.0
-    if key in ("bending_stiffness_Nm2", "clearance_m", "length_m"):
-        return 1e-9, float("inf")
-    if key == "friction_coefficient":
-        return 0.0, 2.0
-    return -float("inf"), float("inf")

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.calibrate import PAPER
 from ctrplan.calibration.residuals import Noise
+from ctrplan.calibration.weighting import PAPER
 from ctrplan.experiment.friction_states import friction_state, last_directions
 from ctrplan.experiment.measurements import LONGEST_LAG_S, Measurements
 from ctrplan.experiment.motion import rest_began

@@ -15,7 +15,7 @@ from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 from ctrplan.storage.output_folder import output_folder, written_together
 
 if TYPE_CHECKING:
-    from ctrplan.calibration.calibrate import Calibration
+    from ctrplan.calibration.calibration import Calibration
     from ctrplan.calibration.pose_errors import Errors
 
 OUTPUTS = ("robot.toml", "calibration.json", "report.html")

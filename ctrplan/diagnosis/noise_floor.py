@@ -11,9 +11,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ctrplan.calibration.calibrate import NO_TANGENT_SIGMA, PAPER
 from ctrplan.calibration.residuals import Noise
 from ctrplan.calibration.shown_noise import LEAST_SPARE, ShownNoise, repeats, shown_noises
+from ctrplan.calibration.weighting import NO_TANGENT_SIGMA, PAPER
 from ctrplan.errors import InputError
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.robot.robot import Robot

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import plotly.graph_objects as go
 
 from ctrplan.base.version import __version__
-from ctrplan.calibration.calibrate import Calibration
+from ctrplan.calibration.calibration import Calibration
 from ctrplan.calibration.pose_errors import Errors
 from ctrplan.reports import palette
 from ctrplan.reports.glossary import glossary, term

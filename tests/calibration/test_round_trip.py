@@ -13,8 +13,9 @@ from effect_values import OF_CONTINUOUS_MOTIONS, continuous_motion, effects
 from measured_data import measured, pair_robot, waypoints
 
 from ctrplan.calibration.base_parameters import BaseParameters
-from ctrplan.calibration.calibrate import NamedParameters, calibrate
+from ctrplan.calibration.calibrate import calibrate
 from ctrplan.calibration.least_squares import Fit, fit_at
+from ctrplan.calibration.named_parameters import NamedParameters
 from ctrplan.calibration.residuals import Noise
 from ctrplan.calibration.robot_content import calibrated_content
 from ctrplan.effects.catalogue import CATALOGUE

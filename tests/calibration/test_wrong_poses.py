@@ -10,7 +10,8 @@ import pytest
 from measured_data import SIGMA_M, measured, pair_robot, waypoints, write_csv
 from numpy.typing import NDArray
 
-from ctrplan.calibration.calibrate import Calibration, calibrate
+from ctrplan.calibration.calibrate import calibrate
+from ctrplan.calibration.calibration import Calibration
 from ctrplan.cli import main
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import write_robot

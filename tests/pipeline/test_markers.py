@@ -11,7 +11,8 @@ from measured_data import SIGMA_M, chain_of, measured, pair_robot, waypoints
 from scipy.spatial.transform import Rotation
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.calibrate import NamedParameters, calibrate
+from ctrplan.calibration.calibrate import calibrate
+from ctrplan.calibration.named_parameters import NamedParameters
 from ctrplan.calibration.residuals import Noise, residuals
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import robot_from_dict
