@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import PER_POSE, information_inverse, robust_square
@@ -104,5 +105,8 @@ def _solved(matrix: Array, right: Array) -> Array:
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
     scaled = matrix * np.outer(scale, scale)
     shaped = scale if right.ndim == 1 else scale[:, None]
-    solved: Array = shaped * np.linalg.lstsq(scaled, shaped * right, rcond=1e-13)[0]
+    try:
+        solved: Array = shaped * cho_solve(cho_factor(scaled, check_finite=False), shaped * right, check_finite=False)
+    except np.linalg.LinAlgError:  # not positive definite by rounding: what nothing determines stays where it is
+        solved = shaped * np.linalg.lstsq(scaled, shaped * right, rcond=1e-13)[0]
     return solved

@@ -7,13 +7,18 @@ elastically over `BREAKAWAY_RAD` and slips beyond. For continuous motions a simu
 
 from __future__ import annotations
 
+from weakref import WeakKeyDictionary
+
 import numpy as np
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, read_only
 from ctrplan.experiment.measurements import SAME_ROTATION_RAD, SAME_TRANSLATION_M, Measurements
 
 RELEASING_SWINGS = 6  # that many, each smaller than the one before, are a decreasing oscillation
 BREAKAWAY_RAD = np.radians(30.0)  # relative rotation from released to slipping everywhere (docs/diagnosis.md)
+
+_DIRECTIONS: WeakKeyDictionary[Measurements, Array] = WeakKeyDictionary()  # fits ask hundreds of times
+_PLAIN_STATES: WeakKeyDictionary[Measurements, Array] = WeakKeyDictionary()
 
 
 def friction_state(data: Measurements, release_m: float = np.inf, breakaway_rad: float = BREAKAWAY_RAD) -> Array:
@@ -21,6 +26,14 @@ def friction_state(data: Measurements, release_m: float = np.inf, breakaway_rad:
 
     A relative translation by `release_m` turns the friction axial and leaves 1/e of the circumferential share.
     """
+    if np.isfinite(release_m) or breakaway_rad != BREAKAWAY_RAD:
+        return _followed(data, release_m, breakaway_rad)
+    if data not in _PLAIN_STATES:
+        _PLAIN_STATES[data] = read_only(_followed(data, release_m, breakaway_rad))
+    return _PLAIN_STATES[data]
+
+
+def _followed(data: Measurements, release_m: float, breakaway_rad: float) -> Array:
     turns = np.diff(data.theta_commanded, axis=1)
     slides = np.diff(data.l_commanded, axis=1)
     state = np.zeros_like(turns)
@@ -45,6 +58,12 @@ def last_directions(data: Measurements) -> Array:
     0 where the run has not moved the actuator yet, and after an oscillation of decreasing amplitude, which leaves play
     and elastic wind-up of a drive in the middle.
     """
+    if data not in _DIRECTIONS:
+        _DIRECTIONS[data] = read_only(_last_directions(data))
+    return _DIRECTIONS[data]
+
+
+def _last_directions(data: Measurements) -> Array:
     joints = np.hstack([data.theta_commanded, data.l_commanded])
     still = np.repeat([SAME_ROTATION_RAD, SAME_TRANSLATION_M], data.n) / 10
     directions = np.zeros((data.count, joints.shape[1]))

@@ -24,7 +24,8 @@ from ctrplan.pipeline.prediction import Prediction
 from ctrplan.pipeline.stage_columns import StageColumns, unit
 from ctrplan.pipeline.term import Term
 from ctrplan.pipeline.term_values import TermValues
-from ctrplan.pipeline.tip_table import TipTable, nested
+from ctrplan.pipeline.tip_frames import remembered_tip_x
+from ctrplan.pipeline.tip_table import TipTable
 from ctrplan.robot.named_numbers import value_of, with_values
 from ctrplan.robot.robot import Robot
 from ctrplan.sensor.poses import Poses, frames_along
@@ -100,20 +101,26 @@ class ParametricChain(TermValues):
 
     def collars(self, p: Array) -> Collars:
         """Where the collars of the K poses stand."""
-        return self.at(p).collars(self.data, self._directions)
+        return self._collars(self.at(p))
+
+    def _collars(self, chain: Chain) -> Collars:
+        return chain.collars(self.data, last_directions(self.data))
 
     def friction_state(self, p: Array) -> Array:
         """(K, n - 1) circumferential share of the Coulomb limit of each pair."""
         chain = self.at(p)
         if self.followed_phi is not None:
             return self.followed_phi * chain.friction_share(self.data)
-        plain = self._plain_phi if np.isinf(chain.release_m) else friction_state(self.data, chain.release_m)
-        return plain * chain.friction_share(self.data)
+        return friction_state(self.data, chain.release_m) * chain.friction_share(self.data)
 
     def predict(self, p: Array, *, derivatives: bool = True) -> Prediction:
         """Poses at parameters (P,), in the order of the terms."""
         chain = self.at(p)
-        robot, collars, phi = chain.mechanics, chain.collars(self.data, self._directions), self.friction_state(p)
+        robot, collars, phi = (
+            chain.mechanics,
+            chain.collars(self.data, last_directions(self.data)),
+            self.friction_state(p),
+        )
         asked = StageColumns(self, p) if derivatives else None
         changes = chain.changing(self.data)
         table = self._table(robot, collars, phi, asked.names if asked else [], changes)
@@ -136,17 +143,9 @@ class ParametricChain(TermValues):
         And (K,) whether that is an equilibrium of collars that nest.
         """
         chain = self.at(p)
-        collars, changes = chain.collars(self.data, self._directions), chain.changing(self.data)
+        collars, changes = self._collars(chain), chain.changing(self.data)
         table = self._table(chain.mechanics, collars, self.friction_state(p), [], changes)
         return _followed(table, changes)[0], table.sound
-
-    @cached_property
-    def _directions(self) -> Array:
-        return last_directions(self.data)
-
-    @cached_property
-    def _plain_phi(self) -> Array:
-        return friction_state(self.data)
 
     def _of_markers(self, p: Array, here_m: Array, by: Array) -> None:
         """Of markers, now at (K, 3) [m], by differences of whole solves: the core differentiates tips alone."""
@@ -177,7 +176,7 @@ class ParametricChain(TermValues):
         return ParametricChain(self.robot, self.data.subset(self._body), self.terms)
 
     def _tip_x(self, chain: Chain, collars: Collars, phi: Array, tangent: Array) -> Array:
-        """(K, 3) x axis of the innermost tube's frame at the tip; solved once, for it hardly moves during a fit.
+        """(K, 3) x axis of the innermost tube's frame at the tip; found once, for it hardly moves during a fit.
 
         Without a sensor that is fixed to the tube any direction across the tangent will do.
         """
@@ -185,9 +184,7 @@ class ParametricChain(TermValues):
             across: Array = np.eye(3)[np.argmin(np.abs(tangent), axis=1)]
             return across
         if self._across is None:
-            robot = chain.mechanics
-            rows = zip(collars.theta, nested(robot, collars.l), phi, strict=True)
-            self._across = np.array([robot.solve(*row).tubes[-1].frames[-1, :, 0] for row in rows])
+            self._across = remembered_tip_x(self.data, chain.mechanics, collars, phi, tangent)
         return self._across
 
 

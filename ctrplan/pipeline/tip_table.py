@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.mechanics.core import Accuracy
+from ctrplan.mechanics.loads import Loads
 from ctrplan.mechanics.nesting import is_in_order, moved_to_nest
 from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.tube import Tube
 from ctrplan.robot.robot import Robot
 
 NESTED_M = 1e-8  # collars and tips out of order by less do not matter
 SAME = 1e-12  # configurations that differ by less are solved once
+MOST_REMEMBERED = 12  # tables: fits ask again where the one before them ended, a quarter of all a diagnosis asks
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +43,7 @@ def tip_table(
     phi = phi * _rubbing(robot, names)
     rows = np.hstack([theta_b, inside, phi])
     first, back = distinct(rows)
-    table = _solved(robot, theta_b[first], inside[first], phi[first], names, accuracy)
+    table = _solved(_Asked.of(robot, rows[first], names, accuracy))
     found = TipTable(*(getattr(table, key)[back] for key in TipTable.__dataclass_fields__))
     return replace(found, sound=found.sound & sound)
 
@@ -62,8 +66,29 @@ def nested(robot: Robot, l_b: Array) -> Array:
     return moved_to_nest(robot.tubes, l_b)
 
 
-def _solved(robot: Robot, theta_b: Array, l_b: Array, phi: Array, names: Sequence[str], accuracy: Accuracy) -> TipTable:
-    tips = robot.mechanics.tips_with_friction(theta_b, l_b, phi, parameters=tuple(names), accuracy=accuracy)
+@dataclass(frozen=True)
+class _Asked:
+    """What decides on a table: the numbers of the mechanics, and rows (D, 3 n - 1) of collars and friction states."""
+
+    tubes: tuple[Tube, ...]
+    loads: Loads
+    pairs: bytes
+    rows: bytes
+    names: tuple[str, ...]
+    accuracy: Accuracy
+    robot: Robot = field(compare=False)
+
+    @classmethod
+    def of(cls, robot: Robot, rows: Array, names: Sequence[str], accuracy: Accuracy) -> _Asked:
+        pairs = np.hstack([robot.clearance_m, robot.friction[:, 1]]).tobytes()
+        return cls(robot.tubes, robot.loads, pairs, rows.tobytes(), tuple(names), accuracy, robot)
+
+
+@lru_cache(MOST_REMEMBERED)
+def _solved(asked: _Asked) -> TipTable:
+    n = asked.robot.n
+    theta_b, l_b, phi = np.split(np.frombuffer(asked.rows).reshape(-1, 3 * n - 1), [n, 2 * n], axis=1)
+    tips = asked.robot.mechanics.tips_with_friction(theta_b, l_b, phi, parameters=asked.names, accuracy=asked.accuracy)
     failed = tips.status == Status.FAILED
     sound = ~failed & (tips.status != Status.UNSTABLE)
     by = np.nan_to_num(tips.position_by), np.nan_to_num(tips.tangent_by)  # NaN where a joint can't be moved by itself
