@@ -14,7 +14,11 @@ from measured_data import measured, pair_robot, waypoints, write_csv
 
 from ctrplan.cli import main
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
+from ctrplan.diagnosis.answer import Answer
+from ctrplan.diagnosis.chi_square import remains
 from ctrplan.diagnosis.confirmation import confirm
+from ctrplan.diagnosis.opening import opened
+from ctrplan.diagnosis.partly import Partly
 from ctrplan.diagnosis.sentences import effect_lines
 from ctrplan.errors import InputError
 from ctrplan.experiment.measurements import Measurements
@@ -62,6 +66,27 @@ def test_what_is_handed_over_is_a_robot_with_the_effect_a_frame_and_an_honest_er
     assert {"backlash", "base_misalignment"} >= set(content["effects"]) > {"base_misalignment"}
     assert content["model_error_mm"] > 0.5  # what remains is in every margin
     assert robot_from_dict(content).effects["backlash"]["theta_2_deg"] == pytest.approx(8.0, abs=1.5)
+
+
+def test_an_effect_that_is_taken_back_leaves_figures_over_the_noise_alone() -> None:
+    found, against = partial(), beside_a_rest({"backlash": {"theta_2_deg": -8.0}})
+    part = found.partly
+    assert part is not None
+    position, tangent, aside = found.data.position_m.copy(), found.data.tangent.copy(), part.split.held_out_set
+    position[aside], tangent[aside] = against.position_m[aside], against.tangent[aside]  # the other way round
+    asked = opened(answer_of(part), replace(found.data, position_m=position, tangent=tangent))
+    assert asked.judgement.verdict == "unexplained" and not asked.judgement.findings
+    left, beside = asked.judgement.adequacy, remains(part.bench, asked.written)  # the latter with a rest allowed for
+    assert left.total.ratio > 1.2 * beside.total.ratio
+    assert left.total.ratio > part.judgement.adequacy.total.ratio > 3  # less is explained than with the effect
+
+
+def answer_of(part: Partly) -> Answer:
+    nothing_wrong = np.zeros(PLAN.count, bool)
+    return Answer(
+        part.bench, (), part.chosen, part.base, part.judgement, part.split, part.block, part.bench.plain, False,
+        nothing_wrong, (), partly=part,
+    )  # fmt: skip
 
 
 def test_a_rest_alone_names_nothing() -> None:
