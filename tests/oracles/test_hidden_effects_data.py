@@ -14,7 +14,7 @@ from hidden_effects import drive, effects, sensor
 from hidden_effects.bank import cases, make
 from hidden_effects.case import Case
 from hidden_effects.chain import Poses, poses
-from hidden_effects.dataset import robot_toml
+from hidden_effects.dataset import measurements_csv, robot_toml
 from hidden_effects.effects import Draw
 from hidden_effects.experiment import Experiment, approaches, continuous_motion
 from hidden_effects.friction import remaining
@@ -148,7 +148,11 @@ def test_robots_of_two_and_four_tubes_are_what_the_model_says(name: str, tmp_pat
     assert len(k) == 2 ** (world.n - 1) + 1 and np.all(np.abs(plan.motion.l - world.middle_m) <= world.half_m + 1e-12)
     one = replace(plan, measured=np.arange(len(plan.measured)) == k[-1])
     shape = robot.solve(plan.motion.theta[k[-1]], plan.motion.l[k[-1]])
-    np.testing.assert_allclose(poses(world, one).p[0], shape.tip_m, atol=0.1e-3)
+    tip = poses(world, one)
+    np.testing.assert_allclose(tip.p[0], shape.tip_m, atol=0.1e-3)
+    (tmp_path / "measurements.csv").write_text(measurements_csv(one, tip.p, tip.tangent))
+    read = ctrplan.load_measurements(tmp_path / "measurements.csv", robot)
+    np.testing.assert_allclose(read.theta_commanded, plan.motion.theta, atol=1e-6)  # nothing is taken for wrapped
 
 
 def test_lag_reports_where_the_tip_was() -> None:

@@ -78,7 +78,7 @@ def approaches(
     """
     rows: list[tuple[Array, Array, float, int, bool, Array, Array]] = []
     clock, sequence, n = 0.0, 0, world.n
-    none = np.zeros(n - 1)
+    none, swung = np.zeros(n - 1), np.arange(n) if n < 4 else np.arange(n) % 2  # no tube by more than half a turn
     thetas, ls = draw_configurations(world, count, rng, least_stability)
     for k, (theta, l_b) in enumerate(zip(thetas, ls, strict=True)):
         away = np.zeros(n)
@@ -88,6 +88,9 @@ def approaches(
             phi = np.array(signs)
             back = np.concatenate([[0.0], np.cumsum(phi * QUARTER)])
             rows.append((theta - back, l_b + away, clock, sequence, False, none, none))
+            if np.abs(back).max() > np.pi:  # a reader of rows could not tell which way round it went
+                halfway = (theta - back / 2, l_b + away, clock + TURN_S / 2, sequence, False, none, none)
+                rows.append(halfway)
             if away.any():
                 rows.append((theta, l_b + away, clock + TURN_S, sequence, False, phi, none))
                 clock += 1.0
@@ -95,7 +98,7 @@ def approaches(
             clock += TURN_S + PAUSE_S
             sequence += 1
         for swing in OSCILLATION:
-            rows.append((theta + swing * np.arange(n), l_b, clock, sequence, swing == 0, none, none))
+            rows.append((theta + swing * swung, l_b, clock, sequence, swing == 0, none, none))
             clock += SWING_S
         clock += PAUSE_S - SWING_S
         sequence += 1
