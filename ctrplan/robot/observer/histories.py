@@ -71,9 +71,13 @@ class Histories:
         return anew
 
     def begin(self, states: Sequence[Array], score: float) -> list[Member]:
-        """Histories from states, where the robot stands."""
+        """Histories from states, where the robot stands, with the derivatives of the nearest one for the time being."""
         assert self.at is not None
-        return self._begun(states, *self.at, score)
+        found = self._begun(states, *self.at, score)
+        for member in found:
+            nearest = min(self.members, key=lambda other: float(np.abs(other.phi - member.phi).max(initial=0.0)))
+            member.slopes, member.slopes_at = nearest.slopes, nearest.slopes_at
+        return found
 
     def _begun(self, states: Sequence[Array], theta_b: Array, l_b: Array, score: float) -> list[Member]:
         """Of the robot as slow parameters have it by now."""
@@ -92,9 +96,9 @@ class Histories:
                 member.history = fine
         if self._waiting:
             count = len(self.members) + len(self._waiting)
-            self.members = self.members + self.begin(self._waiting, self.total_score - math.log(count))
-            self._waiting = []
-            self.renew_slopes()
+            joined = self.begin(self._waiting, self.total_score - math.log(count))
+            self._differentiate(joined)
+            self.members, self._waiting = self.members + joined, []
 
     def of_the_file(self, member: Member) -> History:
         """A member's history; of the robot as the file has it, from the same friction, if it is of another."""
@@ -112,32 +116,28 @@ class Histories:
         """
         if not self._slow.names:
             return
-        assert self.at is not None
-        here = [np.concatenate([*self.at, member.phi]) for member in self.members]
-        stale = [k for k, at in enumerate(here) if not self._has_slopes_near(self.members[k], at)]
-        known = [member for member in self.members if len(member.slopes_at)]
-        if known and stale:
-            for k in stale:
-                self._borrow(self.members[k], here[k], known)
-            stale = [max(stale, key=lambda k: self.members[k].score)]
-        if stale:
-            rows = np.array([here[k] for k in stale])
-            n = self.mechanics.n
+        stale = [member for member in self.members if not self._has_slopes_near(member, self._here(member))]
+        if stale and all(len(member.slopes_at) for member in stale):
+            stale = [max(stale, key=lambda member: member.score)]
+        self._differentiate(stale)
+
+    def _differentiate(self, members: Sequence[Member]) -> None:
+        if members and self._slow.names:
+            n, rows = self.mechanics.n, np.array([self._here(member) for member in members])
             slopes = self._slow.slopes(self.mechanics, *np.split(rows, [n, 2 * n], axis=1))
-            for k, of in zip(stale, slopes, strict=True):
-                self.members[k].slopes, self.members[k].slopes_at = of, here[k]
+            for member, at, of in zip(members, rows, slopes, strict=True):
+                member.slopes, member.slopes_at = of, at
+
+    def _here(self, member: Member) -> Array:
+        """(2 n + n - 1,) collars and friction of a member."""
+        assert self.at is not None
+        return np.concatenate([*self.at, member.phi])
 
     def ahead(self, member: Member, path: HistoryPath, theta_b: Array, l_b: Array) -> Array:
         """(K, 3, P) derivatives of a member's tips along its path, through collars (K, n), (K, n)."""
         if self._slow.names and not self._has_slopes_near(member, np.hstack([theta_b, l_b, path.phi])):
             return self._slow.slopes(self.mechanics, theta_b, l_b, path.phi)
         return np.broadcast_to(member.slopes, (len(theta_b), *member.slopes.shape))
-
-    def _borrow(self, member: Member, here: Array, known: Sequence[Member]) -> None:
-        """The derivatives of the nearest history that has any, by a member that has none."""
-        if not len(member.slopes_at):
-            nearest = min(known, key=lambda other: float(np.abs(other.slopes_at - here).max()))
-            member.slopes, member.slopes_at = nearest.slopes, nearest.slopes_at
 
     def _has_slopes_near(self, member: Member, at: Array) -> bool:
         """Whether a member's derivatives hold at collars and friction states (2 n + n - 1,), or (K, 2 n + n - 1)."""

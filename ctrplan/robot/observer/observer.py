@@ -208,7 +208,6 @@ class Observer:
         joined = self._bank.begin(states, self._bank.total_score + math.log(TRIED_SHARE / len(states)))
         kept = sorted(self._bank.members, key=lambda member: -member.score)[: max(1, self._most - len(joined))]
         self._bank.members = kept + joined
-        self._bank.renew_slopes()
 
     def _estimate(self) -> TipEstimate:
         members = self._bank.members
