@@ -110,16 +110,16 @@ class Histories:
         return own
 
     def renew_slopes(self) -> None:
-        """Derivatives by the slow parameters, of those without any, and of one whose are of elsewhere by now.
+        """Derivatives by the slow parameters where those known are of elsewhere by now.
 
-        The one is the likeliest, so that no step takes much longer than others.
+        Of all that are of twice as far away, or else of the likeliest, so that no small step takes longer than others.
         """
         if not self._slow.names:
             return
-        stale = [member for member in self.members if not self._has_slopes_near(member, self._here(member))]
-        if stale and all(len(member.slopes_at) for member in stale):
-            stale = [max(stale, key=lambda member: member.score)]
-        self._differentiate(stale)
+        away = {member: self._away(member, self._here(member)) for member in self.members}
+        overdue = [member for member, far in away.items() if far > 2]
+        stale = [member for member, far in away.items() if far > 1]
+        self._differentiate(overdue or sorted(stale, key=lambda member: -member.score)[:1])
 
     def _differentiate(self, members: Sequence[Member]) -> None:
         if members and self._slow.names:
@@ -135,15 +135,15 @@ class Histories:
 
     def ahead(self, member: Member, path: HistoryPath, theta_b: Array, l_b: Array) -> Array:
         """(K, 3, P) derivatives of a member's tips along its path, through collars (K, n), (K, n)."""
-        if self._slow.names and not self._has_slopes_near(member, np.hstack([theta_b, l_b, path.phi])):
+        if self._slow.names and self._away(member, np.hstack([theta_b, l_b, path.phi])) > 1:
             return self._slow.slopes(self.mechanics, theta_b, l_b, path.phi)
         return np.broadcast_to(member.slopes, (len(theta_b), *member.slopes.shape))
 
-    def _has_slopes_near(self, member: Member, at: Array) -> bool:
-        """Whether a member's derivatives hold at collars and friction states (2 n + n - 1,), or (K, 2 n + n - 1)."""
+    def _away(self, member: Member, at: Array) -> float:
+        """How far a member is from where its derivatives are of, over what is near; at (2 n + n - 1,) or K of them."""
         n = self.mechanics.n
         limit = np.repeat(STALE, [n, n, n - 1])
-        return len(member.slopes_at) > 0 and bool(np.all(np.abs(at - member.slopes_at) <= limit))
+        return float(np.max(np.abs(at - member.slopes_at) / limit)) if len(member.slopes_at) else math.inf
 
     def _history(self, values: Array, start: Start = "released") -> History:
         """Of the robot with slow parameters values (P,) off the file's."""
