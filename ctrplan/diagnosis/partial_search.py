@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from ctrplan.diagnosis.candidates import Candidates
 from ctrplan.diagnosis.chance import null_threshold
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
@@ -27,6 +29,7 @@ class PartialSelector(Selector):
         """tell: called with a sentence before each round of fits; begun: a settled set, the base if not given."""
         super().__init__(bench, testable_beside(candidates, bench), tell, begun or bench.begun())
         self.partial_bench = bench
+        self._blocks = len(np.unique(bench.group))
 
     def run(self) -> Selection:
         """Adds what passes, and nothing else: what holds beside the others is asked in the end."""
@@ -44,10 +47,15 @@ class PartialSelector(Selector):
         return null_threshold(panel.of(among), beside, self.bench.fold, draws) if beside else 0.0
 
     def _grow(self, found: Selection) -> bool:
-        """The first of the best candidates that is certain; another one may need it to become so."""
+        """The first of the best candidates that is certain; another one may need it to become so.
+
+        None with more parameters than there are blocks: like a distortion of the tracker on a pair, whose joints the
+        place of the tip gives away, it would follow any smooth rest, which surrogates do not.
+        """
         here = found.chosen
         self.tell("trying effects beside " + (", ".join(here.names) or "a rest"))
         screened = self.bench.screened(here, self._others(here), self.candidates.completed)
+        screened = [one for one in screened if len(one.term.parameters) <= self._blocks]
         if not screened:
             return False
         found.threshold = TIMES_CHANCE * self._threshold(here, screened)

@@ -15,11 +15,14 @@ from measured_data import measured, pair_robot, waypoints, write_csv
 from ctrplan.cli import main
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
 from ctrplan.diagnosis.answer import Answer
+from ctrplan.diagnosis.candidates import candidates
 from ctrplan.diagnosis.chi_square import remains
 from ctrplan.diagnosis.confirmation import confirm
+from ctrplan.diagnosis.noise_floor import noise_floor
 from ctrplan.diagnosis.opening import opened
-from ctrplan.diagnosis.partly import Partly
+from ctrplan.diagnosis.partly import Partly, partly
 from ctrplan.diagnosis.sentences import effect_lines
+from ctrplan.diagnosis.usable_poses import usable_poses
 from ctrplan.errors import InputError
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import robot_from_dict
@@ -92,6 +95,14 @@ def answer_of(part: Partly) -> Answer:
 def test_a_rest_alone_names_nothing() -> None:
     found = diagnose(ROBOT, beside_a_rest({}), catalogue=QUICK)
     assert found.verdict == "unexplained" and not found.listed
+
+
+def test_what_follows_any_smooth_error_is_not_named_beside_one() -> None:
+    """On a pair the place of the tip gives the joints away: a distortion by place is any smooth error of the joints."""
+    data = beside_a_rest({}, waypoints(ROBOT, 32, seed=3))
+    known = candidates(ROBOT, data, {name: CATALOGUE[name] for name in ("sensor_distortion", "sensor_offset")})
+    found = partly(ROBOT, data, usable_poses(ROBOT, data), noise_floor(ROBOT, data)[0], known, lambda _: None)
+    assert not found.judgement.findings and not any(step.taken for step in found.path)
 
 
 def test_runs_of_a_tracker_that_was_set_up_anew_have_frames_of_their_own() -> None:
