@@ -26,6 +26,7 @@ class CellAsked:
     solved: Sequence[Solved]  # of its 2^P corners, then of its middle
     radius_m: Array  # (N,) outer radii
     enough_m: float | None  # clearance that is asked for; None if none is
+    is_least_asked: bool = True  # also where it is not enough
 
     @property
     def has_bodies(self) -> bool:
@@ -55,7 +56,8 @@ def _clearances(asked: Sequence[CellAsked], distance: Distance | None) -> list[C
     if distance and rows:
         these, bodies = [asked[k] for k in rows], _bodies([asked[k] for k in rows])
         enough = np.array([one.enough_m for one in these])
-        clear = cell_clearances([one.cell for one in these], bodies[:, :-1], bodies[:, -1], distance, enough)
+        least = np.array([one.is_least_asked for one in these])
+        clear = cell_clearances([one.cell for one in these], bodies[:, :-1], bodies[:, -1], distance, enough, least)
         for k, clearance in zip(rows, clear, strict=True):
             found[k] = clearance
     return found

@@ -18,6 +18,7 @@ from ctrplan.planning.certificate.body_pieces import PARTS, around, beside
 from ctrplan.planning.certificate.friction_states import Cell, State, unit_weights
 
 ERROR_FACTOR = 1.5  # times the difference in a cell's middle
+SUSPECTS = 1  # points of a cell that are looked at first: one that is too near tells enough of most cells
 BEYOND = 10  # points towards the tip whose difference counts too
 HALVINGS = 9  # of the states of one interpolated point, along every pair
 HALF_M = POINT_SPACING_M / 2  # of the body around a point
@@ -38,11 +39,17 @@ class CellClearance:
 
 
 def cell_clearances(
-    cells: Sequence[Cell], corners: Array, middles: Array, distance: Distance, enough_m: Array
+    cells: Sequence[Cell],
+    corners: Array,
+    middles: Array,
+    distance: Distance,
+    enough_m: Array,
+    is_least_asked: NDArray[np.bool_],
 ) -> list[CellClearance]:
     """Of L cells, for each of which `enough_m` (L,) is asked.
 
-    Corners' bodies (L, 2^P, N, 4) and middles' (L, N, 4): points, and radii that have to be clear.
+    Corners' bodies (L, 2^P, N, 4) and middles' (L, N, 4): points, and radii that have to be clear. Of cells that have
+    less than enough the least is found where it is asked for (L,), else some clearance that is not enough.
     """
     count, points = middles.shape[:2]
     error = ERROR_FACTOR * most_up_to(np.linalg.norm((middles - corners.mean(axis=1))[..., :3], axis=2))
@@ -53,8 +60,13 @@ def cell_clearances(
     far = beside(distance(middles[..., :3].reshape(-1, 3), asked), HALF_M).reshape(count, points)
     bound = far - reach - off  # clearance is 1-Lipschitz
     rest = np.where(bound >= enough_m[:, None], bound, np.inf)
-    near = np.flatnonzero(bound < enough_m[:, None])
-    closest = _closest(corners, error, near, distance, enough_m)
+    spare = (bound - enough_m[:, None]).ravel()
+    suspects, others = _by_suspicion(np.flatnonzero(spare < 0), spare, points)
+    closest = _closest(corners, error, suspects, distance, enough_m)
+    is_known = ~is_least_asked & [k in closest and closest[k][0] < enough_m[k] for k in range(count)]
+    for k, row in _closest(corners, error, others[~is_known[others // points]], distance, enough_m).items():
+        if k not in closest or row[0] < closest[k][0]:
+            closest[k] = row
     found = []
     for k, cell in enumerate(cells):
         at = int(np.argmin(rest[k]))
@@ -64,6 +76,14 @@ def cell_clearances(
             least = CellClearance(clearance, cell.at(unit), place)
         found.append(least)
     return found
+
+
+def _by_suspicion(near: NDArray[np.intp], spare: Array, points: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Points `near` of cells of `points` each: the SUSPECTS of every cell with the least to spare, and the others."""
+    ordered = near[np.lexsort((spare[near], near // points))]
+    owner = ordered // points
+    rank = np.arange(len(ordered)) - np.searchsorted(owner, owner)
+    return np.sort(ordered[rank < SUSPECTS]), np.sort(ordered[rank >= SUSPECTS])
 
 
 def _closest(

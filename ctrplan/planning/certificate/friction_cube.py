@@ -104,6 +104,7 @@ class _Cube:
                 [self.solved[state] for state in of_cell],
                 self.asked.radius_m,
                 self.needed.clearance_m if is_looked_at else None,
+                is_least_asked=np.isfinite(self.asked.floor_m) and not self._is_halved(cell, is_short=True),
             )
             for cell, of_cell in zip(self.cells, states, strict=True)
         ]
@@ -112,16 +113,19 @@ class _Cube:
         """Halves the cells that do not keep what is needed, and takes over what is known of the others."""
         halved = list[Cell]()
         for cell, of_cell in zip(self.cells, found, strict=True):
-            is_short = of_cell.clearance_m < self.needed.clearance_m
-            deepest = max(self.asked.depth, self.asked.least_depth) if is_short else NUMBERS_DEPTH
             is_open = cell.depth < self.asked.least_depth or not of_cell.keeps(self.needed)
-            if is_open and cell.depth < deepest and np.isfinite(of_cell.stability):
+            is_short = of_cell.clearance_m < self.needed.clearance_m
+            if is_open and self._is_halved(cell, is_short=is_short) and np.isfinite(of_cell.stability):
                 halved += cell.halves()
             else:
                 self.least = self.least.with_less_of(of_cell)
         self.cells = [] if self.asked.is_attempt and not self.least.keeps(self.needed) else halved
         if not self.cells:
             self._ask_for_less()
+
+    def _is_halved(self, cell: Cell, *, is_short: bool) -> bool:
+        """Whether a cell that does not keep what is needed, of clearance if it is short, may be halved."""
+        return cell.depth < (max(self.asked.depth, self.asked.least_depth) if is_short else NUMBERS_DEPTH)
 
     def _ask_for_less(self) -> None:
         """Begins again where some state has less than is needed, so that no other has less than what is said."""
