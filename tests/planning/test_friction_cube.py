@@ -15,9 +15,10 @@ from ctrplan.base.arrays import Array
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.files.scenario_file import scenario_from_dict
 from ctrplan.planning.certificate.allowances import UNEVEN_FRICTION_M, mesh_allowance_m
+from ctrplan.planning.certificate.cell_clearances import cell_clearances
 from ctrplan.planning.certificate.certify import _contradictions, certify, finished
 from ctrplan.planning.certificate.friction_cube import LESS_M, CubeAsked, least_of_cube, least_of_cubes
-from ctrplan.planning.certificate.friction_states import Solved, State, corner_states
+from ctrplan.planning.certificate.friction_states import Cell, Solved, State, corner_states
 from ctrplan.planning.certificate.least_of_states import Needed
 from ctrplan.planning.certificate.prediction import Prediction
 from ctrplan.planning.certificate.start_branches import other_start
@@ -101,6 +102,24 @@ def test_configurations_that_are_looked_at_together_are_found_as_alone() -> None
     for one, found in zip(asked, least_of_cubes(asked, spheres), strict=True):
         alone = least_of_cube(one, spheres)
         assert (found.clearance_m, found.phi, found.solves) == (alone.clearance_m, alone.phi, alone.solves)
+
+
+def test_cells_that_are_too_near_are_so_whether_their_least_is_asked_or_not() -> None:
+    rng = np.random.default_rng(5)
+    spheres = Spheres(rng.uniform([-0.02, -0.02, 0.03], [0.02, 0.02, 0.1], (6, 3)), 2e-3)
+    cells = [cell for first in Cell((-1.0, -1.0), (1.0, 1.0), 0).halves() for cell in first.halves()]
+    shapes = np.array([[one.body_m for one in solved([*cell.corners, cell.middle])] for cell in cells])
+    bodies = np.concatenate([shapes, np.full((*shapes.shape[:3], 1), 1e-3)], axis=3)
+    enough = rng.uniform(-3e-3, 6e-3, len(cells))
+    least, some = (
+        cell_clearances(cells, bodies[:, :-1], bodies[:, -1], spheres, enough, np.full(len(cells), asked))
+        for asked in (True, False)
+    )
+    is_enough = [one.clearance_m >= limit for one, limit in zip(least, enough, strict=True)]
+    assert 0 < sum(is_enough) < len(cells)
+    for one, other, kept in zip(least, some, is_enough, strict=True):
+        assert other.clearance_m == one.clearance_m if kept else other.clearance_m >= one.clearance_m
+    assert is_enough == [one.clearance_m >= limit for one, limit in zip(some, enough, strict=True)]
 
 
 def joints(*values: float) -> Array:
