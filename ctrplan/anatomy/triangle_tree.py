@@ -6,8 +6,6 @@ that of the point before it, which is near along a body. Other threads work mean
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,17 +13,16 @@ import ctrplan._model as _model
 from ctrplan.base.arrays import Array
 
 
-@dataclass(frozen=True, eq=False)
 class TriangleTree:
     """Of one surface; can't be pickled."""
 
-    core: _model.TriangleTree
+    def __init__(self, vertices_m: Array, faces: NDArray[np.int64]) -> None:
+        """vertices_m (V, 3) [m], faces (F, 3) indices of them.
+
+        Raises ValueError without faces or where they name vertices that are not there.
+        """
+        self.core = _model.TriangleTree(np.ascontiguousarray(vertices_m), np.ascontiguousarray(faces))
 
     def distance(self, points_m: Array) -> Array:
-        """(K,) [m] from points (K, 3) to the nearest triangle, zero or more."""
+        """(K,) [m] from points (K, 3) [m] to the nearest triangle, zero or more."""
         return np.asarray(self.core.distance(np.ascontiguousarray(points_m)))
-
-
-def triangle_tree(vertices_m: Array, faces: NDArray[np.int64]) -> TriangleTree:
-    """Of vertices (V, 3) and faces (F, 3); ValueError without faces or where they name vertices that are not there."""
-    return TriangleTree(_model.TriangleTree(np.ascontiguousarray(vertices_m), np.ascontiguousarray(faces)))

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from ctrplan.anatomy.images.image import Image
-from ctrplan.anatomy.images.image_file import read_image
-from ctrplan.anatomy.images.kept import kept
+from ctrplan.anatomy.images.kept import image_of
 
 MOST_LABELS = 256  # of a label map; what has more values holds grey ones
 PACKED = re.compile(r"\.(seg\.nrrd|nii\.gz|mrk\.json)$|\.[^.]+$", re.IGNORECASE)
@@ -45,7 +44,7 @@ def of_mesh(path: Path, unit: str) -> Structure:
 
 def of_image(path: Path) -> list[Structure]:
     """Labels or segments; none of an image of grey values. Raises ImageRefusal."""
-    image = kept(path, None, lambda: read_image(path))
+    image = image_of(path)
     if image.segments:
         return [_segment(path, image, one.name, one.label, one.layer) for one in image.segments]
     counts = _labels(image)

@@ -17,7 +17,6 @@ from ctrplan.anatomy.images import image_file
 from ctrplan.anatomy.phases import Phases
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.anatomy.shapes.volume import Volume
-from ctrplan.cases import structures
 from ctrplan.cases.aims import middle_m
 from ctrplan.cases.case import case
 from ctrplan.cases.work import SCENARIO
@@ -137,7 +136,6 @@ def test_an_image_is_read_once_for_all_that_is_taken_from_it(
         return own(path)
 
     own = image_file.read_image
-    monkeypatch.setattr(structures, "read_image", counted)
     monkeypatch.setattr(image_file, "read_image", counted)
     keys: dict[str, Any] = {"lumens": ["1", "3"], "avoids": ["2"], "targets": ["labels.nii.gz:3"], "sheath_mm": 4.0}
     case(tmp_path, [image], robot=phantom.ROBOT, frame="LPS", entries=[phantom.ENTRY], until="scenario", **keys)

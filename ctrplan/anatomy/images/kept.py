@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -10,7 +10,7 @@ from pathlib import Path
 from ctrplan.anatomy.images.image import Image
 
 MOST_BYTES = 600_000_000  # of voxels that are kept; what was read last stays
-Key = tuple[object, ...]
+Key = tuple[Path, int, int]  # with size and time of writing
 _KEPT: ContextVar[dict[Key, Image] | None] = ContextVar("kept", default=None)
 
 
@@ -27,15 +27,17 @@ def images_kept() -> Iterator[None]:
         _KEPT.reset(before)
 
 
-def kept(path: Path, series: str | None, read: Callable[[], Image]) -> Image:
-    """The image of a file, or of a folder's series, read where it is not kept."""
+def image_of(path: Path) -> Image:
+    """The image of a file, read where it is not kept. Raises ImageRefusal."""
+    from ctrplan.anatomy.images.image_file import read_image  # readers, which few scenarios need
+
     images = _KEPT.get()
-    if images is None or path.is_dir():  # a folder does not say that one of its files has changed
-        return read()
+    if images is None:
+        return read_image(path)
     told = path.stat()
-    key = (path.resolve(), series, told.st_size, told.st_mtime_ns)
+    key = (path.resolve(), told.st_size, told.st_mtime_ns)
     if key not in images:
-        images[key] = read()
+        images[key] = read_image(path)
         while len(images) > 1 and sum(image.voxels.nbytes for image in images.values()) > MOST_BYTES:
             del images[next(iter(images))]
     return images[key]

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import PartEntry, Shape, register
-from ctrplan.anatomy.triangle_tree import triangle_tree
+from ctrplan.anatomy.triangle_tree import TriangleTree
 from ctrplan.base.arrays import Array, numbers, read_only
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
@@ -90,7 +90,7 @@ class _MeshDistance:
     def __init__(self, mesh: Mesh) -> None:
         import igl
 
-        self.tree, self.winding = triangle_tree(mesh.vertices_m, mesh.faces), igl.FastWindingNumberBVH()
+        self.tree, self.winding = TriangleTree(mesh.vertices_m, mesh.faces), igl.FastWindingNumberBVH()
         self.winding.init(mesh.vertices_m, mesh.faces)
 
     def __call__(self, points_m: Array) -> Array:

@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import PartEntry, register
 from ctrplan.anatomy.shapes.mesh import Mesh
-from ctrplan.anatomy.triangle_tree import TriangleTree, triangle_tree
+from ctrplan.anatomy.triangle_tree import TriangleTree
 from ctrplan.base.arrays import Array
 from ctrplan.storage.toml_table import Table
 
@@ -22,7 +22,7 @@ class Sheet(Mesh):
 
     def distance(self, points_m: Array) -> Array:
         if self not in _trees:
-            _trees[self] = triangle_tree(self.vertices_m, self.faces)
+            _trees[self] = TriangleTree(self.vertices_m, self.faces)
         return _trees[self].distance(points_m)
 
 

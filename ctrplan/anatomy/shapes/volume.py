@@ -103,8 +103,8 @@ def _voxels_off(found: Structure) -> float:
 
 def _read(path: Path, series: str | None) -> Image:
     from ctrplan.anatomy.images.dicom import read_series  # with SimpleITK, which few scenarios need
-    from ctrplan.anatomy.images.image_file import SUFFIXES, is_image, read_image
-    from ctrplan.anatomy.images.kept import kept
+    from ctrplan.anatomy.images.image_file import SUFFIXES, is_image
+    from ctrplan.anatomy.images.kept import image_of
 
     if path.is_dir() or path.suffix.lower() == ".dcm":
         return read_series(path if path.is_dir() else path.parent, series)
@@ -112,7 +112,7 @@ def _read(path: Path, series: str | None) -> Image:
         raise ImageRefusal(f"is no volume: must end in {', '.join(SUFFIXES)}, or be a folder of a DICOM series")
     if series is not None:
         raise ImageRefusal("has no series: leave the key series out")
-    return kept(path, None, lambda: read_image(path))
+    return image_of(path)
 
 
 def _box(image: Image) -> Array:
