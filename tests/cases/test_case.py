@@ -152,6 +152,23 @@ def test_where_a_base_has_no_plan_the_next_rows_are_tried(folder: Path, monkeypa
     np.testing.assert_allclose(asked, [row.pose.position_m for row in read_bases(folder / BASES)[:2]], atol=1e-12)
 
 
+def test_the_row_that_a_plan_was_found_from_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Any] = []
+
+    def plan(scenario: Any, **_: Any) -> Any:
+        asked.append(scenario)
+        if len(asked) == 1:
+            raise NoAnswerError("none")
+        return None
+
+    monkeypatch.setattr("ctrplan.cases.steps.plan.plan", plan)
+    monkeypatch.setattr("ctrplan.cases.steps.plan._sentence", lambda made: "certified")
+    monkeypatch.setattr(plan_folder, "save_plan", lambda made, folder: None)
+    case(folder, from_step="placed", until="plan", bases=2)
+    record = json.loads((folder / "case.json").read_text())
+    assert record["steps"]["plan"]["sentence"] == "from row 2 of bases.csv: certified"
+
+
 KILLED = """
 import os, signal, sys
 from ctrplan.cases.case import case

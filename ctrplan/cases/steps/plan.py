@@ -6,6 +6,7 @@ import math
 
 from ctrplan.base.units import MM_PER_M
 from ctrplan.cases.bases_table import read_bases
+from ctrplan.cases.record import Record
 from ctrplan.cases.steps.placed import PlacedStep
 from ctrplan.cases.work import BASES, PLACED, PLAN, ROBOT, Step, Work, raw_files
 from ctrplan.errors import NoAnswerError
@@ -34,15 +35,17 @@ class PlanStep(Step):
         from ctrplan.reports.plan_folder import FORMATS, plan_outputs, save_plan  # pictures take a second to import
 
         output_folder(str(work.file(PLAN)), plan_outputs(trajectory_formats(FORMATS)))
+        first = _row(work.record)
         made = self._planned(work)
         save_plan(made, work.file(PLAN))
         work.plan = made
-        return _sentence(made)
+        row = _row(work.record)
+        return _sentence(made) if row == first else f"from row {row} of {BASES}: {_sentence(made)}"
 
     def _planned(self, work: Work) -> Plan:
         asked, record = work.request, work.record
         rows = 1 if record.edited("placed") else len(read_bases(work.file(BASES)))
-        number = record.steps["placed"].chosen if "placed" in record.steps else 1
+        number = _row(record)
         last = min(rows, number - 1 + (TRIES if asked.bases is None else asked.bases))
 
         def report(told: Progress) -> None:
@@ -66,6 +69,11 @@ class PlanStep(Step):
             record.begin(step.name)
             sentence = step.make(work, number)
             work.end(step, sentence, number)
+
+
+def _row(record: Record) -> int:
+    """Of the table of bases, the one that stands in placed.toml."""
+    return record.steps["placed"].chosen if "placed" in record.steps else 1
 
 
 def _sentence(made: Plan) -> str:
