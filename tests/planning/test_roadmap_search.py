@@ -106,6 +106,26 @@ def test_a_path_through_one_of_two_equal_states_can_be_forbidden(vessel: MotionC
     assert search.known_path() is None and not vessel.motion(beside, goal.joints).valid
 
 
+@pytest.mark.parametrize(("broken_share", "refused"), [([], [0, 1]), ([0.2], [0]), ([0.9], [1]), ([0.5], [0, 1])])
+def test_only_motions_on_which_a_limit_is_broken_are_forbidden(
+    vessel: MotionChecker, broken_share: list[float], refused: list[int]
+) -> None:
+    """Both that meet where it is broken; all of them where it is not known which is to blame."""
+    checker = MotionChecker(vessel.scenario)
+    goal, start = goal_states(checker, np.random.default_rng(0))[0], checker.scenario.start
+    middle = start + checker.space.difference(start, goal.joints) / 2
+    roadmap = Roadmap(np.array([start, middle, goal.joints]), np.array([[0, 1], [1, 2]]), np.array([2]))
+    search = RoadmapSearch(checker, roadmap, [goal])
+    search.cost[:], search.known[:] = 1.0, True
+    path = search.known_path()
+    assert path is not None
+    whole = float(checker.space.lengths_mm(checker.space.difference(path[:-1], path[1:])).sum())
+    search.forbid_at(path, whole * np.array(broken_share), "refused")
+    assert np.flatnonzero(~np.isfinite(search.cost)).tolist() == refused
+    forbidden = [checker.motion(a, b).reason == "refused" for a, b in zip(path[:-1], path[1:], strict=True)]
+    assert np.flatnonzero(forbidden).tolist() == refused
+
+
 def test_no_random_state_is_drawn_twice() -> None:
     """Where the search for a first path grew the roadmap, and that for the cheapest does so again."""
     checker = MotionChecker(load_scenario(SCENARIOS / "pair_free.toml"))

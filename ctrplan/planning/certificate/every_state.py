@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ctrplan.base.cores import cores
-from ctrplan.mechanics.core import PathLimits
 from ctrplan.planning.certificate.allowances import TIGHT_M
 from ctrplan.planning.certificate.anatomy_distance import AnatomyDistance
 from ctrplan.planning.certificate.friction_cube import DEPTH, LEAST_DEPTH, CubeAsked, least_of_cubes
@@ -48,13 +47,18 @@ def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece], spare_m
         return list(pieces)
     solved, distance = least_of(pieces), AnatomyDistance.of(scenario)
     enough = max(limits.clearance_m, min(solved - TIGHT_M, limits.clearance_m + spare_m))
-    needed = Needed(enough, limits.stability, limits.max_strain)
+    limited = Needed(limits.clearance_m, limits.stability, limits.max_strain)
+    needed = replace(limited, clearance_m=enough)
     looks = [_Look(scenario, piece, needed, limits.clearance_m, distance) for piece in pieces]
     with ThreadPoolExecutor(cores()) as pool:
-        first = pool.map(lambda some: looks[some[0]].least(some[1]), _narrowest(pieces))
-        narrowest = (one.clearance_m for of_piece in first for one in of_piece)
-        enough = max(limits.clearance_m, min([enough, *narrowest]))
-        return list(pool.map(lambda look: _in_every_state(look, enough, limits), looks))
+        rows = _narrowest(pieces)
+        first = list(pool.map(lambda some: looks[some[0]].least(some[1]), rows))
+        narrowest = [one for of_piece in first for one in of_piece]
+        if any(not one.keeps(limited) for one in narrowest):  # no other sample makes the path valid again
+            known = {piece: (samples, found) for (piece, samples), found in zip(rows, first, strict=True)}
+            return [_with(piece, *known.get(k, ((), ()))) for k, piece in enumerate(pieces)]
+        enough = max(limits.clearance_m, min([enough, *(one.clearance_m for one in narrowest)]))
+        return list(pool.map(lambda look: _in_every_state(look, enough, limited), looks))
 
 
 def _narrowest(pieces: Sequence[Piece]) -> list[tuple[int, list[int]]]:
@@ -70,26 +74,30 @@ def _narrowest(pieces: Sequence[Piece]) -> list[tuple[int, list[int]]]:
     return list(chosen.items())
 
 
-def _in_every_state(look: _Look, enough_m: float, limits: PathLimits) -> Piece:
+def _in_every_state(look: _Look, enough_m: float, limited: Needed) -> Piece:
     """Down to `enough_m` of clearance; ends with the first samples of which one breaks a limit."""
     piece, look.needed = look.piece, replace(look.needed, clearance_m=enough_m)
-    clearance, stability, strain = piece.clearance_m.copy(), piece.stability.copy(), piece.max_strain.copy()
-    phi = piece.phi.copy()
-    for first in range(0, len(clearance), AT_ONCE):
-        samples = range(first, min(first + AT_ONCE, len(clearance)))
-        for k, found in zip(samples, look.least(samples), strict=True):
-            if found.clearance_m < clearance[k]:
-                clearance[k], phi[k] = found.clearance_m, found.phi
-            stability[k] = min(stability[k], found.stability)
-            strain[k] = max(strain[k], found.max_strain)
-        is_broken = (clearance < limits.clearance_m) | (stability < limits.stability) | (strain > limits.max_strain)
-        if is_broken[samples].any():
+    for first in range(0, len(piece.clearance_m), AT_ONCE):
+        samples = range(first, min(first + AT_ONCE, len(piece.clearance_m)))
+        found = look.least(samples)
+        piece = _with(piece, samples, found)
+        if not all(one.keeps(limited) for one in found):
             break
     apart = look.apart_m
     look.forget()
-    return replace(
-        piece, clearance_m=clearance, stability=stability, max_strain=strain, phi=phi, apart_m=apart, finer={}
-    )
+    return replace(piece, apart_m=apart, finer={})
+
+
+def _with(piece: Piece, samples: Sequence[int], found: Sequence[LeastOfStates]) -> Piece:
+    """The piece with what was found of all states of some of its samples."""
+    clearance, stability, strain = piece.clearance_m.copy(), piece.stability.copy(), piece.max_strain.copy()
+    phi = piece.phi.copy()
+    for k, one in zip(samples, found, strict=True):
+        if one.clearance_m < clearance[k]:
+            clearance[k], phi[k] = one.clearance_m, one.phi
+        stability[k] = min(stability[k], one.stability)
+        strain[k] = max(strain[k], one.max_strain)
+    return replace(piece, clearance_m=clearance, stability=stability, max_strain=strain, phi=phi)
 
 
 @dataclass(eq=False)

@@ -27,6 +27,7 @@ from ctrplan.planning.certificate.uneven_friction import with_uneven_friction
 from ctrplan.planning.certificate.walked_piece import Piece, walk_pieces
 from ctrplan.planning.certified import CertificateSamples
 from ctrplan.planning.joint_space import JointSpace
+from ctrplan.planning.motion import path_limits
 from ctrplan.planning.path_cost import path_cost_mm
 from ctrplan.planning.uncertainty.allowance import is_uncertain
 
@@ -51,6 +52,15 @@ class WalkedLegs:
     def failure(self) -> str:
         """The first reason not to certify the legs, or that the frictionless tip misses the goal; empty if none."""
         return next(iter(self.problems + frictionless_miss(self.scenario, self.samples.tip_m)), "")
+
+    @property
+    def broken_mm(self) -> Array:
+        """(B,) joint lengths from the start at which a limit of clearance, stability or strain is found broken."""
+        limits, samples = path_limits(self.scenario), self.samples
+        is_broken = (samples.clearance_m < limits.clearance_m) | (samples.stability < limits.stability)
+        is_broken |= samples.max_strain > limits.max_strain
+        broken: Array = samples.path_mm[is_broken]
+        return broken
 
     @property
     def length_mm(self) -> float:

@@ -25,6 +25,7 @@ from ctrplan.planning.search_clock import ROOM_NS
 AT_ONCE = 2  # motions checked in parallel; the same everywhere, as it decides what is checked
 SURE = 0.3  # of its length is what a motion counts that is known to be valid, while any path will do
 NEIGHBOURS = 8
+AT_MM = 1e-6  # of joint length, within which a place is at a motion's end
 NEAR_MM = 30.0  # of joint length, standard deviation of random states beside others, before their tips are brought back
 TIP_STEPS, NEAR_TIP_M = 4, 4e-3  # for that, and how near they must come
 TRIES = 4  # random states looked at for each that is added
@@ -199,6 +200,20 @@ class RoadmapSearch:
         """(K, m) the cheapest path of motions known to be valid; None without one."""
         nodes = self._shortest(np.where(self.known, self.cost, np.inf), self.left)
         return None if nodes is None else self.joints[nodes]
+
+    def forbid_at(self, path: Array, broken_mm: Array, reason: str) -> None:
+        """Forbids the motions of a path (K, m) of states on which its certificate found a limit broken.
+
+        broken_mm (B,): joint lengths from the start. Without any, all motions: it is not known which is to blame.
+        """
+        space = self.checker.space
+        ends = np.append(0.0, np.cumsum(space.lengths_mm(space.difference(path[:-1], path[1:]))))
+        is_after, is_before = broken_mm >= ends[:-1, None] - AT_MM, broken_mm <= ends[1:, None] + AT_MM
+        broken = np.flatnonzero((is_after & is_before).any(axis=1))
+        for k in broken:
+            self.forbid(path[k : k + 2], reason)
+        if not len(broken):
+            self.forbid(path, reason)
 
     def forbid(self, path: Array, reason: str) -> None:
         """Forbids the motions of a path (K, m) of states that failed its certificate, between equal states too."""

@@ -162,7 +162,8 @@ class StageSearch:
                 states, until = 2 * states, self.clock.now() + states / FIRST_STATES * FIRST_ROUND_S
                 until = min(until, latest)
             elif failed := self._certified(self.checker, self._expanded(path), ROADMAP):
-                search.forbid(path, failed)
+                assert self.failed is not None
+                search.forbid_at(path, self.failed.broken_mm, failed)
         return search
 
     def _add_chains(self, search: RoadmapSearch) -> None:
