@@ -60,7 +60,7 @@ def row(name: str, field: Callable[[Scenario, float, tuple[Array, Array]], None]
             began = time.perf_counter()
             field(scenario, reach_m, base)
             seconds.append(time.perf_counter() - began)
-        megabytes = sum(file.stat().st_size for file in Path(folder).rglob("*.npz")) / 1e6
+        megabytes = sum(file.stat().st_size for file in Path(folder).rglob("*.grid")) / 1e6
     times = seconds[0], sum(seconds[1:POSES]), sum(seconds[POSES:]) / POSES
     return f"{name:>14} {field.__name__:>7} {megabytes:9.1f} {times[0]:9.2f} {times[1]:11.2f} {times[2]:10.3f}"
 

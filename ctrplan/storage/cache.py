@@ -1,4 +1,8 @@
-"""Grids kept on disk between runs by the hash of all that determines them; a lost or damaged one is rebuilt."""
+"""Grids kept on disk between runs by the hash of all that determines them; a lost or damaged one is rebuilt.
+
+A file holds the hash of its key and content, 32 bytes, and the content: float32 in the machine's byte order. Whoever asks
+knows the shape.
+"""
 
 import contextlib
 import hashlib
@@ -13,6 +17,8 @@ from numpy.typing import NDArray
 from ctrplan.storage.temporary import temporary
 
 MAX_TOTAL_BYTES = 1_000_000_000
+SUFFIX, FORMER_SUFFIX = ".grid", ".npz"  # the latter are not read any more
+DIGEST_BYTES = 32
 
 logger = logging.getLogger(__name__)
 
@@ -32,11 +38,13 @@ def cache_directory() -> Path | None:
 
 def _path(key: str) -> Path | None:
     directory = cache_directory()
-    return None if directory is None else directory / "fields" / f"{key}.npz"
+    return None if directory is None else directory / "fields" / f"{key}{SUFFIX}"
 
 
-def _digest(key: str, values: NDArray[np.float32]) -> str:
-    return hashlib.sha256(key.encode() + np.ascontiguousarray(values).data).hexdigest()
+def _digest(key: str, content: bytes | memoryview) -> bytes:
+    found = hashlib.sha256(key.encode())
+    found.update(content)
+    return found.digest()
 
 
 def trouble() -> str:
@@ -61,20 +69,21 @@ def load(key: str, shape: tuple[int, ...], otherwise: str = "will be rebuilt") -
     if path is None:
         return None
     try:
-        with np.load(path, allow_pickle=False) as stored:
-            values, digest = stored["values_m"], str(stored["sha256"])
-        if values.dtype != np.float32 or values.shape != shape or digest != _digest(key, values):
+        stored = path.read_bytes()
+        digest, content = stored[:DIGEST_BYTES], memoryview(stored)[DIGEST_BYTES:]
+        if digest != _digest(key, content):
             raise ValueError("content does not match its hash")
+        values = np.frombuffer(content, dtype=np.float32).reshape(shape).copy()
     except OSError as error:
         if not isinstance(error, FileNotFoundError):
             logger.info("field cache can't be read: %s", error)
         return None
-    except Exception as error:  # a damaged archive makes its reader raise almost anything
+    except ValueError as error:
         logger.warning("cached field %s is damaged and %s (%s)", path, otherwise, error)
         return None
     with contextlib.suppress(OSError):
         os.utime(path)  # recently used ones are pruned last
-    return np.ascontiguousarray(values)
+    return values
 
 
 def store(key: str, values: NDArray[np.float32]) -> str:
@@ -106,15 +115,16 @@ def store_all(grids: Mapping[str, NDArray[np.float32]]) -> str:
 def _write(path: Path, key: str, values: NDArray[np.float32]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with temporary(path.parent, Path.touch) as made:
-        with made.open("wb") as stream:
-            np.savez(stream, values_m=values, sha256=np.array(_digest(key, values)))
+        content = np.ascontiguousarray(values, dtype=np.float32).tobytes()
+        made.write_bytes(_digest(key, content) + content)
         os.replace(made, path)
 
 
 def _prune(newest: set[Path]) -> None:
     """Remove the least recently used grids beyond MAX_TOTAL_BYTES, never the `newest`."""
     folder = next(iter(newest)).parent
-    found = sorted(folder.glob("*.npz"), key=lambda path: path.stat().st_mtime, reverse=True)
+    kept = (path for path in folder.iterdir() if path.suffix in (SUFFIX, FORMER_SUFFIX))
+    found = sorted(kept, key=lambda path: path.stat().st_mtime, reverse=True)
     total = sum(path.stat().st_size for path in newest)
     for path in found:
         if path in newest:

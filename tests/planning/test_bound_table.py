@@ -264,7 +264,7 @@ def test_what_is_said_of_a_damaged_field_is_what_happens(
     table = np.vstack([grid.values, np.zeros((1, FieldLookup.NUMBERS), np.float32)])
     monkeypatch.setattr(fields, "_solve", lambda *_: table)
     assert tabulated_bounds(pair) is not None
-    (stored,) = (tmp_path / "fields").glob("*.npz")
+    (stored,) = (tmp_path / "fields").glob("*.grid")
     stored.write_bytes(stored.read_bytes()[:1000])
     assert known_table(pair) is None
     assert "is not used, `ctrplan field` builds it again" in caplog.text and "rebuilt" not in caplog.text

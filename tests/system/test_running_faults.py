@@ -267,7 +267,7 @@ def test_two_processes_share_a_cache(tmp_path: Path) -> None:
         assert [process.returncode for process in pair] == [0, 0], told
         assert all(not err for _, err in told)
         (kept,) = (cache / "fields").iterdir()
-        assert kept.suffix == ".npz"
+        assert kept.suffix == ".grid"
 
 
 @pytest.mark.parametrize("damage", ["truncated", "flipped", "empty", "folder"])

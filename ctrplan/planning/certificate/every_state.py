@@ -6,8 +6,8 @@ Every few samples are solved in states of the cube, those between them are inter
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Generator, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 NEAR_M, LOOK_EVERY, CLOSE_EVERY, CLOSE_DEPTH = 3e-3, 4, 16, 2
 FIRST = 4  # narrowest samples
 AT_ONCE = 32  # samples, of which there is little to compute of each
+NARROW_EFFORT = 3  # of a sample that has to be solved on the certificate mesh, in those of any other
 SPARE_M = 0.15e-3  # of a sample that may be interpolated: with less, what is taken off for that is too much
 CLOSE_TUBES = 4  # of five tubes, cells halved twice have 881 corners and middles
 
@@ -58,7 +59,14 @@ def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece], spare_m
             known = {piece: (samples, found) for (piece, samples), found in zip(rows, first, strict=True)}
             return [_with(piece, *known.get(k, ((), ()))) for k, piece in enumerate(pieces)]
         enough = max(limits.clearance_m, min([enough, *(one.clearance_m for one in narrowest)]))
-        return list(pool.map(lambda look: _in_every_state(look, enough, limited), looks))
+        return _longest_first(pool, looks, lambda look: _in_every_state(look, enough, limited))
+
+
+def _longest_first(pool: Executor, looks: Sequence[_Look], work: Callable[[_Look], Piece]) -> list[Piece]:
+    """In the order of `looks`; begun with those that take longest, so that no thread ends long before the others."""
+    order = sorted(range(len(looks)), key=lambda k: looks[k].effort, reverse=True)
+    found = dict(zip(order, pool.map(work, [looks[k] for k in order]), strict=True))
+    return [found[k] for k in range(len(looks))]
 
 
 def _narrowest(pieces: Sequence[Piece]) -> list[tuple[int, list[int]]]:
@@ -116,6 +124,13 @@ class _Look:
     def apart_m(self) -> float:
         """Largest distance of bodies solved from scratch from those walked to."""
         return max((states.apart_m for states in self._states.values()), default=0.0)
+
+    @property
+    def effort(self) -> int:
+        """About what a look at all samples takes: those that the mesh of the search does not clear take most."""
+        near = self.piece.as_walked_m < self.needed.clearance_m + NEAR_M
+        short = self.piece.as_walked_m < self.needed.clearance_m
+        return len(near) + int(near.sum()) + NARROW_EFFORT * int(short.sum())
 
     def forget(self) -> None:
         """Lets go of all bodies, once nothing of the piece is asked any more."""

@@ -20,15 +20,15 @@ State = tuple[float, ...]
 class Solved:
     """A robot in one friction state."""
 
-    body_m: Array  # (N, 3) NaN where no equilibrium was found
+    body_m: Array  # (N, 3) NaN, all of it, where no equilibrium was found
     stability: float
     max_strain: float
     doubt_m: Array | float = 0.0  # (N,) what the body may be off by where it was not solved itself
 
-    @cached_property
+    @property
     def has_body(self) -> bool:
-        """Whether an equilibrium was found, and where it is known how far off it may be."""
-        return math.isfinite(self.body_m.sum()) and math.isfinite(np.sum(self.doubt_m))  # a NaN stays in sums
+        """Whether an equilibrium was found."""
+        return math.isfinite(self.body_m[-1, 0])
 
 
 @dataclass(frozen=True)
