@@ -1,7 +1,7 @@
 """Grids kept on disk between runs by the hash of all that determines them; a lost or damaged one is rebuilt.
 
-A file holds the hash of its key and content, 32 bytes, and the content: float32 in the machine's byte order. Its shape is
-known to whoever asks.
+A file holds the hash of its key and content, 32 bytes, and the content: float32 in the machine's byte order. Whoever
+asks knows its shape.
 """
 
 import contextlib

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.planning.certificate.cell_clearances import ERROR_FACTOR, CellClearance, Distance, cell_clearances
+from ctrplan.mechanics.friction_cells import Distance
+from ctrplan.planning.certificate.cell_clearances import ERROR_FACTOR, CellClearance, cell_clearances
 from ctrplan.planning.certificate.friction_states import Cell, Solved
 from ctrplan.planning.certificate.least_of_states import LeastOfStates
 
@@ -57,7 +58,7 @@ def _clearances(asked: Sequence[CellAsked], distance: Distance | None) -> list[C
         these, bodies = [asked[k] for k in rows], _bodies([asked[k] for k in rows])
         enough = np.array([one.enough_m for one in these])
         least = np.array([one.is_least_asked for one in these])
-        clear = cell_clearances([one.cell for one in these], bodies[:, :-1], bodies[:, -1], distance, enough, least)
+        clear = cell_clearances([one.cell for one in these], bodies, distance, enough, least)
         for k, clearance in zip(rows, clear, strict=True):
             found[k] = clearance
     return found

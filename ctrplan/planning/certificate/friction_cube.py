@@ -15,8 +15,8 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
+from ctrplan.mechanics.friction_cells import Distance
 from ctrplan.planning.certificate.cell_bounds import CellAsked, least_of_cells
-from ctrplan.planning.certificate.cell_clearances import Distance
 from ctrplan.planning.certificate.friction_states import Cell, Solved, State
 from ctrplan.planning.certificate.least_of_states import LeastOfStates, Needed
 from ctrplan.robot.robot import Robot

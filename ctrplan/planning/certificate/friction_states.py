@@ -6,10 +6,9 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 
@@ -46,7 +45,7 @@ class Cell:
 
     @property
     def corners(self) -> list[State]:
-        """In the order of `unit_weights`: the last pair fastest, low before high."""
+        """The last pair fastest, low before high."""
         return list(itertools.product(*zip(self.low, self.high, strict=True)))
 
     def at(self, unit: Array) -> State:
@@ -71,16 +70,3 @@ def corner_weights(phi: Array) -> Array:
     signs = np.array(corner_states(phi.shape[1]))
     weights: Array = np.prod((1 + phi[:, None] * signs) / 2, axis=2)
     return weights
-
-
-def unit_weights(unit: Array) -> Array:
-    """(A, 2^P) multilinear weights of a cell's corners at states (A, P), 0 to 1."""
-    signs = unit_corners(unit.shape[1])
-    weights: Array = np.prod(np.where(signs > 0, unit[:, None], 1 - unit[:, None]), axis=2)
-    return weights
-
-
-@cache
-def unit_corners(pairs: int) -> NDArray[np.float64]:
-    """(2^P, P) 0 and 1, the last pair fastest."""
-    return np.array(list(itertools.product((0.0, 1.0), repeat=pairs)))

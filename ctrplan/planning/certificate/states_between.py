@@ -14,7 +14,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.planning.certificate.allowances import BEND_CHANGE, BEND_MESH, BEND_SHARE, BEND_SPREAD
-from ctrplan.planning.certificate.cell_clearances import most_up_to
+from ctrplan.planning.certificate.cell_clearances import BEYOND
 from ctrplan.planning.certificate.friction_states import Solved, State, corner_states, corner_weights
 from ctrplan.planning.certificate.sample_states import SampleStates, shares_of_length
 
@@ -53,3 +53,10 @@ def _moved_to(wanted: Array, own: Array, values: Array) -> Array:
     part = ((wanted - own[after - 1]) / (own[after] - own[after - 1]))[:, None]
     moved: Array = values[:, after - 1] * (1 - part) + values[:, after] * part
     return moved
+
+
+def most_up_to(apart_m: Array) -> Array:
+    """(..., N) [m] of distances at points the largest from the base up to BEYOND points further out."""
+    most: Array = np.maximum.accumulate(apart_m, axis=-1)
+    count = most.shape[-1]
+    return most[..., np.minimum(np.arange(count) + BEYOND, count - 1)]

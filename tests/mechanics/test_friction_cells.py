@@ -1,0 +1,123 @@
+"""Bodies over cells of friction states: the core against plain formulas and against many states looked at."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+import ctrplan._model as core
+from ctrplan.base.arrays import Array
+from ctrplan.mechanics.friction_cells import cell_spread, least_of_points
+
+HALVINGS, HALF_M = 9, 0.5e-3
+
+
+def drawn_bodies(pairs: int, cells: int = 2, points: int = 7, seed: int = 0) -> Array:
+    """(L, 2^P + 1, N, 4) [m] of bodies some mm apart, whose radii differ too."""
+    rng = np.random.default_rng(seed)
+    middle = np.cumsum(rng.normal([0, 0, 1e-3], 2e-4, (cells, 1, points, 3)), axis=2)
+    corners = middle + rng.normal(0, 2e-3, (cells, 2**pairs, points, 3))
+    bodies = np.concatenate([corners, corners.mean(axis=1, keepdims=True)], axis=1)
+    bodies[:, -1] += rng.normal(0, 1e-4, bodies[:, -1].shape)
+    return np.concatenate([bodies, rng.uniform(0.5e-3, 1e-3, (*bodies.shape[:3], 1))], axis=3)
+
+
+def at_states(corners: Array, unit: Array) -> Array:
+    """(S, 4) of one point's corners (2^P, 4) at states (S, P), 0 to 1: one pair after the other."""
+    found = np.broadcast_to(corners, (len(unit), *corners.shape))
+    for share in unit.T:
+        low, high = np.split(found, 2, axis=1)
+        found = low + share[:, None, None] * (high - low)
+    return found[:, 0]
+
+
+def from_ball(points_m: Array, _: Array | None = None) -> Array:
+    """(K,) [m] clearance of points to a ball beside the bodies."""
+    return np.linalg.norm(points_m - [6e-3, 0, 4e-3], axis=1) - 2e-3
+
+
+@pytest.mark.parametrize("pairs", [1, 2, 3])
+def test_the_spread_is_what_plain_formulas_say(pairs: int) -> None:
+    bodies, beyond = drawn_bodies(pairs, points=20), 4
+    off, reach = cell_spread(bodies, beyond)
+    corners, middle = bodies[:, :-1], bodies[:, -1]
+    apart = np.linalg.norm((middle - corners.mean(axis=1))[..., :3], axis=2)
+    for cell, k in np.ndindex(off.shape):
+        assert off[cell, k] == pytest.approx(apart[cell, : k + beyond + 1].max(), abs=1e-15)
+        away = corners[cell, :, k] - middle[cell, k]
+        assert reach[cell, k] == pytest.approx(max(np.linalg.norm(row[:3]) + row[3] for row in away), abs=1e-15)
+
+
+@pytest.mark.parametrize("pairs", [1, 2, 3])
+@pytest.mark.parametrize("enough_mm", [-5.0, 0.5, 2.0])
+def test_no_state_of_a_cell_has_less_than_is_said(pairs: int, enough_mm: float) -> None:
+    """And where more than enough is said to be left, or less, some state has about as little."""
+    bodies = drawn_bodies(pairs, seed=pairs)
+    cells, _, points, _ = bodies.shape
+    error = np.full((cells, points), 0.1e-3)
+    asked = np.arange(cells * points)
+    unit = np.array(list(itertools.product(np.linspace(0, 1, 15), repeat=pairs)))
+    given = {"parts": 1, "half_m": HALF_M, "halvings": HALVINGS}
+    least, where, place = least_of_points(bodies, asked, error, np.full(cells, enough_mm * 1e-3), from_ball, **given)
+    for k in asked:
+        corners = bodies[k // points, :-1, k % points]
+        states = at_states(corners, unit)
+        far = np.sqrt(np.maximum(from_ball(states[:, :3]), HALF_M) ** 2 - HALF_M**2)
+        true = float((far - states[:, 3]).min()) - 0.1e-3
+        if least[k] >= enough_mm * 1e-3:
+            assert true >= least[k] - 1e-12  # a lower bound
+        else:
+            assert true < enough_mm * 1e-3 + 0.1e-3
+        np.testing.assert_allclose(at_states(corners, where[k : k + 1])[0, :3], place[k], atol=1e-15)
+
+
+def test_parts_stand_between_a_point_and_those_beside_it() -> None:
+    bodies = drawn_bodies(1, cells=1, points=3)
+    told = list[Array]()
+
+    def distance(points_m: Array, needed_m: Array) -> Array:
+        told.append(points_m)
+        return needed_m + 1.0
+
+    none = np.zeros((1, 3))
+    least_of_points(bodies, np.array([1]), none, np.zeros(1), distance, parts=4, half_m=HALF_M / 4, halvings=HALVINGS)
+    assert len(told) == 1  # far away: nothing is halved
+    before, own, after = bodies[0, :-1, :, :3].mean(axis=0)
+    expected = [own + share * (other - own) for other in (before, after) for share in (0.125, 0.375)]
+    np.testing.assert_allclose(told[0], expected, atol=1e-15)
+
+
+def test_what_is_asked_for_is_what_has_to_be_exact() -> None:
+    """A clearance told as a lower bound above what was asked for changes no answer that is enough."""
+    bodies = drawn_bodies(2, seed=5)
+    error, enough, asked = np.zeros(bodies.shape[::2][:2]), np.full(2, 1e-3), np.arange(14)
+    given = {"parts": 1, "half_m": HALF_M, "halvings": HALVINGS}
+
+    def rough(points_m: Array, needed_m: Array) -> Array:
+        exact = from_ball(points_m)
+        return np.where(exact < needed_m, exact, needed_m)
+
+    exact = least_of_points(bodies, asked, error, enough, from_ball, **given)[0]
+    lower = least_of_points(bodies, asked, error, enough, rough, **given)[0]
+    np.testing.assert_array_equal(exact >= enough[0], lower >= enough[0])
+    assert np.all(lower <= exact + 1e-15)
+    np.testing.assert_array_equal(lower[exact < enough[0]], exact[exact < enough[0]])
+
+
+def test_what_makes_no_cells_is_refused() -> None:
+    bodies, enough = drawn_bodies(2), np.zeros(2)
+    error = np.zeros((2, 7))
+    search = core.PointsInCells(bodies, np.array([0, 13]), error, enough, 1, HALF_M, HALVINGS)
+    for wrong in (np.array([14]), np.array([-1])):
+        with pytest.raises(ValueError, match="no cell has"):
+            core.PointsInCells(bodies, wrong, error, enough, 1, HALF_M, HALVINGS)
+    with pytest.raises(ValueError, match="errors of all its points"):
+        core.PointsInCells(bodies, np.array([0]), error[:, :3].copy(), enough, 1, HALF_M, HALVINGS)
+    with pytest.raises(ValueError, match="even number"):
+        core.PointsInCells(bodies, np.array([0]), error, enough, 3, HALF_M, HALVINGS)
+    with pytest.raises(ValueError, match="2\\^P corners"):
+        core.PointsInCells(bodies[:, 1:].copy(), np.array([0]), error, enough, 1, HALF_M, HALVINGS)
+    with pytest.raises(ValueError, match="one clearance"):
+        search.tell(np.zeros(5))
