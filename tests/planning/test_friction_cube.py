@@ -112,8 +112,7 @@ def test_cells_that_are_too_near_are_so_whether_their_least_is_asked_or_not() ->
     bodies = np.concatenate([shapes, np.full((*shapes.shape[:3], 1), 1e-3)], axis=3)
     enough = rng.uniform(-3e-3, 6e-3, len(cells))
     least, some = (
-        cell_clearances(cells, bodies, spheres, enough, np.full(len(cells), asked))
-        for asked in (True, False)
+        cell_clearances(cells, bodies, spheres, enough, np.full(len(cells), asked)) for asked in (True, False)
     )
     is_enough = [one.clearance_m >= limit for one, limit in zip(least, enough, strict=True)]
     assert 0 < sum(is_enough) < len(cells)
