@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import product
 
@@ -21,6 +22,7 @@ from ctrplan.anatomy.grid_distance import COARSEST, grid_distance
 from ctrplan.anatomy.nearby import FEW, nearby
 from ctrplan.anatomy.parts import AnatomyPart, combined_clearance, surface_distance
 from ctrplan.base.arrays import Array
+from ctrplan.base.cores import cores
 from ctrplan.base.progress import Progress
 from ctrplan.storage import cache
 
@@ -29,7 +31,7 @@ BLOCK = 12  # cells along an edge of what is asked for the same few of many part
 RUNGS = 3  # spacings to a factor of two, so that robots of much the same reach share them
 FINEST_M = 0.5e-3
 ROUNDING = 1e-9  # of a cell
-STORED_AT_ONCE = 64
+AT_ONCE = 64  # bricks held in memory, and kept together
 
 Index = tuple[int, int, int]
 
@@ -121,19 +123,25 @@ def _bricks(
     parts: Sequence[AnatomyPart], lattice: Lattice, needed: list[Index], progress: Progress | None
 ) -> Iterator[tuple[Index, Grid]]:
     """Each brick needed, from disk or built and then kept."""
-    anatomy, built = content_key(parts, lattice.origin_m, lattice.spacing_m), dict[str, Grid]()
-    for done, index in enumerate(needed, 1):
+    anatomy = content_key(parts, lattice.origin_m, lattice.spacing_m)
+
+    def brick(index: Index) -> tuple[str, Grid, bool]:
         key = hashlib.sha256(f"{anatomy} {BRICK} {index}".encode()).hexdigest()
-        brick = cache.load(key, lattice.shape(index))
-        if brick is None:
-            brick = built[key] = _build(parts, lattice, index)
-            if len(built) == STORED_AT_ONCE:
-                cache.store_all(built)
-                built.clear()
-        if progress:
-            progress(done / len(needed))
-        yield index, brick
-    cache.store_all(built)
+        kept = cache.load(key, lattice.shape(index))
+        return (key, _build(parts, lattice, index), True) if kept is None else (key, kept, False)
+
+    with ThreadPoolExecutor(cores()) as pool:
+        for first in range(0, len(needed), AT_ONCE):
+            some, built = needed[first : first + AT_ONCE], dict[str, Grid]()
+            for done, (index, (key, values, is_new)) in enumerate(
+                zip(some, pool.map(brick, some), strict=True), first + 1
+            ):
+                if is_new:
+                    built[key] = values
+                if progress:
+                    progress(done / len(needed))
+                yield index, values
+            cache.store_all(built)
 
 
 def _build(parts: Sequence[AnatomyPart], lattice: Lattice, index: Index) -> Grid:
