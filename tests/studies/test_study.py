@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
+from concurrent.futures import Future
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +18,9 @@ from places import ROBOTS, SCENARIOS
 
 import ctrplan
 from ctrplan.errors import InputError
+from ctrplan.studies.study.engine import answer
+from ctrplan.studies.study.lines import Lines
+from ctrplan.studies.study.numbered import Numbered
 from ctrplan.studies.study.run import Doing, chunk_size, chunk_sizes
 from ctrplan.studies.study.study import Study
 from ctrplan.studies.study.table import load_study
@@ -48,6 +54,23 @@ def test_rows_are_those_of_a_loop(tmp_path: Path) -> None:
     assert table["bound_mm"].tolist() == expected  # to the last bit
     assert table[FRICTION].tolist() == sorted(table[FRICTION].tolist())
     assert table["index"].tolist() == list(range(12)) and table.done.all()
+
+
+def test_tasks_that_are_sent_by_number_are_those_of_the_list(tmp_path: Path) -> None:
+    study = Study.of(bounds(), tmp_path)
+    sent, sizes, own = Numbered.none(), (5, 4, 9), []
+    for k in (*range(11, 0, -2), *range(0, 12, 2)):  # their places in the table are others than those in the list
+        own.append(replace(study.tasks[k], index=100 - k))
+        sent.add(k, 100 - k, bytes.fromhex(own[-1].key))
+    chunks = [pickle.loads(pickle.dumps(chunk)) for chunk in sent.chunks(sizes)]
+    assert [len(chunk) for chunk in chunks] == [5, 4, 3]
+    assert [task for chunk in chunks for task in chunk.of(study.tasks)] == own
+    gone: Future[Lines] = Future()
+    gone.set_exception(RuntimeError("the machine is off"))
+    lost = [json.loads(line) for line in answer(gone, study.content, chunks[0])]
+    assert [(row["index"], row["inputs"], row["status"]) for row in lost] == [
+        (task.index, task.inputs, "lost") for task in own[:5]
+    ]
 
 
 def test_processes_give_the_same_table(tmp_path: Path) -> None:

@@ -50,8 +50,8 @@ def confirm(definition: Definition, best: Sequence[Looked], search: Store, engin
 def _do(tasks: Sequence[Task], content: bytes, store: Store, engine: Engine, report: Report) -> None:
     store.write_keys(task.key for task in tasks)
     missing = [[task] for task in tasks if _status(task, store) in (None, "lost")]
-    for done, rows in enumerate(engine.rows(content, iter(missing), None), start=1):
-        store.add(rows)
+    for done, lines in enumerate(engine.rows(content, iter(missing), None), start=1):
+        store.add(lines)
         report(Doing("plans", done, len(missing), None, engine.note))
 
 

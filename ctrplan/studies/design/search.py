@@ -22,6 +22,7 @@ from ctrplan.studies.design.sampler import Sampler, check_installed
 from ctrplan.studies.design.space import Design
 from ctrplan.studies.study.engine import Engine
 from ctrplan.studies.study.limited import unanswered
+from ctrplan.studies.study.lines import Lines
 from ctrplan.studies.study.run import Doing, Report, Where
 from ctrplan.studies.study.store import Store
 from ctrplan.studies.study.table import write_table
@@ -123,12 +124,12 @@ class Looking:
         able = []
         for task, design in missing:
             if sentence := self._refusal(design):
-                self.store.add([unanswered(task, "no answer", sentence)])
+                self.store.add(Lines.of([unanswered(task, "no answer", sentence)]))
             else:
                 able.append([task])
-        for rows in self.engine.rows(self.definition.content, iter(able), None) if able else ():
-            self.store.add(rows)
-            self.did += len(rows)
+        for lines in self.engine.rows(self.definition.content, iter(able), None) if able else ():
+            self.store.add(lines)
+            self.did += len(lines)
             done = min(len(self.archive.all) + self.did % len(able), self.count)
             self.report(Doing("designs", done, self.count, self._left_s(), self.engine.note))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -75,7 +75,7 @@ class Definition:
     @property
     def content(self) -> bytes:
         """What every worker is given once."""
-        return pickle.dumps(self.job)
+        return pickle.dumps(replace(self.job, tasks=self.tasks))
 
 
 def defined(entry: StudyEntry, document: Document, allow_outside: bool) -> Definition:

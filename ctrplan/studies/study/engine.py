@@ -6,17 +6,17 @@ Only so many chunks are handed out at a time that nobody waits, so that memory d
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from typing import Any
 
 from ctrplan.errors import InputError
 from ctrplan.studies.child_process import ChildEnded
 from ctrplan.studies.study.limited import do_limited, unanswered
-from ctrplan.studies.study.task import Row, Task
-from ctrplan.studies.study.worker import VersionError, do_tasks
+from ctrplan.studies.study.lines import Lines
+from ctrplan.studies.study.worker import Chunk, VersionError, do_chunk, tasks_of
 
-Chunks = Iterator[Sequence[Task]]
+Chunks = Iterator[Chunk]
 AHEAD = 2  # chunks for each worker: one that it does, one that is there when it is done
 
 
@@ -31,7 +31,7 @@ class Engine(ABC):
         """How many there are now."""
 
     @abstractmethod
-    def rows(self, content: bytes, chunks: Chunks, limit_s: float | None) -> Iterator[Sequence[Row]]:
+    def rows(self, content: bytes, chunks: Chunks, limit_s: float | None) -> Iterator[Lines]:
         """Rows of all chunks in any order. `content` is the pickled job; raises CtrplanError where nobody can go on."""
 
     def __enter__(self) -> Engine:
@@ -54,9 +54,9 @@ class ExecutorEngine(Engine):
         """How many there were said to be."""
         return self._workers
 
-    def rows(self, content: bytes, chunks: Chunks, limit_s: float | None) -> Iterator[Sequence[Row]]:
+    def rows(self, content: bytes, chunks: Chunks, limit_s: float | None) -> Iterator[Lines]:
         """Rows as chunks are done. Raises InputError where the executor takes no tasks."""
-        given: dict[Future[list[Row]], Sequence[Task]] = {}
+        given: dict[Future[Lines], Chunk] = {}
         try:
             while True:
                 for chunk in chunks:
@@ -66,25 +66,25 @@ class ExecutorEngine(Engine):
                 if not given:
                     return
                 for future in wait(given, return_when=FIRST_COMPLETED).done:
-                    yield answer(future, given.pop(future))
+                    yield answer(future, content, given.pop(future))
         finally:
             for future in given:
                 future.cancel()
 
-    def _submitted(self, content: bytes, chunk: Sequence[Task], limit_s: float | None) -> Future[list[Row]]:
+    def _submitted(self, content: bytes, chunk: Chunk, limit_s: float | None) -> Future[Lines]:
         try:
             if limit_s is None:
-                return self.executor.submit(do_tasks, content, chunk)
+                return self.executor.submit(do_chunk, content, chunk)
             return self.executor.submit(do_limited, content, chunk, limit_s)
         except RuntimeError as error:  # of all executors of concurrent.futures
             raise InputError(f"takes no tasks ({error})", key="executor", value=self.executor) from error
 
 
-def answer(future: Any, chunk: Sequence[Task]) -> Sequence[Row]:
+def answer(future: Any, content: bytes, chunk: Chunk) -> Lines:
     """The rows of a chunk, also where whoever did it gave none. Raises VersionError, InputError without ctrplan."""
     try:
-        rows: Sequence[Row] = future.result()
-        return rows
+        lines: Lines = future.result()
+        return lines
     except VersionError:
         raise
     except ModuleNotFoundError as error:
@@ -92,4 +92,4 @@ def answer(future: Any, chunk: Sequence[Task]) -> Sequence[Row]:
     except Exception as error:
         words = " ".join(str(error).split()).rstrip(".")
         sentence = f"{words}." if isinstance(error, ChildEnded) else f"{type(error).__name__}: {words}."
-        return [unanswered(task, "lost", sentence) for task in chunk]
+        return Lines.of([unanswered(task, "lost", sentence) for task in tasks_of(content, chunk)])

@@ -9,7 +9,7 @@ import asyncio
 import logging
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack
 from functools import cached_property
 from typing import Any
@@ -19,9 +19,9 @@ from ctrplan.base.version import __version__
 from ctrplan.errors import CtrplanError, InputError
 from ctrplan.studies.study.engine import AHEAD, Chunks, Engine, answer
 from ctrplan.studies.study.limited import do_limited
+from ctrplan.studies.study.lines import Lines
 from ctrplan.studies.study.no_main import no_main_module
-from ctrplan.studies.study.task import Row, Task
-from ctrplan.studies.study.worker import check_version, do_tasks
+from ctrplan.studies.study.worker import Chunk, check_version, do_chunk
 
 EXTRA = "pip install 'ctrplan[cluster]'"
 CONNECT_S = 5.0
@@ -125,13 +125,13 @@ class DaskEngine(Engine):
         link: str | None = self.client.dashboard_link  # of a usual port, where a scheduler has none
         return link if link and _shows_a_dashboard(link) else ""
 
-    def rows(self, content: bytes, chunks: Chunks, limit_s: float | None) -> Iterator[Sequence[Row]]:
+    def rows(self, content: bytes, chunks: Chunks, limit_s: float | None) -> Iterator[Lines]:
         """Rows as chunks are done."""
         from distributed import as_completed
 
         # A task of its own, which any worker can do again, so that nothing is lost with the worker that had it.
         shared = self.client.submit(bytes, content, pure=False)
-        given: dict[Any, Sequence[Task]] = {}
+        given: dict[Any, Chunk] = {}
         done = as_completed()
         try:
             while True:
@@ -144,15 +144,15 @@ class DaskEngine(Engine):
                 if not given:
                     return
                 future = next(done)
-                yield answer(future, given.pop(future.key))
+                yield answer(future, content, given.pop(future.key))
                 future.release()
         finally:
             done.clear()
             shared.release()
 
-    def _submitted(self, shared: Any, chunk: Sequence[Task], limit_s: float | None) -> Any:
+    def _submitted(self, shared: Any, chunk: Chunk, limit_s: float | None) -> Any:
         if limit_s is None:
-            return self.client.submit(do_tasks, shared, chunk, pure=False)
+            return self.client.submit(do_chunk, shared, chunk, pure=False)
         return self.client.submit(do_limited, shared, chunk, limit_s, pure=False)
 
     def __exit__(self, *_: object) -> None:

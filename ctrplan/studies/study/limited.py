@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from ctrplan.studies.child_process import ChildEnded, in_child
+from ctrplan.studies.study.lines import Lines
 from ctrplan.studies.study.task import Row, Status, Task
-from ctrplan.studies.study.worker import do_tasks, prepare
+from ctrplan.studies.study.worker import Chunk, do_tasks, prepare, tasks_of
 
 
-def do_limited(content: bytes, tasks: Sequence[Task], limit_s: float) -> list[Row]:
+def do_limited(content: bytes, chunk: Chunk, limit_s: float) -> Lines:
     """Rows of tasks, each of which may take `limit_s`; one that did not live to answer has a row that says so."""
     rows: list[Row] = []
-    for task in tasks:
+    for task in tasks_of(content, chunk):
         try:
             in_child(prepare, content)
             rows += in_child(do_tasks, content, [task], limit_s=limit_s)
@@ -20,7 +19,7 @@ def do_limited(content: bytes, tasks: Sequence[Task], limit_s: float) -> list[Ro
             rows.append(unanswered(task, "timed out", f"took longer than the limit of {limit_s:g} s.", limit_s))
         except ChildEnded as error:
             rows.append(unanswered(task, "lost", f"{error}."))
-    return rows
+    return Lines.of(rows)
 
 
 def unanswered(task: Task, status: Status, sentence: str, elapsed_s: float = 0.0) -> Row:

@@ -6,11 +6,11 @@ import math
 import os
 import pickle
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from itertools import islice, repeat
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from ctrplan.studies.study.engine import Engine, ExecutorEngine
 from ctrplan.studies.study.engine_dask import DaskEngine, is_installed
 from ctrplan.studies.study.engine_pool import PoolEngine
 from ctrplan.studies.study.extremes import extreme_tasks
+from ctrplan.studies.study.numbered import Numbered
 from ctrplan.studies.study.store import Store
 from ctrplan.studies.study.table import StudyTable, load_study, write_table
 from ctrplan.studies.study.task import Task
@@ -121,7 +122,7 @@ def run_study(
     store.open_for_work()
     try:
         studies = _with_earlier(study, store, add)
-        missing = dict.fromkeys(studies, 0)
+        missing = {part: Numbered.none() for part in studies}
         count = store.write_keys(_counted(studies, store, missing))
         did, interrupted = _do(studies, missing, store, where, report)
         return Outcome(store, write_table(store), count, did, interrupted)
@@ -177,8 +178,8 @@ def _again(part: Mapping[str, Any], folder: str, allow_outside: bool) -> Definit
     return defined(checked_study(document), document, allow_outside)
 
 
-def _tasks(studies: Sequence[Definition]) -> Iterator[tuple[Definition, Task]]:
-    """All tasks, each once, numbered in their order."""
+def _tasks(studies: Sequence[Definition]) -> Iterator[tuple[Definition, int, Task]]:
+    """All tasks, each once, numbered in their order; and which of a study's list each is."""
     seen: set[str] = set()
     index = 0
     for study in studies:
@@ -188,15 +189,15 @@ def _tasks(studies: Sequence[Definition]) -> Iterator[tuple[Definition, Task]]:
                 if task.key in seen:
                     continue
                 seen.add(task.key)
-            yield study, replace(task, index=index) if task.index != index else task
+            yield study, k, replace(task, index=index) if task.index != index else task
             index += 1
 
 
 def _do(
-    studies: Sequence[Definition], missing: Mapping[Definition, int], store: Store, where: Where, report: Report
+    studies: Sequence[Definition], missing: Mapping[Definition, Numbered], store: Store, where: Where, report: Report
 ) -> tuple[int, bool]:
     """Does what is missing; returns how many tasks that were, and whether Ctrl-C ended it."""
-    did, count = 0, sum(missing.values())
+    did, count = 0, sum(map(len, missing.values()))
     if not count and not any(study.entry.keep.plans == "extremes" for study in studies):
         return 0, False
     began = time.monotonic()
@@ -209,10 +210,10 @@ def _do(
             for study in studies:
                 if not missing[study]:
                     continue
-                chunks = _chunks(study, studies, store, missing[study], engine.workers)
-                for rows in engine.rows(study.content, chunks, study.kind.time_limit_s):
-                    store.add(rows)
-                    did += len(rows)
+                chunks = missing[study].chunks(_sizes(study, len(missing[study]), engine.workers))
+                for lines in engine.rows(study.content, chunks, study.kind.time_limit_s):
+                    store.add(lines)
+                    did += len(lines)
                     left_s = (time.monotonic() - began) * (count - did) / did
                     report(Doing("tasks", did, count, left_s, engine.note))
             for study in studies:
@@ -223,10 +224,11 @@ def _do(
     return did, False
 
 
-def _counted(studies: Sequence[Definition], store: Store, missing: dict[Definition, int]) -> Iterator[str]:
-    """Keys of all tasks; meanwhile those that are missing are counted for each study."""
-    for study, task in _tasks(studies):
-        missing[study] += _is_missing(study, task, store)
+def _counted(studies: Sequence[Definition], store: Store, missing: Mapping[Definition, Numbered]) -> Iterator[str]:
+    """Keys of all tasks; meanwhile those that are missing are noted for each study."""
+    for study, k, task in _tasks(studies):
+        if _is_missing(study, task, store):
+            missing[study].add(k, task.index, bytes.fromhex(task.key))
         yield task.key
 
 
@@ -243,18 +245,10 @@ def _is_missing(study: Definition, task: Task, store: Store) -> bool:
     return status == "lost"
 
 
-def _chunks(
-    study: Definition, studies: Sequence[Definition], store: Store, count: int, workers: int
-) -> Iterator[Sequence[Task]]:
-    """Tasks that are missing, so many at a time that neither their worker nor the scheduler notices the hand-over."""
-    missing = (task for owner, task in _tasks(studies) if owner is study and _is_missing(study, task, store))
+def _sizes(study: Definition, count: int, workers: int) -> Iterable[int]:
+    """Of chunks: so many tasks at a time that neither their worker nor the scheduler notices the hand-over."""
     in_chunks = study.kind.together and study.kind.time_limit_s is None
-    sizes = chunk_sizes(study.task_s, count, max(workers, 1)) if in_chunks else repeat(1)
-    for size in sizes:
-        chunk = list(islice(missing, size))
-        if not chunk:
-            return
-        yield chunk
+    return chunk_sizes(study.task_s, count, max(workers, 1)) if in_chunks else repeat(1)
 
 
 def chunk_sizes(task_s: float, count: int, workers: int) -> Iterator[int]:
@@ -276,8 +270,8 @@ def _keep_extremes(
     study: Definition, studies: Sequence[Definition], store: Store, engine: Engine, report: Report
 ) -> None:
     """The plans of the best and the worst row, made again and kept."""
-    wanted = extreme_tasks(study, [task for owner, task in _tasks(studies) if owner is study], store, PLAN_FILES)
+    wanted = extreme_tasks(study, [task for owner, _, task in _tasks(studies) if owner is study], store, PLAN_FILES)
     content = pickle.dumps(replace(study.job, keep=PLAN_FILES))
-    for done, rows in enumerate(engine.rows(content, ([task] for task in wanted), study.kind.time_limit_s), start=1):
-        store.add(rows)
+    for done, lines in enumerate(engine.rows(content, ([task] for task in wanted), study.kind.time_limit_s), start=1):
+        store.add(lines)
         report(Doing("plans", done, len(wanted), None, engine.note))

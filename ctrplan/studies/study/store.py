@@ -9,21 +9,18 @@ from __future__ import annotations
 import fcntl
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from ctrplan.errors import CtrplanError, InputError
 from ctrplan.storage.atomic_write import write_atomically
 from ctrplan.storage.output_folder import output_folder
-from ctrplan.studies.study.task import KEY_DIGITS, Row
+from ctrplan.studies.study.lines import DONE, Lines, key_of
+from ctrplan.studies.study.numbered import KEY_BYTES
 
 STUDY, KEYS, ROWS, LOCK, PLANS = "study.json", "tasks.keys", "rows.jsonl", ".lock", "plans"
-LINE_BEGINS, DONE = b'{"key": "', b'"status": "done"'
-KEY_BYTES = KEY_DIGITS // 2
-COLUMNS = tuple(field.name for field in fields(Row) if field.name != "files")
 
 
 class Store:
@@ -101,18 +98,17 @@ class Store:
                     file.seek(offset)
                     yield {**json.loads(file.readline()), "index": index}
 
-    def add(self, rows: Sequence[Row]) -> None:
+    def add(self, lines: Lines) -> None:
         """Appends rows, and writes the files that belong to them. Raises CtrplanError where the system refuses."""
-        lines = []
-        for row in rows:
-            for name, data in row.files.items():
-                self.write_plan(row.index, name, data)
-            content = {name: getattr(row, name) for name in COLUMNS}
-            lines.append(json.dumps(content, ensure_ascii=False).encode() + b"\n")
+        for index, files in lines.files.items():
+            for name, data in files.items():
+                self.write_plan(index, name, data)
         with self.writing(ROWS):
-            self._append(b"".join(lines))
-        for row, line in zip(rows, lines, strict=True):
-            self._note(bytes.fromhex(row.key), line)
+            self._append(lines.text)
+        for line in lines:
+            key = key_of(line)
+            assert key is not None
+            self._note(key, line)
 
     def write_plan(self, index: int, name: str, data: bytes) -> None:
         """Writes a file of the plan of a task."""
@@ -139,7 +135,7 @@ class Store:
         self.end = 0
         with open(self.folder / ROWS, "rb") as file:
             for line in file:
-                key = _key_of(line)
+                key = key_of(line)
                 if key is None:
                     break
                 self._note(key, line)
@@ -174,13 +170,3 @@ class Store:
         except OSError as error:
             rule = f"could not be written: {error.strerror or error}; what is in it stays, the study can be run again"
             raise CtrplanError(f"{self.folder / name if name else self.folder}: {rule}.") from error
-
-
-def _key_of(line: bytes) -> bytes | None:
-    """The key of a whole line; None for what is none."""
-    if not (line.endswith(b"\n") and line.startswith(LINE_BEGINS)):
-        return None
-    try:
-        return bytes.fromhex(line[len(LINE_BEGINS) : len(LINE_BEGINS) + KEY_DIGITS].decode())
-    except ValueError:
-        return None

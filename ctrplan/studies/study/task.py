@@ -43,6 +43,7 @@ class Job:
     version: str = __version__
     numbers: tuple[str, ...] = ()  # to record; none named: all
     keep: tuple[str, ...] = ()  # files of a plan that come back with its row
+    tasks: TaskList | None = None  # those that workers are told by their numbers
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,18 @@ class TaskList:
 
     def __getitem__(self, k: int) -> Task:
         """Task k of this list."""
+        inputs, overrides, settings, digests = self._said(k)
+        text = json.dumps([self.base, inputs, overrides, settings, digests], sort_keys=True)
+        key = hashlib.sha256(text.encode()).hexdigest()[:KEY_DIGITS]
+        return Task(self.first + k, key, inputs, tuple(overrides), settings)
+
+    def made(self, k: int, index: int, key: str) -> Task:
+        """Task k where its place in the table and its key are known."""
+        inputs, overrides, settings, _ = self._said(k)
+        return Task(index, key, inputs, tuple(overrides), settings)
+
+    def _said(self, k: int) -> tuple[dict[str, Any], list[str], dict[str, Any], list[str]]:
+        """Inputs, overrides, settings and digests of files of task k."""
         inputs: dict[str, Any] = {}
         overrides: list[str] = []
         settings: dict[str, Any] = {"seed": self.seed}
@@ -87,9 +100,7 @@ class TaskList:
             overrides += chosen.overrides
             settings |= chosen.settings
             digests.append(chosen.digest)
-        text = json.dumps([self.base, inputs, overrides, settings, digests], sort_keys=True)
-        key = hashlib.sha256(text.encode()).hexdigest()[:KEY_DIGITS]
-        return Task(self.first + k, key, inputs, tuple(overrides), settings)
+        return inputs, overrides, settings, digests
 
     def _choices(self, k: int) -> list[int]:
         choices = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
 
 import msgspec
@@ -87,11 +88,15 @@ def register(name: str) -> Callable[[T], T]:
 
 def settled(kind: TaskKind, task: Task) -> TaskKind:
     """The kind with what the task says of its keys. Raises InputError for what does not fit."""
-    fields = {field.name for field in msgspec.structs.fields(kind)}
-    own = {key: value for key, value in task.settings.items() if key in fields}
+    own = {key: value for key, value in task.settings.items() if key in _keys(type(kind))}
     if not own:
         return kind
     return Document({**msgspec.to_builtins(kind), **own}).to(type(kind))
+
+
+@lru_cache
+def _keys(kind: type[TaskKind]) -> frozenset[str]:
+    return frozenset(field.name for field in msgspec.structs.fields(kind))
 
 
 def check_settings(kind: TaskKind, keys: Sequence[str], file: str | None) -> None:

@@ -19,7 +19,12 @@ from ctrplan.errors import CtrplanError, InputError, NoAnswerError
 from ctrplan.storage.toml_document import Document
 from ctrplan.storage.toml_table import Table
 from ctrplan.studies.study.kinds_installed import CATALOGUE, TaskKind
+from ctrplan.studies.study.lines import Lines
+from ctrplan.studies.study.numbered import Numbered
 from ctrplan.studies.study.task import Job, Row, Status, Task
+
+Chunk = Sequence[Task] | Numbered
+"""Tasks that a worker gets at a time."""
 
 
 class VersionError(InputError):
@@ -35,11 +40,26 @@ def check_version(theirs: str, worker: str = "") -> None:
         )
 
 
+def do_chunk(content: bytes, chunk: Chunk) -> Lines:
+    """The rows of a chunk of a job's tasks, as `do_tasks` has them."""
+    check_version(_job(content).version)
+    return Lines.of(do_tasks(content, tasks_of(content, chunk)))
+
+
+def tasks_of(content: bytes, chunk: Chunk) -> Sequence[Task]:
+    """The tasks of a chunk, also where only their numbers were sent."""
+    if not isinstance(chunk, Numbered):
+        return chunk
+    tasks = _job(content).tasks
+    assert tasks is not None
+    return chunk.of(tasks)
+
+
 def do_tasks(content: bytes, tasks: Sequence[Task]) -> list[Row]:
     """The rows of tasks of a job, on one thread. Raises VersionError; all else that goes wrong stands in the rows."""
     job = _job(content)
     check_version(job.version)
-    kind = kind_of(job)
+    kind = _kind(content)
     prepare(content)
     rows, where, begun = [], worker_name(), (time.process_time(), time.monotonic())
     with one_core():
@@ -73,6 +93,11 @@ def _read_kind(document: Document) -> TaskKind:
 def _job(content: bytes) -> Job:
     job: Job = pickle.loads(content)
     return job
+
+
+@lru_cache(maxsize=4)
+def _kind(content: bytes) -> TaskKind:
+    return kind_of(_job(content))
 
 
 def _row(job: Job, task: Task, result: Mapping[str, Any] | Exception, where: str, took_s: tuple[float, float]) -> Row:
