@@ -1,13 +1,14 @@
 """How fast studies are: tasks a second against a plain loop on one core, what a task costs beside its work, memory.
 
-    python benchmarks/study_speed.py                      # all of it: some 5 minutes on two idle cores
-    python benchmarks/study_speed.py --bounds 1000 --plans 6 --empty 500 --many 10000     # a minute
-    python benchmarks/study_speed.py --bounds 4000 --plans 0 --many 0                     # bounds alone
+    python benchmarks/study_speed.py                      # all of it: some 12 minutes on two idle cores
+    python benchmarks/study_speed.py --bounds 1000 --plans 6 --empty 500 --many 10000 --rounds 1     # a minute
+    python benchmarks/study_speed.py --bounds 8000 --plans 0 --empty 0 --many 0                      # bounds alone
 
-What it prints: tasks a second by the clock with 1 and 2 workers, and beside the loop; overhead of a task on its worker,
-and of client and scheduler, in ms; memory of client and scheduler as tasks are done; a cluster whose workers are
-started by hand, one killed in the middle and another joining late, and whether its table is the same; what the
-scheduler hands out.
+What it prints: tasks a second of a plain loop, of two plain loops in two processes at once without any engine (what the
+machine gives: caches and memory are shared), and of a study on two workers, in alternation, medians of all rounds;
+overhead of a task on its worker, and of client and scheduler, in ms; memory of client and scheduler as tasks are done;
+a cluster whose workers are started by hand, one killed in the middle and another joining late, and whether its table is
+the same; what the scheduler hands out.
 
 Times of the clock mean something on an idle machine only. Where others work on it, look at the ratio of processor
 times: that of the loop to that of workers, client and scheduler together, times the number of workers.
@@ -108,6 +109,7 @@ class Run:
         self.begun: tuple[int, float, float, float] | None = None
         self.ended = (0, 0.0, 0.0, 0.0)
         self.asked = time.monotonic()
+        self.workers: list[str] = []
         study = Study.of(content, folder)
         given = where or {"workers": workers}
         self.table = study.run(folder / f"out-{len(list(folder.iterdir()))}", progress=self.told, **given)
@@ -115,9 +117,10 @@ class Run:
     def told(self, doing: Doing) -> None:
         if doing.stage != "tasks":
             return
-        now = (doing.done, time.monotonic(), time.process_time(), sum(map(processor_s, children())))
+        self.workers = self.workers or children()  # looked for once: what this costs counts as the client's
+        now = (doing.done, time.monotonic(), time.process_time(), sum(map(processor_s, self.workers)))
         self.begun, self.ended = self.begun or now, now
-        self.memory.append((doing.done, resident_mb("self"), max(map(resident_mb, children()), default=0.0)))
+        self.memory.append((doing.done, resident_mb("self"), max(map(resident_mb, self.workers), default=0.0)))
 
     @property
     def rate(self) -> float:
@@ -167,26 +170,70 @@ def children() -> list[str]:
     return " ".join(file.read_text("ascii") for file in Path("/proc/self/task").glob("*/children")).split()
 
 
-def compare(name: str, content: dict[str, Any], folder: Path, loop: Any) -> Run:
-    """A line for each number of workers; the run of the most of them."""
-    study = Study.of(content, folder)
-    loop_s = loop(study)
-    print(f"{name}: {study.count} tasks; plain loop {study.count / loop_s:.1f} a second of one core")
-    for workers in range(1, WORKERS + 1):
-        found = Run(content, folder, workers)
-        loop_s = (loop_s + loop(study)) / 2  # before and after: machines wander
-        each_s = loop_s / study.count
-        by_clock, by_time = found.rate * each_s, workers * each_s / (found.workers_s + found.client_s)
-        print(
-            f"  {workers} worker(s): {found.rate:.1f} a second by the clock, {by_clock:.2f} times the loop; "
-            f"by processor time {by_time:.2f} times; {found.start_s:.1f} s to start them"
-        )
-        print(
-            f"    overhead of a task {1e3 * (found.workers_s - each_s + found.client_s):.2f} ms: "
-            f"{1e3 * (found.workers_s - each_s):.2f} on its worker, {1e3 * found.client_s:.2f} of client and scheduler"
-        )
+LOOPS = {"bounds": (bounds_study, loop_of_bounds), "plans": (plans_study, loop_of_plans)}
+
+
+def serve_loop(name: str, count: int) -> None:
+    """The plain loop in a process of its own: it warms up, waits for a line, and says how long it took."""
+    content, loop = LOOPS[name]
+    study = Study.of(content(count), Path())
+    loop(Study.of(content(1), Path()))
+    print("ready", flush=True)
+    sys.stdin.readline()
+    begun = time.monotonic()
+    processor = loop(study)
+    print(time.monotonic() - begun, processor, flush=True)
+
+
+def loops_at_once(name: str, count: int, processes: int) -> tuple[float, float]:
+    """Seconds a task of so many loops that begin together: of the clock, and of the processor."""
+    command = [sys.executable, __file__, "--serve-loop", name, str(count)]
+    with ExitStack() as stack:
+        loops = []
+        for _ in range(processes):
+            pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+            loops.append(stack.enter_context(subprocess.Popen(command, **pipes)))
+        for loop in loops:
+            loop.stdout.readline()
+        for loop in loops:
+            loop.stdin.write("\n")
+            loop.stdin.flush()
+        took = [[float(text) for text in loop.stdout.readline().split()] for loop in loops]
+    tasks = LOOPS[name][0](count)
+    done = Study.of(tasks, Path()).count
+    clock, processor = np.mean(took, axis=0)
+    return clock / done / processes, processor / done
+
+
+def compare(name: str, count: int, folder: Path, rounds: int) -> Run:
+    """A loop, two at once and a study in alternation; prints medians of all rounds. Returns the last study."""
+    times = []
+    for _ in range(rounds):
+        one, both = loops_at_once(name, count, 1), loops_at_once(name, count, WORKERS)
+        found = Run(LOOPS[name][0](count), folder)
+        times.append((*one, *both, 1 / found.rate, found.workers_s, found.client_s, found.start_s))
+    print_rates(f"{name}: {len(found.table)} tasks", np.array(times))
     print_memory(found.memory)
     return found
+
+
+def print_rates(what: str, times: np.ndarray) -> None:
+    """times: (rounds, 8) as in `compare`, seconds a task but for the last."""
+    clock, processor, both, of_both, study, workers, client, start = times.T
+    seen = [("two loops at once", clock / both, WORKERS * processor / of_both)]
+    seen += [("a study on two workers", clock / study, WORKERS * processor / (workers + client))]
+    print(f"{what}, medians of {len(times)}; plain loop {1 / np.median(clock):.1f} a second of the clock")
+    for name, by_clock, by_time in seen:
+        spread = f"{by_clock.min():.2f} to {by_clock.max():.2f}"
+        print(f"  {name}: {np.median(by_clock):.2f} times the loop by the clock ({spread}), "
+              f"{np.median(by_time):.2f} by processor time")  # fmt: skip
+    of_ceiling = np.median(both / study), np.median(of_both / (workers + client))
+    print(
+        f"  the study beside two loops at once: {of_ceiling[0]:.3f} by the clock, {of_ceiling[1]:.3f} by processor time"
+    )
+    own = 1e3 * np.median([workers - processor, workers - of_both, client], axis=1)
+    print(f"    overhead of a task: {own[0]:.3f} ms on its worker ({own[1]:.3f} beside two loops at once), "
+          f"{own[2]:.3f} of client and scheduler; {np.median(start):.1f} s to start workers", flush=True)  # fmt: skip
 
 
 def by_hand(content: dict[str, Any], folder: Path, same_as: Run) -> None:
@@ -278,14 +325,18 @@ def main() -> None:
     parser.add_argument("--empty", type=int, default=2000)
     parser.add_argument("--many", type=int, default=100_000, help="bounds for memory")
     parser.add_argument("--many-plans", type=int, default=0, help="plans for memory, to near goals")
+    parser.add_argument("--rounds", type=int, default=3, help="of loop, two loops and study")
+    parser.add_argument("--serve-loop", nargs=2, metavar=("NAME", "COUNT"), help=argparse.SUPPRESS)
     asked = parser.parse_args()
+    if asked.serve_loop:
+        return serve_loop(asked.serve_loop[0], int(asked.serve_loop[1]))
     print(f"load of the machine {os.getloadavg()[0]:.1f}, {os.cpu_count()} cores, {WORKERS} workers")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if asked.bounds:
-            compare("bounds", bounds_study(asked.bounds), folder, loop_of_bounds)
+            compare("bounds", asked.bounds, folder, asked.rounds)
         if asked.plans:
-            found = compare("plans", plans_study(asked.plans), folder, loop_of_plans)
+            found = compare("plans", asked.plans, folder, asked.rounds)
             by_hand(plans_study(asked.plans), folder, found)
         if asked.empty:
             empty_tasks(asked.empty, folder)

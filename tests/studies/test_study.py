@@ -258,11 +258,11 @@ def test_the_table_in_its_file(tmp_path: Path) -> None:
 
 
 def test_chunks_grow_with_the_cluster_and_leave_something_for_everybody() -> None:
-    assert chunk_size(1e-3, 100_000, 2) == 500 and chunk_size(1e-3, 10**7, 1000) == 2000
-    assert chunk_size(1e-3, 100, 2) == 13 and chunk_size(9.0, 100, 2) == 1
+    assert chunk_size(1e-3, 100_000, 2) == 1000 and chunk_size(1e-3, 10**7, 1000) == 2000
+    assert chunk_size(1e-3, 100, 2) == 25 and chunk_size(9.0, 100, 2) == 1
     sizes = list(chunk_sizes(1e-3, 4000, 2))  # the last ones are short, so that both are done at about the same time
-    assert sum(sizes) == 4000 and sizes[0] == 500 and sizes[-2] == 50 and sizes == sorted(sizes, reverse=True)
-    assert sum(chunk_sizes(1e-3, 100, 2)) == 100 and max(chunk_sizes(1e-3, 100, 2)) == 13
+    assert sum(sizes) == 4000 and sizes[0] == 1000 and sizes[-2] == 50 and sizes == sorted(sizes, reverse=True)
+    assert sum(chunk_sizes(1e-3, 100, 2)) == 100 and max(chunk_sizes(1e-3, 100, 2)) == 25
     for workers in (1, 50, 400, 1600):  # so many chunks a second the scheduler has to hand out, of 1,000 it can
         assert workers / (chunk_size(1e-3, 10**9, workers) * 1e-3) <= 500 + 1
 

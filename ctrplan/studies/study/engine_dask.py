@@ -21,7 +21,7 @@ from ctrplan.studies.study.engine import AHEAD, Chunks, Engine, answer
 from ctrplan.studies.study.limited import do_limited
 from ctrplan.studies.study.lines import Lines
 from ctrplan.studies.study.no_main import no_main_module
-from ctrplan.studies.study.worker import Chunk, check_version, do_chunk
+from ctrplan.studies.study.worker import Chunk, check_version, do_chunk, prepare
 
 EXTRA = "pip install 'ctrplan[cluster]'"
 CONNECT_S = 5.0
@@ -59,6 +59,7 @@ class DaskEngine(Engine):
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what concerns the study is said by it
         self.opened = ExitStack()
         self.looked, self.count = -LOOK_S, 0
+        self.is_own = not (scheduler or scheduler_file)
         try:
             self.client = self._client(workers, scheduler, scheduler_file)
             self._check_versions()
@@ -111,6 +112,11 @@ class DaskEngine(Engine):
             raise
         except ModuleNotFoundError as error:
             raise InputError(f"the workers lack the module {error.name}: install ctrplan where they run") from error
+
+    def prepare(self, content: bytes) -> None:
+        """Likewise. Workers of other clusters do it with their first task: some may not have joined yet."""
+        if self.is_own:
+            self.client.run(prepare, content)
 
     @property
     def workers(self) -> int:

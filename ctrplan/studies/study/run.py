@@ -30,10 +30,10 @@ from ctrplan.studies.study.task import Task
 
 MOST_TASKS = 1_000_000  # without being asked twice
 MOST_DAYS = 7.0
-CHUNK_S = 0.5  # of one worker, for up to 250 workers
-SCHEDULED_S = 1e-3  # of the scheduler for a chunk, as dask states it: 500 workers with chunks of 0.5 s keep it busy
+CHUNK_S = 1.0  # of one worker, for up to 500 workers
+SCHEDULED_S = 1e-3  # of the scheduler for a chunk, as dask states it: 1,000 workers with chunks of 1 s keep it busy
 MOST_IN_CHUNK = 4096
-SHARES = 4  # chunks for each worker, at least, of what is left: none is left with the last long one
+SHARES = 2  # chunks for each worker, at least, of what is left: none is left with the last long one
 LEAST_S = 0.05  # of chunks that become smaller towards the end
 PLAN_FILES = ("plan.json", "trajectory.csv", "report.html", "plan.png")
 
@@ -197,31 +197,39 @@ def _do(
     studies: Sequence[Definition], missing: Mapping[Definition, Numbered], store: Store, where: Where, report: Report
 ) -> tuple[int, bool]:
     """Does what is missing; returns how many tasks that were, and whether Ctrl-C ended it."""
-    did, count = 0, sum(map(len, missing.values()))
-    if not count and not any(study.entry.keep.plans == "extremes" for study in studies):
+    did = 0
+    some = [study for study in studies if missing[study]]
+    extreme = [study for study in studies if study.entry.keep.plans == "extremes"]
+    if not some and not extreme:
         return 0, False
-    began = time.monotonic()
     report(Doing("workers", 0, 1))
     try:
         with where.engine() as engine:
-            report(Doing("tasks", 0, count, None, engine.note))
-            if not engine.workers:
-                report(Doing("waiting for a worker to join", 0, 1))
-            for study in studies:
-                if not missing[study]:
-                    continue
-                chunks = missing[study].chunks(_sizes(study, len(missing[study]), engine.workers))
-                for lines in engine.rows(study.content, chunks, study.kind.time_limit_s):
-                    store.add(lines)
-                    did += len(lines)
-                    left_s = (time.monotonic() - began) * (count - did) / did
-                    report(Doing("tasks", did, count, left_s, engine.note))
-            for study in studies:
-                if study.entry.keep.plans == "extremes":
-                    _keep_extremes(study, studies, store, engine, report)
+            for study in some:
+                engine.prepare(study.content)
+            for did in _done({study: missing[study] for study in some}, store, engine, report):  # noqa: B007
+                pass
+            for study in extreme:
+                _keep_extremes(study, studies, store, engine, report)
     except KeyboardInterrupt:
         return did, True
     return did, False
+
+
+def _done(missing: Mapping[Definition, Numbered], store: Store, engine: Engine, report: Report) -> Iterator[int]:
+    """Does what is missing, and says after every chunk how many tasks are done."""
+    did, count, began = 0, sum(map(len, missing.values())), time.monotonic()
+    report(Doing("tasks", 0, count, None, engine.note))
+    if not engine.workers:
+        report(Doing("waiting for a worker to join", 0, 1))
+    for study, tasks in missing.items():
+        chunks = tasks.chunks(_sizes(study, len(tasks), engine.workers))
+        for lines in engine.rows(study.content, chunks, study.kind.time_limit_s):
+            store.add(lines)
+            did += len(lines)
+            left_s = (time.monotonic() - began) * (count - did) / did
+            report(Doing("tasks", did, count, left_s, engine.note))
+            yield did
 
 
 def _counted(studies: Sequence[Definition], store: Store, missing: Mapping[Definition, Numbered]) -> Iterator[str]:
