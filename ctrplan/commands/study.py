@@ -13,8 +13,10 @@ from ctrplan.commands.worker_options import StageTeller, add_worker_options, cho
 from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 
 if TYPE_CHECKING:
-    from ctrplan.studies.study.run import Outcome
+    from ctrplan.studies.study.run import Outcome, Where
     from ctrplan.studies.study.study import Study
+
+MOST_INPUTS = 3  # that a line of the terminal names; the table has all of them
 
 EXAMPLES = """examples:
   ctrplan study STUDY.toml -o out
@@ -65,7 +67,7 @@ def run_study_command(arguments: argparse.Namespace) -> int:
     where = chosen_workers(arguments)
     study = Study.read(arguments.study, arguments.overrides, allow_outside=arguments.allow_outside)
     refuse_endless(study, where, arguments.yes)
-    print(_beforehand(study, where.expected), file=sys.stderr)
+    print(_beforehand(study, where), file=sys.stderr)
     terminal = sys.stderr is not None and sys.stderr.isatty()
     with ProgressBar(quiet=arguments.quiet or not terminal) as bar:
         teller = StageTeller(bar)
@@ -77,13 +79,16 @@ def run_study_command(arguments: argparse.Namespace) -> int:
     return 0 if found.table.done.any() else 1
 
 
-def _beforehand(study: Study, workers: int) -> str:
+def _beforehand(study: Study, where: Where) -> str:
     """What will be done, and about how long that takes."""
     from ctrplan.studies.study.run import in_words
 
-    expected = in_words(study.count * study.task_s / workers)
+    core_s = study.count * study.task_s
+    takes = f"{in_words(core_s / where.expected)} on {where.expected} workers"
+    if where.scheduler or where.scheduler_file:  # whose workers come and go
+        takes = f"{in_words(core_s)} of one core, divided by the cluster's workers"
     tasks = "1 task" if study.count == 1 else f"{study.count:,} tasks"
-    return f"ctrplan: {study.name}: {tasks} ({study.kind.kind}), about {expected} on {workers} workers."
+    return f"ctrplan: {study.name}: {tasks} ({study.kind.kind}), about {takes}."
 
 
 def _write_report(study: Study, found: Outcome) -> None:
@@ -118,8 +123,9 @@ def _extremes(study: Study, found: Outcome) -> dict[str, str]:
     inputs = [name for axis in study.axes for name in axis.at(0).inputs]
     texts = {}
     for label, k in zip((f"least {column}", "largest"), extremes(rows, column), strict=False):
-        where = ", ".join(f"{name} = {_shown(rows[k].get(name))}" for name in inputs)
-        texts[label] = f"{rows[k][column]:.4g} at {where}" if where else f"{rows[k][column]:.4g}"
+        where = ", ".join(f"{name} = {_shown(rows[k].get(name))}" for name in inputs[:MOST_INPUTS])
+        more = ", ..." if len(inputs) > MOST_INPUTS else ""
+        texts[label] = f"{rows[k][column]:.4g}, task {rows[k]['index']}: {where}{more}"
     return texts
 
 

@@ -27,6 +27,7 @@ OUTCOMES = (
     ("not reached within limits and margins", palette.LIMIT),
 )
 Indices = NDArray[np.int_]
+Flags = NDArray[np.bool_]
 Where = tuple[str, str, str]
 TARGETS: Where = ("target_x_mm", "target_y_mm", "target_z_mm")
 BASES: Where = ("base_x_mm", "base_y_mm", "base_z_mm")
@@ -90,8 +91,7 @@ def thinned_rows(count: int) -> Indices:
 
 def outcomes(table: StudyTable) -> Indices:
     """(K,) index into OUTCOMES of each row."""
-    status, found = np.array(table.columns["status"]), np.full(len(table), 3)
-    done = status == "done"
+    found, done = np.full(len(table), 3), table.done & ~none_is_valid(table)
     if "within_tolerance" not in table.columns:
         found[done] = 2
         return found
@@ -100,6 +100,16 @@ def outcomes(table: StudyTable) -> Indices:
     found[done & (kept == 0)] = 1
     found[done & np.isnan(kept)] = 2
     return found
+
+
+def none_is_valid(table: StudyTable) -> Flags:
+    """(K,) rows that are done and say that nothing was found, as functions may: none valid, or no error at worst."""
+    found = np.zeros(len(table), dtype=bool)
+    if "valid" in table.columns:
+        found |= table["valid"] == 0
+    if "worst_mm" in table.columns:
+        found |= np.isnan(table["worst_mm"])
+    return table.done & found
 
 
 def _shares(table: StudyTable, places: Places) -> list[tuple[Quantity, Array]]:

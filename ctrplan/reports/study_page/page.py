@@ -5,11 +5,11 @@ from __future__ import annotations
 from ctrplan.base.version import __version__
 from ctrplan.reports.html_page import Markup, explained, facts, page, plot, script, section, tag
 from ctrplan.reports.plan_words.numbers import digits
-from ctrplan.reports.study_page.maps import BASES, TARGETS, Places, map_figure
+from ctrplan.reports.study_page.maps import BASES, TARGETS, Places, map_figure, none_is_valid
 from ctrplan.reports.study_page.poses import poses_table
 from ctrplan.reports.study_page.quantities import Quantity, quantities
 from ctrplan.reports.study_page.sensitivities import sensitivity_section
-from ctrplan.reports.study_page.tables import along_axes, of_extremes, of_numbers, of_reasons, percent
+from ctrplan.reports.study_page.tables import along_axes, of_extremes, of_flags, of_numbers, of_reasons, percent
 from ctrplan.reports.study_page.trade_off import trade_off_figure
 from ctrplan.storage.atomic_write import write_atomically
 from ctrplan.studies.study.definition import Definition
@@ -57,7 +57,7 @@ def study_report_html(study: Definition, table: StudyTable) -> str:
         tag("p", _verdict(study, table), kind=f"verdict {'good' if table.done.any() else 'bad'}"),
         _tiles(table, judged),
         *parts,
-        section("All numbers", of_numbers(table, shown)) if shown else "",
+        section("All numbers", of_numbers(table, shown), of_flags(table, shown)) if shown else "",
         _failures(table),
         section("Where this comes from", _provenance(study, table)),
     )
@@ -70,6 +70,8 @@ def _verdict(study: Definition, table: StudyTable) -> str:
         kept = int((table["within_tolerance"] == 1).sum())
         sentence += f" In {kept:,} of them ({percent(kept / max(count, 1))} of all) the tip stays within tolerance "
         sentence += "whatever friction does."
+    if none := int(none_is_valid(table).sum()):
+        sentence += f" In {none:,} nothing that reaches keeps all limits and margins."
     if count < study.count:
         sentence += f" {study.count - count:,} tasks are still to be done."
     return sentence

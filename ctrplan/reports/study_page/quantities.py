@@ -64,8 +64,20 @@ def quantities(study: Definition, table: StudyTable) -> list[Quantity]:
     for column in dict.fromkeys(name for name in order if name in table.columns and name not in outside):
         values = table[column]
         if values.dtype == np.float64 and spread(values) > 0:
-            found.append(known.get(column) or Quantity(column, column.rpartition("_")[0] or column, _unit(column), 0))
+            found.append(known.get(column) or _named(column, is_flag(table, column)))
     return found
+
+
+def is_flag(table: StudyTable, column: str) -> bool:
+    """Whether a column says yes or no."""
+    return all(value is None or isinstance(value, bool) for value in table.columns[column])
+
+
+def _named(column: str, flag: bool) -> Quantity:
+    """By its own name; the unit that a yes or no is about stays a part of it."""
+    if flag:
+        return Quantity(column, column.replace("_", " "), "", 0)
+    return Quantity(column, column.rpartition("_")[0] or column, _unit(column), 0)
 
 
 def spread(values: Array) -> float:

@@ -21,6 +21,11 @@ WORDS = {
     "morris": ("Their standard deviation", "Mean size of elementary effects", "Morris' elementary effects"),
 }
 
+BEYOND = (
+    "A share below 0 or above 1 is one that the samples are too few for: "
+    "it is 0 or 1 within its interval, and draws.count makes it narrower."
+)
+
 
 def sensitivity_section(
     study: Definition, rows: StudyTable, judged: Quantity | None, library: list[bool]
@@ -47,8 +52,14 @@ def sensitivity_section(
             drawn,
             table(["", total, "95 % interval", first], lines),
             left_out if found.used < found.count else "",
+            tag("p", BEYOND, kind="quiet hint") if found.method == "sobol" and _is_beyond(found) else "",
         )
     ]
+
+
+def _is_beyond(found: Sensitivity) -> bool:
+    shares = np.concatenate([found.first, found.total + found.total_interval])
+    return bool(np.any((shares < 0) | (shares > 1)))
 
 
 def _figure(found: Sensitivity, order: list[int], label: str) -> go.Figure:

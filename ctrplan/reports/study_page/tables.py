@@ -13,7 +13,7 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.reports.html_page import Markup, escaped, facts, table, tag
 from ctrplan.reports.plan_words.numbers import digits
-from ctrplan.reports.study_page.quantities import Quantity, inputs_of
+from ctrplan.reports.study_page.quantities import Quantity, inputs_of, is_flag
 from ctrplan.studies.study.definition import Definition
 from ctrplan.studies.study.extremes import extremes
 from ctrplan.studies.study.store import PLANS
@@ -59,8 +59,20 @@ def of_numbers(rows: StudyTable, shown: list[Quantity]) -> Markup:
     lines = []
     for quantity in shown:
         values = rows[quantity.column]
-        lines.append([quantity.label, f"{np.isfinite(values).sum():,}", *_summary(values)])
+        if not is_flag(rows, quantity.column):
+            lines.append([quantity.label, f"{np.isfinite(values).sum():,}", *_summary(values)])
     return table(["", "Tasks that have it", "Median", "Least", "Largest"], lines)
+
+
+def of_flags(rows: StudyTable, shown: list[Quantity]) -> Markup:
+    """In how many tasks what is a yes or no is a yes; nothing where there is none."""
+    lines = []
+    for quantity in shown:
+        values = rows[quantity.column]
+        if is_flag(rows, quantity.column):
+            yes, known = int((values == 1).sum()), int(np.isfinite(values).sum())
+            lines.append([quantity.label, f"{known:,}", f"{yes:,}", percent(yes / known)])
+    return table(["", "Tasks that say it", "Yes", "Share"], lines) if lines else Markup("")
 
 
 def _summary(values: Array) -> list[str]:
