@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
@@ -118,6 +120,28 @@ def test_no_scheduler_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         slow_study(tmp_path).run(tmp_path / "out", scheduler="tcp://127.0.0.1:9")
     with pytest.raises(InputError, match="--scheduler-file"):
         slow_study(tmp_path).run(tmp_path / "out", scheduler_file=str(tmp_path / "none.json"))
+
+
+@pytest.mark.parametrize("answers", [b"", b"HTTP/1.1 400 Bad Request\r\n\r\n"])
+def test_what_listens_there_is_no_scheduler(answers: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine_dask, "CONNECT_S", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as server, ExitStack() as stack:
+
+        def answer() -> None:  # as a web server does, or nothing at all
+            with suppress(OSError):
+                while True:
+                    client = stack.enter_context(server.accept()[0])
+                    client.sendall(answers)
+
+        threading.Thread(target=answer, daemon=True).start()
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(
+            InputError, match=r"--scheduler = 'tcp://127.0.0.1:\d+': no scheduler answered within 0.5 s"
+        ):
+            slow_study(tmp_path).run(tmp_path / "out", scheduler=address)
+        (tmp_path / "scheduler.json").write_text('{"id": "no address"}', encoding="utf-8")
+        with pytest.raises(InputError, match="--scheduler-file"):
+            slow_study(tmp_path).run(tmp_path / "out", scheduler_file=str(tmp_path / "scheduler.json"))
 
 
 def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ dask hands tasks to workers that live, and again where one dies or another joins
 from __future__ import annotations
 
 import asyncio
+import json
 import logging
 import os
 import time
@@ -70,17 +71,17 @@ class DaskEngine(Engine):
     def _client(self, workers: int | None, scheduler: str | None, scheduler_file: str | None) -> Any:
         from distributed import Client
 
-        if scheduler or scheduler_file:
-            named = {"address": scheduler} if scheduler else {"scheduler_file": scheduler_file}
-            key = "--scheduler" if scheduler else "--scheduler-file"
-            if scheduler_file and not os.path.isfile(scheduler_file):  # for which dask would wait
-                raise InputError("is not a file that exists", key=key, value=scheduler_file)
-            try:
-                return self.opened.enter_context(Client(**named, timeout=CONNECT_S))
-            except (OSError, ValueError, TypeError, asyncio.TimeoutError) as error:
-                rule = f"no scheduler answered within {CONNECT_S:g} s"
-                raise InputError(rule, key=key, value=scheduler or scheduler_file) from error
-        return self.opened.enter_context(Client(self._local(workers or cores())))
+        if not (scheduler or scheduler_file):
+            return self.opened.enter_context(Client(self._local(workers or cores())))
+        key, value = ("--scheduler", scheduler) if scheduler else ("--scheduler-file", scheduler_file)
+        if scheduler_file and not os.path.isfile(scheduler_file):  # for which dask would wait
+            raise InputError("is not a file that exists", key=key, value=value)
+        try:
+            address = scheduler or _address_in(str(scheduler_file))
+            answers_within(address, CONNECT_S)
+            return self.opened.enter_context(Client(address, timeout=CONNECT_S))
+        except Exception as error:  # whatever else listens there may answer anything
+            raise InputError(f"no scheduler answered within {CONNECT_S:g} s", key=key, value=value) from error
 
     def _local(self, workers: int) -> Any:
         import dask
@@ -164,6 +165,32 @@ class DaskEngine(Engine):
     def __exit__(self, *_: object) -> None:
         """Leaves the cluster, and ends it where it was started here."""
         self.opened.close()
+
+
+def _address_in(file: str) -> str:
+    """The address that a dask scheduler wrote into a file. Raises ValueError, KeyError."""
+    with open(file, encoding="utf-8") as content:
+        address: str = json.load(content)["address"]
+    return address
+
+
+def answers_within(address: str, seconds: float) -> None:
+    """Raises whatever error there is unless a dask scheduler is at an address.
+
+    A client of dask waits without end, or asks for exabytes, where a web server is: at the dashboard's port, say.
+    """
+    from concurrent.futures import ThreadPoolExecutor
+
+    with ThreadPoolExecutor(1) as thread:  # this one may have an event loop at work, as in a notebook
+        thread.submit(asyncio.run, asyncio.wait_for(_identity(address), seconds)).result()
+
+
+async def _identity(address: str) -> None:
+    from distributed import Security
+    from distributed.core import rpc
+
+    async with rpc(address, connection_args=Security().get_connection_args("client")) as scheduler:
+        await scheduler.identity()
 
 
 def _shows_a_dashboard(link: str) -> bool:
