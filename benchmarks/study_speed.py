@@ -276,6 +276,13 @@ def by_hand(content: dict[str, Any], folder: Path, same_as: Run) -> None:
     print(f"  {table.done.sum()} done on {where} workers, the same table: {'yes' if same else 'NO'}")
 
 
+def on_any_number_of_workers(folder: Path) -> None:
+    """Whether the table is the same, bit for bit, whoever does the tasks."""
+    tables = [Run(bounds_study(400), folder, workers).table.results for workers in (1, 2, 8)]
+    same = tables[0] == tables[1] == tables[2]
+    print(f"400 bounds on 1, 2 and 8 workers: the same table: {'yes' if same else 'NO'}")
+
+
 def empty_tasks(count: int, folder: Path) -> None:
     """What a task costs that does nothing, one by one and in chunks, and how memory grows."""
     (folder / "empty.py").write_text(EMPTY, encoding="utf-8")
@@ -338,6 +345,7 @@ def main() -> None:
         if asked.plans:
             found = compare("plans", asked.plans, folder, asked.rounds)
             by_hand(plans_study(asked.plans), folder, found)
+        on_any_number_of_workers(folder)
         if asked.empty:
             empty_tasks(asked.empty, folder)
         for line in scheduler_rate():

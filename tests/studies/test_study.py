@@ -255,6 +255,9 @@ def test_the_table_in_its_file(tmp_path: Path) -> None:
     assert read.to_pydict() == dict(table.columns)
     assert table.to_pandas()["bound_mm"].tolist() == table["bound_mm"].tolist()
     assert json.loads(table.columns["set"][0]) == [f"{FRICTION}=0.1"]
+    assert pytest.importorskip("pyarrow").table(table).to_pydict() == dict(
+        table.columns
+    )  # as polars and DuckDB read it
 
 
 def test_chunks_grow_with_the_cluster_and_leave_something_for_everybody() -> None:

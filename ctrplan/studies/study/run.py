@@ -34,6 +34,7 @@ CHUNK_S = 1.0  # of one worker, for up to 500 workers
 SCHEDULED_S = 1e-3  # of the scheduler for a chunk, as dask states it: 1,000 workers with chunks of 1 s keep it busy
 MOST_IN_CHUNK = 4096
 SHARES = 2  # chunks for each worker, at least, of what is left: none is left with the last long one
+TOLD_EVERY = 20_000  # tasks that are looked for
 LEAST_S = 0.05  # of chunks that become smaller towards the end
 PLAN_FILES = ("plan.json", "trajectory.csv", "report.html", "plan.png")
 
@@ -123,7 +124,7 @@ def run_study(
     try:
         studies = _with_earlier(study, store, add)
         missing = {part: Numbered.none() for part in studies}
-        count = store.write_keys(_counted(studies, store, missing))
+        count = store.write_keys(_counted(studies, store, missing, report))
         did, interrupted = _do(studies, missing, store, where, report)
         return Outcome(store, write_table(store), count, did, interrupted)
     finally:
@@ -232,9 +233,14 @@ def _done(missing: Mapping[Definition, Numbered], store: Store, engine: Engine, 
             yield did
 
 
-def _counted(studies: Sequence[Definition], store: Store, missing: Mapping[Definition, Numbered]) -> Iterator[str]:
+def _counted(
+    studies: Sequence[Definition], store: Store, missing: Mapping[Definition, Numbered], report: Report
+) -> Iterator[str]:
     """Keys of all tasks; meanwhile those that are missing are noted for each study."""
+    most = sum(study.count for study in studies)
     for study, k, task in _tasks(studies):
+        if task.index % TOLD_EVERY == TOLD_EVERY - 1:  # a million takes half a minute
+            report(Doing("looking for what is missing", task.index, most))
         if _is_missing(study, task, store):
             missing[study].add(k, task.index, bytes.fromhex(task.key))
         yield task.key
