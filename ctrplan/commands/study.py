@@ -84,7 +84,8 @@ def _beforehand(study: Study, where: Where) -> str:
     from ctrplan.studies.study.run import in_words
 
     core_s = study.count * study.task_s
-    takes = f"{in_words(core_s / where.expected)} on {where.expected} workers"
+    workers = "1 worker" if where.expected == 1 else f"{where.expected} workers"
+    takes = f"{in_words(core_s / where.expected)} on {workers}"
     if where.scheduler or where.scheduler_file:  # whose workers come and go
         takes = f"{in_words(core_s)} of one core, divided by the cluster's workers"
     tasks = "1 task" if study.count == 1 else f"{study.count:,} tasks"

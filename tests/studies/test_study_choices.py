@@ -218,6 +218,8 @@ def test_plans_are_those_of_the_command_and_are_kept(tmp_path: Path) -> None:
     assert kept["scenario"]["path"] == FREE and kept["legs"] == alone.to_json()["legs"]
     written = ctrplan.load_plan(folder / "plan.json", overrides=["planner.time_s=0.05"])
     assert np.array_equal(written.waypoints, alone.waypoints)
+    page = study_report_html(Study.of(content), table)  # of numbers that are all alike, too
+    assert 'href="plans/000000/plan.json"' in page and "Best: " in page and "on 1 worker<" in page
     (folder / "plan.json").unlink()
     assert Study.of(content).run(tmp_path / "out", executor=Here()).results == table.results
     assert (folder / "plan.json").exists()

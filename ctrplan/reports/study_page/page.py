@@ -137,13 +137,14 @@ def _failures(table: StudyTable) -> Markup:
 def _provenance(study: Definition, table: StudyTable) -> Markup:
     main = study.entry.scenario or study.entry.robot or ""
     seconds = sum(value or 0.0 for value in table.columns["seconds"])
+    workers = len(set(table.columns["worker"]))
     return facts(
         [
             ("Study", study.document.file or "not from a file"),
             ("Scenario" if study.entry.scenario else "Robot", main),
             ("SHA-256 of the robot", tag("code", study.robot.sha256)),
             ("Seed", str(study.entry.seed)),
-            ("Processor time", f"{seconds:,.0f} s on {len(set(table.columns['worker']))} workers"),
+            ("Processor time", f"{seconds:,.0f} s on {workers} worker{'s' * (workers != 1)}"),
             ("ctrplan", ", ".join(sorted(set(table.columns["version"]))) or __version__),
         ]
     )

@@ -56,14 +56,15 @@ def inputs_of(study: Definition, table: StudyTable) -> list[str]:
 
 
 def quantities(study: Definition, table: StudyTable) -> list[Quantity]:
-    """Numbers of the table that are not all alike, what rows are judged by first."""
+    """Numbers of the table that are not all alike, and what rows are judged by, which is first."""
     outside = {*FIRST, *LAST, *TIMING, *inputs_of(study, table)}
     known = {quantity.column: quantity for quantity in KNOWN}
     order = [judged_by(study), *known, *table.columns]
     found = []
     for column in dict.fromkeys(name for name in order if name in table.columns and name not in outside):
         values = table[column]
-        if values.dtype == np.float64 and spread(values) > 0:
+        is_judged = column == judged_by(study) and values.dtype == np.float64 and bool(np.isfinite(values).any())
+        if is_judged or (values.dtype == np.float64 and spread(values) > 0):
             found.append(known.get(column) or _named(column, is_flag(table, column)))
     return found
 
