@@ -83,7 +83,10 @@ def test_processes_give_the_same_table(tmp_path: Path) -> None:
     assert all(worker != alone.columns["worker"][0] for worker in beside.columns["worker"])
 
 
-def test_what_was_done_before_an_interruption_is_not_done_again(tmp_path: Path) -> None:
+def test_what_was_done_before_an_interruption_is_not_done_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ctrplan.studies.study.run.SHARES", 4)  # four chunks of three, two of them handed out at a time
     folder = tmp_path / "out"
     first = run(bounds(), folder, Here(most=6), workers=1)
     assert 0 < len(first) < 12
