@@ -20,6 +20,12 @@ def read_only(values: ArrayLike) -> NDArray[Any]:
     return array
 
 
+def lengths(vectors: Array) -> Array:
+    """(...) Euclidean lengths of vectors (..., 3): as numpy.linalg.norm, in a fraction of the time for short vectors."""
+    found: Array = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
+    return found
+
+
 def numbers(values: ArrayLike, key: str) -> Array:
     """Whatever holds real numbers, as floats of the same shape.
 

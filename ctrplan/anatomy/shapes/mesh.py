@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import PartEntry, Shape, register
 from ctrplan.anatomy.triangle_tree import TriangleTree
-from ctrplan.base.arrays import Array, numbers, read_only
+from ctrplan.base.arrays import Array, lengths, numbers, read_only
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
 from ctrplan.storage.toml_table import Table
@@ -95,7 +95,7 @@ class _MeshDistance:
 
     def __call__(self, points_m: Array) -> Array:
         distance = self.tree.distance(points_m)
-        steps = np.linalg.norm(np.diff(points_m, axis=0), axis=1)
+        steps = lengths(np.diff(points_m, axis=0))
         begins = np.append(True, distance[1:] + distance[:-1] <= steps * SURELY)[: len(distance)]
         inside = np.asarray(self.winding.winding_number(points_m[begins])) > 0.5
         np.negative(distance, where=inside[np.cumsum(begins) - 1], out=distance)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, lengths
 from ctrplan.planning.certificate.allowances import POINT_SPACING_M, SAME_BRANCH_M, mesh_allowance_m
 from ctrplan.planning.certificate.friction_states import Solved, State, corner_states, corner_weights
 from ctrplan.planning.certificate.walked_piece import Piece, shapes_of
@@ -107,15 +107,15 @@ class SampleStates:
         """Those of `states` with what was walked to: whole bodies on the same mesh, tips on another one."""
         self._compared, walked = True, self.walked[0]
         if bodies.shape == walked.shape and self.accuracy == self.piece.accuracy:
-            apart, allowed = np.linalg.norm(bodies - walked, axis=2), 0.0
+            apart, allowed = lengths(bodies - walked), 0.0
         else:
-            apart = np.linalg.norm(bodies[:, -1] - walked[:, -1], axis=1)
+            apart = lengths(bodies[:, -1] - walked[:, -1])
             allowed = mesh_allowance_m(self.scenario.robot, self.piece.accuracy)
         self.apart_m = max(0.0, float(np.nan_to_num(apart.max(), nan=np.inf)) - allowed)
 
 
 def shares_of_length(body_m: Array) -> Array:
     """(N,) share of a body's length at its points (N, 3)."""
-    length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(body_m, axis=0), axis=1)))
+    length = np.append(0.0, np.cumsum(lengths(np.diff(body_m, axis=0))))
     share: Array = length / length[-1]
     return share

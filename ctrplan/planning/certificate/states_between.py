@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, lengths
 from ctrplan.planning.certificate.allowances import BEND_CHANGE, BEND_MESH, BEND_SHARE, BEND_SPREAD
 from ctrplan.planning.certificate.cell_clearances import BEYOND
 from ctrplan.planning.certificate.friction_states import Solved, State, corner_states, corner_weights
@@ -39,9 +39,9 @@ class StatesBetween:
         first, last = (_moved_to(at, end.shares, end.bend(states)) for end in self.ends)
         bend = (1 - self.share) * first + self.share * last
         share = BEND_SHARE + (BEND_MESH if self.is_finer else 0.0)
-        doubt = BEND_CHANGE * np.linalg.norm(first - last, axis=2) + share * np.linalg.norm(bend, axis=2)
+        doubt = BEND_CHANGE * lengths(first - last) + share * lengths(bend)
         bodies_of_corners = np.array([corner.body_m for corner in corners])
-        doubt += BEND_SPREAD * np.linalg.norm(bodies_of_corners - rest, axis=2).max(axis=0)
+        doubt += BEND_SPREAD * lengths(bodies_of_corners - rest).max(axis=0)
         bodies = np.tensordot(weights, bodies_of_corners, axes=1) + bend
         rows = zip(bodies, stability.tolist(), strain.tolist(), most_up_to(doubt), strict=True)
         return [Solved(*row) for row in rows]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, lengths
 from ctrplan.base.cores import cores
 from ctrplan.base.progress import Progress
 from ctrplan.mechanics.core import PathDensity, PathSamples
@@ -154,7 +154,7 @@ def _groups(points: int, first: int, tubes: int) -> NDArray[np.intp]:
 
 def _height(body: Array) -> float:
     """Least [m] of points (N, 4) over the plate of those that have left it by more than FROM_PLATE_M."""
-    beyond = np.linalg.norm(body[:, :3], axis=1) > FROM_PLATE_M
+    beyond = lengths(body[:, :3]) > FROM_PLATE_M
     return float(body[beyond, 2].min(initial=np.inf))
 
 
