@@ -21,7 +21,7 @@ def read_only(values: ArrayLike) -> NDArray[Any]:
 
 
 def lengths(vectors: Array) -> Array:
-    """(...) Euclidean lengths of vectors (..., 3): as numpy.linalg.norm, in a fraction of the time for short vectors."""
+    """(...) lengths of vectors (..., 3): as numpy.linalg.norm, in a fraction of the time for short vectors."""
     found: Array = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
     return found
 
