@@ -15,6 +15,7 @@ from ctrplan.pipeline.parametric_chain import ParametricChain
 
 MOST_STEPS = 25
 ENOUGH = 0.05  # decrease of the loss (twice a log-likelihood) below which a fit has converged
+VAIN = 0.5  # decrease promised by a step that was refused below which shorter ones are not tried: 0.7 standard errors
 FIRST_DAMPING, LARGEST_DAMPING = 1.0, 1e6  # of steps in units of the priors: valleys are curved and long in these
 LONGEST_STEP = 2.0  # of a parameter in a step, in standard deviations of its prior
 
@@ -97,7 +98,8 @@ def fit(
             here, damping = there, damping / 10 if damping > FIRST_DAMPING else 0.0
         else:
             damping = max(damping * 10, FIRST_DAMPING)
-        if abs(gain) < ENOUGH or damping > LARGEST_DAMPING:  # a loss this near is the solver's own noise
+        vain = gain <= 0 and promised < VAIN
+        if vain or abs(gain) < ENOUGH or damping > LARGEST_DAMPING:  # a loss this near is the solver's own noise
             return replace(here, converged=True)
     return here
 

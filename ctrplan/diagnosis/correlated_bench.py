@@ -110,16 +110,20 @@ class CorrelatedBench(Workbench):
 
     def _alike(self, scored: Scored) -> Fit:
         if scored not in self._handed:
-            found = self._discrepancy
-            sizes = (np.hypot(1, found.position), np.hypot(1, found.tangent)) if found else (1.0, 1.0)
-            noise = Noise(self.plain.position_m * sizes[0], self.plain.tangent_rad * sizes[1])
             chain, p = scored.fit.chain, scored.fit.p
             terms = [
                 fixed(t, p[place]) if t.name in scored.names else t
                 for t, place in zip(chain.terms, chain.slices(), strict=True)
             ]
-            self._handed[scored] = fit(chain.with_terms(terms), noise, self.whitening_group, p)
+            self._handed[scored] = fit(chain.with_terms(terms), self.noise_alike, self.whitening_group, p)
         return self._handed[scored]
+
+    @property
+    def noise_alike(self) -> Noise:
+        """As large as the discrepancy, every pose counting alike."""
+        found = self._discrepancy
+        sizes = (np.hypot(1, found.position), np.hypot(1, found.tangent)) if found else (1.0, 1.0)
+        return Noise(self.plain.position_m * sizes[0], self.plain.tangent_rad * sizes[1])
 
     @property
     def _discrepancy(self) -> Discrepancy | None:

@@ -11,13 +11,14 @@ from ctrplan.diagnosis.chance import null_threshold
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.frames import FRAMES
 from ctrplan.diagnosis.selection import Report, Selection, Selector, step
-from ctrplan.diagnosis.workbench import Panel, Scored, certainty
+from ctrplan.diagnosis.workbench import Panel, Scored, Screened, certainty
 from ctrplan.effects.learned.learned import Learned
 from ctrplan.pipeline.term import Term
 
 MOST_PARTS = 5  # effects named beside a rest that nothing explains
 TIMES_CHANCE = 3.0  # the gain that surrogates of the residual exceed in 2 % of draws
 CERTAIN_AT_FIRST = 3.0  # standard errors over blocks, while what is still missing is part of the discrepancy
+WORTH_A_FIT = 0.5  # of the gain and of the certainty that are needed, to first order: a fit would not make up for less
 
 
 class PartialSelector(Selector):
@@ -59,16 +60,25 @@ class PartialSelector(Selector):
         if not screened:
             return False
         found.threshold = TIMES_CHANCE * self._threshold(here, screened)
+        worth = [one for one in screened if self._passes(here, one, WORTH_A_FIT)]
+        if not worth:
+            first = screened[0]
+            found.path.append(step("add", first.term, first.score - here.score, 0.0, found.threshold, False))
+            return False
         taken = None
-        for candidate in self.fitted(here, screened):
+        for candidate in self.fitted(here, worth):
             gain, error = self.bench.difference(candidate, here)
-            sure = certainty(self.bench.by_group((here.held_out - candidate.held_out) / 2)) > CERTAIN_AT_FIRST
-            passes = taken is None and gain > found.threshold and sure
+            passes = taken is None and self._passes(here, candidate)
             taken = candidate if passes else taken
             found.path.append(step("add", candidate.terms[-1], gain, error, found.threshold, passes))
         if taken is not None:
             found.chosen = self.bench.corrected(taken)
         return taken is not None
+
+    def _passes(self, here: Scored, candidate: Scored | Screened, share: float = 1.0) -> bool:
+        """Whether a candidate beside a set has a share of the gain and of the certainty over blocks that are needed."""
+        gains = self.bench.by_group((here.held_out - candidate.held_out) / 2)
+        return float(gains.sum()) > share * self.found.threshold and certainty(gains) > share * CERTAIN_AT_FIRST
 
 
 def is_built(t: Term) -> bool:

@@ -58,7 +58,12 @@ class Screened:
 
     term: Term
     linear: Linear  # of the columns of base, fit and variant
-    score: float
+    held_out: Array  # (K,) robust squares
+
+    @property
+    def score(self) -> float:
+        """Held-out log-likelihood, up to a constant."""
+        return float(-self.held_out.sum() / 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,7 +236,7 @@ class Workbench:
                 continue
             same = [t for t in here.terms if t.name != other.name]
             columns = panel.of([*self.basis([*same, other]), *same, other]).refitted()
-            screened.append(Screened(other, columns, float(-held_out_loss(columns, self.fold).sum() / 2)))
+            screened.append(Screened(other, columns, held_out_loss(columns, self.fold)))
         return sorted(screened, key=lambda s: -s.score)
 
     def panel(self, here: Scored, others: Sequence[Term]) -> Panel:
@@ -255,7 +260,7 @@ class Workbench:
         chain = self.chain([*self.basis(terms), *terms])
         start, _ = self._start(chain, [here.fit])
         there = linear(fit_at(chain, self.noise, self.whitening_group, start)).refitted()
-        return Screened(other, there, float(-held_out_loss(there, self.fold).sum() / 2))
+        return Screened(other, there, held_out_loss(there, self.fold))
 
     def by_group(self, gain: Array) -> Array:
         """(B,) sums over poses that count as one, of values (K,)."""

@@ -27,6 +27,7 @@ from ctrplan.pipeline.term import Term
 LEAST_Z = 5.0  # standard errors over blocks
 LEAST_WINNING = 0.85  # of the blocks that say something
 LEAST_SHARE = 0.7  # of the squares that remain beyond noise, closed on blocks left out: the rest is about halved
+WITHIN_REACH = 0.6  # of the same to first order before anything is fitted; a search that can't reach it is not begun
 LEAST_SHARE_ASIDE = 0.4  # of the same, closed on the poses kept aside
 MOST_WORSE = 1.05  # of the rms error of any region, with the term over without
 LEAST_POSES = 8  # of a region that is asked
@@ -105,7 +106,7 @@ def tried(found: Partly, tell: Callable[[str], None]) -> Built | None:
         path.extend(searched.path)
         return searched.chosen
 
-    scored, rounds = grown(bench, named, tell, with_names)
+    scored, rounds = grown(bench, named, tell, with_names, WITHIN_REACH)
     if scored is named:
         return None
     alone = _evidence(replace(found, chosen=scored), rounds)

@@ -36,6 +36,7 @@ class Wide:
     """A fit's own columns, first, and those of pieces."""
 
     whole: Linear
+    alike: Linear  # of the same columns, where every pose counts alike
     own: int
     places: dict[Piece, list[int]]
     ranges: dict[Piece, dict[str, Range]]
@@ -59,11 +60,18 @@ def wide(bench: CorrelatedBench, here: Scored, pieces: Sequence[Piece]) -> Wide:
     prior = np.concatenate([probed.chain.prior[: probed.own], sizes])
     by = np.concatenate([probed.by[:, :, : probed.own], *(columns for columns, _ in shapes)], axis=2)
     full = replace(probed.predicted, position_by=by[:, :3], tangent_by=by[:, 3:])
-    found = residuals(bench.data, full, bench.noise, bench.whitening_group)
     offset = np.zeros(len(prior))
     offset[: probed.own] = (probed.p - probed.chain.neutral)[: probed.own]
-    whole = Linear(found.r, found.J, here.fit.residuals.weight, 1 / prior**2, offset, found.given)
-    return Wide(whole, probed.own, places, {piece: ranges for piece, (_, ranges) in zip(pieces, shapes, strict=True)})
+    beside, alike = (
+        residuals(bench.data, full, noise, bench.whitening_group) for noise in (bench.noise, bench.noise_alike)
+    )
+    return Wide(
+        Linear(beside.r, beside.J, here.fit.residuals.weight, 1 / prior**2, offset, beside.given),
+        Linear(alike.r, alike.J, alike.weight, 1 / prior**2, offset, alike.given),
+        probed.own,
+        places,
+        {piece: ranges for piece, (_, ranges) in zip(pieces, shapes, strict=True)},
+    )
 
 
 @dataclass(frozen=True, eq=False)

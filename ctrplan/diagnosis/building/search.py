@@ -12,6 +12,7 @@ import numpy as np
 
 from ctrplan.diagnosis.building.dictionary import Piece, pieces
 from ctrplan.diagnosis.building.probes import Wide, wide
+from ctrplan.diagnosis.building.reach import reach
 from ctrplan.diagnosis.chance import null_threshold
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.held_out import Linear, held_out_loss
@@ -52,17 +53,24 @@ class Round:
 
 
 def grown(
-    bench: CorrelatedBench, chosen: Scored, tell: Callable[[str], None], with_names: Callable[[Scored], Scored]
+    bench: CorrelatedBench,
+    chosen: Scored,
+    tell: Callable[[str], None],
+    with_names: Callable[[Scored], Scored],
+    least: float,
 ) -> tuple[Scored, list[Round]]:
     """The set with what was built beside it, if anything, and the rounds that were asked.
 
-    with_names: adds what the catalogue has beside a set.
+    with_names: adds what the catalogue has beside a set; least: share of the rest that pieces must be able to close.
     """
     known, rounds, here = pieces(bench.robot, bench.data), list[Round](), chosen
     known = [piece for piece in known if piece.on.effect_name not in bench.robot.effects]
     while len(rounds) < MOST_PIECES:
         tell("building a term beside " + (", ".join(here.names) or "the calibrated robot"))
-        taken, there = _round(bench, here, known, TIMES_CHANCE_MORE if rounds else TIMES_CHANCE)
+        table = wide(bench, here, known)
+        if not rounds and reach(bench, table, known, MOST_PIECES) < least:
+            break
+        taken, there = _round(bench, here, table, known, TIMES_CHANCE_MORE if rounds else TIMES_CHANCE)
         rounds.append(taken)
         if there is None:
             return here, rounds
@@ -71,8 +79,9 @@ def grown(
     return here, rounds
 
 
-def _round(bench: CorrelatedBench, here: Scored, known: Sequence[Piece], times: float) -> tuple[Round, Scored | None]:
-    table = wide(bench, here, known)
+def _round(
+    bench: CorrelatedBench, here: Scored, table: Wide, known: Sequence[Piece], times: float
+) -> tuple[Round, Scored | None]:
     tried = _tried(bench, table, known)
     beside = [table.beside(one.piece) for one in tried]
     chance = null_threshold(table.here(), beside, bench.fold, bench.null_draws(here)[:, :DRAWS])
