@@ -22,6 +22,7 @@ from ctrplan.diagnosis import surrogates
 from ctrplan.diagnosis.chance import DRAWS
 from ctrplan.diagnosis.frames import frames_beside
 from ctrplan.diagnosis.held_out import held_out_residuals
+from ctrplan.diagnosis.joint_memory import JointMemory, joint_memory
 from ctrplan.diagnosis.workbench import Scored, Workbench, linear
 from ctrplan.effects.catalogue import CATALOGUE
 from ctrplan.experiment.measurements import Measurements
@@ -69,12 +70,19 @@ class CorrelatedBench(Workbench):
         return self._settled(scored)
 
     def null_draws(self, here: Scored) -> Array:
-        """(5 K, D) surrogates of what remains of a fit, whitened as that is."""
+        """(5 K, D) surrogates of what remains of a fit, as smooth as that is, whitened as that is."""
+        return self._drawn(here, None if self.data.is_stream else self._joint_memory(here))
+
+    def traded_draws(self, here: Scored) -> Array:
+        """(5 K, D) the same, of poses at rest without what configurations that are near each other have in common."""
+        return self._drawn(here, None)
+
+    def _drawn(self, here: Scored, memory: JointMemory | None) -> Array:
         left = self.coloured(here.fit.residuals.r)
         if self.data.is_stream:
             drawn = surrogates.of_motion(left, self._run, DRAWS)
         else:
-            drawn = surrogates.of_configurations(left, self.data.configuration, DRAWS)
+            drawn = surrogates.of_configurations(left, self.data.configuration, DRAWS, memory)
         whitened = self._discrepancy.whitened(drawn) if self._discrepancy else drawn
         flat: Array = whitened.reshape(-1, DRAWS)
         return flat
@@ -146,12 +154,20 @@ class CorrelatedBench(Workbench):
         self._tried.clear()
         return self.scored(scored.terms, scored.fit)
 
-    def estimated(self, scored: Scored) -> Discrepancy:
-        """The most probable discrepancy beside a fit."""
+    def _joint_memory(self, scored: Scored) -> JointMemory | None:
+        """Of what remains of a fit of poses at rest."""
+        found = self._discrepancy
+        return joint_memory(self._over_noise(scored), self.data, found) if found and found.is_there else None
+
+    def _over_noise(self, scored: Scored) -> Linearised:
+        """A fit at the centres of its priors, residuals and derivatives over the noise alone."""
         parts, solved = scored.fit.residuals, ~scored.failed[:, None]
         r, J = self.coloured(parts.r) * solved, self.coloured(parts.J) * solved[:, :, None]
-        offset = scored.fit.p - scored.fit.chain.neutral
-        left = Linearised(r + J @ offset, J, scored.fit.precision)
+        return Linearised(r + J @ (scored.fit.p - scored.fit.chain.neutral), J, scored.fit.precision)
+
+    def estimated(self, scored: Scored) -> Discrepancy:
+        """The most probable discrepancy beside a fit."""
+        left = self._over_noise(scored)
         if not self.data.is_stream:
             return discrepancy.of_configurations(left, self.data.configuration)
         time = clock(self.data)

@@ -10,13 +10,13 @@ from ctrplan.diagnosis.candidates import Candidates
 from ctrplan.diagnosis.chance import null_threshold
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.frames import FRAMES
+from ctrplan.diagnosis.holding import TIMES_CHANCE
 from ctrplan.diagnosis.selection import Report, Selection, Selector, step
 from ctrplan.diagnosis.workbench import Panel, Scored, Screened, certainty
 from ctrplan.effects.learned.learned import Learned
 from ctrplan.pipeline.term import Term
 
 MOST_PARTS = 5  # effects named beside a rest that nothing explains
-TIMES_CHANCE = 3.0  # the gain that surrogates of the residual exceed in 2 % of draws
 CERTAIN_AT_FIRST = 3.0  # standard errors over blocks, while what is still missing is part of the discrepancy
 WORTH_A_FIT = 0.5  # of the gain and of the certainty that are needed, to first order: a fit would not make up for less
 
@@ -51,7 +51,7 @@ class PartialSelector(Selector):
         """The first of the best candidates that is certain; another one may need it to become so.
 
         None with more parameters than there are blocks: like a distortion of the tracker on a pair, whose joints the
-        place of the tip gives away, it would follow any smooth rest, which surrogates do not.
+        place of the tip gives away, it would follow any smooth rest.
         """
         here = found.chosen
         self.tell("trying effects beside " + (", ".join(here.names) or "a rest"))
@@ -59,7 +59,7 @@ class PartialSelector(Selector):
         screened = [one for one in screened if len(one.term.parameters) <= self._blocks]
         if not screened:
             return False
-        found.threshold = TIMES_CHANCE * self._threshold(here, screened)
+        found.threshold = TIMES_CHANCE[self.bench.data.is_stream] * self._threshold(here, screened)
         worth = [one for one in screened if self._passes(here, one, WORTH_A_FIT)]
         if not worth:
             first = screened[0]

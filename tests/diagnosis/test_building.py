@@ -136,6 +136,25 @@ def test_a_piece_acts_as_the_effect_that_is_made_of_it() -> None:
         assert set(values_by_name(here.fit)) < set(panel.keys)
 
 
+def test_pieces_that_an_effect_of_the_catalogue_is_are_left_to_it() -> None:
+    data, alone = rippled(), PLAN.configuration
+    few = {name: CATALOGUE[name] for name in ("backlash", "homing_offset", "joint_scale", "eccentricity")}
+    known = candidates(ROBOT, data, few).terms
+    gone = [piece for piece in pieces(ROBOT, data) if piece not in pieces(ROBOT, data, known)]
+    assert {piece.parts[0] for piece in gone} == {
+        "sign_theta_2", "constant", "slope_theta_2", "slope_l_2", "sin_1_theta_2"
+    }  # fmt: skip
+    bench = CorrelatedBench(ROBOT, data, Noise(SIGMA_M, 1e-3), alone, alone)
+    here = bench.scored([])
+    table, theirs = wide(bench, here, gone), bench.panel(here, known)
+    own = [k for k, (name, _) in enumerate(theirs.keys) if name in few]
+    columns = theirs.whole.J[:, :, own].reshape(-1, len(own))
+    for piece in gone:  # to first order the effect does what the piece does
+        wanted = table.whole.J[:, :, table.places[piece]].reshape(columns.shape[0], -1)
+        left = wanted - columns @ np.linalg.lstsq(columns, wanted, rcond=1e-10)[0]
+        assert np.linalg.norm(left) < 5e-3 * np.linalg.norm(wanted)
+
+
 def test_pieces_are_of_what_changes_and_of_what_may_still_be_missing() -> None:
     data = replace(rippled(), tangent=np.full_like(PLAN.tangent, np.nan))
     kinds = {piece.on.kind.stage for piece in pieces(ROBOT, data)}

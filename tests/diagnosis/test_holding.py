@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from ctrplan.base.arrays import Array
-from ctrplan.diagnosis import holding
+from ctrplan.diagnosis import holding, workbench
+from ctrplan.diagnosis.held_out import Linear
+from ctrplan.diagnosis.holding import _shift as shift
 from ctrplan.diagnosis.holding import evidence, in_its_place
 
 
@@ -71,7 +73,7 @@ def by_table(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def asked(*others: Term) -> Any:
-    return evidence(None, Panel(EXPLAINED, (LAG, *others)), [LAG], LAG, 1.0)  # type: ignore[arg-type, list-item]
+    return evidence(None, Panel(EXPLAINED, (LAG, *others)), [LAG], LAG, 1.0, 3.0)  # type: ignore[arg-type, list-item]
 
 
 def test_what_does_as_well_in_its_place_does_not_speak_against_an_effect() -> None:
@@ -92,3 +94,32 @@ def test_effects_in_its_place_come_best_first_each_in_its_best_variant() -> None
     panel = Panel(EXPLAINED, (FAR_TWIN, OTHER, REFINED, TWIN))
     found = in_its_place(None, panel, [LAG], LAG)  # type: ignore[arg-type, list-item]
     assert [(other.name, other.variant) for other, _, _ in found] == [("drive_lag", "_theta"), ("backlash", "")]  # type: ignore[attr-defined]
+
+
+@dataclass(frozen=True)
+class Named:
+    name: str
+
+
+def shift_beside(likeness: float, size: float, count: int) -> Array:
+    """(D,) shifts of an effect that is there by one like it of that size, in draws of the noise."""
+    rng, found = np.random.default_rng(6), []
+    one, other = Term("one", parameters=(Named("x"),)), Term("other", parameters=(Named("x"),))
+    mine, its = np.linalg.qr(rng.standard_normal((100, 2)))[0].T * 10
+    its = likeness * mine + np.sqrt(1 - likeness**2) * its
+    for _ in range(count):
+        r = (5 * mine + size * its + rng.standard_normal(100)).reshape(20, 5)
+        J = np.stack([mine, its], axis=1).reshape(20, 5, 2)
+        whole = Linear(r, J, np.ones(20), np.full(2, 1e-6), np.zeros(2), np.ones((20, 5), bool))
+        panel = workbench.Panel((("one", "x"), ("other", "x")), whole, ())
+        found.append(shift(panel, [], one, other))  # type: ignore[arg-type]
+    return np.array(found)
+
+
+@pytest.mark.parametrize("likeness", [0.0, 0.7, 0.99])
+def test_chance_moves_parameters_within_their_intervals_however_alike_a_competitor_is(likeness: float) -> None:
+    assert np.mean(shift_beside(likeness, 0.0, 100) > 2) < 0.08
+
+
+def test_a_competitor_that_is_there_moves_them_further() -> None:
+    assert shift_beside(0.9, 5.0, 10).min() > 3

@@ -65,9 +65,9 @@ def test_chance_is_out_of_reach_and_what_pieces_have_the_form_of_is_not() -> Non
 
 
 def test_a_search_out_of_reach_fits_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench, here, _, _ = by_place()
+    bench, here, _, known = by_place()
     monkeypatch.setattr(CorrelatedBench, "scored", lambda *_: pytest.fail("it was fitted"))
-    found, rounds = grown(bench, here, lambda _: None, lambda one: one, least=1.1)
+    found, rounds = grown(bench, here, known, lambda _: None, lambda one: one, least=1.1)
     assert found is here and not rounds
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.estimates import estimates
+from ctrplan.diagnosis.building.dictionary import pieces
 from ctrplan.diagnosis.building.search import Round, Tried, grown
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.holding import SAYS_SOMETHING, summed
@@ -25,6 +26,7 @@ from ctrplan.experiment.measurements import Measurements
 from ctrplan.pipeline.term import Term
 
 LEAST_Z = 5.0  # standard errors over blocks
+TIMES_CHANCE = 4.0  # the gain that the first piece reaches in 2 % of smooth surrogates, of all pieces together
 LEAST_WINNING = 0.85  # of the blocks that say something
 LEAST_SHARE = 0.7  # of the squares that remain beyond noise, closed on blocks left out: the rest is about halved
 WITHIN_REACH = 0.6  # of the same to first order before anything is fitted; a search that can't reach it is not begun
@@ -55,6 +57,11 @@ class Built:
         return tuple(t for t in self.scored.terms if is_built(t))
 
     @property
+    def is_chance(self) -> bool:
+        """Whether an error as smooth in the joints as what remains might have let pieces gain as much."""
+        return self.gain < TIMES_CHANCE * self.rounds[0].smooth_chance
+
+    @property
     def path(self) -> tuple[Step, ...]:
         """The rounds, as steps of a search."""
         return tuple(_step(one) for one in self.rounds)
@@ -76,7 +83,7 @@ class Built:
             "standard_error": round(self.error, 2),
             "z": round(self.z, 2),
             "winning_blocks": round(self.winning, 3),
-            "surrogates_98": round(self.rounds[0].chance, 2),
+            "surrogates_98": round(self.rounds[0].smooth_chance, 2),
             "best_gain_by_stage": {stage: round(gain, 1) for stage, gain in self.by_stage.items()},
             "rest_rms_mm": round(self.rest.rms_m * 1e3, 4),
         }
@@ -106,7 +113,8 @@ def tried(found: Partly, tell: Callable[[str], None]) -> Built | None:
         path.extend(searched.path)
         return searched.chosen
 
-    scored, rounds = grown(bench, named, tell, with_names, WITHIN_REACH)
+    known = pieces(bench.robot, bench.data, found.known.terms)
+    scored, rounds = grown(bench, named, known, tell, with_names, WITHIN_REACH)
     if scored is named:
         return None
     alone = _evidence(replace(found, chosen=scored), rounds)
@@ -141,6 +149,7 @@ def refusals(bench: CorrelatedBench, built: Built) -> list[str]:
     worse = worse_in(bench.data, errors[0], errors[1])
     said = {
         f"its gain is {built.z:.1f} standard errors above zero over blocks": built.z < LEAST_Z,
+        f"its gain of {built.gain:.0f} is below {TIMES_CHANCE:g} times that of chance": built.is_chance,
         f"only {100 * built.winning:.0f} % of the blocks speak for it": built.winning < LEAST_WINNING,
         f"it closes {100 * built.share:.0f} % of what remains": built.share < LEAST_SHARE,
         f"it is worse on {worse}": bool(worse),

@@ -5,7 +5,7 @@ Time is none of them: whatever changes slowly goes with it. What drifts steadily
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -18,6 +18,7 @@ from ctrplan.effects.learned.targets import Target
 from ctrplan.experiment.friction_states import last_directions
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.experiment.motion import time_at_rest_s
+from ctrplan.pipeline.term import Term
 from ctrplan.robot.robot import Robot
 
 OWN_WAVES, OTHER_WAVES = 6, 3  # highest harmonics: of a joint's own angle, and of others and relative ones
@@ -39,11 +40,27 @@ class Piece:
         return tuple(name for part in self.parts for name in named(self.on, part))
 
 
-def pieces(robot: Robot, data: Measurements) -> list[Piece]:
-    """All that data can tell apart from nothing."""
+def pieces(robot: Robot, data: Measurements, named: Sequence[Term] = ()) -> list[Piece]:
+    """All that data can tell apart from nothing, but what an effect among `named` is: that has a name, and is asked."""
     moved = _Moved(robot, data)
     drive = [] if data.of_collars else _drive(moved)  # collars have the drive's terms in them
-    return [*drive, *_mechanics(moved), *_sensor(moved)]
+    names = {(t.name, parameter.name) for t in named for parameter in t.parameters}
+    return [piece for piece in (*drive, *_mechanics(moved), *_sensor(moved)) if _as_named(piece) not in names]
+
+
+def _as_named(piece: Piece) -> tuple[str, str] | None:
+    """Effect of the catalogue, and a parameter of it, that acts as a piece does."""
+    kind, i = piece.on.kind_name, piece.on.tube
+    if kind not in ("theta", "l"):
+        return None
+    own, unit = f"{kind}_{i}", "deg" if kind == "theta" else "mm"
+    forms = {
+        (f"sign_{own}",): ("backlash", f"{own}_{unit}"),
+        ("constant",): ("homing_offset", f"{own}_{unit}"),
+        (f"slope_{own}",): ("joint_scale", own),
+    }
+    of_turns = {_wave(1, own): ("eccentricity", f"sin_{i}_deg")} if kind == "theta" else {}
+    return (forms | of_turns).get(piece.parts)
 
 
 class _Moved:

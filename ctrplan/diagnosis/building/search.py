@@ -1,4 +1,4 @@
-"""Forward selection of pieces: each far above what surrogates of the residual reach, by blocks that were left out.
+"""Forward selection of pieces: each above what traded residuals of configurations reach, by blocks that were left out.
 
 After each piece the catalogue is asked again. What it has may have been small beside the rest before, and has a name.
 """
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ctrplan.diagnosis.building.dictionary import Piece, pieces
+from ctrplan.diagnosis.building.dictionary import Piece
 from ctrplan.diagnosis.building.probes import Wide, wide
 from ctrplan.diagnosis.building.reach import reach
 from ctrplan.diagnosis.chance import null_threshold
@@ -49,21 +49,24 @@ class Round:
 
     tried: tuple[Tried, ...]
     chance: float
+    smooth_chance: float  # the same on surrogates that are as smooth in the joints as what remains
     taken: Piece | None
 
 
 def grown(
     bench: CorrelatedBench,
     chosen: Scored,
+    known: Sequence[Piece],
     tell: Callable[[str], None],
     with_names: Callable[[Scored], Scored],
     least: float,
 ) -> tuple[Scored, list[Round]]:
     """The set with what was built beside it, if anything, and the rounds that were asked.
 
-    with_names: adds what the catalogue has beside a set; least: share of the rest that pieces must be able to close.
+    known: pieces that may be built; with_names: adds what the catalogue has beside a set; least: share of the rest that
+    pieces must be able to close.
     """
-    known, rounds, here = pieces(bench.robot, bench.data), list[Round](), chosen
+    rounds, here = list[Round](), chosen
     known = [piece for piece in known if piece.on.effect_name not in bench.robot.effects]
     while len(rounds) < MOST_PIECES:
         tell("building a term beside " + (", ".join(here.names) or "the calibrated robot"))
@@ -84,7 +87,10 @@ def _round(
 ) -> tuple[Round, Scored | None]:
     tried = _tried(bench, table, known)
     beside = [table.beside(one.piece) for one in tried]
-    chance = null_threshold(table.here(), beside, bench.fold, bench.null_draws(here)[:, :DRAWS])
+    chance, smooth = (
+        null_threshold(table.here(), beside, bench.fold, draws(here)[:, :DRAWS])
+        for draws in (bench.traded_draws, bench.null_draws)
+    )
     needed = times * chance
     worth = [one for one in tried if one.gain > needed and one.certainty > CERTAIN]
     best: tuple[Piece, Scored] | None = None
@@ -93,8 +99,8 @@ def _round(
         if best is None or there.score > best[1].score + WORTH_MORE:  # the simplest of those that do as well
             best = one.piece, there
     if best is None or not _is_worth(bench, here, best[1], needed):
-        return Round(tuple(tried), chance, None), None
-    return Round(tuple(tried), chance, best[0]), bench.corrected(best[1])
+        return Round(tuple(tried), chance, smooth, None), None
+    return Round(tuple(tried), chance, smooth, best[0]), bench.corrected(best[1])
 
 
 def _needed(bench: CorrelatedBench, here: Scored, least: float, known: Scored) -> Scored:
