@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from ctrplan.pipeline.term import Term
 
 CI95 = 1.959964  # standard deviations
 DIGITS = 6
+SHOWN_DIGITS = 2  # of half an interval
 
 
 @dataclass(frozen=True)
@@ -20,6 +22,22 @@ class Estimate:
     value: float
     ci95: tuple[float, float]
     at_bound: bool = False
+
+    @property
+    def shown(self) -> str:
+        """The value for a reader, as in `shown_ci95`."""
+        return self._in_digits(self.value)
+
+    @property
+    def shown_ci95(self) -> str:
+        """The interval for a reader, its half width to two digits."""
+        return f"{self._in_digits(self.ci95[0])} to {self._in_digits(self.ci95[1])}"
+
+    def _in_digits(self, number: float) -> str:
+        half = (self.ci95[1] - self.ci95[0]) / 2
+        if not 0 < half < np.inf:
+            return f"{number:.4g}"
+        return f"{number:.{max(0, SHOWN_DIGITS - 1 - math.floor(math.log10(half)))}f}"
 
 
 def estimates(fit: Fit, term: Term) -> dict[str, Estimate]:

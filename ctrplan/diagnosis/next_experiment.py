@@ -18,6 +18,7 @@ from ctrplan.pipeline.parametric_chain import ParametricChain
 CONFIGURATIONS, SEED = 24, 4
 OFFSET_RAD = np.radians(90.0)
 SEPARATING_LOG_ODDS = 1.0  # expected log-odds of a pose below which it separates nothing
+CERTAIN_LOG_ODDS = 100.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +29,11 @@ class Proposal:
     l_commanded: Array  # (n,) m
     log_odds: float
     between: tuple[str, str]
+
+    @property
+    def odds(self) -> str:
+        """The log-odds for a reader: beyond some size no noise matters, but what neither effect explains does."""
+        return f"{self.log_odds:.1f}" if self.log_odds < CERTAIN_LOG_ODDS else f"above {CERTAIN_LOG_ODDS:g}"
 
 
 def proposals(chosen: Scored, other: Alternative, data: Measurements, noise: Noise, count: int = 3) -> list[Proposal]:
@@ -95,7 +101,7 @@ def _separating(name: str, other: Alternative, found: Sequence[Proposal]) -> str
     places = ", ".join(f"{place:.1f}" for place in best.l_commanded * 1e3)
     return (
         f"To tell {name} from {other.term.name}, measure theta = ({angles}) deg, l = ({places}) mm from all directions "
-        f"of approach: expected log-odds {best.log_odds:.1f}."
+        f"of approach: expected log-odds {best.odds}."
     )
 
 

@@ -46,10 +46,7 @@ def effect_lines(found: Diagnosis) -> list[str]:
     """Per effect its parameters with intervals."""
     lines = []
     for t in found.listed:
-        values = (
-            f"{name} = {e.value:.4g} ({e.ci95[0]:.4g} to {e.ci95[1]:.4g})"
-            for name, e in estimates(found.chosen.fit, t).items()
-        )
+        values = (f"{name} = {e.shown} ({e.shown_ci95})" for name, e in estimates(found.chosen.fit, t).items())
         lines.append(f"{t.name} ({t.effect.stage}): {', '.join(values)}")
     return [*_frame_lines(found), *lines, *built_lines(found), *([rest.sentence] if (rest := found.rest) else [])]
 

@@ -95,10 +95,7 @@ def built_part(found: Diagnosis) -> list[Markup]:
     """The built terms: what each does and may be, its coefficients, and the ranges outside which it is held."""
     parts = [tag("p", line) for line in built_lines(found)]
     for t in found.built_terms:
-        rows = (
-            (name, f"{e.value:.4g}", f"{e.ci95[0]:.4g} to {e.ci95[1]:.4g}")
-            for name, e in estimates(found.chosen.fit, t).items()
-        )
+        rows = ((name, e.shown, e.shown_ci95) for name, e in estimates(found.chosen.fit, t).items())
         parts.append(table((f"Coefficient of {t.name}", "Value", "95 % interval"), rows))
         ranges = t.effect.stated({}).get("range", {})
         rows = ((name, unit(name), f"{low:.4g} to {high:.4g}") for name, (low, high) in ranges.items())

@@ -39,7 +39,7 @@ def effect_parts(found: Diagnosis, errors: SelectionErrors) -> Iterator[Markup]:
 
 def _parameter_table(found: Diagnosis, t: Term) -> Markup:
     rows = (
-        (name, f"{e.value:.4g}", f"{e.ci95[0]:.4g} to {e.ci95[1]:.4g}{', at its bound' if e.at_bound else ''}")
+        (name, e.shown, f"{e.shown_ci95}{', at its bound' if e.at_bound else ''}")
         for name, e in estimates(found.chosen.fit, t).items()
     )
     return table(("Parameter", "Value", term("95 % interval")), rows)
@@ -89,7 +89,7 @@ def proposal_table(found: Diagnosis) -> Markup:
             ", ".join(f"{x:.0f}" for x in np.degrees(p.theta_commanded)),
             ", ".join(f"{x:.1f}" for x in p.l_commanded * 1e3),
             " against ".join(p.between),
-            f"{p.log_odds:.1f}",
+            p.odds,
         )
         for p in found.proposals
     )
@@ -128,7 +128,7 @@ def remaining_table(found: Diagnosis) -> Markup:
 def calibration_table(found: Diagnosis) -> Markup:
     """Ordinary calibration parameters."""
     values = estimates(found.chosen.fit, found.chosen.fit.chain.terms[0])
-    rows = ((name, f"{e.value:.4g}", f"{e.ci95[0]:.4g} to {e.ci95[1]:.4g}") for name, e in values.items())
+    rows = ((name, e.shown, e.shown_ci95) for name, e in values.items())
     return table(("Parameter", "Value", "95 % interval"), rows)
 
 
