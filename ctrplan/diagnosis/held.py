@@ -11,6 +11,7 @@ from ctrplan.diagnosis.partial_search import PartialSelector, is_built
 from ctrplan.diagnosis.selection import Step
 from ctrplan.diagnosis.verdict import CLOSE, CLOSE_ERRORS, Alternative, Finding, is_close
 from ctrplan.diagnosis.workbench import Panel, Scored
+from ctrplan.effects.learned.learned import Learned
 from ctrplan.pipeline.term import Term
 
 TRIED = 3  # effects that are fitted in the place of one that holds
@@ -40,7 +41,8 @@ def held(selector: PartialSelector, chosen: Scored) -> Held:
         among = [*bench.basis(chosen.terms), *chosen.terms]
         panel = bench.panel(chosen, selector.candidates.beside(chosen.terms))
         chance = selector.chance(chosen, panel, among)
-        named = [t for t in among if t.name in FRAMES or (t in chosen.terms and not is_built(t))]
+        asks_frames = not any(_is_beside_frames(t) for t in chosen.terms)
+        named = [t for t in among if (t.name in FRAMES and asks_frames) or (t in chosen.terms and not is_built(t))]
         asked = [evidence(bench, panel, among, t, chance, times) for t in named]
         failing = [e for e in asked if not e.holds and e.term in chosen.terms]
         if not failing:
@@ -64,9 +66,17 @@ def finding(selector: PartialSelector, found: Held, t: Term) -> tuple[Finding, l
     return Finding(t, tuple(a for a in tried if is_close(a, chosen))), tried
 
 
+def _is_beside_frames(t: Term) -> bool:
+    """Whether it is a built term whose zero is arbitrary, so that a frame is no name beside it but its constant."""
+    return isinstance(t.effect, Learned) and t.effect.target.kind_name in ("sensor", "plate")
+
+
 def _is_replaceable(selector: PartialSelector, panel: Panel, among: Sequence[Term], t: Term) -> bool:
-    """Whether another effect does as well in the place of a frame, which is free in every fit."""
+    """Whether another effect that can be named does as well in the place of a frame, which is free in every fit."""
     if t.name not in FRAMES:
         return False
     ranked = in_its_place(selector.bench, panel, among, t)
-    return any(behind < max(CLOSE, CLOSE_ERRORS * error) for _, behind, error in ranked)
+    return any(
+        behind < max(CLOSE, CLOSE_ERRORS * error) and len(other.parameters) <= selector.most_parameters
+        for other, behind, error in ranked
+    )

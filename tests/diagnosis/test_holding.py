@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from ctrplan.base.arrays import Array
-from ctrplan.diagnosis import holding, workbench
+from ctrplan.diagnosis import held, holding, workbench
+from ctrplan.diagnosis.building.search import built_term
 from ctrplan.diagnosis.held_out import Linear
 from ctrplan.diagnosis.holding import _shift as shift
 from ctrplan.diagnosis.holding import evidence, in_its_place
+from ctrplan.effects.learned.learned import named
+from ctrplan.effects.learned.targets import Target
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,11 @@ class Panel:
 LAG = Term("lag")
 TWIN, FAR_TWIN = Term("drive_lag", "_theta"), Term("drive_lag", "_l")
 REFINED = Term("creep", effect=Effect(needs="lag"))
+FRAME, SOFT, STIFF = (
+    Term("base_misalignment"),
+    Term("sensor_distortion", parameters=(None,) * 61),
+    Term("gravity", parameters=(None,) * 3),
+)
 OTHER = Term("backlash")
 EXPLAINED = {
     frozenset[str](): 0.0,
@@ -55,6 +64,9 @@ EXPLAINED = {
     frozenset({"drive_lag_theta"}): 9.9,
     frozenset({"drive_lag_l"}): 0.5,
     frozenset({"creep"}): 0.0,
+    frozenset({"base_misalignment"}): 10.0,
+    frozenset({"sensor_distortion"}): 9.9,
+    frozenset({"gravity"}): 9.9,
     frozenset({"backlash"}): 4.0,
     frozenset({"lag", "drive_lag_theta"}): 10.0,
     frozenset({"lag", "drive_lag_l"}): 10.0,
@@ -94,6 +106,24 @@ def test_effects_in_its_place_come_best_first_each_in_its_best_variant() -> None
     panel = Panel(EXPLAINED, (FAR_TWIN, OTHER, REFINED, TWIN))
     found = in_its_place(None, panel, [LAG], LAG)  # type: ignore[arg-type, list-item]
     assert [(other.name, other.variant) for other, _, _ in found] == [("drive_lag", "_theta"), ("backlash", "")]  # type: ignore[attr-defined]
+
+
+def test_only_what_could_be_named_takes_the_place_of_a_frame() -> None:
+    selector: Any = SimpleNamespace(bench=None, most_parameters=24)
+    for others, is_replaceable in (([SOFT], False), ([STIFF], True), ([SOFT, STIFF], True)):
+        panel: Any = Panel(EXPLAINED, (FRAME, *others))
+        assert held._is_replaceable(selector, panel, [FRAME], FRAME) == is_replaceable  # type: ignore[list-item, arg-type]
+
+
+@pytest.mark.parametrize(
+    ("kind", "tube", "is_constant"), [("sensor", 0, True), ("plate", 0, True), ("theta", 2, False)]
+)
+def test_a_frame_is_no_name_beside_a_built_term_whose_zero_is_arbitrary(
+    kind: str, tube: int, is_constant: bool
+) -> None:
+    on = Target(kind, tube)
+    term = built_term(on, named(on, "constant"), {}, 2)
+    assert held._is_beside_frames(term) == is_constant
 
 
 @dataclass(frozen=True)
