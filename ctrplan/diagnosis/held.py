@@ -72,11 +72,11 @@ def _is_beside_frames(t: Term) -> bool:
 
 
 def _is_replaceable(selector: PartialSelector, panel: Panel, among: Sequence[Term], t: Term) -> bool:
-    """Whether another effect that can be named does as well in the place of a frame, which is free in every fit."""
+    """Whether another effect does as well in the place of a frame, which is free in every fit.
+
+    Also one with more parameters than can be named: where a smooth error is all there is, a frame takes part of it.
+    """
     if t.name not in FRAMES:
         return False
     ranked = in_its_place(selector.bench, panel, among, t)
-    return any(
-        behind < max(CLOSE, CLOSE_ERRORS * error) and len(other.parameters) <= selector.most_parameters
-        for other, behind, error in ranked
-    )
+    return any(behind < max(CLOSE, CLOSE_ERRORS * error) for _, behind, error in ranked)

@@ -30,7 +30,7 @@ class PartialSelector(Selector):
         """tell: called with a sentence before each round of fits; begun: a settled set, the base if not given."""
         super().__init__(bench, testable_beside(candidates, bench), tell, begun or bench.begun())
         self.partial_bench = bench
-        self.most_parameters = len(np.unique(bench.group))  # of an effect that can be named
+        self._blocks = len(np.unique(bench.group))
 
     def run(self) -> Selection:
         """Adds what passes, and nothing else: what holds beside the others is asked in the end."""
@@ -56,7 +56,7 @@ class PartialSelector(Selector):
         here = found.chosen
         self.tell("trying effects beside " + (", ".join(here.names) or "a rest"))
         screened = self.bench.screened(here, self._others(here), self.candidates.completed)
-        screened = [one for one in screened if len(one.term.parameters) <= self.most_parameters]
+        screened = [one for one in screened if len(one.term.parameters) <= self._blocks]
         if not screened:
             return False
         found.threshold = TIMES_CHANCE[self.bench.data.is_stream] * self._threshold(here, screened)

@@ -52,11 +52,7 @@ class Panel:
 LAG = Term("lag")
 TWIN, FAR_TWIN = Term("drive_lag", "_theta"), Term("drive_lag", "_l")
 REFINED = Term("creep", effect=Effect(needs="lag"))
-FRAME, SOFT, STIFF = (
-    Term("base_misalignment"),
-    Term("sensor_distortion", parameters=(None,) * 61),
-    Term("gravity", parameters=(None,) * 3),
-)
+FRAME, SOFT = Term("base_misalignment"), Term("sensor_distortion", parameters=(None,) * 61)
 OTHER = Term("backlash")
 EXPLAINED = {
     frozenset[str](): 0.0,
@@ -66,7 +62,6 @@ EXPLAINED = {
     frozenset({"creep"}): 0.0,
     frozenset({"base_misalignment"}): 10.0,
     frozenset({"sensor_distortion"}): 9.9,
-    frozenset({"gravity"}): 9.9,
     frozenset({"backlash"}): 4.0,
     frozenset({"lag", "drive_lag_theta"}): 10.0,
     frozenset({"lag", "drive_lag_l"}): 10.0,
