@@ -282,7 +282,7 @@ def known(truth: dict[str, Any]) -> set[str]:
 
 def is_handed_over(found: dict[str, Any]) -> bool:
     """Whether a term was built and passes: on blocks left out, and once on the poses kept aside."""
-    if "z" not in found or any("worse" in reason for reason in found["refused"]):
+    if "z" not in found or any("worse" in reason or "chance" in reason for reason in found["refused"]):
         return False
     aside = 1 - (found["built_mm"] / max(found["beside_mm"], 1e-9)) ** 2
     passes = found["z"] >= limits.LEAST_Z and found["winning"] >= limits.LEAST_WINNING
