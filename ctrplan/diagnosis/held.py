@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ctrplan.diagnosis.frames import FRAMES
-from ctrplan.diagnosis.holding import TIMES_CHANCE, Evidence, evidence, in_its_place
+from ctrplan.diagnosis.holding import Evidence, evidence, in_its_place
 from ctrplan.diagnosis.partial_search import PartialSelector, is_built
 from ctrplan.diagnosis.selection import Step
 from ctrplan.diagnosis.verdict import CLOSE, CLOSE_ERRORS, Alternative, Finding, is_close
@@ -35,7 +35,6 @@ def held(selector: PartialSelector, chosen: Scored) -> Held:
     Built terms stay: whether they hold is asked elsewhere.
     """
     bench, doubted, dropped = selector.partial_bench, list[Evidence](), list[Step]()
-    times = TIMES_CHANCE[bench.data.is_stream]
     while True:
         selector.tell(f"asking what holds of {', '.join(chosen.names)}" if chosen.terms else "asking what holds")
         among = [*bench.basis(chosen.terms), *chosen.terms]
@@ -43,7 +42,7 @@ def held(selector: PartialSelector, chosen: Scored) -> Held:
         chance = selector.chance(chosen, panel, among)
         asks_frames = not any(_is_beside_frames(t) for t in chosen.terms)
         named = [t for t in among if (t.name in FRAMES and asks_frames) or (t in chosen.terms and not is_built(t))]
-        asked = [evidence(bench, panel, among, t, chance, times) for t in named]
+        asked = [evidence(bench, panel, among, t, chance) for t in named]
         failing = [e for e in asked if not e.holds and e.term in chosen.terms]
         if not failing:
             found = tuple(e for e in asked if e.holds and not _is_replaceable(selector, panel, among, e.term))

@@ -13,7 +13,7 @@ from ctrplan.diagnosis.workbench import Panel, Workbench, certainty
 from ctrplan.pipeline.term import Term
 
 LEAST_Z = 4.0  # standard errors over blocks that the gain of an effect must exceed zero by
-TIMES_CHANCE = {False: 2.0, True: 3.0}  # what surrogates exceed in 2 % of draws, of poses at rest and of a motion
+TIMES_CHANCE = 3.0  # the gain that surrogates of the residual exceed in 2 % of draws
 LEAST_WINNING = 0.9  # of the blocks that say something
 SAYS_SOMETHING = 0.5  # log-likelihood of a block that tells whether an effect acts
 MOST_SHIFT = 3.0  # standard errors by which a competitor may move an effect's parameters, of each on average
@@ -30,7 +30,6 @@ class Evidence:
     error: float  # standard error over blocks
     z: float  # standard errors by which gains of blocks, or their signed roots, lie above zero
     chance: float  # what surrogates of the residual exceed in 2 % of draws
-    times: float  # that which the gain has to be
     winning: float  # share of the blocks that it predicts better, of those that say something
     weakest_z: float  # beside the competitor that leaves the least
     weakest: str  # its name
@@ -43,8 +42,8 @@ class Evidence:
         found = []
         if self.z < LEAST_Z:
             found.append(f"its gain of {self.gain:.0f} is {self.z:.1f} standard errors above zero over blocks")
-        if self.gain < self.times * self.chance:
-            found.append(f"its gain of {self.gain:.0f} is below {self.times:g} times that of surrogates")
+        if self.gain < TIMES_CHANCE * self.chance:
+            found.append(f"its gain of {self.gain:.0f} is below {TIMES_CHANCE:g} times that of surrogates")
         if self.winning < LEAST_WINNING:
             found.append(f"only {100 * self.winning:.0f} % of the blocks speak for it")
         if self.weakest_z < LEAST_Z_BESIDE:
@@ -59,7 +58,7 @@ class Evidence:
         return not self.doubts
 
 
-def evidence(bench: Workbench, panel: Panel, among: Sequence[Term], t: Term, chance: float, times: float) -> Evidence:
+def evidence(bench: Workbench, panel: Panel, among: Sequence[Term], t: Term, chance: float) -> Evidence:
     """Of an effect `t` of a set, `among` all that is fitted with it, beside every competitor of the panel's.
 
     What only refines `t` does not compete with it, nor does what brings as much in its place: beside that
@@ -84,7 +83,6 @@ def evidence(bench: Workbench, panel: Panel, among: Sequence[Term], t: Term, cha
         *summed(gains),
         certainty(gains),
         chance,
-        times,
         float((telling > 0).mean()) if len(telling) else 0.0,
         beside[weakest][0] if weakest else np.inf,
         weakest,

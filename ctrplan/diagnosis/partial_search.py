@@ -10,13 +10,15 @@ from ctrplan.diagnosis.candidates import Candidates
 from ctrplan.diagnosis.chance import null_threshold
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.frames import FRAMES
+from ctrplan.diagnosis.held_out import Linear
 from ctrplan.diagnosis.holding import TIMES_CHANCE
 from ctrplan.diagnosis.selection import Report, Selection, Selector, step
-from ctrplan.diagnosis.workbench import Panel, Scored, Screened, certainty
+from ctrplan.diagnosis.workbench import Panel, Scored, Screened, certainty, linear
 from ctrplan.effects.learned.learned import Learned
 from ctrplan.pipeline.term import Term
 
 MOST_PARTS = 5  # effects named beside a rest that nothing explains
+SMOOTH_COUNTS = 2 / 3  # of chance on surrogates as smooth as the residual: twice that has to be gained
 CERTAIN_AT_FIRST = 3.0  # standard errors over blocks, while what is still missing is part of the discrepancy
 WORTH_A_FIT = 0.5  # of the gain and of the certainty that are needed, to first order: a fit would not make up for less
 
@@ -44,8 +46,13 @@ class PartialSelector(Selector):
         To first order, as the evidence is; `among` is all that is fitted.
         """
         beside = [panel.of([*among, other]) for other in panel.others(among)]
-        draws = self.bench.null_draws(chosen)
-        return null_threshold(panel.of(among), beside, self.bench.fold, draws) if beside else 0.0
+        return self._most(chosen, panel.of(among), beside) if beside else 0.0
+
+    def _most(self, here: Scored, alone: Linear, beside: Sequence[Linear]) -> float:
+        """Of chance on traded residuals and on surrogates as smooth as these, which leave less to doubt."""
+        draws = self.partial_bench.traded_draws(here), self.partial_bench.null_draws(here)
+        traded, smooth = (null_threshold(alone, beside, self.bench.fold, one) for one in draws)
+        return max(traded, SMOOTH_COUNTS * smooth)
 
     def _grow(self, found: Selection) -> bool:
         """The first of the best candidates that is certain; another one may need it to become so.
@@ -59,7 +66,8 @@ class PartialSelector(Selector):
         screened = [one for one in screened if len(one.term.parameters) <= self._blocks]
         if not screened:
             return False
-        found.threshold = TIMES_CHANCE[self.bench.data.is_stream] * self._threshold(here, screened)
+        beside = [one.linear for one in screened]
+        found.threshold = TIMES_CHANCE * self._most(here, linear(here.fit), beside)
         worth = [one for one in screened if self._passes(here, one, WORTH_A_FIT)]
         if not worth:
             first = screened[0]

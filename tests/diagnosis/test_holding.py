@@ -80,7 +80,7 @@ def by_table(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def asked(*others: Term) -> Any:
-    return evidence(None, Panel(EXPLAINED, (LAG, *others)), [LAG], LAG, 1.0, 3.0)  # type: ignore[arg-type, list-item]
+    return evidence(None, Panel(EXPLAINED, (LAG, *others)), [LAG], LAG, 1.0)  # type: ignore[arg-type, list-item]
 
 
 def test_what_does_as_well_in_its_place_does_not_speak_against_an_effect() -> None:
