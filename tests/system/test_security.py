@@ -58,8 +58,7 @@ PICKLING = {"batch.py", "confirm.py", "definition.py", "run.py", "worker.py"}  #
 def test_pickles_come_from_the_process_itself_only() -> None:
     """Tasks of an executor are pickled; files and caches never are."""
     assert {path.name for path in PACKAGE.rglob("*.py") if "import pickle" in path.read_text("utf-8")} == PICKLING
-    loads = [line for file, name, line in calls() if name == "load" and "np." in line]
-    assert loads and all("allow_pickle=False" in line for line in loads)
+    assert not [line for _, name, line in calls() if name == "load" and "np." in line]  # its archives may
 
 
 @pytest.mark.parametrize("key", ["robot", "mesh"])
