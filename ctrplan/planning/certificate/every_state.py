@@ -57,7 +57,7 @@ def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece], spare_m
         narrowest = [one for of_piece in first for one in of_piece]
         if any(not one.keeps(limited) for one in narrowest):  # no other sample makes the path valid again
             known = {piece: (samples, found) for (piece, samples), found in zip(rows, first, strict=True)}
-            return [_with(piece, *known.get(k, ((), ()))) for k, piece in enumerate(pieces)]
+            return [look.ended(_with(look.piece, *known.get(k, ((), ())))) for k, look in enumerate(looks)]
         enough = max(limits.clearance_m, min([enough, *(one.clearance_m for one in narrowest)]))
         return _longest_first(pool, looks, lambda look: _in_every_state(look, enough, limited))
 
@@ -91,9 +91,7 @@ def _in_every_state(look: _Look, enough_m: float, limited: Needed) -> Piece:
         piece = _with(piece, samples, found)
         if not all(one.keeps(limited) for one in found):
             break
-    apart = look.apart_m
-    look.forget()
-    return replace(piece, apart_m=apart, finer={})
+    return look.ended(piece)
 
 
 def _with(piece: Piece, samples: Sequence[int], found: Sequence[LeastOfStates]) -> Piece:
@@ -121,20 +119,17 @@ class _Look:
     _found: dict[int, LeastOfStates] = field(default_factory=dict)
 
     @property
-    def apart_m(self) -> float:
-        """Largest distance of bodies solved from scratch from those walked to."""
-        return max((states.apart_m for states in self._states.values()), default=0.0)
-
-    @property
     def effort(self) -> int:
         """About what a look at all samples takes: those that the mesh of the search does not clear take most."""
         near = self.piece.as_walked_m < self.needed.clearance_m + NEAR_M
         short = self.piece.as_walked_m < self.needed.clearance_m
         return len(near) + int(near.sum()) + NARROW_EFFORT * int(short.sum())
 
-    def forget(self) -> None:
-        """Lets go of all bodies, once nothing of the piece is asked any more."""
+    def ended(self, piece: Piece) -> Piece:
+        """The piece, with how far bodies solved from scratch lay from those walked to; lets go of all bodies."""
+        apart = max((states.apart_m for states in self._states.values()), default=0.0)
         self._states.clear()
+        return replace(piece, apart_m=apart, finer={})
 
     def least(self, samples: Sequence[int]) -> list[LeastOfStates]:
         """Of each sample; all allowances taken off the clearance."""
