@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from places import SCENARIOS
 
 from ctrplan.base.arrays import Array
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.planning.certificate.every_state import in_every_friction_state
+from ctrplan.planning.certificate import every_state
+from ctrplan.planning.certificate.every_state import LOOK_EVERY, _Look, in_every_friction_state
+from ctrplan.planning.certificate.least_of_states import LeastOfStates, Needed
 from ctrplan.planning.certificate.problems import problems_of_walk
 from ctrplan.planning.certificate.sample_states import SampleStates
-from ctrplan.planning.certificate.walked_piece import walk_pieces
+from ctrplan.planning.certificate.walked_piece import Piece, walk_pieces
 from ctrplan.planning.joint_space import JointSpace
+from ctrplan.planning.motion import path_limits
+from ctrplan.planning.scenario import Scenario
 
 
 def test_another_equilibrium_at_the_narrowest_places_is_told_as_that(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -26,3 +33,57 @@ def test_another_equilibrium_at_the_narrowest_places_is_told_as_that(monkeypatch
     pieces = in_every_friction_state(scenario, walk_pieces(scenario, space, corners, "search", None), np.inf)
     assert any("another equilibrium exists" in told for told in problems_of_walk(scenario, space, corners, pieces))
     assert not any(piece.finer for piece in pieces)
+
+
+def _pieces(corners_turned_by: list[float]) -> tuple[Scenario, list[Piece]]:
+    """Pieces of turns [rad] of all joints of the vessel's start, one after the other."""
+    scenario = load_scenario(SCENARIOS / "vessel.toml")
+    space = JointSpace.of(scenario)
+    corners = scenario.start + np.array(corners_turned_by)[:, None] * space.drive.is_rotation
+    return scenario, walk_pieces(scenario, space, corners, "search", None)
+
+
+@pytest.mark.parametrize("breaks", [(), ((0, 40),), ((0, 12), (1, 5))])
+def test_what_is_kept_does_not_depend_on_which_thread_comes_first(
+    monkeypatch: pytest.MonkeyPatch, breaks: tuple[tuple[int, int], ...]
+) -> None:
+    """Samples before and in the first broken batch of a piece count, none after it, whoever was sooner."""
+    scenario, pieces = _pieces([0.0, 1.8, 0.2])
+    assert min(len(piece.clearance_m) for piece in pieces[:2]) > 2 * every_state.AT_ONCE
+    number = {id(piece.samples): k for k, piece in enumerate(pieces)}
+    least_stability = np.random.default_rng(0).uniform(0.3, 0.9, size=(len(pieces), max(len(p.l_b) for p in pieces)))
+    for piece, sample in breaks:
+        least_stability[piece, sample] = -1.0
+    delays = np.random.default_rng(1)
+
+    def least(self: _Look, samples: Sequence[int]) -> list[LeastOfStates]:
+        time.sleep(float(delays.uniform(0, 0.02)))
+        k = number[id(self.piece.samples)]
+        return [LeastOfStates(1.0, least_stability[k, s], 0.01, (0.0, 0.0), np.zeros(3), 0) for s in samples]
+
+    monkeypatch.setattr(_Look, "least", least)
+    monkeypatch.setattr(every_state, "_narrowest", lambda pieces: [])
+    found = []
+    for threads in (1, 4, 4):
+        monkeypatch.setattr(every_state, "cores", lambda threads=threads: threads)
+        found.append(in_every_friction_state(scenario, pieces, np.inf))
+    for k, same in enumerate(zip(*found, strict=True)):
+        assert all(np.array_equal(piece.stability, same[0].stability) for piece in same)
+        own = np.minimum(pieces[k].stability, least_stability[k, : len(pieces[k].stability)])
+        first = min([sample for p, sample in breaks if p == k], default=None)
+        if first is None:
+            np.testing.assert_array_equal(same[0].stability, own)
+        else:
+            np.testing.assert_array_equal(same[0].stability[: first + 1], own[: first + 1])
+            behind = first + every_state.AT_ONCE
+            np.testing.assert_array_equal(same[0].stability[behind:], pieces[k].stability[behind:])
+
+
+def test_batches_hold_every_sample_once_and_begin_where_states_are_solved() -> None:
+    scenario, pieces = _pieces([0.0, 0.8])
+    limits = path_limits(scenario)
+    for clearance_m in (-1.0, float(np.median(pieces[0].as_walked_m)), 1.0):
+        needed = Needed(clearance_m, limits.stability, limits.max_strain)
+        batches = _Look(scenario, pieces[0], needed, limits.clearance_m, None).batches()
+        assert [sample for batch in batches for sample in batch] == list(range(len(pieces[0].clearance_m)))
+        assert all(batch[0] % LOOK_EVERY == 0 for batch in batches)

@@ -6,12 +6,15 @@ Every few samples are solved in states of the cube, those between them are inter
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping, Sequence
+import itertools
+from collections.abc import Generator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from threading import Lock
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ctrplan.base.cores import cores
 from ctrplan.planning.certificate.allowances import TIGHT_M
@@ -31,7 +34,7 @@ if TYPE_CHECKING:
 # a cell lasts for more than a few mm of motion.
 NEAR_M, LOOK_EVERY, CLOSE_EVERY, CLOSE_DEPTH = 3e-3, 4, 16, 2
 FIRST = 4  # narrowest samples
-AT_ONCE = 32  # samples, of which there is little to compute of each
+AT_ONCE = 32  # samples, of which there is little to compute of each; fewer where there is more
 NARROW_EFFORT = 3  # of a sample that has to be solved on the certificate mesh, in those of any other
 SPARE_M = 0.15e-3  # of a sample that may be interpolated: with less, what is taken off for that is too much
 CLOSE_TUBES = 4  # of five tubes, cells halved twice have 881 corners and middles
@@ -52,46 +55,51 @@ def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece], spare_m
     needed = replace(limited, clearance_m=enough)
     looks = [_Look(scenario, piece, needed, limits.clearance_m, distance) for piece in pieces]
     with ThreadPoolExecutor(cores()) as pool:
-        rows = _narrowest(pieces)
-        first = list(pool.map(lambda some: looks[some[0]].least(some[1]), rows))
-        narrowest = [one for of_piece in first for one in of_piece]
-        if any(not one.keeps(limited) for one in narrowest):  # no other sample makes the path valid again
-            known = {piece: (samples, found) for (piece, samples), found in zip(rows, first, strict=True)}
-            return [look.ended(_with(look.piece, *known.get(k, ((), ())))) for k, look in enumerate(looks)]
-        enough = max(limits.clearance_m, min([enough, *(one.clearance_m for one in narrowest)]))
-        return _longest_first(pool, looks, lambda look: _in_every_state(look, enough, limited))
+        places = _narrowest(pieces)
+        first = list(pool.map(lambda place: looks[place[0]].least([place[1]])[0], places))
+        if any(not one.keeps(limited) for one in first):  # no other sample makes the path valid again
+            return [look.ended(_with(look.piece, *_of_piece(k, places, first))) for k, look in enumerate(looks)]
+        enough = max(limits.clearance_m, min([enough, *(one.clearance_m for one in first)]))
+        for look in looks:
+            look.needed = replace(needed, clearance_m=enough)
+        return _every_sample(pool, looks, limited)
 
 
-def _longest_first(pool: Executor, looks: Sequence[_Look], work: Callable[[_Look], Piece]) -> list[Piece]:
-    """In the order of `looks`; begun with those that take longest, so that no thread ends long before the others."""
-    order = sorted(range(len(looks)), key=lambda k: looks[k].effort, reverse=True)
-    found = dict(zip(order, pool.map(work, [looks[k] for k in order]), strict=True))
-    return [found[k] for k in range(len(looks))]
-
-
-def _narrowest(pieces: Sequence[Piece]) -> list[tuple[int, list[int]]]:
-    """Pieces and their samples that come first: less than what they keep is not asked of any other sample.
-
-    A piece stands there once, for its samples share what was solved and one thread has to look at them.
-    """
+def _narrowest(pieces: Sequence[Piece]) -> list[tuple[int, int]]:
+    """Pieces and samples that come first: less than what they keep is not asked of any other sample."""
     rows = sorted((float(c), p, k) for p, piece in enumerate(pieces) for k, c in enumerate(piece.clearance_m))
-    chosen: dict[int, list[int]] = {}
-    for clearance, piece, sample in rows[:FIRST]:
-        if np.isfinite(clearance):
-            chosen.setdefault(piece, []).append(sample)
-    return list(chosen.items())
+    return [(piece, sample) for clearance, piece, sample in rows[:FIRST] if np.isfinite(clearance)]
 
 
-def _in_every_state(look: _Look, enough_m: float, limited: Needed) -> Piece:
-    """Down to `enough_m` of clearance; ends with the first samples of which one breaks a limit."""
-    piece, look.needed = look.piece, replace(look.needed, clearance_m=enough_m)
-    for first in range(0, len(piece.clearance_m), AT_ONCE):
-        samples = range(first, min(first + AT_ONCE, len(piece.clearance_m)))
-        found = look.least(samples)
-        piece = _with(piece, samples, found)
-        if not all(one.keeps(limited) for one in found):
-            break
-    return look.ended(piece)
+def _of_piece(
+    piece: int, places: Sequence[tuple[int, int]], found: Sequence[LeastOfStates]
+) -> tuple[list[int], list[LeastOfStates]]:
+    """Samples of one piece among `places`, and what was found there."""
+    rows = [(sample, one) for (p, sample), one in zip(places, found, strict=True) if p == piece]
+    return [sample for sample, _ in rows], [one for _, one in rows]
+
+
+def _every_sample(pool: Executor, looks: Sequence[_Look], limited: Needed) -> list[Piece]:
+    """The pieces with what all of their samples keep, up to the first batch of which a sample breaks a limit.
+
+    Pieces that take longest come first, in batches, so that no thread ends long before the others.
+    """
+    order = sorted(range(len(looks)), key=lambda k: looks[k].effort, reverse=True)
+    work = {k: [(batch, pool.submit(looks[k].kept, batch, limited)) for batch in looks[k].batches()] for k in order}
+    ended = dict[int, Piece]()
+    for k in order:
+        piece = looks[k].piece
+        for samples, future in work[k]:
+            found = future.result()
+            if found is None:  # and all after it
+                break
+            piece = _with(piece, samples, found)
+            if not all(one.keeps(limited) for one in found):
+                break
+        for _, future in work[k]:
+            future.result()
+        ended[k] = looks[k].ended(piece)
+    return [ended[k] for k in range(len(looks))]
 
 
 def _with(piece: Piece, samples: Sequence[int], found: Sequence[LeastOfStates]) -> Piece:
@@ -108,7 +116,7 @@ def _with(piece: Piece, samples: Sequence[int], found: Sequence[LeastOfStates]) 
 
 @dataclass(eq=False)
 class _Look:
-    """At a piece in all friction states; keeps the states of its samples, so that one thread at a time may look."""
+    """At a piece in all friction states; keeps those of its samples. Each thread looks at other samples."""
 
     scenario: Scenario
     piece: Piece
@@ -117,17 +125,45 @@ class _Look:
     distance: AnatomyDistance | None
     _states: dict[tuple[int, Accuracy], SampleStates] = field(default_factory=dict)
     _found: dict[int, LeastOfStates] = field(default_factory=dict)
+    _broken: float = np.inf  # last sample of the first batch of which one breaks a limit
+    _lock: Lock = field(default_factory=Lock)
 
     @property
     def effort(self) -> int:
-        """About what a look at all samples takes: those that the mesh of the search does not clear take most."""
+        """About what a look at all samples takes."""
+        return int(self._efforts.sum())
+
+    @property
+    def _efforts(self) -> NDArray[np.int_]:
+        """(K,) of each sample: those that the mesh of the search does not clear take most."""
         near = self.piece.as_walked_m < self.needed.clearance_m + NEAR_M
         short = self.piece.as_walked_m < self.needed.clearance_m
-        return len(near) + int(near.sum()) + NARROW_EFFORT * int(short.sum())
+        efforts: NDArray[np.int_] = 1 + near.astype(int) + NARROW_EFFORT * short
+        return efforts
+
+    def batches(self) -> list[range]:
+        """All samples in runs of about AT_ONCE efforts, between samples that are solved themselves."""
+        efforts, firsts = np.append(0, np.cumsum(self._efforts)), [0]
+        for k in range(LOOK_EVERY, len(efforts) - 1, LOOK_EVERY):
+            if efforts[k] - efforts[firsts[-1]] >= AT_ONCE:
+                firsts.append(k)
+        return [range(*ends) for ends in itertools.pairwise([*firsts, len(efforts) - 1])]
+
+    def kept(self, samples: range, limited: Needed) -> list[LeastOfStates] | None:
+        """Of a batch; None if one before it breaks a limit, beyond which nothing is asked."""
+        if samples[0] > self._broken:
+            return None
+        found = self.least(samples)
+        if not all(one.keeps(limited) for one in found):
+            with self._lock:
+                self._broken = min(self._broken, samples[-1])
+        return found
 
     def ended(self, piece: Piece) -> Piece:
         """The piece, with how far bodies solved from scratch lay from those walked to; lets go of all bodies."""
-        apart = max((states.apart_m for states in self._states.values()), default=0.0)
+        is_whole = np.isinf(self._broken)  # else what lies behind the break depends on when threads came to it
+        known = [states for (k, _), states in self._states.items() if is_whole or k <= self._broken]
+        apart = max((states.apart_m for states in known), default=0.0)
         self._states.clear()
         return replace(piece, apart_m=apart, finer={})
 
@@ -198,9 +234,10 @@ class _Look:
 
     def _of(self, sample: int, accuracy: Accuracy) -> SampleStates:
         key = sample, accuracy
-        if key not in self._states:
-            self._states[key] = SampleStates(self.scenario, self.piece, sample, accuracy)
-        return self._states[key]
+        with self._lock:
+            if key not in self._states:
+                self._states[key] = SampleStates(self.scenario, self.piece, sample, accuracy)
+            return self._states[key]
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from threading import RLock
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,7 +22,10 @@ if TYPE_CHECKING:
 
 @dataclass(eq=False)
 class SampleStates:
-    """A sample of a piece in its friction states, at an accuracy; compares what is solved with what was walked to."""
+    """A sample of a piece in its friction states, at an accuracy; compares what is solved with what was walked to.
+
+    Threads that look at the samples on either side may ask for its states at once.
+    """
 
     scenario: Scenario
     piece: Piece
@@ -31,6 +35,7 @@ class SampleStates:
     _compared: bool = field(default=False, repr=False)
     _solved: dict[State, Solved] = field(default_factory=dict, repr=False)
     _bends: dict[tuple[State, ...], Array] = field(default_factory=dict, repr=False)
+    _lock: RLock = field(default_factory=RLock, repr=False)  # so that nothing is solved twice
 
     @property
     def states(self) -> list[State]:
@@ -49,8 +54,9 @@ class SampleStates:
         elif k in self.piece.finer:
             return self.piece.finer[k]
         else:
-            bodies, radius, solved = self.solve(self.states)
-            self._compare(bodies)
+            with self._lock:
+                bodies, radius, solved = self.solve(self.states)
+                self._compare(bodies)
         return dict(zip(self.states, solved, strict=True)), radius
 
     @cached_property
@@ -74,12 +80,13 @@ class SampleStates:
     def __call__(self, phi: Iterable[State]) -> list[Solved]:
         """Without a body where no equilibrium was found on the branch that was walked to."""
         asked = list(phi)
-        if wanted := [state for state in asked if state not in self._solved]:
-            first = [] if self._compared else self.states
-            bodies, _, solved = self.solve([*first, *wanted])
-            if first:
-                self._compare(bodies[: len(first)])
-            self._solved |= dict(zip(wanted, solved[len(first) :], strict=True))
+        with self._lock:
+            if wanted := [state for state in asked if state not in self._solved]:
+                first = [] if self._compared else self.states
+                bodies, _, solved = self.solve([*first, *wanted])
+                if first:
+                    self._compare(bodies[: len(first)])
+                self._solved |= dict(zip(wanted, solved[len(first) :], strict=True))
         found = [self._solved[state] for state in asked]
         if self.apart_m <= SAME_BRANCH_M:
             return found
@@ -91,12 +98,13 @@ class SampleStates:
         NaN where there is no equilibrium.
         """
         asked = tuple(states)
-        if asked not in self._bends:
-            weights = corner_weights(np.array(asked))
-            corners = np.array([self.known[0][state].body_m for state in corner_states(len(asked[0]))])
-            straight = np.tensordot(weights, corners, axes=1)
-            self._bends[asked] = np.array([one.body_m for one in self(asked)]) - straight
-        return self._bends[asked]
+        with self._lock:
+            if asked not in self._bends:
+                weights = corner_weights(np.array(asked))
+                corners = np.array([self.known[0][state].body_m for state in corner_states(len(asked[0]))])
+                straight = np.tensordot(weights, corners, axes=1)
+                self._bends[asked] = np.array([one.body_m for one in self(asked)]) - straight
+            return self._bends[asked]
 
     @cached_property
     def shares(self) -> Array:
