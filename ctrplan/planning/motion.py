@@ -34,6 +34,7 @@ SEARCH_ROOM_M = 0.5e-3
 # Motions and states whose zero-clearance shapes have less room than this are not solved: none of 214 in three scenarios
 # was valid (`benchmarks/zero_clearance_rooms.py`).
 DEFINITE_COLLISION_M = -1e-3
+DOUBTFUL_M = 3e-3  # less room than that, and a motion is looked at where it has least, before it is walked
 JUMP, JUMP_M = 3.0, 5e-3  # times the steps of the tip beside, and more than that and the translation by
 SAMPLES, SEED = 8, 6  # configurations that say what a search has to allow for uncertain parameters
 FEW = 100  # shapes, which are not worth a thread
@@ -98,16 +99,29 @@ class MotionChecker:
         found = self._known.get(key)
         if found is None:
             corners = self.space.corners(a, b, self.style)
-            found = self._known[key] = (
-                invalid(DEFINITE_COLLISION) if self.is_definite_collision(corners) else self.along(corners)
-            )
+            found = self._known[key] = self._refusal(corners) or self.along(corners)
         return found
 
-    def is_definite_collision(self, corners: Array) -> bool:
-        """Whether zero-clearance shapes collide by so much that a polyline (K, m) is not worth a walk."""
-        return (
-            self.bound_table is None and self.space.allowed(corners) and self.rooms([corners])[0] < DEFINITE_COLLISION_M
-        )
+    def _refusal(self, corners: Array) -> Motion | None:
+        """Why a polyline (K, m) is not worth a walk; None if it is.
+
+        It collides where zero-clearance shapes have least room: by so much that their room tells, or as solved there.
+        """
+        if self.bound_table is not None or self.field is None or not self.space.allowed(corners):
+            return None
+        points = self._stations(corners)
+        rooms, _ = self._rooms_and_tips(points)
+        narrowest = int(np.argmin(rooms))
+        if rooms[narrowest] < DEFINITE_COLLISION_M:
+            return invalid(DEFINITE_COLLISION)
+        if rooms[narrowest] >= DOUBTFUL_M:
+            return None
+        state, _ = self.probe(points[narrowest])
+        return None if state.valid else state
+
+    def is_definite_collision(self, q: Array) -> bool:
+        """Whether the zero-clearance shape at q (m,) collides by so much that the state is not worth a solve."""
+        return self.bound_table is None and self.space.allowed(q) and self.rooms([q[None]])[0] < DEFINITE_COLLISION_M
 
     def with_reserve(self, reserve_m: float) -> MotionChecker:
         """The same that keeps another reserve; it has checked nothing yet."""
@@ -117,7 +131,11 @@ class MotionChecker:
         """A single state as a motion of no length."""
         if self.bound_table is not None:
             return self.motion(q, q)
-        if q.tobytes() not in self._states and self.is_definite_collision(q[None, :]):
+        if (
+            q.tobytes() not in self._states
+            and self.space.allowed(q)
+            and self.rooms([q[None]])[0] < DEFINITE_COLLISION_M
+        ):
             return invalid(DEFINITE_COLLISION)
         return self.probe(q)[0]
 
@@ -189,19 +207,23 @@ class MotionChecker:
         A jump is a cheap hint that the robot snaps there: past two stable shapes, the solution along the branch of
         vanishing precurvature changes from one to the other.
         """
-        self.watch.ask()
         points = [self._stations(way) for way in ways]
-        self.meter.add(ROOM_NS * sum(map(len, points)))
-        theta_b, l_b = self.space.drive.collars(np.concatenate(points))
-        threads = 0 if len(l_b) > FEW else 1
-        rooms: Array = np.full(len(l_b), np.inf)
-        if self.field is None:
-            tips = self.mechanics.tips(theta_b, l_b, threads=threads)[0]
-        else:
-            rooms, tips = self.mechanics.zero_clearance_rooms(theta_b, l_b, self.field, threads=threads)
+        rooms, tips = self._rooms_and_tips(np.concatenate(points))
         firsts = np.cumsum([0, *map(len, points[:-1])])
+        l_b = self.space.drive.collars(np.concatenate(points))[1]
         ends = zip(np.split(tips, firsts[1:]), np.split(l_b, firsts[1:]), strict=True)
-        return np.minimum.reduceat(rooms, firsts) - self.limits.clearance_m, np.array([_jumps(*rows) for rows in ends])
+        return np.minimum.reduceat(rooms, firsts), np.array([_jumps(*rows) for rows in ends])
+
+    def _rooms_and_tips(self, q: Array) -> tuple[Array, Array]:
+        """(K,) [m] clearance of zero-clearance shapes at q (K, m) beyond what is required, (K, 3) [m] their tips."""
+        self.watch.ask()
+        self.meter.add(ROOM_NS * len(q))
+        theta_b, l_b = self.space.drive.collars(q)
+        threads = 0 if len(q) > FEW else 1
+        if self.field is None:
+            return np.full(len(q), np.inf), self.mechanics.tips(theta_b, l_b, threads=threads)[0]
+        rooms, tips = self.mechanics.zero_clearance_rooms(theta_b, l_b, self.field, threads=threads)
+        return rooms - self.limits.clearance_m, tips
 
     def _stations(self, corners: Array) -> Array:
         """(S, m) points on a polyline no farther apart than the density's steps."""
@@ -209,7 +231,7 @@ class MotionChecker:
         found = [corners[:1]]
         for a, b in zip(corners[:-1], corners[1:], strict=True):
             count = max(1, int(np.ceil(np.abs((b - a) / longest).max())))
-            found.append(a + np.arange(1, count + 1)[:, None] / count * (b - a))
+            found += [a + np.arange(1, count)[:, None] / count * (b - a), b[None]]  # b itself, which may be known
         return np.concatenate(found)
 
     def errors(self, corners: Array, samples: PathSamples) -> Array:

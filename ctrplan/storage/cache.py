@@ -61,7 +61,7 @@ def trouble() -> str:
 
 
 def load(key: str, shape: tuple[int, ...], otherwise: str = "will be rebuilt") -> NDArray[np.float32] | None:
-    """The values stored under `key`, float32 of `shape`, or None when there are none that can be trusted.
+    """The values stored under `key`, float32 of `shape`, read-only, or None when there are none that can be trusted.
 
     otherwise: what becomes of a damaged one, for the log.
     """
@@ -73,7 +73,7 @@ def load(key: str, shape: tuple[int, ...], otherwise: str = "will be rebuilt") -
         digest, content = stored[:DIGEST_BYTES], memoryview(stored)[DIGEST_BYTES:]
         if digest != _digest(key, content):
             raise ValueError("content does not match its hash")
-        values = np.frombuffer(content, dtype=np.float32).reshape(shape).copy()
+        values = np.frombuffer(content, dtype=np.float32).reshape(shape)
     except OSError as error:
         if not isinstance(error, FileNotFoundError):
             logger.info("field cache can't be read: %s", error)

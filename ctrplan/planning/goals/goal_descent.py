@@ -88,7 +88,7 @@ def _downhill(checker: MotionChecker, solver: TipSolver, q: Array) -> tuple[Arra
 def _goal_state(checker: MotionChecker, joints: Array) -> GoalState:
     """Joint values (m,) as a goal state, whose bound is infinite if they are not valid or off the target."""
     goal, target = checker.scenario.goal, tip_target(checker.scenario)
-    if checker.is_definite_collision(joints[None]):
+    if checker.is_definite_collision(joints):
         return GoalState(joints, np.inf, np.inf)
     found = configuration(checker, target, joints)
     on_target = found.tip_error_m <= goal.tolerance_m and found.turned_rad <= target.direction_tolerance_rad

@@ -5,8 +5,9 @@ Zero-clearance shapes, some thirty times cheaper than a bound, tell which states
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,9 @@ WARNING, ALIKE = (
     0.7,
     0.8,
 )  # what is left of the trust in others from the same state, of that share of its length or more
+
+
+Result = TypeVar("Result")
 
 
 class RoadmapSearch:
@@ -179,17 +183,16 @@ class RoadmapSearch:
             nodes = self._shortest(*price())
             if nodes is None:
                 return None
-            if self._refuses_a_state(nodes):
-                continue
             edges = [self.row[pair] for pair in zip(nodes[:-1], nodes[1:], strict=True)]
             unseen = [k for k in edges if np.isnan(self.hope[k]) and not self.known[k]]
             if unseen and self._finds_doubt(unseen):
                 continue
+            if self._refuses_a_state(nodes):
+                continue
             todo = sorted((k for k in edges if not self.known[k]), key=lambda k: self.hope[k])
             if not todo:
                 return self.joints[nodes]
-            with ThreadPoolExecutor(AT_ONCE) as pool:
-                list(pool.map(self._check, todo[:AT_ONCE]))
+            _together(self._check, todo[:AT_ONCE])
             for k in todo[:AT_ONCE]:  # in their order, whichever was done first
                 if not np.isfinite(self.cost[k]):
                     alike = (self.edges[:, 0] == self.edges[k, 0]) & (self.length >= ALIKE * self.length[k])
@@ -241,8 +244,7 @@ class RoadmapSearch:
     def _refuses_a_state(self, nodes: list[int]) -> bool:
         """Looks at the states themselves; whether any of them is not valid, with all motions from and to it."""
         todo = [node for node in nodes if not self.probed[node]]
-        with ThreadPoolExecutor(AT_ONCE) as pool:
-            motions = list(pool.map(lambda node: self.checker.state(self.joints[node]), todo))
+        motions = _together(lambda node: self.checker.state(self.joints[node]), todo)
         refused = [node for node, motion in zip(todo, motions, strict=True) if not motion.valid]
         self.probed[todo] = True
         self.refused = np.concatenate([self.refused, np.array(refused, dtype=int)])
@@ -285,3 +287,11 @@ class RoadmapSearch:
         while nodes[-1] != 0:
             nodes.append(int(before[nodes[-1]]))
         return nodes[::-1]
+
+
+def _together(work: Callable[[int], Result], numbers: Sequence[int]) -> list[Result]:
+    """What `work` finds for each, AT_ONCE in parallel; one alone is not worth a thread."""
+    if len(numbers) < 2:
+        return [work(number) for number in numbers]
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        return list(pool.map(work, numbers))
