@@ -5,8 +5,10 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -94,11 +96,11 @@ def plan(
         least_m = np.nan if samples is None else float(samples.clearance_m[-1])
         reason = start_trouble(checker) or with_shares(checker, scenario.start, start.reason, least_m)
         raise NoAnswerError(f"{scenario.path or scenario.name}: start: the start state is not valid: {reason}.")
-    if other := other_start(scenario, scenario.start):
-        raise NoAnswerError(f"{scenario.path or scenario.name}: start: {other[0].lower()}{other[1:]}.")
     friction_law(scenario.robot)  # calibrated before the search's time begins, if it is not known yet
-    with interrupt_event(interrupted) as interrupted:
-        asked = _Asked(seed, began, budget, budget, time_s is not None, report, interrupted, bound_table)
+    with interrupt_event(interrupted) as interrupted, ThreadPoolExecutor(1) as beside:
+        approaches = beside.submit(other_start, scenario, scenario.start)  # simulated while goal states are sought
+        refuse = partial(_refuse_other_start, scenario, approaches)
+        asked = _Asked(seed, began, budget, budget, time_s is not None, report, interrupted, bound_table, refuse)
         first, stages, ended_by = _anytime_stages(scenario, asked)
         finish = _finish(scenario, stages[-1][1], compensated, report)
     notes: tuple[str, ...] = (*scenario.warnings, *((ENDED_BY_TIME,) if ended_by == "time" else ()))
@@ -128,6 +130,12 @@ def plan(
     return replace(finished, interrupted=interrupted.is_set())
 
 
+def _refuse_other_start(scenario: Scenario, approaches: Future[str]) -> None:
+    """Raises NoAnswerError where an approach to the start ends at another equilibrium."""
+    if other := approaches.result():
+        raise NoAnswerError(f"{scenario.path or scenario.name}: start: {other[0].lower()}{other[1:]}.")
+
+
 @dataclass(frozen=True, eq=False)
 class _Asked:
     """What planning was asked for beside the scenario."""
@@ -140,6 +148,7 @@ class _Asked:
     report: Report
     interrupted: threading.Event
     bound_table: BoundTable | None
+    refuse_other_start: Callable[[], None]
 
 
 Stages = list[tuple[Candidate, Candidate]]
@@ -182,12 +191,17 @@ def _stages(
         stage = replace(scenario.stage_from(start), goal=nearest_turn(scenario, start, goal))
         checker = MotionChecker(stage, bound_table=asked.bound_table)
         if goal.line_m is not None:
+            asked.refuse_other_start()
             found.append(_along_line(checker, asked.began))
         elif is_at_goal(stage):
+            asked.refuse_other_start()
             goal_states(checker, np.random.default_rng(asked.seed + k))  # refuses a state that is not allowed
             found.append(_without_motion(checker, asked.began))
         else:
-            checker, goals = _with_goals(checker, asked.seed + k)
+            try:
+                checker, goals = _with_goals(checker, asked.seed + k)
+            finally:
+                asked.refuse_other_start()  # what is wrong with the start is said before what is with the goal
             if k + 1 < len(targets) and targets[k + 1].line_m is not None:
                 goals = line_beginnings(checker, goals, targets[k + 1])
             clock = SearchClock(checker.meter, asked.timed)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -47,6 +49,7 @@ class WalkedLegs:
     bounds: StatedBounds
     problems: list[str]  # but whether the goal is met
     spare_m: float = np.inf  # of clearance beyond what the scenario asks for: more than that is not looked for
+    walked: Sequence[Piece] = ()  # with all shapes, as walked; kept where the legs failed, for the next that are tried
 
     @property
     def failure(self) -> str:
@@ -96,38 +99,42 @@ def walk_legs(
     accuracy: Accuracy = "search",
     spare_m: float = np.inf,
     progress: Progress | None = None,
+    failed: WalkedLegs | None = None,
 ) -> WalkedLegs:
     """What decides whether the polyline `corners` (K, m) is valid, see `certify`.
 
     How much clearance is left is told where it is less than `spare_m` beyond what the scenario asks for; of more it is
-    only known that it is more, which takes less time. What is refused already is not looked at more closely. Raises
-    InputError for too many tubes.
+    only known that it is more, which takes less time. What is refused already is not looked at more closely. Pieces of
+    legs that `failed` in the same scenario are not walked again. Raises InputError for too many tubes.
     """
     refuse_many_tubes(scenario.robot)
     space = JointSpace.of(scenario)
-    pieces = walk_pieces(scenario, space, corners, accuracy, progress)
+    known = failed.walked if failed and failed.scenario is scenario else ()
+    walked = pieces = walk_pieces(scenario, space, corners, accuracy, progress, known)
     samples = joined_samples(scenario, space, corners, pieces)
-    bounds = _bounds(scenario, samples, pieces)
-    problems = [f"{other}."] if (other := other_start(scenario, corners[0])) else []
-    problems += problems_of_walk(scenario, space, corners, pieces)
-    asked_m = np.inf if is_uncertain(scenario) else spare_m  # what parameters take off has to be left
-    looks = partial(closely_solved, spare_m=asked_m), partial(in_every_friction_state, spare_m=asked_m)
-    for look_closer in (*looks, with_uneven_friction):
-        if problems:
-            break
-        pieces = look_closer(scenario, pieces)
-        samples = joined_samples(scenario, space, corners, pieces)
-        problems = problems_of_walk(scenario, space, corners, pieces)
-        problems += problems_of_limits(scenario, pieces, samples, bounds)
+    with ThreadPoolExecutor(1) as beside:  # a few bounds and a few narrow samples leave half of the machine idle each
+        stated = beside.submit(_bounds, scenario, samples, pieces)
+        problems = [f"{other}."] if (other := other_start(scenario, corners[0])) else []
+        problems += problems_of_walk(scenario, space, corners, pieces)
+        asked_m = np.inf if is_uncertain(scenario) else spare_m  # what parameters take off has to be left
+        looks = partial(closely_solved, spare_m=asked_m), partial(in_every_friction_state, spare_m=asked_m)
+        for look_closer in (*looks, with_uneven_friction):
+            if problems:
+                break
+            pieces = look_closer(scenario, pieces)
+            samples = joined_samples(scenario, space, corners, pieces)
+            problems = problems_of_walk(scenario, space, corners, pieces)
+            problems += problems_of_limits(scenario, pieces, samples, stated.result())
+    bounds = stated.result()
     if not problems:
         lengths = [space.length_mm(piece.end - piece.start) for piece in pieces]
         found = other_equilibrium(scenario.robot, pieces, lengths)
         problems = [found.sentence] if found else []
     if not problems:
         samples, bounds, problems = with_parameters(scenario, pieces, samples, bounds)
-    return WalkedLegs(
-        scenario, corners, accuracy, [piece.light() for piece in pieces], samples, bounds, problems, spare_m
-    )
+    light = [piece.light() for piece in pieces]
+    kept = walked if problems else ()
+    return WalkedLegs(scenario, corners, accuracy, light, samples, bounds, problems, spare_m, kept)
 
 
 def _bounds(scenario: Scenario, samples: CertificateSamples, pieces: list[Piece]) -> StatedBounds:

@@ -65,9 +65,18 @@ class Piece:
 
 
 def walk_pieces(
-    scenario: Scenario, space: JointSpace, corners: Array, accuracy: Accuracy, progress: Progress | None
+    scenario: Scenario,
+    space: JointSpace,
+    corners: Array,
+    accuracy: Accuracy,
+    progress: Progress | None,
+    known: Sequence[Piece] = (),
 ) -> list[Piece]:
-    """The legs in pieces, in parallel, each from scratch: of the frictionless and the corner shapes."""
+    """The legs in pieces, in parallel, each from scratch: of the frictionless and the corner shapes.
+
+    Those that are among the `known` ones of the same scenario, as they were walked, are not walked again.
+    """
+    memory = {(piece.start.tobytes(), piece.end.tobytes(), piece.accuracy): piece for piece in known}
     ends: list[tuple[int, Array, Array]] = []
     for leg, (a, b) in enumerate(zip(corners[:-1], corners[1:], strict=True)):
         count = max(1, int(np.ceil(space.length_mm(b - a) / PIECE_MM)))
@@ -77,7 +86,9 @@ def walk_pieces(
         ends = [(0, corners[0], corners[0])]
 
     def walk(end: tuple[int, Array, Array]) -> Piece:
-        return walked(scenario, space, *end, accuracy)
+        leg, a, b = end
+        same = memory.get((a.tobytes(), b.tobytes(), accuracy))
+        return replace(same, leg=leg) if same else walked(scenario, space, leg, a, b, accuracy)
 
     pieces: list[Piece] = []
     with ThreadPoolExecutor(cores()) as pool:

@@ -282,7 +282,7 @@ class StageSearch:
         """Certifies a path (K, m) as it is and keeps it; why it failed, empty if it did not."""
         found_s, way = time.monotonic() - self.began, merge_legs(corners)
         self._tell()
-        walk = walk_legs(checker.scenario, way, spare_m=NEAR_LIMIT_M, progress=self._certifying)
+        walk = self._walked(checker, way)
         self.failure = walk.failure
         if self.failure:
             self.failed = walk
@@ -301,13 +301,18 @@ class StageSearch:
             self.best = tidied
             return ""
         self._tell()
-        walk = walk_legs(checker.scenario, result.after, spare_m=NEAR_LIMIT_M, progress=self._certifying)
+        walk = self._walked(checker, result.after)
         if walk.failure:
             self.failure, self.failed = walk.failure, walk
             return self.failure
         certified_s = time.monotonic() - self.began
         self._keep(result, walk, found_by, found_s, certified_s, tidied=True)
         return ""
+
+    def _walked(self, checker: MotionChecker, corners: Array) -> WalkedLegs:
+        """Paths (K, m) that follow a failed one mostly share legs with it."""
+        scenario, progress = checker.scenario, self._certifying
+        return walk_legs(scenario, corners, spare_m=NEAR_LIMIT_M, progress=progress, failed=self.failed)
 
     def _certifying(self, share: float) -> None:
         self.report(Progress("certificate", share, None))
