@@ -48,6 +48,7 @@ def test_what_is_kept_does_not_depend_on_which_thread_comes_first(
     monkeypatch: pytest.MonkeyPatch, breaks: tuple[tuple[int, int], ...]
 ) -> None:
     """Samples before and in the first broken batch of a piece count, none after it, whoever was sooner."""
+    monkeypatch.setattr(every_state, "AT_ONCE", 32)
     scenario, pieces = _pieces([0.0, 1.8, 0.2])
     assert min(len(piece.clearance_m) for piece in pieces[:2]) > 2 * every_state.AT_ONCE
     number = {id(piece.samples): k for k, piece in enumerate(pieces)}

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 # a cell lasts for more than a few mm of motion.
 NEAR_M, LOOK_EVERY, CLOSE_EVERY, CLOSE_DEPTH = 3e-3, 4, 16, 2
 FIRST = 4  # narrowest samples
-AT_ONCE = 32  # samples, of which there is little to compute of each; fewer where there is more
+AT_ONCE = 64  # efforts: of most samples there is little to compute of each
 NARROW_EFFORT = 3  # of a sample that has to be solved on the certificate mesh, in those of any other
 SPARE_M = 0.15e-3  # of a sample that may be interpolated: with less, what is taken off for that is too much
 CLOSE_TUBES = 4  # of five tubes, cells halved twice have 881 corners and middles
