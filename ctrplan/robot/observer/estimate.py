@@ -50,12 +50,19 @@ def estimate(position_m: Array, tangent: Array, weight: Array, variance: Array) 
     The interval extends over the likeliest histories that carry 95 % together, and over 95 % of a normal error.
     """
     order = np.argsort(-weight, kind="stable")
-    carried = np.cumsum(weight[order]) - weight[order] < CARRIED
-    likely, beyond = position_m[order[carried]], NORMAL_95 * np.sqrt(variance[order[carried]])
-    mean_tangent = np.tensordot(weight, tangent, axes=1)
+    ordered = weight[order]
+    carried = order[np.cumsum(ordered) - ordered < CARRIED]
+    likely, beyond = position_m[carried], NORMAL_95 * np.sqrt(variance[carried])
+    mean_tangent = _mean(weight, tangent)
     return TipEstimate(
-        position_m=np.tensordot(weight, position_m, axes=1),
+        position_m=_mean(weight, position_m),
         low_m=(likely - beyond).min(axis=0),
         high_m=(likely + beyond).max(axis=0),
-        tangent=mean_tangent / np.linalg.norm(mean_tangent, axis=-1, keepdims=True),
+        tangent=mean_tangent / np.sqrt((mean_tangent * mean_tangent).sum(axis=-1, keepdims=True)),
     )
+
+
+def _mean(weight: Array, vectors: Array) -> Array:
+    """Of H vectors (H, 3) or of H rows of K of them (H, K, 3)."""
+    mean: Array = (weight @ vectors.reshape(len(weight), -1)).reshape(vectors.shape[1:])
+    return mean

@@ -155,9 +155,6 @@ class Observer:
             parameters=self._parameters(),
         )
 
-    def _kept(self, member: Member) -> ObservedHistory:
-        return ObservedHistory(self._bank.of_the_file(member).save(), self._accuracy, member.phi.copy())
-
     def _parameters(self) -> dict[str, ParameterEstimate]:
         share, first = weights(self._bank.members), slice(3, None)
         means = np.array([member.slow.mean[first] for member in self._bank.members])
@@ -170,23 +167,27 @@ class Observer:
     def _weigh(self, seen: Array, along: Array | None) -> None:
         """Probabilities, offsets, and what stays unexplained, after a tip seen at (3,)."""
         members, sigma2, unexplained2 = self._bank.members, self._surprise.noise_m2, self._surprise.unexplained_m2
-        off = [seen - member.expected_m for member in members]
-        spread = [member.slow.spread_m2(member.slopes) for member in members]
+        off = seen - np.array([member.expected_m for member in members])
+        spread = np.array([member.slow.spread_m2(member.slopes) for member in members])
         noise2 = sigma2 + unexplained2
-        for member, away, own in zip(members, off, spread, strict=True):
-            S = own + noise2 * np.eye(3)
-            member.score = NEWS * member.score - float(away @ np.linalg.solve(S, away) + np.linalg.slogdet(S)[1]) / 2
+        told = spread + noise2 * np.eye(3)
+        least = np.sum(off * np.linalg.solve(told, off[:, :, None])[:, :, 0], axis=1) + np.linalg.slogdet(told)[1]
+        for member, of in zip(members, least.tolist(), strict=True):
+            member.score = NEWS * member.score - of / 2
             if along is not None and self._noise.tangent_sigma_rad is not None:
                 turned = float(np.sum(np.cross(along, member.tangent) ** 2))
                 member.score -= turned / (2 * self._noise.tangent_sigma_rad**2 * noise2 / sigma2)
-        surplus = [float(away @ away - np.trace(own)) / 3 for away, own in zip(off, spread, strict=True)]
-        self._surprise.learn(float(weights(members) @ np.array(surplus)))
+        own = np.trace(spread, axis1=1, axis2=2)
+        self._surprise.learn(float(weights(members) @ (np.sum(off * off, axis=1) - own)) / 3)
         best = int(np.argmax([member.score for member in members]))
-        self._slow.learn(off[best], float(np.trace(spread[best])) / 3 + sigma2, NEWS)
+        self._slow.learn(off[best], float(own[best]) / 3 + sigma2, NEWS)
         for member, away in zip(members, off, strict=True):
             member.slow = self._slow.seen(member.slow, member.slopes, away, noise2)
         self._bank.members = tidied(members)[: MOST_WITH_SLOW if self._slow.names else None]
-        self._surprise.after(seen - self._estimate().position_m)  # the histories may be too coarse for this noise
+        left = [member.expected_m for member in self._bank.members]
+        self._surprise.after(
+            seen - weights(self._bank.members) @ np.array(left)
+        )  # they may be too coarse for this noise
         if self._surprise.tries_others(besides=self._is_simulated_otherwise()):
             self._try_others()
 
@@ -227,7 +228,7 @@ class Observer:
 
     def _known_to(self, slow: Slow, slopes: Array, ahead: int = 0) -> Array:
         """(3,) variances [m^2] of the coordinates of a history's tip, if it is the true one, so many steps ahead."""
-        own: Array = np.diag(slow.spread_m2(slopes, self._slow.shown_share(ahead)))
+        own: Array = slow.spread_m2(slopes, self._slow.shown_share(ahead)).diagonal()
         return own + self._surprise.beyond_m2
 
     def _collars(self, theta_commanded: ArrayLike, l_commanded: ArrayLike) -> tuple[Array, Array]:

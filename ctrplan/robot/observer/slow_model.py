@@ -19,6 +19,7 @@ from ctrplan.robot.observer.slow_parameter import SlowParameter
 
 LEAST_SHARE = 0.02  # of the offset's stated variance that it can show
 MOST_SIGMA = 4.0  # standard deviations that a slow parameter is simulated at
+_UNITS = np.eye(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +36,11 @@ class Slow:
 
     def spread_m2(self, slopes: Array, share: float = 1.0) -> Array:
         """(3, 3) covariance of that; of the offset's variance a share."""
-        H = np.hstack([math.sqrt(share) * np.eye(3), slopes])
-        spread: Array = H @ self.covariance @ H.T
+        own: Array = share * self.covariance[:3, :3]
+        if not slopes.shape[1]:
+            return own
+        between = math.sqrt(share) * self.covariance[:3, 3:] @ slopes.T
+        spread: Array = own + between + between.T + slopes @ self.covariance[3:, 3:] @ slopes.T
         return spread
 
 
@@ -51,6 +55,9 @@ class SlowModel:
         self._sigma = np.array([*[offset.sigma_m] * 3, *(parameter.sigma for parameter in parameters)])
         kept = [offset.kept] * 3 + [math.exp(-1.0 / parameter.memory_steps) for parameter in parameters]
         self._kept = np.array(kept)
+        self._kept_twice = np.outer(self._kept, self._kept)
+        self._grown = np.diag((1 - self._kept**2) * self._sigma**2)
+        self._is_certain = not self._sigma.any()  # no offset and no parameters: there is nothing to filter
         self._off2 = self._expected2 = 0.0  # m^2, of a coordinate, means of the last steps
 
     def simulated(self, slow: Slow) -> Array:
@@ -64,14 +71,19 @@ class SlowModel:
 
     def after_step(self, slow: Slow) -> Slow:
         """A step later, without a measurement."""
-        grown = np.diag((1 - self._kept**2) * self._sigma**2)
-        return Slow(self._kept * slow.mean, np.outer(self._kept, self._kept) * slow.covariance + grown)
+        if self._is_certain:
+            return slow
+        return Slow(self._kept * slow.mean, self._kept_twice * slow.covariance + self._grown)
 
     def seen(self, slow: Slow, slopes: Array, off_m: Array, noise_m2: float) -> Slow:
         """After a tip was measured that is off_m (3,) [m] from where it was expected, noise [m^2] of a coordinate."""
-        H = np.hstack([np.eye(3), slopes])
-        gain = np.linalg.solve(H @ slow.covariance @ H.T + noise_m2 * np.eye(3), H @ slow.covariance).T
-        left = np.eye(len(slow.mean)) - gain @ H
+        if self._is_certain:
+            return slow
+        H = np.concatenate([_UNITS, slopes], axis=1)
+        told = H @ slow.covariance
+        gain = np.linalg.solve(told @ H.T + noise_m2 * _UNITS, told).T
+        left = -gain @ H
+        left.flat[:: len(left) + 1] += 1
         covariance = left @ slow.covariance @ left.T + noise_m2 * gain @ gain.T  # stays symmetric and positive (Joseph)
         return Slow(slow.mean + gain @ off_m, covariance)
 
