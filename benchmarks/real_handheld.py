@@ -1,7 +1,7 @@
 """The handheld robot of github.com/NavidFeizi/Handheld_CTR_Control_ROS_WS as files that ctrplan reads, and how far it
 is off by run.
 
-    python benchmarks/real_handheld.py FOLDER OUTPUT [--calibrate] [--every 40]
+    python benchmarks/real_handheld.py FOLDER OUTPUT [--calibrate] [--floor] [--every 40]
 
 FOLDER holds Joint_Values_RUN.dat and EM_Trajectory_RUN.dat (in the repository's history, Output_Files/Phantom): rows
 that belong together, without clock; translations [m] and rotations [rad, wrapped now and then], innermost tube first;
@@ -11,7 +11,9 @@ copy of the data, which have no licence: keep them out of any repository. Tubes 
 outer tube has an inner diameter of 1.1448 mm, into which the middle tube of 1.372 mm does not fit: taken for 1.448 mm.
 With
 --calibrate: ordinary calibration without friction and with the base free on square_1, helix_1 and hypo_1, and the rms
-by run on all.
+by run on all. With --floor: what any function of the joints could close. All runs are calibrated together with a frame
+each; what remains of a run is predicted from the other runs by smooth functions of all four joints that move (ridge
+regression on Gaussian kernels), in a frame found by half of the run.
 """
 
 from __future__ import annotations
@@ -24,11 +26,14 @@ from pathlib import Path
 
 import tomli_w
 
+from ctrplan.base.arrays import Array
+
 TRAINING = ("square_1", "helix_1", "hypo_1")
 OUTER_MM, INNER_MM = (2.045, 1.372, 0.940), (1.448, 0.965, 0.737)  # outermost first
 YOUNG_PA = (74.9122e9, 30e9, 30e9)
 STRAIGHT_MM, CURVED_MM = (62.0, 61.0, 151.0), (0.0, 78.0, 58.0)
 RADIUS_MM = (math.inf, 95.0, 41.0)
+WIDTHS = (0.7, 1.0, 1.5, 2.5)  # of kernels over cosines and sines of rotations, and translations over 20 mm
 
 
 def robot() -> dict[str, object]:
@@ -108,13 +113,78 @@ def calibrated(output: Path, runs: Sequence[str], every: int) -> None:
         print(f"{run:10} {one.count:6} {before:9.2f} {after:9.2f}  {'fitted' if run in TRAINING else ''}")
 
 
+def floor(output: Path, runs: Sequence[str], every: int) -> None:
+    """Prints what remains by run in a frame of its own, and that less what the other runs say of the same joints."""
+    import numpy as np
+
+    import ctrplan
+
+    believed = ctrplan.load_robot(output / "robot.toml")
+    (output / "all.toml").write_text(tomli_w.dumps(mapping(runs)))
+    data = ctrplan.load_measurements(output / "all.toml", believed)
+    thinned = data.subset(np.arange(0, data.count, every))
+    names = ["calibration", "effects.base_misalignment", "effects.frame_shift"]
+    fit = ctrplan.calibrate(believed, thinned, names, held_out=0).fit
+    seen, tip_m = fit.chain.data, fit.chain.predict(fit.p, derivatives=False).position_m
+    left, run_of = (seen.position_m - tip_m) * 1e3, seen.frames[seen.rows] - 1
+    theta, translations = seen.theta_commanded[seen.rows], seen.l_commanded[seen.rows]
+    inner = slice(1, None)  # the outermost tube never moves
+    moved = (translations - translations.mean(axis=0))[:, inner] / 20e-3
+    joints = np.hstack([np.cos(theta[:, inner]), np.sin(theta[:, inner]), moved])
+    frame = np.stack([np.hstack([np.eye(3), np.cross(np.eye(3), tip / 0.1)]) for tip in tip_m])  # (K, 3, 6)
+    print("run          alone   with the joints of the other runs [mm rms], by width of the kernels")
+    errors = {width: [_beyond(left, frame, joints, run_of, run, width) for run in range(len(runs))] for width in WIDTHS}
+    for k, run in enumerate(runs):
+        cells = " ".join(f"{_rms(errors[width][k]):9.2f}" for width in WIDTHS)
+        print(f"{run:10} {_rms(_in_half_frames(left[run_of == k], frame[run_of == k])):7.2f} {cells}")
+    alone = np.vstack([_in_half_frames(left[run_of == k], frame[run_of == k]) for k in range(len(runs))])
+    print(f"{'all':10} {_rms(alone):7.2f} " + " ".join(f"{_rms(np.vstack(errors[width])):9.2f}" for width in WIDTHS))
+
+
+def _rms(off: Array) -> float:
+    return float((off**2).sum(axis=1).mean() ** 0.5)
+
+
+def _beyond(left: Array, frame: Array, joints: Array, run_of: Array, run: int, width: float) -> Array:
+    """What remains (K, 3) of a run beside a smooth function of the joints that the other runs show."""
+    import numpy as np
+
+    others = run_of != run
+    near = np.exp(-0.5 * ((joints[:, None] - joints[None, others]) ** 2).sum(axis=2) / width**2)
+    ridge, target = near[others] + 0.5 * np.eye(int(others.sum())), left.copy()
+    for _ in range(3):  # frames and function in turn
+        smooth = near @ np.linalg.solve(ridge, target[others])
+        for other in np.unique(run_of[others]):
+            of = run_of == other
+            columns = frame[of].reshape(-1, 6)
+            found = np.linalg.lstsq(columns, (left - smooth)[of].ravel(), rcond=None)[0]
+            target[of] = left[of] - (columns @ found).reshape(-1, 3)
+    smooth = near @ np.linalg.solve(ridge, target[others])
+    return _in_half_frames((left - smooth)[~others], frame[~others])
+
+
+def _in_half_frames(left: Array, frame: Array) -> Array:
+    """(K, 3) in a frame that the other half of 16 blocks has found."""
+    import numpy as np
+
+    half = np.arange(len(left)) // max(1, len(left) // 16) % 2
+    out = np.empty_like(left)
+    for h in (0, 1):
+        found = np.linalg.lstsq(frame[half != h].reshape(-1, 6), left[half != h].ravel(), rcond=None)[0]
+        out[half == h] = left[half == h] - frame[half == h] @ found
+    return out
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("output", type=Path)
     parser.add_argument("--calibrate", action="store_true")
+    parser.add_argument("--floor", action="store_true")
     parser.add_argument("--every", type=int, default=40)
     arguments = parser.parse_args()
     found_runs = convert(arguments.folder, arguments.output)
     if arguments.calibrate:
         calibrated(arguments.output, found_runs, arguments.every)
+    if arguments.floor:
+        floor(arguments.output, found_runs, arguments.every)
