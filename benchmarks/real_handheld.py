@@ -11,7 +11,7 @@ copy of the data, which have no licence: keep them out of any repository. Tubes 
 outer tube has an inner diameter of 1.1448 mm, into which the middle tube of 1.372 mm does not fit: taken for 1.448 mm.
 With
 --calibrate: ordinary calibration without friction and with the base free on square_1, helix_1 and hypo_1, and the rms
-by run on all. With --floor: what any function of the joints could close. All runs are calibrated together with a frame
+by run on all. With --floor: what smooth functions of the joints close. All runs are calibrated together with a frame
 each; what remains of a run is predicted from the other runs by smooth functions of all four joints that move (ridge
 regression on Gaussian kernels), in a frame found by half of the run.
 """
