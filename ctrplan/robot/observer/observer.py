@@ -184,10 +184,8 @@ class Observer:
         for member, away in zip(members, off, strict=True):
             member.slow = self._slow.seen(member.slow, member.slopes, away, noise2)
         self._bank.members = tidied(members)[: MOST_WITH_SLOW if self._slow.names else None]
-        left = [member.expected_m for member in self._bank.members]
-        self._surprise.after(
-            seen - weights(self._bank.members) @ np.array(left)
-        )  # they may be too coarse for this noise
+        expected = weights(self._bank.members) @ np.array([member.expected_m for member in self._bank.members])
+        self._surprise.after(seen - expected)  # the histories may be too coarse for this noise
         if self._surprise.tries_others(besides=self._is_simulated_otherwise()):
             self._try_others()
 
