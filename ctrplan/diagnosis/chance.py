@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.diagnosis.held_out import Linear, null_scores
+from ctrplan.diagnosis.held_out import Linear
 
 DRAWS = 400
 ALARM_RATE = 0.02  # of pure noise that makes some candidate pass
@@ -22,12 +21,14 @@ def white(count: int) -> Array:
     return noise
 
 
-def null_threshold(here: Linear, beside: Sequence[Linear], fold: NDArray[np.int_], draws: Array | None = None) -> float:
+def null_threshold(
+    here: Linear, beside: Sequence[Linear], scores: Callable[[Linear, Array], Array], draws: Array | None = None
+) -> float:
     """Gain in held-out log-likelihood that the best of all candidates exceeds in 2 % of draws (5 K, D) of noise.
 
-    Without any, the draws are white.
+    scores: (D,) of a system and draws. Without any draws they are white.
     """
     noise = white(here.r.size) if draws is None else draws
-    plain = null_scores(here, fold, noise)
-    best = np.max([null_scores(candidate, fold, noise) for candidate in beside], axis=0) - plain
+    plain = scores(here, noise)
+    best = np.max([scores(candidate, noise) for candidate in beside], axis=0) - plain
     return max(LEAST_THRESHOLD, float(np.quantile(best, 1 - ALARM_RATE)))

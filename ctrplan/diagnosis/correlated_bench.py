@@ -21,8 +21,9 @@ from ctrplan.calibration.symptoms import PHYSICAL_POISSON
 from ctrplan.diagnosis import surrogates
 from ctrplan.diagnosis.chance import DRAWS
 from ctrplan.diagnosis.frames import frames_beside
-from ctrplan.diagnosis.held_out import held_out_residuals
+from ctrplan.diagnosis.held_out import Linear, held_out_residuals
 from ctrplan.diagnosis.joint_memory import JointMemory, joint_memory
+from ctrplan.diagnosis.predictive import predictive_loss, predictive_null_scores
 from ctrplan.diagnosis.workbench import Scored, Workbench, linear
 from ctrplan.effects.catalogue import CATALOGUE
 from ctrplan.experiment.measurements import Measurements
@@ -68,6 +69,14 @@ class CorrelatedBench(Workbench):
     def corrected(self, scored: Scored) -> Scored:
         """The same set with the friction states of its own path and the discrepancy that it leaves."""
         return self._settled(scored)
+
+    def loss(self, system: Linear) -> Array:
+        """(K,) of blocks whose fold had not been fitted, their prediction as vague as it is."""
+        return predictive_loss(system, self.fold, self.group)
+
+    def null_scores(self, system: Linear, noise: Array) -> Array:
+        """(D,) the same of draws (5 K, D)."""
+        return predictive_null_scores(system, self.fold, self.group, noise)
 
     def null_draws(self, here: Scored) -> Array:
         """(5 K, D) surrogates of what remains of a fit, as smooth as that is, whitened as that is."""
@@ -157,9 +166,9 @@ class CorrelatedBench(Workbench):
     def _joint_memory(self, scored: Scored) -> JointMemory | None:
         """Of what remains of a fit of poses at rest."""
         found = self._discrepancy
-        return joint_memory(self._over_noise(scored), self.data, found) if found and found.is_there else None
+        return joint_memory(self.over_noise_at_priors(scored), self.data, found) if found and found.is_there else None
 
-    def _over_noise(self, scored: Scored) -> Linearised:
+    def over_noise_at_priors(self, scored: Scored) -> Linearised:
         """A fit at the centres of its priors, residuals and derivatives over the noise alone."""
         parts, solved = scored.fit.residuals, ~scored.failed[:, None]
         r, J = self.coloured(parts.r) * solved, self.coloured(parts.J) * solved[:, :, None]
@@ -167,7 +176,7 @@ class CorrelatedBench(Workbench):
 
     def estimated(self, scored: Scored) -> Discrepancy:
         """The most probable discrepancy beside a fit."""
-        left = self._over_noise(scored)
+        left = self.over_noise_at_priors(scored)
         if not self.data.is_stream:
             return discrepancy.of_configurations(left, self.data.configuration)
         time = clock(self.data)

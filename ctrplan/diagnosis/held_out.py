@@ -48,7 +48,7 @@ class Linear:
     def refitted(self) -> Linear:
         """After one Gauss-Newton step."""
         H, gradient = self._system()
-        step = _solved(H, gradient - self.precision * self.offset)
+        step = solved(H, gradient - self.precision * self.offset)
         return Linear(self.r - self.J @ step, self.J, self.weight, self.precision, self.offset + step, self.given)
 
     def covariance(self) -> Array:
@@ -83,7 +83,7 @@ def null_scores(fit: Linear, fold: NDArray[np.int_], noise: Array) -> Array:
     J = fit.J.reshape(-1, fit.J.shape[2])
     H = J.T @ J + np.diag(fit.precision)
     noise = noise * fit.given.reshape(-1, 1)
-    r = noise - J @ _solved(H, J.T @ noise)
+    r = noise - J @ solved(H, J.T @ noise)
     score = np.zeros(noise.shape[1])
     ones = np.ones(len(fit.r))
     for number in np.unique(fold):
@@ -96,11 +96,11 @@ def null_scores(fit: Linear, fold: NDArray[np.int_], noise: Array) -> Array:
 def _left_out(J: Array, weight: Array, H: Array, r: Array) -> Array:
     """Residuals (5 k, D) of a fold when it is left out of the fit."""
     flat, w = J.reshape(-1, J.shape[2]), np.repeat(weight, PER_POSE)[:, None]
-    moved: Array = r + flat @ _solved(H - flat.T @ (w * flat), flat.T @ (w * r))
+    moved: Array = r + flat @ solved(H - flat.T @ (w * flat), flat.T @ (w * r))
     return moved
 
 
-def _solved(matrix: Array, right: Array) -> Array:
+def solved(matrix: Array, right: Array) -> Array:
     """For a symmetric matrix whose rows may differ by many orders of magnitude."""
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
     scaled = matrix * np.outer(scale, scale)

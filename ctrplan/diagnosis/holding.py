@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.diagnosis.held_out import Linear, held_out_loss
+from ctrplan.diagnosis.held_out import Linear
 from ctrplan.diagnosis.workbench import Panel, Workbench, certainty
 from ctrplan.pipeline.term import Term
 
@@ -58,23 +58,40 @@ class Evidence:
         return not self.doubts
 
 
-def evidence(bench: Workbench, panel: Panel, among: Sequence[Term], t: Term, chance: float) -> Evidence:
-    """Of an effect `t` of a set, `among` all that is fitted with it, beside every competitor of the panel's.
+@dataclass(frozen=True, eq=False)
+class Sides:
+    """A set with an effect and without it, each linearised where it fits, and all that is fitted there."""
+
+    panel: Panel
+    among: Sequence[Term]
+    gone: Panel
+    rest: Sequence[Term]
+
+
+def evidence(bench: Workbench, sides: Sides, t: Term, chance: float) -> Evidence:
+    """Of an effect `t` of a set, beside every competitor of the panel's.
+
+    The set without it is a fit of its own. To first order around the set with it, the rest could stand for it: beside
+    a load, how a shape changes with the stiffness of all tubes is what the load does.
 
     What only refines `t` does not compete with it, nor does what brings as much in its place: beside that
     parameters can be anything, and `in_its_place` tells it.
     """
-    rest = [other for other in among if other.name != t.name]
-    gone, mine = panel.without(t), panel.of([*rest, t])
-    gains = _gains(bench, mine, gone.of(rest))
+    panel, among, gone = sides.panel, sides.among, sides.gone
+    mine = panel.of(among)
+    gains = _gains(bench, mine, gone.of(sides.rest))
     beside: dict[str, tuple[float, float]] = {}
     for other in panel.others(among):
-        behind = float(_gains(bench, mine, gone.of([*rest, other])).sum())
+        alone = gone.of([*sides.rest, other])
+        behind = float(_gains(bench, mine, alone).sum())
         if other.effect.needs == t.name or behind < (1 - SAME_GAIN) * float(gains.sum()):
             continue
-        both, alone = panel.of([*rest, t, other]), gone.of([*rest, other])
+        both = panel.of([*among, other])
         kept, moved = beside.get(other.name, (np.inf, 0.0))
-        beside[other.name] = min(kept, certainty(_gains(bench, both, alone))), max(moved, _shift(panel, rest, t, other))
+        beside[other.name] = (
+            min(kept, certainty(_gains(bench, both, alone))),
+            max(moved, _shift(panel, among, t, other)),
+        )
     weakest = min(beside, key=lambda name: beside[name][0], default="")
     mover = max(beside, key=lambda name: beside[name][1], default="")
     telling = gains[np.abs(gains) > SAYS_SOMETHING]
@@ -91,12 +108,11 @@ def evidence(bench: Workbench, panel: Panel, among: Sequence[Term], t: Term, cha
     )
 
 
-def in_its_place(bench: Workbench, panel: Panel, among: Sequence[Term], t: Term) -> list[tuple[Term, float, float]]:
+def in_its_place(bench: Workbench, sides: Sides, t: Term) -> list[tuple[Term, float, float]]:
     """Other effects, each in its best variant, and how much better `t` predicts than it in its place; best first."""
-    rest = [other for other in among if other.name != t.name]
-    gone, mine = panel.without(t), panel.of([*rest, t])
-    others = [other for other in panel.others(among) if other.effect.needs != t.name]
-    found = [(other, *summed(_gains(bench, mine, gone.of([*rest, other])))) for other in others]
+    mine = sides.panel.of(sides.among)
+    others = [other for other in sides.panel.others(sides.among) if other.effect.needs != t.name]
+    found = [(other, *summed(_gains(bench, mine, sides.gone.of([*sides.rest, other])))) for other in others]
     best: dict[str, tuple[Term, float, float]] = {}
     for one in sorted(found, key=lambda one: one[1]):
         best.setdefault(one[0].name, one)
@@ -105,7 +121,7 @@ def in_its_place(bench: Workbench, panel: Panel, among: Sequence[Term], t: Term)
 
 def _gains(bench: Workbench, with_it: Linear, without_it: Linear) -> Array:
     """(B,) by block, of refits to first order."""
-    losses = [held_out_loss(system.refitted(), bench.fold) for system in (with_it, without_it)]
+    losses = [bench.loss(system.refitted()) for system in (with_it, without_it)]
     return bench.by_group((losses[1] - losses[0]) / 2)
 
 
@@ -114,13 +130,13 @@ def summed(gains: Array) -> tuple[float, float]:
     return float(gains.sum()), float(np.sqrt(len(gains)) * gains.std(ddof=1))
 
 
-def _shift(panel: Panel, rest: Sequence[Term], t: Term, other: Term) -> float:
+def _shift(panel: Panel, among: Sequence[Term], t: Term, other: Term) -> float:
     """How far the parameters of `t` move when `other` is added, in standard errors beside it, root mean square.
 
     What is hard to tell from `t` moves it by chance, for its errors are larger then.
     """
-    plain, more = panel.of([*rest, t]), panel.of([*rest, t, other])
-    mine = [_places(panel, terms, t) for terms in ([*rest, t], [*rest, t, other])]
+    plain, more = panel.of(among), panel.of([*among, other])
+    mine = [_places(panel, terms, t) for terms in (among, [*among, other])]
     moved = more.refitted().offset[mine[1]] - plain.refitted().offset[mine[0]]
     spread = more.covariance()[np.ix_(mine[1], mine[1])]
     distance = float(moved @ np.linalg.pinv(spread, hermitian=True) @ moved)

@@ -32,6 +32,7 @@ class JointMemory:
     tangent: Array
     length: float  # [rad]
     smooth: float  # q
+    correlation: Array  # (K, K) of the poses, 1 within a configuration
 
     def whitened(self, means: Array) -> Array:
         """(B, 5) means over their own covariance."""
@@ -63,7 +64,11 @@ def joint_memory(fit: Linearised, data: Measurements, found: Discrepancy) -> Joi
         covariances = [_covariance(size, found.memory, count, correlation) for size in (found.position, found.tangent)]
         value = _evidence(means, covariances)
         if value > highest:
-            best, highest = JointMemory(_root(covariances[0]), _root(covariances[1]), length, smooth), value
+            which = np.unique(data.configuration, return_inverse=True)[1].ravel()
+            best = JointMemory(
+                _root(covariances[0]), _root(covariances[1]), length, smooth, correlation[np.ix_(which, which)]
+            )
+            highest = value
     assert best is not None
     return best
 

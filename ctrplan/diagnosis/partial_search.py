@@ -51,7 +51,7 @@ class PartialSelector(Selector):
     def _most(self, here: Scored, alone: Linear, beside: Sequence[Linear]) -> float:
         """Of chance on traded residuals and on surrogates as smooth as these, which leave less to doubt."""
         draws = self.partial_bench.traded_draws(here), self.partial_bench.null_draws(here)
-        traded, smooth = (null_threshold(alone, beside, self.bench.fold, one) for one in draws)
+        traded, smooth = (null_threshold(alone, beside, self.bench.null_scores, one) for one in draws)
         return max(traded, SMOOTH_COUNTS * smooth)
 
     def _grow(self, found: Selection) -> bool:

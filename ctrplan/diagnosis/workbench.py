@@ -14,7 +14,7 @@ from ctrplan.calibration.base_parameters import ABSOLUTE_STIFFNESS, BaseParamete
 from ctrplan.calibration.least_squares import Fit, fit, fit_at
 from ctrplan.calibration.residuals import UNSOUND, Noise, residuals, robust_square
 from ctrplan.diagnosis.chance import white
-from ctrplan.diagnosis.held_out import Linear, held_out_loss
+from ctrplan.diagnosis.held_out import Linear, held_out_loss, null_scores
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.pipeline.friction_path import friction_correction
 from ctrplan.pipeline.parametric_chain import ParametricChain
@@ -123,6 +123,14 @@ class Workbench:
         """(5 K, D) residuals as they would be if nothing were missing beside a fit."""
         return white(here.fit.residuals.r.size)
 
+    def loss(self, system: Linear) -> Array:
+        """(K,) of poses whose fold had not been fitted."""
+        return held_out_loss(system, self.fold)
+
+    def null_scores(self, system: Linear, noise: Array) -> Array:
+        """(D,) minus half the loss of draws (5 K, D) after a fit of the same parameters."""
+        return null_scores(system, self.fold, noise)
+
     def scored(self, terms: Sequence[Term], *near: Fit | None) -> Scored:
         """The base and `terms` fitted together, from the values of a fit in `near` where it has them.
 
@@ -146,7 +154,7 @@ class Workbench:
 
     def _fitted(self, terms: tuple[Term, ...], chain: ParametricChain, start: Array) -> Scored:
         best = fit(chain, self.noise, self.whitening_group, start)
-        return Scored(terms, best, held_out_loss(linear(best), self.fold))
+        return Scored(terms, best, self.loss(linear(best)))
 
     def chain(self, terms: Sequence[Term]) -> ParametricChain:
         """Of terms, with friction as it is known by now."""
@@ -236,7 +244,7 @@ class Workbench:
                 continue
             same = [t for t in here.terms if t.name != other.name]
             columns = panel.of([*self.basis([*same, other]), *same, other]).refitted()
-            screened.append(Screened(other, columns, held_out_loss(columns, self.fold)))
+            screened.append(Screened(other, columns, self.loss(columns)))
         return sorted(screened, key=lambda s: -s.score)
 
     def panel(self, here: Scored, others: Sequence[Term]) -> Panel:
@@ -260,7 +268,7 @@ class Workbench:
         chain = self.chain([*self.basis(terms), *terms])
         start, _ = self._start(chain, [here.fit])
         there = linear(fit_at(chain, self.noise, self.whitening_group, start)).refitted()
-        return Screened(other, there, held_out_loss(there, self.fold))
+        return Screened(other, there, self.loss(there))
 
     def by_group(self, gain: Array) -> Array:
         """(B,) sums over poses that count as one, of values (K,)."""

@@ -13,8 +13,8 @@ from ctrplan.base.arrays import Array
 from ctrplan.diagnosis import held, holding, workbench
 from ctrplan.diagnosis.building.search import built_term
 from ctrplan.diagnosis.held_out import Linear
+from ctrplan.diagnosis.holding import Sides, evidence, in_its_place
 from ctrplan.diagnosis.holding import _shift as shift
-from ctrplan.diagnosis.holding import evidence, in_its_place
 from ctrplan.effects.learned.learned import named
 from ctrplan.effects.learned.targets import Target
 
@@ -53,6 +53,7 @@ LAG = Term("lag")
 TWIN, FAR_TWIN = Term("drive_lag", "_theta"), Term("drive_lag", "_l")
 REFINED = Term("creep", effect=Effect(needs="lag"))
 FRAME, SOFT = Term("base_misalignment"), Term("sensor_distortion", parameters=(None,) * 61)
+BETTER = Term("frame_shift")
 OTHER = Term("backlash")
 EXPLAINED = {
     frozenset[str](): 0.0,
@@ -62,6 +63,7 @@ EXPLAINED = {
     frozenset({"creep"}): 0.0,
     frozenset({"base_misalignment"}): 10.0,
     frozenset({"sensor_distortion"}): 9.9,
+    frozenset({"frame_shift"}): 30.0,
     frozenset({"backlash"}): 4.0,
     frozenset({"lag", "drive_lag_theta"}): 10.0,
     frozenset({"lag", "drive_lag_l"}): 10.0,
@@ -76,11 +78,16 @@ def by_table(monkeypatch: pytest.MonkeyPatch) -> None:
         return (EXPLAINED[with_it] - EXPLAINED[without_it]) * np.array([0.9, 1.0, 1.1, 1.0])
 
     monkeypatch.setattr(holding, "_gains", gains)
-    monkeypatch.setattr(holding, "_shift", lambda panel, rest, t, other: 40.0 if other.name == "drive_lag" else 0.5)
+    monkeypatch.setattr(holding, "_shift", lambda panel, among, t, other: 40.0 if other.name == "drive_lag" else 0.5)
 
 
 def asked(*others: Term) -> Any:
-    return evidence(None, Panel(EXPLAINED, (LAG, *others)), [LAG], LAG, 1.0)  # type: ignore[arg-type, list-item]
+    return evidence(None, sides(LAG, *others), LAG, 1.0)  # type: ignore[arg-type]
+
+
+def sides(t: Term, *others: Term) -> Sides:
+    panel: Any = Panel(EXPLAINED, (t, *others))
+    return Sides(panel, [t], panel, [])  # type: ignore[list-item]
 
 
 def test_what_does_as_well_in_its_place_does_not_speak_against_an_effect() -> None:
@@ -98,16 +105,19 @@ def test_a_competitor_that_takes_its_parameters_away_does(monkeypatch: pytest.Mo
 
 
 def test_effects_in_its_place_come_best_first_each_in_its_best_variant() -> None:
-    panel = Panel(EXPLAINED, (FAR_TWIN, OTHER, REFINED, TWIN))
-    found = in_its_place(None, panel, [LAG], LAG)  # type: ignore[arg-type, list-item]
+    found = in_its_place(None, sides(LAG, FAR_TWIN, OTHER, REFINED, TWIN), LAG)  # type: ignore[arg-type]
     assert [(other.name, other.variant) for other, _, _ in found] == [("drive_lag", "_theta"), ("backlash", "")]  # type: ignore[attr-defined]
 
 
-def test_a_frame_is_no_name_where_anything_takes_its_place() -> None:
+@pytest.mark.parametrize("stands_out", [False, True])
+def test_a_frame_whose_place_something_takes_is_told_with_it_if_it_stands_out_beside_a_smooth_error(
+    stands_out: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(held, "_stands_out", lambda *_: stands_out)
     selector: Any = SimpleNamespace(bench=None)
-    for others, is_replaceable in ((list[Term](), False), ([SOFT], True)):
-        panel: Any = Panel(EXPLAINED, (FRAME, *others))
-        assert held._is_replaceable(selector, panel, [FRAME], FRAME) == is_replaceable  # type: ignore[list-item, arg-type]
+    chosen: Any = None
+    for others, is_name in (([], True), ([SOFT], stands_out), ([BETTER], False)):
+        assert held._is_name(selector, chosen, sides(FRAME, *others), FRAME) == is_name  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -137,7 +147,7 @@ def shift_beside(likeness: float, size: float, count: int) -> Array:
         J = np.stack([mine, its], axis=1).reshape(20, 5, 2)
         whole = Linear(r, J, np.ones(20), np.full(2, 1e-6), np.zeros(2), np.ones((20, 5), bool))
         panel = workbench.Panel((("one", "x"), ("other", "x")), whole, ())
-        found.append(shift(panel, [], one, other))  # type: ignore[arg-type]
+        found.append(shift(panel, [one], one, other))  # type: ignore[arg-type, list-item]
     return np.array(found)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.estimates import estimates
 from ctrplan.diagnosis.building.dictionary import pieces
-from ctrplan.diagnosis.building.search import Round, Tried, grown
+from ctrplan.diagnosis.building.search import Round, Tried, chance_beside, grown
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.holding import SAYS_SOMETHING, summed
 from ctrplan.diagnosis.partial_search import PartialSelector, is_built
@@ -20,6 +20,7 @@ from ctrplan.diagnosis.partly import Partly, concluded, rest_beside
 from ctrplan.diagnosis.rest import Rest
 from ctrplan.diagnosis.selection import Selection, Step
 from ctrplan.diagnosis.shares import mean_square
+from ctrplan.diagnosis.smooth_bench import SmoothBench
 from ctrplan.diagnosis.workbench import Scored, certainty
 from ctrplan.effects.learned.learned import Learned
 from ctrplan.experiment.measurements import Measurements
@@ -27,6 +28,7 @@ from ctrplan.pipeline.term import Term
 
 LEAST_Z = 5.0  # standard errors over blocks
 TIMES_CHANCE = 4.0  # the gain that the first piece reaches in 2 % of smooth surrogates, of all pieces together
+TIMES_SMOOTH = 1.5  # the same beside an error as smooth, which takes the part of a term that it can
 LEAST_WINNING = 0.85  # of the blocks that say something
 LEAST_SHARE = 0.7  # of the squares that remain beyond noise, closed on blocks left out: the rest is about halved
 WITHIN_REACH = 0.6  # of the same to first order before anything is fitted; a search that can't reach it is not begun
@@ -50,6 +52,7 @@ class Built:
     winning: float  # share of the blocks that say something
     share: float  # of the rest's squares
     rest: Rest  # what remains beside the built ones as well
+    beside_smooth: tuple[float, float] = (np.inf, 0.0)  # gain beside a smooth error, and what is chance there
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -59,7 +62,8 @@ class Built:
     @property
     def is_chance(self) -> bool:
         """Whether an error as smooth in the joints as what remains might have let pieces gain as much."""
-        return self.gain < TIMES_CHANCE * self.rounds[0].smooth_chance
+        gain, chance = self.beside_smooth
+        return self.gain < TIMES_CHANCE * self.rounds[0].smooth_chance or gain < TIMES_SMOOTH * chance
 
     @property
     def path(self) -> tuple[Step, ...]:
@@ -140,7 +144,22 @@ def _evidence(found: Partly, rounds: list[Round]) -> Built:
     before, after = mean_square(bench.left_out_m(plain)), mean_square(bench.left_out_m(scored))
     share = (before - after) / max(before - bench.plain.floor_m**2, 1e-12)
     rest = rest_beside(bench, scored, bench.plain)
-    return Built(scored, plain, found, tuple(rounds), *summed(gains), certainty(gains), winning, share, rest)
+    beside = _beside_smooth(found, plain, scored)
+    return Built(scored, plain, found, tuple(rounds), *summed(gains), certainty(gains), winning, share, rest, beside)
+
+
+def _beside_smooth(found: Partly, plain: Scored, scored: Scored) -> tuple[float, float]:
+    """Gain of a set with built terms over one without, and chance, beside an error as smooth as that one leaves.
+
+    Of a continuous motion, whose error remembers in any case, nothing more is asked.
+    """
+    bench = found.bench
+    if bench.data.is_stream or not bench.estimated(plain).is_there:
+        return np.inf, 0.0
+    smooth = SmoothBench(bench, plain)
+    without, within = smooth.at(plain), smooth.at(scored)
+    known = pieces(bench.robot, bench.data, found.known.terms)
+    return smooth.difference(within, without)[0], chance_beside(smooth, without, known)
 
 
 def refusals(bench: CorrelatedBench, built: Built) -> list[str]:

@@ -8,14 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from ctrplan.diagnosis.building.dictionary import Piece
 from ctrplan.diagnosis.building.probes import Wide, wide
 from ctrplan.diagnosis.building.reach import reach
 from ctrplan.diagnosis.chance import null_threshold
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
-from ctrplan.diagnosis.held_out import Linear, held_out_loss
 from ctrplan.diagnosis.partial_search import is_built
 from ctrplan.diagnosis.shares import mean_square
 from ctrplan.diagnosis.workbench import Scored, certainty
@@ -88,7 +85,7 @@ def _round(
     tried = _tried(bench, table, known)
     beside = [table.beside(one.piece) for one in tried]
     chance, smooth = (
-        null_threshold(table.here(), beside, bench.fold, draws(here)[:, :DRAWS])
+        null_threshold(table.here(), beside, bench.null_scores, draws(here)[:, :DRAWS])
         for draws in (bench.traded_draws, bench.null_draws)
     )
     needed = times * chance
@@ -103,6 +100,13 @@ def _round(
     return Round(tuple(tried), chance, smooth, best[0]), bench.corrected(best[1])
 
 
+def chance_beside(bench: CorrelatedBench, here: Scored, known: Sequence[Piece]) -> float:
+    """What the best of all pieces reaches by chance beside a set."""
+    table = wide(bench, here, known)
+    beside = [table.beside(piece) for piece in known]
+    return null_threshold(table.here(), beside, bench.null_scores, bench.null_draws(here)[:, :DRAWS])
+
+
 def _needed(bench: CorrelatedBench, here: Scored, least: float, known: Scored) -> Scored:
     """Without built terms whose place the names that came besides have taken; the `known` set had none of these."""
     if here is known:
@@ -115,16 +119,12 @@ def _needed(bench: CorrelatedBench, here: Scored, least: float, known: Scored) -
 
 
 def _tried(bench: CorrelatedBench, table: Wide, known: Sequence[Piece]) -> list[Tried]:
-    plain = held_out_loss(table.here().refitted(), bench.fold)
+    plain = bench.loss(table.here().refitted())
     found = []
     for piece in known:
-        gains = bench.by_group((plain - _loss(table.beside(piece), bench)) / 2)
+        gains = bench.by_group((plain - bench.loss(table.beside(piece).refitted())) / 2)
         found.append(Tried(piece, float(gains.sum()), certainty(gains)))
     return sorted(found, key=lambda one: -one.gain)
-
-
-def _loss(system: Linear, bench: CorrelatedBench) -> np.ndarray:
-    return held_out_loss(system.refitted(), bench.fold)
 
 
 def _is_worth(bench: CorrelatedBench, here: Scored, there: Scored, needed: float) -> bool:
