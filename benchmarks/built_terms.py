@@ -122,14 +122,17 @@ def leftovers(row: str) -> list[Leftover]:
     return [Leftover(size, kind, memory) for _ in range(3) for size in (1.0, 2.0, 3.0) for kind, memory in kinds]
 
 
-def solve(folder: Path, only: str) -> None:
+def solve(folder: Path, only: str, chosen: list[int], seed: int) -> None:
     """Worlds and their sets, FOLDER/w00.pickle and FOLDER/w00_00; of one robot where it is named."""
     folder.mkdir(parents=True, exist_ok=True)
-    for k, (row, hidden, robot) in enumerate(worlds()):
+    every = worlds()
+    for k in chosen or range(len(every)):
+        row, hidden, robot = every[k]
         if only and robot != only:
             continue
         stored = folder / f"w{k:02d}.pickle"
-        case = Case(stored.stem, row, 50000 + 17 * k, hidden, "gaussian", CONFIGURATIONS, robot=robot)
+        drawn = 50000 + 17 * k + 100_000 * seed
+        case = Case(stored.stem, row, drawn, hidden, "gaussian", CONFIGURATIONS, robot=robot)
         if not stored.exists() and (made := made_of(case)):
             stored.write_bytes(pickle.dumps((made.case, made.experiment, made.poses, made.world.room)))
             print(stored.stem, row, hidden, robot, flush=True)
@@ -305,9 +308,11 @@ def main() -> None:
     parser.add_argument("action", choices=["make", "ask", "table"])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--robot", choices=ROBOTS, default="", help="make the worlds of this one only")
+    parser.add_argument("--worlds", type=int, nargs="*", default=[], help="make these only, by their numbers")
+    parser.add_argument("--seed", type=int, default=0, help="of the worlds: another one makes others of the same kinds")
     given = parser.parse_args()
     if given.action == "make":
-        solve(given.folder, given.robot)
+        solve(given.folder, given.robot, given.worlds, given.seed)
     else:
         {"ask": ask, "table": table}[given.action](given.folder)
 
