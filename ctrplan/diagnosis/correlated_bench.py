@@ -71,11 +71,15 @@ class CorrelatedBench(Workbench):
         return self._settled(scored)
 
     def loss(self, system: Linear) -> Array:
-        """(K,) of blocks whose fold had not been fitted, their prediction as vague as it is."""
+        """(K,) of poses whose fold had not been fitted; of poses at rest their prediction is as vague as it is."""
+        if self.data.is_stream:
+            return super().loss(system)
         return predictive_loss(system, self.fold, self.group)
 
     def null_scores(self, system: Linear, noise: Array) -> Array:
         """(D,) the same of draws (5 K, D)."""
+        if self.data.is_stream:
+            return super().null_scores(system, noise)
         return predictive_null_scores(system, self.fold, self.group, noise)
 
     def null_draws(self, here: Scored) -> Array:

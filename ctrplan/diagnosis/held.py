@@ -76,10 +76,14 @@ def _is_beside_frames(t: Term) -> bool:
 
 
 def _sides(selector: PartialSelector, chosen: Scored, panel: Panel, among: Sequence[Term], t: Term) -> Sides:
-    """Without an effect the set is fitted again; a frame, which is in every fit, is taken out to first order."""
+    """Without an effect the set is fitted again; a frame, which is in every fit, is taken out to first order.
+
+    So is every effect of a continuous motion, where fits without friction leave what a lag takes: on a public run of
+    three tubes neither could be named then, where both hold to first order.
+    """
     bench = selector.partial_bench
     rest = [other for other in among if other.name != t.name]
-    if t.name not in chosen.names:
+    if t.name not in chosen.names or bench.data.is_stream:
         return Sides(panel, among, panel.without(t), rest)
     others = [other for other in chosen.terms if other.name != t.name]
     gone = bench.panel(bench.scored(others, chosen.fit), selector.candidates.beside(chosen.terms))
