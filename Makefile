@@ -12,7 +12,7 @@ OUTPUT ?= demo-output
 .PHONY: demo test lint install clean fuzz wheel api sanitize bank bank-core bank-diagnosis
 
 # What takes a while says so before it starts, builds included.
-FIRST_BUILD = $(if $(wildcard $(VENV)/.installed),, The first time the environment is built: one or two minutes more.)
+FIRST_BUILD = $(if $(wildcard $(VENV)/.installed),, The first time the environment is built: two minutes more.)
 
 .PHONY: demo-time test-time
 demo-time:

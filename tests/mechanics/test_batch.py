@@ -122,3 +122,20 @@ def test_tasks_are_called_off_when_the_caller_gives_up() -> None:
         PAIR.bound_many(*configurations(300), executor=executor, progress=give_up)
     assert len(executor.submitted) == 5
     assert all(future.cancelled() for future in executor.submitted[1:])
+
+
+def test_a_zero_clearance_shape_has_the_tip_of_many_at_once_and_ends_there() -> None:
+    """One configuration's shape is laid out when it is looked at; its tip is known before."""
+    robot = load_robot(ROBOTS / "three_tube.toml")
+    theta_b = np.random.default_rng(5).uniform(-np.pi, np.pi, (20, robot.n))
+    l_b = np.tile(robot.drive.home_l_m, (20, 1))
+    tips, tangents, status = robot.mechanics.tips(theta_b, l_b)
+    for row in range(20):
+        shape = robot.mechanics.zero_clearance(theta_b[row], l_b[row])
+        np.testing.assert_array_equal(shape.tip_m, tips[row])
+        np.testing.assert_array_equal(shape.tip_tangent, tangents[row])
+        np.testing.assert_allclose(shape.tubes[-1].centreline_m[-1], shape.tip_m, rtol=0, atol=1e-9)
+        np.testing.assert_array_equal(shape.tip_m, tips[row])
+        assert shape.max_strain == max(tube.strain.max() for tube in shape.tubes) > 0
+    assert np.isfinite(tips).all()
+    assert len(status) == 20

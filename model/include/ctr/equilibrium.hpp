@@ -52,10 +52,13 @@ class ContactEquilibrium : public Equilibrium {
 // Of the zero-clearance model, whose elements have no nodes at a shape's stations: from the unknowns it was solved for.
 class ZeroClearanceEquilibrium : public Equilibrium {
   public:
-    explicit ZeroClearanceEquilibrium(const ZeroClearance& solution);
+    ZeroClearanceEquilibrium(const Robot& robot, const Configuration& q, ZeroClearance solution);
     double residual(const Values& theta, const Values& force) const override;
+    void lay_out(Shape& shape) const override;
 
   private:
+    Robot robot_;
+    Configuration q_;
     std::shared_ptr<const ZeroClearance> solution_;
 };
 

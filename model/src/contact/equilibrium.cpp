@@ -1,6 +1,7 @@
 #include "ctr/equilibrium.hpp"
 
 #include <cmath>
+#include <utility>
 
 #include "ctr/friction_solver.hpp"
 #include "ctr/shape.hpp"
@@ -26,6 +27,13 @@ double distance(const KernelProblem& pb, const LaneState& state, int e, int k) {
     return std::hypot(d[0], d[1]);
 }
 
+void fill_in(Shape& shape, Shape&& whole) {
+    shape.tubes = std::move(whole.tubes);
+    shape.contacts = std::move(whole.contacts);
+    shape.radius = std::move(whole.radius);
+    shape.max_strain = whole.max_strain;
+}
+
 }  // namespace
 
 ContactEquilibrium::ContactEquilibrium(std::shared_ptr<const Setting> setting, const LaneState& state, int lane)
@@ -48,11 +56,7 @@ void ContactEquilibrium::lay_out(Shape& shape) const {
     LaneState state;
     state.resize(solver.mesh().problem(), 1);
     state.put(kept_, solver.mesh().problem());
-    Shape whole = make_shape(solver, state, 0, setting_->q);
-    shape.tubes = std::move(whole.tubes);
-    shape.contacts = std::move(whole.contacts);
-    shape.radius = std::move(whole.radius);
-    shape.max_strain = whole.max_strain;
+    fill_in(shape, make_shape(solver, state, 0, setting_->q));
 }
 
 void ContactEquilibrium::set_angles(const Values& theta, LaneState& state) const {
@@ -87,8 +91,11 @@ void ContactEquilibrium::set_forces(const Values& force, LaneState& state) const
         if (point[p] != force[pb.tubes - 2 - p].size()) throw InvalidInput(kMisfit);
 }
 
-ZeroClearanceEquilibrium::ZeroClearanceEquilibrium(const ZeroClearance& solution) : solution_(std::make_shared<ZeroClearance>(solution)) {}
+ZeroClearanceEquilibrium::ZeroClearanceEquilibrium(const Robot& robot, const Configuration& q, ZeroClearance solution)
+    : robot_(robot), q_(q), solution_(std::make_shared<ZeroClearance>(std::move(solution))) {}
 
 double ZeroClearanceEquilibrium::residual(const Values&, const Values&) const { return solution_->imbalance(); }
+
+void ZeroClearanceEquilibrium::lay_out(Shape& shape) const { fill_in(shape, make_shape(robot_, *solution_, q_)); }
 
 }  // namespace ctr

@@ -69,11 +69,13 @@ Model::~Model() = default;
 Shape Model::zero_clearance(const Configuration& q) const {
     ZeroClearance solution, other;
     const bool done = solution.solve(robot_, q);
-    Shape shape = make_shape(robot_, solution, q);
-    shape.equilibrium = std::make_shared<ZeroClearanceEquilibrium>(solution);
+    Shape shape;
+    shape.end_at(solution.tip());
+    shape.residual = solution.residual();
     if (!done) shape.status = Status::failed;
     else if (solution.negative_pivots()) shape.status = Status::unstable;
     else shape.status = solution.search_other(0, other) >= 0 ? Status::multiple : Status::converged;
+    shape.equilibrium = std::make_shared<ZeroClearanceEquilibrium>(robot_, q, std::move(solution));
     return shape;
 }
 
