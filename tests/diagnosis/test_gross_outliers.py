@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ctrplan.calibration.gross_outliers import LEAST, far_from_all
 from ctrplan.calibration.residuals import MODEL_POSITION_M
+from ctrplan.calibration.robot_content import CHI95
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
 from ctrplan.diagnosis.agreement import LARGEST_REST, times_noise
 from ctrplan.diagnosis.sentences import verdict_sentence
@@ -51,7 +52,11 @@ def assert_no_greener_than_its_figures(found: Diagnosis) -> None:
     if found.verdict == "partial":  # which claims that something remains, and says how much
         after_mm = content["gap"]["after_rms_mm"]
         assert verdict_sentence(found).startswith("In part") and "something remains" in verdict_sentence(found)
-        assert f"{after_mm:.2f} mm with" in verdict_sentence(found) and found.model_error_m * 1e3 >= after_mm
+        assert f"{after_mm:.2f} mm with" in verdict_sentence(found)
+        told_mm = math.hypot(
+            found.model_error_m * 1e3, CHI95 * found.noise.position_m * 1e3
+        )  # noise is taken out of it
+        assert told_mm >= after_mm
         return
     allowed_mm = LARGEST_REST * math.hypot(content["gap"]["noise_floor_mm"], math.sqrt(3) * MODEL_POSITION_M * 1e3)
     assert content["gap"]["after_rms_mm"] <= allowed_mm + 1e-3
@@ -110,6 +115,17 @@ def test_beside_far_poses_nothing_is_named_that_is_not_there(kind: str, named: t
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     found = diagnose(ROBOT, spoilt(data, poses, 10e-3 * directions), catalogue=FEW)
     assert found.verdict == ("partial" if named else "unexplained") and found.chosen.names == named
+    assert_no_greener_than_its_figures(found)
+
+
+def test_a_rest_of_few_times_the_noise_is_covered_by_error_and_noise() -> None:
+    """28 % of the poses half a mm off, all the same way: 0.27 mm (rms) remain with the effect, noise among them."""
+    data, rng = CLEAN["backlash"], np.random.default_rng(1081)
+    poses = np.arange(int(rng.integers(3)), data.count, data.count // int(0.28125 * data.count))
+    by_m = rng.standard_normal(3)
+    found = diagnose(ROBOT, spoilt(data, poses, 0.5623e-3 * by_m / np.linalg.norm(by_m)), catalogue=FEW)
+    assert found.verdict == "partial"
+    assert found.chosen.names == ("backlash",)
     assert_no_greener_than_its_figures(found)
 
 
