@@ -1,6 +1,6 @@
 """Is a certified motion ever hit? Scenes at the edge of what friction reaches, judged by brute force.
 
-python benchmarks/certificate_hunt.py [--scenes 1000] [--processes 2] [--seed 1] [--only NUMBER] [--file RESULTS.jsonl]
+python benchmarks/certificate_hunt.py [--scenes 1000] [--first 0] [--processes 2] [--seed 1] [--only N] [--file FILE]
 
 Scene by scene: one of seven robots (two, three and four tubes, loose and tight clearance), a short motion from a random
 configuration, one sphere, rod or plate. In half of the scenes, "between", it stands beside a body in a random friction
@@ -363,6 +363,7 @@ def broken(results: list[Result]) -> Iterator[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenes", type=int, default=1000)
+    parser.add_argument("--first", type=int, default=0, help="leave out the scenes before this one")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", type=int)
@@ -372,7 +373,7 @@ def main() -> None:
         print(json.dumps(asdict(judged(asked.only, asked.seed)), indent=2))
         return
     results = known(asked.file, asked.seed)
-    wanted = [number for number in range(asked.scenes) if number not in results]
+    wanted = [number for number in range(asked.first, asked.scenes) if number not in results]
     asked.file.parent.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(asked.processes) as pool, asked.file.open("a") as stream:
         for result in pool.map(judged, wanted, itertools.repeat(asked.seed)):
