@@ -132,10 +132,9 @@ def test_a_zero_clearance_shape_has_the_tip_of_many_at_once_and_ends_there() -> 
     tips, tangents, status = robot.mechanics.tips(theta_b, l_b)
     for row in range(20):
         shape = robot.mechanics.zero_clearance(theta_b[row], l_b[row])
-        np.testing.assert_array_equal(shape.tip_m, tips[row])
-        np.testing.assert_array_equal(shape.tip_tangent, tangents[row])
-        np.testing.assert_allclose(shape.tubes[-1].centreline_m[-1], shape.tip_m, rtol=0, atol=1e-9)
-        np.testing.assert_array_equal(shape.tip_m, tips[row])
+        np.testing.assert_allclose(shape.tip_m, tips[row], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(shape.tip_tangent, tangents[row], rtol=0, atol=1e-7)
+        np.testing.assert_array_equal(shape.tubes[-1].centreline_m[-1], shape.tip_m)
         assert shape.max_strain == max(tube.strain.max() for tube in shape.tubes) > 0
     assert np.isfinite(tips).all()
     assert len(status) == 20

@@ -81,5 +81,6 @@ class BackboneTracer {
 
 Shape make_shape(const FrictionSolver& solver, const LaneState& state, int lane, const Configuration& q);
 Shape make_shape(const Robot& robot, const ZeroClearance& solution, const Configuration& q);
+Frame end_of(const Robot& robot, const ZeroClearance& solution, const Configuration& q);  // of that shape, to the last digit
 
 }  // namespace ctr

@@ -70,7 +70,7 @@ Shape Model::zero_clearance(const Configuration& q) const {
     ZeroClearance solution, other;
     const bool done = solution.solve(robot_, q);
     Shape shape;
-    shape.end_at(solution.tip());
+    shape.end_at(end_of(robot_, solution, q));
     shape.residual = solution.residual();
     if (!done) shape.status = Status::failed;
     else if (solution.negative_pivots()) shape.status = Status::unstable;
