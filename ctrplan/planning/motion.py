@@ -110,7 +110,7 @@ class MotionChecker:
         if self.bound_table is not None or self.field is None or not self.space.allowed(corners):
             return None
         points = self._stations(corners)
-        rooms, _ = self._rooms_and_tips(points)
+        rooms, _ = self._rooms_and_tips(*self.space.drive.collars(points))
         narrowest = int(np.argmin(rooms))
         if rooms[narrowest] < DEFINITE_COLLISION_M:
             return invalid(DEFINITE_COLLISION)
@@ -131,11 +131,7 @@ class MotionChecker:
         """A single state as a motion of no length."""
         if self.bound_table is not None:
             return self.motion(q, q)
-        if (
-            q.tobytes() not in self._states
-            and self.space.allowed(q)
-            and self.rooms([q[None]])[0] < DEFINITE_COLLISION_M
-        ):
+        if q.tobytes() not in self._states and self.is_definite_collision(q):
             return invalid(DEFINITE_COLLISION)
         return self.probe(q)[0]
 
@@ -208,20 +204,19 @@ class MotionChecker:
         vanishing precurvature changes from one to the other.
         """
         points = [self._stations(way) for way in ways]
-        rooms, tips = self._rooms_and_tips(np.concatenate(points))
+        theta_b, l_b = self.space.drive.collars(np.concatenate(points))
+        rooms, tips = self._rooms_and_tips(theta_b, l_b)
         firsts = np.cumsum([0, *map(len, points[:-1])])
-        l_b = self.space.drive.collars(np.concatenate(points))[1]
         ends = zip(np.split(tips, firsts[1:]), np.split(l_b, firsts[1:]), strict=True)
         return np.minimum.reduceat(rooms, firsts), np.array([_jumps(*rows) for rows in ends])
 
-    def _rooms_and_tips(self, q: Array) -> tuple[Array, Array]:
-        """(K,) [m] clearance of zero-clearance shapes at q (K, m) beyond what is required, (K, 3) [m] their tips."""
+    def _rooms_and_tips(self, theta_b: Array, l_b: Array) -> tuple[Array, Array]:
+        """Of collars (K, n): clearances (K,) [m] of zero-clearance shapes beyond what is required, tips (K, 3) [m]."""
         self.watch.ask()
-        self.meter.add(ROOM_NS * len(q))
-        theta_b, l_b = self.space.drive.collars(q)
-        threads = 0 if len(q) > FEW else 1
+        self.meter.add(ROOM_NS * len(l_b))
+        threads = 0 if len(l_b) > FEW else 1
         if self.field is None:
-            return np.full(len(q), np.inf), self.mechanics.tips(theta_b, l_b, threads=threads)[0]
+            return np.full(len(l_b), np.inf), self.mechanics.tips(theta_b, l_b, threads=threads)[0]
         rooms, tips = self.mechanics.zero_clearance_rooms(theta_b, l_b, self.field, threads=threads)
         return rooms - self.limits.clearance_m, tips
 
