@@ -119,6 +119,11 @@ class MotionChecker:
         state, _ = self.probe(points[narrowest])
         return None if state.valid else state
 
+    @property
+    def definite_collision_m(self) -> float:
+        """Less clearance than that of a zero-clearance shape, and the state is not worth a solve; -inf by lookup."""
+        return -np.inf if self.bound_table is not None else DEFINITE_COLLISION_M + self.limits.clearance_m
+
     def is_definite_collision(self, q: Array) -> bool:
         """Whether the zero-clearance shape at q (m,) collides by so much that the state is not worth a solve."""
         return self.bound_table is None and self.space.allowed(q) and self.rooms([q[None]])[0] < DEFINITE_COLLISION_M

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -98,9 +98,8 @@ def plan(
         raise NoAnswerError(f"{scenario.path or scenario.name}: start: the start state is not valid: {reason}.")
     friction_law(scenario.robot)  # calibrated before the search's time begins, if it is not known yet
     with interrupt_event(interrupted) as interrupted, ThreadPoolExecutor(1) as beside:
-        approaches = beside.submit(other_start, scenario, scenario.start)  # simulated while goal states are sought
-        refuse = partial(_refuse_other_start, scenario, approaches)
-        asked = _Asked(seed, began, budget, budget, time_s is not None, report, interrupted, bound_table, refuse)
+        approaches = cache(partial(beside.submit, other_start, scenario, scenario.start))
+        asked = _Asked(seed, began, budget, budget, time_s is not None, report, interrupted, bound_table, approaches)
         first, stages, ended_by = _anytime_stages(scenario, asked)
         finish = _finish(scenario, stages[-1][1], compensated, report)
     notes: tuple[str, ...] = (*scenario.warnings, *((ENDED_BY_TIME,) if ended_by == "time" else ()))
@@ -130,12 +129,6 @@ def plan(
     return replace(finished, interrupted=interrupted.is_set())
 
 
-def _refuse_other_start(scenario: Scenario, approaches: Future[str]) -> None:
-    """Raises NoAnswerError where an approach to the start ends at another equilibrium."""
-    if other := approaches.result():
-        raise NoAnswerError(f"{scenario.path or scenario.name}: start: {other[0].lower()}{other[1:]}.")
-
-
 @dataclass(frozen=True, eq=False)
 class _Asked:
     """What planning was asked for beside the scenario."""
@@ -148,7 +141,12 @@ class _Asked:
     report: Report
     interrupted: threading.Event
     bound_table: BoundTable | None
-    refuse_other_start: Callable[[], None]
+    approaches: Callable[[], Future[str]]  # to the start, begun when first asked for
+
+    def refuse_other_start(self, scenario: Scenario) -> None:
+        """Raises NoAnswerError where an approach to the start ends at another equilibrium."""
+        if other := self.approaches().result():
+            raise NoAnswerError(f"{scenario.path or scenario.name}: start: {other[0].lower()}{other[1:]}.")
 
 
 Stages = list[tuple[Candidate, Candidate]]
@@ -185,27 +183,30 @@ def _stages(
     found: Stages = []
     ended_by: SearchEnd = "completion"
     spent = 0.0
-    start, targets = scenario.start, scenario.targets
+    start, targets, refuse_start = scenario.start, scenario.targets, partial(asked.refuse_other_start, scenario)
     share = asked.budget / max(1, sum(goal.line_m is None for goal in targets))  # lines to follow take none
     for k, goal in enumerate(targets):
         stage = replace(scenario.stage_from(start), goal=nearest_turn(scenario, start, goal))
         checker = MotionChecker(stage, bound_table=asked.bound_table)
         if goal.line_m is not None:
-            asked.refuse_other_start()
+            refuse_start()
             found.append(_along_line(checker, asked.began))
         elif is_at_goal(stage):
-            asked.refuse_other_start()
+            refuse_start()
             goal_states(checker, np.random.default_rng(asked.seed + k))  # refuses a state that is not allowed
             found.append(_without_motion(checker, asked.began))
         else:
             try:
                 checker, goals = _with_goals(checker, asked.seed + k)
-            finally:
-                asked.refuse_other_start()  # what is wrong with the start is said before what is with the goal
+            except NoAnswerError:
+                refuse_start()  # what is wrong with the start is said before what is with the goal
+                raise
+            asked.approaches()  # simulated while a first path is sought, which leaves some of the machine idle
             if k + 1 < len(targets) and targets[k + 1].line_m is not None:
                 goals = line_beginnings(checker, goals, targets[k + 1])
             clock = SearchClock(checker.meter, asked.timed)
             search = StageSearch(checker, goals, asked.seed, asked.began, share, clock, asked.report, asked.interrupted)
+            search.refuse_start = refuse_start
             search.before, search.whole = asked.whole - asked.budget + spent, asked.whole
             found.append(run(search))
             spent += clock.now()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctrplan.anatomy.shape import PartEntry, Shape, length, point, register
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, lengths
 from ctrplan.base.surface import Surface, capsule
 from ctrplan.storage.number_ranges import Length, Point, metres
 from ctrplan.storage.toml_table import Table
@@ -35,7 +35,7 @@ class Capsule(Shape):
         axis, offset = self.to_m - self.from_m, points_m - self.from_m
         length_squared = float(axis @ axis)
         along = np.clip(offset @ axis / length_squared, 0.0, 1.0) if length_squared > 0 else np.zeros(len(points_m))
-        return np.asarray(np.linalg.norm(offset - along[:, None] * axis, axis=1) - self.radius_m)
+        return np.asarray(lengths(offset - along[:, None] * axis) - self.radius_m)
 
     def box(self) -> tuple[Array, Array]:
         lower, upper = np.minimum(self.from_m, self.to_m), np.maximum(self.from_m, self.to_m)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctrplan.anatomy.shape import PartEntry, Shape, length, point, register
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import Array, lengths
 from ctrplan.base.surface import Surface, capsule
 from ctrplan.storage.number_ranges import Length, Point, metres
 from ctrplan.storage.toml_table import Table
@@ -27,7 +27,7 @@ class Sphere(Shape):
         object.__setattr__(self, "radius_m", length("radius_m", self.radius_m))
 
     def distance(self, points_m: Array) -> Array:
-        return np.asarray(np.linalg.norm(points_m - self.center_m, axis=1) - self.radius_m)
+        return np.asarray(lengths(points_m - self.center_m) - self.radius_m)
 
     def box(self) -> tuple[Array, Array]:
         return self.center_m - self.radius_m, self.center_m + self.radius_m

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -51,9 +51,9 @@ def problems_of_walk(scenario: Scenario, space: JointSpace, corners: Array, piec
 
 
 def problems_of_limits(
-    scenario: Scenario, pieces: Sequence[Piece], samples: CertificateSamples, bounds: StatedBounds
+    scenario: Scenario, pieces: Sequence[Piece], samples: CertificateSamples, bounds: Callable[[], StatedBounds]
 ) -> list[str]:
-    """Which of the scenario's limits the samples of the pieces break."""
+    """Which of the scenario's limits the samples of the pieces break; `bounds` are asked for where one is on them."""
     limits = path_limits(scenario)
     shares = _shares_of_clearance(scenario, pieces, limits)
     if taken_m := float(samples.parameter_clearance_m[int(np.argmin(samples.clearance_m))]):
@@ -76,12 +76,13 @@ def problems_of_limits(
     return found + _problems_of_goal(scenario, samples, bounds)
 
 
-def _problems_of_goal(scenario: Scenario, samples: CertificateSamples, bounds: StatedBounds) -> list[str]:
+def _problems_of_goal(scenario: Scenario, samples: CertificateSamples, bounds: Callable[[], StatedBounds]) -> list[str]:
     found, limit, on_line = [], scenario.cost.max_error_goal_m, line_error_m(scenario, samples.tip_m)
-    error_m, where = (bounds.goal_m, "at the goal") if on_line is None else (bounds.worst_m, "on the line")
-    if limit is not None and not error_m <= limit:
-        error_mm, limit_mm = error_m * MM_PER_M, limit * MM_PER_M
-        found.append(f"The worst-case error {where} is {error_mm:.2f} mm, above {limit_mm:g} mm.")
+    if limit is not None:
+        error_m, where = (bounds().goal_m, "at the goal") if on_line is None else (bounds().worst_m, "on the line")
+        if not error_m <= limit:
+            error_mm, limit_mm = error_m * MM_PER_M, limit * MM_PER_M
+            found.append(f"The worst-case error {where} is {error_mm:.2f} mm, above {limit_mm:g} mm.")
     if on_line is not None and not on_line <= scenario.goal.tolerance_m:
         off_mm, tolerance_mm = on_line * MM_PER_M, scenario.goal.tolerance_m * MM_PER_M
         found.append(f"The frictionless tip leaves the line by {off_mm:.2f} mm, tolerance {tolerance_mm:g} mm.")

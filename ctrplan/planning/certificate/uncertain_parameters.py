@@ -41,4 +41,4 @@ def with_parameters(
         parameter_bound_m=bound,
         parameter_clearance_m=clearance,
     )
-    return found, wider, problems_of_limits(scenario, pieces, found, wider)
+    return found, wider, problems_of_limits(scenario, pieces, found, lambda: wider)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -35,6 +35,8 @@ from ctrplan.planning.uncertainty.allowance import is_uncertain
 
 if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario
+
+Look = Callable[["Scenario", list[Piece]], list[Piece]]  # at pieces, more closely
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,29 +114,37 @@ def walk_legs(
     known = failed.walked if failed and failed.scenario is scenario else ()
     walked = pieces = walk_pieces(scenario, space, corners, accuracy, progress, known)
     samples = joined_samples(scenario, space, corners, pieces)
+    asked_m = np.inf if is_uncertain(scenario) else spare_m  # what parameters take off has to be left
     with ThreadPoolExecutor(1) as beside:  # a few bounds and a few narrow samples leave half of the machine idle each
         stated = beside.submit(_bounds, scenario, samples, pieces)
-        problems = [f"{other}."] if (other := other_start(scenario, corners[0])) else []
-        problems += problems_of_walk(scenario, space, corners, pieces)
-        asked_m = np.inf if is_uncertain(scenario) else spare_m  # what parameters take off has to be left
-        looks = partial(closely_solved, spare_m=asked_m), partial(in_every_friction_state, spare_m=asked_m)
-        for look_closer in (*looks, with_uneven_friction):
-            if problems:
-                break
+
+        def looked(look_closer: Look, pieces: list[Piece]) -> tuple[list[Piece], CertificateSamples, list[str]]:
             pieces = look_closer(scenario, pieces)
             samples = joined_samples(scenario, space, corners, pieces)
-            problems = problems_of_walk(scenario, space, corners, pieces)
-            problems += problems_of_limits(scenario, pieces, samples, stated.result())
-    bounds = stated.result()
-    if not problems:
-        lengths = [space.length_mm(piece.end - piece.start) for piece in pieces]
-        found = other_equilibrium(scenario.robot, pieces, lengths)
-        problems = [found.sentence] if found else []
+            found = problems_of_walk(scenario, space, corners, pieces)
+            return pieces, samples, found + problems_of_limits(scenario, pieces, samples, stated.result)
+
+        problems = [f"{other}."] if (other := other_start(scenario, corners[0])) else []
+        problems += problems_of_walk(scenario, space, corners, pieces)
+        for look_closer in (closely_solved, in_every_friction_state):
+            if not problems:
+                pieces, samples, problems = looked(partial(look_closer, spare_m=asked_m), pieces)
+        if not problems:
+            equilibria = beside.submit(_other_equilibria, scenario, space, pieces)
+            pieces, samples, problems = looked(with_uneven_friction, pieces)
+            problems = problems or equilibria.result()
+        bounds = stated.result()
     if not problems:
         samples, bounds, problems = with_parameters(scenario, pieces, samples, bounds)
     light = [piece.light() for piece in pieces]
     kept = walked if problems else ()
     return WalkedLegs(scenario, corners, accuracy, light, samples, bounds, problems, spare_m, kept)
+
+
+def _other_equilibria(scenario: Scenario, space: JointSpace, pieces: Sequence[Piece]) -> list[str]:
+    lengths_mm = [space.length_mm(piece.end - piece.start) for piece in pieces]
+    found = other_equilibrium(scenario.robot, pieces, lengths_mm)
+    return [found.sentence] if found else []
 
 
 def _bounds(scenario: Scenario, samples: CertificateSamples, pieces: list[Piece]) -> StatedBounds:

@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from ctrplan.base.arrays import Array
 from ctrplan.base.cores import cores
 from ctrplan.base.units import MM_PER_M
-from ctrplan.mechanics.core import Status
+from ctrplan.mechanics.core import PathSamples, Status
 from ctrplan.planning.goals.tip_slopes import tips_by_joints
 from ctrplan.planning.goals.tip_solver import (
     DAMPING,
@@ -35,7 +35,7 @@ STARTS = 300  # of them, the nearest ones after a common rotation: solves
 DISTINCT_MM = 5.0  # of joint length between configurations
 MOST_REFINED = 80
 ROOM_ENOUGH_M = 5e-3  # more than friction makes of most shapes
-CLEARANCE_STEPS = 4  # on the frictionless clearance model
+CLEARANCE_STEPS = 3  # on the frictionless clearance model
 GAP_M = 6e-3  # more than clearance moves a tip: within it of the target, refining on the clearance model pays
 TURN_RAD = 0.1  # likewise of the tangent
 REFINED_SHARE = 0.2  # of the tolerance
@@ -82,9 +82,18 @@ class Reach:
 
 
 def reach(
-    checker: MotionChecker, target: TipTarget, tolerance_m: float, rng: np.random.Generator, starts: int = STARTS
+    checker: MotionChecker,
+    target: TipTarget,
+    tolerance_m: float,
+    rng: np.random.Generator,
+    starts: int = STARTS,
+    *,
+    least_room_m: float = -np.inf,
 ) -> Reach:
-    """Distinct configurations whose frictionless tip is within `tolerance_m` of the target, from random starts."""
+    """Distinct configurations whose frictionless tip is within `tolerance_m` of the target, from random starts.
+
+    Where the zero-clearance shapes of some keep `least_room_m` to the anatomy, the others are not looked at.
+    """
     solver = TipSolver(checker.space, checker.mechanics)
     begin, aim = _starts(solver, target, rng, starts), target
     q = solver.solve(aim, begin)
@@ -93,11 +102,11 @@ def reach(
         q = solver.solve(aim, begin)
     order = np.argsort(q.error_m)
     near = order[q.error_m[order] <= tolerance_m + GAP_M]
-    near = near[np.argsort(-_room(checker, q.joints[near]), kind="stable")] if len(near) else order[:1]
+    near = _by_room(checker, q.joints, near, least_room_m) if len(near) else order[:1]
     chosen = distinct_rows(checker, q.joints, near)[:MOST_REFINED]
     joints = refined(checker, aim, q.joints[chosen], tolerance_m)
-    with ThreadPoolExecutor(cores()) as pool:
-        found = list(pool.map(lambda joint: configuration(checker, target, joint), joints))
+    _probed(checker, joints)
+    found = [configuration(checker, target, joint) for joint in joints]
     nearest = min(found, key=lambda c: c.tip_error_m)
     reached = [c for c in found if c.tip_error_m <= tolerance_m and c.turned_rad <= target.direction_tolerance_rad]
     reached.sort(key=lambda c: c.bound_m)
@@ -118,13 +127,17 @@ def _starts(solver: TipSolver, target: TipTarget, rng: np.random.Generator, coun
     return q[np.argsort(miss)[:count]]
 
 
-def _room(checker: MotionChecker, q: Array) -> Array:
-    """(K,) clearance to the anatomy of zero-clearance shapes, none counted better than ROOM_ENOUGH_M."""
+def _by_room(checker: MotionChecker, q: Array, rows: NDArray[np.int_], least_m: float) -> NDArray[np.int_]:
+    """Those rows of q (K, m) whose zero-clearance shapes keep `least_m` to the anatomy, or all if none does.
+
+    Most room first; none counts as more than ROOM_ENOUGH_M.
+    """
     if checker.field is None:
-        return np.full(len(q), ROOM_ENOUGH_M)
-    rooms = checker.mechanics.zero_clearance_rooms(*checker.space.drive.collars(q), checker.field)[0]
-    clearance: Array = np.minimum(rooms, ROOM_ENOUGH_M)
-    return clearance
+        return rows
+    rooms = checker.mechanics.zero_clearance_rooms(*checker.space.drive.collars(q[rows]), checker.field)[0]
+    kept = rooms >= least_m
+    rows, rooms = (rows[kept], rooms[kept]) if kept.any() else (rows, rooms)
+    return rows[np.argsort(-np.minimum(rooms, ROOM_ENOUGH_M), kind="stable")]
 
 
 def distinct_rows(checker: MotionChecker, q: Array, order: NDArray[np.int_]) -> NDArray[np.int_]:
@@ -143,38 +156,61 @@ def _apart_mm(checker: MotionChecker, a: Array, b: Array) -> Array:
 
 
 def refined(checker: MotionChecker, target: TipTarget, q: Array, tolerance_m: float) -> Array:
-    """Damped Newton steps on the frictionless tip with clearance, by exact derivatives; the best place of each."""
-    best, least, todo = q.copy(), np.full(len(q), np.inf), np.arange(len(q))
+    """Damped Newton steps on the frictionless tip with clearance, by exact derivatives; the best place of each.
+
+    Derivatives are renewed where a step like the one before would not do. Where steps lead is probed, which the
+    configuration there needs in any case.
+    """
+    best, todo, aim_m = q.copy(), np.arange(len(q)), REFINED_SHARE * tolerance_m
+    miss, slope = _miss_by_joints(checker, target, q)
     for _ in range(CLEARANCE_STEPS):
-        miss, slope = _miss(checker, target, q[todo])
-        error = np.linalg.norm(miss, axis=1)
-        better = error < least[todo]
-        best[todo[better]], least[todo[better]] = q[todo[better]], error[better]
-        going = better & (error > REFINED_SHARE * tolerance_m)
-        todo, miss, slope = todo[going], miss[going], slope[going]
+        before = np.linalg.norm(miss, axis=1)
+        far = before > aim_m
+        todo, miss, slope, before = todo[far], miss[far], slope[far], before[far]
         if not len(todo):
             break
-        q[todo] = _stepped(checker, q[todo], miss, slope)
+        moved = _stepped(checker, best[todo], miss, slope)
+        miss = _probed_miss(checker, target, moved)
+        error = np.linalg.norm(miss, axis=1)
+        better = error < before
+        best[todo[better]] = moved[better]
+        todo, miss, slope, share = todo[better], miss[better], slope[better], (error / before)[better]
+        falls_short = (error[better] > aim_m) & (share * error[better] > aim_m)
+        if falls_short.any():
+            _, slope[falls_short] = _miss_by_joints(checker, target, best[todo[falls_short]])
     return best
 
 
-def _miss(checker: MotionChecker, target: TipTarget, q: Array) -> tuple[Array, Array]:
-    """(K, 6) [m] of the frictionless tip's position and of its direction beyond its tolerance, and by joints (K, 6, m).
+def _miss_by_joints(checker: MotionChecker, target: TipTarget, q: Array) -> tuple[Array, Array]:
+    """What `_miss` tells of the frictionless tip at q (K, m), and its derivatives by joints (K, 6, m), of the tip.
 
     NaN where the solve failed; a joint at a limit of the tubes' nesting has no derivative and counts as fixed.
     """
     tips = tips_by_joints(checker, q, np.zeros((len(q), checker.mechanics.n - 1)))
-    failed, slope = tips.status == Status.FAILED, np.concatenate([tips.position_by, tips.tangent_by], axis=1)
-    miss = np.zeros((len(q), 6))
-    miss[:, :3] = np.where(failed[:, None], np.nan, target.tip_m - tips.position_m)
+    miss, weight = _miss(target, tips.position_m, tips.tangent)
+    miss[tips.status == Status.FAILED] = np.nan
+    return miss, np.concatenate([tips.position_by, weight[:, None, None] * tips.tangent_by], axis=1)
+
+
+def _probed_miss(checker: MotionChecker, target: TipTarget, q: Array) -> Array:
+    """What `_miss` tells of the frictionless tip at q (K, m); NaN where the solve failed."""
+    found = _probed(checker, q)
+    tips, tangents = np.array([s.tip_m[-1] for s in found]), np.array([s.tip_tangent[-1] for s in found])
+    miss, _ = _miss(target, tips, tangents)
+    miss[[samples.status[-1] == Status.FAILED for samples in found]] = np.nan
+    return miss
+
+
+def _miss(target: TipTarget, tip_m: Array, tangent: Array) -> tuple[Array, Array]:
+    """(K, 6) [m] of tips and of their directions beyond the tolerance, and what a direction weighs (K,) [m per rad]."""
+    miss = np.zeros((len(tip_m), 6))
+    miss[:, :3] = target.tip_m - tip_m
     if target.direction is None:
-        slope[:, 3:] = 0.0
-        return miss, slope
-    turned = np.maximum(angle_to(tips.tangent, target.direction), 1e-12)
-    weight = M_PER_RAD * np.maximum(0.0, 1 - TOLERANCE_SHARE * target.direction_tolerance_rad / turned)[:, None]
-    miss[:, 3:] = weight * (target.direction - tips.tangent)
-    slope[:, 3:] *= weight[:, :, None]
-    return miss, slope
+        return miss, np.zeros(len(tip_m))
+    turned = np.maximum(angle_to(tangent, target.direction), 1e-12)
+    weight = M_PER_RAD * np.maximum(0.0, 1 - TOLERANCE_SHARE * target.direction_tolerance_rad / turned)
+    miss[:, 3:] = weight[:, None] * (target.direction - tangent)
+    return miss, weight
 
 
 def _stepped(checker: MotionChecker, q: Array, miss: Array, slope: Array) -> Array:
@@ -185,6 +221,18 @@ def _stepped(checker: MotionChecker, q: Array, miss: Array, slope: Array) -> Arr
     step = np.einsum("kij,ki->kj", scaled, np.linalg.solve(gram, np.nan_to_num(miss)[:, :, None])[:, :, 0])
     step *= np.minimum(1.0, LONGEST_STEP_M / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12))
     return checker.space.projected(q + step / weights, fallback=q)
+
+
+def _probed(checker: MotionChecker, q: Array) -> list[PathSamples]:
+    """What the core says of configurations q (K, m), which the checker remembers."""
+
+    def probe(joints: Array) -> PathSamples:
+        _, samples = checker.probe(joints)
+        assert samples is not None, "the solver keeps limits and nesting"
+        return samples
+
+    with ThreadPoolExecutor(cores()) as pool:
+        return list(pool.map(probe, q))
 
 
 def configuration(checker: MotionChecker, target: TipTarget, joints: Array) -> Configuration:

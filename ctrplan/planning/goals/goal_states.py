@@ -85,7 +85,7 @@ def _joint_goal(checker: MotionChecker, joints: Array) -> GoalState:
 def _tip_goals(checker: MotionChecker, rng: np.random.Generator) -> list[GoalState]:
     scenario, goal = checker.scenario, checker.scenario.goal
     refuse_blocked_target(checker)
-    found = reach(checker, tip_target(scenario), goal.tolerance_m, rng)
+    found = reach(checker, tip_target(scenario), goal.tolerance_m, rng, least_room_m=checker.definite_collision_m)
     if not found.configurations:
         raise _no_answer(checker, _unreached(scenario, found))
     valid = [c for c in found.configurations if c.valid]

@@ -85,6 +85,7 @@ class StageSearch:
     interrupted: threading.Event
     before: float = 0.0  # spent on other searches of the same plan
     whole: float | None = None  # budget of the plan, if this search has a share of it only
+    refuse_start: Callable[[], None] = lambda: None  # raises where nothing that begins there may be certified
     failure: str = ""  # of the last certificate
     failed: WalkedLegs | None = None  # the last walk that failed
     first: Candidate | None = None  # that was certified
@@ -129,6 +130,7 @@ class StageSearch:
             self.failure = candidate.certificate.problems[0]
         if self.interrupted.is_set():
             raise KeyboardInterrupt
+        self.refuse_start()
         name = self.checker.scenario.path or self.checker.scenario.name
         if self.failure:
             failed = self.failed if self.failed and self.failed.failure == self.failure else None
@@ -311,6 +313,7 @@ class StageSearch:
 
     def _walked(self, checker: MotionChecker, corners: Array) -> WalkedLegs:
         """Paths (K, m) that follow a failed one mostly share legs with it."""
+        self.refuse_start()
         scenario, progress = checker.scenario, self._certifying
         return walk_legs(scenario, corners, spare_m=NEAR_LIMIT_M, progress=progress, failed=self.failed)
 
