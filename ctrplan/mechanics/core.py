@@ -38,11 +38,12 @@ from ctrplan.mechanics.core_arrays import (
 )
 from ctrplan.mechanics.core_errors import input_errors
 from ctrplan.mechanics.derivative_names import directions
+from ctrplan.mechanics.friction_states import SPACING, FrictionStates
 from ctrplan.mechanics.loads import Loads
 from ctrplan.mechanics.nesting import nests
 from ctrplan.mechanics.shapes import Bound, Bounds, FrictionBodies, Shape, Status, Tips, TubeShape
 from ctrplan.mechanics.tube import RANGES, SECTION_RANGES
-from ctrplan.mechanics.walk import SHORTEST_STEP, Field, PathDensity, PathLimits, PathSamples
+from ctrplan.mechanics.walk import Field, PathDensity, PathLimits, PathSamples
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -72,7 +73,6 @@ TIPS_AT_ONCE = 1 << 16  # whose copies in the core take little memory, and no ti
 MOST_TUBES_OF_ALL_CORNERS = 8  # 128 corners, a second or so; beyond, the extreme ones unless all are asked for
 ACCURACY, FIRST_ORDER = Choice(*get_args(Accuracy)), Choice("search", "certificate")
 THREADS = Whole(0, MOST_THREADS, " (0: every core)")
-SPACING = Number(SHORTEST_STEP, 1, "m")
 
 
 class Mechanics:
@@ -320,7 +320,13 @@ class Mechanics:
         with input_errors():
             return self._model.body(self._row(theta_b), self._row(l_b), accuracy)
 
-    @checked(spacing_m=SPACING, accuracy=ACCURACY)
+    @checked(accuracy=ACCURACY)
+    def friction_states(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> FrictionStates:
+        """A configuration solved without friction: where its friction states part, to ask for them again."""
+        with input_errors():
+            core = _model.FrictionStates(self._model, self._row(theta_b), self._row(l_b), accuracy)
+        return FrictionStates(core, self.n)
+
     def friction_bodies(
         self,
         theta_b: ArrayLike,
@@ -330,22 +336,8 @@ class Mechanics:
         spacing_m: float = 1e-3,
         accuracy: Accuracy = "search",
     ) -> FrictionBodies:
-        """Bodies in S friction states phi (S, n - 1) of one configuration, points `spacing_m` apart at most.
-
-        Friction that differs along a contact has phi of shape (S, G, n - 1): of G equally long parts of each pair, from
-        the plate to the end of its outer tube. The points are those of `check_path` with bodies: at the same arc
-        lengths in every state.
-        """
-        states = np.atleast_2d(numbers(phi, "phi"))
-        states = states[:, None] if states.ndim == 2 else states
-        if states.ndim != 3 or not states.shape[1] or states.shape[2] != self.n - 1 or not np.all(np.abs(states) <= 1):
-            rule = f"must have shape (S, {self.n - 1}) or (S, G, {self.n - 1}) and lie in [-1, 1]"
-            raise InputError(rule, key="phi")
-        with input_errors():
-            points, status, strain, stability = self._model.friction_bodies(
-                self._row(theta_b), self._row(l_b), np.ascontiguousarray(states), float(spacing_m), accuracy
-            )
-        return FrictionBodies(points[:, :, :3], points[0, :, 3], np.asarray(status) != Status.FAILED, strain, stability)
+        """Bodies in friction states phi of one configuration, asked for once: see `FrictionStates.bodies`."""
+        return self.friction_states(theta_b, l_b, accuracy=accuracy).bodies(phi, spacing_m=spacing_m)
 
     @checked(accuracy=ACCURACY)
     def corners_apart(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> Array:

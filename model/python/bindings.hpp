@@ -12,4 +12,5 @@ void bind_shape(nanobind::module_& m);
 void bind_model(nanobind::module_& m);
 void bind_walker(nanobind::module_& m);
 void bind_triangle_tree(nanobind::module_& m);
+void bind_friction_states(nanobind::module_& m);
 void bind_friction_cells(nanobind::module_& m);

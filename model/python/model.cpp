@@ -107,18 +107,6 @@ nb::tuple body(Model& model, Vector theta, Vector l, const std::string& level) {
     return nb::make_tuple(hand_over<double>(std::move(found.point), {shapes, count, 3}), array(std::move(found.radius)));
 }
 
-// Points (states, N, 4) with outer radii, status, largest strain and stability of each state.
-nb::tuple friction_bodies(Model& model, Vector theta, Vector l, Tensor phi, double spacing, const std::string& level) {
-    const ctr::Configuration q = valid_configuration(model.robot(), theta, l);
-    if (phi.shape(2) != model.robot().pairs.size() || phi.shape(1) == 0) throw ctr::InvalidInput("phi needs one value per pair");
-    const std::size_t states = phi.shape(0);
-    const ctr::FrictionStates of{phi.data(), states, static_cast<int>(phi.shape(1))};
-    ctr::FrictionBodies found = unlocked([&] { return model.friction_bodies(q, accuracy(level), of, spacing); });
-    const std::size_t count = states ? found.point.size() / (4 * states) : 0;
-    return nb::make_tuple(array(std::move(found.point), {states, count, 4}), array(found.status), array(std::move(found.max_strain)),
-                          array(std::move(found.stability)));
-}
-
 nb::object corners_apart(Model& model, Vector theta, Vector l, const std::string& level) {
     const ctr::Configuration q = valid_configuration(model.robot(), theta, l);
     return array(unlocked([&] { return model.corners_apart(q, accuracy(level)); }));
@@ -152,7 +140,6 @@ void bind_model(nb::module_& m) {
              "accuracy"_a, "threads"_a, "progress"_a.none())
         .def("check_path", &check_path, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "field"_a.none(), "density"_a, "limits"_a, "accuracy"_a,
              "shapes"_a)
-        .def("friction_bodies", &friction_bodies, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(), "spacing"_a, "accuracy"_a)
         .def("corners_apart", &corners_apart, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "accuracy"_a)
         .def("body", &body, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "accuracy"_a);
 }

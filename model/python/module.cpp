@@ -22,5 +22,6 @@ NB_MODULE(_model, m) {
     bind_model(m);
     bind_walker(m);
     bind_triangle_tree(m);
+    bind_friction_states(m);
     bind_friction_cells(m);
 }

@@ -37,6 +37,7 @@ FIRST = 4  # narrowest samples
 AT_ONCE = 64  # efforts: of most samples there is little to compute of each
 NARROW_EFFORT = 3  # of a sample that has to be solved on the certificate mesh, in those of any other
 SPARE_M = 0.15e-3  # of a sample that may be interpolated: with less, what is taken off for that is too much
+ACCURACIES: tuple[Accuracy, ...] = ("search", "certificate")  # of friction states
 CLOSE_TUBES = 4  # of five tubes, cells halved twice have 881 corners and middles
 
 
@@ -175,6 +176,9 @@ class _Look:
                 self._found[sample] = found
                 if found.keeps(self.needed):
                     tries[sample].close()
+        for sample in samples:
+            for states in self._known_states(sample):
+                states.let_go()
         return [self._found[sample] for sample in samples]
 
     def _least(self, going: Mapping[int, _Try]) -> list[LeastOfStates]:
@@ -231,6 +235,10 @@ class _Look:
             return CLOSE_DEPTH
         is_near = self.piece.as_walked_m[sample] < self.needed.clearance_m + NEAR_M
         return LEAST_DEPTH if is_near or sample % LOOK_EVERY == 0 else 0
+
+    def _known_states(self, sample: int) -> list[SampleStates]:
+        with self._lock:
+            return [states for key in ACCURACIES if (states := self._states.get((sample, key)))]
 
     def _of(self, sample: int, accuracy: Accuracy) -> SampleStates:
         key = sample, accuracy

@@ -17,6 +17,7 @@ from ctrplan.planning.certificate.walked_piece import Piece, shapes_of
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.accuracy import Accuracy
+    from ctrplan.mechanics.friction_states import FrictionStates
     from ctrplan.planning.scenario import Scenario
 
 
@@ -34,6 +35,7 @@ class SampleStates:
     apart_m: float = 0.0  # of bodies solved from scratch from those walked to, less what meshes differ by
     _compared: bool = field(default=False, repr=False)
     _solved: dict[State, Solved] = field(default_factory=dict, repr=False)
+    _start: FrictionStates | None = field(default=None, repr=False)  # of all states that are solved
     _bends: dict[tuple[State, ...], Array] = field(default_factory=dict, repr=False)
     _lock: RLock = field(default_factory=RLock, repr=False)  # so that nothing is solved twice
 
@@ -64,15 +66,17 @@ class SampleStates:
         """Points (1 + C, N, 3) and outer radii (N,)."""
         return shapes_of(self.scenario, self.piece.samples.bodies[self.sample])
 
+    def let_go(self) -> None:
+        """Of what further states would be solved from: it is found anew if they are asked for."""
+        with self._lock:
+            self._start = None
+
     def solve(self, phi: Iterable[State]) -> tuple[Array, Array, list[Solved]]:
         """Points (S, N, 3), NaN where no equilibrium was found, radii (N,), and all of it by state."""
-        found = self.scenario.robot.mechanics.friction_bodies(
-            self.piece.theta_b[self.sample],
-            self.piece.l_b[self.sample],
-            np.array(list(phi)),
-            spacing_m=POINT_SPACING_M,
-            accuracy=self.accuracy,
-        )
+        if self._start is None:
+            at = self.piece.theta_b[self.sample], self.piece.l_b[self.sample]
+            self._start = self.scenario.robot.mechanics.friction_states(*at, accuracy=self.accuracy)
+        found = self._start.bodies(np.array(list(phi)), spacing_m=POINT_SPACING_M)
         bodies = np.where(found.solved[:, None, None], found.point_m, np.nan)
         numbers = zip(bodies, found.stability.tolist(), found.max_strain.tolist(), strict=True)
         return bodies, found.radius_m, [Solved(*row) for row in numbers]

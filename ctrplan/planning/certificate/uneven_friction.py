@@ -23,6 +23,7 @@ from ctrplan.planning.certificate.walked_piece import Piece
 from ctrplan.planning.motion import path_limits
 
 if TYPE_CHECKING:
+    from ctrplan.mechanics.friction_states import FrictionStates
     from ctrplan.planning.scenario import Scenario
 
 PARTS = 6  # of each pair's contact
@@ -44,8 +45,10 @@ class Uneven:
 def worst_uneven_friction(distance: AnatomyDistance, theta_b: Array, l_b: Array) -> Uneven:
     """At collars (n,); 0 m where no uneven state comes nearer than a uniform one, or none was solved."""
 
+    at = distance.scenario.robot.mechanics.friction_states(theta_b, l_b)
+
     def clearances(states: Array) -> Array:
-        return _clearances(distance, theta_b, l_b, states)
+        return _clearances(distance, at, states)
 
     pairs = len(l_b) - 1
     grid = _uniform(pairs)
@@ -138,9 +141,9 @@ def _nearest(clearances: Callable[[Array], Array], phi: Array, least_m: float, c
     return least_m, phi
 
 
-def _clearances(distance: AnatomyDistance, theta_b: Array, l_b: Array, states: Array) -> Array:
-    """(S,) [m] least clearance of bodies on the mesh of the search; inf where no equilibrium was found."""
-    found = distance.scenario.robot.mechanics.friction_bodies(theta_b, l_b, states, spacing_m=POINT_SPACING_M)
+def _clearances(distance: AnatomyDistance, at: FrictionStates, states: Array) -> Array:
+    """(S,) [m] least clearance of bodies at a configuration; inf where no equilibrium was found."""
+    found = at.bodies(states, spacing_m=POINT_SPACING_M)
     clearances = np.full(len(states), np.inf)
     if found.solved.any():
         bodies, count = found.point_m[found.solved], int(found.solved.sum())

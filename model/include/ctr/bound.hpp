@@ -22,6 +22,20 @@ struct FrictionStates {
     int sections;
 };
 
+// What all friction states of a configuration share, for whoever asks for more of them later: the frictionless robot, and the
+// iterate where the states part from it.
+struct FrictionlessStart {
+    Configuration q;
+    Accuracy accuracy;
+    Mesh mesh;
+    ZeroClearance zero;
+    LaneState::Kept shared;  // empty where it was not reached
+    bool shared_is_good = false;
+    Backbone rest;
+    Convergence convergence;
+    double stability = 0;  // as FrictionSolver::stabilities
+};
+
 // A solution in one friction state.
 struct FrictionShape {
     const Backbone& backbone;
@@ -45,8 +59,9 @@ class BoundSolver {
     // One solution for given friction states, phi per pair, outermost first.
     void solve_single(const Configuration& q, const Accuracy& accuracy, const std::vector<double>& phi);
 
-    // Solutions for friction states, all from scratch; each is shown as it stands there.
-    void solve_states(const Configuration& q, const Accuracy& accuracy, const FrictionStates& states,
+    // The frictionless robot from scratch, and solutions for friction states from there; each is shown as it stands there.
+    FrictionlessStart begin_states(const Configuration& q, const Accuracy& accuracy);
+    void solve_states(const FrictionlessStart& start, const FrictionStates& states,
                       const std::function<void(std::size_t row, const FrictionShape&)>& show);
     // Solves from scratch, then every corner from every other one: how far [m] a stable equilibrium found so lies from the
     // corner's own, the largest per corner; 0 where all agree, inf where a corner was not solved.
@@ -97,6 +112,7 @@ class BoundSolver {
 
   private:
     std::vector<int> sections_of_contacts(int sections) const;
+    void return_to(const FrictionlessStart& start);
     void prepare(const Configuration& q, const Accuracy& accuracy);
     void solve_frictionless();
     void solve_corners();

@@ -80,8 +80,9 @@ class Model {
     // Throws InvalidInput, as all that needs all corners, for robots of too many tubes.
     BoundShapes bound(const Configuration& q, const Accuracy& accuracy, bool extremes_only = false);
     Body body(const Configuration& q, const Accuracy& accuracy);
-    // Points no farther apart than `spacing`.
-    FrictionBodies friction_bodies(const Configuration& q, const Accuracy& accuracy, const FrictionStates& states, double spacing);
+    // The frictionless robot, from which bodies in friction states are solved, with points no farther apart than `spacing`.
+    FrictionlessStart begin_states(const Configuration& q, const Accuracy& accuracy);
+    FrictionBodies friction_bodies(const FrictionlessStart& start, const FrictionStates& states, double spacing);
     // (C) m, see BoundSolver.
     std::vector<double> corners_apart(const Configuration& q, const Accuracy& accuracy);
     std::vector<PathSample> check_path(const std::vector<Configuration>& corners, const Accuracy& accuracy, const SignedDistanceField& field,

@@ -23,7 +23,7 @@ Vec3 minus(const Vec3& a, const Vec3& b) { return {a[0] - b[0], a[1] - b[1], a[2
 class Search {
   public:
     Search(BoundSolver& solver, const Configuration& q, const Accuracy& accuracy)
-        : solver_(solver), q_(q), accuracy_(accuracy), pairs_(q.l.size() - 1) {}
+        : solver_(solver), start_(solver.begin_states(q, accuracy)), pairs_(q.l.size() - 1) {}
 
     Signs run() {
         measure_pairs();
@@ -38,7 +38,7 @@ class Search {
 
   private:
     void solve(const std::vector<double>& phi, const std::function<void(std::size_t, const Backbone&, bool)>& show) {
-        solver_.solve_states(q_, accuracy_, {phi.data(), phi.size() / pairs_, 1}, [&](std::size_t row, const FrictionShape& found) {
+        solver_.solve_states(start_, {phi.data(), phi.size() / pairs_, 1}, [&](std::size_t row, const FrictionShape& found) {
             show(row, found.backbone, found.convergence.converged);
         });
     }
@@ -134,8 +134,7 @@ class Search {
     }
 
     BoundSolver& solver_;
-    const Configuration& q_;
-    const Accuracy& accuracy_;
+    const FrictionlessStart start_;
     std::size_t pairs_;
     Vec3 free_[2];
     std::vector<Vec3> effect_[2];

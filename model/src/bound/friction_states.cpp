@@ -1,4 +1,4 @@
-// Single friction states, each solved from scratch.
+// Single friction states, each from where it parts from the frictionless robot.
 #include <algorithm>
 #include <vector>
 
@@ -37,27 +37,43 @@ std::vector<int> BoundSolver::sections_of_contacts(int sections) const {
     return section;
 }
 
-void BoundSolver::solve_states(const Configuration& q, const Accuracy& accuracy, const FrictionStates& states,
-                               const std::function<void(std::size_t row, const FrictionShape&)>& show) {
+FrictionlessStart BoundSolver::begin_states(const Configuration& q, const Accuracy& accuracy) {
     zero_.solve(solver_.robot(), q);
     prepare(q, accuracy);
     solve_frictionless();
     have_solution_ = false;
+    FrictionlessStart start{q, accuracy, solver_.mesh(), zero_, {}, shared_is_good_, {}, frictionless_convergence_, 0};
+    if (shared_is_good_) start.shared = shared_.keep(0);
+    solver_.stabilities(frictionless_, &start.stability);
+    tracer_.trace(solver_, frictionless_, 0, 1, q.l.back(), &start.rest);
+    return start;
+}
+
+// As begin_states() left the solver, wherever it has been since.
+void BoundSolver::return_to(const FrictionlessStart& start) {
+    q_ = start.q;
+    accuracy_ = start.accuracy;
+    multiple_ = have_solution_ = false;
+    zero_ = start.zero;
+    solver_.adopt(start.mesh, start.q, start.accuracy);
+    shared_is_good_ = start.shared_is_good;
+    if (!shared_is_good_) return;
+    shared_.resize(solver_.mesh().problem(), 1);
+    shared_.put(start.shared, solver_.mesh().problem());
+}
+
+void BoundSolver::solve_states(const FrictionlessStart& start, const FrictionStates& states,
+                               const std::function<void(std::size_t row, const FrictionShape&)>& show) {
+    return_to(start);
     const std::size_t rows = states.rows, numbers = static_cast<std::size_t>(states.sections) * pairs_;
     std::vector<std::size_t> with_friction;
     for (std::size_t row = 0; row < rows; ++row) {
         const double* own = states.phi + row * numbers;
         if (std::any_of(own, own + numbers, [](double value) { return value != 0; })) with_friction.push_back(row);
     }
-    Backbone rest;  // known already: a lane of its own would cost as much as any other
-    double rest_stability = 0;
-    if (with_friction.size() < rows) {
-        solver_.stabilities(frictionless_, &rest_stability);
-        tracer_.trace(solver_, frictionless_, 0, 1, q.l.back(), &rest);
-    }
     std::size_t shown = 0;
     auto show_rest_up_to = [&](std::size_t row) {
-        for (; shown < row; ++shown) show(shown, {rest, frictionless_convergence_, rest_stability});
+        for (; shown < row; ++shown) show(shown, {start.rest, start.convergence, start.stability});
     };
     const KernelProblem& pb = solver_.mesh().problem();
     LaneState& state = *batches_.front();
@@ -89,7 +105,7 @@ void BoundSolver::solve_states(const Configuration& q, const Accuracy& accuracy,
             if (result[lane].converged) solver_.stabilities(trial_, &stability[lane]);
             solver_.copy(trial_, state, lane);
         }
-        tracer_.trace(solver_, state, 0, count, q.l.back(), shapes);
+        tracer_.trace(solver_, state, 0, count, start.q.l.back(), shapes);
         for (int lane = 0; lane < count; ++lane) {
             show_rest_up_to(row_of(lane));
             show(shown++, {shapes[lane], result[lane], stability[lane]});

@@ -36,40 +36,50 @@ inline void follow_slip(const KernelProblem& pb, const KernelState& st, int e, c
         lanes<V>(st.phi_mu)[k] = zero_of(V{}) + st.slip->friction[k] * slip_at<V>(pb, *st.slip, k, el).phi;
 }
 
-// Derivative of the friction force and torques by phi, times that of phi by the unknowns.
+// Derivative of the friction force and torques by phi, times that of phi by the unknowns: of each pair with its contacts in the
+// element. Six neighbours per node are concerned: theta_in, both offsets, both slopes, theta_out.
 template <class V>
 inline void add_slip_tangent(const KernelProblem& pb, const KernelState& st, int e, const ElementView<V>& el) {
+    constexpr int own = 6, all = 2 * own;
     const SlipLaw& law = *st.slip;
-    const int ld = el.ld;
-    for (int k = pb.contact_begin[e]; k < pb.contact_begin[e + 1]; ++k) {
-        const double slope = slip_at<V>(pb, law, k, el).slope * law.friction[k];
-        if (slope == 0) continue;
-        const int p = pb.contact_pair[k], inner = theta_index(p), outer = theta_index(p + 1);
-        const double* shape = pb.contact_shape + 4 * k;
-        const double linear[2] = {1 - pb.contact_xi[k], pb.contact_xi[k]};
-        const ContactPoint<V> at = contact_point<V>(pb, k, el.x[0], el.x[1]);
-        const V lambda = lanes<V>(st.multiplier)[k], load = slope * lambda;
-        const V square = at.d[0] * at.d[0] + at.d[1] * at.d[1];
-        // twelve unknowns: per node theta_in, theta_out, and the Hermite values and slopes of d
-        int index[12];
-        V force[12], slips[12];
-        for (int a = 0; a < 2; ++a) {
-            const int at_in = 6 * a, at_out = 6 * a + 1;
-            index[at_in] = inner;
-            index[at_out] = outer;
-            force[at_in] = pb.inner_torque_arm[p] * linear[a] * load * square;
-            force[at_out] = -pb.outer_torque_arm[p] * linear[a] * load * square;
-            slips[at_in] = zero_of(V{}) + law.inner_arm[p] * linear[a];
-            slips[at_out] = zero_of(V{}) - law.outer_arm[p] * linear[a];
-            for (int b = 0; b < 2; ++b)
-                for (int plane = 0; plane < 2; ++plane) {
-                    const int i = 6 * a + 2 + 2 * b + plane;
-                    index[i] = b ? slope_index(p, plane) : offset_index(p, plane);
-                    force[i] = shape[2 * a + b] * load * (plane ? at.d[0] : -at.d[1]);  // J d
-                    slips[i] = zero_of(V{}) + shape[2 * a + b] * law.across[2 * k + plane];
-                }
+    const int end = pb.contact_begin[e + 1];
+    for (int k = pb.contact_begin[e]; k < end;) {
+        const int p = pb.contact_pair[k], first = theta_index(p);
+        V sum[all][all];
+        for (int i = 0; i < all; ++i)
+            for (int j = 0; j < all; ++j) sum[i][j] = zero_of(V{});
+        for (; k < end && pb.contact_pair[k] == p; ++k) {
+            const double slope = slip_at<V>(pb, law, k, el).slope * law.friction[k];
+            if (slope == 0) continue;
+            const double* shape = pb.contact_shape + 4 * k;
+            const double linear[2] = {1 - pb.contact_xi[k], pb.contact_xi[k]};
+            const ContactPoint<V> at = contact_point<V>(pb, k, el.x[0], el.x[1]);
+            const V load = slope * lanes<V>(st.multiplier)[k];
+            const V square = at.d[0] * at.d[0] + at.d[1] * at.d[1];
+            const V turned[2] = {-at.d[1], at.d[0]};  // J d
+            V force[all];
+            double slips[all];
+            for (int a = 0; a < 2; ++a) {
+                V* f = force + own * a;
+                double* s = slips + own * a;
+                f[0] = pb.inner_torque_arm[p] * linear[a] * load * square;
+                s[0] = law.inner_arm[p] * linear[a];
+                for (int b = 0; b < 2; ++b)
+                    for (int plane = 0; plane < 2; ++plane) {
+                        f[1 + 2 * b + plane] = shape[2 * a + b] * load * turned[plane];
+                        s[1 + 2 * b + plane] = shape[2 * a + b] * law.across[2 * k + plane];
+                    }
+                f[5] = -pb.outer_torque_arm[p] * linear[a] * load * square;
+                s[5] = -law.outer_arm[p] * linear[a];
+            }
+            for (int i = 0; i < all; ++i)
+                for (int j = 0; j < all; ++j) sum[i][j] += force[i] * slips[j];
         }
-        for (int i = 0; i < 12; ++i)
-            for (int j = 0; j < 12; ++j) el.block[i / 6][j / 6][index[i] * ld + index[j]] += force[i] * slips[j];
+        for (int a = 0; a < 2; ++a)
+            for (int c = 0; c < 2; ++c)
+                for (int i = 0; i < own; ++i) {
+                    V* row = el.block[a][c] + (first + i) * el.ld + first;
+                    for (int j = 0; j < own; ++j) row[j] += sum[own * a + i][own * c + j];
+                }
     }
 }

@@ -116,10 +116,15 @@ Body Model::body(const Configuration& q, const Accuracy& accuracy) {
     return body;
 }
 
-FrictionBodies Model::friction_bodies(const Configuration& q, const Accuracy& accuracy, const FrictionStates& states, double spacing) {
+FrictionlessStart Model::begin_states(const Configuration& q, const Accuracy& accuracy) {
+    SolverPool::Loan solver(*solvers_);
+    return solver->begin_states(q, accuracy);
+}
+
+FrictionBodies Model::friction_bodies(const FrictionlessStart& start, const FrictionStates& states, double spacing) {
     SolverPool::Loan solver(*solvers_);
     FrictionBodies found;
-    solver->solve_states(q, accuracy, states, [&](std::size_t, const FrictionShape& shape) {
+    solver->solve_states(start, states, [&](std::size_t, const FrictionShape& shape) {
         collect_points(*solver, shape.backbone, spacing, found.point);
         found.status.push_back(shape.convergence.converged ? Status::converged : Status::failed);
         found.max_strain.push_back(shape.backbone.max_strain);

@@ -52,13 +52,13 @@ std::vector<Markers> markers_of_shapes(const BoundSolver& bound) {
 }
 
 double largest_motion(const Markers& before, const Markers& after) {
-    double most = 0;
+    double square = 0;
     for (std::size_t i = 0; i < before.size(); ++i)
         for (std::size_t k = 0; k < std::min(before[i].size(), after[i].size()); ++k) {
-            const Vec3 &a = before[i][k], &b = after[i][k];
-            if (a[0] < 1e8 && b[0] < 1e8) most = std::max(most, std::hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]));
+            const Vec3 &a = before[i][k], &b = after[i][k], d{a[0] - b[0], a[1] - b[1], a[2] - b[2]};
+            if (a[0] < 1e8 && b[0] < 1e8) square = std::max(square, dot(d, d));
         }
-    return most;
+    return std::sqrt(square);
 }
 
 // Joint steps of the density between two configurations.
