@@ -18,7 +18,7 @@ from ctrplan.mechanics.shapes import FrictionBodies
 ROBOT = ctrplan.load_robot(ROBOTS / "three_tube.toml")
 LOADED = Mechanics(ROBOT.tubes, ROBOT.clearance_m, [0.17, 0.2], Loads(tip_force_N=(0.05, 0.02, -0.03)))
 HERE = np.array([0.0, 0.4, -0.9]), np.array([0.0, -0.017, -0.0628])
-ELSEWHERE = np.array([0.5, -0.4, 1.9]), np.array([0.0, -0.016, -0.06])
+ELSEWHERE = np.array([0.5, -0.4, 1.9]), np.array([0.0, -0.017, -0.06])
 STATES = np.array([[0.0, 0.0], [1.0, 1.0], [0.5, -0.5], [-1.0, 0.2], [0.1, 0.9], [0.0, -1.0]])
 ENOUGH_SOLVES = 4
 
