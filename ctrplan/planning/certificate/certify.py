@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Protocol
@@ -71,8 +72,10 @@ def finished(
     if np.isfinite(walk.spare_m):
         walk = walk_legs(scenario, walk.corners, accuracy=walk.accuracy, progress=progress)
     bodies = SimulatedBodies.of(scenario)
-    prediction, samples = _predicted(scenario, walk.pieces, walk.samples, walk.accuracy, bodies)
-    closest = closest_places(scenario, walk.pieces, samples)
+    with ThreadPoolExecutor(1) as beside:  # of few histories one ends last
+        places = beside.submit(closest_places, scenario, walk.pieces, walk.samples)
+        prediction, samples = _predicted(scenario, walk.pieces, walk.samples, walk.accuracy, bodies)
+        closest = places.result()
     problems = walk.problems + arrival(scenario, samples, prediction) + _contradictions(prediction, samples)
     problems += [bodies.sentence] if bodies and bodies.sentence else []
     return Certificate(

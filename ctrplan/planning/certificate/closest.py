@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +22,7 @@ from ctrplan.planning.certificate.walked_piece import Piece
 from ctrplan.planning.certified import CertificateSamples, Closest
 
 if TYPE_CHECKING:
+    from ctrplan.mechanics.friction_states import FrictionStates
     from ctrplan.planning.scenario import Scenario
 
 NEAR_M = 0.5e-3  # of the least clearance: samples that may be the narrowest on a finer mesh
@@ -49,11 +51,12 @@ def closest_places(scenario: Scenario, pieces: Sequence[Piece], samples: Certifi
     phi = np.concatenate([p.phi[k > 0 :] for k, p in enumerate(pieces)])
     pairs = scenario.robot.n - 1
     rest: list[State] = [(0.0,) * pairs]
-    found = [_closest(distance, samples, k, rest) for k in nominal]
+    at = cache(partial(_configuration, scenario, samples))
+    found = [_closest(distance, samples, k, at(k), rest) for k in nominal.tolist()]
     corners = corner_states(pairs) if scenario.robot.friction.any() else []
     certified = int(np.argmin(samples.clearance_m))
     by_row = {
-        k: _closest(distance, samples, k, [*rest, *corners, tuple(phi[k].tolist())])
+        k: _closest(distance, samples, k, at(k), [*rest, *corners, tuple(phi[k].tolist())])
         for k in dict.fromkeys([*narrow.tolist(), certified])
     }
     tied = [place for k, place in by_row.items() if samples.clearance_m[k] <= samples.clearance_m[certified] + TIGHT_M]
@@ -80,13 +83,18 @@ def _rows(clearance_m: Array) -> NDArray[np.intp]:
     return near[np.argsort(clearance_m[near], kind="stable")][:MOST]
 
 
-def _closest(distance: AnatomyDistance, samples: CertificateSamples, row: int, states: list[State]) -> Closest | None:
+def _configuration(scenario: Scenario, samples: CertificateSamples, row: int) -> FrictionStates:
+    """Of a sample, on the certificate mesh."""
+    collars = scenario.robot.drive.collars(samples.joints[row])
+    return scenario.robot.mechanics.friction_states(*collars, accuracy="certificate")
+
+
+def _closest(
+    distance: AnatomyDistance, samples: CertificateSamples, row: int, at: FrictionStates, states: list[State]
+) -> Closest | None:
     """Of a sample in friction states; None where none of them has an equilibrium."""
-    scenario, joints = distance.scenario, samples.joints[row]
-    robot = scenario.robot
-    bodies = robot.mechanics.friction_bodies(
-        *robot.drive.collars(joints), np.array(list(dict.fromkeys(states))), spacing_m=POINT_M, accuracy="certificate"
-    )
+    scenario, robot = distance.scenario, distance.scenario.robot
+    bodies = at.bodies(np.array(list(dict.fromkeys(states))), spacing_m=POINT_M)
     if not bodies.solved.any():
         return None
     points, count = bodies.point_m[bodies.solved].reshape(-1, 3), len(bodies.radius_m)
@@ -105,7 +113,7 @@ def _closest(distance: AnatomyDistance, samples: CertificateSamples, row: int, s
         point_m=located[k],
         leg=int(samples.leg[row]),
         path_mm=float(samples.path_mm[row]),
-        joints=joints,
+        joints=samples.joints[row],
         phi=state,
     )
 

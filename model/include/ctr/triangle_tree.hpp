@@ -21,7 +21,9 @@ public:
 private:
     struct Triangle {
         Vec3 corner, ab, ac;
-        Vec3 normal;  // of length 1, or 0 without an area
+        Vec3 normal;  // of length 1, or 0 of needles
+        double area;  // twice that of the triangle, or 0 of needles
+        double square_from(const Vec3& p, double height) const;
     };
     struct Box {
         Vec3 low, high;

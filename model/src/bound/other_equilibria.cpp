@@ -9,14 +9,16 @@ namespace ctr {
 namespace {
 
 constexpr double kDistinct = 0.1;  // rad between angles of different equilibria
+constexpr double kSame = 1e-5;     // m between bodies of one equilibrium that was solved twice
 
 double largest_distance(const Backbone& a, const Backbone& b) {
     double most = 0;
     for (std::size_t i = 0; i < a.frame.size(); ++i) {
         const Vec3 &p = a.frame[i].p, &r = b.frame[i].p;
-        most = std::max(most, std::hypot(p[0] - r[0], p[1] - r[1], p[2] - r[2]));
+        const Vec3 apart{p[0] - r[0], p[1] - r[1], p[2] - r[2]};
+        most = std::max(most, dot(apart, apart));
     }
-    return most;
+    return std::sqrt(most);
 }
 
 }  // namespace
@@ -44,12 +46,17 @@ std::vector<double> BoundSolver::corners_apart(const Configuration& q, const Acc
             const BarrierPath path = BarrierPath::parted(solver_.last_barrier());
             solver_.recentre(other, path.first);
             solver_.solve(other, path, result);
-            solver_.stabilities(other, stability);
             tracer_.trace(solver_, other, 0, kLanes, q.l.back(), shapes);
+            bool is_weighed = false;  // which nobody needs where every corner is where it was
             for (int lane = 0; lane < kLanes; ++lane) {
                 const std::size_t corner = b * kLanes + lane;
-                if (corner >= apart.size() || !result[lane].converged || stability[lane] <= 0) continue;
-                apart[corner] = std::max(apart[corner], largest_distance(shapes[lane], corner_backbones[corner]));
+                if (corner >= apart.size() || !result[lane].converged) continue;
+                const double distance = largest_distance(shapes[lane], corner_backbones[corner]);
+                if (distance > kSame && !is_weighed) {
+                    solver_.stabilities(other, stability);
+                    is_weighed = true;
+                }
+                if (distance <= kSame || stability[lane] > 0) apart[corner] = std::max(apart[corner], distance);
             }
         }
     return apart;

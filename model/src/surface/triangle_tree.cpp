@@ -13,15 +13,11 @@ namespace {
 
 constexpr std::int32_t kLeaf = 8;    // triangles at most: most of them are farther by their planes already
 constexpr int kDeepest = 32;         // halvings until fewer than 2^31 triangles are one
+constexpr double kNeedle = 1e-8;     // of the squares of two sides: less area than that, and a triangle is its sides
 constexpr std::size_t kLook = 1024;  // points after which the work may be called off
 
 Vec3 minus(const Vec3& a, const Vec3& b) { return {a[0] - b[0], a[1] - b[1], a[2] - b[2]}; }
 Vec3 plus(const Vec3& a, const Vec3& b) { return {a[0] + b[0], a[1] + b[1], a[2] + b[2]}; }
-
-Vec3 of_length_one(const Vec3& a) {
-    const double length = std::sqrt(dot(a, a)), factor = length > 0 ? 1 / length : 0;
-    return {factor * a[0], factor * a[1], factor * a[2]};
-}
 
 // Square of the distance from the segment between the origin and `along`.
 double from_segment(const Vec3& p, const Vec3& along) {
@@ -30,15 +26,23 @@ double from_segment(const Vec3& p, const Vec3& along) {
     return dot(apart, apart);
 }
 
-// Square of the distance from the triangle between the origin, `b` and `c`, with the normal of length 1 or 0.
-double from_triangle(const Vec3& p, const Vec3& b, const Vec3& c, const Vec3& normal) {
-    const double to_b = dot(cross(p, c), normal), to_c = dot(cross(b, p), normal), area = dot(cross(b, c), normal);
-    if (area > 0 && to_b >= 0 && to_c >= 0 && to_b + to_c <= area) {
-        const double height = dot(p, normal);
-        return height * height;
-    }
-    return std::min({from_segment(p, b), from_segment(p, c), from_segment(minus(p, b), minus(c, b))});
+}  // namespace
+
+// Square of the distance of a point, seen from the triangle's corner and at a height over its plane.
+double TriangleTree::Triangle::square_from(const Vec3& p, double height) const {
+    if (area == 0) return std::min({from_segment(p, ab), from_segment(p, ac), from_segment(minus(p, ab), minus(ac, ab))});
+    // Areas that the point makes with two sides: negative beyond the third one. What is beyond one side is nearest to it, what is
+    // beyond two to one of them.
+    const double by_b = dot(cross(p, ac), normal), by_c = dot(cross(ab, p), normal), by_corner = area - by_b - by_c;
+    if (by_b >= 0 && by_c >= 0 && by_corner >= 0) return height * height;
+    double square = std::numeric_limits<double>::infinity();
+    if (by_c < 0) square = from_segment(p, ab);
+    if (by_b < 0) square = std::min(square, from_segment(p, ac));
+    if (by_corner < 0) square = std::min(square, from_segment(minus(p, ab), minus(ac, ab)));
+    return square;
 }
+
+namespace {
 
 double from_box(const Vec3& p, const Vec3& low, const Vec3& high) {
     const double x = std::max(std::max(low[0] - p[0], p[0] - high[0]), 0.0);
@@ -60,7 +64,11 @@ TriangleTree::TriangleTree(const double* vertices, std::size_t vertex_count, con
     for (std::size_t f = 0; f < face_count; ++f) {
         const Vec3 corner = vertex(3 * f);
         const Vec3 ab = minus(vertex(3 * f + 1), corner), ac = minus(vertex(3 * f + 2), corner);
-        given[f] = {corner, ab, ac, of_length_one(cross(ab, ac))};
+        const Vec3 across = cross(ab, ac);
+        const double area = std::sqrt(dot(across, across));
+        const bool is_needle = area <= kNeedle * (dot(ab, ab) + dot(ac, ac));
+        const double factor = is_needle ? 0 : 1 / area;
+        given[f] = {corner, ab, ac, {factor * across[0], factor * across[1], factor * across[2]}, is_needle ? 0 : area};
     }
     std::vector<std::int32_t> order(face_count);
     std::iota(order.begin(), order.end(), 0);
@@ -105,7 +113,8 @@ void TriangleTree::distance(const double* points, std::size_t count, double* fou
         if (k % kLook == 0) Watch::look();
         const Vec3 p{points[3 * k], points[3 * k + 1], points[3 * k + 2]};
         const Triangle& t = triangle_[last];
-        Nearest nearest{from_triangle(minus(p, t.corner), t.ab, t.ac, t.normal), last};
+        const Vec3 from_corner = minus(p, t.corner);
+        Nearest nearest{t.square_from(from_corner, dot(from_corner, t.normal)), last};
         descend(p, nearest);
         found[k] = std::sqrt(nearest.square);
         last = nearest.triangle;
@@ -118,7 +127,7 @@ void TriangleTree::look(const Vec3& p, const Child& leaf, Nearest& nearest) cons
         const Vec3 from_corner = minus(p, t.corner);
         const double height = dot(from_corner, t.normal);
         if (height * height >= nearest.square) continue;
-        const double square = from_triangle(from_corner, t.ab, t.ac, t.normal);
+        const double square = t.square_from(from_corner, height);
         if (square < nearest.square) nearest = {square, f};
     }
 }

@@ -1,0 +1,115 @@
+"""What a certificate costs: of a plan of every shipped scenario with one target, alone or against another checkout.
+
+python benchmarks/certificate_cost.py plan FILE                       writes the legs of a plan of each
+python benchmarks/certificate_cost.py time FILE [--against CHECKOUT]  seconds by the clock, in alternation
+
+A checkout needs its compiled core in ctrplan/. The certificate as it is stated with a plan, histories simulated; and
+the walk alone as a search asks for it. The first of a run is not counted: grids and friction laws are kept then.
+"""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from own_cache import use_own_cache
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+SCENARIOS = CHECKOUT / "scenarios"
+SEARCH_TIME_S = 10.0
+KINDS = ("certificate", "walk of a search")
+Times = dict[str, list[float]]  # of a scenario, seconds of each kind
+
+
+def main() -> None:
+    """See the module."""
+    use_own_cache()
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("command", choices=["plan", "time", "once"])
+    parser.add_argument("file", type=Path)
+    parser.add_argument("--against", type=Path, help="another checkout")
+    parser.add_argument("--rounds", type=int, default=3)
+    arguments = parser.parse_args()
+    if arguments.command == "plan":
+        arguments.file.write_text(json.dumps(planned(), indent=1), encoding="utf-8")
+    elif arguments.command == "once":
+        print(json.dumps(once(json.loads(arguments.file.read_text(encoding="utf-8")))))
+    else:
+        table(arguments.file, arguments.against, arguments.rounds)
+
+
+def planned() -> dict[str, list[list[float]]]:
+    """Joint values at the corners of a plan of each scenario."""
+    import ctrplan
+
+    found = {}
+    for path in sorted(SCENARIOS.glob("*.toml")):
+        scenario = ctrplan.load_scenario(path)
+        if scenario.via or scenario.goal.line_m is not None:
+            continue
+        plan = ctrplan.plan(scenario, time_s=SEARCH_TIME_S)
+        found[path.stem] = plan.waypoints.tolist()
+        print(f"{path.stem}: {plan.certificate.cost_mm:.0f} mm", file=sys.stderr, flush=True)
+    return found
+
+
+def once(legs: dict[str, list[list[float]]]) -> Times:
+    """With the package that Python finds first."""
+    import ctrplan
+    from ctrplan.planning.certificate import certify as module
+
+    try:
+        from ctrplan.planning.certificate.walked_legs import walk_legs
+    except ImportError:  # older checkouts
+        walk_legs = module.walk_legs  # type: ignore[attr-defined]
+    spare = {"spare_m": 0.5e-3} if "spare_m" in inspect.signature(walk_legs).parameters else {}
+    times = {}
+    for name, rows in legs.items():
+        scenario, corners = ctrplan.load_scenario(SCENARIOS / f"{name}.toml"), np.array(rows)
+        module.certify(scenario, corners)
+        seconds = [
+            timed(lambda: module.certify(scenario, corners)),  # noqa: B023 (called at once)
+            timed(lambda: walk_legs(scenario, corners, **spare)),  # noqa: B023
+        ]
+        times[name] = seconds
+    return times
+
+
+def timed(work: Callable[[], object]) -> float:
+    """Seconds by the clock."""
+    began = time.perf_counter()
+    work()
+    return time.perf_counter() - began
+
+
+def table(file: Path, against: Path | None, rounds: int) -> None:
+    """Medians of the rounds, and with another checkout how many times as long it takes here."""
+    checkouts = [CHECKOUT] + ([against.resolve()] if against else [])
+    runs: list[list[Times]] = [[] for _ in checkouts]
+    for _ in range(rounds):
+        for found, checkout in zip(runs, checkouts, strict=True):
+            environment = os.environ | {"PYTHONPATH": str(checkout)}
+            command = [sys.executable, __file__, "once", str(file)]
+            found.append(json.loads(subprocess.run(command, env=environment, check=True, stdout=subprocess.PIPE).stdout))
+    names = list(runs[0][0])
+    seconds = np.array([[np.median([run[name] for run in found], axis=0) for name in names] for found in runs])
+    heads = [f"{kind} (s)" for kind in KINDS] + ([f"{kind}, ratio" for kind in KINDS] if against else [])
+    print("| scenario | " + " | ".join(heads) + " |\n|" + "---|" * (len(heads) + 1))
+    ratios = seconds[0] / seconds[1] if against else np.zeros((len(names), 0))
+    for name, own, ratio in zip(names, seconds[0], ratios, strict=True):
+        print(f"| {name} | " + " | ".join([f"{s:.2f}" for s in own] + [f"{x:.2f}" for x in ratio]) + " |")
+    if against:
+        for label, value in (("median", np.median(ratios, axis=0)), ("largest", ratios.max(axis=0))):
+            print(f"| {label} | | | " + " | ".join(f"{x:.2f}" for x in value) + " |")
+
+
+if __name__ == "__main__":
+    main()
