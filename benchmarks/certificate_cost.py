@@ -98,7 +98,8 @@ def table(file: Path, against: Path | None, rounds: int) -> None:
         for found, checkout in zip(runs, checkouts, strict=True):
             environment = os.environ | {"PYTHONPATH": str(checkout)}
             command = [sys.executable, __file__, "once", str(file)]
-            found.append(json.loads(subprocess.run(command, env=environment, check=True, stdout=subprocess.PIPE).stdout))
+            printed = subprocess.run(command, env=environment, check=True, stdout=subprocess.PIPE).stdout
+            found.append(json.loads(printed))
     names = list(runs[0][0])
     seconds = np.array([[np.median([run[name] for run in found], axis=0) for name in names] for found in runs])
     heads = [f"{kind} (s)" for kind in KINDS] + ([f"{kind}, ratio" for kind in KINDS] if against else [])
