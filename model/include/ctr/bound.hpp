@@ -3,6 +3,7 @@
 
 #include <functional>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "ctr/friction_solver.hpp"
@@ -28,9 +29,8 @@ struct FrictionlessStart {
     Configuration q;
     Accuracy accuracy;
     Mesh mesh;
-    ZeroClearance zero;
-    LaneState::Kept shared;  // empty where it was not reached
-    bool shared_is_good = false;
+    std::optional<LaneState::Kept> shared;
+    std::optional<ZeroClearance> zero;  // in its place where that was not reached
     Backbone rest;
     Convergence convergence;
     double stability = 0;  // as FrictionSolver::stabilities

@@ -42,8 +42,9 @@ FrictionlessStart BoundSolver::begin_states(const Configuration& q, const Accura
     prepare(q, accuracy);
     solve_frictionless();
     have_solution_ = false;
-    FrictionlessStart start{q, accuracy, solver_.mesh(), zero_, {}, shared_is_good_, {}, frictionless_convergence_, 0};
+    FrictionlessStart start{q, accuracy, solver_.mesh(), {}, {}, {}, frictionless_convergence_, 0};
     if (shared_is_good_) start.shared = shared_.keep(0);
+    else start.zero = zero_;
     solver_.stabilities(frictionless_, &start.stability);
     tracer_.trace(solver_, frictionless_, 0, 1, q.l.back(), &start.rest);
     return start;
@@ -54,12 +55,14 @@ void BoundSolver::return_to(const FrictionlessStart& start) {
     q_ = start.q;
     accuracy_ = start.accuracy;
     multiple_ = have_solution_ = false;
-    zero_ = start.zero;
     solver_.adopt(start.mesh, start.q, start.accuracy);
-    shared_is_good_ = start.shared_is_good;
-    if (!shared_is_good_) return;
+    shared_is_good_ = start.shared.has_value();
+    if (!shared_is_good_) {
+        zero_ = *start.zero;
+        return;
+    }
     shared_.resize(solver_.mesh().problem(), 1);
-    shared_.put(start.shared, solver_.mesh().problem());
+    shared_.put(*start.shared, solver_.mesh().problem());
 }
 
 void BoundSolver::solve_states(const FrictionlessStart& start, const FrictionStates& states,
