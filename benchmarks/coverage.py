@@ -5,7 +5,7 @@ python benchmarks/coverage.py [--robots N] [--scenarios NAME ...] [--processes N
 The robot file comes from `ctrplan.calibrate` on made-up measurements of the three-tube robot, friction among what is
 fitted, so that it has 95 % intervals, their correlation and model_error_mm. The base is registered within REGISTRATION.
 Each virtual robot draws its parameters, its base, what calibration left unexplained, and its friction at the start;
-its history is simulated along the plan. A scenario that has no plan with all this taken off its clearances is planned
+its history is simulated along the plan. Every scenario has draws of its own, and none that the plan itself used. A scenario that has no plan with all this taken off its clearances is planned
 without the intervals, and judged with them.
 """
 
@@ -206,7 +206,7 @@ def main() -> None:
     use_own_cache()
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--robots", type=int, default=1000)
-    parser.add_argument("--scenarios", nargs="*", default=SCENARIOS)
+    parser.add_argument("--scenarios", nargs="*", default=SCENARIOS, choices=SCENARIOS)
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
@@ -222,7 +222,7 @@ def main() -> None:
             except CtrplanError as error:
                 print(f"| {name} | no plan: {str(error).rsplit(': ', 1)[-1]} |" + " |" * 11, flush=True)
                 continue
-            _TRIAL[:] = [trial(plan, given.robots, given.seed)]
+            _TRIAL[:] = [trial(plan, given.robots, given.seed + 100 * SCENARIOS.index(name))]
             with ProcessPoolExecutor(given.processes, multiprocessing.get_context("fork")) as pool:
                 found = np.array(list(pool.map(_drive, range(given.robots), chunksize=4)))
             print(row(name, how, plan, found), flush=True)

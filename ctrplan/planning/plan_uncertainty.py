@@ -67,7 +67,7 @@ def _found(scenario: Scenario, motion: _Motion) -> Uncertainty:
     simulated = None
     if motion.leg is not None:
         path = DrivenPath(motion.joints, motion.leg, rows)
-        simulated = SimulatedPoses.of(scenario, parameters, path, draws.offset)
+        simulated = SimulatedPoses.of(scenario, parameters, path, draws.offset, drawn.solved)
     last = len(motion.stops) - 1
     found = [judged(scenario, drawn, stop, last - k, simulated) for k, stop in enumerate(motion.stops)]
     *via, goal = (goal_miss(scenario, drawn, *pair) for pair in zip(motion.stops, found, strict=True))
@@ -80,5 +80,5 @@ def _found(scenario: Scenario, motion: _Motion) -> Uncertainty:
         via=tuple(via),
         tour=tour_miss(found),
         closest=closest_approach(scenario, parameters, motion.joints),
-        simulated=0 if simulated is None else len(simulated.drawn),
+        simulated=0 if simulated is None else len(simulated.beyond),
     )

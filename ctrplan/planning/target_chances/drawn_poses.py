@@ -60,9 +60,15 @@ class DrawnPoses:
         for w, is_end in _ends(places):
             for into, moved in ((found, self._moved(w)), (own, self._solved(w))):
                 pose = simulated.started(w, len(moved)) + moved.mean(axis=1)
-                pose += repeated(simulated.beyond(w, self._solved(w).mean(axis=1)), len(moved))
+                pose += repeated(simulated.beyond[:, w], len(moved)) if len(simulated.beyond) else 0.0
                 into.append(_judged(aim, pose, simulated.middle(w), draws, is_end))
         return Misses.worst(found), Misses.worst(own)
+
+    @property
+    def solved(self) -> Array:
+        """(R, W, 6) how parameters move poses on the mean over friction states, of the draws that were solved."""
+        found: Array = np.stack([self._solved(w).mean(axis=1) for w in range(len(self.theta))], axis=1)
+        return found
 
     def _moved(self, w: int) -> Array:
         """(M, S, 6) by parameters."""

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario
     from ctrplan.robot.robot import Robot
 
-SIMULATED = 32  # robots
+BATCH, MOST = 16, 64  # robots; more until the mean of what they are off by is known to MEAN_M
+MEAN_M = 0.01e-3  # standard error, a hundredth of usual tolerances
 START_SEED = 24
 
 
@@ -46,28 +47,34 @@ class SimulatedPoses:
 
     nominal: Array  # (H, W, 6) of the file's robot from each of H start states
     start: NDArray[np.int_]  # (M,) of each draw
-    drawn: Array  # (R, W, 6) of the first R draws
+    beyond: Array  # (R, W, 6) how far the first R draws end from there, displaced as solves in all corners are
 
     @classmethod
     def of(
-        cls, scenario: Scenario, parameters: UncertainParameters, path: DrivenPath, offsets: Array
+        cls, scenario: Scenario, parameters: UncertainParameters, path: DrivenPath, offsets: Array, solved: Array
     ) -> SimulatedPoses:
-        """Of draws with parameters offsets (M, P) away from their values."""
+        """Of draws with parameters offsets (M, P) away from their values.
+
+        Solves of the first (R, W, 6) move poses by `solved` on the mean over friction states.
+        """
         starts, weight = _starts(scenario)
         start = np.random.default_rng(START_SEED).choice(len(starts), len(offsets), p=weight)
         joints, rows = _simulated_rows(scenario.robot, path)
         commanded = scenario.robot.drive.commanded(joints)
-
-        def driven(offset: Array, begun: Start | ObservedHistory) -> Array:
-            robot = parameters.robot_at(offset)
-            return _driven(robot, begun, *held_collars(parameters, robot, *commanded), rows)
-
         own = predict(scenario.robot, joints, starts)
         nominal = np.concatenate([own.tip_m, own.tangent], axis=2)[:, rows]
-        count = min(SIMULATED, len(offsets)) if parameters.count else 0
+
+        def driven(k: int) -> Array:
+            robot = parameters.robot_at(offsets[k])
+            return _driven(robot, starts[start[k]], *held_collars(parameters, robot, *commanded), rows)
+
+        beyond = np.empty((0, len(rows), 6))
         with ThreadPoolExecutor(cores()) as pool:
-            drawn = list(pool.map(driven, offsets[:count], [starts[k] for k in start[:count]]))
-        return cls(nominal, start, np.array(drawn).reshape(count, len(rows), 6))
+            while parameters.count and len(beyond) < min(MOST, len(solved)) and not _is_known(beyond):
+                more = np.arange(len(beyond), min(len(beyond) + BATCH, len(solved)))
+                found = np.array(list(pool.map(driven, more.tolist())))
+                beyond = np.concatenate([beyond, found - nominal[start[more]] - solved[more]])
+        return cls(nominal, start, beyond)
 
     def middle(self, w: int) -> Array:
         """(6,) at a place."""
@@ -79,13 +86,14 @@ class SimulatedPoses:
         found: Array = self.nominal[self.start[:count], w]
         return found
 
-    def beyond(self, w: int, solved: Array) -> Array:
-        """(R, 6) of draws whose solves move by `solved` (R or more, 6) on the mean over friction states; 0 for none."""
-        count = len(self.drawn)
-        if not count:
-            return np.zeros((1, 6))
-        found: Array = self.drawn[:, w] - self.nominal[self.start[:count], w] - solved[:count]
-        return found
+
+def _is_known(beyond: Array) -> bool:
+    """Whether the mean of (R, W, 6) is, for every tip that was found."""
+    tips = beyond[~np.isnan(beyond).any(axis=(1, 2)), :, :3]
+    if len(tips) < 2:
+        return False
+    error = np.linalg.norm(tips.std(axis=0, ddof=1), axis=1) / np.sqrt(len(tips))
+    return bool(error.max() <= MEAN_M)
 
 
 def _starts(scenario: Scenario) -> tuple[list[Start | ObservedHistory], Array]:
