@@ -5,8 +5,8 @@ python benchmarks/coverage.py [--robots N] [--scenarios NAME ...] [--processes N
 The robot file comes from `ctrplan.calibrate` on made-up measurements of the three-tube robot, friction among what is
 fitted, so that it has 95 % intervals, their correlation and model_error_mm. The base is registered within REGISTRATION.
 Each virtual robot draws its parameters, its base, what calibration left unexplained, and its friction at the start;
-its history is simulated along the plan. Every scenario has draws of its own, and none that the plan itself used. A scenario that has no plan with all this taken off its clearances is planned
-without the intervals, and judged with them.
+its history is simulated along the plan. Every scenario has draws of its own, and none that the plan itself used. A
+scenario that has no plan with all this taken off its clearances is planned without the intervals, and judged with them.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ def uncertainty_section(plan: Plan) -> Markup:
         return Markup()
     parts = [
         facts(list(uncertainty_rows(plan).items())),
-        *(part for k, miss in enumerate(found.via, start=1) for part in _target(miss, miss.name or f"target {k}")),
+        *(part for k, miss in enumerate(found.via, start=1) for part in _target(miss, _named(miss, k))),
         *_target(found.goal, "the goal"),
     ]
     if found.closest:
@@ -33,6 +33,10 @@ def uncertainty_section(plan: Plan) -> Markup:
     if found.parameters:
         parts += [tag("h3", "Intervals"), _intervals(found.parameters)]
     return section("What is uncertain", *parts, *(tag("p", text, kind="quiet") for text in stated_in_words(found)))
+
+
+def _named(miss: GoalMiss, number: int) -> str:
+    return f"target {number} ({miss.name})" if miss.name else f"target {number}"
 
 
 def _target(miss: GoalMiss, name: str) -> list[Markup]:

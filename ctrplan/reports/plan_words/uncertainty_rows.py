@@ -24,11 +24,12 @@ def uncertainty_rows(plan: Plan) -> Rows:
         return {}
     rows = dict[str, str]()
     for number, miss in enumerate(found.via, start=1):
-        rows |= _target_rows(miss, f" at {miss.name or f'target {number}'}")
-    rows |= _target_rows(found.goal, "")
+        name = f"target {number}"
+        rows |= _target_rows(miss, (f"{name} with uncertainty", f"{name} turned at worst", f"chance to miss {name}"))
+    rows |= _target_rows(found.goal, ("at worst with uncertainty", "turned at worst", "chance to miss tolerance"))
     if found.tour:
         chances = _by_friction(met, found.tour.chance_by_history, found.tour.chance_any_friction)
-        rows[f"chance to meet all {found.tour.targets} targets"] = chances
+        rows["chance to meet all targets"] = chances
     if found.closest:
         left, without = millimetres(found.closest.worst_m), millimetres(found.closest.nominal_m)
         rows["room with uncertainty"] = (
@@ -39,16 +40,17 @@ def uncertainty_rows(plan: Plan) -> Rows:
     return rows
 
 
-def _target_rows(miss: GoalMiss, where: str) -> Rows:
-    rows = {f"at worst with uncertainty{where}": f"the tip ends off by {miss.sentence}"}
+def _target_rows(miss: GoalMiss, labels: tuple[str, str, str]) -> Rows:
+    """Of one target: its worst case, the turn's, and the chance of missing it."""
+    worst, turned, missed = labels
+    rows = {worst: f"the tip ends off by {miss.sentence}"}
     if miss.turn:
-        rows[f"turned at worst{where}"] = f"by {miss.turn.sentence}"
+        rows[turned] = f"by {miss.turn.sentence}"
     if miss.chance_any_friction:
-        chances = _by_friction(percent, miss.chance_by_history, miss.chance_any_friction)
+        rows[missed] = _by_friction(percent, miss.chance_by_history, miss.chance_any_friction)
         if miss.turn:
-            turned = _by_friction(percent, miss.turn.chance_by_history, miss.turn.chance_any_friction)
-            chances += f"; of that the direction alone: {turned}"
-        rows[f"chance to miss tolerance{where}"] = chances
+            alone = _by_friction(percent, miss.turn.chance_by_history, miss.turn.chance_any_friction)
+            rows[missed] += f"; by the direction alone {alone}"
     return rows
 
 
@@ -99,5 +101,5 @@ def _simulated(found: Uncertainty) -> list[str]:
         return []
     return [
         f"Friction as predicted: the motion was simulated on {found.simulated} of these robots, each from one of the "
-        "friction states that the start may have, all alike unless they were observed.",
+        "friction states that the start may have. They are equally likely, unless they were observed.",
     ]
