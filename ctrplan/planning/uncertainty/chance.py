@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 DRAWS, SOLVED, SEED = 10_000, 200, 23
 DISTRIBUTION = (
     "parameters normal with the stated 95 % intervals, truncated where physics ends them, correlated as stated; "
-    "registration normal in every direction; model_error_mm the 95th percentile of the length of a normal vector, drawn "
-    "anew at each target"
+    "registration normal in every direction; model_error_mm the 95th percentile of the length of a normal vector, "
+    "another one at each target"
 )
 
 
