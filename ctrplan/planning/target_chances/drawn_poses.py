@@ -1,7 +1,7 @@
 """Poses of the tip of drawn robots in every friction state: by the linearised model, and solved for the first of them.
 
-What the solves find beyond first order is given to all draws in turn, each solve to as many: a mean of 0.03 mm of it
-made stated chances 4 points too small (docs/log/planning.md, coverage of uncertain parameters).
+What the solves find beyond first order is in all draws: a mean of 0.03 mm of it made stated chances 4 points too small
+(docs/log/planning.md, coverage of uncertain parameters).
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.planning.target_chances.aim import Aim, Misses
+from ctrplan.planning.target_chances.beyond_first_order import BeyondFirstOrder, repeated
 from ctrplan.planning.target_chances.simulated_poses import SimulatedPoses
 from ctrplan.planning.uncertainty.chance import SOLVED, Draws
 from ctrplan.uncertain.parameters import UncertainParameters
@@ -29,7 +30,7 @@ class DrawnPoses:
     l: Array  # (W, n)  # noqa: E741 (as in the equations)
     slopes: TipSlopes  # (W, S)
     draws: Draws
-    beyond: Array  # (R, W, S, 6) of the first R draws: solved poses less those to first order
+    beyond: BeyondFirstOrder  # (R, W, S, 6) of the first R draws
 
     @classmethod
     def of(cls, parameters: UncertainParameters, draws: Draws, theta: Array, l: Array) -> DrawnPoses:  # noqa: E741
@@ -37,7 +38,8 @@ class DrawnPoses:
         slopes, offsets = tip_slopes(parameters, theta, l), draws.offset[:SOLVED]
         linear = slopes.pose + np.einsum("wscp,mp->mwsc", slopes.pose_by, offsets)
         solved = np.stack([poses_at(parameters, offset, theta, l) for offset in offsets])
-        return cls(parameters, theta, l, slopes, draws, solved - linear)
+        beyond = BeyondFirstOrder.of(offsets / parameters.sigma, solved - linear)
+        return cls(parameters, theta, l, slopes, draws, beyond)
 
     def any_friction(self, aim: Aim, places: NDArray[np.int_], draws: Draws) -> tuple[Misses, Misses]:
         """In the worst friction state of all places: of all draws, and of those that were solved.
@@ -72,20 +74,15 @@ class DrawnPoses:
 
     def _moved(self, w: int) -> Array:
         """(M, S, 6) by parameters."""
-        linear: Array = np.einsum("scp,mp->msc", self.slopes.pose_by[w], self.draws.offset)
-        return linear + repeated(self.beyond[:, w], len(linear))
+        return self._displaced(w, self.draws.offset)
 
     def _solved(self, w: int) -> Array:
         """(R, S, 6) the same, of the draws that were solved."""
-        offsets = self.draws.offset[: len(self.beyond)]
-        linear: Array = np.einsum("scp,mp->msc", self.slopes.pose_by[w], offsets)
-        return linear + self.beyond[:, w]
+        return self._displaced(w, self.draws.offset[: len(self.beyond.rest)])
 
-
-def repeated(values: Array, count: int) -> Array:
-    """(count, ...) values (R, ...) over and over."""
-    found: Array = np.take(values, np.arange(count), axis=0, mode="wrap")
-    return found
+    def _displaced(self, w: int, offset: Array) -> Array:
+        linear: Array = np.einsum("scp,mp->msc", self.slopes.pose_by[w], offset)
+        return linear + self.beyond.at(offset / self.parameters.sigma, w)
 
 
 def _ends(places: NDArray[np.int_]) -> Iterator[tuple[int, bool]]:

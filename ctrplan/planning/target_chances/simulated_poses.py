@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario
     from ctrplan.robot.robot import Robot
 
-BATCH, MOST = 16, 64  # robots; more until the mean of what they are off by is known to MEAN_M
+BATCH, MOST = 16, 32  # robots; more until the mean of what they are off by is known to MEAN_M
 MEAN_M = 0.01e-3  # standard error, a hundredth of usual tolerances
 START_SEED = 24
 

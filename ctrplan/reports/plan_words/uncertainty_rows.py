@@ -91,7 +91,7 @@ def stated_in_words(found: Uncertainty) -> list[str]:
         f"Known are {', '.join(known)}. The worst case has every one of them at the worst end of its 95 % interval at "
         "once, which hardly any robot is; what calibration left unexplained exceeds its number in one pose of twenty.",
         f"Chances are shares of {found.draws:,} draws of the linearised model; what {found.solved} solves differ by is "
-        f"given to all of them. {found.distribution[0].upper()}{found.distribution[1:]}.",
+        f"in all of them. {found.distribution[0].upper()}{found.distribution[1:]}.",
         *_simulated(found),
     ]
 
