@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
-from places import SCENARIOS
+from jsonschema import Draft202012Validator
+from places import ROOT, SCENARIOS
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
 import ctrplan
 from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import distance_from_polyline
+from ctrplan.files.plan_folder import _made
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.planning.certificate.certify import certify
 from ctrplan.planning.certificate.prediction import start_states
 from ctrplan.planning.certificate.tour import joined_certificates
 from ctrplan.planning.plan import Plan
+from ctrplan.planning.plan_json import _plain
 from ctrplan.planning.play import play_turn
 from ctrplan.planning.scenario import Goal, Registration, Scenario
 from ctrplan.planning.target_chances.aim import Aim
@@ -28,10 +32,14 @@ from ctrplan.planning.target_chances.drawn_poses import DrawnPoses
 from ctrplan.planning.target_chances.stops import end_stop
 from ctrplan.planning.target_chances.target_miss import judged
 from ctrplan.planning.uncertainty.chance import Chance, Draws, chance, wilson
+from ctrplan.planning.uncertainty.result import Uncertainty
+from ctrplan.reports.plan_page.uncertainty import uncertainty_section
+from ctrplan.reports.plan_words.uncertainty_rows import uncertainty_rows
 from ctrplan.uncertain.parameters import uncertain_parameters
 from ctrplan.uncertain.tip_slopes import poses_at
 from ctrplan.uncertain.worst_case import CHI95
 
+SCHEMA = json.loads((ROOT / "docs" / "plan.schema.json").read_text(encoding="utf-8"))
 CURVED = [
     "robot.uncertainty.ci95.tube.2.section.2.curvature_per_m=[12.4, 12.84]",
     "robot.uncertainty.ci95.tube.1.section.2.curvature_per_m=[3.4, 3.55]",
@@ -272,6 +280,24 @@ def test_each_target_has_its_own_chance_and_all_together_one(toured: Callable[[f
         each = [getattr(miss, chances).share for miss in (via, goal)]
         assert max(each) <= getattr(both, chances).share <= min(1.0, sum(each))
     assert 0.02 < via.chance_by_history.share < 0.98 and 0.02 < goal.chance_by_history.share < 0.98  # type: ignore[union-attr]
+
+
+def test_what_is_uncertain_of_a_tour_is_written_read_and_told(toured: Callable[[float, float], Plan]) -> None:
+    plan = toured(0.6e-3, 0.7e-3)
+    goal = replace(plan.scenario.goal, direction=np.array([0.0, 0.6, 0.8]), direction_tolerance_rad=0.4)
+    plan = replace(plan, scenario=replace(plan.scenario, goal=goal))
+    plan = replace(plan, uncertainty=ctrplan.uncertainty(plan))
+    written = _plain(plan.uncertainty.to_json())  # type: ignore[union-attr]
+    Draft202012Validator({**SCHEMA["properties"]["uncertainty"], "$defs": SCHEMA["$defs"]}).validate(written)
+    again = replace(plan, uncertainty=_made(Uncertainty, written))
+    assert _plain(again.uncertainty.to_json()) == written  # type: ignore[union-attr]
+    rows = uncertainty_rows(again)
+    assert plan.uncertainty is not None and plan.uncertainty.goal.turn is not None
+    assert rows["turned at worst"] == f"by {plan.uncertainty.goal.turn.sentence}"
+    assert "by the direction alone" in rows["chance to miss tolerance"] and "chance to miss target 1" in rows
+    assert "% with friction as predicted" in rows["chance to meet all targets"]
+    page = uncertainty_section(again)
+    assert "Causes at target 1 (first)" in page and "Causes of the turn at the goal" in page and "°" in page
 
 
 def test_a_target_that_nobody_misses_leaves_the_chance_of_the_other(toured: Callable[[float, float], Plan]) -> None:
