@@ -31,7 +31,7 @@ class CertificateSamples:
     path_mm: Array  # (K,) weighted joint length travelled
     bound_m: Array  # (K,) worst-case friction error of the tip, on the mesh walked on, parameters in their intervals
     bound_rad: Array  # (K,) of the tip tangent
-    stability: Array  # (K,) in every friction state
+    stability: Array  # (K,) in every friction state, parameters in their intervals
     max_strain: Array  # (K,) likewise
     clearance_m: Array  # (K,) in every friction state, beyond the margins of the anatomy; inf in free space
     motion_m: Array  # (K,) largest displacement of a body point of any shape since the sample before
@@ -41,6 +41,8 @@ class CertificateSamples:
     play_m: Array  # (K,) how far play of the drive may move the robot
     parameter_bound_m: Array  # (K,) what uncertain parameters add to the bound; in bound_m
     parameter_clearance_m: Array  # (K,) what they and registration take off the clearance; off clearance_m
+    parameter_stability: Array  # (K,) what uncertain parameters take off the stability; off stability
+    parameter_strain: Array  # (K,) and add to the strain; in max_strain
 
 
 @dataclass(frozen=True, eq=False)

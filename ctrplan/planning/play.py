@@ -15,7 +15,9 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import distance_from_polyline
 from ctrplan.errors import CtrplanError
+from ctrplan.mechanics.shapes import Status
 from ctrplan.pipeline.tip_table import nested
+from ctrplan.uncertain.tip_slopes import friction_states
 
 if TYPE_CHECKING:
     from ctrplan.planning.joint_space import JointSpace
@@ -54,6 +56,30 @@ def play_reach(robot: Robot, theta_b: Array, l_b: Array) -> float:
         end = theta_b + off[0], nested(robot, (l_b + off[1])[None])[0]
         shift = np.maximum(shift, _shapes_apart(robot, here, *end))
     return float(shift.max())
+
+
+def play_turn(robot: Robot, theta_b: Array, l_b: Array) -> float:
+    """How far [rad] play may turn the tip's tangent in any corner of friction, one actuator after the other added up.
+
+    Collars at (n,) [rad], (n,) [m]. 0 without play; inf where the robot has no equilibrium at an end of its play.
+    """
+    if robot.drive.play is None:
+        return 0.0
+    here = _tangents(robot, theta_b, l_b)
+    turn = np.zeros(len(here))
+    for theta_off, l_off in _single_actuators(*robot.drive.play):
+        ends = [(theta_b + side * theta_off, nested(robot, (l_b + side * l_off)[None])[0]) for side in (1, -1)]
+        chords = [np.linalg.norm(_tangents(robot, *end) - here, axis=1) for end in ends]
+        turn += 2 * np.arcsin(np.minimum(np.max(chords, axis=0) / 2, 1.0))
+    return float(np.nan_to_num(turn, nan=np.inf).max())
+
+
+def _tangents(robot: Robot, theta_b: Array, l_b: Array) -> Array:
+    """(S, 3) of the tip, released and in every corner of friction; NaN without a solution."""
+    states = friction_states(robot)
+    theta_rows, l_rows = (np.tile(part, (len(states), 1)) for part in (theta_b, l_b))
+    found = robot.mechanics.tips_with_friction(theta_rows, l_rows, states)
+    return np.where((found.status == Status.FAILED)[:, None], np.nan, found.tangent)
 
 
 def usual_play_shift(robot: Robot, space: JointSpace) -> float:

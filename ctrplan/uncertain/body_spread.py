@@ -6,11 +6,13 @@ of each axis of the box. The other end is taken to lie opposite; the worst combi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ctrplan.base.arrays import Array
+from ctrplan.mechanics.shapes import FrictionBodies
+from ctrplan.uncertain.margin_spread import MarginSpread
 from ctrplan.uncertain.parameters import UncertainParameters
 from ctrplan.uncertain.tip_slopes import friction_states, held_collars
 from ctrplan.uncertain.worst_case import OffsetBox, Sides
@@ -26,6 +28,8 @@ class BodySpread:
     radius_m: Array  # (N,)
     middle_m: Array  # (S, N, 3) displacement at the middle of the intervals
     sides_m: Array  # (S, N, 3, A) further displacement at the end of each axis of the box
+    stability: MarginSpread
+    spared_strain: MarginSpread  # strains, negative
 
     def sides(self) -> Sides:
         """Of all S N points, one state after the other."""
@@ -36,21 +40,46 @@ class BodySpread:
 def body_spread(parameters: UncertainParameters, theta: Array, l: Array) -> BodySpread:  # noqa: E741
     """At commanded collars theta (n,) [rad], l (n,) [m]. NaN where there is no equilibrium."""
     box = OffsetBox.of(parameters)
-    here, radius = body_at(parameters, np.zeros(parameters.count), theta, l)
-    middle = np.zeros_like(here)
-    if box.middle.any():
-        middle = alike(body_at(parameters, box.middle, theta, l)[0], here) - here
-    ends = [alike(body_at(parameters, box.middle + axis, theta, l)[0], here) - here - middle for axis in box.axes.T]
-    sides = np.stack(ends, axis=3) if ends else np.zeros((*here.shape, 0))
-    return BodySpread(here, radius, middle, sides)
+    here = solved_bodies(parameters, np.zeros(parameters.count), theta, l)
+    middle = solved_bodies(parameters, box.middle, theta, l) if box.middle.any() else here
+    ends = [solved_bodies(parameters, box.middle + axis, theta, l) for axis in box.axes.T]
+    pattern = here.point_m
+    inner = alike(middle.point_m, pattern)
+    displaced = [alike(end.point_m, pattern) - inner for end in ends]
+    sides = np.stack(displaced, axis=3) if ends else np.zeros((*pattern.shape, 0))
+    return BodySpread(
+        pattern,
+        here.radius_m,
+        inner - pattern,
+        sides,
+        _spread(here.stability, middle.stability, [end.stability for end in ends]),
+        _spread(-here.max_strain, -middle.max_strain, [-end.max_strain for end in ends]),
+    )
 
 
-def body_at(parameters: UncertainParameters, offset: Array, theta: Array, l: Array) -> tuple[Array, Array]:  # noqa: E741
-    """(S, N, 3) bodies [m] with parameters (P,) away from their values, and outer radii (N,) [m]."""
+def solved_bodies(parameters: UncertainParameters, offset: Array, theta: Array, l: Array) -> FrictionBodies:  # noqa: E741
+    """Bodies [m] in S friction states with parameters (P,) away from their values; NaN where a solve failed."""
     robot = parameters.robot_at(offset)
     theta_b, l_b = held_collars(parameters, robot, theta[None], l[None])
     found = robot.mechanics.friction_bodies(theta_b[0], l_b[0], friction_states(robot), spacing_m=SPACING_M)
-    return np.where(found.solved[:, None, None], found.point_m, np.nan), found.radius_m
+    lost = ~found.solved
+    return replace(
+        found,
+        point_m=np.where(lost[:, None, None], np.nan, found.point_m),
+        stability=np.where(lost, np.nan, found.stability),
+        max_strain=np.where(lost, np.nan, found.max_strain),
+    )
+
+
+def body_at(parameters: UncertainParameters, offset: Array, theta: Array, l: Array) -> tuple[Array, Array]:  # noqa: E741
+    """(S, N, 3) of these bodies [m], and outer radii (N,) [m]."""
+    found = solved_bodies(parameters, offset, theta, l)
+    return found.point_m, found.radius_m
+
+
+def _spread(here: Array, middle: Array, ends: list[Array]) -> MarginSpread:
+    sides = np.stack(ends, axis=1) - middle[:, None] if ends else np.zeros((len(here), 0))
+    return MarginSpread(here, middle - here, sides)
 
 
 def alike(bodies: Array, pattern: Array) -> Array:

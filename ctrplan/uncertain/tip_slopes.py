@@ -1,4 +1,4 @@
-"""Tips of a robot in every corner of friction, and their derivatives by its uncertain parameters.
+"""Tips of a robot in every corner of friction and their tangents, and the derivatives by its uncertain parameters.
 
 The mechanics differentiate exactly, by the numbers of the robot and by the collars. How these follow from the
 parameters is arithmetic, differenced and joined by the chain rule. Where collars touch, so that one of them can't be
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.effects.of_file import effect_of
-from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.shapes import Status, Tips
 from ctrplan.pipeline.chain import Chain
 from ctrplan.pipeline.tip_table import nested
 from ctrplan.robot.named_numbers import MAGNITUDE, value_of
@@ -29,8 +29,18 @@ STEP = 1e-4  # of half an interval
 class TipSlopes:
     """K configurations in S friction states: released, then every corner in the order of `Bound.corners`."""
 
-    tip_m: Array  # (K, S, 3) robot frame; NaN where there is no solution
-    by: Array  # (K, S, 3, P) per SI unit
+    pose: Array  # (K, S, 6) tip [m] in the robot's frame, then its tangent; NaN where there is no solution
+    pose_by: Array  # (K, S, 6, P) per SI unit
+
+    @property
+    def tip_m(self) -> Array:
+        """(K, S, 3)."""
+        return self.pose[..., :3]
+
+    @property
+    def by(self) -> Array:
+        """(K, S, 3, P) of the tip, m per SI unit."""
+        return self.pose_by[..., :3, :]
 
 
 def friction_states(robot: Robot) -> Array:
@@ -53,12 +63,16 @@ def tips_at(parameters: UncertainParameters, offset: Array, theta: Array, l: Arr
 
     Collars are commanded to theta, l (K, n).
     """
+    return poses_at(parameters, offset, theta, l)[..., :3]
+
+
+def poses_at(parameters: UncertainParameters, offset: Array, theta: Array, l: Array) -> Array:  # noqa: E741
+    """(K, S, 6) as `tips_at`, with the tangents after the tips."""
     robot = parameters.robot_at(offset)
     states = friction_states(robot)
     theta_b, l_b = (np.repeat(part, len(states), axis=0) for part in held_collars(parameters, robot, theta, l))
     found = robot.mechanics.tips_with_friction(theta_b, l_b, np.tile(states, (len(theta), 1)))
-    tip = np.where((found.status == Status.FAILED)[:, None], np.nan, found.position_m)
-    return tip.reshape(len(theta), len(states), 3)
+    return _pose(found).reshape(len(theta), len(states), 6)
 
 
 def tip_slopes(parameters: UncertainParameters, theta: Array, l: Array) -> TipSlopes:  # noqa: E741
@@ -72,16 +86,21 @@ def tip_slopes(parameters: UncertainParameters, theta: Array, l: Array) -> TipSl
     theta_b, l_b = (np.repeat(part, len(states), axis=0) for part in held_collars(parameters, robot, theta, l))
     phi = np.tile(states, (len(theta), 1))
     found = robot.mechanics.tips_with_friction(theta_b, l_b, phi, parameters=tuple(asked))
-    shape = (len(theta), len(states), 3)
-    tip = np.where((found.status == Status.FAILED)[:, None], np.nan, found.position_m).reshape(shape)
-    core = found.position_by.reshape(*shape, len(asked))
+    shape = (len(theta), len(states), 6)
+    core = np.concatenate([found.position_by, found.tangent_by], axis=1).reshape(*shape, len(asked))
     numbers = np.broadcast_to(numbers_by, (len(theta), *numbers_by.shape))
     by = _chained(core[..., : len(names)], numbers) + _chained(core[..., len(names) :], joints_by[:, moved])
-    return TipSlopes(tip, _differenced(parameters, theta, l, by))
+    return TipSlopes(_pose(found).reshape(shape), _differenced(parameters, theta, l, by))
+
+
+def _pose(found: Tips) -> Array:
+    """(K, 6)."""
+    pose = np.concatenate([found.position_m, found.tangent], axis=1)
+    return np.where((found.status == Status.FAILED)[:, None], np.nan, pose)
 
 
 def _chained(outer: Array, inner: Array) -> Array:
-    """(K, S, 3, P) of (K, S, 3, N) and (K, N, P); NaN where a factor is that matters."""
+    """(K, S, 6, P) of (K, S, 6, N) and (K, N, P); NaN where a factor is that matters."""
     known: Array = np.einsum("kscn,knp->kscp", np.nan_to_num(outer), inner)
     lost = np.einsum("kscn,knp->kscp", np.isnan(outer).astype(float), (inner != 0).astype(float)) > 0
     return np.where(lost, np.nan, known)
@@ -156,7 +175,7 @@ def _differenced(parameters: UncertainParameters, theta: Array, l: Array, by: Ar
     for j in np.flatnonzero(np.isnan(by).any(axis=(0, 1, 2))).tolist():
         unit = np.eye(parameters.count)[j]
         ends = [end - parameters.value[j] for end in (parameters.low[j], parameters.high[j])]
-        low, high = (tips_at(parameters, end * unit, theta, l) for end in ends)
+        low, high = (poses_at(parameters, end * unit, theta, l) for end in ends)
         across = (high - low) / (ends[1] - ends[0])
         by[..., j] = np.where(np.isnan(by[..., j]), across, by[..., j])
     return by

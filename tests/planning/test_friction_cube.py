@@ -231,7 +231,8 @@ def test_a_simulated_robot_beyond_its_bound_is_a_contradiction_wherever_it_is(sa
     """The start once did not count."""
     case = with_sphere(joints(0, 0, 0, -28.8), (0.0, 60.0, 100.0), 1.0)
     samples = certify(case, np.array([joints(0, 0, 0, -28.8), joints(0, 0, 20, -28.8)])).samples
-    calm = Prediction(np.zeros((1, len(samples.leg), 3)), 0)
+    still = np.zeros((1, len(samples.leg), 3))
+    calm = Prediction(still, still, 0)
     assert _contradictions(calm, samples) == []
     predicted = samples.bound_m.copy()
     predicted[sample] += 5e-3

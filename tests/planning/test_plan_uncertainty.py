@@ -27,7 +27,7 @@ from ctrplan.planning.scenario import Goal, Registration, Scenario
 from ctrplan.planning.uncertainty.allowance import bodies_at, parameter_allowance
 from ctrplan.planning.uncertainty.chance import wilson
 from ctrplan.reports.plan_page.uncertainty import uncertainty_section
-from ctrplan.uncertain.body_spread import alike, body_at
+from ctrplan.uncertain.body_spread import alike, body_at, solved_bodies
 from ctrplan.uncertain.parameters import uncertain_parameters
 
 INTERVALS = [
@@ -83,6 +83,9 @@ def test_a_certificate_has_the_allowance_in_its_bound_and_off_its_clearance(unce
     samples, bare = walked(uncertain), walked(same)
     assert not bare.parameter_bound_m.any() and not bare.parameter_clearance_m.any()
     np.testing.assert_allclose(samples.bound_m - samples.parameter_bound_m, bare.bound_m, atol=1e-12)
+    np.testing.assert_allclose(samples.stability + samples.parameter_stability, bare.stability, rtol=1e-6)
+    np.testing.assert_allclose(samples.max_strain - samples.parameter_strain, bare.max_strain, rtol=1e-6)
+    assert samples.parameter_stability.min() > 0 and samples.parameter_strain.min() > 0
     assert samples.parameter_bound_m.min() > 0.2e-3 and samples.parameter_clearance_m.min() > 0.5e-3
     lost = samples.clearance_m + samples.parameter_clearance_m - bare.clearance_m
     assert np.abs(lost).max() < 0.2e-3  # where nothing is nearer, clearances are reported less exactly
@@ -94,7 +97,7 @@ def test_allowances_grow_with_every_interval_and_lose_nothing_between_the_sample
     before, after = (np.array(parameter_allowance(s, path(s))) for s in (ribs(*narrow), ribs(*INTERVALS)))
     assert np.all(after >= before)
     scenario = ribs(*INTERVALS)
-    joints, (clearance, _) = path(scenario), after
+    joints, clearance = path(scenario), after[0]
     between = np.arange(2, len(joints), 7)
     solved = [body.allowance_m for body in bodies_at(scenario, uncertain_parameters(scenario.robot), joints[between])]
     assert np.all(clearance[between] >= solved)
@@ -109,6 +112,51 @@ def test_no_robot_within_the_intervals_loses_more_clearance_than_allowed(uncerta
         moved = alike(body_at(parameters, offset, body.theta, body.l)[0], body.spread.point_m).reshape(-1, 3)
         least = body.clearance_at(moved, np.arange(len(moved))).min()
         assert least >= body.least_m - body.allowance_m
+
+
+def test_no_robot_within_the_intervals_is_softer_or_more_strained_than_allowed() -> None:
+    """Corners and insides of the box, bodies solved in every corner of friction."""
+    scenario = ribs(*INTERVALS)
+    parameters, joints = uncertain_parameters(scenario.robot), path(scenario)[[0, 30]]
+    rng = np.random.default_rng(6)
+    for body in bodies_at(scenario, parameters, joints):
+        here, (softer, strained) = body.spread, body.margins_lost
+        assert softer > 0 and strained > 0
+        corners, inside = (
+            np.sign(rng.standard_normal((12, parameters.count))),
+            rng.uniform(-1, 1, (4, parameters.count)),
+        )
+        for share in (*corners, *inside):
+            found = solved_bodies(parameters, share * parameters.half_width, body.theta, body.l)
+            assert found.stability.min() >= here.stability.value.min() - softer - 1e-4
+            assert found.max_strain.max() <= -here.spared_strain.value.min() + strained + 1e-6
+
+
+def test_strain_and_stability_lose_more_with_every_interval_and_nothing_by_registration() -> None:
+    narrow = [text.replace("[17.9, 18.5]", "[18.1, 18.3]").replace("[-0.4, 0.4]", "[-0.2, 0.2]") for text in INTERVALS]
+    before, after = (parameter_allowance(s, path(s, 4)) for s in (ribs(*narrow), ribs(*INTERVALS)))
+    assert np.all(after.stability > before.stability) and np.all(after.strain > before.strain)
+    registered = ribs(*REGISTRATION)
+    alone = parameter_allowance(registered, path(registered, 4))
+    assert not alone.stability.any() and not alone.strain.any() and alone.clearance_m.all()
+
+
+def test_in_free_space_strain_and_stability_are_allowed_for_as_before_the_anatomy() -> None:
+    scenario = ribs(*INTERVALS)
+    with_ribs, free = (parameter_allowance(s, path(s, 3)) for s in (scenario, replace(scenario, anatomy=())))
+    np.testing.assert_array_equal(with_ribs.stability, free.stability)
+    np.testing.assert_array_equal(with_ribs.strain, free.strain)
+    assert not free.clearance_m.any()
+
+
+def test_a_margin_that_only_the_intervals_break_is_refused_in_a_sentence_that_says_so(uncertain: Scenario) -> None:
+    samples = walked(uncertain)
+    at = int(np.argmin(samples.stability))
+    margin = float(samples.stability[at] + samples.parameter_stability[at] / 2)
+    strict = replace(uncertain, margins=replace(uncertain.margins, stability=margin))
+    turn = np.radians([0.0, 8.0, -8.0, 0.0])
+    problems = walk_legs(strict, np.array([strict.start, strict.start + turn])).problems
+    assert any("stability" in text and "uncertain parameters" in text for text in problems)
 
 
 def test_causes_add_up_and_are_ranked(uncertain: Scenario) -> None:

@@ -48,6 +48,8 @@ def joined_samples(scenario: Scenario, space: JointSpace, corners: Array, pieces
             "play_m": np.full(len(s.fraction), piece.play_m),
             "parameter_bound_m": np.zeros(len(s.fraction)),  # until they are allowed for
             "parameter_clearance_m": np.zeros(len(s.fraction)),
+            "parameter_stability": np.zeros(len(s.fraction)),
+            "parameter_strain": np.zeros(len(s.fraction)),
         }
         for name, values in rows.items():
             columns[name].append(values[keep])

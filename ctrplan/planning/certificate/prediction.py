@@ -53,6 +53,7 @@ class Prediction:
     """Simulated tips at K configurations from each of S start states, released and every corner."""
 
     tip_m: Array  # (S, K, 3); NaN after no equilibrium was found
+    tangent: Array  # (S, K, 3) of the tip, likewise
     snaps: int  # times any of the simulated robots slid to another equilibrium
 
     def errors(self, frictionless_m: Array) -> Array:
@@ -195,7 +196,7 @@ def _follow(robot: Robot, histories: list[History], joints: Array, look: Look | 
     for each other in `histories`.
     """
     theta_b, l_b = robot.drive.collars(joints)
-    tips, snaps = np.full((len(histories), len(joints), 3), np.nan), 0
+    poses, snaps = np.full((len(histories), len(joints), 6), np.nan), 0
     with ThreadPoolExecutor(cores()) as pool:
         for begin in range(0, len(joints), BLOCK):
             rows = slice(begin, begin + BLOCK)
@@ -205,25 +206,26 @@ def _follow(robot: Robot, histories: list[History], joints: Array, look: Look | 
                 apart, pool.map(partial(_block, theta_b[rows], l_b[rows], look), apart), strict=True
             ):
                 alike = [k for k, other in enumerate(histories) if other is history]
-                tips[alike, rows], snaps = found, snaps + count * len(alike)
+                poses[alike, rows], snaps = found, snaps + count * len(alike)
                 same = [k for k, other in enumerate(ends) if np.all(np.abs(end - other) < SAME)]
                 ends.append(end)
                 for k in alike if same else ():
                     histories[k] = apart[same[0]]
-    return Prediction(tips, snaps)
+    return Prediction(poses[..., :3], poses[..., 3:], snaps)
 
 
 def _block(theta_b: Array, l_b: Array, look: Look | None, history: History) -> tuple[Array, int, Array]:
-    """Tips (K, 3), snaps, and what tells the end state from others: tip [0.01 mm] and friction of each pair."""
-    tips, snaps, step = np.full((len(theta_b), 3), np.nan), 0, LOOK_EVERY if look else len(theta_b)
+    """Tips and tangents (K, 6), snaps, and what tells the end state from others: tip [0.01 mm], friction of pairs."""
+    poses, snaps, step = np.full((len(theta_b), 6), np.nan), 0, LOOK_EVERY if look else len(theta_b)
     for begin in range(0, len(theta_b), step):
         rows = slice(begin, begin + step)
         try:
             path = history.follow(theta_b[rows], l_b[rows])
         except SolverError:
-            return np.full((len(theta_b), 3), np.nan), 0, np.array([np.nan])
-        tips[rows], snaps = path.position_m, snaps + int(np.nansum(path.snaps))
+            return np.full((len(theta_b), 6), np.nan), 0, np.array([np.nan])
+        poses[rows] = np.concatenate([path.position_m, path.tangent], axis=1)
+        snaps += int(np.nansum(path.snaps))
         if look and path.status[-1] < Status.FAILED:
             look(history.shape())
     end = np.concatenate([path.position_m[-1] / 1e-5, path.tangent[-1] / 1e-3, path.phi[-1]])
-    return tips, snaps, end
+    return poses, snaps, end

@@ -59,9 +59,19 @@ def problems_of_limits(
     if taken_m := float(samples.parameter_clearance_m[int(np.argmin(samples.clearance_m))]):
         opening = shares.removesuffix(")") + "," if shares else " (of which"
         shares = f"{opening} uncertain parameters and registration {taken_m * MM_PER_M:.2f})"
+    softer = _taken(samples.parameter_stability, int(np.argmin(samples.stability)))
+    strained = _taken(samples.parameter_strain, int(np.argmax(samples.max_strain)))
     checks = [
-        (samples.stability < limits.stability, "stability falls to {:.3g}, below the margin", samples.stability.min()),
-        (samples.max_strain > limits.max_strain, "strain reaches {:.4g}, above the limit", samples.max_strain.max()),
+        (
+            samples.stability < limits.stability,
+            f"stability falls to {{:.3g}}, below the margin{softer}",
+            samples.stability.min(),
+        ),
+        (
+            samples.max_strain > limits.max_strain,
+            f"strain reaches {{:.4g}}, above the limit{strained}",
+            samples.max_strain.max(),
+        ),
         (
             samples.clearance_m < limits.clearance_m,
             f"a shape that friction allows comes {{:.2f}} mm too close to the anatomy{shares}",
@@ -74,6 +84,11 @@ def problems_of_limits(
         if broken.any()
     ]
     return found + _problems_of_goal(scenario, samples, bounds)
+
+
+def _taken(by_parameters: Array, sample: int) -> str:
+    taken = float(by_parameters[sample])
+    return f" (of which uncertain parameters {taken:.3g})" if taken else ""
 
 
 def _problems_of_goal(scenario: Scenario, samples: CertificateSamples, bounds: Callable[[], StatedBounds]) -> list[str]:

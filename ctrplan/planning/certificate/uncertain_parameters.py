@@ -26,19 +26,24 @@ def with_parameters(
 
     The same ones and no sentence where nothing is uncertain.
     """
-    clearance, bound = parameter_allowance(scenario, samples.joints)
-    if not clearance.any() and not bound.any():
+    allowed = parameter_allowance(scenario, samples.joints)
+    if not any(column.any() for column in allowed):
         return samples, bounds, []
-    if not np.all(np.isfinite(clearance)) or not np.all(np.isfinite(bound)):
-        leg = samples.leg[int(np.argmin(np.isfinite(clearance) & np.isfinite(bound)))] + 1
+    if not np.all(allowed.is_finite):
+        leg = samples.leg[int(np.argmin(allowed.is_finite))] + 1
         return samples, bounds, [f"On leg {leg}: a robot within the stated intervals has no equilibrium."]
+    bound = allowed.bound_m
     friction = np.minimum(bounds.worst_m, samples.bound_m + bound_allowance_m(scenario.robot, "search"))
     wider = StatedBounds(bounds.goal_m + float(bound[-1]), float((friction + bound).max()))
     found = replace(
         samples,
         bound_m=samples.bound_m + bound,
-        clearance_m=samples.clearance_m - clearance,
+        clearance_m=samples.clearance_m - allowed.clearance_m,
+        stability=samples.stability - allowed.stability,
+        max_strain=samples.max_strain + allowed.strain,
         parameter_bound_m=bound,
-        parameter_clearance_m=clearance,
+        parameter_clearance_m=allowed.clearance_m,
+        parameter_stability=allowed.stability,
+        parameter_strain=allowed.strain,
     )
     return found, wider, problems_of_limits(scenario, pieces, found, lambda: wider)

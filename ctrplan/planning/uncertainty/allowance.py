@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -31,22 +31,31 @@ def is_uncertain(scenario: Scenario) -> bool:
     return bool(uncertain_parameters(scenario.robot).count) or not scenario.registration.is_exact
 
 
-def parameter_allowance(scenario: Scenario, joints: Array) -> tuple[Array, Array]:
-    """(K,) [m] to take off clearances, and (K,) [m] to add to bounds, at the samples of a path, joints (K, m).
+class ParameterAllowance(NamedTuple):
+    """At K samples of a path; inf where the robot has no equilibrium within the intervals."""
 
-    Clearances: intervals of the robot's parameters and registration; `model_error_m` is required on top by the limits.
-    Bounds: parameters alone, for a base that stands elsewhere moves all shapes alike. Zero where nothing is uncertain;
-    inf where the robot has no equilibrium within the intervals.
-    """
+    clearance_m: Array  # (K,) to take off: intervals and registration; limits require `model_error_m` on top
+    bound_m: Array  # (K,) to add: parameters alone, for a base that stands elsewhere moves all shapes alike
+    stability: Array  # (K,) to take off: parameters alone
+    strain: Array  # (K,) to add: likewise
+
+    @property
+    def is_finite(self) -> NDArray[np.bool_]:
+        """(K,)."""
+        return np.asarray(np.isfinite(np.array(self)).all(axis=0))
+
+
+def parameter_allowance(scenario: Scenario, joints: Array) -> ParameterAllowance:
+    """At the samples of a path, joints (K, m). Zero where nothing is uncertain."""
     parameters, nothing = uncertain_parameters(scenario.robot), np.zeros(len(joints))
     if not is_uncertain(scenario):
-        return nothing, nothing
+        return ParameterAllowance(nothing, nothing, nothing, nothing)
     rows = looked_at(len(joints))
     bound = _between(rows, _bounds(parameters, joints[rows]), len(joints)) if parameters.count else nothing
-    if not scenario.anatomy:
-        return nothing, bound
     bodies = bodies_at(scenario, parameters, joints[rows])
-    return _between(rows, np.array([body.allowance_m for body in bodies]), len(joints)), bound
+    taken = np.array([(body.allowance_m, *body.margins_lost) for body in bodies])
+    clearance, stability, strain = (_between(rows, values, len(joints)) for values in taken.T)
+    return ParameterAllowance(clearance, bound, stability, strain)
 
 
 def usual_allowance_m(scenario: Scenario, sample: Callable[[], Array]) -> float:
@@ -70,11 +79,11 @@ def looked_at(count: int) -> NDArray[np.int_]:
 
 
 def bodies_at(scenario: Scenario, parameters: UncertainParameters, joints: Array) -> list[BodyClearance]:
-    """At joints (R, m), on every core; the scenario has an anatomy."""
+    """At joints (R, m), on every core."""
 
     def look(q: Array) -> BodyClearance:
         found = BodyClearance.of(scenario, parameters, q)
-        _ = found.allowance_m  # solved here, on this thread
+        _ = found.allowance_m, found.margins_lost  # solved here, on this thread
         return found
 
     with ThreadPoolExecutor(cores()) as pool:

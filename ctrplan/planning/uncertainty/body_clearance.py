@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.mechanics.shapes import FrictionBodies
 from ctrplan.planning.anatomy_grid import anatomy_grid
-from ctrplan.uncertain.body_spread import BodySpread, alike, body_at, body_spread
+from ctrplan.uncertain.body_spread import BodySpread, alike, body_at, body_spread, solved_bodies
 from ctrplan.uncertain.parameters import UncertainParameters
 from ctrplan.uncertain.worst_case import BaseBall, Farthest, OffsetBox, Sides, farthest, reach_m, rough_reach_m
 
@@ -35,7 +36,7 @@ class BodyClearance:
 
     @classmethod
     def of(cls, scenario: Scenario, parameters: UncertainParameters, joints: Array) -> BodyClearance:
-        """At joints (m,); the scenario has an anatomy."""
+        """At joints (m,). Without an anatomy clearances are infinite."""
         theta, l = scenario.robot.drive.commanded(joints)  # noqa: E741 (as in the equations)
         spread = body_spread(parameters, theta, l)
         points = spread.point_m.reshape(-1, 3)
@@ -111,12 +112,22 @@ class BodyClearance:
         apart = np.linalg.norm(solved.reshape(-1, 3) - linear, axis=1)[self.near]
         return float(np.nan_to_num(apart, nan=np.inf).max(initial=0.0))
 
+    @cached_property
+    def margins_lost(self) -> tuple[float, float]:
+        """What parameters may take off the stability and add to the strain, of all friction states looked at."""
+
+        def solved(offset: Array) -> FrictionBodies:
+            return solved_bodies(self.parameters, offset, self.theta, self.l)
+
+        stability = self.spread.stability.lost(self.parameters, lambda offset: solved(offset).stability)
+        return stability, self.spread.spared_strain.lost(self.parameters, lambda offset: -solved(offset).max_strain)
+
     @property
     def allowance_m(self) -> float:
         """What errors may take off the clearance; inf where a body within the intervals has no equilibrium."""
         if self.is_lost:
             return np.inf
-        if not len(self.clearance_m):
+        if not len(self.clearance_m) or not np.isfinite(self.least_m):
             return 0.0
         return float(self.reach_m[self.near].max()) + self.beyond_first_order_m
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 DRAWS, SOLVED, SEED = 10_000, 200, 23
 DISTRIBUTION = (
     "parameters normal with the stated 95 % intervals, truncated where physics ends them, correlated as stated; "
-    "registration normal in every direction; model_error_mm the 95th percentile of the length of a normal vector"
+    "registration normal in every direction; model_error_mm the 95th percentile of the length of a normal vector, "
+    "another one at each target"
 )
 
 
@@ -66,6 +67,7 @@ class Draws:
     shift_m: Array  # (M, 3) of the base
     turn_rad: Array  # (M, 3) small rotation of the base
     unexplained_m: Array  # (M, 3)
+    model_error_m: float  # 95th percentile of its length
 
     @classmethod
     def of(
@@ -80,9 +82,21 @@ class Draws:
         rng = np.random.default_rng(seed)
         offset = parameters.drawn(rng, count)
         scales = registration.position_sigma_m, registration.rotation_sigma_rad, model_error_m / CHI95
-        return cls(offset, *(scale * rng.standard_normal((count, 3)) for scale in scales))
+        shift, turn, unexplained = (scale * rng.standard_normal((count, 3)) for scale in scales)
+        return cls(offset, shift, turn, unexplained, model_error_m)
+
+    def elsewhere(self, number: int, seed: int = SEED) -> Draws:
+        """The same robots and bases at another pose, whose unexplained error is another one."""
+        rng = np.random.default_rng((seed, number))
+        error = self.model_error_m / CHI95 * rng.standard_normal(self.unexplained_m.shape)
+        return replace(self, unexplained_m=error)
 
     def rigid(self, point_m: Array) -> Array:
         """(M, 3) how base and unexplained errors displace a point (3,) [m]."""
         moved: Array = self.shift_m + np.cross(self.turn_rad, point_m) + self.unexplained_m
+        return moved
+
+    def turned(self, tangent: Array) -> Array:
+        """(M, 3) how the base turns a direction (3,)."""
+        moved: Array = np.cross(self.turn_rad, tangent)
         return moved

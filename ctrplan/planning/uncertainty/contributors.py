@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,8 @@ from ctrplan.uncertain.worst_case import BaseBall
 FRICTION, REGISTRATION, PLAY = "friction", "registration", "play of the drive"
 UNEXPLAINED, SECOND_ORDER = "what calibration left unexplained", "beyond first order"
 OFF = "distance without friction and errors"
-SHOWN_M = 0.05e-3  # smaller shares are not in the sentence
+OFF_DIRECTION = "angle without friction and errors"
+SHOWN_M, SHOWN_RAD = 0.05e-3, math.radians(0.05)  # smaller shares are not in the sentence
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,15 @@ class Contributor:
     name: str
     share_m: float  # of the worst case; shares add up to it, some may be negative
     saved_m: float  # by how much the worst case would be smaller, were this known exactly
+
+
+@dataclass(frozen=True)
+class TurnContributor:
+    """The same of an angle."""
+
+    name: str
+    share_rad: float
+    saved_rad: float
 
 
 def shares(
@@ -47,18 +58,41 @@ def shares(
 
 def ranked(given: Mapping[str, float], saved: Mapping[str, float]) -> tuple[Contributor, ...]:
     """The largest share first."""
-    rows = sorted(given.items(), key=lambda item: -item[1])
-    return tuple(Contributor(name, share, max(saved.get(name, 0.0), 0.0)) for name, share in rows)
+    return tuple(Contributor(*row) for row in _ranked(given, saved))
+
+
+def ranked_turns(given: Mapping[str, float], saved: Mapping[str, float]) -> tuple[TurnContributor, ...]:
+    """The largest share first."""
+    return tuple(TurnContributor(*row) for row in _ranked(given, saved))
 
 
 def sentence(worst_m: float, contributors: tuple[Contributor, ...]) -> str:
     """As "3.1 mm, of which friction 1.9, registration 0.8; measuring the registration would take 0.6 off"."""
-    parts = [f"{c.name} {_digits(c.share_m)}" for c in contributors if c.share_m >= SHOWN_M]
-    text = f"{_digits(worst_m)} mm" + (f", of which {', '.join(parts)}" if parts else "")
-    best = max(contributors, key=lambda c: c.saved_m, default=None)
-    if best is None or best.saved_m < SHOWN_M:
+    causes = [(c.name, c.share_m, c.saved_m) for c in contributors]
+    return _told(f"{_digits(worst_m)} mm", [(n, _digits(a), _digits(b), a, b) for n, a, b in causes], SHOWN_M)
+
+
+def turn_sentence(worst_rad: float, contributors: tuple[TurnContributor, ...]) -> str:
+    """As "3.1 deg, of which friction 1.9, registration 0.8; measuring the registration would take 0.6 off"."""
+    causes = [(c.name, c.share_rad, c.saved_rad) for c in contributors]
+    told = [(n, f"{math.degrees(a):.1f}", f"{math.degrees(b):.1f}", a, b) for n, a, b in causes]
+    return _told(f"{math.degrees(worst_rad):.1f} deg", told, SHOWN_RAD)
+
+
+def _ranked(given: Mapping[str, float], saved: Mapping[str, float]) -> list[tuple[str, float, float]]:
+    rows = sorted(given.items(), key=lambda item: -item[1])
+    return [(name, share, max(saved.get(name, 0.0), 0.0)) for name, share in rows]
+
+
+def _told(whole: str, causes: Iterable[tuple[str, str, str, float, float]], shown: float) -> str:
+    """Causes are name, share and saving in digits, and as numbers."""
+    known = list(causes)
+    parts = [f"{name} {digits}" for name, digits, _, share, _ in known if share >= shown]
+    text = whole + (f", of which {', '.join(parts)}" if parts else "")
+    best = max(known, key=lambda cause: cause[4], default=None)
+    if best is None or best[4] < shown:
         return text
-    return f"{text}; measuring {best.name} would take {_digits(best.saved_m)} off"
+    return f"{text}; measuring {best[0]} would take {best[2]} off"
 
 
 def _digits(length_m: float) -> str:

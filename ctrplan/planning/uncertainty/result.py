@@ -8,7 +8,7 @@ from typing import Any
 
 from ctrplan.planning.uncertainty.chance import DISTRIBUTION, DRAWS, SOLVED
 from ctrplan.planning.uncertainty.closest_approach import ClosestApproach
-from ctrplan.planning.uncertainty.goal_miss import GoalMiss
+from ctrplan.planning.uncertainty.goal_miss import GoalMiss, TourMiss
 from ctrplan.uncertain.parameters import UncertainParameters
 
 
@@ -26,7 +26,7 @@ class ParameterInterval:
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """Worst cases and chances at the goal, and where the motion comes nearest to the anatomy."""
+    """Worst cases and chances at the targets, and where the motion comes nearest to the anatomy."""
 
     parameters: tuple[ParameterInterval, ...]
     position_sigma_m: float  # of the base, each coordinate
@@ -37,6 +37,9 @@ class Uncertainty:
     distribution: str = DISTRIBUTION
     draws: int = DRAWS  # of the linearised model
     solved: int = SOLVED  # of them
+    via: tuple[GoalMiss, ...] = ()  # at the targets before the goal, of a plan
+    tour: TourMiss | None = None  # at all targets together; None where fewer than two can be missed
+    simulated: int = 0  # of the draws: robots whose histories were simulated; 0 without a plan
 
     def to_json(self) -> dict[str, Any]:
         """Plain tables, for plan.json."""

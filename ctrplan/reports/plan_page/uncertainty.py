@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from ctrplan.reports.html_page import Markup, facts, section, table, tag
-from ctrplan.reports.plan_words.numbers import digits, millimetres
+from ctrplan.reports.plan_words.numbers import degrees, digits, millimetres
 from ctrplan.reports.plan_words.uncertainty_rows import stated_in_words, uncertainty_rows
 
 if TYPE_CHECKING:
     from ctrplan.planning.plan import Plan
-    from ctrplan.planning.uncertainty.contributors import Contributor
+    from ctrplan.planning.uncertainty.contributors import Contributor, TurnContributor
+    from ctrplan.planning.uncertainty.goal_miss import GoalMiss
     from ctrplan.planning.uncertainty.result import ParameterInterval
 
 BAR = 24  # blocks of the largest share
@@ -24,8 +25,8 @@ def uncertainty_section(plan: Plan) -> Markup:
         return Markup()
     parts = [
         facts(list(uncertainty_rows(plan).items())),
-        tag("h3", "Causes at the goal"),
-        _causes(found.goal.contributors),
+        *(part for k, miss in enumerate(found.via, start=1) for part in _target(miss, _named(miss, k))),
+        *_target(found.goal, "the goal"),
     ]
     if found.closest:
         parts += [tag("h3", "Causes where the robot comes nearest to the anatomy"), _causes(found.closest.contributors)]
@@ -34,11 +35,29 @@ def uncertainty_section(plan: Plan) -> Markup:
     return section("What is uncertain", *parts, *(tag("p", text, kind="quiet") for text in stated_in_words(found)))
 
 
+def _named(miss: GoalMiss, number: int) -> str:
+    return f"target {number} ({miss.name})" if miss.name else f"target {number}"
+
+
+def _target(miss: GoalMiss, name: str) -> list[Markup]:
+    parts = [tag("h3", f"Causes at {name}"), _causes(miss.contributors)]
+    if miss.turn:
+        parts += [tag("h3", f"Causes of the turn at {name}"), _turns(miss.turn.contributors)]
+    return parts
+
+
 def _causes(contributors: Sequence[Contributor]) -> Markup:
-    largest = max((abs(c.share_m) for c in contributors), default=0.0) or 1.0
+    return _bars([(c.name, c.share_m, c.saved_m) for c in contributors], millimetres)
+
+
+def _turns(contributors: Sequence[TurnContributor]) -> Markup:
+    return _bars([(c.name, c.share_rad, c.saved_rad) for c in contributors], degrees)
+
+
+def _bars(causes: Sequence[tuple[str, float, float]], said: Callable[[float], str]) -> Markup:
+    largest = max((abs(share) for _, share, _ in causes), default=0.0) or 1.0
     rows = (
-        (c.name, millimetres(c.share_m), "█" * round(BAR * max(c.share_m, 0.0) / largest), millimetres(c.saved_m))
-        for c in contributors
+        (name, said(share), "█" * round(BAR * max(share, 0.0) / largest), said(saved)) for name, share, saved in causes
     )
     return table(("Cause", "Share of the worst case", "", "Measuring it would take off"), rows)
 

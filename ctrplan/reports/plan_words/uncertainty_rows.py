@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from ctrplan.reports.plan_words.numbers import digits, millimetres
@@ -10,6 +11,7 @@ from ctrplan.reports.plan_words.numbers import digits, millimetres
 if TYPE_CHECKING:
     from ctrplan.planning.plan import Plan
     from ctrplan.planning.uncertainty.chance import Chance
+    from ctrplan.planning.uncertainty.goal_miss import GoalMiss
     from ctrplan.planning.uncertainty.result import Uncertainty
 
 Rows = dict[str, str]  # what -> how much
@@ -20,12 +22,14 @@ def uncertainty_rows(plan: Plan) -> Rows:
     found = plan.uncertainty
     if found is None:
         return {}
-    rows = {"at worst with uncertainty": f"the tip ends off by {found.goal.sentence}"}
-    if found.goal.chance_any_friction:
-        chances = [f"{percent(found.goal.chance_any_friction)} in the worst friction state"]
-        if found.goal.chance_by_history:
-            chances.insert(0, f"{percent(found.goal.chance_by_history)} with friction as predicted")
-        rows["chance to miss tolerance"] = ", ".join(chances)
+    rows = dict[str, str]()
+    for number, miss in enumerate(found.via, start=1):
+        name = f"target {number}"
+        rows |= _target_rows(miss, (f"{name} with uncertainty", f"{name} turned at worst", f"chance to miss {name}"))
+    rows |= _target_rows(found.goal, ("at worst with uncertainty", "turned at worst", "chance to miss tolerance"))
+    if found.tour:
+        chances = _by_friction(met, found.tour.chance_by_history, found.tour.chance_any_friction)
+        rows["chance to meet all targets"] = chances
     if found.closest:
         left, without = millimetres(found.closest.worst_m), millimetres(found.closest.nominal_m)
         rows["room with uncertainty"] = (
@@ -34,6 +38,35 @@ def uncertainty_rows(plan: Plan) -> Rows:
         margin, touch = percent(found.closest.chance_margin), percent(found.closest.chance_touch)
         rows["chance to lose room"] = f"{margin} to enter the margin, {touch} to touch"
     return rows
+
+
+def _target_rows(miss: GoalMiss, labels: tuple[str, str, str]) -> Rows:
+    """Of one target: its worst case, the turn's, and the chance of missing it."""
+    worst, turned, missed = labels
+    rows = {worst: f"the tip ends off by {miss.sentence}"}
+    if miss.turn:
+        rows[turned] = f"by {miss.turn.sentence}"
+    if miss.chance_any_friction:
+        rows[missed] = _by_friction(percent, miss.chance_by_history, miss.chance_any_friction)
+        if miss.turn:
+            alone = _by_friction(percent, miss.turn.chance_by_history, miss.turn.chance_any_friction)
+            rows[missed] += f"; by the direction alone {alone}"
+    return rows
+
+
+def _by_friction(said: Callable[[Chance], str], by_history: Chance | None, any_friction: Chance) -> str:
+    predicted = f"{said(by_history)} with friction as predicted, " if by_history else ""
+    return f"{predicted}{said(any_friction)} in the worst friction state"
+
+
+def met(found: Chance) -> str:
+    """The chance that something does not happen, or the bound on it where it happened to every draw or to none."""
+    share = 1 - found.stated
+    if found.stated == 0:
+        return f"above {digits(100 * (1 - found.high))} %"
+    if share == 0:
+        return f"below {digits(100 * (1 - found.low))} %"
+    return f"{digits(100 * share)} %" if found.is_confirmed else f"{digits(100 * share)} % (by solves)"
 
 
 def percent(found: Chance) -> str:
@@ -57,6 +90,16 @@ def stated_in_words(found: Uncertainty) -> list[str]:
     return [
         f"Known are {', '.join(known)}. The worst case has every one of them at the worst end of its 95 % interval at "
         "once, which hardly any robot is; what calibration left unexplained exceeds its number in one pose of twenty.",
-        f"Chances are shares of {found.draws:,} draws of the linearised model, {found.solved} of them solved to check: "
-        f"{found.distribution}.",
+        f"Chances are shares of {found.draws:,} draws of the linearised model; what {found.solved} solves differ by is "
+        f"in all of them. {found.distribution[0].upper()}{found.distribution[1:]}.",
+        *_simulated(found),
+    ]
+
+
+def _simulated(found: Uncertainty) -> list[str]:
+    if not found.simulated:
+        return []
+    return [
+        f"Friction as predicted: the motion was simulated on {found.simulated} of these robots, each from one of the "
+        "friction states that the start may have. They are equally likely, unless they were observed.",
     ]

@@ -1,0 +1,95 @@
+"""What a target asks of the tip, in the robot's frame, and how far poses of the tip are from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+from ctrplan.drive.legs import distance_from_polyline
+from ctrplan.planning.goals.tip_solver import angle_to
+
+if TYPE_CHECKING:
+    from ctrplan.planning.scenario import Goal, Scenario
+
+
+@dataclass(frozen=True, eq=False)
+class Aim:
+    """A tip position with a tolerance, possibly with a direction, and with a line that leads to it."""
+
+    tip_m: Array  # (3,)
+    tolerance_m: float | None  # None: joint values were asked for, there is nothing to miss
+    direction: Array | None = None  # (3,) unit vector
+    direction_tolerance_rad: float | None = None
+    line_m: Array | None = None  # (L, 3) corners, the last one tip_m
+
+    @classmethod
+    def of(cls, scenario: Scenario, goal: Goal, frictionless_m: Array) -> Aim:
+        """Of a goal; of one in joint values the frictionless tip (3,) there."""
+        if goal.tip_m is None:
+            return cls(frictionless_m, None)
+        to_robot = scenario.base_R.T
+
+        def here(points: Array) -> Array:
+            return np.asarray((points - scenario.base_position_m) @ to_robot.T)
+
+        return cls(
+            tip_m=here(goal.tip_m),
+            tolerance_m=goal.tolerance_m,
+            direction=None if goal.direction is None else to_robot @ goal.direction,
+            direction_tolerance_rad=goal.direction_tolerance_rad,
+            line_m=None if goal.line_m is None else here(goal.line_m),
+        )
+
+    def off_m(self, tip_m: Array, is_end: bool) -> Array:
+        """(...) distances of tips (..., 3): from the target at its end, from its line on the way there."""
+        if is_end or self.line_m is None:
+            return np.asarray(np.linalg.norm(tip_m - self.tip_m, axis=-1))
+        return distance_from_polyline(tip_m.reshape(-1, 3), self.line_m).reshape(tip_m.shape[:-1])
+
+    def turned_rad(self, tangent: Array) -> Array:
+        """(...) angles of tangents (..., 3) of any length from the direction; 0 without one."""
+        return angle_to(tangent.reshape(-1, 3), self.direction).reshape(tangent.shape[:-1])
+
+    def nearest_m(self, tip_m: Array, is_end: bool) -> Array:
+        """(3,) the point that a tip (3,) shall be at: the target, or the nearest corner-to-corner point of its line."""
+        if is_end or self.line_m is None:
+            return self.tip_m
+        a, along = self.line_m[:-1], np.diff(self.line_m, axis=0)
+        length = np.maximum(np.sum(along**2, axis=1), np.finfo(float).tiny)
+        share = np.clip(np.sum((tip_m - a) * along, axis=1) / length, 0.0, 1.0)
+        points = a + share[:, None] * along
+        return np.asarray(points[np.argmin(np.linalg.norm(points - tip_m, axis=1))])
+
+
+@dataclass(frozen=True, eq=False)
+class Misses:
+    """How far M robots end from a target: positions, and tangents where it has a direction. NaN: no equilibrium."""
+
+    off_m: Array  # (M,)
+    turned_rad: Array  # (M,) zero without a direction
+
+    @classmethod
+    def worst(cls, found: list[Misses]) -> Misses:
+        """The largest of several places or states, robot by robot."""
+        return cls(np.max([f.off_m for f in found], axis=0), np.max([f.turned_rad for f in found], axis=0))
+
+    def missed(self, aim: Aim) -> NDArray[np.bool_]:
+        """(M,) off by more than the tolerance, or turned by more than that of the direction; none without one."""
+        if aim.tolerance_m is None:
+            return np.zeros(len(self.off_m), bool)
+        return np.asarray(~(self.off_m <= aim.tolerance_m) | self.turned_away(aim))
+
+    def turned_away(self, aim: Aim) -> NDArray[np.bool_]:
+        """(M,) turned by more than the tolerance of the direction."""
+        if aim.direction_tolerance_rad is None:
+            return np.zeros(len(self.off_m), bool)
+        return np.asarray(~(self.turned_rad <= aim.direction_tolerance_rad))
+
+
+def quantile95(values: Array) -> float:
+    """95 % are below; inf where robots without an equilibrium are among the rest."""
+    return float(np.quantile(np.nan_to_num(values, nan=np.inf), 0.95, method="higher"))

@@ -1,0 +1,62 @@
+"""The targets of a motion, and the samples of its path at which the tip is judged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.drive.legs import distance_from_polyline
+from ctrplan.planning.play import play_turn
+
+if TYPE_CHECKING:
+    from ctrplan.planning.planned_motion import PlannedMotion
+    from ctrplan.planning.scenario import Goal
+
+ON_LINE = 8  # samples along a line, evenly; and the one where the frictionless tip is farthest from it
+
+
+@dataclass(frozen=True, eq=False)
+class Stop:
+    """A target, and the samples at which its tip is looked at: those along its line, its end last."""
+
+    goal: Goal
+    samples: NDArray[np.int_]  # (W,) of the path
+    places: NDArray[np.int_]  # (W,) numbers of these among the samples of all stops
+    play_m: float = 0.0  # how far play of the drive may move the tip
+    play_rad: float = 0.0  # and turn its tangent
+
+
+def end_stop(goal: Goal, sample: int) -> Stop:
+    """At one sample, without play."""
+    return Stop(goal, np.array([sample]), np.array([0]))
+
+
+def plan_stops(plan: PlannedMotion) -> tuple[Stop, ...]:
+    """Of a plan, in the order reached."""
+    scenario, samples, reached = plan.scenario, plan.certificate.samples, plan.certificate.targets
+    found: list[Stop] = []
+    begin, first = 0, 0
+    targets = scenario.targets[-len(reached) :]  # a certificate of one path knows of its end alone
+    for goal, target in zip(targets, reached, strict=True):
+        is_last = goal is scenario.goal
+        end = len(samples.leg) - 1 if is_last else int(np.flatnonzero(samples.leg <= target.leg)[-1])
+        rows = np.array([end]) if goal.line_m is None else _on_line(plan, goal, begin, end)
+        turn = 0.0
+        if goal.direction is not None:
+            turn = play_turn(scenario.robot, *scenario.robot.drive.collars(samples.joints[end]))
+        found.append(Stop(goal, rows, first + np.arange(len(rows)), target.play_m, turn))
+        begin, first = end, first + len(rows)
+    return tuple(found)
+
+
+def _on_line(plan: PlannedMotion, goal: Goal, begin: int, end: int) -> NDArray[np.int_]:
+    """Samples from one to another, both among them."""
+    assert goal.line_m is not None
+    scenario, tips = plan.scenario, plan.certificate.samples.tip_m[begin : end + 1]
+    located = tips @ scenario.base_R.T + scenario.base_position_m
+    farthest = begin + int(np.argmax(distance_from_polyline(located, goal.line_m)))
+    evenly = np.linspace(begin, end, min(end - begin + 1, ON_LINE)).round().astype(int)
+    return np.union1d(evenly, farthest)
