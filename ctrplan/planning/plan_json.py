@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ctrplan.planning.planned_motion import Leg, PlannedMotion
     from ctrplan.planning.scenario import Goal, Scenario
 
-SCHEMA_VERSION = 2  # rises when a key changes its meaning or goes
+SCHEMA_VERSION = 3  # rises when a key changes its meaning or goes
 SI_UNITS = {"deg": "rad", "mm": "m"}
 
 
