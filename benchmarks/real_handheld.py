@@ -67,7 +67,8 @@ def mapping(runs: Sequence[str]) -> dict[str, object]:
         "rotations": "wrapped",
         "columns": {"l": [1, 2, 3], "theta": [4, 5, 6], "position": [1, 2, 3]},
         "run": [
-            {"joints": f"Joint_Values_{run}.dat", "poses": f"EM_Trajectory_{run}.dat", "tracker": run} for run in runs
+            {"joints": f"Joint_Values_{run}.dat", "poses": f"EM_Trajectory_{run}.dat", "tracker": run, "homing": run}
+            for run in runs
         ],
     }
 

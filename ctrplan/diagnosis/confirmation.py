@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -130,6 +130,8 @@ def _new(found: Diagnosis, data: Measurements, usable: NDArray[np.bool_]) -> _Ne
     """The poses to go by, of `usable` ones (K,), in blocks that last as long as can be where no memory is known."""
     some = np.flatnonzero(usable)
     asked = data.subset(some[:: max(1, -(-len(some) // MOST_POSES))] if data.is_stream else some)
+    if data.homing is not None or found.data.homing is not None:  # no run of these has the zeros of the first one there
+        asked = replace(asked, homing=data.homings + 1)
     block = blocks(asked, math.inf if found.memory is None else found.memory)
     count = len(np.unique(block))
     if count < LEAST_BLOCKS:

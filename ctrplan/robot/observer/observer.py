@@ -21,7 +21,7 @@ from ctrplan.base.arrays import Array, numbers
 from ctrplan.errors import InputError, SolverError
 from ctrplan.mechanics.core_arrays import joint_row, joint_rows
 from ctrplan.mechanics.history import HistoryPath
-from ctrplan.robot.observer.bank import Member, followed, tidied, weights
+from ctrplan.robot.observer.bank import Member, asked, tidied, weights
 from ctrplan.robot.observer.estimate import Observed, ParameterEstimate, TipEstimate, estimate
 from ctrplan.robot.observer.histories import Histories, RobotWith
 from ctrplan.robot.observer.slow_model import Slow, SlowModel
@@ -123,10 +123,8 @@ class Observer:
         given = (numbers(theta_commanded, "theta_commanded"), numbers(l_commanded, "l_commanded"))
         theta_b, l_b = joint_rows(*self._drive.reached(*map(np.atleast_2d, given)), self._bank.mechanics.n)
         found = []
-        for member, share in zip(self._bank.members, weights(self._bank.members), strict=True):
-            here = member.history.save()
-            path = followed(member.history, theta_b, l_b)
-            member.history.restore(here)
+        paths = self._bank.threads.each(lambda member: asked(member.history, theta_b, l_b), self._bank.members)
+        for member, path, share in zip(self._bank.members, paths, weights(self._bank.members), strict=True):
             if path is not None:
                 moved_m, variance = self._ahead(member, path, theta_b, l_b)
                 found.append((path.position_m + moved_m, path.tangent, share, variance))
