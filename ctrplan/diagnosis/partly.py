@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import rest
 from ctrplan.diagnosis.blocks import block_split, blocks
+from ctrplan.diagnosis.branches import on_one_branch
 from ctrplan.diagnosis.candidates import Candidates
 from ctrplan.diagnosis.chi_square import Adequacy, remains
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
@@ -95,6 +96,10 @@ def partly(
     block = blocks(data, _memory(robot, data, usable, noise))
     parts = thinned(block_split(data, usable, block), data)
     bench = CorrelatedBench(robot, data.subset(parts.selection), noise, block[parts.selection], parts.fold)
+    certain = on_one_branch(bench, bench.begun())
+    if not certain.all():
+        parts = Split(parts.selection[certain], parts.held_out_set, parts.fold[certain])
+        bench = CorrelatedBench(robot, data.subset(parts.selection), noise, block[parts.selection], parts.fold)
     base = Workbench(robot, bench.data, noise, bench.group, bench.fold).scored([])
     selector = PartialSelector(bench, known, tell)
     return concluded(selector, selector.run(), known, parts, block, base)
