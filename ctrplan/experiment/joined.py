@@ -36,9 +36,7 @@ def joined_paths(parts: Sequence[JointPath]) -> JointPath:
     )
 
 
-def joined_measurements(
-    parts: Sequence[Measurements], trackers: Sequence[str], homings: Sequence[str]
-) -> Measurements:
+def joined_measurements(parts: Sequence[Measurements], trackers: Sequence[str], homings: Sequence[str]) -> Measurements:
     """All of them; parts of one tracker share a frame, parts of one homing the zeros of the joints.
 
     One part is itself. Raises InputError as `joined_paths`.
