@@ -22,9 +22,7 @@ class HomingShift(Effect):
     in_words = "zeros of joints that differ by homing"
     stage = "drive"
     equation = "joint = commanded + zero_k in the runs of homing k from 2 on, rotations and translations"
-    signature = (
-        "the robot stands as if tubes were turned or moved along by constants, others in the runs of each homing"
-    )
+    signature = "tubes stand turned or moved along by constants, others in the runs of each homing"
     look_alikes = ("homing_offset", "frame_shift", "drift")
     experiment = "repeat one run without homing again: its zeros stay"
 

@@ -1,4 +1,4 @@
-"""Work on several histories of one observer, shared among its threads: the core works without the interpreter's lock."""
+"""Work on several histories of one observer, shared among threads: the core works without the interpreter's lock."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ class SharedWork:
     """Threads that live as long as their observer, for a step is too short to start some."""
 
     def __init__(self) -> None:
+        """Without any until there is something to share."""
         self._pool: ThreadPoolExecutor | None = None
         self._threads = 0
 
