@@ -95,14 +95,19 @@ def partly(
     tell("looking for what holds beside a rest")
     block = blocks(data, _memory(robot, data, usable, noise))
     parts = thinned(block_split(data, usable, block), data)
-    bench = CorrelatedBench(robot, data.subset(parts.selection), noise, block[parts.selection], parts.fold)
-    certain = on_one_branch(bench, bench.begun())
-    if not certain.all():
+    if data.is_stream:
+        first = _bench(robot, data, noise, parts, block)
+        certain = on_one_branch(first, first.begun())
         parts = Split(parts.selection[certain], parts.held_out_set, parts.fold[certain])
-        bench = CorrelatedBench(robot, data.subset(parts.selection), noise, block[parts.selection], parts.fold)
+    bench = _bench(robot, data, noise, parts, block)
     base = Workbench(robot, bench.data, noise, bench.group, bench.fold).scored([])
     selector = PartialSelector(bench, known, tell)
     return concluded(selector, selector.run(), known, parts, block, base)
+
+
+def _bench(robot: Robot, data: Measurements, noise: Noise, parts: Split, block: NDArray[np.int_]) -> CorrelatedBench:
+    """Of the poses that choose."""
+    return CorrelatedBench(robot, data.subset(parts.selection), noise, block[parts.selection], parts.fold)
 
 
 def concluded(
