@@ -9,13 +9,12 @@ the tip [m] in a frame at the robot's base, no tangent. A second sensor at the b
 anew between runs: each run has a frame of its own. OUTPUT gets robot.toml, a mapping file for each set of runs and a
 copy of the data, which have no licence: keep them out of any repository. Tubes are those of controller_node.cpp. Its
 outer tube has an inner diameter of 1.1448 mm, into which the middle tube of 1.372 mm does not fit: taken for 1.448 mm.
-With
---calibrate: ordinary calibration without friction and with the base free on square_1, helix_1 and hypo_1, and the rms
-by run on all. With --unread: the same with a frame for each run, and with zeros of the joints for each besides, on the
-seven other runs in frames and zeros that the other 15 blocks of the run show. With --floor: what smooth functions of the
-joints close. All runs are calibrated together with a frame each; what remains of a run is predicted from the other runs
-by smooth functions of all four joints that move (ridge regression on Gaussian kernels), in a frame found by half of the
-run.
+With --calibrate: ordinary calibration without friction and with the base free on square_1, helix_1 and hypo_1, and the
+rms by run on all. With --unread: the same with a frame for each run, and with zeros of the joints for each besides, on
+the seven other runs in frames and zeros that the other 15 blocks of the run show. With --floor: what smooth functions
+of the joints close. All runs are calibrated together with a frame each; what remains of a run is predicted from the
+other runs by smooth functions of all four joints that move (ridge regression on Gaussian kernels), in a frame found by
+half of the run.
 """
 
 from __future__ import annotations
