@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from measured_data import pair_robot
+from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import Noise
@@ -37,7 +38,7 @@ def turned(degrees: Array) -> Measurements:
 WAY = np.concatenate([np.arange(0.0, 150.0, 5.0), np.arange(150.0, 0.0, -5.0), np.arange(0.0, 340.0, 5.0)])
 
 
-def asked(robot: Robot, data: Measurements) -> Array:
+def asked(robot: Robot, data: Measurements) -> NDArray[np.bool_]:
     """(K,) where there is one branch, by the robot as it is."""
     number = np.arange(data.count) // 5
     bench = CorrelatedBench(robot, data, Noise(1e-4, 1e-2), number, number)
