@@ -1,7 +1,7 @@
 """The handheld robot of github.com/NavidFeizi/Handheld_CTR_Control_ROS_WS as files that ctrplan reads, and how far it
 is off by run.
 
-    python benchmarks/real_handheld.py FOLDER OUTPUT [--calibrate] [--floor] [--every 40]
+    python benchmarks/real_handheld.py FOLDER OUTPUT [--calibrate] [--unread] [--floor] [--every 40]
 
 FOLDER holds Joint_Values_RUN.dat and EM_Trajectory_RUN.dat (in the repository's history, Output_Files/Phantom): rows
 that belong together, without clock; translations [m] and rotations [rad, wrapped now and then], innermost tube first;
@@ -9,11 +9,12 @@ the tip [m] in a frame at the robot's base, no tangent. A second sensor at the b
 anew between runs: each run has a frame of its own. OUTPUT gets robot.toml, a mapping file for each set of runs and a
 copy of the data, which have no licence: keep them out of any repository. Tubes are those of controller_node.cpp. Its
 outer tube has an inner diameter of 1.1448 mm, into which the middle tube of 1.372 mm does not fit: taken for 1.448 mm.
-With
---calibrate: ordinary calibration without friction and with the base free on square_1, helix_1 and hypo_1, and the rms
-by run on all. With --floor: what smooth functions of the joints close. All runs are calibrated together with a frame
-each; what remains of a run is predicted from the other runs by smooth functions of all four joints that move (ridge
-regression on Gaussian kernels), in a frame found by half of the run.
+With --calibrate: ordinary calibration without friction and with the base free on square_1, helix_1 and hypo_1, and the
+rms by run on all. With --unread: the same with a frame for each run, and with zeros of the joints for each besides, on
+the seven other runs in frames and zeros that the other 15 blocks of the run show. With --floor: what smooth functions
+of the joints close. All runs are calibrated together with a frame each; what remains of a run is predicted from the
+other runs by smooth functions of all four joints that move (ridge regression on Gaussian kernels), in a frame found by
+half of the run.
 """
 
 from __future__ import annotations
@@ -21,12 +22,13 @@ from __future__ import annotations
 import argparse
 import math
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import tomli_w
 
 from ctrplan.base.arrays import Array
+from ctrplan.experiment.measurements import Measurements
 
 TRAINING = ("square_1", "helix_1", "hypo_1")
 OUTER_MM, INNER_MM = (2.045, 1.372, 0.940), (1.448, 0.965, 0.737)  # outermost first
@@ -67,7 +69,8 @@ def mapping(runs: Sequence[str]) -> dict[str, object]:
         "rotations": "wrapped",
         "columns": {"l": [1, 2, 3], "theta": [4, 5, 6], "position": [1, 2, 3]},
         "run": [
-            {"joints": f"Joint_Values_{run}.dat", "poses": f"EM_Trajectory_{run}.dat", "tracker": run} for run in runs
+            {"joints": f"Joint_Values_{run}.dat", "poses": f"EM_Trajectory_{run}.dat", "tracker": run, "homing": run}
+            for run in runs
         ],
     }
 
@@ -111,6 +114,56 @@ def calibrated(output: Path, runs: Sequence[str], every: int) -> None:
             for p in (chain.neutral, found.fit.p)
         )
         print(f"{run:10} {one.count:6} {before:9.2f} {after:9.2f}  {'fitted' if run in TRAINING else ''}")
+
+
+def unread(output: Path, every: int) -> None:
+    """Prints the rms error of the runs that nothing read, in frames and zeros found anew, and how late the tip is."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    import ctrplan
+    from ctrplan.calibration.residuals import Noise
+    from ctrplan.diagnosis.confirmation import _New
+
+    believed = ctrplan.load_robot(output / "robot.toml", ["measurement.position_sigma_mm=1"])
+    runs, seen = (ctrplan.load_measurements(output / f"{name}.toml", believed) for name in ("confirmation", "training"))
+    for line in _late(runs):
+        print(line)
+    seen, runs = (data.subset(np.arange(0, data.count, every)) for data in (seen, runs))
+    of = runs.frames[runs.rows]
+    block = np.concatenate([16 * k + np.arange((of == k).sum()) * 16 // (of == k).sum() for k in np.unique(of)])
+    print("mm rms, of every run; then of all: rms, mean, rms without the worst 2 %")
+    for name, homings in (("frames", None), ("frames and zeros", runs.homings + 1)):
+        effects = ["base_misalignment", "frame_shift", *(["homing_shift"] if homings is not None else [])]
+        given = seen if homings is not None else replace(seen, homing=None)
+        fit = ctrplan.calibrate(believed, given, ["calibration", *(f"effects.{e}" for e in effects)], held_out=0).fit
+        anew = _New(replace(runs, homing=homings), Noise(1e-3, 1.0), block)
+        off = anew.predicted(fit).distance_m * 1e3
+        least = np.sort(off)[: int(0.98 * len(off))]
+        cells = [np.sqrt(np.mean(off[of == k] ** 2)) for k in np.unique(of)]
+        cells += [np.sqrt(np.mean(off**2)), off.mean(), np.sqrt(np.mean(least**2))]
+        print(f"{name:18} " + " ".join(f"{cell:6.2f}" for cell in cells), flush=True)
+
+
+def _late(data: Measurements) -> Iterator[str]:
+    """By run, how far the tip goes on after joints that stand still from a step of at least 2 deg on, in rows."""
+    import numpy as np
+
+    step = np.degrees(np.abs(np.diff(data.theta_commanded, axis=0)).max(axis=1))
+    slid = np.abs(np.diff(data.l_commanded, axis=0)).max(axis=1) / 0.25e-3
+    moved, run = np.maximum(step, slid), data.sequence
+    for k in np.unique(run):
+        rows = [
+            i
+            for i in np.flatnonzero((moved > 2) & (run[1:] == k))
+            if i + 16 < len(run) and run[i + 16] == k and moved[i + 1 : i + 15].max() < 0.1
+        ]
+        left = np.array(
+            [np.linalg.norm(data.position_m[i + 1 : i + 9] - data.position_m[i + 15], axis=1) for i in rows]
+        )
+        shown = " ".join(f"{1e3 * value:.2f}" for value in np.median(left, axis=0))
+        yield f"run {k + 1}: {len(rows)} steps, after which the tip has yet to go (median, mm, row by row) {shown}"
 
 
 def floor(output: Path, runs: Sequence[str], every: int) -> None:
@@ -180,11 +233,14 @@ if __name__ == "__main__":
     parser.add_argument("folder", type=Path)
     parser.add_argument("output", type=Path)
     parser.add_argument("--calibrate", action="store_true")
+    parser.add_argument("--unread", action="store_true")
     parser.add_argument("--floor", action="store_true")
     parser.add_argument("--every", type=int, default=40)
     arguments = parser.parse_args()
     found_runs = convert(arguments.folder, arguments.output)
     if arguments.calibrate:
         calibrated(arguments.output, found_runs, arguments.every)
+    if arguments.unread:
+        unread(arguments.output, arguments.every)
     if arguments.floor:
         floor(arguments.output, found_runs, arguments.every)

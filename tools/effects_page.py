@@ -32,7 +32,8 @@ Effects that turn the front plate (`plate_clearance`, `plate_compliance`, `bent_
 `simulate` writes as measured. Bounds and shapes stand on a plate that keeps still; the largest turn times the robot's
 length is added to `model_error_mm`. Effects of speed, rest and use (`friction_speed`, `relaxation`,
 `precurvature_loss`) act in fits: a shape at rest is that of full friction and of the tubes as they were at the last
-pose. Bounds hold for less.
+pose. Bounds hold for less. Zeros of later homings (`homing_shift`) act on logs alone: any other robot stands as after
+the first.
 
 This page is made by `python tools/effects_page.py` from the files under `ctrplan/effects/`. How to write another
 effect: [diagnosis](diagnosis.md#a-new-effect).

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,12 +20,12 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.gross_outliers import gross_outliers, too_many
 from ctrplan.calibration.least_squares import Fit, fit
 from ctrplan.calibration.pose_errors import Errors, distances, summary
-from ctrplan.calibration.residuals import Noise, robust_square
+from ctrplan.calibration.residuals import Noise, residuals, robust_square
 from ctrplan.calibration.unsolved import excused
 from ctrplan.diagnosis.blocks import blocks
 from ctrplan.diagnosis.correlated_bench import fixed
 from ctrplan.diagnosis.frames import FRAMES, frames
-from ctrplan.diagnosis.held_out import held_out_residuals
+from ctrplan.diagnosis.held_out import steps_without
 from ctrplan.diagnosis.holding import summed
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.usable_poses import usable_poses
@@ -130,6 +130,8 @@ def _new(found: Diagnosis, data: Measurements, usable: NDArray[np.bool_]) -> _Ne
     """The poses to go by, of `usable` ones (K,), in blocks that last as long as can be where no memory is known."""
     some = np.flatnonzero(usable)
     asked = data.subset(some[:: max(1, -(-len(some) // MOST_POSES))] if data.is_stream else some)
+    if data.homing is not None or found.data.homing is not None:  # no run of these has the zeros of the first one there
+        asked = replace(asked, homing=data.homings + 1)
     block = blocks(asked, math.inf if found.memory is None else found.memory)
     count = len(np.unique(block))
     if count < LEAST_BLOCKS:
@@ -188,12 +190,20 @@ class _New:
         return _Predicted(robust_square(distance / self.noise.position_m), distance, ~excused(prediction.failed))
 
     def predicted(self, found: Fit) -> _Predicted:
-        """Each block by a model in the frames that the other blocks show."""
+        """Each block by a model in the frames that the other blocks show, to first order; tips are those there."""
         placed = self.placed(found)
-        left = held_out_residuals(linear(placed), self.block)
-        failed = placed.chain.predict(placed.p, derivatives=False).failed
-        distance = np.linalg.norm(left[:, :3] * self.noise.position_m * self.data.over_tip, axis=1)
-        return _Predicted(robust_square(np.linalg.norm(left, axis=1)), distance, ~excused(failed))
+        loss, distance, failed = np.empty(self.data.count), np.empty(self.data.count), np.zeros(self.data.count, bool)
+        for number, step in steps_without(linear(placed), self.block).items():
+            inside = self.block == number
+            part = ParametricChain(placed.chain.robot, self.data.subset(inside), placed.chain.terms)
+            if placed.chain.correction is not None:
+                shift, turn = placed.chain.correction
+                part.correction = shift[inside], turn[inside]
+            prediction = part.predict(np.clip(placed.p + step, part.lower, part.upper), derivatives=False)
+            left = residuals(part.data, prediction, self.noise, np.arange(part.data.count))
+            loss[inside], distance[inside] = robust_square(left.norm), distances(prediction, part.data)
+            failed[inside] = prediction.failed
+        return _Predicted(loss, distance, ~excused(failed))
 
     def placed(self, found: Fit) -> Fit:
         """A model in the frames that these runs show."""

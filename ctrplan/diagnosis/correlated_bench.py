@@ -197,14 +197,19 @@ class CorrelatedBench(Workbench):
             chain.followed_phi = self._phi
         return chain
 
+    def rubbing(self, scored: Scored) -> tuple[ParametricChain, Array]:
+        """Chain and parameters of a fit, with usual friction where it has none."""
+        chain, p = scored.fit.chain, scored.fit.p
+        if self._has_friction(scored.terms):
+            return chain, p
+        friction = CATALOGUE["friction"]
+        extra = term(friction, [q.name for q in friction.parameters(self.robot)], self.robot)
+        rubs = ParametricChain(self.robot, self.data, [*chain.terms, extra])
+        return rubs, np.concatenate([p, np.full(len(extra.parameters), USUAL_FRICTION)])
+
     def _followed(self, scored: Scored) -> Array:
         """(K, n - 1) friction states along the path at a fit, with usual friction where it has none."""
-        chain, p = scored.fit.chain, scored.fit.p
-        if not self._has_friction(scored.terms):
-            rubbing = CATALOGUE["friction"]
-            extra = term(rubbing, [q.name for q in rubbing.parameters(self.robot)], self.robot)
-            chain = ParametricChain(self.robot, self.data, [*chain.terms, extra])
-            p = np.concatenate([p, np.full(len(extra.parameters), USUAL_FRICTION)])
+        chain, p = self.rubbing(scored)
         path = followed(chain, p)
         self.restarts = path.restarts
         rule = ParametricChain(self.robot, self.data, chain.terms).friction_state(p)

@@ -1,6 +1,7 @@
 """The rigid motions between robot and tracker, one for each set-up of the tracker: free wherever something remains.
 
 A robot that is held in a hand, or registered anew, stands elsewhere in every run. Nothing else can be told before that.
+So it is with the zeros of its joints where it was homed anew: they are free beside those of the first homing.
 """
 
 from __future__ import annotations
@@ -13,16 +14,18 @@ from ctrplan.pipeline.term import Term, term
 from ctrplan.robot.robot import Robot
 
 FRAME, SHIFT = "base_misalignment", "frame_shift"  # of the first set-up, and of the others beside it
-FRAMES = (FRAME, SHIFT)
+HOMED = "homing_shift"  # zeros after every further homing
+FRAMES = (FRAME, SHIFT, HOMED)
 
 
 def frames(robot: Robot, data: Measurements) -> list[Term]:
-    """One rigid motion, and one more for every further frame that the poses are in."""
-    effect, shift = CATALOGUE[FRAME], CATALOGUE[SHIFT]
+    """One rigid motion, one more for every further frame that the poses are in, and zeros for every further homing."""
+    effect = CATALOGUE[FRAME]
     found = [term(effect, [parameter.name for parameter in effect.parameters(robot)], robot)]
-    if not shift.untestable(robot, data):
-        (names,) = shift.variants(robot, data)
-        found.append(term(shift, names, robot))
+    for shift in (CATALOGUE[SHIFT], CATALOGUE[HOMED]):
+        if not shift.untestable(robot, data) and not (data.of_collars and shift.stage == "drive"):
+            (names,) = shift.variants(robot, data)
+            found.append(term(shift, names, robot))
     return found
 
 

@@ -73,6 +73,17 @@ def held_out_residuals(fit: Linear, fold: NDArray[np.int_]) -> Array:
     return left
 
 
+def steps_without(fit: Linear, fold: NDArray[np.int_]) -> dict[int, Array]:
+    """By number of each fold (K,), how far (P,) the parameters move when it had not been fitted."""
+    H, _ = fit._system()
+    steps = {}
+    for number in np.unique(fold).tolist():
+        inside = fold == number
+        flat, w = fit.J[inside].reshape(-1, fit.J.shape[2]), np.repeat(fit.weight[inside], PER_POSE)[:, None]
+        steps[number] = -solved(H - flat.T @ (w * flat), flat.T @ (w[:, 0] * fit.r[inside].ravel()))
+    return steps
+
+
 def held_out_loss(fit: Linear, fold: NDArray[np.int_]) -> Array:
     """(K,) robust square of every pose's residual when its fold (K,) had not been fitted."""
     return robust_square(np.linalg.norm(held_out_residuals(fit, fold), axis=1))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import rest
 from ctrplan.diagnosis.blocks import block_split, blocks
+from ctrplan.diagnosis.branches import on_one_branch
 from ctrplan.diagnosis.candidates import Candidates
 from ctrplan.diagnosis.chi_square import Adequacy, remains
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
@@ -94,10 +95,19 @@ def partly(
     tell("looking for what holds beside a rest")
     block = blocks(data, _memory(robot, data, usable, noise))
     parts = thinned(block_split(data, usable, block), data)
-    bench = CorrelatedBench(robot, data.subset(parts.selection), noise, block[parts.selection], parts.fold)
+    if data.is_stream:
+        first = _bench(robot, data, noise, parts, block)
+        certain = on_one_branch(first, first.begun())
+        parts = Split(parts.selection[certain], parts.held_out_set, parts.fold[certain])
+    bench = _bench(robot, data, noise, parts, block)
     base = Workbench(robot, bench.data, noise, bench.group, bench.fold).scored([])
     selector = PartialSelector(bench, known, tell)
     return concluded(selector, selector.run(), known, parts, block, base)
+
+
+def _bench(robot: Robot, data: Measurements, noise: Noise, parts: Split, block: NDArray[np.int_]) -> CorrelatedBench:
+    """Of the poses that choose."""
+    return CorrelatedBench(robot, data.subset(parts.selection), noise, block[parts.selection], parts.fold)
 
 
 def concluded(

@@ -62,6 +62,8 @@ def _frame_lines(found: Diagnosis) -> list[str]:
         if count == 1
         else f"a frame of its own in each of {count} set-ups of the tracker"
     )
+    if (homings := len(np.unique(found.data.homings))) > 1:
+        whose += f" and zeros of its own after each of {homings} homings"
     return [f"with {whose} the robot is {after:.2f} mm off instead of {before:.2f} mm, before any effect"]
 
 

@@ -109,6 +109,13 @@ class Effect(ABC):
         """
         return collars
 
+    def zeros(self, values: Values, data: Measurements) -> Array | None:
+        """Of the drive: (K, 2 n) what the zeros of rotations [rad], then of translations [m], are off at each pose.
+
+        That of the runs in a log; where nobody knows the run, no zero is off.
+        """
+        return None
+
     def mechanics(self, values: Values, robot: Robot) -> Mapping[str, float]:
         """Named numbers of the robot (`named_numbers.py`) that differ from what `robot` has."""
         return {}

@@ -36,16 +36,18 @@ def joined_paths(parts: Sequence[JointPath]) -> JointPath:
     )
 
 
-def joined_measurements(parts: Sequence[Measurements], trackers: Sequence[str]) -> Measurements:
-    """All of them; parts of one tracker share a frame. One part is itself. Raises InputError as `joined_paths`."""
+def joined_measurements(parts: Sequence[Measurements], trackers: Sequence[str], homings: Sequence[str]) -> Measurements:
+    """All of them; parts of one tracker share a frame, parts of one homing the zeros of the joints.
+
+    One part is itself. Raises InputError as `joined_paths`.
+    """
     if len(parts) == 1:
         return parts[0]
     time_s, notes = _clock(parts)
     first = list(accumulate((len(part.sequence) for part in parts), initial=0))
     rows = np.concatenate([part.rows + start for part, start in zip(parts, first, strict=False)])
     theta, l = (np.concatenate([getattr(p, f"{k}_commanded") for p in parts]) for k in ("theta", "l"))  # noqa: E741
-    sequence, names = _runs(parts), list(dict.fromkeys(trackers))
-    frame = [np.full(len(p.sequence), names.index(t) + 1) for p, t in zip(parts, trackers, strict=True)]
+    sequence = _runs(parts)
     return replace(
         parts[0],
         sequence=sequence,
@@ -59,10 +61,18 @@ def joined_measurements(parts: Sequence[Measurements], trackers: Sequence[str]) 
         more=_more(parts),
         sha256=hashlib.sha256("".join(part.sha256 for part in parts).encode()).hexdigest(),
         warnings=(*dict.fromkeys(warning for part in parts for warning in part.warnings), *notes),
-        frame=np.concatenate(frame) if len(names) > 1 else None,
+        frame=_numbered(parts, trackers),
+        homing=_numbered(parts, homings),
         marker=_of_poses(parts, "marker", 0),
         noise_ratio=_of_poses(parts, "noise_ratio", 1.0),
     )
+
+
+def _numbered(parts: Sequence[Measurements], names: Sequence[str]) -> NDArray[np.int_] | None:
+    """(R,) number, from 1, of the name that each part has; None where there is one name."""
+    known = list(dict.fromkeys(names))
+    numbers = [np.full(len(part.sequence), known.index(name) + 1) for part, name in zip(parts, names, strict=True)]
+    return np.concatenate(numbers) if len(known) > 1 else None
 
 
 def _of_poses(parts: Sequence[Measurements], name: str, usual: float) -> NDArray[Any] | None:

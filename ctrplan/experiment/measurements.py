@@ -39,6 +39,7 @@ class Measurements:
     sha256: str = ""
     warnings: tuple[str, ...] = ()
     frame: NDArray[np.int_] | None = None  # (R,) number, from 1, of the tracker's frame where it was set up anew
+    homing: NDArray[np.int_] | None = None  # (R,) number, from 1, of the drive's homing where it was homed anew
     of_collars: bool = False  # whether joints are those of the collars, so that the drive's effects are in them
     marker: NDArray[np.int_] | None = (
         None  # (K,) number, from 1, of the robot's marker seen, 0: the tip; None: all tips
@@ -59,6 +60,11 @@ class Measurements:
     def frames(self) -> NDArray[np.int_]:
         """(R,) number, from 1, of the tracker's frame at each waypoint."""
         return np.ones(len(self.sequence), int) if self.frame is None else self.frame
+
+    @property
+    def homings(self) -> NDArray[np.int_]:
+        """(R,) number, from 1, of the drive's homing at each waypoint."""
+        return np.ones(len(self.sequence), int) if self.homing is None else self.homing
 
     @cached_property
     def seen_marker(self) -> NDArray[np.int_]:

@@ -30,6 +30,7 @@ class RunEntry(Struct, forbid_unknown_fields=True, frozen=True):
     joints: str | None = None
     poses: str | None = None
     tracker: Name = "tracker"  # runs of one name share its frame
+    homing: Name = "homing"  # runs of one name share the zeros of the joints
     frame: FrameEntry | Literal["unknown"] | None = None
 
 

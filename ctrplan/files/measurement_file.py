@@ -33,7 +33,7 @@ def load_measurements(path: str | os.PathLike[str], robot: Robot) -> Measurement
     """
     given = sources(path, robot, "file of measurements")
     parts = [_measurements(source, robot) for source in given]
-    data = joined_measurements(parts, [source.tracker for source in given])
+    data = joined_measurements(parts, [source.tracker for source in given], [source.homing for source in given])
     if np.ptp(data.theta_commanded, axis=0).max() < STILL_RAD and np.ptp(data.l_commanded, axis=0).max() < STILL_M:
         raise given[0].table.fault("all joints are constant: one configuration says nothing about a model")
     unknown = dict.fromkeys(source.tracker for source in given if not source.is_registered)

@@ -23,6 +23,7 @@ class Source:
     table: CsvTable
     is_mapped: bool = False
     tracker: str = ""  # sources with the same one share its frame
+    homing: str = ""  # sources with the same one share the zeros of the joints
     is_registered: bool = True  # whether the robot's place in that frame is known
     of_collars: bool = False  # whether joints are those of the tubes' collars rather than what was commanded
     wrapped: bool | None = None  # whether rotations are kept within one turn; None: as the values look
@@ -41,6 +42,7 @@ def sources(path: str | os.PathLike[str], robot: Robot, what: str) -> list[Sourc
             table=MappedTable(entry, k, robot, document),
             is_mapped=True,
             tracker=run.tracker,
+            homing=run.homing,
             is_registered=run.frame != "unknown",
             of_collars=entry.values == "collars",
             wrapped=wrapped,

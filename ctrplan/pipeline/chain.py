@@ -63,7 +63,16 @@ class Chain:
 
     def collars(self, data: Measurements, directions: Array) -> Collars:
         """Where the collars stand, (K, n), when the K poses are taken; `directions` (K, 2 n) of the last motions."""
-        return self.drive(self.clock(data), directions)
+        return self.drive(self.homed(self.clock(data), data), directions)
+
+    def homed(self, commanded: Collars, data: Measurements) -> Collars:
+        """What was commanded, (K, n), from the zeros that the runs of the K poses have."""
+        found = (given.effect.zeros(given.values, data) for given in self.of_stage("drive"))
+        off = [zeros for zeros in found if zeros is not None]
+        if not off:
+            return commanded
+        total = np.sum(off, axis=0)
+        return Collars(commanded.theta + total[:, : data.n], commanded.l + total[:, data.n :])
 
     def clock(self, data: Measurements) -> Collars:
         """What was commanded, (K, n), at the instants that the K poses belong to."""

@@ -10,7 +10,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import PER_POSE, Noise, Residuals
 from ctrplan.diagnosis.chance import null_threshold
 from ctrplan.diagnosis.chi_square import ChiSquare, adequacy, outliers
-from ctrplan.diagnosis.held_out import Linear, held_out_loss, null_scores
+from ctrplan.diagnosis.held_out import Linear, held_out_loss, held_out_residuals, null_scores, steps_without
 from ctrplan.diagnosis.predictive import predictive_loss, predictive_null_scores
 from ctrplan.diagnosis.rescaled_noise import held_out_probability, rescaled_noise
 
@@ -36,6 +36,15 @@ def test_leaving_a_fold_out_is_the_refit_without_it() -> None:
         step = np.linalg.lstsq(J[~rows] / np.logspace(-3, 3, 4), r[~rows], rcond=None)[0] / np.logspace(-3, 3, 4)
         explicit = np.linalg.norm((r[rows] - J[rows] @ step).reshape(-1, PER_POSE), axis=1) ** 2
         np.testing.assert_allclose(loss[inside], explicit, rtol=1e-6)
+
+
+def test_parameters_without_a_fold_leave_the_residuals_that_it_has_without_it() -> None:
+    fit = problem(4, 5).refitted()
+    steps, left = steps_without(fit, FOLD), held_out_residuals(fit, FOLD)
+    assert sorted(steps) == sorted(set(FOLD.tolist()))
+    for number, step in steps.items():
+        inside = number == FOLD
+        np.testing.assert_allclose(fit.r[inside] - fit.J[inside] @ step, left[inside], rtol=1e-9, atol=1e-9)
 
 
 def test_a_step_leaves_residuals_across_the_columns() -> None:

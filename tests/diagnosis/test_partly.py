@@ -119,6 +119,23 @@ def test_runs_of_a_tracker_that_was_set_up_anew_have_frames_of_their_own() -> No
     assert found.robot_content()["effects"]["frame_shift"]["shift_x_2_mm"] == pytest.approx(5.0, abs=1.0)
 
 
+def test_zeros_of_a_robot_that_was_homed_anew_are_free_and_found_anew_on_other_runs() -> None:
+    later = PLAN.sequence > np.median(PLAN.sequence)
+    zeros = {"homing_shift": {"theta_2_2_deg": 12.0}}
+    data = replace(beside_a_rest({**KNOWN, **zeros}, replace(PLAN, homing=1 + later)), homing=1 + later)
+    few = {name: QUICK[name] for name in ("backlash", "base_misalignment")}
+    found = diagnose(ROBOT, data, catalogue=few)
+    assert {"backlash", "homing_shift"} == {t.name for t in found.listed}
+    assert found.gap.before.rms_m > 2e-3 and found.gap.after.rms_m < 1.2 * partial().gap.after.rms_m
+    assert "zeros of its own after each of 2 homings" in effect_lines(found)[0]
+    assert found.robot_content()["effects"]["homing_shift"]["theta_2_2_deg"] == pytest.approx(12.0, abs=2.0)
+    once = replace(OTHERS, homing=np.full(len(OTHERS.sequence), 2))
+    turned = {"homing_shift": {"theta_2_2_deg": -12.0}}
+    asked = confirm(found, beside_a_rest({**KNOWN, **turned}, once, seed=9))  # of one homing, none of those there
+    assert asked.calibrated.rms_m > 2 * asked.after.rms_m
+    assert asked.after.rms_m < 1.3 * confirm(partial(), beside_a_rest(KNOWN, OTHERS, seed=9)).after.rms_m
+
+
 def test_the_report_splits_the_gap() -> None:
     page = diagnosis_report_html(partial(), selection_errors(partial()))
     assert "remains, unexplained" in page and "Closes as the last" in page and "In part:" in page

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -156,6 +157,27 @@ def test_runs_in_several_files_have_a_frame_each_that_a_fit_finds(tmp_path: Path
     assert together.frame is None
     with pytest.raises(InputError, match="one frame of the tracker"):
         calibrate(ROBOT, together, ["effects.frame_shift"])
+
+
+def test_runs_of_a_robot_that_was_homed_anew_have_zeros_that_a_fit_finds(tmp_path: Path) -> None:
+    plan = waypoints(ROBOT, 16)
+    later = plan.sequence > np.median(plan.sequence)
+    homed = replace(plan, homing=1 + later)
+    zeros = {"theta_2_2_deg": 5.0, "l_2_2_mm": -1.0}
+    data = measured(ROBOT, homed, {"homing_shift": zeros})
+    for name, rows in (("a.txt", ~later), ("b.txt", later)):
+        written(tmp_path / name, table(data)[rows], ";")
+    both = [{"file": "a.txt", "homing": "first"}, {"file": "b.txt", "homing": "second"}]
+    read = load(tmp_path, mapping(run=both))
+    assert np.array_equal(read.homings, homed.homings) and read.frame is None
+    found = calibrate(ROBOT, read, ["calibration", "effects.homing_shift"])
+    for name, true in zeros.items():
+        low, high = found.estimates[name].ci95
+        assert low - 0.5 * (high - low) < true < high + 0.5 * (high - low)
+    together = load(tmp_path, mapping(run=[{"file": "a.txt"}, {"file": "b.txt"}]))
+    assert together.homing is None
+    with pytest.raises(InputError, match="one homing of the robot"):
+        calibrate(ROBOT, together, ["effects.homing_shift"])
 
 
 def test_values_of_collars_have_the_drive_s_effects_in_them(tmp_path: Path, data: Measurements) -> None:

@@ -12,6 +12,7 @@ from ctrplan.files.robot_file import load_robot
 from ctrplan.mechanics.history import HistoryPath
 from ctrplan.robot.observer.observer import Observer
 from ctrplan.robot.observer.slow_offset import SlowOffset
+from ctrplan.robot.observer.slow_parameter import SlowParameter
 from ctrplan.robot.observer.start_states import start_states
 from ctrplan.robot.robot import Robot
 
@@ -122,6 +123,20 @@ def test_the_same_seed_gives_the_same_answers() -> None:
 
     np.testing.assert_array_equal(tips(3), tips(3))
     assert not np.array_equal(tips(3), tips(4))
+
+
+def test_threads_change_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    theta, l_b, truth = truth_of(THREE)
+    slow = [SlowParameter("contact.1.friction_coefficient", 0.1)]
+    found = []
+    for threads in ("1", "3"):
+        monkeypatch.setenv("CTRPLAN_THREADS", threads)
+        observer = THREE.observer(NOISE_M, slow=slow)
+        rows = zip(theta[:8], l_b[:8], truth.position_m, strict=False)
+        steps = [observer.observe(*row) for row in rows]
+        ahead = observer.predict(theta[8:11], l_b[8:11])
+        found.append(np.concatenate([ahead.position_m.ravel(), *(np.r_[s.tip.low_m, s.friction] for s in steps)]))
+    np.testing.assert_array_equal(found[0], found[1])
 
 
 def test_without_measurements_nothing_is_ruled_out() -> None:

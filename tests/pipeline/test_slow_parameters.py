@@ -89,7 +89,8 @@ def test_the_filter_is_the_least_squares_estimate_of_all_tips_together() -> None
         H.append(np.hstack([np.eye(3), slopes]))
         off.append(H[-1] @ true + NOISE_M * rng.standard_normal(3))
         slow = model.after_step(slow)
-        slow = model.seen(slow, slopes, off[-1] - slow.moved_m(slopes, np.zeros(2)), NOISE_M**2)
+        left = off[-1] - slow.moved_m(slopes, np.zeros(2))
+        (slow,) = model.seen([slow], slopes[None], left[None], NOISE_M**2)
     rows, y = np.concatenate(H) / NOISE_M, np.concatenate(off) / NOISE_M
     information = rows.T @ rows + np.diag(1 / np.array([1e-3, 1e-3, 1e-3, 2.0, 0.5]) ** 2)
     np.testing.assert_allclose(slow.mean, np.linalg.solve(information, rows.T @ y), rtol=1e-6, atol=1e-9)

@@ -63,6 +63,14 @@ def followed(history: History, theta_b: Array, l_b: Array) -> HistoryPath | None
     return path if path.status[-1] < Status.FAILED else None
 
 
+def asked(history: History, theta_b: Array, l_b: Array) -> HistoryPath | None:
+    """As `followed`, of a history that stays where it is."""
+    here = history.save()
+    path = followed(history, theta_b, l_b)
+    history.restore(here)
+    return path
+
+
 def weights(members: list[Member]) -> Array:
     """(H,) probabilities, of sum 1."""
     score: Array = np.array([member.score for member in members])

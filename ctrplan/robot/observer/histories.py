@@ -17,6 +17,7 @@ from ctrplan.errors import SolverError
 from ctrplan.mechanics.core import Mechanics
 from ctrplan.mechanics.history import History, HistoryOptions, HistoryPath, Start
 from ctrplan.robot.observer.bank import Member, begun, moved
+from ctrplan.robot.observer.shared_work import SharedWork
 from ctrplan.robot.observer.slow_model import SlowModel
 from ctrplan.robot.observer.start_states import start_states
 
@@ -39,6 +40,7 @@ class Histories:
         self.mechanics, self.members = robot_with({}), list[Member]()
         self.at: tuple[Array, Array] | None = None  # collars (n,) [rad], (n,) [m]
         self._robot_with, self._accuracy, self._slow, self._most, self._rng = robot_with, accuracy, slow, most, rng
+        self.threads = SharedWork()
         self._waiting: list[Array] = []  # states that join with the first tip
         self._is_measured = False
 
@@ -54,7 +56,8 @@ class Histories:
 
     def move(self, theta_b: Array, l_b: Array) -> bool:
         """Moves every history to collars (n,), (n,); whether all had to begin again. Raises SolverError if none can."""
-        left = [member for member in self.members if moved(member, theta_b, l_b)]
+        found = self.threads.each(lambda member: moved(member, theta_b, l_b), self.members)
+        left = [member for member in found if member is not None]
         anew = not left and self.at is not None
         if not left:
             states = start_states(self.mechanics.n - 1, self._most, self._rng)
@@ -83,15 +86,19 @@ class Histories:
         """Of the robot as slow parameters have it by now."""
         slow = self.likeliest.slow if self.members else self._slow.start()
         values = self._slow.simulated(slow)
-        found = (begun(self._history(values, phi), values, theta_b, l_b, slow, score) for phi in states)
-        return [member for member in found if member is not None]
+        mechanics = self._with(values)
+
+        def one(phi: Array) -> Member | None:
+            return begun(self._history(mechanics, phi), values, theta_b, l_b, slow, score)
+
+        return [member for member in self.threads.each(one, states) if member is not None]
 
     def join_waiting(self) -> None:
         """With the first tip steps become fine, and states between the corners join."""
         if not self._is_measured:
             self._is_measured = True
             for member in self.members:
-                fine = self._history(member.values)
+                fine = self._history(self._with(member.values))
                 fine.restore(member.history.save())
                 member.history = fine
         if self._waiting:
@@ -124,8 +131,11 @@ class Histories:
     def _differentiate(self, members: Sequence[Member]) -> None:
         if members and self._slow.names:
             n, rows = self.mechanics.n, np.array([self._here(member) for member in members])
-            slopes = self._slow.slopes(self.mechanics, *np.split(rows, [n, 2 * n], axis=1))
-            for member, at, of in zip(members, rows, slopes, strict=True):
+            shares = [rows[part] for part in self.threads.parts(len(rows))]
+            slopes = self.threads.each(
+                lambda share: self._slow.slopes(self.mechanics, *np.split(share, [n, 2 * n], axis=1)), shares
+            )
+            for member, at, of in zip(members, rows, np.concatenate(slopes), strict=True):
                 member.slopes, member.slopes_at = of, at
 
     def _here(self, member: Member) -> Array:
@@ -145,7 +155,9 @@ class Histories:
         limit = np.repeat(STALE, [n, n, n - 1])
         return float(np.max(np.abs(at - member.slopes_at) / limit)) if len(member.slopes_at) else math.inf
 
-    def _history(self, values: Array, start: Start = "released") -> History:
-        """Of the robot with slow parameters values (P,) off the file's."""
-        mechanics = self._robot_with(dict(zip(self._slow.names, values.tolist(), strict=True)))
+    def _with(self, values: Array) -> Mechanics:
+        """The robot with slow parameters values (P,) off the file's."""
+        return self._robot_with(dict(zip(self._slow.names, values.tolist(), strict=True)))
+
+    def _history(self, mechanics: Mechanics, start: Start = "released") -> History:
         return History(mechanics, start, accuracy=self._accuracy, options=None if self._is_measured else COARSE)

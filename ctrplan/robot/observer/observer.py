@@ -21,10 +21,10 @@ from ctrplan.base.arrays import Array, numbers
 from ctrplan.errors import InputError, SolverError
 from ctrplan.mechanics.core_arrays import joint_row, joint_rows
 from ctrplan.mechanics.history import HistoryPath
-from ctrplan.robot.observer.bank import Member, followed, tidied, weights
+from ctrplan.robot.observer.bank import Member, asked, tidied, weights
 from ctrplan.robot.observer.estimate import Observed, ParameterEstimate, TipEstimate, estimate
 from ctrplan.robot.observer.histories import Histories, RobotWith
-from ctrplan.robot.observer.slow_model import Slow, SlowModel
+from ctrplan.robot.observer.slow_model import Slow, SlowModel, spread_m2
 from ctrplan.robot.observer.slow_offset import SlowOffset
 from ctrplan.robot.observer.slow_parameter import SlowParameter
 from ctrplan.robot.observer.start_states import states_nearby
@@ -123,10 +123,8 @@ class Observer:
         given = (numbers(theta_commanded, "theta_commanded"), numbers(l_commanded, "l_commanded"))
         theta_b, l_b = joint_rows(*self._drive.reached(*map(np.atleast_2d, given)), self._bank.mechanics.n)
         found = []
-        for member, share in zip(self._bank.members, weights(self._bank.members), strict=True):
-            here = member.history.save()
-            path = followed(member.history, theta_b, l_b)
-            member.history.restore(here)
+        paths = self._bank.threads.each(lambda member: asked(member.history, theta_b, l_b), self._bank.members)
+        for member, path, share in zip(self._bank.members, paths, weights(self._bank.members), strict=True):
             if path is not None:
                 moved_m, variance = self._ahead(member, path, theta_b, l_b)
                 found.append((path.position_m + moved_m, path.tangent, share, variance))
@@ -168,7 +166,7 @@ class Observer:
         """Probabilities, offsets, and what stays unexplained, after a tip seen at (3,)."""
         members, sigma2, unexplained2 = self._bank.members, self._surprise.noise_m2, self._surprise.unexplained_m2
         off = seen - np.array([member.expected_m for member in members])
-        spread = np.array([member.slow.spread_m2(member.slopes) for member in members])
+        spread = self._spread_m2(members)
         noise2 = sigma2 + unexplained2
         told = spread + noise2 * np.eye(3)
         least = np.sum(off * np.linalg.solve(told, off[:, :, None])[:, :, 0], axis=1) + np.linalg.slogdet(told)[1]
@@ -181,8 +179,10 @@ class Observer:
         self._surprise.learn(float(weights(members) @ (np.sum(off * off, axis=1) - own)) / 3)
         best = int(np.argmax([member.score for member in members]))
         self._slow.learn(off[best], float(own[best]) / 3 + sigma2, NEWS)
-        for member, away in zip(members, off, strict=True):
-            member.slow = self._slow.seen(member.slow, member.slopes, away, noise2)
+        slopes = np.array([member.slopes for member in members])
+        found = self._slow.seen([member.slow for member in members], slopes, off, noise2)
+        for member, slow in zip(members, found, strict=True):
+            member.slow = slow
         self._bank.members = tidied(members)[: MOST_WITH_SLOW if self._slow.names else None]
         expected = weights(self._bank.members) @ np.array([member.expected_m for member in self._bank.members])
         self._surprise.after(seen - expected)  # the histories may be too coarse for this noise
@@ -212,7 +212,8 @@ class Observer:
         members = self._bank.members
         position = np.array([member.expected_m for member in members])
         along = np.array([member.tangent for member in members])
-        variance = np.array([self._known_to(member.slow, member.slopes) for member in members])
+        own = self._spread_m2(members, self._slow.shown_share(0)).diagonal(axis1=1, axis2=2)
+        variance = own + self._surprise.beyond_m2
         return estimate(position, along, weights(members), variance)
 
     def _ahead(self, member: Member, path: HistoryPath, theta_b: Array, l_b: Array) -> tuple[Array, Array]:
@@ -224,7 +225,12 @@ class Observer:
             moved_m[k], variance[k] = slow.moved_m(of, member.values), self._known_to(slow, of, ahead=k)
         return moved_m, variance
 
-    def _known_to(self, slow: Slow, slopes: Array, ahead: int = 0) -> Array:
+    def _spread_m2(self, members: list[Member], share: float = 1.0) -> Array:
+        """(H, 3, 3) covariances of members' tips by what changes slowly; of the offset's variance a share."""
+        covariance = np.array([member.slow.covariance for member in members])
+        return spread_m2(covariance, np.array([member.slopes for member in members]), share)
+
+    def _known_to(self, slow: Slow, slopes: Array, ahead: int) -> Array:
         """(3,) variances [m^2] of the coordinates of a history's tip, if it is the true one, so many steps ahead."""
         own: Array = slow.spread_m2(slopes, self._slow.shown_share(ahead)).diagonal()
         return own + self._surprise.beyond_m2

@@ -36,12 +36,17 @@ class Slow:
 
     def spread_m2(self, slopes: Array, share: float = 1.0) -> Array:
         """(3, 3) covariance of that; of the offset's variance a share."""
-        own: Array = share * self.covariance[:3, :3]
-        if not slopes.shape[1]:
-            return own
-        between = math.sqrt(share) * self.covariance[:3, 3:] @ slopes.T
-        spread: Array = own + between + between.T + slopes @ self.covariance[3:, 3:] @ slopes.T
-        return spread
+        return spread_m2(self.covariance, slopes, share)
+
+
+def spread_m2(covariance: Array, slopes: Array, share: float = 1.0) -> Array:
+    """(..., 3, 3) covariances of displaced tips, of covariances (..., 3 + P, 3 + P) and slopes (..., 3, P)."""
+    own: Array = share * covariance[..., :3, :3]
+    if not slopes.shape[-1]:
+        return own
+    across = np.swapaxes(slopes, -1, -2)
+    between = math.sqrt(share) * covariance[..., :3, 3:] @ across
+    return own + between + np.swapaxes(between, -1, -2) + slopes @ covariance[..., 3:, 3:] @ across
 
 
 class SlowModel:
@@ -75,17 +80,22 @@ class SlowModel:
             return slow
         return Slow(self._kept * slow.mean, self._kept_twice * slow.covariance + self._grown)
 
-    def seen(self, slow: Slow, slopes: Array, off_m: Array, noise_m2: float) -> Slow:
-        """After a tip was measured that is off_m (3,) [m] from where it was expected, noise [m^2] of a coordinate."""
+    def seen(self, slow: Sequence[Slow], slopes: Array, off_m: Array, noise_m2: float) -> Sequence[Slow]:
+        """Of H histories, after a tip was measured that is off_m (H, 3) [m] from where each expected it.
+
+        slopes: (H, 3, P); noise [m^2] of a coordinate.
+        """
         if self._is_certain:
             return slow
-        H = np.concatenate([_UNITS, slopes], axis=1)
-        told = H @ slow.covariance
-        gain = np.linalg.solve(told @ H.T + noise_m2 * _UNITS, told).T
-        left = -gain @ H
-        left.flat[:: len(left) + 1] += 1
-        covariance = left @ slow.covariance @ left.T + noise_m2 * gain @ gain.T  # stays symmetric and positive (Joseph)
-        return Slow(slow.mean + gain @ off_m, covariance)
+        mean, before = np.array([s.mean for s in slow]), np.array([s.covariance for s in slow])
+        H = np.concatenate([np.broadcast_to(_UNITS, (len(slow), 3, 3)), slopes], axis=2)
+        told = H @ before
+        gain = np.swapaxes(np.linalg.solve(told @ np.swapaxes(H, 1, 2) + noise_m2 * _UNITS, told), 1, 2)
+        left = np.eye(H.shape[2]) - gain @ H
+        covariance = left @ before @ np.swapaxes(left, 1, 2)  # stays symmetric and positive (Joseph)
+        covariance += noise_m2 * gain @ np.swapaxes(gain, 1, 2)
+        mean += (gain @ off_m[:, :, None])[:, :, 0]
+        return [Slow(*of) for of in zip(mean, covariance, strict=True)]
 
     def learn(self, off_m: Array, expected_m2: float, news: float) -> None:
         """How much of its stated variance the offset shows: tips were off_m (3,) where expected_m2 was expected.
