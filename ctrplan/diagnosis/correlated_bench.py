@@ -23,7 +23,8 @@ from ctrplan.diagnosis.chance import DRAWS
 from ctrplan.diagnosis.frames import frames_beside
 from ctrplan.diagnosis.held_out import Linear, held_out_residuals
 from ctrplan.diagnosis.joint_memory import JointMemory, joint_memory
-from ctrplan.diagnosis.predictive import predictive_loss, predictive_null_scores
+from ctrplan.diagnosis.nested_scores import nested_null_scores
+from ctrplan.diagnosis.predictive import predictive_loss
 from ctrplan.diagnosis.workbench import Scored, Workbench, linear
 from ctrplan.effects.catalogue import CATALOGUE
 from ctrplan.experiment.measurements import Measurements
@@ -76,11 +77,11 @@ class CorrelatedBench(Workbench):
             return super().loss(system)
         return predictive_loss(system, self.fold, self.group)
 
-    def null_scores(self, system: Linear, noise: Array) -> Array:
-        """(D,) the same of draws (5 K, D)."""
+    def null_scores(self, systems: Sequence[Linear], noise: Array) -> list[Array]:
+        """(D,) of each system the same of draws (5 K, D)."""
         if self.data.is_stream:
-            return super().null_scores(system, noise)
-        return predictive_null_scores(system, self.fold, self.group, noise)
+            return super().null_scores(systems, noise)
+        return nested_null_scores(systems, self.fold, self.group, noise)
 
     def null_draws(self, here: Scored) -> Array:
         """(5 K, D) surrogates of what remains of a fit, as smooth as that is, whitened as that is."""

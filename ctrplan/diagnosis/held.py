@@ -8,16 +8,17 @@ from dataclasses import dataclass
 from ctrplan.diagnosis.chance import null_threshold
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.frames import FRAMES
-from ctrplan.diagnosis.holding import TIMES_CHANCE, Evidence, Sides, evidence, in_its_place
+from ctrplan.diagnosis.holding import Evidence, Sides, evidence, in_its_place
 from ctrplan.diagnosis.partial_search import PartialSelector, is_built
 from ctrplan.diagnosis.selection import Step
 from ctrplan.diagnosis.smooth_bench import SmoothBench
 from ctrplan.diagnosis.verdict import CLOSE, CLOSE_ERRORS, MOST_RIVALS, Alternative, Finding, is_close
 from ctrplan.diagnosis.workbench import Panel, Scored
-from ctrplan.effects.learned.learned import Learned
+from ctrplan.effects.learned.learned import Learned, learned, named
 from ctrplan.pipeline.term import Term
 
 CLEARLY = 2.0  # standard errors by which a rival has to do better than a frame to take its place
+STANDS_OUT = 4.0  # times chance that a frame gains beside an error as smooth as the rest; 3.2 were seen in a null
 TRIED = 3  # effects that are fitted in the place of one that holds
 
 
@@ -41,15 +42,17 @@ def held(selector: PartialSelector, chosen: Scored) -> Held:
     while True:
         selector.tell(f"asking what holds of {', '.join(chosen.names)}" if chosen.terms else "asking what holds")
         among = [*bench.basis(chosen.terms), *chosen.terms]
-        panel = bench.panel(chosen, selector.candidates.beside(chosen.terms))
+        free = [_with_zero(bench, t) for t in chosen.terms]
+        panel = bench.panel(chosen, [*selector.candidates.beside(chosen.terms), *free])
         chance = selector.chance(chosen, panel, among)
-        asks_frames = not any(_is_beside_frames(t) for t in chosen.terms)
-        named = [t for t in among if (t.name in FRAMES and asks_frames) or (t in chosen.terms and not is_built(t))]
-        sides = {t.name: _sides(selector, chosen, panel, among, t) for t in named}
-        asked = [evidence(bench, sides[t.name], t, chance) for t in named]
-        failing = [e for e in asked if not e.holds and e.term in chosen.terms]
+        asked_of = [t for t in among if t.name in FRAMES or (t in chosen.terms and not is_built(t))]
+        sides = {t.name: _sides(selector, chosen, panel, among, t) for t in asked_of}
+        asked = [evidence(bench, sides[t.name], t, chance) for t in asked_of]
+        beside_built = any(is_built(t) for t in chosen.terms)
+        holding = [e for e in asked if e.holds or (beside_built and e.is_one_of_several)]
+        failing = [e for e in asked if e not in holding and e.term in chosen.terms]
         if not failing:
-            found = tuple(e for e in asked if e.holds and _is_name(selector, chosen, sides[e.term.name], e.term))
+            found = tuple(e for e in holding if _is_name(selector, chosen, sides[e.term.name], e))
             return Held(chosen, sides, found, tuple(doubted), tuple(dropped))
         worst = min(failing, key=lambda e: e.z)
         doubted.append(worst)
@@ -57,22 +60,32 @@ def held(selector: PartialSelector, chosen: Scored) -> Held:
         chosen = bench.corrected(bench.scored([t for t in chosen.terms if t is not worst.term], chosen.fit))
 
 
-def finding(selector: PartialSelector, found: Held, t: Term) -> tuple[Finding, list[Alternative]]:
-    """An effect that holds with what does as well in its place, refitted; and all that was tried there."""
-    bench, chosen = selector.partial_bench, found.chosen
+def finding(selector: PartialSelector, found: Held, e: Evidence) -> tuple[Finding, list[Alternative]]:
+    """An effect that holds with what may stand for it, refitted in its place; and all that was tried there.
+
+    That is what does as well, and what leaves it little beside itself.
+    """
+    bench, chosen, t = selector.partial_bench, found.chosen, e.term
     if t.name in FRAMES:
-        rivals = [_beside_it(bench, chosen, one) for one in _rivals(selector, found.sides[t.name], t)]
+        rivals = [_beside_it(bench, chosen, one) for one in _rivals(selector, found.sides[t.name], e)]
         return Finding(t, tuple(rivals)), rivals
     others, tried = [other for other in chosen.terms if other is not t], []
-    for other, _, _ in in_its_place(bench, found.sides[t.name], t)[:TRIED]:
+    imitators = {other.name for other in e.imitators}
+    ranked = [other for other, _, _ in in_its_place(bench, found.sides[t.name], t) if other.name not in imitators]
+    for other in [*e.imitators[: MOST_RIVALS + 1], *ranked[:TRIED]]:
         scored = bench.scored([*others, other], chosen.fit)
         tried.append(Alternative(other, scored, *bench.difference(chosen, scored)))
-    return Finding(t, tuple(a for a in tried if is_close(a, chosen))), tried
+    return Finding(t, tuple(a for a in tried if a.term.name in imitators or is_close(a, chosen))), tried
 
 
-def _is_beside_frames(t: Term) -> bool:
-    """Whether it is a built term whose zero is arbitrary, so that a frame is no name beside it but its constant."""
-    return isinstance(t.effect, Learned) and t.effect.target.kind_name in ("sensor", "plate")
+def _with_zero(bench: CorrelatedBench, t: Term) -> Term:
+    """A built term with its constant, where its zero is arbitrary: what that does is no evidence for a frame."""
+    if not isinstance(t.effect, Learned) or t.effect.target.kind_name not in ("sensor", "plate"):
+        return t
+    on = t.effect.target
+    names = [*t.effect.parts, *(name for name in named(on, "constant") if name not in t.effect.parts)]
+    effect = learned(on, names, t.effect.ranges, bench.robot.n)
+    return Term(effect, effect.parameters_of())
 
 
 def _sides(selector: PartialSelector, chosen: Scored, panel: Panel, among: Sequence[Term], t: Term) -> Sides:
@@ -83,32 +96,34 @@ def _sides(selector: PartialSelector, chosen: Scored, panel: Panel, among: Seque
     """
     bench = selector.partial_bench
     rest = [other for other in among if other.name != t.name]
-    if t.name not in chosen.names or bench.data.is_stream:
+    if t.name in FRAMES:
+        return Sides(panel, among, panel.without(t), [_with_zero(bench, other) for other in rest])
+    if bench.data.is_stream:
         return Sides(panel, among, panel.without(t), rest)
     others = [other for other in chosen.terms if other.name != t.name]
     gone = bench.panel(bench.scored(others, chosen.fit), selector.candidates.beside(chosen.terms))
     return Sides(panel, among, gone, [*bench.basis(others), *others])
 
 
-def _is_name(selector: PartialSelector, chosen: Scored, sides: Sides, t: Term) -> bool:
+def _is_name(selector: PartialSelector, chosen: Scored, sides: Sides, e: Evidence) -> bool:
     """Whether what holds is told as a name: any effect, and a frame as far as it is more than a part of the rest.
 
     A frame is free in every fit, and where a smooth error is all there is, it takes a part of it. Where other effects
     do as well, it is told with them if it stands out beside an error that is as smooth, and if none does better.
     """
-    if t.name not in FRAMES:
+    if e.term.name not in FRAMES:
         return True
-    rivals = _rivals(selector, sides, t)
+    rivals = _rivals(selector, sides, e)
     if not rivals:
         return True
     better = any(behind < -max(CLOSE, CLEARLY * error) for _, behind, error in rivals)
-    return not better and len(rivals) <= MOST_RIVALS and _stands_out(selector, chosen, t)
+    return not better and len(rivals) <= MOST_RIVALS and _stands_out(selector, chosen, e.term)
 
 
-def _rivals(selector: PartialSelector, sides: Sides, t: Term) -> list[tuple[Term, float, float]]:
-    """Effects that do as well in the place of a frame, also such with more parameters than can be named."""
-    ranked = in_its_place(selector.bench, sides, t)
-    return [one for one in ranked if one[1] < max(CLOSE, CLOSE_ERRORS * one[2])]
+def _rivals(selector: PartialSelector, sides: Sides, e: Evidence) -> list[tuple[Term, float, float]]:
+    """What may stand for a frame, also effects with more parameters than can be named."""
+    ranked, imitators = in_its_place(selector.bench, sides, e.term), {other.name for other in e.imitators}
+    return [one for one in ranked if one[0].name in imitators or one[1] < max(CLOSE, CLOSE_ERRORS * one[2])]
 
 
 def _stands_out(selector: PartialSelector, chosen: Scored, t: Term) -> bool:
@@ -124,7 +139,7 @@ def _stands_out(selector: PartialSelector, chosen: Scored, t: Term) -> bool:
     gain = float((losses[0] - losses[1]).sum() / 2)
     beside = [panel.of([*among, other]) for other in panel.others(among)]
     chance = null_threshold(panel.of(among), beside, smooth.null_scores, smooth.null_draws(here))
-    return gain > TIMES_CHANCE * chance
+    return gain > STANDS_OUT * chance
 
 
 def _beside_it(bench: CorrelatedBench, chosen: Scored, rival: tuple[Term, float, float]) -> Alternative:

@@ -33,6 +33,7 @@ class Evidence:
     winning: float  # share of the blocks that it predicts better, of those that say something
     weakest_z: float  # beside the competitor that leaves the least
     weakest: str  # its name
+    imitators: tuple[Term, ...]  # competitors beside which little of its gain is left, so that they may stand for it
     shift: float  # of its parameters beside the competitor that moves them most, in standard errors
     shifted_by: str
 
@@ -46,7 +47,7 @@ class Evidence:
             found.append(f"its gain of {self.gain:.0f} is below {TIMES_CHANCE:g} times that of surrogates")
         if self.winning < LEAST_WINNING:
             found.append(f"only {100 * self.winning:.0f} % of the blocks speak for it")
-        if self.weakest_z < LEAST_Z_BESIDE:
+        if self.imitators:
             found.append(f"beside {self.weakest} little of its gain is left")
         if self.shift > MOST_SHIFT:
             found.append(f"beside {self.shifted_by} its parameters leave their intervals")
@@ -56,6 +57,11 @@ class Evidence:
     def holds(self) -> bool:
         """Whether it may be named."""
         return not self.doubts
+
+    @property
+    def is_one_of_several(self) -> bool:
+        """Whether it may be named together with what may stand for it."""
+        return len(self.doubts) == bool(self.imitators)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +87,7 @@ def evidence(bench: Workbench, sides: Sides, t: Term, chance: float) -> Evidence
     mine = panel.of(among)
     gains = _gains(bench, mine, gone.of(sides.rest))
     beside: dict[str, tuple[float, float]] = {}
+    imitators: dict[str, Term] = {}
     for other in panel.others(among):
         alone = gone.of([*sides.rest, other])
         behind = float(_gains(bench, mine, alone).sum())
@@ -88,10 +95,10 @@ def evidence(bench: Workbench, sides: Sides, t: Term, chance: float) -> Evidence
             continue
         both = panel.of([*among, other])
         kept, moved = beside.get(other.name, (np.inf, 0.0))
-        beside[other.name] = (
-            min(kept, certainty(_gains(bench, both, alone))),
-            max(moved, _shift(panel, among, t, other)),
-        )
+        z = certainty(_gains(bench, both, alone))
+        if z < min(kept, LEAST_Z_BESIDE):
+            imitators[other.name] = other
+        beside[other.name] = (min(kept, z), max(moved, _shift(panel, among, t, other)))
     weakest = min(beside, key=lambda name: beside[name][0], default="")
     mover = max(beside, key=lambda name: beside[name][1], default="")
     telling = gains[np.abs(gains) > SAYS_SOMETHING]
@@ -103,6 +110,7 @@ def evidence(bench: Workbench, sides: Sides, t: Term, chance: float) -> Evidence
         float((telling > 0).mean()) if len(telling) else 0.0,
         beside[weakest][0] if weakest else np.inf,
         weakest,
+        tuple(imitators.values()),
         beside[mover][1] if mover else 0.0,
         mover,
     )

@@ -124,7 +124,7 @@ def concluded(
     """
     bench, found = selector.partial_bench, held(selector, searched.chosen)
     chosen = found.chosen
-    asked = [finding(selector, found, e.term) for e in found.found]
+    asked = [finding(selector, found, e) for e in found.found]
     kept = tuple(f for f, _ in asked if len(f.alternatives) <= MOST_RIVALS)
     compared = tuple(a for _, tried in asked for a in tried)
     beside, named = _by_name(bench, chosen)

@@ -53,20 +53,20 @@ def _left_out(
     H = flat.T @ (w * flat) + np.diag(fit.precision)
     for number in np.unique(fold):
         left = np.flatnonzero(fold == number)
-        rows = _numbers(left)
+        rows = numbers(left)
         J, by = flat[rows], w[rows] * flat[rows]
         spread = solved(H - J.T @ by, J.T).T  # (5 f, P) derivatives times the covariance without the fold
         moved = r[rows] + spread @ (by.T @ r[rows])
         for member in np.unique(block[left]):
             mine = np.flatnonzero(block[left] == member)
-            own = _numbers(mine)
+            own = numbers(mine)
             S = np.eye(len(own)) + spread[own] @ J[own].T
             factor = np.linalg.cholesky((S + S.T) / 2)
             white = solve_triangular(factor, moved[own], lower=True, check_finite=False)
             yield left[mine], white, 2 * np.log(np.diag(factor))
 
 
-def _numbers(poses: NDArray[np.int_]) -> NDArray[np.int_]:
+def numbers(poses: NDArray[np.int_]) -> NDArray[np.int_]:
     """Of poses (k,), the rows (5 k,) of their numbers."""
     rows: NDArray[np.int_] = (PER_POSE * poses[:, None] + np.arange(PER_POSE)).ravel()
     return rows

@@ -127,9 +127,9 @@ class Workbench:
         """(K,) of poses whose fold had not been fitted."""
         return held_out_loss(system, self.fold)
 
-    def null_scores(self, system: Linear, noise: Array) -> Array:
-        """(D,) minus half the loss of draws (5 K, D) after a fit of the same parameters."""
-        return null_scores(system, self.fold, noise)
+    def null_scores(self, systems: Sequence[Linear], noise: Array) -> list[Array]:
+        """(D,) of each system: minus half the loss of draws (5 K, D) after a fit of the same parameters."""
+        return [null_scores(system, self.fold, noise) for system in systems]
 
     def scored(self, terms: Sequence[Term], *near: Fit | None) -> Scored:
         """The base and `terms` fitted together, from the values of a fit in `near` where it has them.

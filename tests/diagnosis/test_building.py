@@ -155,6 +155,16 @@ def test_pieces_that_an_effect_of_the_catalogue_is_are_left_to_it() -> None:
         assert np.linalg.norm(left) < 5e-3 * np.linalg.norm(wanted)
 
 
+def test_polynomials_of_the_place_are_left_to_a_distortion() -> None:
+    data = rippled()
+    known = candidates(ROBOT, data, {"sensor_distortion": CATALOGUE["sensor_distortion"]}).terms
+    gone = [piece for piece in pieces(ROBOT, data) if piece not in pieces(ROBOT, data, known)]
+    assert {piece.on.kind_name for piece in gone} == {"sensor"}
+    inputs = {part for piece in gone for part in piece.parts}
+    assert {"slope_x", "square_z", "slope_x_times_slope_y"} <= inputs
+    assert not any(word in part for part in inputs for word in ("bump", "knot", "_tx", "_ty", "_tz"))
+
+
 def test_pieces_are_of_what_changes_and_of_what_may_still_be_missing() -> None:
     data = replace(rippled(), tangent=np.full_like(PLAN.tangent, np.nan))
     kinds = {piece.on.kind.stage for piece in pieces(ROBOT, data)}

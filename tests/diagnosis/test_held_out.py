@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
@@ -11,6 +13,7 @@ from ctrplan.calibration.residuals import PER_POSE, Noise, Residuals
 from ctrplan.diagnosis.chance import null_threshold
 from ctrplan.diagnosis.chi_square import ChiSquare, adequacy, outliers
 from ctrplan.diagnosis.held_out import Linear, held_out_loss, held_out_residuals, null_scores, steps_without
+from ctrplan.diagnosis.nested_scores import nested_null_scores
 from ctrplan.diagnosis.predictive import predictive_loss, predictive_null_scores
 from ctrplan.diagnosis.rescaled_noise import held_out_probability, rescaled_noise
 
@@ -70,16 +73,17 @@ def test_noise_passes_the_threshold_as_rarely_as_it_says() -> None:
     noise = np.random.default_rng(99).standard_normal((POSES * PER_POSE, 600))
     for scores in (by_squares, by_densities):
         threshold = null_threshold(base, others, scores)
-        best = np.max([scores(o, noise) for o in others], axis=0) - scores(base, noise)
+        plain, *wide = scores([base, *others], noise)
+        best = np.max(wide, axis=0) - plain
         assert np.mean(best > threshold) < 0.04
 
 
-def by_squares(fit: Linear, noise: Array) -> Array:
-    return null_scores(fit, FOLD, noise)
+def by_squares(systems: Sequence[Linear], noise: Array) -> list[Array]:
+    return [null_scores(fit, FOLD, noise) for fit in systems]
 
 
-def by_densities(fit: Linear, noise: Array) -> Array:
-    return predictive_null_scores(fit, FOLD, GROUP, noise)
+def by_densities(systems: Sequence[Linear], noise: Array) -> list[Array]:
+    return nested_null_scores(systems, FOLD, GROUP, noise)
 
 
 def test_a_block_left_out_has_the_density_that_a_fit_of_the_others_predicts() -> None:

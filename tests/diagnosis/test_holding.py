@@ -16,6 +16,7 @@ from ctrplan.diagnosis.held_out import Linear
 from ctrplan.diagnosis.holding import Sides, evidence, in_its_place
 from ctrplan.diagnosis.holding import _shift as shift
 from ctrplan.effects.learned.learned import named
+from ctrplan.effects.learned.ranges import Range
 from ctrplan.effects.learned.targets import Target
 
 
@@ -117,18 +118,33 @@ def test_a_frame_whose_place_something_takes_is_told_with_it_if_it_stands_out_be
     selector: Any = SimpleNamespace(bench=None)
     chosen: Any = None
     for others, is_name in (([], True), ([SOFT], stands_out), ([BETTER], False)):
-        assert held._is_name(selector, chosen, sides(FRAME, *others), FRAME) == is_name  # type: ignore[arg-type]
+        asked_of: Any = SimpleNamespace(term=FRAME, imitators=())
+        assert held._is_name(selector, chosen, sides(FRAME, *others), asked_of) == is_name
 
 
 @pytest.mark.parametrize(
-    ("kind", "tube", "is_constant"), [("sensor", 0, True), ("plate", 0, True), ("theta", 2, False)]
+    ("kind", "tube", "is_arbitrary"), [("sensor", 0, True), ("plate", 0, True), ("theta", 2, False)]
 )
-def test_a_frame_is_no_name_beside_a_built_term_whose_zero_is_arbitrary(
-    kind: str, tube: int, is_constant: bool
+def test_a_frame_is_compared_with_the_constant_of_a_built_term_whose_zero_is_arbitrary(
+    kind: str, tube: int, is_arbitrary: bool
 ) -> None:
-    on = Target(kind, tube)
-    term = built_term(on, named(on, "constant"), {}, 2)
-    assert held._is_beside_frames(term) == is_constant
+    on, bench = Target(kind, tube), SimpleNamespace(robot=SimpleNamespace(n=2))
+    slope = named(on, "slope_l_2")
+    term = built_term(on, slope, {"l_2": Range(-0.1, 0.0)}, 2)
+    names = [parameter.name for parameter in held._with_zero(bench, term).parameters]  # type: ignore[arg-type]
+    assert names == slope + (named(on, "constant") if is_arbitrary else [])
+    twice = held._with_zero(bench, held._with_zero(bench, term))  # type: ignore[arg-type]
+    assert [parameter.name for parameter in twice.parameters] == names
+
+
+def test_an_effect_that_a_competitor_leaves_little_of_is_one_of_several(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(EXPLAINED, frozenset({"backlash"}), 8.9)
+    monkeypatch.setitem(EXPLAINED, frozenset({"lag", "backlash"}), 8.8)
+    found = asked(OTHER)
+    assert found.imitators == (OTHER,) and found.is_one_of_several and not found.holds
+    assert found.doubts == ["beside backlash little of its gain is left"]
+    monkeypatch.setattr(holding, "_shift", lambda *_: 40.0)
+    assert not asked(OTHER).is_one_of_several  # more speaks against it than that
 
 
 @dataclass(frozen=True)

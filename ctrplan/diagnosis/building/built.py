@@ -29,6 +29,9 @@ from ctrplan.pipeline.term import Term
 LEAST_Z = 5.0  # standard errors over blocks
 TIMES_CHANCE = 4.0  # the gain that the first piece reaches in 2 % of smooth surrogates, of all pieces together
 TIMES_SMOOTH = 1.5  # the same beside an error as smooth, which takes the part of a term that it can
+TIMES_SMOOTH_OF_SENSOR = (
+    2.5  # of terms of the sensor, which a smooth error looks like: 2.1 were seen in a null of a pair
+)
 LEAST_WINNING = 0.85  # of the blocks that say something
 LEAST_SHARE = 0.7  # of the squares that remain beyond noise, closed on blocks left out: the rest is about halved
 WITHIN_REACH = 0.6  # of the same to first order before anything is fitted; a search that can't reach it is not begun
@@ -63,7 +66,9 @@ class Built:
     def is_chance(self) -> bool:
         """Whether an error as smooth in the joints as what remains might have let pieces gain as much."""
         gain, chance = self.beside_smooth
-        return self.gain < TIMES_CHANCE * self.rounds[0].smooth_chance or gain < TIMES_SMOOTH * chance
+        of_sensor = any(isinstance(t.effect, Learned) and t.effect.target.kind_name == "sensor" for t in self.terms)
+        times = TIMES_SMOOTH_OF_SENSOR if of_sensor else TIMES_SMOOTH
+        return self.gain < TIMES_CHANCE * self.rounds[0].smooth_chance or gain < times * chance
 
     @property
     def path(self) -> tuple[Step, ...]:
@@ -107,32 +112,55 @@ def build(found: Partly, tell: Callable[[str], None]) -> Built | None:
 
 def tried(found: Partly, tell: Callable[[str], None]) -> Built | None:
     """What a search for a term ends with, before it is asked whether it holds."""
-    bench, named = found.bench, found.chosen
+    bench = found.bench
     if found.is_noise or found.rest.rms_m < WORTH * bench.plain.floor_m:
         return None
+    built = _tried_beside(found, found.chosen, tell)
+    if bench.data.is_stream or (built is not None and not refusals(bench, built)):
+        return built
+    if built is not None and built.partly.doubted:  # by names that do not hold a term may have lost its pieces
+        strictly = _tried_beside(found, _begun(found), tell, settles=False)
+        if strictly is not None and not refusals(bench, strictly):
+            return strictly
+    there = _begun(found)
+    more = _selector(found, there, tell).run().chosen
+    return (_tried_beside(found, more, tell) if len(more.terms) > len(there.terms) else None) or built
+
+
+def _begun(found: Partly) -> Scored:
+    """The set of what holds, as the search for a term begins with it."""
+    return found.bench.corrected(found.bench.scored(found.chosen.terms, found.chosen.fit))
+
+
+def _tried_beside(found: Partly, named: Scored, tell: Callable[[str], None], settles: bool = True) -> Built | None:
+    """The same beside a set: of the effects that hold, or with such besides as may hold beside a term."""
+    bench = found.bench
     path = list[Step]()
 
     def with_names(here: Scored) -> Scored:
-        searched = _selector(found, here, tell).run()
+        searched = _selector(found, here, tell, settles).run()
         path.extend(searched.path)
         return searched.chosen
 
     known = pieces(bench.robot, bench.data, found.known.terms)
-    scored, rounds = grown(bench, named, known, tell, with_names, WITHIN_REACH)
+    scored, rounds = grown(bench, named, known, tell, with_names, WITHIN_REACH, smooth_counts=settles)
     if scored is named:
         return None
-    alone = _evidence(replace(found, chosen=scored), rounds)
-    if refusals(bench, alone):
-        return alone  # what holds beside it is of no matter
+    if {*scored.names} <= {*named.names, *(t.name for t in scored.terms if is_built(t))}:
+        alone = _evidence(replace(found, chosen=scored), rounds)
+        if refusals(bench, alone):
+            return alone  # there is nothing else of which it has to be asked whether it holds
     searched = Selection(scored, path)
-    again = concluded(_selector(found, scored, tell), searched, found.known, found.split, found.block, found.base)
+    selector = _selector(found, scored, tell, settles)
+    again = concluded(selector, searched, found.known, found.split, found.block, found.base)
     if not any(is_built(t) for t in again.chosen.terms):
         return None
     return _evidence(again, rounds)
 
 
-def _selector(found: Partly, here: Scored, tell: Callable[[str], None]) -> PartialSelector:
-    return PartialSelector(found.bench, found.known, tell, here)
+def _selector(found: Partly, here: Scored, tell: Callable[[str], None], settles: bool = True) -> PartialSelector:
+    """Of what may be named beside a term; alone, what passes beside what it leaves may be a smooth error."""
+    return PartialSelector(found.bench, found.known, tell, here, settles=settles and not found.bench.data.is_stream)
 
 
 def _evidence(found: Partly, rounds: list[Round]) -> Built:
@@ -157,7 +185,7 @@ def _beside_smooth(found: Partly, plain: Scored, scored: Scored) -> tuple[float,
     if bench.data.is_stream or not bench.estimated(plain).is_there:
         return np.inf, 0.0
     smooth = SmoothBench(bench, plain)
-    without, within = smooth.at(plain), smooth.at(scored)
+    without, within = (smooth.scored(one.terms, one.fit) for one in (plain, scored))
     known = pieces(bench.robot, bench.data, found.known.terms)
     return smooth.difference(within, without)[0], chance_beside(smooth, without, known)
 

@@ -5,6 +5,7 @@ Time is none of them: whatever changes slowly goes with it. What drifts steadily
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -25,6 +26,7 @@ OWN_WAVES, OTHER_WAVES = 6, 3  # highest harmonics: of a joint's own angle, and 
 KNOTS = 4  # of a spline
 BUMPS = (3, 4)  # along each axis of the room that the tips have
 NEAR_SHARE = 0.05  # of the tips
+PLACE = re.compile(r"(slope|square)_[xyz](_times_slope_[xyz])?")  # polynomials of the tip's place
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,8 @@ def pieces(robot: Robot, data: Measurements, named: Sequence[Term] = ()) -> list
 def _as_named(piece: Piece) -> tuple[str, str] | None:
     """Effect of the catalogue, and a parameter of it, that acts as a piece does."""
     kind, i = piece.on.kind_name, piece.on.tube
+    if kind == "sensor" and all(PLACE.fullmatch(part) for part in piece.parts):
+        return "sensor_distortion", "x_x_mm"
     if kind not in ("theta", "l"):
         return None
     own, unit = f"{kind}_{i}", "deg" if kind == "theta" else "mm"

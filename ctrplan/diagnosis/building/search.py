@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from ctrplan.diagnosis.building.dictionary import Piece
 from ctrplan.diagnosis.building.probes import Wide, wide
 from ctrplan.diagnosis.building.reach import reach
-from ctrplan.diagnosis.chance import null_threshold
+from ctrplan.diagnosis.chance import null_threshold, null_thresholds
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.partial_search import is_built
 from ctrplan.diagnosis.shares import mean_square
@@ -23,8 +23,7 @@ from ctrplan.pipeline.term import Term
 
 MOST_PIECES = 4
 DRAWS = 200  # surrogates
-TIMES_CHANCE = 1.2  # the gain that surrogates of the residual exceed in 2 % of draws, of the first piece
-TIMES_CHANCE_MORE = 1.0  # of others, beside a piece that passed
+TIMES_CHANCE = 1.2  # the gain that traded residuals exceed in 2 % of draws; beside a piece that passed, smooth ones too
 CERTAIN = 2.0  # standard errors over blocks, of a piece while others are missing
 LEAST_SHARE = 0.1  # of the squares that remain beyond noise, which a piece has to close of blocks left out
 WORTH_MORE = 3.0  # log-likelihood that a piece with more coefficients has to gain besides
@@ -57,11 +56,12 @@ def grown(
     tell: Callable[[str], None],
     with_names: Callable[[Scored], Scored],
     least: float,
+    smooth_counts: bool = True,
 ) -> tuple[Scored, list[Round]]:
     """The set with what was built beside it, if anything, and the rounds that were asked.
 
     known: pieces that may be built; with_names: adds what the catalogue has beside a set; least: share of the rest that
-    pieces must be able to close.
+    pieces must be able to close; smooth_counts: whether pieces beside others have to beat smooth surrogates as well.
     """
     rounds, here = list[Round](), chosen
     known = [piece for piece in known if piece.on.effect_name not in bench.robot.effects]
@@ -70,7 +70,7 @@ def grown(
         table = wide(bench, here, known)
         if not rounds and reach(bench, table, known, MOST_PIECES) < least:
             break
-        taken, there = _round(bench, here, table, known, TIMES_CHANCE_MORE if rounds else TIMES_CHANCE)
+        taken, there = _round(bench, here, table, known, bool(rounds), smooth_counts)
         rounds.append(taken)
         if there is None:
             return here, rounds
@@ -80,15 +80,16 @@ def grown(
 
 
 def _round(
-    bench: CorrelatedBench, here: Scored, table: Wide, known: Sequence[Piece], times: float
+    bench: CorrelatedBench, here: Scored, table: Wide, known: Sequence[Piece], is_more: bool, smooth_counts: bool
 ) -> tuple[Round, Scored | None]:
+    """is_more: whether a piece was taken before."""
     tried = _tried(bench, table, known)
     beside = [table.beside(one.piece) for one in tried]
-    chance, smooth = (
-        null_threshold(table.here(), beside, bench.null_scores, draws(here)[:, :DRAWS])
-        for draws in (bench.traded_draws, bench.null_draws)
-    )
-    needed = times * chance
+    draws = [drawn(here)[:, :DRAWS] for drawn in (bench.traded_draws, bench.null_draws)]
+    chance, smooth = null_thresholds(table.here(), beside, bench.null_scores, draws)
+    needed = TIMES_CHANCE * chance
+    if is_more:
+        needed = TIMES_CHANCE * max(chance, smooth) if smooth_counts else chance
     worth = [one for one in tried if one.gain > needed and one.certainty > CERTAIN]
     best: tuple[Piece, Scored] | None = None
     for one in sorted(worth[:TRIED], key=lambda one: (len(one.piece.names), known.index(one.piece))):
