@@ -35,4 +35,4 @@ def test_a_scene_is_solved_once_for_every_frame_and_where_it_is_narrowest(
 ) -> None:
     called = count_calls(monkeypatch)
     plan_scene(plan)
-    assert called == ["bound"] * FRAMES + ["friction_bodies"]
+    assert called == ["bound"] * FRAMES + ["friction_bodies", "friction_states"]
