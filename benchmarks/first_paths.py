@@ -1,17 +1,23 @@
 """How soon is there a certified path? Every scenario with one target, CPU seconds of all threads and by the clock.
 
 python benchmarks/first_paths.py [--seeds 1] [--queries] [SCENARIO ...]
+python benchmarks/first_paths.py --against CHECKOUT [--rounds 2]
 
 With --queries, of every query of `planning.py`. Counted from the call on, robot and anatomy loaded, until the first
-path is certified; at the end the median and 95th percentile of all.
+path is certified; at the end the median and 95th percentile of all. With --against, all queries in alternation with
+another checkout, whose compiled core is in its ctrplan/: nothing is planned beyond the first path.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +29,8 @@ from ctrplan.errors import CtrplanError
 from ctrplan.planning.scenario import Scenario
 from ctrplan.planning.search.stage_search import Progress
 
-SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"
+CHECKOUT = Path(__file__).resolve().parents[1]
+SCENARIOS = CHECKOUT / "scenarios"
 
 
 def first_path(scenario: Scenario, seed: int) -> tuple[float, float, float]:
@@ -47,7 +54,16 @@ def main() -> None:
     parser.add_argument("scenarios", nargs="*", help="names of scenarios; default: all")
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--queries", action="store_true", help="of planning.py")
+    parser.add_argument("--against", type=Path, help="another checkout")
+    parser.add_argument("--rounds", type=int, default=2, help="of every query in each checkout")
+    parser.add_argument("--ask", action="store_true", help=argparse.SUPPRESS)  # numbers of queries on standard input
     arguments = parser.parse_args()
+    if arguments.ask:
+        answer()
+        return
+    if arguments.against:
+        compare(arguments.against.resolve(), arguments.rounds)
+        return
     print("| query | seed | CPU time | by the clock | cost |\n|---|---|---|---|---|")
     taken: list[tuple[float, float]] = []
     for name, scenario in asked(arguments.queries):
@@ -63,6 +79,62 @@ def main() -> None:
     for share, label in ((50, "median"), (95, "95 %")):
         cpu_s, clock_s = np.percentile(np.array(taken), share, axis=0)
         print(f"| {label} of {len(taken)} | | {cpu_s:.2f} s | {clock_s:.2f} s | |")
+
+
+class _Found(Exception):
+    """Ends a search."""
+
+
+def answer() -> None:
+    """Seconds by the clock and CPU seconds to the first path of each query whose number is read."""
+    for line in sys.stdin:
+        scenario = queries()[int(line)].load([])
+        taken, began, cpu = list[tuple[float, float]](), time.perf_counter(), time.process_time()
+
+        def progress(told: Progress, taken=taken, began=began, cpu=cpu) -> None:  # type: ignore[no-untyped-def]
+            if told.stage == "search" and told.best_cost_mm is not None:
+                taken.append((time.perf_counter() - began, time.process_time() - cpu))
+                raise _Found
+
+        with suppress(_Found):
+            ctrplan.plan(scenario, progress=progress)
+        print(*taken[0], flush=True)
+
+
+def compare(other: Path, rounds: int) -> None:
+    """A row for each query and the medians, least of the rounds."""
+    command = [sys.executable, __file__, "--ask"]
+    askers = [
+        subprocess.Popen(
+            command,
+            env=os.environ | {"PYTHONPATH": str(checkout)},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for checkout in (other, CHECKOUT)
+    ]
+    names = [query.name for query in queries()]
+    taken = np.empty((rounds, len(names), 2, 2))
+    print("| query | there | here | ratio |\n|---|---|---|---|")
+    for k, name in enumerate(names):
+        for turn in range(rounds):
+            for side in (0, 1) if (k + turn) % 2 else (1, 0):
+                stdin, stdout = askers[side].stdin, askers[side].stdout
+                assert stdin and stdout
+                stdin.write(f"{k}\n")
+                stdin.flush()
+                taken[turn, k, side] = [float(x) for x in stdout.readline().split()]
+        there, here = taken[:, k, :, 0].min(axis=0)
+        print(f"| {name} | {there:.2f} s | {here:.2f} s | {here / there:.2f} |", flush=True)
+    for label, seconds in (("least", taken.min(axis=0)), ("median", np.median(taken, axis=0))):
+        for share, of in ((50, "median"), (95, "95 %")):
+            there, here = np.percentile(seconds[:, :, 0], share, axis=0)
+            print(f"| {of} of {len(names)}, {label} of rounds | {there:.2f} s | {here:.2f} s | {here / there:.2f} |")
+        clock, cpu = seconds[:, 1].sum(axis=0) / seconds[:, 0].sum(axis=0)
+        print(f"| sum, {label} of rounds | | | {clock:.2f}, of CPU time {cpu:.2f} |")
+    for asker in askers:
+        asker.communicate()
 
 
 def asked(of_queries: bool) -> Iterator[tuple[str, Scenario]]:
