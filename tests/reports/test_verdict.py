@@ -55,6 +55,19 @@ def test_target_that_may_be_missed_is_never_green(plan: Plan) -> None:
     assert standing(changed(plan, goal_tip_error_m=math.nan, goal_bound_m=0.0)) != "good"
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_of_several_targets_the_one_farthest_beyond_its_tolerance_is_said(plan: Plan, order: int) -> None:
+    """Once it was the first: 1.5 mm of a tour that may end 16 mm off."""
+    goal, at = plan.scenario.goal, plan.certificate.targets[-1]
+    near, far = (
+        replace(at, bound_m=2e-3, tip_error_m=0.0, play_m=0.0),
+        replace(at, bound_m=9e-3, tip_error_m=0.0, play_m=0.0),
+    )
+    tour = changed(plan, targets=(*[near, far][::order], at), goal_bound_m=1.5e-3)
+    tour = replace(tour, scenario=replace(tour.scenario, via=(replace(goal, name="a"), replace(goal, name="b"))))
+    assert f"9.00 mm from target {2 if order > 0 else 1}" in verdict(tour)
+
+
 def test_free_space_has_no_clearance(plan: Plan) -> None:
     free = changed(plan, min_clearance_m=math.inf)
     assert "clearance" not in verdict(free)

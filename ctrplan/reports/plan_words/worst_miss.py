@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -33,6 +34,11 @@ class WorstMiss:
     def exceeds(self) -> bool:
         """Whether the tip may end farther away than the tolerance; also where the distance is not a number."""
         return not self.total_m <= self.tolerance_m
+
+    @property
+    def beyond_m(self) -> float:
+        """How far beyond the tolerance, inf where the distance is not a number."""
+        return math.inf if math.isnan(self.total_m) else self.total_m - self.tolerance_m
 
     @property
     def sentence(self) -> str:
@@ -69,6 +75,7 @@ def _miss(plan: Plan, name: str, goal: Goal, at: TargetReached) -> WorstMiss:
 
 
 def worst_miss(plan: Plan) -> WorstMiss | None:
-    """The first that exceeds its tolerance, else that of the goal; None where there is none."""
+    """The one farthest beyond its tolerance, else that of the goal; None where there is none."""
     misses = worst_misses(plan)
-    return next((miss for miss in misses if miss.exceeds), misses[-1] if misses else None)
+    beyond = [miss for miss in misses if miss.exceeds]
+    return max(beyond, key=lambda miss: miss.beyond_m) if beyond else misses[-1] if misses else None
