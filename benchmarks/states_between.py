@@ -53,9 +53,8 @@ def of_leg(scenario: Scenario, rng: np.random.Generator, accuracy: Accuracy) -> 
             continue
         first, last = k - k % LOOK_EVERY, min(k - k % LOOK_EVERY + LOOK_EVERY, count - 1)
         own = SampleStates(scenario, piece, k, accuracy)
-        shapes, _ = own.known
         share = (k - first) / max(last - first, 1)
-        between = StatesBetween(shapes, (solved[first], solved[last]), share, accuracy != "search")
+        between = StatesBetween(own.known, (solved[first], solved[last]), share, accuracy != "search")
         states = [tuple(row) for row in rng.uniform(-1, 1, (STATES, scenario.robot.n - 1)).tolist()]
         guessed, true = between(states), own(states)
         error = np.array([np.linalg.norm(a.body_m - b.body_m, axis=1) for a, b in zip(guessed, true, strict=True)])

@@ -5,7 +5,8 @@ A cell's bodies are interpolated multilinearly between those of its corners. Oth
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,40 @@ from ctrplan.base.arrays import Array
 
 # Points (K, 3) and what is asked for (K,) [m] -> clearance, exact where it is below that, else a lower bound of it.
 Distance = Callable[[Array, Array], Array]
+
+
+@dataclass(frozen=True)
+class Doubts:
+    """What is said of bodies that were not solved themselves, as shares of what is known beside them."""
+
+    change: float  # of the difference between the bends on both sides
+    bend: float  # of the bend
+    spread: float  # of the largest distance of a sign corner from the frictionless body
+    beyond: int  # points towards the tip whose doubt counts too
+
+
+def bodies_between(
+    shapes_m: Array, phi: Array, first: tuple[Array, Array], last: tuple[Array, Array], share: float, doubts: Doubts
+) -> tuple[Array, Array]:
+    """(S, M, 3) bodies [m] in states phi (S, P) of a configuration between two others, and (S, M) what they may be off.
+
+    shapes_m (1 + 2^P, M, 3): solved without friction and in the sign corners. A body lies off the multilinear
+    interpolation of the corners by its bend; `first` and `last` have shares of the length (N,) of the configurations
+    on both sides, and their bends (S, N, 3); `share` is that of the way from the first to the last.
+    """
+    shares = (doubts.change, doubts.bend, doubts.spread)
+    bodies, doubt = _model.bodies_between(shapes_m, phi, *first, *last, share, shares, doubts.beyond)
+    return np.asarray(bodies), np.asarray(doubt)
+
+
+def cell_bodies(bodies_m: Sequence[Array], radius_m: Sequence[Array], doubt_m: Sequence[Array | None]) -> Array:
+    """(L, 2^P + 1, N, 4) [m] bodies of L cells and the radii around them that they may fill, as long as the longest.
+
+    Of corners and middle, cell by cell: points (K, 3), and what they may be off by (K,), if anything; radii (K,) of a
+    cell. What is too short stands at its tip for the rest, where it is already.
+    """
+    of_cell = len(bodies_m) // len(radius_m)
+    return np.asarray(_model.cell_bodies(list(bodies_m), list(radius_m), list(doubt_m), of_cell))
 
 
 def cell_spread(bodies_m: Array, beyond: int) -> tuple[Array, Array]:

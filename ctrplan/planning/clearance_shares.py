@@ -39,5 +39,5 @@ def _frictionless_clearance(checker: MotionChecker, joints: Array) -> float:
     bodies = robot.mechanics.friction_bodies(*robot.drive.collars(joints), np.zeros((1, robot.n - 1)))
     if not bodies.solved[0]:
         return float("nan")
-    located = bodies.point_m[0] @ scenario.base_R.T + scenario.base_position_m
+    located = scenario.located(bodies.point_m[0])
     return float((exact_clearance(scenario.anatomy, located) - bodies.radius_m).min(initial=np.inf))

@@ -69,6 +69,9 @@ class Cost:
 StartFriction = Literal["unknown", "oscillated", "released", "observed"]
 
 
+ROWS_AT_ONCE = 16384  # of products by BLAS, which takes threads for more: a search keeps every core busy itself
+
+
 @dataclass(frozen=True)
 class Registration:
     """How well the robot's base is known in the anatomy's frame: normal errors, alike in all directions."""
@@ -110,6 +113,15 @@ class Scenario:
     def targets(self) -> tuple[Goal, ...]:
         """All goals in the order in which they are reached."""
         return (*self.via, self.goal)
+
+    def located(self, points_m: Array) -> Array:
+        """Points (..., 3) [m] of the robot's frame in the anatomy's frame."""
+        rows = points_m.reshape(-1, 3)
+        found = np.empty(rows.shape)
+        for k in range(0, len(rows), ROWS_AT_ONCE):
+            np.matmul(rows[k : k + ROWS_AT_ONCE], self.base_R.T, out=found[k : k + ROWS_AT_ONCE])
+        found += self.base_position_m
+        return found.reshape(points_m.shape)
 
     def stage_from(self, start: Array) -> Scenario:
         """The scenario to its last goal from joints (m,); elsewhere than at its start friction is unknown."""

@@ -83,7 +83,7 @@ def stand(scenario: Scenario) -> Surface:
 
 def to_anatomy(scenario: Scenario, points_m: Array) -> Array:
     """Points (..., 3) [m] of the robot's frame in the anatomy's frame."""
-    return points_m @ scenario.base_R.T + scenario.base_position_m
+    return scenario.located(points_m)
 
 
 def _in_anatomy(scenario: Scenario, rod: Rod) -> Rod:

@@ -9,7 +9,7 @@ import pytest
 
 import ctrplan._model as core
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.friction_cells import cell_spread, least_of_points
+from ctrplan.mechanics.friction_cells import Doubts, bodies_between, cell_bodies, cell_spread, least_of_points
 
 HALVINGS, HALF_M = 9, 0.5e-3
 
@@ -121,3 +121,66 @@ def test_what_makes_no_cells_is_refused() -> None:
         core.PointsInCells(bodies[:, 1:].copy(), np.array([0]), error, enough, 1, HALF_M, HALVINGS)
     with pytest.raises(ValueError, match="one clearance"):
         search.tell(np.zeros(5))
+
+
+@pytest.mark.parametrize("pairs", [1, 2, 3])
+@pytest.mark.parametrize("is_view", [False, True])
+def test_bodies_between_are_what_plain_formulas_say(pairs: int, is_view: bool) -> None:
+    rng = np.random.default_rng(pairs)
+    shapes = np.moveaxis(drawn_bodies(pairs, cells=1, points=9), 1, 0)[:, 0, :, : 4 if is_view else 3]
+    shapes = np.ascontiguousarray(shapes)[..., :3]
+    states, share, doubts = 4, 0.3, Doubts(0.2, 0.1, 0.05, 2)
+    phi = rng.uniform(-1, 1, (states, pairs))
+    ends = [
+        (np.sort(np.append(rng.uniform(0, 1, n), [0, 1])), rng.normal(0, 1e-3, (states, n + 2, 3))) for n in (5, 11)
+    ]
+    bodies, doubt = bodies_between(shapes, phi, *ends, share, doubts)
+    length = np.append(0, np.cumsum(np.linalg.norm(np.diff(shapes[0], axis=0), axis=1)))
+    spread = np.linalg.norm(shapes[1:] - shapes[0], axis=2).max(axis=0)
+    signs = np.array(list(itertools.product((1, -1), repeat=pairs)))
+    for k in range(states):
+        first, last = (
+            np.transpose([np.interp(length / length[-1], at, bend[k][:, i]) for i in range(3)]) for at, bend in ends
+        )
+        bend = (1 - share) * first + share * last
+        straight = np.tensordot(np.prod((1 + phi[k] * signs) / 2, axis=1), shapes[1:], axes=1)
+        np.testing.assert_allclose(bodies[k], straight + bend, rtol=0, atol=1e-16)
+        said = 0.2 * np.linalg.norm(first - last, axis=1) + 0.1 * np.linalg.norm(bend, axis=1) + 0.05 * spread
+        assert doubt[k] == pytest.approx([said[: i + 3].max() for i in range(len(said))], abs=1e-16)
+
+
+def test_a_state_without_a_body_on_one_side_has_none_between() -> None:
+    shapes, at = np.ascontiguousarray(drawn_bodies(1, cells=1)[0, :, :, :3]), np.array([0.0, 0.5, 1.0])
+    bend, lost = np.zeros((2, 3, 3)), np.zeros((2, 3, 3))
+    lost[1] = np.nan
+    bodies, doubt = bodies_between(shapes, np.array([[0.5], [0.2]]), (at, bend), (at, lost), 0.5, Doubts(1, 1, 1, 2))
+    assert np.isfinite(bodies[0]).all() and np.isfinite(doubt[0]).all()
+    assert np.isnan(bodies[1]).all() and np.isnan(doubt[1]).all()
+
+
+def test_bodies_of_cells_are_as_long_as_the_longest() -> None:
+    rng = np.random.default_rng(0)
+    bodies = [rng.normal(size=(n, 3)) for n in (4, 4, 4, 6, 6, 6)]
+    radii, doubts = [rng.uniform(1, 2, 4), rng.uniform(1, 2, 6)], [None, rng.uniform(0, 1, 4), None, None, None, None]
+    found = cell_bodies(bodies, radii, doubts)
+    assert found.shape == (2, 3, 6, 4)
+    np.testing.assert_array_equal(found[0, 1, :4, 3], radii[0] + doubts[1])
+    np.testing.assert_array_equal(found[0, :, 4:], np.repeat(found[0, :, 3:4], 2, axis=1))
+    np.testing.assert_array_equal(found[1, :, :, :3], bodies[3:])
+
+
+@pytest.mark.parametrize("wrong", ["shapes", "share", "bend", "body"])
+def test_arrays_that_do_not_fit_are_refused(wrong: str) -> None:
+    shapes, at = np.zeros((3, 5, 3)), np.linspace(0, 1, 4)
+    end, phi = (at, np.zeros((1, 4, 3))), np.zeros((1, 1))
+    with pytest.raises(ValueError, match=r"body|bodies|bend"):
+        if wrong == "body":
+            cell_bodies([np.zeros((4, 3))] * 3, [np.ones(5)], [None] * 3)
+        bodies_between(
+            shapes[1:] if wrong == "shapes" else shapes,
+            phi,
+            (at[1:], end[1]) if wrong == "share" else end,
+            (at, np.zeros((2, 4, 3))) if wrong == "bend" else end,
+            0.5,
+            Doubts(1, 1, 1, 1),
+        )

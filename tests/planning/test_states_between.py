@@ -41,7 +41,7 @@ def between(solved: list[SampleStates], sample: int, accuracy: Accuracy) -> tupl
     own = SampleStates(solved[0].scenario, solved[0].piece, sample, accuracy)
     first = sample - sample % LOOK_EVERY
     ends = solved[first], solved[first + LOOK_EVERY]
-    return StatesBetween(own.known[0], ends, (sample - first) / LOOK_EVERY, accuracy != "search"), own
+    return StatesBetween(own.known, ends, (sample - first) / LOOK_EVERY, accuracy != "search"), own
 
 
 @pytest.mark.parametrize("accuracy", ["search", "certificate"])
@@ -65,7 +65,7 @@ def test_beside_a_sign_corner_a_body_is_the_corner_s(solved: list[SampleStates])
     """Corners were solved: their bodies bend away from themselves by nothing."""
     interpolated, own = between(solved, 9, "search")
     corners = corner_states(2)
-    known = own.known[0]
+    known = own.known.solved
     for guess, state in zip(interpolated([(0.999, 0.999)]), corners[:1], strict=True):
         np.testing.assert_allclose(guess.body_m, known[state].body_m, atol=2e-5)
 

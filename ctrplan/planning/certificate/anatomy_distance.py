@@ -41,7 +41,7 @@ class AnatomyDistance:
 
     def __call__(self, points_m: Array, needed_m: Array) -> Array:
         """(K,) [m] at points (K, 3): exact where it may be below `needed_m` (K,), else a lower bound above that."""
-        located = self._located(points_m)
+        located = self.scenario.located(points_m)
         rough = self.grid.sample(located)
         found: Array = rough - self._doubt(rough)
         near = found < needed_m
@@ -54,7 +54,7 @@ class AnatomyDistance:
 
         points (K, 3) in the order of their bodies, no farther than POINT_SPACING_M apart; radii (K,).
         """
-        located = self._located(points_m)
+        located = self.scenario.located(points_m)
         rough = self.grid.sample(located)
         doubt = self._doubt(rough)
         ceiling = self._ceilings(located, rough - radius_m, radius_m, owner, count)
@@ -71,21 +71,19 @@ class AnatomyDistance:
 
     def _ceilings(self, located: Array, rough: Array, radius_m: Array, owner: NDArray[np.intp], count: int) -> Array:
         """(count,) [m] clearance of each owner where the grid says that it is least, exact; inf without points."""
-        order = np.lexsort((rough, owner))
-        owners, first = np.unique(owner[order], return_index=True)
-        rows, ceiling = order[first], np.full(count, np.inf)
-        ceiling[owners] = exact_clearance_of_many(self.scenario.anatomy, located[rows]) - radius_m[rows]
+        least, row = np.full(count, np.inf), np.full(count, -1)
+        np.minimum.at(least, owner, rough)
+        narrowest = np.flatnonzero(rough <= least[owner])[::-1]
+        row[owner[narrowest]] = narrowest  # of several the first
+        rows, ceiling = row[row >= 0], np.full(count, np.inf)
+        ceiling[row >= 0] = exact_clearance_of_many(self.scenario.anatomy, located[rows]) - radius_m[rows]
         return ceiling
 
     def near(self, points_m: Array, radius_m: Array) -> NDArray[np.intp]:
         """Indices of points (K, 3) with radii (K,) among which the one of least clearance surely is."""
-        rough = self.grid.sample(self._located(points_m))
+        rough = self.grid.sample(self.scenario.located(points_m))
         doubt = self._doubt(rough)
         return np.flatnonzero(rough - doubt - radius_m <= (rough + doubt - radius_m).min())
-
-    def _located(self, points_m: Array) -> Array:
-        located: Array = points_m @ self.scenario.base_R.T + self.scenario.base_position_m
-        return located
 
     def _doubt(self, rough: Array) -> Array:
         doubt: Array = GRID_SHARE * np.abs(rough) + np.sqrt(3) / 2 * self.grid.spacing_m

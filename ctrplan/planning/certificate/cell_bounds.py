@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.friction_cells import Distance
+from ctrplan.mechanics.friction_cells import Distance, cell_bodies
 from ctrplan.planning.certificate.cell_clearances import ERROR_FACTOR, CellClearance, cell_clearances
 from ctrplan.planning.certificate.friction_states import Cell, Solved
 from ctrplan.planning.certificate.least_of_states import LeastOfStates
@@ -69,14 +69,9 @@ def _bodies(asked: Sequence[CellAsked]) -> Array:
 
     What is too short stands at its tip for the rest, where it is already.
     """
-    longest = max(len(one.radius_m) for one in asked)
-    bodies = np.empty((len(asked), len(asked[0].solved), longest, 4))
-    for row, one in zip(bodies, asked, strict=True):
-        count = len(one.radius_m)
-        for body, solved in zip(row, one.solved, strict=True):
-            body[:count, :3], body[:count, 3] = solved.body_m, one.radius_m + solved.doubt_m
-        row[:, count:] = row[:, count - 1 : count]
-    return bodies
+    solved = [state for one in asked for state in one.solved]
+    bodies, doubts = [state.body_m for state in solved], [state.doubt_m for state in solved]
+    return cell_bodies(bodies, [one.radius_m for one in asked], doubts)
 
 
 def _most(values: Array) -> Array:

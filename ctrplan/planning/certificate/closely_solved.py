@@ -19,8 +19,8 @@ from ctrplan.base.cores import cores
 from ctrplan.mechanics.core import PathDensity, Status
 from ctrplan.planning.certificate.allowances import POINT_SPACING_M, SAME_BRANCH_M, mesh_allowance_m
 from ctrplan.planning.certificate.anatomy_distance import AnatomyDistance
-from ctrplan.planning.certificate.friction_states import Solved, corner_states
-from ctrplan.planning.certificate.walked_piece import FinerShapes, Piece, shapes_of
+from ctrplan.planning.certificate.friction_states import CornerShapes
+from ctrplan.planning.certificate.walked_piece import Piece, shapes_of
 from ctrplan.planning.motion import path_limits
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def closely_solved(scenario: Scenario, pieces: Sequence[Piece], spare_m: float) 
     if distance is None or spare_m < 0:
         return list(pieces)
     closer = [piece.clearance_m.copy() for piece in pieces]
-    finer: list[dict[int, FinerShapes]] = [{} for _ in pieces]
+    finer: list[dict[int, CornerShapes]] = [{} for _ in pieces]
     rows = sorted((float(c), p, k) for p, piece in enumerate(pieces) for k, c in enumerate(piece.clearance_m))
     narrow = [row for row in rows if pieces[row[1]].accuracy == "search"]
     ceiling = limits.clearance_m + spare_m  # of the least clearance that is asked for
@@ -72,22 +72,20 @@ def _runs(places: Sequence[tuple[int, int]]) -> list[Run]:
 
 def _on_certificate_mesh(
     scenario: Scenario, distance: AnatomyDistance, piece: Piece, samples: Sequence[int]
-) -> list[tuple[float, FinerShapes | None]]:
+) -> list[tuple[float, CornerShapes | None]]:
     """Clearance of each sample's solved shapes, all allowances taken off, and these; -inf on another branch."""
     found = scenario.robot.mechanics.check_path(
         piece.theta_b[samples], piece.l_b[samples], density=ONLY_THESE, accuracy="certificate", bodies=True
     )
-    states = [(0.0,) * (scenario.robot.n - 1), *corner_states(scenario.robot.n - 1)]
     offset, nothing = piece.offset_m(scenario, "certificate"), (-np.inf, None)
-    solved: list[tuple[float, FinerShapes | None]] = [nothing] * len(samples)
+    solved: list[tuple[float, CornerShapes | None]] = [nothing] * len(samples)
     is_asked = (found.fraction == 1) | (np.arange(len(found.fraction)) == 0)
     for row in np.flatnonzero(is_asked & (found.status != Status.FAILED)):
         at = int(found.segment[row] + found.fraction[row])
         bodies, radius = shapes_of(scenario, found.bodies[row])
         if _apart_m(scenario, piece, samples[at], bodies) > SAME_BRANCH_M:
             continue
-        numbers = zip(bodies, found.shape_stability[row].tolist(), found.shape_max_strain[row].tolist(), strict=True)
-        shapes = dict(zip(states, (Solved(*one) for one in numbers), strict=True)), radius
+        shapes = CornerShapes(bodies, found.shape_stability[row], found.shape_max_strain[row], radius)
         owner = np.zeros(bodies.shape[0] * bodies.shape[1], dtype=np.intp)
         least = distance.least(bodies.reshape(-1, 3), np.tile(radius, len(bodies)), owner, 1)[0]
         solved[at] = float(least) - float(offset[samples[at]]), shapes

@@ -99,7 +99,7 @@ def _closest(
         return None
     points, count = bodies.point_m[bodies.solved].reshape(-1, 3), len(bodies.radius_m)
     near = distance.near(points, np.tile(bodies.radius_m, int(bodies.solved.sum())))
-    located = points[near] @ scenario.base_R.T + scenario.base_position_m
+    located = scenario.located(points[near])
     radius = bodies.radius_m[near % count]
     apart, part = _nearest_part(scenario, located, radius)
     margins = np.array([one.margin_m for one in scenario.anatomy])

@@ -207,10 +207,9 @@ class _Look:
     def _cube(self, sample: int, one: _Try) -> CubeAsked:
         """Only what is solved for itself is looked at in all cells, whatever is found in some."""
         states = self._of(sample, one.accuracy)
-        known, radius = states.known
         return CubeAsked(
-            known,
-            radius,
+            states.known.solved,
+            states.known.radius_m,
             self._between(sample, one.accuracy) if one.is_between else states,
             replace(self.needed, clearance_m=self.needed.clearance_m + self._offset_m(sample, one)),
             one.depth,
@@ -227,7 +226,7 @@ class _Look:
         last = min(first + LOOK_EVERY if sample > first else first, len(self.piece.l_b) - 1)
         ends = self._of(first, self.piece.accuracy), self._of(last, self.piece.accuracy)
         share = (sample - first) / max(last - first, 1)
-        return StatesBetween(self._of(sample, accuracy).known[0], ends, share, accuracy != self.piece.accuracy)
+        return StatesBetween(self._of(sample, accuracy).known, ends, share, accuracy != self.piece.accuracy)
 
     def _least_depth(self, sample: int) -> int:
         """How often all cells of a sample are halved."""

@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -22,12 +22,34 @@ class Solved:
     body_m: Array  # (N, 3) NaN, all of it, where no equilibrium was found
     stability: float
     max_strain: float
-    doubt_m: Array | float = 0.0  # (N,) what the body may be off by where it was not solved itself
+    doubt_m: Array | None = None  # (N,) what the body may be off by where it was not solved itself
 
     @property
     def has_body(self) -> bool:
         """Whether an equilibrium was found."""
         return math.isfinite(self.body_m[-1, 0])
+
+
+@dataclass(frozen=True, eq=False)
+class CornerShapes:
+    """A configuration without friction and in its sign corners, in the order of `corner_states`."""
+
+    bodies_m: Array  # (1 + C, N, 3)
+    stability: Array  # (1 + C,)
+    max_strain: Array  # (1 + C,)
+    radius_m: Array  # (N,) outer radii
+
+    @property
+    def pairs(self) -> int:
+        """Of tubes."""
+        return len(self.bodies_m).bit_length() - 1
+
+    @cached_property
+    def solved(self) -> dict[State, Solved]:
+        """By friction state."""
+        states = [(0.0,) * self.pairs, *corner_states(self.pairs)]
+        rows = zip(self.bodies_m, self.stability.tolist(), self.max_strain.tolist(), strict=True)
+        return {state: Solved(*row) for state, row in zip(states, rows, strict=True)}
 
 
 @dataclass(frozen=True)
@@ -60,9 +82,10 @@ class Cell:
         return [Cell(tuple(p[0] for p in part), tuple(p[1] for p in part), self.depth + 1) for part in parts]
 
 
+@cache
 def corner_states(pairs: int) -> Sequence[State]:
     """Friction states of the sign corners in the order of `Bound.corners`."""
-    return list(itertools.product((1.0, -1.0), repeat=pairs))
+    return tuple(itertools.product((1.0, -1.0), repeat=pairs))
 
 
 def corner_weights(phi: Array) -> Array:

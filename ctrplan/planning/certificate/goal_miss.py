@@ -26,7 +26,7 @@ def line_error_m(scenario: Scenario, tip_m: Array) -> float | None:
     """Largest distance of tips (K, 3), robot's frame, from the goal's line; None without a line."""
     if scenario.goal.line_m is None:
         return None
-    located = tip_m @ scenario.base_R.T + scenario.base_position_m
+    located = scenario.located(tip_m)
     return float(distance_from_polyline(located, scenario.goal.line_m).max())
 
 

@@ -12,12 +12,19 @@ import numpy as np
 
 from ctrplan.base.arrays import Array, lengths
 from ctrplan.planning.certificate.allowances import POINT_SPACING_M, SAME_BRANCH_M, mesh_allowance_m
-from ctrplan.planning.certificate.friction_states import Solved, State, corner_states, corner_weights
+from ctrplan.planning.certificate.friction_states import (
+    CornerShapes,
+    Solved,
+    State,
+    corner_states,
+    corner_weights,
+)
 from ctrplan.planning.certificate.walked_piece import Piece, shapes_of
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.accuracy import Accuracy
     from ctrplan.mechanics.friction_states import FrictionStates
+    from ctrplan.mechanics.shapes import FrictionBodies
     from ctrplan.planning.scenario import Scenario
 
 
@@ -46,20 +53,18 @@ class SampleStates:
         return [(0.0,) * pairs, *corner_states(pairs)]
 
     @cached_property
-    def known(self) -> tuple[dict[State, Solved], Array]:
-        """The states that were walked to, on the certificate mesh solved once more, and outer radii (N,)."""
-        bodies, radius = self.walked
+    def known(self) -> CornerShapes:
+        """What was walked to, on the certificate mesh solved once more."""
         samples, k = self.piece.samples, self.sample
         if self.accuracy == self.piece.accuracy:
-            numbers = zip(bodies, samples.shape_stability[k], samples.shape_max_strain[k], strict=True)
-            solved = [Solved(body, float(stability), float(strain)) for body, stability, strain in numbers]
-        elif k in self.piece.finer:
+            bodies, radius = self.walked
+            return CornerShapes(bodies, samples.shape_stability[k], samples.shape_max_strain[k], radius)
+        if k in self.piece.finer:
             return self.piece.finer[k]
-        else:
-            with self._lock:
-                bodies, radius, solved = self.solve(self.states)
-                self._compare(bodies)
-        return dict(zip(self.states, solved, strict=True)), radius
+        with self._lock:
+            found = self.solve(self.states)
+            self._compare(found.point_m)
+        return CornerShapes(found.point_m, found.stability, found.max_strain, found.radius_m)
 
     @cached_property
     def walked(self) -> tuple[Array, Array]:
@@ -71,15 +76,17 @@ class SampleStates:
         with self._lock:
             self._start = None
 
-    def solve(self, phi: Iterable[State]) -> tuple[Array, Array, list[Solved]]:
-        """Points (S, N, 3), NaN where no equilibrium was found, radii (N,), and all of it by state."""
+    def solve(self, phi: Iterable[State]) -> FrictionBodies:
+        """Points (S, N, 3) are NaN where no equilibrium was found."""
         if self._start is None:
             at = self.piece.theta_b[self.sample], self.piece.l_b[self.sample]
             self._start = self.scenario.robot.mechanics.friction_states(*at, accuracy=self.accuracy)
         found = self._start.bodies(np.array(list(phi)), spacing_m=POINT_SPACING_M)
-        bodies = np.where(found.solved[:, None, None], found.point_m, np.nan)
-        numbers = zip(bodies, found.stability.tolist(), found.max_strain.tolist(), strict=True)
-        return bodies, found.radius_m, [Solved(*row) for row in numbers]
+        return (
+            found
+            if found.solved.all()
+            else replace(found, point_m=np.where(found.solved[:, None, None], found.point_m, np.nan))
+        )
 
     def __call__(self, phi: Iterable[State]) -> list[Solved]:
         """Without a body where no equilibrium was found on the branch that was walked to."""
@@ -87,14 +94,16 @@ class SampleStates:
         with self._lock:
             if wanted := [state for state in asked if state not in self._solved]:
                 first = [] if self._compared else self.states
-                bodies, _, solved = self.solve([*first, *wanted])
+                found = self.solve([*first, *wanted])
                 if first:
-                    self._compare(bodies[: len(first)])
+                    self._compare(found.point_m[: len(first)])
+                rows = zip(found.point_m, found.stability.tolist(), found.max_strain.tolist(), strict=True)
+                solved = [Solved(*row) for row in rows]
                 self._solved |= dict(zip(wanted, solved[len(first) :], strict=True))
-        found = [self._solved[state] for state in asked]
+        states = [self._solved[state] for state in asked]
         if self.apart_m <= SAME_BRANCH_M:
-            return found
-        return [replace(one, body_m=np.full_like(one.body_m, np.nan)) for one in found]
+            return states
+        return [replace(one, body_m=np.full_like(one.body_m, np.nan)) for one in states]
 
     def bend(self, states: Sequence[State]) -> Array:
         """(S, N, 3) how far bodies of S states lie from the multilinear interpolation of the sign corners' bodies.
@@ -105,15 +114,14 @@ class SampleStates:
         with self._lock:
             if asked not in self._bends:
                 weights = corner_weights(np.array(asked))
-                corners = np.array([self.known[0][state].body_m for state in corner_states(len(asked[0]))])
-                straight = np.tensordot(weights, corners, axes=1)
+                straight = np.tensordot(weights, self.known.bodies_m[1:], axes=1)
                 self._bends[asked] = np.array([one.body_m for one in self(asked)]) - straight
             return self._bends[asked]
 
     @cached_property
     def shares(self) -> Array:
         """(N,) of the body's length, at its points."""
-        return shares_of_length(self.known[0][(0.0,) * (self.scenario.robot.n - 1)].body_m)
+        return shares_of_length(self.known.bodies_m[0])
 
     def _compare(self, bodies: Array) -> None:
         """Those of `states` with what was walked to: whole bodies on the same mesh, tips on another one."""

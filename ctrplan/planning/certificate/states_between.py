@@ -12,18 +12,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ctrplan.base.arrays import Array, lengths
+from ctrplan.mechanics.friction_cells import Doubts, bodies_between
 from ctrplan.planning.certificate.allowances import BEND_CHANGE, BEND_MESH, BEND_SHARE, BEND_SPREAD
 from ctrplan.planning.certificate.cell_clearances import BEYOND
-from ctrplan.planning.certificate.friction_states import Solved, State, corner_states, corner_weights
-from ctrplan.planning.certificate.sample_states import SampleStates, shares_of_length
+from ctrplan.planning.certificate.friction_states import CornerShapes, Solved, State, corner_weights
+from ctrplan.planning.certificate.sample_states import SampleStates
 
 
 @dataclass(frozen=True, eq=False)
 class StatesBetween:
     """Bodies by interpolation; stability and strain are those of the corners, multilinearly."""
 
-    shapes: dict[State, Solved]  # solved of the sample: phi = 0 and the sign corners
+    shapes: CornerShapes  # solved of the sample
     ends: tuple[SampleStates, SampleStates]  # on both sides
     share: float  # of the way from the first to the second
     is_finer: bool  # the sample's shapes are of a finer mesh than the ends
@@ -31,32 +31,10 @@ class StatesBetween:
     def __call__(self, phi: Iterable[State]) -> list[Solved]:
         """Without a body where a sample beside this one has none."""
         states = list(phi)
-        weights, pairs = corner_weights(np.array(states)), len(states[0])
-        corners, rest = [self.shapes[state] for state in corner_states(pairs)], self.shapes[(0.0,) * pairs].body_m
-        stability = weights @ [corner.stability for corner in corners]
-        strain = weights @ [corner.max_strain for corner in corners]
-        at = shares_of_length(rest)
-        first, last = (_moved_to(at, end.shares, end.bend(states)) for end in self.ends)
-        bend = (1 - self.share) * first + self.share * last
-        share = BEND_SHARE + (BEND_MESH if self.is_finer else 0.0)
-        doubt = BEND_CHANGE * lengths(first - last) + share * lengths(bend)
-        bodies_of_corners = np.array([corner.body_m for corner in corners])
-        doubt += BEND_SPREAD * lengths(bodies_of_corners - rest).max(axis=0)
-        bodies = np.tensordot(weights, bodies_of_corners, axes=1) + bend
-        rows = zip(bodies, stability.tolist(), strain.tolist(), most_up_to(doubt), strict=True)
-        return [Solved(*row) for row in rows]
-
-
-def _moved_to(wanted: Array, own: Array, values: Array) -> Array:
-    """(S, M, 3) values (S, N, 3) of a body, known at shares `own` (N,) of its length, at the shares wanted (M,)."""
-    after = np.clip(np.searchsorted(own, wanted), 1, len(own) - 1)
-    part = ((wanted - own[after - 1]) / (own[after] - own[after - 1]))[:, None]
-    moved: Array = values[:, after - 1] * (1 - part) + values[:, after] * part
-    return moved
-
-
-def most_up_to(apart_m: Array) -> Array:
-    """(..., N) [m] of distances at points the largest from the base up to BEYOND points further out."""
-    most: Array = np.maximum.accumulate(apart_m, axis=-1)
-    count = most.shape[-1]
-    return most[..., np.minimum(np.arange(count) + BEYOND, count - 1)]
+        at, shapes = np.array(states), self.shapes
+        weights = corner_weights(at)
+        stability, strain = weights @ shapes.stability[1:], weights @ shapes.max_strain[1:]
+        first, last = ((end.shares, end.bend(states)) for end in self.ends)
+        doubts = Doubts(BEND_CHANGE, BEND_SHARE + (BEND_MESH if self.is_finer else 0.0), BEND_SPREAD, BEYOND)
+        bodies, doubt = bodies_between(shapes.bodies_m, at, first, last, self.share, doubts)
+        return [Solved(*row) for row in zip(bodies, stability.tolist(), strain.tolist(), doubt, strict=True)]

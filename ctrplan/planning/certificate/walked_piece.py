@@ -16,7 +16,7 @@ from ctrplan.base.progress import Progress
 from ctrplan.mechanics.core import PathDensity, PathSamples
 from ctrplan.planning.certificate.allowances import POINT_SPACING_M, SPACING_M, UNEVEN_FRICTION_M, mesh_allowance_m
 from ctrplan.planning.certificate.anatomy_distance import AnatomyDistance
-from ctrplan.planning.certificate.friction_states import Solved, State
+from ctrplan.planning.certificate.friction_states import CornerShapes
 from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.play import play_reach
 
@@ -27,9 +27,6 @@ if TYPE_CHECKING:
 PIECE_MM = 40.0  # joint length of the pieces that run in parallel
 BENT_STEP_RAD = np.radians(2.0)  # of a joint, along which a drive with effects is taken to be straight
 FROM_PLATE_M = 5e-3  # points of a body farther from where it leaves the plate have to stay in front of it
-
-
-FinerShapes = tuple[dict[State, Solved], Array]  # phi = 0 and the corners on the certificate mesh, radii (N,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +50,9 @@ class Piece:
     phi: Array  # (K, P) friction state in which less than in the solved shapes was found, else 0
     play_m: float  # how far play of the drive may move the robot, the largest of both ends and the middle
     apart_m: float = 0.0  # how far bodies solved from scratch lay from those walked to, where that was looked at
-    finer: Mapping[int, FinerShapes] = field(default_factory=dict)  # of samples that were solved closely
+    finer: Mapping[int, CornerShapes] = field(
+        default_factory=dict
+    )  # on the certificate mesh, of samples solved closely
 
     def offset_m(self, scenario: Scenario, accuracy: Accuracy) -> Array:
         """(K,) all that is taken off clearances of shapes solved at an accuracy."""

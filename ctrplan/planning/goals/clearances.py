@@ -87,7 +87,7 @@ def tightest_place(checker: MotionChecker, joints: Array) -> str:
 def _body(checker: MotionChecker, joints: Array) -> tuple[Array, Array]:
     """Points (N, 3) [m] of the frictionless centreline in the anatomy's frame, radii (N,)."""
     points, radius = checker.mechanics.body(*checker.space.drive.collars(joints))
-    return points[0] @ checker.scenario.base_R.T + checker.scenario.base_position_m, radius
+    return checker.scenario.located(points[0]), radius
 
 
 def _margin_trouble(scenario: Scenario, located: Array, radius: Array) -> str:

@@ -56,7 +56,7 @@ def _on_line(plan: PlannedMotion, goal: Goal, begin: int, end: int) -> NDArray[n
     """Samples from one to another, both among them."""
     assert goal.line_m is not None
     scenario, tips = plan.scenario, plan.certificate.samples.tip_m[begin : end + 1]
-    located = tips @ scenario.base_R.T + scenario.base_position_m
+    located = scenario.located(tips)
     farthest = begin + int(np.argmax(distance_from_polyline(located, goal.line_m)))
     evenly = np.linspace(begin, end, min(end - begin + 1, ON_LINE)).round().astype(int)
     return np.union1d(evenly, farthest)

@@ -158,4 +158,4 @@ def _distance(scenario: Scenario, points_m: Array) -> Array:
     grid = anatomy_grid(scenario)
     if grid is None:
         return np.full(len(points_m), np.inf)
-    return grid.sample(points_m @ scenario.base_R.T + scenario.base_position_m)
+    return grid.sample(scenario.located(points_m))

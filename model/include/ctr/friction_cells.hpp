@@ -29,6 +29,43 @@ struct CellSpread {
 
 CellSpread cell_spread(const CellBodies& bodies, std::size_t beyond);
 
+// A configuration without friction and in its sign corners (high before low, the last pair fastest).
+struct CornerBodies {
+    const double* values = nullptr;  // [without friction, then the corners][point][x, y, z], m; consecutive
+    std::ptrdiff_t point_stride = 3;  // from one point to the next
+    int pairs = 1;
+    std::size_t points = 0;
+
+    const double* at(std::size_t shape, std::size_t k) const {
+        return values + point_stride * static_cast<std::ptrdiff_t>(shape * points + k);
+    }
+};
+
+// How far bodies of friction states lie from the multilinear interpolation of the corners' bodies, beside a configuration.
+struct Bend {
+    const double* share = nullptr;   // [point] of the body's length, 0 to 1
+    const double* values = nullptr;  // [state][point][x, y, z], m
+    std::size_t points = 0;
+};
+
+// What is said of bodies that were not solved themselves, as parts of what is known beside them.
+struct Doubts {
+    double change = 0;   // of the difference of both bends
+    double bend = 0;     // of the bend
+    double spread = 0;   // of the largest distance of a corner from the frictionless body
+    std::size_t beyond;  // points further out whose doubt counts too
+};
+
+struct BodiesBetween {
+    std::vector<double> bodies;  // [state][point][x, y, z], m
+    std::vector<double> doubt;   // [state][point], m
+};
+
+// Bodies in states phi [state][pair], -1 to 1, of a configuration that lies `share` of the way from one whose states are solved
+// to another one. Not a number where one of them has no body.
+BodiesBetween bodies_between(const CornerBodies& own, const double* phi, std::size_t states, const Bend& first, const Bend& last, double share,
+                             const Doubts& doubts);
+
 // Looks for the least clearance of single points of bodies over all states of their cells.
 //
 // Boxes of states are halved along the pair that moves their point most, until it has enough clearance all over the box or surely
