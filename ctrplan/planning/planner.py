@@ -211,7 +211,7 @@ def _stages(
             found.append(run(search))
             spent += clock.now()
             ended_by = clock.name if clock.ran_out else ended_by
-        start = found[-1][1].result.after[-1]
+        start = found[-1][1].corners[-1]
     return found, ended_by, spent
 
 
@@ -239,7 +239,7 @@ def _along_line(checker: MotionChecker, began: float) -> tuple[Candidate, Candid
         raise NoAnswerError(f"{scenario.path or scenario.name}: {key}: {why.rstrip('.')}.")
     motion = checker.along(corners)
     result = Reordered(corners, corners, motion, motion, "simultaneous", on_line=True)
-    return _found(result, walk, found_s, began, "line")
+    return _found(checker, result, walk, found_s, began, "line")
 
 
 def _without_motion(checker: MotionChecker, began: float) -> tuple[Candidate, Candidate]:
@@ -250,14 +250,14 @@ def _without_motion(checker: MotionChecker, began: float) -> tuple[Candidate, Ca
     if walk.failure:
         where = f"{scenario.path or scenario.name}: {scenario.goal.table}"
         raise NoAnswerError(f"{where}: is the start, which fails: {failure_with_place(walk)}")
-    return _found(as_given(checker, corners), walk, found_s, began, "start")
+    return _found(checker, as_given(checker, corners), walk, found_s, began, "start")
 
 
 def _found(
-    result: Reordered, walk: WalkedLegs, found_s: float, began: float, found_by: str
+    checker: MotionChecker, result: Reordered, walk: WalkedLegs, found_s: float, began: float, found_by: str
 ) -> tuple[Candidate, Candidate]:
     """A certified way that no search was needed for, as the first and the best."""
-    candidate = Candidate(result, walk, found_s, time.monotonic() - began, found_by, tidied=True)
+    candidate = Candidate(checker, result.after, walk, found_s, time.monotonic() - began, found_by, result)
     return candidate, candidate
 
 

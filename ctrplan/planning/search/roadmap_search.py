@@ -166,7 +166,7 @@ class RoadmapSearch:
         Motions count what it takes to check them, little where they are known to be valid; those with less hope than
         `least_hope` are left out.
         """
-        return self._path(stop, lambda: self._effort(least_hope))
+        return self._path(stop, lambda: self._effort(least_hope), is_any_enough=True)
 
     def cheap_path(self, stop: Callable[[], bool], doubt: float) -> Array | None:
         """(K, m) states of the path that is likely the cheapest; likewise.
@@ -177,10 +177,41 @@ class RoadmapSearch:
         """
         return self._path(stop, lambda: self._likely_cost(doubt))
 
-    def _path(self, stop: Callable[[], bool], price: Callable[[], tuple[Array, Array]]) -> Array | None:
-        """Checks the motions of the cheapest path, given what they cost and what is left, until one holds."""
+    def _path(
+        self, stop: Callable[[], bool], price: Callable[[], tuple[Array, Array]], *, is_any_enough: bool = False
+    ) -> Array | None:
+        """Checks the motions of the cheapest path, given what they cost and what is left, until one holds.
+
+        Where any will do, and fewer are left to check than threads, those of the next path are checked beside them.
+        """
         while len(self.cost) and not stop():
-            nodes = self._shortest(*price())
+            found = self._looked_at(price, [])
+            if found is None:
+                return None
+            nodes, todo = found
+            if not todo:
+                return self.joints[nodes]
+            todo = todo[:AT_ONCE]
+            if is_any_enough and len(todo) < AT_ONCE and (beside := self._looked_at(price, todo)):
+                todo += beside[1][: AT_ONCE - len(todo)]
+            _together(self._check, todo)
+            for k in todo:  # in their order, whichever was done first
+                if not np.isfinite(self.cost[k]):
+                    alike = (self.edges[:, 0] == self.edges[k, 0]) & (self.length >= ALIKE * self.length[k])
+                    self.trust[alike] *= WARNING
+        return None
+
+    def _looked_at(
+        self, price: Callable[[], tuple[Array, Array]], left_out: list[int]
+    ) -> tuple[list[int], list[int]] | None:
+        """Nodes of the cheapest path whose states hold and whose motions look valid, and motions to check, by doubt.
+
+        Without the motions `left_out`; None if there is no path.
+        """
+        while True:
+            cost, left = price()
+            cost[left_out] = np.inf
+            nodes = self._shortest(cost, left)
             if nodes is None:
                 return None
             edges = [self.row[pair] for pair in zip(nodes[:-1], nodes[1:], strict=True)]
@@ -189,15 +220,7 @@ class RoadmapSearch:
                 continue
             if self._refuses_a_state(nodes):
                 continue
-            todo = sorted((k for k in edges if not self.known[k]), key=lambda k: self.hope[k])
-            if not todo:
-                return self.joints[nodes]
-            _together(self._check, todo[:AT_ONCE])
-            for k in todo[:AT_ONCE]:  # in their order, whichever was done first
-                if not np.isfinite(self.cost[k]):
-                    alike = (self.edges[:, 0] == self.edges[k, 0]) & (self.length >= ALIKE * self.length[k])
-                    self.trust[alike] *= WARNING
-        return None
+            return nodes, sorted((k for k in edges if not self.known[k]), key=lambda k: self.hope[k])
 
     def known_path(self) -> Array | None:
         """(K, m) the cheapest path of motions known to be valid; None without one."""

@@ -53,13 +53,19 @@ class Progress:
 class Candidate:
     """A path that passed its certificate."""
 
-    result: Reordered
+    checker: MotionChecker
+    corners: Array  # (K, m) as certified
     walk: WalkedLegs
     found_s: float  # since planning began
     certified_s: float
     found_by: str
-    tidied: bool  # in order, and compared with other orders
+    reordered: Reordered | None = None  # in order, and compared with other orders
     progress: Callable[[float], None] | None = None  # of the certificate
+
+    @cached_property
+    def result(self) -> Reordered:
+        """As reordered; else as it is, which is priced when it is asked for: a first path is wanted soon."""
+        return self.reordered or as_given(self.checker, self.corners)
 
     @cached_property
     def certificate(self) -> Certificate:
@@ -108,8 +114,8 @@ class StageSearch:
             self._without_reserve()
         elif not self._is_enough():
             self._cheapest_of(roadmap)
-        if self.best is not None and not self.best.tidied and not self._is_enough():
-            self._tidied(self.checker, self.best.result.after, self.best.found_by)
+        if self.best is not None and not self.best.reordered and not self._is_enough():
+            self._tidied(self.checker, self.best.corners, self.best.found_by)
         self._sample()
         return self._answer()
 
@@ -239,7 +245,7 @@ class StageSearch:
                 if only_first:
                     break
                 problem.solve(self._stopper(self.budget), only_first=False)
-            if self._improves(problem) or not (self.best and self.best.tidied):
+            if self._improves(problem) or not (self.best and self.best.reordered):
                 self._tidied(checker, problem.corners(), name)
             break
 
@@ -289,16 +295,15 @@ class StageSearch:
         if self.failure:
             self.failed = walk
             return self.failure
-        certified_s = time.monotonic() - self.began
-        self._keep(as_given(checker, way), walk, found_by, found_s, certified_s, tidied=False)
+        self._keep(Candidate(checker, way, walk, found_s, time.monotonic() - self.began, found_by))
         return ""
 
     def _tidied(self, checker: MotionChecker, corners: Array, found_by: str) -> str:
         """Reorders and certifies a path (K, m), keeps it if it is the best; why it failed, empty if it did not."""
         found_s = time.monotonic() - self.began
         result = least_error(checker, merge_legs(corners))
-        if self.best is not None and np.array_equal(result.after, self.best.result.after):
-            tidied = replace(self.best, result=result, tidied=True)
+        if self.best is not None and np.array_equal(result.after, self.best.corners):
+            tidied = replace(self.best, reordered=result)
             self.certified = [tidied if candidate is self.best else candidate for candidate in self.certified]
             self.best = tidied
             return ""
@@ -308,7 +313,7 @@ class StageSearch:
             self.failure, self.failed = walk.failure, walk
             return self.failure
         certified_s = time.monotonic() - self.began
-        self._keep(result, walk, found_by, found_s, certified_s, tidied=True)
+        self._keep(Candidate(checker, result.after, walk, found_s, certified_s, found_by, result))
         return ""
 
     def _walked(self, checker: MotionChecker, corners: Array) -> WalkedLegs:
@@ -320,20 +325,11 @@ class StageSearch:
     def _certifying(self, share: float) -> None:
         self.report(Progress("certificate", share, None))
 
-    def _keep(
-        self,
-        result: Reordered,
-        walk: WalkedLegs,
-        found_by: str,
-        found_s: float,
-        certified_s: float,
-        *,
-        tidied: bool,
-    ) -> None:
+    def _keep(self, candidate: Candidate) -> None:
         """Remembers a certified path if it is the first or the best."""
-        self.checker.meter.add(self.checker.solved_ns * len(walk.samples.leg))
-        candidate = Candidate(result, walk, found_s, certified_s, found_by, tidied, self._certifying)
+        self.checker.meter.add(self.checker.solved_ns * len(candidate.walk.samples.leg))
+        candidate = replace(candidate, progress=self._certifying)
         self.first = self.first or candidate
         self.certified.append(candidate)
-        if self.best is None or walk.cost_mm < self.best.walk.cost_mm:
+        if self.best is None or candidate.walk.cost_mm < self.best.walk.cost_mm:
             self.best = candidate
