@@ -19,7 +19,7 @@ from ctrplan.planning.certificate.closely_solved import closely_solved
 from ctrplan.planning.certificate.every_state import in_every_friction_state
 from ctrplan.planning.certificate.friction_cube import refuse_many_tubes
 from ctrplan.planning.certificate.goal_miss import frictionless_miss
-from ctrplan.planning.certificate.joined_pieces import joined_samples
+from ctrplan.planning.certificate.joined_pieces import joined_samples, looked_at_samples
 from ctrplan.planning.certificate.other_equilibria import other_equilibrium
 from ctrplan.planning.certificate.problems import problems_of_limits, problems_of_walk
 from ctrplan.planning.certificate.start_branches import other_start
@@ -120,9 +120,9 @@ def walk_legs(
 
         def looked(look_closer: Look, pieces: list[Piece]) -> tuple[list[Piece], CertificateSamples, list[str]]:
             pieces = look_closer(scenario, pieces)
-            samples = joined_samples(scenario, space, corners, pieces)
             found = problems_of_walk(scenario, space, corners, pieces)
-            return pieces, samples, found + problems_of_limits(scenario, pieces, samples, stated.result)
+            closer = looked_at_samples(samples, pieces)
+            return pieces, closer, found + problems_of_limits(scenario, pieces, closer, stated.result)
 
         problems = [f"{other}."] if (other := other_start(scenario, corners[0])) else []
         problems += problems_of_walk(scenario, space, corners, pieces)
