@@ -6,7 +6,7 @@ Zero-clearance shapes, some thirty times cheaper than a bound, tell which states
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import TypeVar
 
 import numpy as np
@@ -64,6 +64,7 @@ class RoadmapSearch:
         self.probed: NDArray[np.bool_] = np.empty(0, dtype=bool)
         self.refused: NDArray[np.int_] = np.empty(0, dtype=int)  # states that are not valid
         self.row: dict[tuple[int, int], int] = {}
+        self._threads = ThreadPoolExecutor(AT_ONCE)  # which end with this search
         self.extend(roadmap.joints, roadmap.edges)
 
     def extend(self, joints: Array, edges: NDArray[np.int_]) -> None:
@@ -194,7 +195,7 @@ class RoadmapSearch:
             todo = todo[:AT_ONCE]
             if is_any_enough and len(todo) < AT_ONCE and (beside := self._looked_at(price, todo)):
                 todo += beside[1][: AT_ONCE - len(todo)]
-            _together(self._check, todo)
+            self._together(self._check, todo)
             for k in todo:  # in their order, whichever was done first
                 if not np.isfinite(self.cost[k]):
                     alike = (self.edges[:, 0] == self.edges[k, 0]) & (self.length >= ALIKE * self.length[k])
@@ -267,7 +268,7 @@ class RoadmapSearch:
     def _refuses_a_state(self, nodes: list[int]) -> bool:
         """Looks at the states themselves; whether any of them is not valid, with all motions from and to it."""
         todo = [node for node in nodes if not self.probed[node]]
-        motions = _together(lambda node: self.checker.state(self.joints[node]), todo)
+        motions = self._together(lambda node: self.checker.state(self.joints[node]), todo)
         refused = [node for node, motion in zip(todo, motions, strict=True) if not motion.valid]
         self.probed[todo] = True
         self.refused = np.concatenate([self.refused, np.array(refused, dtype=int)])
@@ -311,10 +312,10 @@ class RoadmapSearch:
             nodes.append(int(before[nodes[-1]]))
         return nodes[::-1]
 
-
-def _together(work: Callable[[int], Result], numbers: Sequence[int]) -> list[Result]:
-    """What `work` finds for each, AT_ONCE in parallel; one alone is not worth a thread."""
-    if len(numbers) < 2:
-        return [work(number) for number in numbers]
-    with ThreadPoolExecutor(AT_ONCE) as pool:
-        return list(pool.map(work, numbers))
+    def _together(self, work: Callable[[int], Result], numbers: Sequence[int]) -> list[Result]:
+        """What `work` finds for each, AT_ONCE in parallel; one alone is not worth a thread."""
+        if len(numbers) < 2:
+            return [work(number) for number in numbers]
+        futures = [self._threads.submit(work, number) for number in numbers]
+        wait(futures)  # all of them, also where one raises: nothing works on behind whoever asked
+        return [future.result() for future in futures]
