@@ -184,6 +184,20 @@ def test_values_arrive_in_si_units(folder: Path) -> None:
     assert scenario.planner == RRTStar(time_s=2.5, settle="oscillate", goal_bias=0.2)
 
 
+def test_points_are_located_alike_however_many_there_are(folder: Path) -> None:
+    """Rotated and moved one by one, in one table, and in more than are multiplied at once."""
+    scenario = load_scenario("scenario.toml")
+    points = np.random.default_rng(0).normal(size=(40_000, 3)) * 0.1
+    found = scenario.located(points)
+    for k in (0, 16_383, 16_384, 39_999):
+        expected = scenario.base_R @ points[k] + scenario.base_position_m
+        np.testing.assert_allclose(found[k], expected, rtol=0, atol=1e-15)
+        np.testing.assert_allclose(scenario.located(points[k]), expected, rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(scenario.located(points.reshape(100, 400, 3)).reshape(-1, 3), found)
+    assert scenario.located(points[:0]).shape == (0, 3)
+
+
+
 def test_the_anatomy_arrives_in_si_units(folder: Path) -> None:
     sphere, capsule, mesh = load_scenario("scenario.toml").anatomy
     assert isinstance(sphere.shape, Sphere) and isinstance(capsule.shape, Capsule) and isinstance(mesh.shape, Mesh)

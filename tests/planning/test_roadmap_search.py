@@ -90,6 +90,29 @@ def test_a_forbidden_path_is_not_found_again(vessel: MotionChecker, search: Road
     assert other is None or not np.array_equal(other, path)
 
 
+def test_motions_of_the_next_path_are_checked_beside_a_path_of_one_motion(
+    vessel: MotionChecker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two at once, until one holds: while any path will do. Of the cheapest path nothing else is checked."""
+    goals = goal_states(vessel, np.random.default_rng(0))[:3]
+    joints = np.vstack([vessel.scenario.start, *(goal.joints for goal in goals)])
+    roadmap = Roadmap(joints, np.array([[0, 1], [0, 2], [0, 3]]), np.array([1, 2, 3]))
+    together, checked = threading.Barrier(2), list[int]()
+
+    def check(search: RoadmapSearch, k: int) -> None:
+        together.wait(10.0)  # breaks where a motion is checked alone
+        checked.append(k)
+        search.known[k], search.cost[k] = True, 1.0 if len(checked) > 1 else np.inf
+
+    monkeypatch.setattr(MotionChecker, "look", lambda _, ways: (np.ones(len(ways)), np.zeros(len(ways), dtype=bool)))
+    monkeypatch.setattr(RoadmapSearch, "_check", check)
+    search = RoadmapSearch(vessel, roadmap, goals)
+    assert search.any_path(lambda: False) is not None and len(checked) == 2
+    search, checked = RoadmapSearch(vessel, roadmap, goals), []
+    monkeypatch.setattr(RoadmapSearch, "_check", lambda s, k: (checked.append(k), s.known.__setitem__(k, True)))
+    assert search.cheap_path(lambda: False, doubt=0) is not None and len(checked) == 1
+
+
 def test_a_path_through_one_of_two_equal_states_can_be_forbidden(vessel: MotionChecker) -> None:
     """By the same motions through the other one it is not found again."""
     goal = goal_states(vessel, np.random.default_rng(0))[0]
