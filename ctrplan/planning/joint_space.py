@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.base.arguments import Made, checked
-from ctrplan.base.arrays import Array, numbers
+from ctrplan.base.arrays import Array, numbers, read_only
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
 from ctrplan.mechanics.nesting import TOLERANCE_M, reach_inequalities
@@ -105,7 +106,7 @@ class JointSpace:
 
     def projected(self, q: Array, fallback: Array) -> Array:
         """q (K, m) moved into limits and nesting, by turns; rows of `fallback` where that did not succeed."""
-        (slope, room), moves = self.nesting_rules(), q.copy()
+        (slope, room), moves = self.nesting_rules, q.copy()
         norms = np.sum(slope**2, axis=1)
         for _ in range(PROJECTIONS):
             moves = np.clip(moves, self.drive.lower, self.drive.upper)
@@ -115,6 +116,7 @@ class JointSpace:
                 moves -= np.maximum(moves @ row - limit, 0.0)[:, None] * row / norm
         return np.where(self.allowed_rows(moves)[:, None], moves, fallback)
 
+    @cached_property
     def nesting_rules(self) -> tuple[Array, Array]:
         """A (r, m) and b (r,): joint values nest the tubes where A @ q <= b; rules that no joint touches left out.
 
@@ -124,7 +126,8 @@ class JointSpace:
         l_by_joints = self.drive.collars_by_joints(zero)[0, len(self.drive.home_l_m) :]
         slope = self.nesting_G @ l_by_joints
         touched = np.any(slope != 0, axis=1)
-        return slope[touched], (self.nesting_h - self.nesting_G @ self.drive.collars(zero)[1][0])[touched]
+        room = self.nesting_h - self.nesting_G @ self.drive.collars(zero)[1][0]
+        return read_only(slope[touched]), read_only(room[touched])
 
     def wound_into_limits(self, q: Array) -> Array:
         """q (K, m) with rotations taken by whole turns to where they are nearest to the middle of their range.

@@ -203,7 +203,7 @@ class _Batch:
     def _hold(self, slope: Array, moved: Array) -> None:
         """Takes out of `slope` (K, 6, m) the motions that carried `moved` beyond a limit or out of nesting."""
         space = self.solver.space
-        rules, room = space.nesting_rules()
+        rules, room = space.nesting_rules
         for row, limit in zip(rules, room, strict=True):
             broken = moved @ row > limit
             along = row / np.linalg.norm(row)  # all translations weigh the same
