@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -18,6 +21,19 @@ ASKED_NS = 20_000  # a question of the planner, whatever the answer
 REAL_PER_COUNTED, LEAST_REAL_S = 10.0, 10.0
 
 
+_IS_SPARE = ContextVar("is_spare", default=False)
+
+
+@contextmanager
+def spare_work() -> Iterator[None]:
+    """Within, in this context, no meter counts: it is work done ahead, by what would else be idle."""
+    token = _IS_SPARE.set(True)
+    try:
+        yield
+    finally:
+        _IS_SPARE.reset(token)
+
+
 class WorkMeter:
     """Counts work [ns]; whole numbers, so that the order in which threads add does not matter."""
 
@@ -28,8 +44,9 @@ class WorkMeter:
 
     def add(self, amount_ns: int) -> None:
         """Counts work done."""
-        with self._lock:
-            self.spent_ns += amount_ns
+        if not _IS_SPARE.get():
+            with self._lock:
+                self.spent_ns += amount_ns
 
 
 @dataclass(eq=False)

@@ -197,7 +197,6 @@ def test_points_are_located_alike_however_many_there_are(folder: Path) -> None:
     assert scenario.located(points[:0]).shape == (0, 3)
 
 
-
 def test_the_anatomy_arrives_in_si_units(folder: Path) -> None:
     sphere, capsule, mesh = load_scenario("scenario.toml").anatomy
     assert isinstance(sphere.shape, Sphere) and isinstance(capsule.shape, Capsule) and isinstance(mesh.shape, Mesh)

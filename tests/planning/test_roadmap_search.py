@@ -93,7 +93,8 @@ def test_a_forbidden_path_is_not_found_again(vessel: MotionChecker, search: Road
 def test_motions_of_the_next_path_are_checked_beside_a_path_of_one_motion(
     vessel: MotionChecker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two at once, until one holds: while any path will do. Of the cheapest path nothing else is checked."""
+    """Two at once, until one holds, the second not counted as time. Of the cheapest path nothing else is checked."""
+    unit = 10**15
     goals = goal_states(vessel, np.random.default_rng(0))[:3]
     joints = np.vstack([vessel.scenario.start, *(goal.joints for goal in goals)])
     roadmap = Roadmap(joints, np.array([[0, 1], [0, 2], [0, 3]]), np.array([1, 2, 3]))
@@ -102,12 +103,14 @@ def test_motions_of_the_next_path_are_checked_beside_a_path_of_one_motion(
     def check(search: RoadmapSearch, k: int) -> None:
         together.wait(10.0)  # breaks where a motion is checked alone
         checked.append(k)
+        search.checker.meter.add(unit)
         search.known[k], search.cost[k] = True, 1.0 if len(checked) > 1 else np.inf
 
     monkeypatch.setattr(MotionChecker, "look", lambda _, ways: (np.ones(len(ways)), np.zeros(len(ways), dtype=bool)))
     monkeypatch.setattr(RoadmapSearch, "_check", check)
-    search = RoadmapSearch(vessel, roadmap, goals)
+    search, spent = RoadmapSearch(vessel, roadmap, goals), vessel.meter.spent_ns
     assert search.any_path(lambda: False) is not None and len(checked) == 2
+    assert (vessel.meter.spent_ns - spent) // unit == 1
     search, checked = RoadmapSearch(vessel, roadmap, goals), []
     monkeypatch.setattr(RoadmapSearch, "_check", lambda s, k: (checked.append(k), s.known.__setitem__(k, True)))
     assert search.cheap_path(lambda: False, doubt=0) is not None and len(checked) == 1

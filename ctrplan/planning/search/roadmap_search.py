@@ -7,6 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import nullcontext
+from contextvars import copy_context
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -21,7 +24,7 @@ from ctrplan.planning.goals.goal_state import GoalState
 from ctrplan.planning.goals.tip_solver import TipSolver, TipTarget
 from ctrplan.planning.motion import DEFINITE_COLLISION_M, MotionChecker
 from ctrplan.planning.search.insertion_chains import SKIPS, Roadmap
-from ctrplan.planning.search_clock import ROOM_NS
+from ctrplan.planning.search_clock import ROOM_NS, spare_work
 
 AT_ONCE = 2  # motions checked in parallel; the same everywhere, as it decides what is checked
 SURE = 0.3  # of its length is what a motion counts that is known to be valid, while any path will do
@@ -183,7 +186,8 @@ class RoadmapSearch:
     ) -> Array | None:
         """Checks the motions of the cheapest path, given what they cost and what is left, until one holds.
 
-        Where any will do, and fewer are left to check than threads, those of the next path are checked beside them.
+        Where any will do, and fewer are left to check than threads, those of the next path are checked beside them,
+        which does not count as time.
         """
         while len(self.cost) and not stop():
             found = self._looked_at(price, [])
@@ -193,10 +197,9 @@ class RoadmapSearch:
             if not todo:
                 return self.joints[nodes]
             todo = todo[:AT_ONCE]
-            if is_any_enough and len(todo) < AT_ONCE and (beside := self._looked_at(price, todo)):
-                todo += beside[1][: AT_ONCE - len(todo)]
-            self._together(self._check, todo)
-            for k in todo:  # in their order, whichever was done first
+            spare = self._next_to_check(price, todo) if is_any_enough and len(todo) < AT_ONCE else []
+            self._together(partial(self._check_beside, spare=spare), [*todo, *spare])
+            for k in [*todo, *spare]:  # in their order, whichever was done first
                 if not np.isfinite(self.cost[k]):
                     alike = (self.edges[:, 0] == self.edges[k, 0]) & (self.length >= ALIKE * self.length[k])
                     self.trust[alike] *= WARNING
@@ -222,6 +225,16 @@ class RoadmapSearch:
             if self._refuses_a_state(nodes):
                 continue
             return nodes, sorted((k for k in edges if not self.known[k]), key=lambda k: self.hope[k])
+
+    def _next_to_check(self, price: Callable[[], tuple[Array, Array]], todo: list[int]) -> list[int]:
+        """A motion of the path that is next should those of `todo` be refused."""
+        with spare_work():
+            found = self._looked_at(price, todo)
+        return found[1][: AT_ONCE - len(todo)] if found else []
+
+    def _check_beside(self, k: int, spare: Sequence[int]) -> None:
+        with spare_work() if k in spare else nullcontext():
+            self._check(k)
 
     def known_path(self) -> Array | None:
         """(K, m) the cheapest path of motions known to be valid; None without one."""
@@ -316,6 +329,6 @@ class RoadmapSearch:
         """What `work` finds for each, AT_ONCE in parallel; one alone is not worth a thread."""
         if len(numbers) < 2:
             return [work(number) for number in numbers]
-        futures = [self._threads.submit(work, number) for number in numbers]
+        futures = [self._threads.submit(copy_context().run, work, number) for number in numbers]
         wait(futures)  # all of them, also where one raises: nothing works on behind whoever asked
         return [future.result() for future in futures]
