@@ -17,7 +17,7 @@ from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.path_cost import path_cost_mm
 from ctrplan.planning.plan import MotionStyle
 from ctrplan.planning.play import usual_play_shift
-from ctrplan.planning.search_clock import ASKED_NS, LOOKED_UP_NS, ROOM_NS, SHAPE_NS, WorkMeter
+from ctrplan.planning.search_clock import ASKED_NS, LOOKED_UP_NS, ROOM_NS, SHAPE_NS, WorkMeter, counted_aside
 from ctrplan.planning.search_watch import SearchWatch
 from ctrplan.planning.uncertainty.allowance import usual_allowance_m
 from ctrplan.robot.friction_calibration import friction_law
@@ -90,6 +90,7 @@ class MotionChecker:
         self.watch = SearchWatch()  # asked before anything is solved
         self.solved_ns = SHAPE_NS * (1 + 2 ** (scenario.robot.n - 1))
         self._known: dict[bytes, Motion] = {}
+        self._ahead: dict[bytes, tuple[Motion, int]] = {}  # checked before they were asked for, and work [ns]
         self._states: dict[bytes, tuple[Motion, PathSamples | None]] = {}
 
     def motion(self, a: Array, b: Array) -> Motion:
@@ -98,9 +99,21 @@ class MotionChecker:
         key = a.tobytes() + b.tobytes()
         found = self._known.get(key)
         if found is None:
-            corners = self.space.corners(a, b, self.style)
-            found = self._known[key] = self._refusal(corners) or self.along(corners)
+            found, spent_ns = self._ahead.pop(key, None) or (self._motion(a, b), 0)
+            self.meter.add(spent_ns)
+            self._known[key] = found
         return found
+
+    def look_ahead(self, a: Array, b: Array) -> None:
+        """Checks a motion that is likely asked for next; it counts as work when it is."""
+        key = a.tobytes() + b.tobytes()
+        if key not in self._known and key not in self._ahead:
+            with counted_aside() as aside:
+                self._ahead[key] = self._motion(a, b), aside.spent_ns
+
+    def _motion(self, a: Array, b: Array) -> Motion:
+        corners = self.space.corners(a, b, self.style)
+        return self._refusal(corners) or self.along(corners)
 
     def _refusal(self, corners: Array) -> Motion | None:
         """Why a polyline (K, m) is not worth a walk; None if it is.

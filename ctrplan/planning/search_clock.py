@@ -21,17 +21,18 @@ ASKED_NS = 20_000  # a question of the planner, whatever the answer
 REAL_PER_COUNTED, LEAST_REAL_S = 10.0, 10.0
 
 
-_IS_SPARE = ContextVar("is_spare", default=False)
+_ASIDE: ContextVar[WorkMeter | None] = ContextVar("aside", default=None)
 
 
 @contextmanager
-def spare_work() -> Iterator[None]:
-    """Within, in this context, no meter counts: it is work done ahead, by what would else be idle."""
-    token = _IS_SPARE.set(True)
+def counted_aside() -> Iterator[WorkMeter]:
+    """Within, in this context, all work is counted by a meter of its own: what is done ahead counts when asked for."""
+    meter = WorkMeter()
+    token = _ASIDE.set(meter)
     try:
-        yield
+        yield meter
     finally:
-        _IS_SPARE.reset(token)
+        _ASIDE.reset(token)
 
 
 class WorkMeter:
@@ -44,9 +45,9 @@ class WorkMeter:
 
     def add(self, amount_ns: int) -> None:
         """Counts work done."""
-        if not _IS_SPARE.get():
-            with self._lock:
-                self.spent_ns += amount_ns
+        meter = _ASIDE.get() or self
+        with meter._lock:
+            meter.spent_ns += amount_ns
 
 
 @dataclass(eq=False)

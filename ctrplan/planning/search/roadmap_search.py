@@ -5,10 +5,9 @@ Zero-clearance shapes, some thirty times cheaper than a bound, tell which states
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import nullcontext
-from contextvars import copy_context
 from functools import partial
 from typing import TypeVar
 
@@ -24,10 +23,11 @@ from ctrplan.planning.goals.goal_state import GoalState
 from ctrplan.planning.goals.tip_solver import TipSolver, TipTarget
 from ctrplan.planning.motion import DEFINITE_COLLISION_M, MotionChecker
 from ctrplan.planning.search.insertion_chains import SKIPS, Roadmap
-from ctrplan.planning.search_clock import ROOM_NS, spare_work
+from ctrplan.planning.search_clock import ROOM_NS, counted_aside
 
 AT_ONCE = 2  # motions checked in parallel; the same everywhere, as it decides what is checked
 SURE = 0.3  # of its length is what a motion counts that is known to be valid, while any path will do
+GUESSES = 3  # paths looked at for a motion to check ahead
 NEIGHBOURS = 8
 AT_MM = 1e-6  # of joint length, within which a place is at a motion's end
 NEAR_MM = 30.0  # of joint length, standard deviation of random states beside others, before their tips are brought back
@@ -186,55 +186,56 @@ class RoadmapSearch:
     ) -> Array | None:
         """Checks the motions of the cheapest path, given what they cost and what is left, until one holds.
 
-        Where any will do, and fewer are left to check than threads, those of the next path are checked beside them,
-        which does not count as time.
+        Where any will do, and one motion is left to check, that of the path that may be next is checked ahead.
         """
         while len(self.cost) and not stop():
-            found = self._looked_at(price, [])
-            if found is None:
-                return None
-            nodes, todo = found
-            if not todo:
-                return self.joints[nodes]
-            todo = todo[:AT_ONCE]
-            spare = self._next_to_check(price, todo) if is_any_enough and len(todo) < AT_ONCE else []
-            self._together(partial(self._check_beside, spare=spare), [*todo, *spare])
-            for k in [*todo, *spare]:  # in their order, whichever was done first
-                if not np.isfinite(self.cost[k]):
-                    alike = (self.edges[:, 0] == self.edges[k, 0]) & (self.length >= ALIKE * self.length[k])
-                    self.trust[alike] *= WARNING
-        return None
-
-    def _looked_at(
-        self, price: Callable[[], tuple[Array, Array]], left_out: list[int]
-    ) -> tuple[list[int], list[int]] | None:
-        """Nodes of the cheapest path whose states hold and whose motions look valid, and motions to check, by doubt.
-
-        Without the motions `left_out`; None if there is no path.
-        """
-        while True:
-            cost, left = price()
-            cost[left_out] = np.inf
-            nodes = self._shortest(cost, left)
+            nodes = self._shortest(*price())
             if nodes is None:
                 return None
-            edges = [self.row[pair] for pair in zip(nodes[:-1], nodes[1:], strict=True)]
+            edges = self._motions(nodes)
             unseen = [k for k in edges if np.isnan(self.hope[k]) and not self.known[k]]
             if unseen and self._finds_doubt(unseen):
                 continue
             if self._refuses_a_state(nodes):
                 continue
-            return nodes, sorted((k for k in edges if not self.known[k]), key=lambda k: self.hope[k])
+            todo = sorted((k for k in edges if not self.known[k]), key=lambda k: self.hope[k])[:AT_ONCE]
+            if not todo:
+                return self.joints[nodes]
+            ahead = self._likely_next(price, todo) if is_any_enough and len(todo) < AT_ONCE else []
+            self._together([*(partial(self._check, k) for k in todo), *(partial(self._check_ahead, k) for k in ahead)])
+            for k in todo:  # in their order, whichever was done first
+                if not np.isfinite(self.cost[k]):
+                    alike = (self.edges[:, 0] == self.edges[k, 0]) & (self.length >= ALIKE * self.length[k])
+                    self.trust[alike] *= WARNING
+        return None
 
-    def _next_to_check(self, price: Callable[[], tuple[Array, Array]], todo: list[int]) -> list[int]:
-        """A motion of the path that is next should those of `todo` be refused."""
-        with spare_work():
-            found = self._looked_at(price, todo)
-        return found[1][: AT_ONCE - len(todo)] if found else []
+    def _motions(self, nodes: list[int]) -> list[int]:
+        """Of a path."""
+        return [self.row[pair] for pair in itertools.pairwise(nodes)]
 
-    def _check_beside(self, k: int, spare: Sequence[int]) -> None:
-        with spare_work() if k in spare else nullcontext():
-            self._check(k)
+    def _likely_next(self, price: Callable[[], tuple[Array, Array]], todo: list[int]) -> list[int]:
+        """A motion to check should those of `todo` be refused; nothing is remembered of how it is found."""
+        cost, left = price()
+        cost[todo] = np.inf
+        for _ in range(GUESSES):
+            nodes = self._shortest(cost, left)
+            unknown = [k for k in self._motions(nodes) if not self.known[k]] if nodes else []
+            if not unknown:
+                break
+            with counted_aside():
+                rooms = self.checker.rooms([self._way(k) for k in unknown])
+            if rooms.min() >= DEFINITE_COLLISION_M:
+                return [unknown[int(np.argmin(rooms))]]
+            cost[unknown[int(np.argmin(rooms))]] = np.inf
+        return []
+
+    def _way(self, k: int) -> Array:
+        """(K, m) corners of a motion."""
+        a, b = self.joints[self.edges[k]]
+        return self.checker.space.corners(a, b, self.checker.style)
+
+    def _check_ahead(self, k: int) -> None:
+        self.checker.look_ahead(*self.joints[self.edges[k]])
 
     def known_path(self) -> Array | None:
         """(K, m) the cheapest path of motions known to be valid; None without one."""
@@ -281,7 +282,7 @@ class RoadmapSearch:
     def _refuses_a_state(self, nodes: list[int]) -> bool:
         """Looks at the states themselves; whether any of them is not valid, with all motions from and to it."""
         todo = [node for node in nodes if not self.probed[node]]
-        motions = self._together(lambda node: self.checker.state(self.joints[node]), todo)
+        motions = self._together([partial(self.checker.state, self.joints[node]) for node in todo])
         refused = [node for node, motion in zip(todo, motions, strict=True) if not motion.valid]
         self.probed[todo] = True
         self.refused = np.concatenate([self.refused, np.array(refused, dtype=int)])
@@ -290,9 +291,7 @@ class RoadmapSearch:
 
     def _finds_doubt(self, rows: list[int]) -> bool:
         """Looks at the zero-clearance shapes along motions; whether there is any new doubt about them."""
-        joints, space = self.joints, self.checker.space
-        ways = [space.corners(joints[a], joints[b], self.checker.style) for a, b in self.edges[rows]]
-        rooms, jumps = self.checker.look(ways)
+        rooms, jumps = self.checker.look([self._way(k) for k in rows])
         self.hope[rows] = np.minimum(np.interp(rooms, VALID_AT_M, VALID_SHARE), np.where(jumps, VALID_JUMPS, 1.0))
         self.cost[np.array(rows, dtype=int)[rooms < DEFINITE_COLLISION_M]] = np.inf
         return bool(np.any(self.hope[rows] < 1))
@@ -325,10 +324,10 @@ class RoadmapSearch:
             nodes.append(int(before[nodes[-1]]))
         return nodes[::-1]
 
-    def _together(self, work: Callable[[int], Result], numbers: Sequence[int]) -> list[Result]:
-        """What `work` finds for each, AT_ONCE in parallel; one alone is not worth a thread."""
-        if len(numbers) < 2:
-            return [work(number) for number in numbers]
-        futures = [self._threads.submit(copy_context().run, work, number) for number in numbers]
+    def _together(self, work: Sequence[Callable[[], Result]]) -> list[Result]:
+        """What all of it finds, AT_ONCE in parallel; one alone is not worth a thread."""
+        if len(work) < 2:
+            return [one() for one in work]
+        futures = [self._threads.submit(one) for one in work]
         wait(futures)  # all of them, also where one raises: nothing works on behind whoever asked
         return [future.result() for future in futures]
