@@ -99,8 +99,11 @@ class MotionChecker:
         key = a.tobytes() + b.tobytes()
         found = self._known.get(key)
         if found is None:
-            found, spent_ns = self._ahead.pop(key, None) or (self._motion(a, b), 0)
-            self.meter.add(spent_ns)
+            if ahead := self._ahead.pop(key, None):
+                found, spent_ns = ahead
+                self.meter.add(spent_ns)
+            else:
+                found = self._motion(a, b)
             self._known[key] = found
         return found
 
