@@ -142,6 +142,7 @@ class _Asked:
     interrupted: threading.Event
     bound_table: BoundTable | None
     approaches: Callable[[], Future[str]]  # to the start, begun when first asked for
+    before: float = 0.0  # s, of `whole`, spent on other searches
 
     def refuse_other_start(self, scenario: Scenario) -> None:
         """Raises NoAnswerError where an approach to the start ends at another equilibrium."""
@@ -166,7 +167,9 @@ def _anytime_stages(scenario: Scenario, asked: _Asked) -> tuple[Candidate, Stage
     if spent >= asked.budget:
         return hasty[-1][0], hasty, ran_out
     try:
-        stages, ended_by, _ = _stages(scenario, replace(asked, budget=asked.budget - spent), StageSearch.run)
+        stages, ended_by, _ = _stages(
+            scenario, replace(asked, budget=asked.budget - spent, before=spent), StageSearch.run
+        )
     except (KeyboardInterrupt, NoAnswerError):
         return hasty[-1][0], hasty, ran_out
     kept = min(stages, hasty, key=lambda way: sum(best.walk.cost_mm for _, best in way))
@@ -207,7 +210,7 @@ def _stages(
             clock = SearchClock(checker.meter, asked.timed)
             search = StageSearch(checker, goals, asked.seed, asked.began, share, clock, asked.report, asked.interrupted)
             search.refuse_start = refuse_start
-            search.before, search.whole = asked.whole - asked.budget + spent, asked.whole
+            search.before, search.whole = asked.before + spent, asked.whole
             found.append(run(search))
             spent += clock.now()
             ended_by = clock.name if clock.ran_out else ended_by
