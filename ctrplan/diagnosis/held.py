@@ -69,7 +69,7 @@ def _panel(selector: PartialSelector, chosen: Scored) -> tuple[Panel, float, lis
     """Of a set and its competitors, with what is chance there and all that is fitted."""
     bench = selector.partial_bench
     among = [*bench.basis(chosen.terms), *chosen.terms]
-    free = [_with_zero(bench, t) for t in chosen.terms]
+    free = [with_zero(bench, t) for t in chosen.terms]
     panel = bench.panel(chosen, [*selector.candidates.beside(chosen.terms), *free])
     return panel, selector.chance(chosen, panel, among), among
 
@@ -116,7 +116,7 @@ def finding(selector: PartialSelector, found: Held, e: Evidence) -> tuple[Findin
     return Finding(t, tuple(a for a in tried if a.term.name in imitators or is_close(a, chosen))), tried
 
 
-def _with_zero(bench: CorrelatedBench, t: Term) -> Term:
+def with_zero(bench: CorrelatedBench, t: Term) -> Term:
     """A built term with its constant, where its zero is arbitrary: what that does is no evidence for a frame."""
     if not isinstance(t.effect, Learned) or t.effect.target.kind_name not in ("sensor", "plate"):
         return t
@@ -135,7 +135,7 @@ def _sides(selector: PartialSelector, chosen: Scored, panel: Panel, among: Seque
     bench = selector.partial_bench
     rest = [other for other in among if other.name != t.name]
     if t.name in FRAMES:
-        return Sides(panel, among, panel.without(t), [_with_zero(bench, other) for other in rest])
+        return Sides(panel, among, panel.without(t), [with_zero(bench, other) for other in rest])
     if bench.data.is_stream:
         return Sides(panel, among, panel.without(t), rest)
     others = [other for other in chosen.terms if other.name != t.name]

@@ -3,7 +3,8 @@
 A built term takes out what hid them, and what is left is mostly smooth in the joints. So names are asked anew there, by
 their evidence beside an error that is as smooth as is most probable, `smooth_evidence.py`, not by blocks left out.
 What is nearly as probable in the place of a name is told with it. A frame is free in every fit, and a smooth error is
-partly a frame, of the headings most of all: it is a name only where it moves positions as far as all that is left.
+partly a frame, of the headings most of all: it is a name only where it moves positions as far as all that is left,
+and no effect explains as much.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.frames import FRAME, FRAMES, frames_beside
-from ctrplan.diagnosis.held import Asked, asked_evidence
+from ctrplan.diagnosis.held import Asked, asked_evidence, with_zero
 from ctrplan.diagnosis.partial_search import MOST_PARTS, PartialSelector, is_built
 from ctrplan.diagnosis.selection import Step, step
 from ctrplan.diagnosis.smooth_evidence import Gain, SmoothEvidence
@@ -107,16 +108,24 @@ def _rivals(ranked: Sequence[Gain]) -> list[Gain]:
 
 
 def _frame(selector: PartialSelector, settled: Scored, value: float) -> dict[str, tuple[Term, list[Gain]]]:
-    """The frame of the base, where it is a name, with what explains as much in its place."""
+    """The frame of the base, where it is a name: it moves positions far, and nothing explains as much in its place."""
     bench = selector.partial_bench
     mine = [t for t in frames_beside(bench.robot, bench.data, settled.terms) if t.name == FRAME]
-    if not mine or SmoothEvidence(bench, settled).moved(FRAME) < FRAME_MOVES:
+    if not mine or SmoothEvidence(bench, _with_zeros(bench, settled)).moved(FRAME) < FRAME_MOVES:
         return {}
     others = _variants(selector, settled)
+    if not others:
+        return {FRAME: (mine[0], [])}
     asked = SmoothEvidence(bench, settled, others)
     gains = asked.gains(others, without=FRAME)
     least = max(LEAST_GAIN, value - asked.highest() - EQUAL)
-    return {FRAME: (mine[0], _best_of_each([one for one in gains if one.gain > least]))}
+    return {} if gains and gains[0].gain > least else {FRAME: (mine[0], [])}
+
+
+def _with_zeros(bench: CorrelatedBench, settled: Scored) -> Scored:
+    """With the constants of the terms of sensor and plate, whose zero is arbitrary: they do what a frame does."""
+    terms = [with_zero(bench, t) for t in settled.terms]
+    return bench.scored(terms, settled.fit)
 
 
 def _without_the_idle(
@@ -136,7 +145,7 @@ def _without_the_idle(
 
 
 def _finding(bench: CorrelatedBench, here: Scored, t: Term, rivals: Sequence[Gain]) -> Finding:
-    others = [other for other in here.terms if other is not t]  # a frame stays free beside what may stand for it
+    others = [other for other in here.terms if other is not t]
     scored = [bench.scored([*others, one.term], here.fit) for one in rivals]
     alternatives = [Alternative(one.term, s, *bench.difference(here, s)) for one, s in zip(rivals, scored, strict=True)]
     return Finding(t, tuple(alternatives))

@@ -28,7 +28,8 @@ from ctrplan.pipeline.term import Term
 
 LEAST_Z = 5.0  # standard errors over blocks
 TIMES_CHANCE = 4.0  # the gain that the first piece reaches in 2 % of smooth surrogates, of all pieces together
-LEAST_EVIDENCE = 30.0  # logarithm, beside a smooth error: nulls of pairs had up to 21, true terms 40 and more
+LEAST_EVIDENCE = 20.0  # logarithm, beside a smooth error: what four choices among 150 pieces may gain, 4 log 150
+LEAST_EVIDENCE_OF_SENSOR = 30.0  # of its terms, which a smooth error looks like: nulls of pairs had up to 21
 LEAST_WINNING = 0.85  # of the blocks that say something
 LEAST_SHARE = 0.6  # of the squares that remain beyond noise, closed on blocks left out
 WITHIN_REACH = 0.6  # of the same to first order before anything is fitted; a search that can't reach it is not begun
@@ -64,7 +65,9 @@ class Built:
     @property
     def is_chance(self) -> bool:
         """Whether an error that is smooth in the joints might have let pieces gain as much."""
-        return self.gain < TIMES_CHANCE * self.rounds[0].smooth_chance or self.odds < LEAST_EVIDENCE
+        of_sensor = any(isinstance(t.effect, Learned) and t.effect.target.kind_name == "sensor" for t in self.terms)
+        least = LEAST_EVIDENCE_OF_SENSOR if of_sensor else LEAST_EVIDENCE
+        return self.gain < TIMES_CHANCE * self.rounds[0].smooth_chance or self.odds < least
 
     @property
     def path(self) -> tuple[Step, ...]:
@@ -114,17 +117,21 @@ def tried(found: Partly, tell: Callable[[str], None]) -> Built | None:
     built = _settled(found, found.chosen, tell)
     if bench.data.is_stream or (built is not None and not refusals(bench, built)):
         return built
+    if built is not None and built.partly.judgement.findings:  # where something is known, pieces may be smaller
+        more = _settled(found, _begun(found), tell, smooth_counts=False)
+        if more is not None and not refusals(bench, more):
+            return more
     there = _begun(found)
-    more = _selector(found, there, tell).run().chosen
-    return (_settled(found, more, tell) if len(more.terms) > len(there.terms) else None) or built
+    passing = _selector(found, there, tell).run().chosen
+    return (_settled(found, passing, tell) if len(passing.terms) > len(there.terms) else None) or built
 
 
-def _settled(found: Partly, named: Scored, tell: Callable[[str], None]) -> Built | None:
+def _settled(found: Partly, named: Scored, tell: Callable[[str], None], smooth_counts: bool = True) -> Built | None:
     """Built beside a set, and once more where other names act beside the term: pieces may have stood for them.
 
     The new one is taken where it passes, and the old one does not or is less probable.
     """
-    bench, built = found.bench, _tried_beside(found, named, tell)
+    bench, built = found.bench, _tried_beside(found, named, tell, smooth_counts)
     asked = {frozenset(t.key for t in named.terms)}
     while built is not None and not bench.data.is_stream and len(asked) <= MOST_TIMES:
         names = [t for t in built.scored.terms if not is_built(t)]
@@ -132,7 +139,7 @@ def _settled(found: Partly, named: Scored, tell: Callable[[str], None]) -> Built
         if not names or key in asked:
             break
         asked.add(key)
-        again = _tried_beside(found, bench.corrected(bench.scored(names, built.scored.fit)), tell)
+        again = _tried_beside(found, bench.corrected(bench.scored(names, built.scored.fit)), tell, smooth_counts)
         if again is None or refusals(bench, again):
             break
         if not refusals(bench, built) and again.evidence < built.evidence:
@@ -148,7 +155,9 @@ def _begun(found: Partly) -> Scored:
     return found.bench.corrected(found.bench.scored(found.chosen.terms, found.chosen.fit))
 
 
-def _tried_beside(found: Partly, named: Scored, tell: Callable[[str], None]) -> Built | None:
+def _tried_beside(
+    found: Partly, named: Scored, tell: Callable[[str], None], smooth_counts: bool = True
+) -> Built | None:
     """Beside a set: of the effects that hold, or with such besides as may hold beside a term.
 
     On a continuous motion the catalogue is asked after each piece. Of poses at rest it is asked of all pieces in the
@@ -165,7 +174,7 @@ def _tried_beside(found: Partly, named: Scored, tell: Callable[[str], None]) -> 
         return searched.chosen
 
     known = pieces(bench.robot, bench.data, found.known.terms)
-    scored, rounds = grown(bench, named, known, tell, with_names, WITHIN_REACH)
+    scored, rounds = grown(bench, named, known, tell, with_names, WITHIN_REACH, smooth_counts)
     if scored is named:
         return None
     selector = _selector(found, scored, tell)
