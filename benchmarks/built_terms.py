@@ -210,7 +210,7 @@ def asked(folder: Path) -> dict[str, Any]:
     terms = [t.effect.stated({})["acts_on"] + ": " + ", ".join(t.effect.parts) for t in built.terms]
     evidence = {"z": built.z, "winning": built.winning, "share": built.share, "gain": built.gain}
     evidence |= {"chance": built.rounds[0].chance, "first": built.rounds[0].tried[0].certainty}
-    evidence |= {"beside_smooth": built.beside_smooth}
+    evidence |= {"log_odds": built.odds}
     return result | {"built": True, "refused": refused, "terms": terms, **evidence}
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,10 +104,11 @@ def shared(count: int, share: float) -> Array:
 
 def within(found: Discrepancy, blocks: Sequence[NDArray[np.int_]], correlation: Callable[..., Array]) -> Discrepancy:
     """The same discrepancy for other poses, given by their blocks; correlation(poses, memory) is that of a block."""
-    return replace(found, blocks=tuple(_block(poses, correlation(poses, found.memory)) for poses in blocks))
+    return replace(found, blocks=tuple(block_of(poses, correlation(poses, found.memory)) for poses in blocks))
 
 
-def _block(poses: NDArray[np.int_], correlation: Array) -> Block:
+def block_of(poses: NDArray[np.int_], correlation: Array) -> Block:
+    """Of poses with their correlation (k, k)."""
     values, vectors = np.linalg.eigh(correlation)
     return Block(poses, np.maximum(values, 0.0), vectors)
 
@@ -122,8 +122,8 @@ def _most_probable(
     """The best of all memories and sizes, by the likelihood with the parameters integrated out over their priors."""
     best, highest = None, -np.inf
     for memory in memories.tolist():
-        blocks = tuple(_block(poses, correlation(poses, memory)) for poses in rows)
-        value, position, tangent = _Spectrum(fit, blocks).highest()
+        blocks = tuple(block_of(poses, correlation(poses, memory)) for poses in rows)
+        value, position, tangent = Spectrum.at(fit, blocks).highest()
         if value > highest:
             best, highest = Discrepancy(position, tangent, memory, blocks), value
     assert best is not None
@@ -131,7 +131,7 @@ def _most_probable(
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
+class SizePart:
     """Sums over one part of the poses' numbers at a size of the discrepancy: a normal system and a likelihood."""
 
     size: float
@@ -141,31 +141,41 @@ class _Part:
 
 
 @dataclass(frozen=True, eq=False)
-class _Spectrum:
-    """A fit in the eigenvectors of the discrepancy's blocks, where its covariance is diagonal."""
+class Spectrum:
+    """A fit in the eigenvectors of the discrepancy's blocks, where its covariance is diagonal: sums at every size."""
 
-    fit: Linearised
-    blocks: tuple[Block, ...]
+    precision: Array  # (P,) of the parameters' priors
+    position: Sequence[SizePart]
+    tangent: Sequence[SizePart]
 
-    @cached_property
-    def position(self) -> list[_Part]:
-        return self._parts(POSITION)
+    @classmethod
+    def at(cls, fit: Linearised, blocks: Sequence[Block]) -> Spectrum:
+        """Of a fit whose discrepancy has these blocks."""
+        return cls(fit.precision, *(cls._parts(fit, blocks, part) for part in (POSITION, TANGENT)))
 
-    @cached_property
-    def tangent(self) -> list[_Part]:
-        return self._parts(TANGENT)
+    def of(self, columns: Sequence[int]) -> Spectrum:
+        """Of some of the parameters, the others being where they do nothing."""
+        kept = np.ix_(columns, columns)
+        parts = [
+            [replace(one, H=one.H[kept], g=one.g[columns]) for one in which] for which in (self.position, self.tangent)
+        ]
+        return Spectrum(self.precision[columns], *parts)
 
-    def _parts(self, part: slice) -> list[_Part]:
-        r = np.concatenate([np.tensordot(b.vectors.T, self.fit.r[b.poses, part], axes=1) for b in self.blocks])
-        J = np.concatenate([np.tensordot(b.vectors.T, self.fit.J[b.poses, part], axes=1) for b in self.blocks])
-        values = np.concatenate([b.values for b in self.blocks])
-        found, columns = [], J.shape[2]
-        flat, y = J.reshape(-1, columns), r.ravel()
+    @staticmethod
+    def _parts(fit: Linearised, blocks: Sequence[Block], part: slice) -> list[SizePart]:
+        r = np.concatenate([np.tensordot(b.vectors.T, fit.r[b.poses, part], axes=1) for b in blocks])
+        J = np.concatenate([np.tensordot(b.vectors.T, fit.J[b.poses, part], axes=1) for b in blocks])
+        values = np.concatenate([b.values for b in blocks])
+        alike = np.isclose(values, np.median(values), rtol=0, atol=1e-9)  # approaches of one configuration, among them
+        flat, y = J[~alike].reshape(-1, J.shape[2]), r[~alike].ravel()
+        same, of_same = J[alike].reshape(-1, J.shape[2]), r[alike].ravel()
+        H, g, square = same.T @ same, same.T @ of_same, float(of_same @ of_same)
+        found = []
         for size in SIZES.tolist():
-            weight = np.repeat(1 / (1 + size**2 * values), r.shape[1])
-            weighted = flat * weight[:, None]
-            fits = float(np.log(weight).sum() - weight @ y**2)
-            found.append(_Part(size, weighted.T @ flat, weighted.T @ y, fits))
+            weight = np.repeat(1 / (1 + size**2 * values[~alike]), r.shape[1])
+            weighted, one = flat * weight[:, None], float(1 / (1 + size**2 * np.median(values)))
+            fits = float(np.log(weight).sum() - weight @ y**2) + len(of_same) * np.log(one) - one * square
+            found.append(SizePart(size, weighted.T @ flat + one * H, weighted.T @ y + one * g, fits))
         return found
 
     def highest(self) -> tuple[float, float, float]:
@@ -178,9 +188,9 @@ class _Spectrum:
                 return self.evidence(position, tangent), position.size, tangent.size
             position, tangent = better, best
 
-    def evidence(self, position: _Part, tangent: _Part) -> float:
+    def evidence(self, position: SizePart, tangent: SizePart) -> float:
         """Twice the logarithm of it, up to a constant."""
-        scale = 1 / np.sqrt(self.fit.precision)
+        scale = 1 / np.sqrt(self.precision)
         H = (position.H + tangent.H) * np.outer(scale, scale) + np.eye(len(scale))
         factor = np.linalg.cholesky(H)
         z = np.linalg.solve(factor, scale * (position.g + tangent.g))

@@ -33,6 +33,47 @@ class Held:
     dropped: tuple[Step, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """A set all of whose effects are told, as findings with what may stand for them."""
+
+    chosen: Scored
+    found: tuple[Evidence, ...]  # for the effects of the findings
+    findings: tuple[Finding, ...]
+    compared: tuple[Alternative, ...]  # all that was tried in the place of some effect
+    doubted: tuple[Evidence, ...]
+    path: tuple[Step, ...]
+
+
+def asked(selector: PartialSelector, chosen: Scored) -> Asked:
+    """What holds of a set, without what too many others may stand for."""
+    found = held(selector, chosen)
+    tried = [(e, *finding(selector, found, e)) for e in found.found]
+    kept = [(e, f) for e, f, _ in tried if len(f.alternatives) <= MOST_RIVALS]
+    compared = tuple(a for _, _, others in tried for a in others)
+    return Asked(
+        found.chosen, tuple(e for e, _ in kept), tuple(f for _, f in kept), compared, found.doubted, found.dropped
+    )
+
+
+def asked_evidence(selector: PartialSelector, chosen: Scored, terms: Sequence[Term]) -> tuple[Evidence, ...]:
+    """On blocks left out, for some effects of a set."""
+    if not terms:
+        return ()
+    bench = selector.partial_bench
+    panel, chance, among = _panel(selector, chosen)
+    return tuple(evidence(bench, _sides(selector, chosen, panel, among, t), t, chance) for t in terms)
+
+
+def _panel(selector: PartialSelector, chosen: Scored) -> tuple[Panel, float, list[Term]]:
+    """Of a set and its competitors, with what is chance there and all that is fitted."""
+    bench = selector.partial_bench
+    among = [*bench.basis(chosen.terms), *chosen.terms]
+    free = [with_zero(bench, t) for t in chosen.terms]
+    panel = bench.panel(chosen, [*selector.candidates.beside(chosen.terms), *free])
+    return panel, selector.chance(chosen, panel, among), among
+
+
 def held(selector: PartialSelector, chosen: Scored) -> Held:
     """The set without what does not hold, the least certain dropped first and the rest asked again.
 
@@ -41,16 +82,13 @@ def held(selector: PartialSelector, chosen: Scored) -> Held:
     bench, doubted, dropped = selector.partial_bench, list[Evidence](), list[Step]()
     while True:
         selector.tell(f"asking what holds of {', '.join(chosen.names)}" if chosen.terms else "asking what holds")
-        among = [*bench.basis(chosen.terms), *chosen.terms]
-        free = [_with_zero(bench, t) for t in chosen.terms]
-        panel = bench.panel(chosen, [*selector.candidates.beside(chosen.terms), *free])
-        chance = selector.chance(chosen, panel, among)
+        panel, chance, among = _panel(selector, chosen)
         asked_of = [t for t in among if t.name in FRAMES or (t in chosen.terms and not is_built(t))]
         sides = {t.name: _sides(selector, chosen, panel, among, t) for t in asked_of}
-        asked = [evidence(bench, sides[t.name], t, chance) for t in asked_of]
+        told = [evidence(bench, sides[t.name], t, chance) for t in asked_of]
         beside_built = any(is_built(t) for t in chosen.terms)
-        holding = [e for e in asked if e.holds or (beside_built and e.is_one_of_several)]
-        failing = [e for e in asked if e not in holding and e.term in chosen.terms]
+        holding = [e for e in told if e.holds or (beside_built and e.is_one_of_several)]
+        failing = [e for e in told if e not in holding and e.term in chosen.terms]
         if not failing:
             found = tuple(e for e in holding if _is_name(selector, chosen, sides[e.term.name], e))
             return Held(chosen, sides, found, tuple(doubted), tuple(dropped))
@@ -78,7 +116,7 @@ def finding(selector: PartialSelector, found: Held, e: Evidence) -> tuple[Findin
     return Finding(t, tuple(a for a in tried if a.term.name in imitators or is_close(a, chosen))), tried
 
 
-def _with_zero(bench: CorrelatedBench, t: Term) -> Term:
+def with_zero(bench: CorrelatedBench, t: Term) -> Term:
     """A built term with its constant, where its zero is arbitrary: what that does is no evidence for a frame."""
     if not isinstance(t.effect, Learned) or t.effect.target.kind_name not in ("sensor", "plate"):
         return t
@@ -97,7 +135,7 @@ def _sides(selector: PartialSelector, chosen: Scored, panel: Panel, among: Seque
     bench = selector.partial_bench
     rest = [other for other in among if other.name != t.name]
     if t.name in FRAMES:
-        return Sides(panel, among, panel.without(t), [_with_zero(bench, other) for other in rest])
+        return Sides(panel, among, panel.without(t), [with_zero(bench, other) for other in rest])
     if bench.data.is_stream:
         return Sides(panel, among, panel.without(t), rest)
     others = [other for other in chosen.terms if other.name != t.name]

@@ -55,7 +55,7 @@ def joint_memory(fit: Linearised, data: Measurements, found: Discrepancy) -> Joi
         np.array([fit.J[rows].mean(axis=0) for rows in members]),
         fit.precision,
     )
-    square = _square_distances(data, [int(rows[0]) for rows in members])
+    square = square_distances(data, [int(rows[0]) for rows in members])
     count = np.array([len(rows) for rows in members])
     best: JointMemory | None = None
     highest = -np.inf
@@ -73,8 +73,8 @@ def joint_memory(fit: Linearised, data: Measurements, found: Discrepancy) -> Joi
     return best
 
 
-def _square_distances(data: Measurements, poses: Sequence[int]) -> Array:
-    """(B, B) of configurations, each given by one of its poses: a chord for a rotation, 50 mm count as a radian."""
+def square_distances(data: Measurements, poses: Sequence[int]) -> Array:
+    """(B, B) [rad^2] of configurations, each given by a pose: a chord for a rotation, 50 mm count as a radian."""
     rows = data.rows[list(poses)]
     theta, l = data.theta_commanded[rows], data.l_commanded[rows]  # noqa: E741
     turns = np.hstack([theta[:, :1], np.diff(theta, axis=1)])

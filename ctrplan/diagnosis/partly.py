@@ -19,15 +19,16 @@ from ctrplan.diagnosis.branches import on_one_branch
 from ctrplan.diagnosis.candidates import Candidates
 from ctrplan.diagnosis.chi_square import Adequacy, remains
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
-from ctrplan.diagnosis.held import finding, held
+from ctrplan.diagnosis.held import asked
 from ctrplan.diagnosis.holding import Evidence
 from ctrplan.diagnosis.localise import localise
+from ctrplan.diagnosis.named_beside import named_beside
 from ctrplan.diagnosis.partial_search import PartialSelector, is_built
 from ctrplan.diagnosis.rest import Rest
 from ctrplan.diagnosis.selection import Report, Selection, Step
 from ctrplan.diagnosis.shares import Part, mean_square, part_of
 from ctrplan.diagnosis.usable_poses import thinned, thinning
-from ctrplan.diagnosis.verdict import MOST_RIVALS, Judgement
+from ctrplan.diagnosis.verdict import Judgement, Verdict
 from ctrplan.diagnosis.workbench import Scored, Workbench
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.experiment.split import Split
@@ -122,15 +123,14 @@ def concluded(
 
     What remains is what the catalogue leaves: a built term explains nothing.
     """
-    bench, found = selector.partial_bench, held(selector, searched.chosen)
+    bench = selector.partial_bench
+    is_beside = any(is_built(t) for t in searched.chosen.terms) and not bench.data.is_stream
+    found = (named_beside if is_beside else asked)(selector, searched.chosen)
     chosen = found.chosen
-    asked = [finding(selector, found, e) for e in found.found]
-    kept = tuple(f for f, _ in asked if len(f.alternatives) <= MOST_RIVALS)
-    compared = tuple(a for _, tried in asked for a in tried)
     beside, named = _by_name(bench, chosen)
-    judgement = Judgement("partial" if kept else "unexplained", kept, left_by_names(beside, named), compared)
-    names = {f.term.key for f in kept}
-    shares = tuple(part_of(bench, base, chosen, e) for e in found.found if e.term.key in names)
+    verdict: Verdict = "partial" if found.findings else "unexplained"
+    judgement = Judgement(verdict, found.findings, left_by_names(beside, named), found.compared)
+    shares = tuple(part_of(bench, base, chosen, e) for e in found.found)
     return Partly(
         bench,
         parts,
@@ -140,7 +140,7 @@ def concluded(
         judgement,
         shares,
         rest_beside(beside, named, bench.plain),
-        (*searched.path, *found.dropped),
+        (*searched.path, *found.path),
         known,
         found.doubted,
     )

@@ -6,6 +6,7 @@ import numpy as np
 
 from ctrplan.calibration.estimates import estimates
 from ctrplan.diagnosis.agreement import times_noise
+from ctrplan.diagnosis.frames import FRAME
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.experiment.measurements import MOST_ROWS
 from ctrplan.pipeline.term import Term
@@ -48,7 +49,8 @@ def effect_lines(found: Diagnosis) -> list[str]:
     for t in found.listed:
         values = (f"{name} = {e.shown} ({e.shown_ci95})" for name, e in estimates(found.chosen.fit, t).items())
         lines.append(f"{t.name} ({t.effect.stage}): {', '.join(values)}")
-    return [*_frame_lines(found), *lines, *built_lines(found), *([rest.sentence] if (rest := found.rest) else [])]
+    told = [*lines, *built_lines(found), *_free_frame_lines(found)]
+    return [*_frame_lines(found), *told, *([rest.sentence] if (rest := found.rest) else [])]
 
 
 def _frame_lines(found: Diagnosis) -> list[str]:
@@ -65,6 +67,19 @@ def _frame_lines(found: Diagnosis) -> list[str]:
     if (homings := len(np.unique(found.data.homings))) > 1:
         whose += f" and zeros of its own after each of {homings} homings"
     return [f"with {whose} the robot is {after:.2f} mm off instead of {before:.2f} mm, before any effect"]
+
+
+def _free_frame_lines(found: Diagnosis) -> list[str]:
+    """How far the base is turned where that is no name, although a built term stands beside it."""
+    chain, p = found.chosen.fit.chain, found.chosen.fit.p
+    free = [s for t, s in zip(chain.terms, chain.slices(), strict=True) if t.name == FRAME]
+    if not found.built_terms or not free or FRAME in {t.name for t in found.listed}:
+        return []
+    turn, shift = np.degrees(np.linalg.norm(p[free[0]][:3])), 1e3 * np.linalg.norm(p[free[0]][3:])
+    return [
+        f"the base's frame is turned by {turn:.2g} deg and shifted by {shift:.2g} mm, free in every fit: whether that, "
+        "the built term or what remains is at work is not told"
+    ]
 
 
 def built_lines(found: Diagnosis) -> list[str]:

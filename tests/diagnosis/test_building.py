@@ -21,7 +21,7 @@ from ctrplan.diagnosis.candidates import candidates
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.noise_floor import noise_floor
 from ctrplan.diagnosis.partly import partly
-from ctrplan.diagnosis.sentences import verdict_sentence
+from ctrplan.diagnosis.sentences import effect_lines, verdict_sentence
 from ctrplan.diagnosis.usable_poses import usable_poses
 from ctrplan.diagnosis.workbench import values_by_name
 from ctrplan.effects.learned import parts
@@ -107,6 +107,11 @@ def test_terminal_and_report_say_what_was_built_and_that_it_is_no_cause() -> Non
     page = diagnosis_report_html(found(), selection_errors(found()))
     assert "built: a built term of the rotation of tube 2" in page and "no proof of a cause" in page
     assert "Range in the data; held at its edge outside" in page
+
+
+def test_a_frame_beside_a_built_term_is_told_and_not_named() -> None:
+    (line,) = [line for line in effect_lines(found()) if "free in every fit" in line]
+    assert line.startswith("the base's frame is turned by") and "is not told" in line
 
 
 def test_a_sensor_that_drifts_with_the_temperature_is_told_from_the_drive() -> None:

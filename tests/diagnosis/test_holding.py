@@ -131,9 +131,9 @@ def test_a_frame_is_compared_with_the_constant_of_a_built_term_whose_zero_is_arb
     on, bench = Target(kind, tube), SimpleNamespace(robot=SimpleNamespace(n=2))
     slope = named(on, "slope_l_2")
     term = built_term(on, slope, {"l_2": Range(-0.1, 0.0)}, 2)
-    names = [parameter.name for parameter in held._with_zero(bench, term).parameters]  # type: ignore[arg-type]
+    names = [parameter.name for parameter in held.with_zero(bench, term).parameters]  # type: ignore[arg-type]
     assert names == slope + (named(on, "constant") if is_arbitrary else [])
-    twice = held._with_zero(bench, held._with_zero(bench, term))  # type: ignore[arg-type]
+    twice = held.with_zero(bench, held.with_zero(bench, term))  # type: ignore[arg-type]
     assert [parameter.name for parameter in twice.parameters] == names
 
 

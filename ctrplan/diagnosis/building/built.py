@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.estimates import estimates
 from ctrplan.diagnosis.building.dictionary import pieces
-from ctrplan.diagnosis.building.search import Round, Tried, chance_beside, grown
+from ctrplan.diagnosis.building.search import Round, Tried, grown
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.holding import SAYS_SOMETHING, summed
 from ctrplan.diagnosis.partial_search import PartialSelector, is_built
@@ -20,7 +20,7 @@ from ctrplan.diagnosis.partly import Partly, concluded, rest_beside
 from ctrplan.diagnosis.rest import Rest
 from ctrplan.diagnosis.selection import Selection, Step
 from ctrplan.diagnosis.shares import mean_square
-from ctrplan.diagnosis.smooth_bench import SmoothBench
+from ctrplan.diagnosis.smooth_evidence import SmoothEvidence
 from ctrplan.diagnosis.workbench import Scored, certainty
 from ctrplan.effects.learned.learned import Learned
 from ctrplan.experiment.measurements import Measurements
@@ -28,16 +28,15 @@ from ctrplan.pipeline.term import Term
 
 LEAST_Z = 5.0  # standard errors over blocks
 TIMES_CHANCE = 4.0  # the gain that the first piece reaches in 2 % of smooth surrogates, of all pieces together
-TIMES_SMOOTH = 1.5  # the same beside an error as smooth, which takes the part of a term that it can
-TIMES_SMOOTH_OF_SENSOR = (
-    2.5  # of terms of the sensor, which a smooth error looks like: 2.1 were seen in a null of a pair
-)
+LEAST_EVIDENCE = 20.0  # logarithm, beside a smooth error: what four choices among 150 pieces may gain, 4 log 150
+LEAST_EVIDENCE_OF_SENSOR = 30.0  # of its terms, which a smooth error looks like: nulls of pairs had up to 21
 LEAST_WINNING = 0.85  # of the blocks that say something
-LEAST_SHARE = 0.7  # of the squares that remain beyond noise, closed on blocks left out: the rest is about halved
+LEAST_SHARE = 0.6  # of the squares that remain beyond noise, closed on blocks left out
 WITHIN_REACH = 0.6  # of the same to first order before anything is fitted; a search that can't reach it is not begun
 LEAST_SHARE_ASIDE = 0.4  # of the same, closed on the poses kept aside
 MOST_WORSE = 1.05  # of the rms error of any region, with the term over without
 LEAST_POSES = 8  # of a region that is asked
+MOST_TIMES = 2  # that a term is built anew beside other names
 WORTH = 0.5  # of the noise: what remains has to be larger for a term to be sought
 
 
@@ -55,7 +54,8 @@ class Built:
     winning: float  # share of the blocks that say something
     share: float  # of the rest's squares
     rest: Rest  # what remains beside the built ones as well
-    beside_smooth: tuple[float, float] = (np.inf, 0.0)  # gain beside a smooth error, and what is chance there
+    odds: float = np.inf  # logarithm, of the terms beside an error as smooth as is probable, of poses at rest
+    evidence: float = 0.0  # logarithm of that of the whole set there
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -64,11 +64,10 @@ class Built:
 
     @property
     def is_chance(self) -> bool:
-        """Whether an error as smooth in the joints as what remains might have let pieces gain as much."""
-        gain, chance = self.beside_smooth
+        """Whether an error that is smooth in the joints might have let pieces gain as much."""
         of_sensor = any(isinstance(t.effect, Learned) and t.effect.target.kind_name == "sensor" for t in self.terms)
-        times = TIMES_SMOOTH_OF_SENSOR if of_sensor else TIMES_SMOOTH
-        return self.gain < TIMES_CHANCE * self.rounds[0].smooth_chance or gain < times * chance
+        least = LEAST_EVIDENCE_OF_SENSOR if of_sensor else LEAST_EVIDENCE
+        return self.gain < TIMES_CHANCE * self.rounds[0].smooth_chance or self.odds < least
 
     @property
     def path(self) -> tuple[Step, ...]:
@@ -115,16 +114,40 @@ def tried(found: Partly, tell: Callable[[str], None]) -> Built | None:
     bench = found.bench
     if found.is_noise or found.rest.rms_m < WORTH * bench.plain.floor_m:
         return None
-    built = _tried_beside(found, found.chosen, tell)
+    built = _settled(found, found.chosen, tell)
     if bench.data.is_stream or (built is not None and not refusals(bench, built)):
         return built
-    if built is not None and built.partly.doubted:  # by names that do not hold a term may have lost its pieces
-        strictly = _tried_beside(found, _begun(found), tell, settles=False)
-        if strictly is not None and not refusals(bench, strictly):
-            return strictly
+    if built is not None and built.partly.judgement.findings:  # where something is known, pieces may be smaller
+        more = _settled(found, _begun(found), tell, smooth_counts=False)
+        if more is not None and not refusals(bench, more):
+            return more
     there = _begun(found)
-    more = _selector(found, there, tell).run().chosen
-    return (_tried_beside(found, more, tell) if len(more.terms) > len(there.terms) else None) or built
+    passing = _selector(found, there, tell).run().chosen
+    return (_settled(found, passing, tell) if len(passing.terms) > len(there.terms) else None) or built
+
+
+def _settled(found: Partly, named: Scored, tell: Callable[[str], None], smooth_counts: bool = True) -> Built | None:
+    """Built beside a set, and once more where other names act beside the term: pieces may have stood for them.
+
+    The new one is taken where it passes, and the old one does not or is less probable.
+    """
+    bench, built = found.bench, _tried_beside(found, named, tell, smooth_counts)
+    asked = {frozenset(t.key for t in named.terms)}
+    while built is not None and not bench.data.is_stream and len(asked) <= MOST_TIMES:
+        names = [t for t in built.scored.terms if not is_built(t)]
+        key = frozenset(t.key for t in names)
+        if not names or key in asked:
+            break
+        asked.add(key)
+        again = _tried_beside(found, bench.corrected(bench.scored(names, built.scored.fit)), tell, smooth_counts)
+        if again is None or refusals(bench, again):
+            break
+        if not refusals(bench, built) and again.evidence < built.evidence:
+            break
+        built = again
+    if built is not None:
+        bench.corrected(built.scored)
+    return built
 
 
 def _begun(found: Partly) -> Scored:
@@ -132,35 +155,38 @@ def _begun(found: Partly) -> Scored:
     return found.bench.corrected(found.bench.scored(found.chosen.terms, found.chosen.fit))
 
 
-def _tried_beside(found: Partly, named: Scored, tell: Callable[[str], None], settles: bool = True) -> Built | None:
-    """The same beside a set: of the effects that hold, or with such besides as may hold beside a term."""
+def _tried_beside(
+    found: Partly, named: Scored, tell: Callable[[str], None], smooth_counts: bool = True
+) -> Built | None:
+    """Beside a set: of the effects that hold, or with such besides as may hold beside a term.
+
+    On a continuous motion the catalogue is asked after each piece. Of poses at rest it is asked of all pieces in the
+    end, and what it has there may take the place of some.
+    """
     bench = found.bench
     path = list[Step]()
 
     def with_names(here: Scored) -> Scored:
-        searched = _selector(found, here, tell, settles).run()
+        if not bench.data.is_stream:
+            return here
+        searched = _selector(found, here, tell).run()
         path.extend(searched.path)
         return searched.chosen
 
     known = pieces(bench.robot, bench.data, found.known.terms)
-    scored, rounds = grown(bench, named, known, tell, with_names, WITHIN_REACH, smooth_counts=settles)
+    scored, rounds = grown(bench, named, known, tell, with_names, WITHIN_REACH, smooth_counts)
     if scored is named:
         return None
-    if {*scored.names} <= {*named.names, *(t.name for t in scored.terms if is_built(t))}:
-        alone = _evidence(replace(found, chosen=scored), rounds)
-        if refusals(bench, alone):
-            return alone  # there is nothing else of which it has to be asked whether it holds
-    searched = Selection(scored, path)
-    selector = _selector(found, scored, tell, settles)
-    again = concluded(selector, searched, found.known, found.split, found.block, found.base)
+    selector = _selector(found, scored, tell)
+    again = concluded(selector, Selection(scored, path), found.known, found.split, found.block, found.base)
     if not any(is_built(t) for t in again.chosen.terms):
         return None
     return _evidence(again, rounds)
 
 
-def _selector(found: Partly, here: Scored, tell: Callable[[str], None], settles: bool = True) -> PartialSelector:
+def _selector(found: Partly, here: Scored, tell: Callable[[str], None]) -> PartialSelector:
     """Of what may be named beside a term; alone, what passes beside what it leaves may be a smooth error."""
-    return PartialSelector(found.bench, found.known, tell, here, settles=settles and not found.bench.data.is_stream)
+    return PartialSelector(found.bench, found.known, tell, here, settles=not found.bench.data.is_stream)
 
 
 def _evidence(found: Partly, rounds: list[Round]) -> Built:
@@ -172,22 +198,13 @@ def _evidence(found: Partly, rounds: list[Round]) -> Built:
     before, after = mean_square(bench.left_out_m(plain)), mean_square(bench.left_out_m(scored))
     share = (before - after) / max(before - bench.plain.floor_m**2, 1e-12)
     rest = rest_beside(bench, scored, bench.plain)
-    beside = _beside_smooth(found, plain, scored)
-    return Built(scored, plain, found, tuple(rounds), *summed(gains), certainty(gains), winning, share, rest, beside)
-
-
-def _beside_smooth(found: Partly, plain: Scored, scored: Scored) -> tuple[float, float]:
-    """Gain of a set with built terms over one without, and chance, beside an error as smooth as that one leaves.
-
-    Of a continuous motion, whose error remembers in any case, nothing more is asked.
-    """
-    bench = found.bench
-    if bench.data.is_stream or not bench.estimated(plain).is_there:
-        return np.inf, 0.0
-    smooth = SmoothBench(bench, plain)
-    without, within = (smooth.scored(one.terms, one.fit) for one in (plain, scored))
-    known = pieces(bench.robot, bench.data, found.known.terms)
-    return smooth.difference(within, without)[0], chance_beside(smooth, without, known)
+    odds, probable = np.inf, 0.0
+    if not bench.data.is_stream:
+        probable = SmoothEvidence(bench, scored).highest()
+        odds = probable - SmoothEvidence(bench, plain).highest()
+    return Built(
+        scored, plain, found, tuple(rounds), *summed(gains), certainty(gains), winning, share, rest, odds, probable
+    )
 
 
 def refusals(bench: CorrelatedBench, built: Built) -> list[str]:
@@ -196,7 +213,7 @@ def refusals(bench: CorrelatedBench, built: Built) -> list[str]:
     worse = worse_in(bench.data, errors[0], errors[1])
     said = {
         f"its gain is {built.z:.1f} standard errors above zero over blocks": built.z < LEAST_Z,
-        f"its gain of {built.gain:.0f} is below {TIMES_CHANCE:g} times that of chance": built.is_chance,
+        f"its gain of {built.gain:.0f} is what chance may give beside a smooth error": built.is_chance,
         f"only {100 * built.winning:.0f} % of the blocks speak for it": built.winning < LEAST_WINNING,
         f"it closes {100 * built.share:.0f} % of what remains": built.share < LEAST_SHARE,
         f"it is worse on {worse}": bool(worse),

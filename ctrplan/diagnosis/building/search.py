@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from ctrplan.diagnosis.building.dictionary import Piece
 from ctrplan.diagnosis.building.probes import Wide, wide
 from ctrplan.diagnosis.building.reach import reach
-from ctrplan.diagnosis.chance import null_threshold, null_thresholds
+from ctrplan.diagnosis.chance import null_thresholds
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.partial_search import is_built
 from ctrplan.diagnosis.shares import mean_square
@@ -99,13 +99,6 @@ def _round(
     if best is None or not _is_worth(bench, here, best[1], needed):
         return Round(tuple(tried), chance, smooth, None), None
     return Round(tuple(tried), chance, smooth, best[0]), bench.corrected(best[1])
-
-
-def chance_beside(bench: CorrelatedBench, here: Scored, known: Sequence[Piece]) -> float:
-    """What the best of all pieces reaches by chance beside a set."""
-    table = wide(bench, here, known)
-    beside = [table.beside(piece) for piece in known]
-    return null_threshold(table.here(), beside, bench.null_scores, bench.null_draws(here)[:, :DRAWS])
 
 
 def _needed(bench: CorrelatedBench, here: Scored, least: float, known: Scored) -> Scored:

@@ -1,0 +1,151 @@
+"""Which effects of the catalogue act beside a built term: those without which the poses are far less probable.
+
+A built term takes out what hid them, and what is left is mostly smooth in the joints. So names are asked anew there, by
+their evidence beside an error that is as smooth as is most probable, `smooth_evidence.py`, not by blocks left out.
+What is nearly as probable in the place of a name is told with it. A frame is free in every fit, and a smooth error is
+partly a frame, of the headings most of all: it is a name only where it moves positions as far as all that is left,
+and no effect explains as much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ctrplan.diagnosis.correlated_bench import CorrelatedBench
+from ctrplan.diagnosis.frames import FRAME, FRAMES, frames_beside
+from ctrplan.diagnosis.held import Asked, asked_evidence, with_zero
+from ctrplan.diagnosis.partial_search import MOST_PARTS, PartialSelector, is_built
+from ctrplan.diagnosis.selection import Step, step
+from ctrplan.diagnosis.smooth_evidence import Gain, SmoothEvidence
+from ctrplan.diagnosis.verdict import MOST_RIVALS, Alternative, Finding
+from ctrplan.diagnosis.workbench import Scored
+from ctrplan.pipeline.term import Term
+
+LEAST_GAIN = 7.0  # of the logarithm of the evidence: odds of 1,100 to 1, for some hundred variants are asked
+FRAME_MOVES = 0.9  # of the size of noise and smooth error: wrong ones were up to 0.7, true ones 0.97 and more
+EQUAL = 5.0  # of the same: what is as probable but for odds of 150 to 1 is told as "or"
+
+
+def named_beside(selector: PartialSelector, chosen: Scored) -> Asked:
+    """The built terms of a set of poses at rest with the names that act beside them, instead of those in the set.
+
+    It grows from the one built term that is most probable alone: what else was built may have stood for a name.
+    """
+    bench, path, found = selector.partial_bench, list[Step](), dict[str, tuple[Term, list[Gain]]]()
+    alone = [_Probable.of(bench, [t], chosen) for t in chosen.terms if is_built(t)]
+    here = max(alone, key=lambda one: one.value)
+    others = [t for t in chosen.terms if is_built(t) and t not in here.scored.terms]
+    while True:
+        selector.tell("asking what acts beside " + ", ".join(here.scored.names))
+        bench.corrected(here.scored)
+        ranked = _ranked(selector, here.scored) if len(found) < MOST_PARTS else []
+        name = ranked[0] if ranked and ranked[0].gain >= LEAST_GAIN else None
+        more = [(t, _Probable.of(bench, [*here.scored.terms, t], here.scored)) for t in others]
+        built, there = max(more, key=lambda one: one[1].value, default=(None, here))
+        if built is not None and there.value - here.value > (name.gain if name else 0.0):
+            here, others = there, [t for t in others if t is not built]
+            continue
+        if name is None:
+            break
+        rivals = _rivals(ranked)
+        there = _Probable.of(bench, [*here.scored.terms, name.term], here.scored)
+        passes = there.value - here.value >= LEAST_GAIN and len(rivals) <= MOST_RIVALS
+        path.append(step("add", name.term, there.value - here.value, 0.0, LEAST_GAIN, passes))
+        if not passes:
+            break
+        here, found[name.term.name] = there, (name.term, rivals)
+    here = _without_the_idle(bench, here, found, path)
+    settled = bench.corrected(here.scored)
+    found |= _frame(selector, settled, here.value)
+    evidence = asked_evidence(selector, settled, [t for t, _ in found.values()])
+    findings = tuple(_finding(bench, settled, t, rivals) for t, rivals in found.values())
+    compared = tuple(a for f in findings for a in f.alternatives)
+    return Asked(settled, evidence, findings, compared, (), tuple(path))
+
+
+@dataclass(frozen=True, eq=False)
+class _Probable:
+    """A set, and the logarithm of its evidence."""
+
+    scored: Scored
+    value: float
+
+    @classmethod
+    def of(cls, bench: CorrelatedBench, terms: Sequence[Term], near: Scored) -> _Probable:
+        scored = bench.corrected(bench.scored(terms, near.fit))
+        return cls(scored, SmoothEvidence(bench, scored).highest())
+
+
+def _ranked(selector: PartialSelector, here: Scored) -> list[Gain]:
+    """Best first, each effect in its best variant."""
+    variants = _variants(selector, here)
+    return _best_of_each(SmoothEvidence(selector.partial_bench, here, variants).gains(variants)) if variants else []
+
+
+def _variants(selector: PartialSelector, here: Scored) -> list[Term]:
+    """Of effects that are not in a set and no frames; none with more parameters than there are blocks.
+
+    On a pair, whose joints the place of the tip gives away, a distortion follows any smooth error better than an error
+    of one length can.
+    """
+    most, known = len(np.unique(selector.bench.group)), {*FRAMES, *here.names}
+    return [t for t in selector.candidates.beside(here.terms) if t.name not in known and len(t.parameters) <= most]
+
+
+def _best_of_each(gains: Sequence[Gain]) -> list[Gain]:
+    best: dict[str, Gain] = {}
+    for one in gains:
+        best.setdefault(one.term.name, one)
+    return list(best.values())
+
+
+def _rivals(ranked: Sequence[Gain]) -> list[Gain]:
+    """What may stand for the best of them."""
+    return [one for one in ranked[1:] if one.gain > ranked[0].gain - EQUAL]
+
+
+def _frame(selector: PartialSelector, settled: Scored, value: float) -> dict[str, tuple[Term, list[Gain]]]:
+    """The frame of the base, where it is a name: it moves positions far, and nothing explains as much in its place."""
+    bench = selector.partial_bench
+    mine = [t for t in frames_beside(bench.robot, bench.data, settled.terms) if t.name == FRAME]
+    if not mine or SmoothEvidence(bench, _with_zeros(bench, settled)).moved(FRAME) < FRAME_MOVES:
+        return {}
+    others = _variants(selector, settled)
+    if not others:
+        return {FRAME: (mine[0], [])}
+    asked = SmoothEvidence(bench, settled, others)
+    gains = asked.gains(others, without=FRAME)
+    least = max(LEAST_GAIN, value - asked.highest() - EQUAL)
+    return {} if gains and gains[0].gain > least else {FRAME: (mine[0], [])}
+
+
+def _with_zeros(bench: CorrelatedBench, settled: Scored) -> Scored:
+    """With the constants of the terms of sensor and plate, whose zero is arbitrary: they do what a frame does."""
+    terms = [with_zero(bench, t) for t in settled.terms]
+    return bench.scored(terms, settled.fit)
+
+
+def _without_the_idle(
+    bench: CorrelatedBench, here: _Probable, found: dict[str, tuple[Term, list[Gain]]], path: list[Step]
+) -> _Probable:
+    """Without the names whose place later ones have taken, the least probable first."""
+    while len(found) > 1:
+        without = {
+            name: _Probable.of(bench, [t for t in here.scored.terms if t.name != name], here.scored) for name in found
+        }
+        idle = max(without, key=lambda name: without[name].value)
+        if here.value - without[idle].value >= LEAST_GAIN:
+            break
+        path.append(step("drop", found.pop(idle)[0], here.value - without[idle].value, 0.0, LEAST_GAIN, True))
+        here = without[idle]
+    return here
+
+
+def _finding(bench: CorrelatedBench, here: Scored, t: Term, rivals: Sequence[Gain]) -> Finding:
+    others = [other for other in here.terms if other is not t]
+    scored = [bench.scored([*others, one.term], here.fit) for one in rivals]
+    alternatives = [Alternative(one.term, s, *bench.difference(here, s)) for one, s in zip(rivals, scored, strict=True)]
+    return Finding(t, tuple(alternatives))
