@@ -9,7 +9,6 @@ import numpy as np
 
 from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.base.arrays import Array
-from ctrplan.reports.pose import to_anatomy
 from ctrplan.reports.surface import Rod
 
 if TYPE_CHECKING:
@@ -40,7 +39,7 @@ def narrowest_pose(scenario: Scenario, place: Closest | None) -> NarrowestPose |
     )
     if not found.solved[0] or len(found.radius_m) < 2:
         return None
-    points = to_anatomy(scenario, found.point_m[0])
+    points = scenario.located(found.point_m[0])
     along = np.gradient(points, axis=0)
     tangent = along / np.linalg.norm(along, axis=1, keepdims=True)
     clearance = exact_clearance(scenario.anatomy, points) - found.radius_m

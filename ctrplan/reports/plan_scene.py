@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from ctrplan.base.arrays import Array
 from ctrplan.reports.narrowest_pose import NarrowestPose, narrowest_pose
 from ctrplan.reports.played_poses import poses_along
-from ctrplan.reports.pose import Pose, to_anatomy
+from ctrplan.reports.pose import Pose
 
 if TYPE_CHECKING:
     from ctrplan.planning.plan import Plan
@@ -47,7 +47,7 @@ def plan_scene(plan: Plan, frames: int = FRAMES) -> PlanScene:
 
 def tip_path(plan: Plan) -> Array:
     """(K, 3) [m] the tip without friction at the certificate's samples, anatomy's frame."""
-    return to_anatomy(plan.scenario, plan.certificate.samples.tip_m)
+    return plan.scenario.located(plan.certificate.samples.tip_m)
 
 
 def goal_tip(plan: Plan) -> Array:

@@ -59,7 +59,7 @@ def _posed(scenario: Scenario, bound: Bound, time_s: float) -> Pose:
         time_s,
         tuple(_in_anatomy(scenario, rod) for rod in rods),
         _in_anatomy(scenario, _envelope(bound, radii, robot.model_error_m)),
-        np.array([to_anatomy(scenario, _line(c.tubes[-1], _stations(c.tubes[-1]))[0]) for c in bound.corners]),
+        np.array([scenario.located(_line(c.tubes[-1], _stations(c.tubes[-1]))[0]) for c in bound.corners]),
         bound.position_m,
         scenario.base_R @ np.array([tube.frames[-1] for tube in tubes]),
     )
@@ -75,19 +75,14 @@ def plate(scenario: Scenario) -> Rod:
 def stand(scenario: Scenario) -> Surface:
     """The front plate and the fixtures at it."""
     surfaces = [plate(scenario).surface(32), *(fixture.shape.surface() for fixture in scenario.fixtures)]
-    vertices = [surfaces[0].vertices_m, *(to_anatomy(scenario, surface.vertices_m) for surface in surfaces[1:])]
+    vertices = [surfaces[0].vertices_m, *(scenario.located(surface.vertices_m) for surface in surfaces[1:])]
     before = np.cumsum([0, *map(len, vertices[:-1])])
     faces = [surface.faces + count for surface, count in zip(surfaces, before, strict=True)]
     return Surface(np.concatenate(vertices), np.concatenate(faces))
 
 
-def to_anatomy(scenario: Scenario, points_m: Array) -> Array:
-    """Points (..., 3) [m] of the robot's frame in the anatomy's frame."""
-    return scenario.located(points_m)
-
-
 def _in_anatomy(scenario: Scenario, rod: Rod) -> Rod:
-    return Rod(to_anatomy(scenario, rod.centreline_m), rod.tangent @ scenario.base_R.T, rod.radius_m)
+    return Rod(scenario.located(rod.centreline_m), rod.tangent @ scenario.base_R.T, rod.radius_m)
 
 
 def _stations(tube: TubeShape) -> Array:

@@ -13,7 +13,7 @@ from ctrplan.mechanics.core import Status
 from ctrplan.planning.scenario import Scenario
 from ctrplan.reports.narrowest_pose import NarrowestPose, narrowest_pose
 from ctrplan.reports.played_poses import poses_along
-from ctrplan.reports.pose import Pose, to_anatomy
+from ctrplan.reports.pose import Pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,5 +69,5 @@ def written_motion(plan: WrittenPlan, steps: int, progress: Progress | None = No
     joints = np.array(plan.certificate["samples"]["joints"])
     free = np.zeros((len(joints), scenario.robot.n - 1))
     tips = scenario.robot.mechanics.tips_with_friction(*drive.collars(joints), free)
-    tip_m = to_anatomy(scenario, tips.position_m[tips.status == Status.CONVERGED])
+    tip_m = scenario.located(tips.position_m[tips.status == Status.CONVERGED])
     return WrittenMotion(plan, path, tip_m, narrowest_pose(scenario, plan.closest))

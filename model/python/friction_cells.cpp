@@ -1,5 +1,8 @@
 #include "ctr/friction_cells.hpp"
 
+#include <algorithm>
+#include <optional>
+
 #include "arrays.hpp"
 #include "bindings.hpp"
 #include "ctr/robot.hpp"
@@ -12,6 +15,7 @@ using Indices = nb::ndarray<const std::int64_t, nb::numpy, nb::ndim<1>, nb::c_co
 
 using Shapes = nb::ndarray<const double, nb::numpy, nb::shape<-1, -1, 3>, nb::device::cpu>;
 using OneBody = nb::ndarray<const double, nb::numpy, nb::shape<-1, 3>, nb::device::cpu>;
+using OneRow = nb::ndarray<const double, nb::numpy, nb::ndim<1>, nb::device::cpu>;
 using Bends = nb::ndarray<const double, nb::numpy, nb::shape<-1, -1, 3>, nb::c_contig, nb::device::cpu>;
 
 ctr::CellBodies bodies_of(const Bodies& bodies) {
@@ -49,23 +53,26 @@ nb::tuple between(Shapes shapes, Matrix phi, Vector first_share, Bends first, Ve
     return nb::make_tuple(array(std::move(found.bodies), {states, own.points, 3}), array(std::move(found.doubt), {states, own.points}));
 }
 
-// A body as it is written into those of its cell.
+// A body as it is written into those of its cell. It holds its arrays, which may be copies of what was given.
 struct Gathered {
     OneBody body;
-    Vector radius;
-    const double* doubt;  // null if there is none
+    OneRow radius;
+    std::optional<OneRow> doubt;
+
+    std::size_t points() const { return body.shape(0); }
+    double coordinate(std::size_t k, int i) const { return body.data()[static_cast<std::int64_t>(k) * body.stride(0) + i * body.stride(1)]; }
+    double reach(std::size_t k) const { return at(radius, k) + (doubt ? at(*doubt, k) : 0.0); }
+
+  private:
+    static double at(const OneRow& row, std::size_t k) { return row.data()[static_cast<std::int64_t>(k) * row.stride(0)]; }
 };
 
 Gathered gathered_of(nb::handle body, nb::handle radius, nb::handle doubt) {
-    Gathered one{nb::cast<OneBody>(body), nb::cast<Vector>(radius), nullptr};
-    const std::size_t points = one.body.shape(0);
-    bool fits = points > 0 && one.radius.shape(0) == points;
-    if (!doubt.is_none()) {
-        const Vector given = nb::cast<Vector>(doubt);
-        one.doubt = given.data();
-        fits = fits && given.shape(0) == points;
-    }
-    if (!fits) throw ctr::InvalidInput("a body has a radius, and a doubt if any, at every point");
+    Gathered one{nb::cast<OneBody>(body), nb::cast<OneRow>(radius), std::nullopt};
+    if (!doubt.is_none()) one.doubt = nb::cast<OneRow>(doubt);
+    const std::size_t points = one.points();
+    if (points == 0 || one.radius.shape(0) != points || (one.doubt && one.doubt->shape(0) != points))
+        throw ctr::InvalidInput("a body has a radius, and a doubt if any, at every point");
     return one;
 }
 
@@ -78,18 +85,20 @@ nb::object cell_bodies(nb::list bodies, nb::list radii, nb::list doubts, std::si
     std::size_t longest = 0;
     for (std::size_t k = 0; k < count; ++k) {
         given.push_back(gathered_of(bodies[k], radii[k / of_cell], doubts[k]));
-        longest = std::max(longest, given.back().body.shape(0));
+        longest = std::max(longest, given.back().points());
     }
-    std::vector<double> values(count * longest * 4);
-    double* at = values.data();
-    for (const Gathered& one : given) {
-        for (std::size_t k = 0; k < longest; ++k, at += 4) {
-            const std::size_t row = std::min(k, one.body.shape(0) - 1);
-            const double* point = one.body.data() + static_cast<std::int64_t>(row) * one.body.stride(0);
-            for (int i = 0; i < 3; ++i) at[i] = point[i * one.body.stride(1)];
-            at[3] = one.radius.data()[row] + (one.doubt ? one.doubt[row] : 0.0);
+    std::vector<double> values = unlocked([&] {
+        std::vector<double> written(count * longest * 4);
+        double* at = written.data();
+        for (const Gathered& one : given) {
+            for (std::size_t k = 0; k < longest; ++k, at += 4) {
+                const std::size_t row = std::min(k, one.points() - 1);
+                for (int i = 0; i < 3; ++i) at[i] = one.coordinate(row, i);
+                at[3] = one.reach(row);
+            }
         }
-    }
+        return written;
+    });
     return array(std::move(values), {count / of_cell, of_cell, longest, 4});
 }
 

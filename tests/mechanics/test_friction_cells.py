@@ -169,6 +169,17 @@ def test_bodies_of_cells_are_as_long_as_the_longest() -> None:
     np.testing.assert_array_equal(found[1, :, :, :3], bodies[3:])
 
 
+def test_bodies_of_cells_may_be_rows_of_wider_arrays() -> None:
+    """As shapes of a path are, whose points have their radius beside them."""
+    wide = np.random.default_rng(1).normal(size=(3, 500, 8))
+    bodies, radius, doubts = [row[:, ::2][:, :3] for row in wide], wide[0, :, 7], [row[:, 5] for row in wide]
+    found = cell_bodies(bodies, [radius], doubts)
+    np.testing.assert_array_equal(found[0, :, :, :3], bodies)
+    np.testing.assert_array_equal(found[0, :, :, 3], radius + np.array(doubts))
+    whole = cell_bodies([np.ones((2, 3), dtype=np.float32)] * 3, [np.ones(2, dtype=np.float32)], [None] * 3)
+    np.testing.assert_array_equal(whole, np.ones((1, 3, 2, 4)))
+
+
 @pytest.mark.parametrize("wrong", ["shapes", "share", "bend", "body"])
 def test_arrays_that_do_not_fit_are_refused(wrong: str) -> None:
     shapes, at = np.zeros((3, 5, 3)), np.linspace(0, 1, 4)

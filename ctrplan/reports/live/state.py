@@ -20,7 +20,7 @@ from ctrplan.reports.live.clearances import clearances_mm
 from ctrplan.reports.live.picked_tip import picked_tip
 from ctrplan.reports.live.standing import Standings
 from ctrplan.reports.plan_words.worst_miss import WorstMiss
-from ctrplan.reports.pose import Pose, pose, stand, to_anatomy
+from ctrplan.reports.pose import Pose, pose, stand
 from ctrplan.reports.scene_traces import anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces, xyz
 from ctrplan.reports.surface import Surface, anatomy_surface
 
@@ -169,7 +169,7 @@ class LiveState:
         """(K, 3) what to look at, anatomy's frame: the plate and random tips, near the lumens where there are any."""
         q = self.checker.space.sample(np.random.default_rng(0), REACH_SAMPLES)
         tips, _, status = self.checker.mechanics.tips(*self.checker.space.drive.collars(q))
-        points = to_anatomy(self.scenario, np.concatenate([tips[status == Status.CONVERGED], np.zeros((1, 3))]))
+        points = self.scenario.located(np.concatenate([tips[status == Status.CONVERGED], np.zeros((1, 3))]))
         parts = zip(self.scenario.anatomy, surfaces, strict=True)
         lumens = [surface.vertices_m for part, surface in parts if part.role == "inside"]
         if lumens:

@@ -15,7 +15,7 @@ from ctrplan.planning.scenario import Scenario
 from ctrplan.reports import palette
 from ctrplan.reports import scene_looks as looks
 from ctrplan.reports.framing import view_box
-from ctrplan.reports.pose import Pose, pose, stand, to_anatomy
+from ctrplan.reports.pose import Pose, pose, stand
 from ctrplan.reports.scene_traces import anatomy_traces, lay_out, mesh_trace, xyz
 from ctrplan.reports.surface import anatomy_surface
 
@@ -40,7 +40,7 @@ def reach_scene(scenario: Scenario, found: Reach, branches: list[int]) -> ReachS
     for branch in range(min(MOST_DRAWN, len(set(branches)))):
         with suppress(SolverError):
             poses.append((branch, pose(scenario, found.configurations[branches.index(branch)].joints)))
-    target = to_anatomy(scenario, np.asarray(found.target.tip_m))
+    target = scenario.located(np.asarray(found.target.tip_m))
     return ReachScene(scenario, found.configurations, tuple(branches), target, tuple(poses))
 
 
@@ -57,7 +57,7 @@ def reach_figure(scene: ReachScene) -> go.Figure:
     point = go.Scatter3d(**xyz(scene.target_m[None]), mode="markers", marker=marker, name="the point asked for")
     figure = go.Figure([*traces, point, *anatomy_traces(scene.scenario, surfaces)])
     robots = [shown.envelope.surface(4).vertices_m for _, shown in scene.poses]
-    points = np.concatenate([*robots, scene.target_m[None], to_anatomy(scene.scenario, np.zeros((1, 3)))])
+    points = np.concatenate([*robots, scene.target_m[None], scene.scenario.located(np.zeros((1, 3)))])
     solid = np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface in surfaces)])
     lay_out(figure, *view_box(points, solid), points, scene.scenario.frame)
     return figure

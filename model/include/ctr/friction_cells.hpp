@@ -53,7 +53,7 @@ struct Doubts {
     double change = 0;   // of the difference of both bends
     double bend = 0;     // of the bend
     double spread = 0;   // of the largest distance of a corner from the frictionless body
-    std::size_t beyond;  // points further out whose doubt counts too
+    std::size_t beyond = 0;  // points further out whose doubt counts too
 };
 
 struct BodiesBetween {
