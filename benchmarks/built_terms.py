@@ -44,7 +44,8 @@ from hidden_effects.score import wilson
 
 from ctrplan.calibration.pose_errors import distances
 from ctrplan.diagnosis.building import built as limits
-from ctrplan.diagnosis.building.built import refusals, tried
+from ctrplan.diagnosis.building.built import refusals
+from ctrplan.diagnosis.building.sought import tried
 from ctrplan.diagnosis.candidates import candidates
 from ctrplan.diagnosis.noise_floor import noise_floor
 from ctrplan.diagnosis.partly import Partly, partly
@@ -253,7 +254,8 @@ def read(folder: Path) -> list[tuple[dict[str, Any], dict[str, Any]]]:
         if found := json.loads(path.read_text()):
             found["built"] = is_handed_over(found)
             found["left_mm"] = found["built_mm"] if found["built"] else found["named_mm"]
-            found["names"] = [set(part) for part in (found["names"] if found["built"] else found["named"])]
+            beside = found["built"] or (passes(found) and found["names"])
+            found["names"] = [set(part) for part in found["names" if beside else "named"]]
             sets.append((json.loads(path.with_name("truth.json").read_text()), found))
     return sets
 
@@ -286,11 +288,12 @@ def known(truth: dict[str, Any]) -> set[str]:
 
 def is_handed_over(found: dict[str, Any]) -> bool:
     """Whether a term was built and passes: on blocks left out, and once on the poses kept aside."""
-    if "z" not in found or any("worse" in reason or "chance" in reason for reason in found["refused"]):
-        return False
-    aside = 1 - (found["built_mm"] / max(found["beside_mm"], 1e-9)) ** 2
-    passes = found["z"] >= limits.LEAST_Z and found["winning"] >= limits.LEAST_WINNING
-    return passes and found["share"] >= limits.LEAST_SHARE and aside >= limits.LEAST_SHARE_ASIDE
+    return passes(found) and 1 - (found["built_mm"] / max(found["beside_mm"], 1e-9)) ** 2 >= limits.LEAST_SHARE_ASIDE
+
+
+def passes(found: dict[str, Any]) -> bool:
+    """Whether a term was built and passes on blocks left out: the names beside it stay then."""
+    return found.get("refused") == []
 
 
 def left(found: dict[str, Any]) -> float:

@@ -36,7 +36,7 @@ from hidden_effects.noise import add_noise
 from hidden_effects.score import wilson
 from hidden_effects.world import believed
 
-from ctrplan.diagnosis.building.built import build
+from ctrplan.diagnosis.building.sought import build
 from ctrplan.diagnosis.candidates import candidates
 from ctrplan.diagnosis.noise_floor import noise_floor
 from ctrplan.diagnosis.partly import partly

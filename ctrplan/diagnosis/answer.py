@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.gross_outliers import gross_outliers, too_many
 from ctrplan.calibration.residuals import Noise
-from ctrplan.diagnosis.building.built import Built, build
+from ctrplan.diagnosis.building.built import Built
+from ctrplan.diagnosis.building.sought import build
 from ctrplan.diagnosis.candidates import Candidates
 from ctrplan.diagnosis.chi_square import ignored, remains
 from ctrplan.diagnosis.partly import Partly, partly

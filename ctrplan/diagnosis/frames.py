@@ -16,6 +16,8 @@ from ctrplan.robot.robot import Robot
 FRAME, SHIFT = "base_misalignment", "frame_shift"  # of the first set-up, and of the others beside it
 HOMED = "homing_shift"  # zeros after every further homing
 FRAMES = (FRAME, SHIFT, HOMED)
+FRAME_MOVES = 0.9  # of the size of noise and smooth error, that a frame has to move positions by: a part of any smooth
+# error is a frame; wrong ones had up to 0.8, true ones 0.97 and more
 
 
 def frames(robot: Robot, data: Measurements) -> list[Term]:

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 from ctrplan.diagnosis.chance import null_threshold
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
-from ctrplan.diagnosis.frames import FRAMES
+from ctrplan.diagnosis.frames import FRAME_MOVES, FRAMES
 from ctrplan.diagnosis.holding import Evidence, Sides, evidence, in_its_place
 from ctrplan.diagnosis.partial_search import PartialSelector, is_built
 from ctrplan.diagnosis.selection import Step
 from ctrplan.diagnosis.smooth_bench import SmoothBench
+from ctrplan.diagnosis.smooth_evidence import SmoothEvidence
 from ctrplan.diagnosis.verdict import CLOSE, CLOSE_ERRORS, MOST_RIVALS, Alternative, Finding, is_close
 from ctrplan.diagnosis.workbench import Panel, Scored
 from ctrplan.effects.learned.learned import Learned, learned, named
@@ -151,6 +152,9 @@ def _is_name(selector: PartialSelector, chosen: Scored, sides: Sides, e: Evidenc
     """
     if e.term.name not in FRAMES:
         return True
+    bench = selector.partial_bench
+    if not bench.data.is_stream and SmoothEvidence(bench, chosen).moved(e.term.name) < FRAME_MOVES:
+        return False
     rivals = _rivals(selector, sides, e)
     if not rivals:
         return True

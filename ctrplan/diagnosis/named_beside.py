@@ -9,13 +9,13 @@ and no effect explains as much.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
-from ctrplan.diagnosis.frames import FRAME, FRAMES, frames_beside
+from ctrplan.diagnosis.frames import FRAME, FRAME_MOVES, FRAMES, frames_beside
 from ctrplan.diagnosis.held import Asked, asked_evidence, with_zero
 from ctrplan.diagnosis.partial_search import MOST_PARTS, PartialSelector, is_built
 from ctrplan.diagnosis.selection import Step, step
@@ -25,8 +25,10 @@ from ctrplan.diagnosis.workbench import Scored
 from ctrplan.pipeline.term import Term
 
 LEAST_GAIN = 7.0  # of the logarithm of the evidence: odds of 1,100 to 1, for some hundred variants are asked
-FRAME_MOVES = 0.9  # of the size of noise and smooth error: wrong ones were up to 0.7, true ones 0.97 and more
+LEAST_AGAIN = 4.0  # of the same, of a name that the terms were built beside: it was chosen before, and is one alone
+LIKELY = 10.0  # of the same, of a name beside a smooth error alone, for a term to be sought beside it
 EQUAL = 5.0  # of the same: what is as probable but for odds of 150 to 1 is told as "or"
+LEAST_OF_RIVAL = 2.0  # of the same, that a rival has to gain itself
 
 
 def named_beside(selector: PartialSelector, chosen: Scored) -> Asked:
@@ -37,12 +39,14 @@ def named_beside(selector: PartialSelector, chosen: Scored) -> Asked:
     bench, path, found = selector.partial_bench, list[Step](), dict[str, tuple[Term, list[Gain]]]()
     alone = [_Probable.of(bench, [t], chosen) for t in chosen.terms if is_built(t)]
     here = max(alone, key=lambda one: one.value)
+    before = {t.name for t in chosen.terms if not is_built(t)}
     others = [t for t in chosen.terms if is_built(t) and t not in here.scored.terms]
     while True:
         selector.tell("asking what acts beside " + ", ".join(here.scored.names))
         bench.corrected(here.scored)
-        ranked = _ranked(selector, here.scored) if len(found) < MOST_PARTS else []
-        name = ranked[0] if ranked and ranked[0].gain >= LEAST_GAIN else None
+        told = {*found, *(one.term.name for _, rivals in found.values() for one in rivals)}
+        ranked = _ranked(selector, here.scored, told) if len(found) < MOST_PARTS else []
+        name = next((one for one in ranked if one.gain >= _least(one.term.name, before)), None)
         more = [(t, _Probable.of(bench, [*here.scored.terms, t], here.scored)) for t in others]
         built, there = max(more, key=lambda one: one[1].value, default=(None, here))
         if built is not None and there.value - here.value > (name.gain if name else 0.0):
@@ -50,20 +54,35 @@ def named_beside(selector: PartialSelector, chosen: Scored) -> Asked:
             continue
         if name is None:
             break
-        rivals = _rivals(ranked)
+        rivals, least = _rivals(ranked, name), _least(name.term.name, before)
         there = _Probable.of(bench, [*here.scored.terms, name.term], here.scored)
-        passes = there.value - here.value >= LEAST_GAIN and len(rivals) <= MOST_RIVALS
-        path.append(step("add", name.term, there.value - here.value, 0.0, LEAST_GAIN, passes))
+        passes = there.value - here.value >= least and len(rivals) <= MOST_RIVALS
+        path.append(step("add", name.term, there.value - here.value, 0.0, least, passes))
         if not passes:
             break
         here, found[name.term.name] = there, (name.term, rivals)
-    here = _without_the_idle(bench, here, found, path)
+    here = _without_the_idle(bench, here, found, path, before)
     settled = bench.corrected(here.scored)
     found |= _frame(selector, settled, here.value)
     evidence = asked_evidence(selector, settled, [t for t, _ in found.values()])
     findings = tuple(_finding(bench, settled, t, rivals) for t, rivals in found.values())
     compared = tuple(a for f in findings for a in f.alternatives)
     return Asked(settled, evidence, findings, compared, (), tuple(path))
+
+
+def most_probable_alone(selector: PartialSelector) -> Scored | None:
+    """The effect that is most probable beside a smooth error and nothing else, where it is likely; None if none is.
+
+    It may be wrong: what no effect explains is no smooth error, and the effect that is most like it is most probable.
+    """
+    bench = selector.partial_bench
+    nothing = _Probable.of(bench, [], bench.begun())
+    bench.corrected(nothing.scored)
+    ranked = _ranked(selector, nothing.scored)
+    if not ranked or ranked[0].gain < LIKELY:
+        return None
+    there = _Probable.of(bench, [ranked[0].term], nothing.scored)
+    return bench.corrected(there.scored) if there.value - nothing.value >= LIKELY else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +98,14 @@ class _Probable:
         return cls(scored, SmoothEvidence(bench, scored).highest())
 
 
-def _ranked(selector: PartialSelector, here: Scored) -> list[Gain]:
-    """Best first, each effect in its best variant."""
-    variants = _variants(selector, here)
+def _least(name: str, before: Collection[str]) -> float:
+    """Gain that a name needs; before: names that the terms were built beside."""
+    return LEAST_AGAIN if name in before else LEAST_GAIN
+
+
+def _ranked(selector: PartialSelector, here: Scored, told: Collection[str] = ()) -> list[Gain]:
+    """Best first, each effect in its best variant; told: names that are listed already, by themselves or as "or"."""
+    variants = [t for t in _variants(selector, here) if t.name not in told]
     return _best_of_each(SmoothEvidence(selector.partial_bench, here, variants).gains(variants)) if variants else []
 
 
@@ -102,13 +126,16 @@ def _best_of_each(gains: Sequence[Gain]) -> list[Gain]:
     return list(best.values())
 
 
-def _rivals(ranked: Sequence[Gain]) -> list[Gain]:
-    """What may stand for the best of them."""
-    return [one for one in ranked[1:] if one.gain > ranked[0].gain - EQUAL]
+def _rivals(ranked: Sequence[Gain], name: Gain) -> list[Gain]:
+    """What may stand for one of them."""
+    return [one for one in ranked if one is not name and one.gain > max(name.gain - EQUAL, LEAST_OF_RIVAL)]
 
 
 def _frame(selector: PartialSelector, settled: Scored, value: float) -> dict[str, tuple[Term, list[Gain]]]:
-    """The frame of the base, where it is a name: it moves positions far, and nothing explains as much in its place."""
+    """The frame of the base, where it is a name: it moves positions far, and few effects explain as much in its place.
+
+    value: logarithm of the evidence of the set, with its free frame.
+    """
     bench = selector.partial_bench
     mine = [t for t in frames_beside(bench.robot, bench.data, settled.terms) if t.name == FRAME]
     if not mine or SmoothEvidence(bench, _with_zeros(bench, settled)).moved(FRAME) < FRAME_MOVES:
@@ -117,9 +144,11 @@ def _frame(selector: PartialSelector, settled: Scored, value: float) -> dict[str
     if not others:
         return {FRAME: (mine[0], [])}
     asked = SmoothEvidence(bench, settled, others)
-    gains = asked.gains(others, without=FRAME)
-    least = max(LEAST_GAIN, value - asked.highest() - EQUAL)
-    return {} if gains and gains[0].gain > least else {FRAME: (mine[0], [])}
+    gains = _best_of_each(asked.gains(others, without=FRAME))
+    own = Gain(mine[0], value - asked.highest())
+    rivals = [one for one in _rivals(gains, own) if one.gain > LEAST_GAIN]
+    better = any(one.gain > own.gain + EQUAL for one in rivals)
+    return {} if better or len(rivals) > MOST_RIVALS else {FRAME: (mine[0], rivals)}
 
 
 def _with_zeros(bench: CorrelatedBench, settled: Scored) -> Scored:
@@ -129,7 +158,11 @@ def _with_zeros(bench: CorrelatedBench, settled: Scored) -> Scored:
 
 
 def _without_the_idle(
-    bench: CorrelatedBench, here: _Probable, found: dict[str, tuple[Term, list[Gain]]], path: list[Step]
+    bench: CorrelatedBench,
+    here: _Probable,
+    found: dict[str, tuple[Term, list[Gain]]],
+    path: list[Step],
+    before: Collection[str],
 ) -> _Probable:
     """Without the names whose place later ones have taken, the least probable first."""
     while len(found) > 1:
@@ -137,9 +170,10 @@ def _without_the_idle(
             name: _Probable.of(bench, [t for t in here.scored.terms if t.name != name], here.scored) for name in found
         }
         idle = max(without, key=lambda name: without[name].value)
-        if here.value - without[idle].value >= LEAST_GAIN:
+        least = _least(idle, before)
+        if here.value - without[idle].value >= least:
             break
-        path.append(step("drop", found.pop(idle)[0], here.value - without[idle].value, 0.0, LEAST_GAIN, True))
+        path.append(step("drop", found.pop(idle)[0], here.value - without[idle].value, 0.0, least, True))
         here = without[idle]
     return here
 

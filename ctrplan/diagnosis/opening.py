@@ -40,7 +40,10 @@ class Opened:
 
 
 def opened(answer: Answer, data: Measurements) -> Opened:
-    """What the poses kept aside say of an answer; a built term that makes any region worse is taken back."""
+    """What the poses kept aside say of an answer; a built term that makes any region worse is taken back.
+
+    Names that hold beside it stay: they and the term have passed all that is asked before.
+    """
     asked = _with_or_without_built(answer, data)
     return replace(asked, framed_gap=_framed(asked.answer, data)) if asked.answer.partly else asked
 
@@ -58,7 +61,7 @@ def _with_or_without_built(answer: Answer, data: Measurements) -> Opened:
         return _opened(answer, data)
     found, without = _opened(answer, data), _opened(_only_named(answer, answer.built), data)
     if where := _worse(found.gap, without.gap, data.subset(answer.split.held_out_set)):
-        less = _opened(answer.otherwise, data)
+        less = without if without.judgement.findings else _opened(answer.otherwise, data)
         return replace(less, notes=(*less.notes, f"A term was built and taken back: it is not good enough on {where}."))
     return replace(found, named_gap=without.gap)
 

@@ -20,7 +20,6 @@ from ctrplan.pipeline.term import Term
 MOST_PARTS = 5  # effects named beside a rest that nothing explains
 SMOOTH_COUNTS = 2 / 3  # of chance on surrogates as smooth as the residual: twice that has to be gained
 CERTAIN_AT_FIRST = 3.0  # standard errors over blocks, while what is still missing is part of the discrepancy
-SETTLED = 2  # candidates that do not pass, and are asked beside the discrepancy that they leave themselves
 WORTH_A_FIT = 0.5  # of the gain and of the certainty that are needed, to first order: a fit would not make up for less
 
 
@@ -33,14 +32,10 @@ class PartialSelector(Selector):
         candidates: Candidates,
         tell: Report,
         begun: Scored | None = None,
-        settles: bool = False,
     ) -> None:
-        """tell: called with a sentence before each round of fits; begun: a settled set, the base if not given.
-
-        settles: whether a candidate may pass beside the discrepancy that it leaves itself.
-        """
+        """tell: called with a sentence before each round of fits; begun: a settled set, the base if not given."""
         super().__init__(bench, testable_beside(candidates, bench), tell, begun or bench.begun())
-        self.partial_bench, self._settles = bench, settles
+        self.partial_bench = bench
         self._blocks = len(np.unique(bench.group))
 
     def run(self) -> Selection:
@@ -90,33 +85,7 @@ class PartialSelector(Selector):
             found.path.append(step("add", candidate.terms[-1], gain, error, found.threshold, passes))
         if taken is not None:
             found.chosen = self.bench.corrected(taken)
-            return True
-        return self._settles and self._grow_settled(found, fitted)
-
-    def _grow_settled(self, found: Selection, fitted: Sequence[Scored]) -> bool:
-        """The first of the best candidates that passes beside the discrepancy that it leaves itself.
-
-        Until it is taken out, what is missing is a part of the discrepancy, and hides itself: a load in what was left
-        beside a bent guide went from 2.9 standard errors to 7.
-        """
-        here, threshold = found.chosen, found.threshold
-        for candidate in [one for one in fitted if self._passes(here, one, WORTH_A_FIT)][:SETTLED]:
-            there = self.bench.corrected(candidate)
-            screened = self._screened(there)
-            without = self.bench.scored(here.terms, here.fit)
-            found.threshold = TIMES_CHANCE * (
-                self._most(there, linear(there.fit), [one.linear for one in screened]) if screened else 0.0
-            )
-            gain, error = self.bench.difference(there, without)
-            passes = self._passes(without, there)
-            found.path.append(step("add", candidate.terms[-1], gain, error, found.threshold, passes))
-            if passes:
-                found.chosen = there
-                return True
-        if any(self._passes(here, one, WORTH_A_FIT) for one in fitted):
-            found.chosen = self.bench.corrected(here)
-        found.threshold = threshold
-        return False
+        return taken is not None
 
     def _screened(self, here: Scored) -> list[Screened]:
         screened = self.bench.screened(here, self._others(here), self.candidates.completed)

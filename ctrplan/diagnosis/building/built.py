@@ -1,8 +1,8 @@
-"""The term that was built of a rest, with what speaks for it; passed by blocks left out, and worse nowhere."""
+"""A term that was built of a rest, with what speaks for it; passed by blocks left out, and worse nowhere."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.estimates import estimates
-from ctrplan.diagnosis.building.dictionary import pieces
-from ctrplan.diagnosis.building.search import Round, Tried, grown
+from ctrplan.diagnosis.building.search import Round, Tried
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.holding import SAYS_SOMETHING, summed
-from ctrplan.diagnosis.partial_search import PartialSelector, is_built
-from ctrplan.diagnosis.partly import Partly, concluded, rest_beside
+from ctrplan.diagnosis.partial_search import is_built
+from ctrplan.diagnosis.partly import Partly, rest_beside
 from ctrplan.diagnosis.rest import Rest
-from ctrplan.diagnosis.selection import Selection, Step
+from ctrplan.diagnosis.selection import Step
 from ctrplan.diagnosis.shares import mean_square
 from ctrplan.diagnosis.smooth_evidence import SmoothEvidence
 from ctrplan.diagnosis.workbench import Scored, certainty
@@ -32,12 +31,9 @@ LEAST_EVIDENCE = 20.0  # logarithm, beside a smooth error: what four choices amo
 LEAST_EVIDENCE_OF_SENSOR = 30.0  # of its terms, which a smooth error looks like: nulls of pairs had up to 21
 LEAST_WINNING = 0.85  # of the blocks that say something
 LEAST_SHARE = 0.6  # of the squares that remain beyond noise, closed on blocks left out
-WITHIN_REACH = 0.6  # of the same to first order before anything is fitted; a search that can't reach it is not begun
 LEAST_SHARE_ASIDE = 0.4  # of the same, closed on the poses kept aside
 MOST_WORSE = 1.05  # of the rms error of any region, with the term over without
 LEAST_POSES = 8  # of a region that is asked
-MOST_TIMES = 2  # that a term is built anew beside other names
-WORTH = 0.5  # of the noise: what remains has to be larger for a term to be sought
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +52,7 @@ class Built:
     rest: Rest  # what remains beside the built ones as well
     odds: float = np.inf  # logarithm, of the terms beside an error as smooth as is probable, of poses at rest
     evidence: float = 0.0  # logarithm of that of the whole set there
+    is_shown: bool = False  # whether a less probable set passes, so that there is more than a smooth error
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -65,6 +62,8 @@ class Built:
     @property
     def is_chance(self) -> bool:
         """Whether an error that is smooth in the joints might have let pieces gain as much."""
+        if self.is_shown:
+            return False
         of_sensor = any(isinstance(t.effect, Learned) and t.effect.target.kind_name == "sensor" for t in self.terms)
         least = LEAST_EVIDENCE_OF_SENSOR if of_sensor else LEAST_EVIDENCE
         return self.gain < TIMES_CHANCE * self.rounds[0].smooth_chance or self.odds < least
@@ -97,99 +96,8 @@ class Built:
         }
 
 
-def build(found: Partly, tell: Callable[[str], None]) -> Built | None:
-    """A term of what remains beside the effects that hold; None where nothing passes."""
-    built = tried(found, tell)
-    if built is None:
-        return None
-    if refusals(found.bench, built):
-        found.bench.corrected(found.chosen)
-        return None
-    _note_sizes(built)
-    return built
-
-
-def tried(found: Partly, tell: Callable[[str], None]) -> Built | None:
-    """What a search for a term ends with, before it is asked whether it holds."""
-    bench = found.bench
-    if found.is_noise or found.rest.rms_m < WORTH * bench.plain.floor_m:
-        return None
-    built = _settled(found, found.chosen, tell)
-    if bench.data.is_stream or (built is not None and not refusals(bench, built)):
-        return built
-    if built is not None and built.partly.judgement.findings:  # where something is known, pieces may be smaller
-        more = _settled(found, _begun(found), tell, smooth_counts=False)
-        if more is not None and not refusals(bench, more):
-            return more
-    there = _begun(found)
-    passing = _selector(found, there, tell).run().chosen
-    return (_settled(found, passing, tell) if len(passing.terms) > len(there.terms) else None) or built
-
-
-def _settled(found: Partly, named: Scored, tell: Callable[[str], None], smooth_counts: bool = True) -> Built | None:
-    """Built beside a set, and once more where other names act beside the term: pieces may have stood for them.
-
-    The new one is taken where it passes, and the old one does not or is less probable.
-    """
-    bench, built = found.bench, _tried_beside(found, named, tell, smooth_counts)
-    asked = {frozenset(t.key for t in named.terms)}
-    while built is not None and not bench.data.is_stream and len(asked) <= MOST_TIMES:
-        names = [t for t in built.scored.terms if not is_built(t)]
-        key = frozenset(t.key for t in names)
-        if not names or key in asked:
-            break
-        asked.add(key)
-        again = _tried_beside(found, bench.corrected(bench.scored(names, built.scored.fit)), tell, smooth_counts)
-        if again is None or refusals(bench, again):
-            break
-        if not refusals(bench, built) and again.evidence < built.evidence:
-            break
-        built = again
-    if built is not None:
-        bench.corrected(built.scored)
-    return built
-
-
-def _begun(found: Partly) -> Scored:
-    """The set of what holds, as the search for a term begins with it."""
-    return found.bench.corrected(found.bench.scored(found.chosen.terms, found.chosen.fit))
-
-
-def _tried_beside(
-    found: Partly, named: Scored, tell: Callable[[str], None], smooth_counts: bool = True
-) -> Built | None:
-    """Beside a set: of the effects that hold, or with such besides as may hold beside a term.
-
-    On a continuous motion the catalogue is asked after each piece. Of poses at rest it is asked of all pieces in the
-    end, and what it has there may take the place of some.
-    """
-    bench = found.bench
-    path = list[Step]()
-
-    def with_names(here: Scored) -> Scored:
-        if not bench.data.is_stream:
-            return here
-        searched = _selector(found, here, tell).run()
-        path.extend(searched.path)
-        return searched.chosen
-
-    known = pieces(bench.robot, bench.data, found.known.terms)
-    scored, rounds = grown(bench, named, known, tell, with_names, WITHIN_REACH, smooth_counts)
-    if scored is named:
-        return None
-    selector = _selector(found, scored, tell)
-    again = concluded(selector, Selection(scored, path), found.known, found.split, found.block, found.base)
-    if not any(is_built(t) for t in again.chosen.terms):
-        return None
-    return _evidence(again, rounds)
-
-
-def _selector(found: Partly, here: Scored, tell: Callable[[str], None]) -> PartialSelector:
-    """Of what may be named beside a term; alone, what passes beside what it leaves may be a smooth error."""
-    return PartialSelector(found.bench, found.known, tell, here, settles=not found.bench.data.is_stream)
-
-
-def _evidence(found: Partly, rounds: list[Round]) -> Built:
+def built_of(found: Partly, rounds: Sequence[Round]) -> Built:
+    """What a search ended with, with its evidence."""
     bench, scored = found.bench, found.chosen
     plain = bench.scored([t for t in scored.terms if not is_built(t)], scored.fit)  # beside what is left now
     gains = bench.by_group((plain.held_out - scored.held_out) / 2)
@@ -244,18 +152,6 @@ def regions(data: Measurements) -> dict[str, NDArray[np.bool_]]:
 
 def _rms(error: Array) -> float:
     return float(np.sqrt(np.mean(error**2)))
-
-
-def _note_sizes(built: Built) -> None:
-    """How far terms of the mechanics move a tip of the data, which margins allow for."""
-    chain, p = built.scored.fit.chain, built.scored.fit.p
-    here = chain.predict(p, derivatives=False).position_m
-    for t, place in zip(chain.terms, chain.slices(), strict=True):
-        if isinstance(t.effect, Learned) and t.effect.stage == "mechanics" and t.effect.target.kind_name != "plate":
-            without = p.copy()
-            without[place] = 0.0
-            moved = np.linalg.norm(chain.predict(without, derivatives=False).position_m - here, axis=1)
-            t.effect.largest_mm = float(f"{1e3 * moved.max():.3g}")
 
 
 def _step(one: Round) -> Step:
