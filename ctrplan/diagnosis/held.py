@@ -147,19 +147,24 @@ def _sides(selector: PartialSelector, chosen: Scored, panel: Panel, among: Seque
 def _is_name(selector: PartialSelector, chosen: Scored, sides: Sides, e: Evidence) -> bool:
     """Whether what holds is told as a name: any effect, and a frame as far as it is more than a part of the rest.
 
-    A frame is free in every fit, and where a smooth error is all there is, it takes a part of it. Where other effects
-    do as well, it is told with them if it stands out beside an error that is as smooth, and if none does better.
+    A frame is free in every fit, and where a smooth error is all there is, it takes a part of it: so it has to move
+    positions as far as that. Where other effects do as well, it is told with them if it stands out beside an error that
+    is as smooth, and if none does better.
     """
     if e.term.name not in FRAMES:
         return True
-    bench = selector.partial_bench
-    if not bench.data.is_stream and SmoothEvidence(bench, chosen).moved(e.term.name) < FRAME_MOVES:
+    if not _moves_far(selector.partial_bench, chosen, e.term):
         return False
     rivals = _rivals(selector, sides, e)
     if not rivals:
         return True
     better = any(behind < -max(CLOSE, CLEARLY * error) for _, behind, error in rivals)
     return not better and len(rivals) <= MOST_RIVALS and _stands_out(selector, chosen, e.term)
+
+
+def _moves_far(bench: CorrelatedBench, chosen: Scored, t: Term) -> bool:
+    """Whether a frame moves positions of poses at rest about as far as noise and a smooth error do."""
+    return bench.data.is_stream or SmoothEvidence(bench, chosen).moved(t.name) >= FRAME_MOVES
 
 
 def _rivals(selector: PartialSelector, sides: Sides, e: Evidence) -> list[tuple[Term, float, float]]:

@@ -13,7 +13,9 @@ from measured_data import SIGMA_M, measured, pair_robot, waypoints
 
 from ctrplan.calibration.residuals import Noise
 from ctrplan.cli import main
-from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
+from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, opening
+from ctrplan.diagnosis.building import sought
+from ctrplan.diagnosis.building.built import refusals
 from ctrplan.diagnosis.building.dictionary import Piece, pieces
 from ctrplan.diagnosis.building.probes import wide
 from ctrplan.diagnosis.building.search import built_term
@@ -34,6 +36,7 @@ ROBOT = pair_robot()
 PLAN = waypoints(ROBOT, 18)
 RIPPLE_DEG = 7.0
 OFFSET = {"sensor_offset": {"offset_x_mm": 0.6, "offset_y_mm": -0.4}}
+FURTHER = {"sensor_offset": {"offset_x_mm": 6.0, "offset_y_mm": -4.0}}
 
 
 def rippled(values: dict[str, dict[str, float]] | None = None, plan: Measurements = PLAN) -> Measurements:
@@ -94,6 +97,27 @@ def test_what_the_catalogue_has_is_named_beside_a_built_term_that_had_hidden_it(
     assert after.partly.rest.rms_m > 2 * after.built.rest.rms_m and not after.judgement.adequacy.is_adequate
     value = after.to_json()["effects"][0]["parameters"]["offset_x_mm"]["value"]
     assert value == pytest.approx(OFFSET["sensor_offset"]["offset_x_mm"], abs=0.15)
+
+
+def test_names_stay_where_the_poses_kept_aside_take_the_term_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(opening, "LEAST_SHARE_ASIDE", 2.0)
+    after = diagnose(ROBOT, rippled(FURTHER), catalogue={"sensor_offset": CATALOGUE["sensor_offset"]})
+    assert after.verdict == "partial" and [t.name for t in after.listed] == ["sensor_offset"]
+    assert after.built is None and any("taken back" in note for note in after.notes)
+
+
+def test_a_term_is_sought_beside_the_most_probable_effect_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where no piece comes within reach beside nothing: on screws that couple joints of a wrong scale."""
+    settled = sought._settled
+    monkeypatch.setattr(sought, "_settled", lambda found, at, tell: settled(found, at, tell) if at.terms else None)
+    data = rippled({"joint_scale": {"theta_2": 0.25}})
+    noise, usable = noise_floor(ROBOT, data)[0], usable_poses(ROBOT, data)
+    known = candidates(ROBOT, data, {"joint_scale": CATALOGUE["joint_scale"]})
+    before = partly(ROBOT, data, usable, noise, known, lambda _: None)
+    unnamed = replace(before, chosen=before.bench.corrected(before.bench.scored([])))
+    found = sought.tried(unnamed, lambda _: None)
+    assert found is not None and not refusals(before.bench, found)
+    assert {*found.scored.names} == {"joint_scale", "learned_theta_2"}
 
 
 def test_a_robot_that_has_its_term_lacks_nothing_more() -> None:

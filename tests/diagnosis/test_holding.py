@@ -110,16 +110,17 @@ def test_effects_in_its_place_come_best_first_each_in_its_best_variant() -> None
     assert [(other.name, other.variant) for other, _, _ in found] == [("drive_lag", "_theta"), ("backlash", "")]  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("stands_out", [False, True])
+@pytest.mark.parametrize(("moves_far", "stands_out"), [(True, False), (True, True), (False, True)])
 def test_a_frame_whose_place_something_takes_is_told_with_it_if_it_stands_out_beside_a_smooth_error(
-    stands_out: bool, monkeypatch: pytest.MonkeyPatch
+    moves_far: bool, stands_out: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(held, "_stands_out", lambda *_: stands_out)
-    selector: Any = SimpleNamespace(bench=None)
+    monkeypatch.setattr(held, "_moves_far", lambda *_: moves_far)
+    selector: Any = SimpleNamespace(bench=None, partial_bench=None)
     chosen: Any = None
     for others, is_name in (([], True), ([SOFT], stands_out), ([BETTER], False)):
         asked_of: Any = SimpleNamespace(term=FRAME, imitators=())
-        assert held._is_name(selector, chosen, sides(FRAME, *others), asked_of) == is_name
+        assert held._is_name(selector, chosen, sides(FRAME, *others), asked_of) == (is_name and moves_far)
 
 
 @pytest.mark.parametrize(

@@ -14,11 +14,11 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import Linearised, Spectrum, block_of, shared
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE
+from ctrplan.diagnosis import named_beside as rules
 from ctrplan.diagnosis.blocks import block_split, blocks
 from ctrplan.diagnosis.building.search import built_term
 from ctrplan.diagnosis.candidates import candidates
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
-from ctrplan.diagnosis.named_beside import named_beside
 from ctrplan.diagnosis.partial_search import PartialSelector
 from ctrplan.diagnosis.smooth_evidence import SmoothEvidence
 from ctrplan.diagnosis.verdict import Finding
@@ -38,26 +38,41 @@ RIPPLE = built_term(
 
 def rippled(values: dict[str, dict[str, float]], smooth_mm: float) -> Measurements:
     """Gears turn tube 2 further three times a turn; and an error that goes along with the joints."""
-    theta, rng = PLAN.theta_commanded.copy(), np.random.default_rng(3)
+    theta = PLAN.theta_commanded.copy()
     theta[:, 1] += np.radians(7.0) * np.sin(3 * theta[:, 1] + 0.5)
     data = replace(measured(ROBOT, replace(PLAN, theta_commanded=theta), values), theta_commanded=PLAN.theta_commanded)
+    return replace(data, position_m=data.position_m + smooth_mm * FIELD_M)
+
+
+def smooth_field() -> Array:
+    """(K, 3) an error of 1 mm that goes along with the joints."""
+    rng = np.random.default_rng(3)
     turn = np.diff(PLAN.theta_commanded, axis=1)[PLAN.rows]
     joints = np.hstack([np.sin(turn), np.cos(turn), PLAN.l_commanded[PLAN.rows] / 0.06])
     waves, phases = rng.standard_normal((40, joints.shape[1])), rng.uniform(-np.pi, np.pi, 40)
-    field = np.cos(joints @ waves.T + phases) @ rng.standard_normal((40, 3)) * np.sqrt(2 / 40 / 3)
-    return replace(data, position_m=data.position_m + 1e-3 * smooth_mm * field)
+    return 1e-3 * np.cos(joints @ waves.T + phases) @ rng.standard_normal((40, 3)) * np.sqrt(2 / 40 / 3)
+
+
+FIELD_M = smooth_field()
 
 
 @cache
 def told(which: str, smooth_mm: float = 0.3) -> tuple[Finding, ...]:
     """Named beside the ripple's term."""
-    data = rippled({"offset": OFFSET, "frame": FRAME, "nothing": {}}[which], smooth_mm)
+    return named_in(rippled({"offset": OFFSET, "frame": FRAME, "nothing": {}}[which], smooth_mm))
+
+
+def named_in(data: Measurements) -> tuple[Finding, ...]:
+    selector = selector_of(data)
+    return rules.named_beside(selector, selector.bench.scored([RIPPLE])).findings
+
+
+def selector_of(data: Measurements) -> PartialSelector:
     block = blocks(data, 0.0)
     parts = block_split(data, np.ones(data.count, bool), block)
     chosen = parts.selection
     bench = CorrelatedBench(ROBOT, data.subset(chosen), Noise(SIGMA_M, SIGMA_RAD), block[chosen], parts.fold)
-    selector = PartialSelector(bench, candidates(ROBOT, data, QUICK), lambda _: None)
-    return named_beside(selector, bench.scored([RIPPLE])).findings
+    return PartialSelector(bench, candidates(ROBOT, data, QUICK), lambda _: None)
 
 
 def test_what_acts_beside_a_term_and_a_smooth_error_is_named() -> None:
@@ -71,6 +86,22 @@ def test_a_smooth_error_beside_a_term_has_no_name() -> None:
 
 def test_a_frame_is_named_where_it_moves_more_than_all_that_is_left() -> None:
     assert [one.term.name for one in told("frame", 0.3)] == ["base_misalignment"]
+
+
+def test_what_was_listed_as_or_is_not_listed_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rules, "EQUAL", 1e9)
+    (one,) = named_in(rippled({**OFFSET, "joint_scale": {"theta_2": 0.1}}, 0.3))
+    assert {one.term.name, *(a.term.name for a in one.alternatives)} >= {"sensor_offset", "joint_scale"}
+
+
+@pytest.mark.parametrize(("which", "smooth_mm", "name"), [("offset", 0.3, "sensor_offset"), ("nothing", 1.5, None)])
+def test_an_effect_may_be_likely_beside_a_smooth_error_alone(which: str, smooth_mm: float, name: str | None) -> None:
+    """A smooth error has none; gears that ripple are no smooth error, and an effect may be likely by mistake."""
+    values = {"offset": OFFSET, "nothing": {}}[which]
+    plain = replace(measured(ROBOT, PLAN, values), theta_commanded=PLAN.theta_commanded)
+    data = replace(plain, position_m=plain.position_m + smooth_mm * FIELD_M)
+    likely = rules.most_probable_alone(selector_of(data))
+    assert (likely and likely.names) == (name and (name,))
 
 
 def test_evidence_is_the_density_of_the_measurements() -> None:
