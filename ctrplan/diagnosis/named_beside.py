@@ -4,7 +4,7 @@ A built term takes out what hid them, and what is left is mostly smooth in the j
 their evidence beside an error that is as smooth as is most probable, `smooth_evidence.py`, not by blocks left out.
 What is nearly as probable in the place of a name is told with it. A frame is free in every fit, and a smooth error is
 partly a frame, of the headings most of all: it is a name only where it moves positions as far as all that is left,
-and no effect explains as much.
+and no effect explains more. Effects that explain as much are told with it.
 """
 
 from __future__ import annotations

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from ctrplan.diagnosis.building import sought
 from ctrplan.diagnosis.building.built import refusals
 from ctrplan.diagnosis.building.dictionary import Piece, pieces
 from ctrplan.diagnosis.building.probes import wide
-from ctrplan.diagnosis.building.search import built_term
+from ctrplan.diagnosis.building.search import _with_piece, built_term
 from ctrplan.diagnosis.candidates import candidates
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.noise_floor import noise_floor
@@ -27,6 +28,9 @@ from ctrplan.diagnosis.sentences import effect_lines, verdict_sentence
 from ctrplan.diagnosis.usable_poses import usable_poses
 from ctrplan.diagnosis.workbench import values_by_name
 from ctrplan.effects.learned import parts
+from ctrplan.effects.learned.learned import named
+from ctrplan.effects.learned.ranges import Range
+from ctrplan.effects.learned.targets import Target
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.reports.diagnosis_page.page import diagnosis_report_html
@@ -182,6 +186,21 @@ def test_pieces_that_an_effect_of_the_catalogue_is_are_left_to_it() -> None:
         wanted = table.whole.J[:, :, table.places[piece]].reshape(columns.shape[0], -1)
         left = wanted - columns @ np.linalg.lstsq(columns, wanted, rcond=1e-10)[0]
         assert np.linalg.norm(left) < 5e-3 * np.linalg.norm(wanted)
+
+
+@pytest.mark.parametrize(
+    ("kind", "turns"), [("theta", True), ("bend", True), ("curvature", False), ("stiffness", False)]
+)
+def test_a_slope_of_what_turns_a_tube_takes_its_arbitrary_zero_with_it(kind: str, turns: bool) -> None:
+    """Else a screw that was taken for a bend by the translation would leave a wrong zero of a joint."""
+    on = Target(kind, 2)
+    spans, bench = {"l_2": Range(-0.1, 0.0), "turn_2": Range(-3.0, 3.0)}, SimpleNamespace(robot=ROBOT)
+    slope, wave = (
+        _with_piece([], Piece(on, part), spans, bench)  # type: ignore[arg-type]
+        for part in (("slope_l_2",), ("sin_2_turn_2",))
+    )
+    constant = named(on, "constant")
+    assert [constant[0] in one[0].effect.parts for one in (slope, wave)] == [turns, False]  # type: ignore[attr-defined]
 
 
 def test_polynomials_of_the_place_are_left_to_a_distortion() -> None:

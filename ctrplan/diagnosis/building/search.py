@@ -138,9 +138,13 @@ def _with_piece(terms: Sequence[Term], piece: Piece, ranges: dict[str, Range], b
 
 
 def _zero(piece: Piece) -> list[str]:
-    """The constant that goes with a slope of the drive: where that is zero is arbitrary, no wrong zero of a joint."""
+    """The constant that goes with a slope whose zero is arbitrary: else that would be a wrong zero of a joint.
+
+    A slope of the drive, and of a precurvature across its plane, which turns a tube as a joint does.
+    """
     is_slope = any(part.startswith("slope_") for part in piece.parts)
-    return named(piece.on, "constant") if is_slope and piece.on.kind.stage == "drive" and not piece.on.of_way else []
+    is_of_turn = piece.on.kind_name == "bend" or (piece.on.kind.stage == "drive" and not piece.on.of_way)
+    return named(piece.on, "constant") if is_slope and is_of_turn else []
 
 
 def built_term(on: Target, names: Sequence[str], ranges: dict[str, Range], n: int) -> Term:
