@@ -191,8 +191,6 @@ def test_pieces_that_an_effect_of_the_catalogue_is_are_left_to_it() -> None:
 @pytest.mark.parametrize(
     ("kind", "turns"), [("theta", True), ("bend", True), ("curvature", False), ("stiffness", False)]
 )
-    ("kind", "turns"), [("theta", True), ("bend", True), ("curvature", False), ("stiffness", False)]
-)
 def test_a_slope_of_what_turns_a_tube_takes_its_arbitrary_zero_with_it(kind: str, turns: bool) -> None:
     """Else a screw that was taken for a bend by the translation would leave a wrong zero of a joint."""
     on = Target(kind, 2)
