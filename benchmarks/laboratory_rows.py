@@ -145,9 +145,8 @@ def write(folder: Path, stored: Path, ways: tuple[str, ...]) -> None:
 def table(folder: Path) -> None:
     """Hits and trials with their Wilson intervals, by the way of measuring and by what is hidden."""
     every = read(folder)
-    print(
-        "| measured | hidden | what is counted | goal | hits | trials | 95 % interval |\n|---|---|---|---|---|---|---|"
-    )
+    print("| measured | hidden | what is counted | goal | hits | trials | 95 % interval |")
+    print("|---|---|---|---|---|---|---|")
     for way in WAYS:
         sets = [(truth, found) for truth, found in every if truth["way"] == way]
         for kind in KINDS:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hidden_effects.contact import Pair
+from hidden_effects.dataset import robot_toml
 from hidden_effects.discretisation import halving_errors
 from hidden_effects.equilibrium import CORNER_BARRIER, Loads, State, System, corner, tip_pose
 from hidden_effects.friction import SlipHistory
@@ -16,7 +17,7 @@ from hidden_effects.noise import POSITION_SIGMA_M
 from hidden_effects.poses import Solver
 from hidden_effects.rod import Rod
 from hidden_effects.tube import Array, Section, Softening, Tube
-from hidden_effects.world import World, believed
+from hidden_effects.world import ROBOTS, World, believed, withdrawn
 from places import ROOT
 
 from ctrplan.mechanics.core import Mechanics
@@ -141,6 +142,47 @@ def test_agrees_with_ctrplan_without_friction_and_at_corners(configuration: tupl
         assert np.linalg.norm(tip(system, phi) - shape.tip_m) < allowed
 
 
+WITHDRAWN = [  # deg, mm: the innermost tube ends so far in front of the others' tip
+    (-60.0, 40.0, 5.0),
+    (-60.0, 40.0, -8.0),
+    (110.0, 150.0, -35.0),
+]
+
+
+@pytest.mark.parametrize("configuration", WITHDRAWN)
+@pytest.mark.parametrize("phi", [(0.0, 0.0), (1.0, -1.0)])
+def test_agrees_with_ctrplan_where_the_innermost_tube_is_withdrawn(
+    configuration: tuple[float, float, float], phi: tuple[float, float]
+) -> None:
+    pairs = tuple(replace(pair, friction=0.08) for pair in withdrawn().pairs)
+    world, (theta, l_b) = replace(withdrawn(), pairs=pairs), joints(*configuration)
+    l_b[2] += world.tubes[1].length_m + l_b[1] - world.tubes[2].length_m
+    system = sharp_system_of(world, theta, l_b)
+    assert system.foremost == (2 if configuration[2] > 0 else 1)
+    middle = system.solve(system.cold(), corner((0.0, 0.0)), CORNER_BARRIER, 1e-4)
+    p, F = tip_pose(system, system.solve(middle, corner(phi)))
+    tube = mechanics(world).solve(theta, l_b, phi, accuracy="certificate").tubes[system.foremost]
+    assert np.linalg.norm(p - tube.centreline_m[-1]) < 0.05e-3
+    assert np.linalg.norm(F - tube.frames[-1]) < np.deg2rad(0.1)  # the tangent, and how far the tube is turned
+
+
+def test_the_tip_is_continuous_where_the_innermost_tube_passes_the_others() -> None:
+    """To the offset of its centreline in the one around it."""
+    world, (theta, l_b) = withdrawn(), joints(-60.0, 40.0, 0.0)
+    flush = world.tubes[1].length_m + l_b[1] - world.tubes[2].length_m
+    ends = [tip(system_of(world, theta, np.array([*l_b[:2], flush + h]), COARSE), (0.0, 0.0)) for h in (-1e-4, 1e-4)]
+    assert np.linalg.norm(ends[1] - ends[0]) < 2e-4 + 2 * world.pairs[1].clearance_m
+
+
+def test_robots_whose_innermost_tip_leads_are_written_without_the_key() -> None:
+    keyed = {name: "retractable" in robot_toml(robot(), name) for name, robot in ROBOTS.items()}
+    assert {name for name, has in keyed.items() if has} == {"three tubes, withdrawn", "two tubes, withdrawn"}
+    for name, robot in ROBOTS.items():
+        world = robot()
+        system = system_of(world, np.zeros(world.n), np.cumsum([ends[0] for ends in world.travel_m]), COARSE)
+        assert (system.foremost < world.n - 1) == keyed[name]
+
+
 def mechanics(world: World) -> Mechanics:
     tubes = [
         BelievedTube(
@@ -149,8 +191,9 @@ def mechanics(world: World) -> Mechanics:
             bending_stiffness_Nm2=tube.bending_stiffness_Nm2,
             poisson_ratio=tube.poisson_ratio,
             sections=tuple(TubeSection(s.length_m, *s.curvature_per_m) for s in tube.sections),
+            retractable=withdrawn,
         )
-        for tube in world.tubes
+        for tube, withdrawn in zip(world.tubes, world.withdrawn, strict=True)
     ]
     return Mechanics(tubes, [p.clearance_m for p in world.pairs], [p.friction for p in world.pairs])
 

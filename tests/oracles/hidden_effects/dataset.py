@@ -61,12 +61,10 @@ def measurements_csv(experiment: Experiment, p: Array, tangent: Array | None, ro
     pose = iter(p if tangent is None else np.hstack([p, tangent]))
     for k in range(len(motion.time_s)):
         row = [f"{v:.6f}" for v in (*motion.theta[k], *motion.l[k])]
-        values = next(pose) if experiment.measured[k] else None
-        tail = (
-            [""] * len(columns)
-            if values is None
-            else [*(f"{v:.7f}" for v in values[:3]), *(f"{v:.6f}" for v in values[3:])]
-        )
+        tail = [""] * len(columns)
+        if experiment.measured[k]:
+            values = next(pose)
+            tail = [*(f"{v:.7f}" for v in values[:3]), *(f"{v:.6f}" for v in values[3:])]
         warm = [f"{room.temperature_C(motion.time_s[k]):.2f}"] if room else []
         out.writerow([int(motion.sequence[k]), f"{motion.time_s[k]:.1f}", *row, *tail, *warm])
     return text.getvalue()
