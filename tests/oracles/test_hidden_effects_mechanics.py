@@ -244,6 +244,18 @@ def test_a_quarter_turn_loads_friction_everywhere() -> None:
     assert np.linalg.norm(barely - ends[1.0, 1.0]) > 0.2 * np.linalg.norm(ends[1.0, 1.0] - ends[0.0, 0.0])
 
 
+def test_friction_that_grows_leads_to_the_same_state() -> None:
+    world, (theta, l_b) = rough(), joints(38.4, 82.6, -73.2)
+    before = system_of(world, theta - 0.2 * np.arange(3), l_b, COARSE)
+    history = SlipHistory.begin(before, before.solve(before.cold(), corner((0.0, 0.0))), np.zeros(2))
+    system = system_of(world, theta, l_b, COARSE)
+    state = system.solve(system.cold(), corner((0.0, 0.0)), CORNER_BARRIER)
+    at_once = tip_pose(system, system.solve(state, history))[0]
+    for share in (0.25, 0.5, 0.75, 1.0):
+        state = system.solve(state, history.scaled(share), CORNER_BARRIER, 1e-4)
+    np.testing.assert_allclose(tip_pose(system, system.solve(state, history))[0], at_once, atol=1e-6)
+
+
 def followed(world: World, theta: Array, l_b: Array, offsets: Array) -> Array:
     """Tip after relative rotations of both pairs by `offsets`, from a released start."""
     history: SlipHistory | None = None
