@@ -24,7 +24,7 @@ import json
 import pickle
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import zip_longest
 from pathlib import Path
@@ -165,9 +165,9 @@ def write(folder: Path, stored: Path) -> None:
         (target / "truth.json").write_text(json.dumps({**truth, "kind": left.kind, "memory": left.memory}))
 
 
-def ask(folder: Path) -> None:
-    """What holds and what is built, into FOLDER/w00_00/found.json."""
-    for path in _in_turn(folder):
+def ask(folder: Path, only: Sequence[str] = ()) -> None:
+    """What holds and what is built, into FOLDER/w00_00/found.json; of some rows only where they are named."""
+    for path in _in_turn(folder, only):
         answer = path.with_name("found.json")
         if not answer.exists():
             answer.write_text("{}")  # taken, where two ask
@@ -175,12 +175,13 @@ def ask(folder: Path) -> None:
             print(path.parent.name, json.loads(path.read_text())["hidden"], answer.read_text(), flush=True)
 
 
-def _in_turn(folder: Path) -> list[Path]:
+def _in_turn(folder: Path, only: Sequence[str]) -> list[Path]:
     """Rows and robots in turn, by chance within each, so that what is there at any time is a fair part of all."""
     rows: dict[tuple[str, str], list[Path]] = {}
     for path in sorted(folder.glob("w*_*/truth.json"), key=_by_chance):
         truth = json.loads(path.read_text())
-        rows.setdefault((truth["row"], truth.get("robot", THREE)), []).append(path)
+        if not only or truth["row"] in only:
+            rows.setdefault((truth["row"], truth.get("robot", THREE)), []).append(path)
     return [path for turn in zip_longest(*rows.values()) for path in turn if path is not None]
 
 

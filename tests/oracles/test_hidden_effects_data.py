@@ -199,6 +199,15 @@ def test_bank_of_folders_is_drawn_from_its_seed_and_resumes(tmp_path: Path) -> N
     check_format(tmp_path / "tiny", truth)
 
 
+def test_positions_alone_are_read_with_their_noise_alone(tmp_path: Path, experiment: Experiment, plain: Poses) -> None:
+    (tmp_path / "robot.toml").write_text(robot_toml(believed(), "positions", tangents=False))
+    (tmp_path / "measurements.csv").write_text(measurements_csv(experiment, plain.p, None))
+    robot = ctrplan.load_robot(tmp_path / "robot.toml")
+    data = ctrplan.load_measurements(tmp_path / "measurements.csv", robot)
+    assert robot.measurement is not None and robot.measurement.tangent_sigma_rad is None and not data.has_tangents
+    np.testing.assert_allclose(data.position_m, plain.p, atol=1e-7)
+
+
 def check_format(folder: Path, truth: dict[str, Any]) -> None:
     """As in the description of measured data."""
     with (folder / "measurements.csv").open(newline="") as file:

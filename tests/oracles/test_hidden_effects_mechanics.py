@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hidden_effects.contact import Pair
+from hidden_effects.dataset import robot_toml
 from hidden_effects.discretisation import halving_errors
 from hidden_effects.equilibrium import CORNER_BARRIER, Loads, State, System, corner, tip_pose
 from hidden_effects.friction import SlipHistory
@@ -16,7 +17,7 @@ from hidden_effects.noise import POSITION_SIGMA_M
 from hidden_effects.poses import Solver
 from hidden_effects.rod import Rod
 from hidden_effects.tube import Array, Section, Softening, Tube
-from hidden_effects.world import World, believed
+from hidden_effects.world import ROBOTS, World, believed, withdrawn
 from places import ROOT
 
 from ctrplan.mechanics.core import Mechanics
@@ -141,6 +142,47 @@ def test_agrees_with_ctrplan_without_friction_and_at_corners(configuration: tupl
         assert np.linalg.norm(tip(system, phi) - shape.tip_m) < allowed
 
 
+WITHDRAWN = [  # deg, mm: the innermost tube ends so far in front of the others' tip
+    (-60.0, 40.0, 5.0),
+    (-60.0, 40.0, -8.0),
+    (110.0, 150.0, -35.0),
+]
+
+
+@pytest.mark.parametrize("configuration", WITHDRAWN)
+@pytest.mark.parametrize("phi", [(0.0, 0.0), (1.0, -1.0)])
+def test_agrees_with_ctrplan_where_the_innermost_tube_is_withdrawn(
+    configuration: tuple[float, float, float], phi: tuple[float, float]
+) -> None:
+    pairs = tuple(replace(pair, friction=0.08) for pair in withdrawn().pairs)
+    world, (theta, l_b) = replace(withdrawn(), pairs=pairs), joints(*configuration)
+    l_b[2] += world.tubes[1].length_m + l_b[1] - world.tubes[2].length_m
+    system = sharp_system_of(world, theta, l_b)
+    assert system.foremost == (2 if configuration[2] > 0 else 1)
+    middle = system.solve(system.cold(), corner((0.0, 0.0)), CORNER_BARRIER, 1e-4)
+    p, F = tip_pose(system, system.solve(middle, corner(phi)))
+    tube = mechanics(world).solve(theta, l_b, phi, accuracy="certificate").tubes[system.foremost]
+    assert np.linalg.norm(p - tube.centreline_m[-1]) < 0.05e-3
+    assert np.linalg.norm(F - tube.frames[-1]) < np.deg2rad(0.1)  # the tangent, and how far the tube is turned
+
+
+def test_the_tip_is_continuous_where_the_innermost_tube_passes_the_others() -> None:
+    """To the offset of its centreline in the one around it."""
+    world, (theta, l_b) = withdrawn(), joints(-60.0, 40.0, 0.0)
+    flush = world.tubes[1].length_m + l_b[1] - world.tubes[2].length_m
+    ends = [tip(system_of(world, theta, np.array([*l_b[:2], flush + h]), COARSE), (0.0, 0.0)) for h in (-1e-4, 1e-4)]
+    assert np.linalg.norm(ends[1] - ends[0]) < 2e-4 + 2 * world.pairs[1].clearance_m
+
+
+def test_robots_whose_innermost_tip_leads_are_written_without_the_key() -> None:
+    keyed = {name: "retractable" in robot_toml(robot(), name) for name, robot in ROBOTS.items()}
+    assert {name for name, has in keyed.items() if has} == {"three tubes, withdrawn", "two tubes, withdrawn"}
+    for name, robot in ROBOTS.items():
+        world = robot()
+        system = system_of(world, np.zeros(world.n), np.cumsum([ends[0] for ends in world.travel_m]), COARSE)
+        assert (system.foremost < world.n - 1) == keyed[name]
+
+
 def mechanics(world: World) -> Mechanics:
     tubes = [
         BelievedTube(
@@ -149,8 +191,9 @@ def mechanics(world: World) -> Mechanics:
             bending_stiffness_Nm2=tube.bending_stiffness_Nm2,
             poisson_ratio=tube.poisson_ratio,
             sections=tuple(TubeSection(s.length_m, *s.curvature_per_m) for s in tube.sections),
+            retractable=withdrawn,
         )
-        for tube in world.tubes
+        for tube, withdrawn in zip(world.tubes, world.withdrawn, strict=True)
     ]
     return Mechanics(tubes, [p.clearance_m for p in world.pairs], [p.friction for p in world.pairs])
 
@@ -199,6 +242,18 @@ def test_a_quarter_turn_loads_friction_everywhere() -> None:
     assert np.linalg.norm(turned - ends[1.0, 1.0]) < 0.01 * np.linalg.norm(ends[1.0, 1.0] - ends[0.0, 0.0])
     barely = followed(world, theta, l_b, np.deg2rad([-1.0, 0.0]))
     assert np.linalg.norm(barely - ends[1.0, 1.0]) > 0.2 * np.linalg.norm(ends[1.0, 1.0] - ends[0.0, 0.0])
+
+
+def test_friction_that_grows_leads_to_the_same_state() -> None:
+    world, (theta, l_b) = rough(), joints(38.4, 82.6, -73.2)
+    before = system_of(world, theta - 0.2 * np.arange(3), l_b, COARSE)
+    history = SlipHistory.begin(before, before.solve(before.cold(), corner((0.0, 0.0))), np.zeros(2))
+    system = system_of(world, theta, l_b, COARSE)
+    state = system.solve(system.cold(), corner((0.0, 0.0)), CORNER_BARRIER)
+    at_once = tip_pose(system, system.solve(state, history))[0]
+    for share in (0.25, 0.5, 0.75, 1.0):
+        state = system.solve(state, history.scaled(share), CORNER_BARRIER, 1e-4)
+    np.testing.assert_allclose(tip_pose(system, system.solve(state, history))[0], at_once, atol=1e-6)
 
 
 def followed(world: World, theta: Array, l_b: Array, offsets: Array) -> Array:

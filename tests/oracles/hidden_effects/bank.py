@@ -42,7 +42,7 @@ def _one_of_each(rng: np.random.Generator) -> list[Case]:
     found += [_case("single", ((name, 3.0),), rng, continuous=True) for name in ALSO_CONTINUOUS]
     found += [_case("single, heavy tails", ((name, 3.0),), rng, noise="heavy") for name in SEPARABLE if name != "lag"]
     found += [_case("look-alike", ((name, size),), rng) for name in LOOK_ALIKES for size in (1.0, 2.0, 4.0, 4.0)]
-    found += [_case("pair", _pair(rng), rng) for _ in range(20)]
+    found += [_case("pair", several_known(2, rng), rng) for _ in range(20)]
     found += [_case("not in the catalogue", ((name, size),), rng) for name in UNKNOWN for size in (1.0, 2.0, 4.0)]
     found += [
         _case("taken out of the catalogue", ((name, 3.0),), rng, left_out=name)
@@ -82,12 +82,13 @@ def _known(rng: np.random.Generator) -> tuple[str, float]:
     return _any(tuple(n for n in SEPARABLE if n not in CONTINUOUS_ONLY), rng), 3.0
 
 
-def _pair(rng: np.random.Generator) -> tuple[tuple[str, float], ...]:
-    """Two different effects that do not replace one another."""
+def several_known(count: int, rng: np.random.Generator) -> tuple[tuple[str, float], ...]:
+    """Different effects at rest that do not replace one another, of size 3."""
     while True:
-        first, second = _known(rng), _known(rng)
-        if first[0] != second[0] and {first[0], second[0]} != {"friction", "translation_release"}:
-            return first, second
+        drawn = tuple(_known(rng) for _ in range(count))
+        names = {name for name, _ in drawn}
+        if len(names) == count and not names >= {"friction", "translation_release"}:
+            return drawn
 
 
 def make(folder: Path, todo: list[Case], jobs: int = 1) -> None:

@@ -7,15 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from hidden_effects.equilibrium import CORNER_BARRIER, System, corner, tip_pose
+from hidden_effects.equilibrium import CORNER_BARRIER, NoEquilibrium, State, System, corner, tip_pose
 from hidden_effects.experiment import Experiment
 from hidden_effects.friction import SlipHistory, remaining
 from hidden_effects.mesh import Fineness
-from hidden_effects.poses import Solver
+from hidden_effects.poses import ROUGHLY_M, Solver
 from hidden_effects.rod import rotations
 from hidden_effects.tube import Array
 from hidden_effects.world import World
 
+GROWING = (0.25, 0.5, 0.75, 1.0)
 KNOT_S = 0.4  # between solves of a continuous motion; a spline fills in
 
 
@@ -96,10 +97,20 @@ def _followed(world: World, thetas: Array, ls: Array, fineness: Fineness) -> lis
             history = SlipHistory.begin(system, state, np.zeros(world.n - 1))
         else:
             history = moved(history, system)
-            state = system.solve(middle, history)
+            state = _loaded(system, middle, history)
         history = history.after(system, state)
         found.append(tip_pose(system, state))
     return found
+
+
+def _loaded(system: System, middle: State, history: SlipHistory) -> State:
+    """From the frictionless state at once, or with friction that grows where Newton's method goes in circles."""
+    try:
+        return system.solve(middle, history)
+    except NoEquilibrium:
+        for share in GROWING:
+            middle = system.solve(middle, history.scaled(share), CORNER_BARRIER, ROUGHLY_M)
+        return system.solve(middle, history)
 
 
 def moved(history: SlipHistory, system: System) -> SlipHistory:

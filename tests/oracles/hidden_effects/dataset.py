@@ -17,16 +17,17 @@ from hidden_effects.tube import Array
 from hidden_effects.world import Room, World
 
 
-def robot_toml(world: World, name: str) -> str:
+def robot_toml(world: World, name: str, *, tangents: bool = True) -> str:
     """The world's tubes as a robot file, frictionless; terms of a stage have no place in it."""
     lines = [f'name = "{name}"', ""]
-    for tube in world.tubes:
+    for tube, withdrawn in zip(world.tubes, world.withdrawn, strict=True):
         lines += [
             "[[tube]]",
             f"outer_diameter_mm = {2e3 * tube.outer_radius_m:.6g}",
             f"inner_diameter_mm = {2e3 * tube.inner_radius_m:.6g}",
             f"bending_stiffness_Nm2 = {tube.bending_stiffness_Nm2:.6g}",
             f"poisson_ratio = {tube.poisson_ratio:.6g}",
+            *(["retractable = true"] if withdrawn else []),
         ]
         for section in tube.sections:
             lines += [
@@ -40,14 +41,14 @@ def robot_toml(world: World, name: str) -> str:
     lines += [
         "[measurement]",
         f"position_sigma_mm = {1e3 * POSITION_SIGMA_M:.6g}",
-        f"tangent_sigma_deg = {np.rad2deg(TANGENT_SIGMA_RAD):.6g}",
+        *([f"tangent_sigma_deg = {np.rad2deg(TANGENT_SIGMA_RAD):.6g}"] if tangents else []),
         "",
     ]
     return "\n".join(lines)
 
 
-def measurements_csv(experiment: Experiment, p: Array, tangent: Array, room: Room | None = None) -> str:
-    """One row per joint waypoint; the pose (6 numbers) stays empty where nothing was measured.
+def measurements_csv(experiment: Experiment, p: Array, tangent: Array | None, room: Room | None = None) -> str:
+    """One row per joint waypoint; the pose (6 numbers, 3 without tangents) stays empty where nothing was measured.
 
     The temperature of the room is logged at every waypoint.
     """
@@ -55,14 +56,15 @@ def measurements_csv(experiment: Experiment, p: Array, tangent: Array, room: Roo
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
     joints = [f"theta_{i + 1}_rad" for i in range(n)] + [f"l_{i + 1}_m" for i in range(n)]
-    out.writerow(
-        ["sequence", "time_s", *joints, "x_m", "y_m", "z_m", "tx", "ty", "tz", *(["temperature_C"] if room else [])]
-    )
-    pose = iter(np.hstack([p, tangent]))
+    columns = ["x_m", "y_m", "z_m", *([] if tangent is None else ["tx", "ty", "tz"])]
+    out.writerow(["sequence", "time_s", *joints, *columns, *(["temperature_C"] if room else [])])
+    pose = iter(p if tangent is None else np.hstack([p, tangent]))
     for k in range(len(motion.time_s)):
         row = [f"{v:.6f}" for v in (*motion.theta[k], *motion.l[k])]
-        values = next(pose) if experiment.measured[k] else None
-        tail = [""] * 6 if values is None else [*(f"{v:.7f}" for v in values[:3]), *(f"{v:.6f}" for v in values[3:])]
+        tail = [""] * len(columns)
+        if experiment.measured[k]:
+            values = next(pose)
+            tail = [*(f"{v:.7f}" for v in values[:3]), *(f"{v:.6f}" for v in values[3:])]
         warm = [f"{room.temperature_C(motion.time_s[k]):.2f}"] if room else []
         out.writerow([int(motion.sequence[k]), f"{motion.time_s[k]:.1f}", *row, *tail, *warm])
     return text.getvalue()

@@ -36,7 +36,7 @@ class NoEquilibrium(RuntimeError):
 
 @dataclass(frozen=True)
 class Loads:
-    """Force on the innermost tip [N]; direction in which the tubes' weights act. World frame."""
+    """Force on the foremost tip [N]; direction in which the tubes' weights act. World frame."""
 
     tip_force_N: tuple[float, float, float] = (0.0, 0.0, 0.0)
     down: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -86,6 +86,11 @@ class System:
         self.start = np.concatenate([[0], np.cumsum(sizes)])
         self.free = self._free()
         self.turning = np.concatenate([np.r_[np.zeros(r.n_bend), np.ones(r.n_twist)] for r in self.rods]) > 0
+
+    @property
+    def foremost(self) -> int:
+        """The rod that ends at the robot's tip, the innermost of several."""
+        return max(range(len(self.rods)), key=lambda i: (self.rods[i].last, i))
 
     def _free(self) -> Array:
         free = np.ones(self.start[-1], dtype=bool)
@@ -210,7 +215,7 @@ class System:
             if rod.tube.weight_N_per_m:
                 share = np.append(rod.h, 0) / 2 + np.insert(rod.h, 0, 0) / 2
                 load += rod.tube.weight_N_per_m * share[:, None] * np.array(self.loads.down)
-            if i == len(self.rods) - 1:
+            if i == self.foremost:
                 load[-1] += self.loads.tip_force_N
             if load.any():
                 R[self.start[i] : self.start[i] + rod.n_bend] -= np.einsum("kin,ki->n", curve.moved, load)
@@ -238,8 +243,7 @@ class System:
             state.w[k] = state.w[k] + share * dw
         state.x = state.x + share * step
         state.steps += 1
-        last = len(self.rods) - 1
-        tip = state.curves[-1].moved[-1] @ self.parts(step, last)[0]
+        tip = state.curves[self.foremost].moved[-1] @ self.parts(step, self.foremost)[0]
         turn = 1e-3 * float(np.abs(step[self.turning]).max())  # 1 mm radius
         return max(float(np.linalg.norm(tip)), turn), share
 
@@ -254,9 +258,9 @@ def corner(phi: Sequence[float]) -> FrictionState:
 
 
 def tip_pose(system: System, state: State) -> tuple[Array, Array]:
-    """Tip position (3,) [m] and the tip's material frame (3, 3)."""
+    """Tip position (3,) [m] and the tip's material frame (3, 3), of the foremost tube."""
     system.look(state)
-    curve = state.curves[-1]
-    angle = state.x[-1]
+    curve = state.curves[system.foremost]
+    angle = system.parts(state.x, system.foremost)[1][-1]
     c, s = np.cos(angle), np.sin(angle)
     return curve.p[-1], curve.Q[-1] @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hidden_effects.equilibrium import State, System
+from hidden_effects.equilibrium import FrictionState, State, System
 from hidden_effects.tube import Array
 
 BREAKAWAY_M = 0.02e-3
@@ -39,6 +39,15 @@ class SlipHistory:
             [np.zeros((len(trial), rods[0].n_bend)), -outer, np.zeros((len(trial), rods[1].n_bend)), -inner], axis=1
         )
         return np.clip(trial, -1, 1), rows / self.breakaway_m * (np.abs(trial) < 1)[:, None]
+
+    def scaled(self, share: float) -> FrictionState:
+        """As with so much of the friction coefficients."""
+
+        def state_of(system: System, state: State, k: int) -> tuple[Array, Array]:
+            phi, slope = self(system, state, k)
+            return share * phi, share * slope
+
+        return state_of
 
     def after(self, system: System, state: State) -> SlipHistory:
         """The history once `state` was reached."""

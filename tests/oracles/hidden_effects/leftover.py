@@ -59,7 +59,7 @@ def _with_derivatives(plain: World, system: System, state: State) -> tuple[Array
         loads.append((changed.elastic_gradient(state.x) - base)[system.free] / STEP)
     steps = np.zeros((len(state.x), len(loads)))
     steps[system.free] = -np.linalg.solve(H[free], np.column_stack(loads))
-    curve, last = state.curves[-1], len(system.rods) - 1
+    curve, last = state.curves[system.foremost], system.foremost
     own = steps[system.start[last] : system.start[last] + system.rods[last].n_bend]
     tangent = curve.Q[-1, :, 2]
     turned = np.cross((curve.turned[-1] @ own).T, tangent).T

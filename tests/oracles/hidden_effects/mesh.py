@@ -31,7 +31,7 @@ class Fineness:
 
 
 def stations(tubes: Sequence[Tube], l_b: Array, fineness: Fineness, contacts_m: Sequence[float] = ()) -> Array:
-    """Arc lengths (K,) [m] from the innermost collar to the innermost tip.
+    """Arc lengths (K,) [m] from the innermost collar to the foremost tip.
 
     Graded towards collars, joints, tips, and the places where a coarser solution has found contact.
     """

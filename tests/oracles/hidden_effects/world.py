@@ -9,6 +9,7 @@ import numpy as np
 
 from hidden_effects.contact import Pair
 from hidden_effects.equilibrium import Loads
+from hidden_effects.mesh import SAME_PLACE_M
 from hidden_effects.tube import Array, Section, Tube
 
 
@@ -105,6 +106,12 @@ class World:
         """(n,) how far they reach from there."""
         return np.cumsum([(ends[1] - ends[0]) / 2 for ends in self.travel_m])
 
+    @property
+    def withdrawn(self) -> tuple[bool, ...]:
+        """(n,) whether a tube's tip may be drawn back behind that of the tube around it."""
+        inner = zip(self.travel_m[1:], self.tubes[:-1], self.tubes[1:], strict=True)
+        return False, *(ends[0] + own.length_m < around.length_m - SAME_PLACE_M for ends, around, own in inner)
+
     def tubes_at(self, time_s: float, l_b: Array | None = None) -> tuple[Tube, ...]:
         tubes = self.tubes
         if self.warming is not None:
@@ -147,6 +154,16 @@ def four_tubes() -> World:
     return paired((*THREE, fourth), (FIXED, (-0.017, -0.017), INSERTED, (-0.0296, -0.0096)))
 
 
+def withdrawn() -> World:
+    """The three tubes, the innermost of which ends up to 43 mm behind the others' tip or in front of it."""
+    return paired(THREE, (FIXED, (-0.017, -0.017), (-0.146, -0.060)))
+
+
+def withdrawn_pair() -> World:
+    """The two inner ones, as far apart."""
+    return paired(THREE[1:], (FIXED, (-0.146, -0.060)))
+
+
 CURVED = Section(0.150, (0, 3.77358))
 THREE = (
     Tube(1.32e-3, 1.195e-3, 0.0507, 0.3, (CURVED,)),
@@ -155,6 +172,7 @@ THREE = (
 )
 FIXED, INSERTED = (0.0, 0.0), (-0.098, -0.019)
 ROBOTS: dict[str, Callable[[], World]] = {"three tubes": believed, "two tubes": pair, "four tubes": four_tubes}
+ROBOTS |= {"three tubes, withdrawn": withdrawn, "two tubes, withdrawn": withdrawn_pair}
 
 
 def paired(tubes: tuple[Tube, ...], travel_m: tuple[tuple[float, float], ...] = ()) -> World:
