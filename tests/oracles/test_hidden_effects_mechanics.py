@@ -161,7 +161,9 @@ def test_agrees_with_ctrplan_where_the_innermost_tube_is_withdrawn(
     assert system.foremost == (2 if configuration[2] > 0 else 1)
     middle = system.solve(system.cold(), corner((0.0, 0.0)), CORNER_BARRIER, 1e-4)
     p, F = tip_pose(system, system.solve(middle, corner(phi)))
-    tube = mechanics(world).solve(theta, l_b, phi, accuracy="certificate").tubes[system.foremost]
+    shape = mechanics(world).solve(theta, l_b, phi, accuracy="certificate")
+    tube = shape.tubes[system.foremost]
+    assert np.linalg.norm(p - shape.tip_m) < 0.1e-3 and np.linalg.norm(F[:, 2] - shape.tip_tangent) < np.deg2rad(0.1)
     assert np.linalg.norm(p - tube.centreline_m[-1]) < 0.05e-3
     assert np.linalg.norm(F - tube.frames[-1]) < np.deg2rad(0.1)  # the tangent, and how far the tube is turned
 

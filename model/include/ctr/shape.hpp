@@ -51,8 +51,12 @@ struct Backbone {
     std::vector<Frame> frame;          // (nodes) twist-free frames of the innermost tube
     std::vector<Vec3> outer_position;  // (nodes) centreline of the outermost tube present, distal side of the node
     std::vector<Vec3> outer_end;       // (nodes) the same of the proximal side: another where a tube ends
+    Frame tip;                         // twist-free; where the centreline ends, along the foremost tube
     double max_strain = 0;             // over all tubes
 };
+
+// At the end of the innermost centreline, turned along the foremost tube, against which a ghost is tilted.
+Frame tip_frame(const FrictionSolver& solver, const LaneState& state, int lane, const Frame& innermost);
 
 // Bending curvature of every tube (innermost first) and its rotated precurvature at xi in [0, 1] of an element.
 void element_curvature(const FrictionSolver& solver, const LaneState& state, int lane, int element, double xi,

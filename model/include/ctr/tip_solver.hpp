@@ -24,7 +24,7 @@ class TipSolver {
     }
 
     const Convergence& convergence() const { return convergence_; }
-    const Frame& tip() const { return backbone_.frame.back(); }
+    const Frame& tip() const { return backbone_.tip; }
     const LaneState& state() const { return state_; }
     double max_strain() const { return backbone_.max_strain; }
 

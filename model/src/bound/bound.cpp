@@ -356,13 +356,13 @@ void BoundSolver::measure() {
             const Vec3 &a = backbone.frame[i].p, &b = other.frame[i].p;
             envelope[i] = std::max(envelope[i], std::sqrt((a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1]) + (a[2] - b[2]) * (a[2] - b[2])));
         }
-        const Vec3 &a = backbone.frame.back().p, &b = other.frame.back().p;
+        const Vec3 &a = backbone.tip.p, &b = other.tip.p;
         const double distance = std::sqrt((a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1]) + (a[2] - b[2]) * (a[2] - b[2]));
         if (distance > position) {
             position = distance;
             worst_corner = k;
         }
-        const Vec3 u = backbone.frame.back().tangent(), v = other.frame.back().tangent(), w = cross(u, v);
+        const Vec3 u = backbone.tip.tangent(), v = other.tip.tangent(), w = cross(u, v);
         tangent = std::max(tangent, std::atan2(std::sqrt(dot(w, w)), dot(u, v)));
     }
     if (!all_converged()) {

@@ -52,8 +52,8 @@ class Search {
         }
         std::vector<Vec3> at[2] = {std::vector<Vec3>(2 * pairs_ + 1), std::vector<Vec3>(2 * pairs_ + 1)};
         solve(phi, [&](std::size_t row, const Backbone& shape, bool) {
-            at[0][row] = shape.frame.back().p;
-            at[1][row] = shape.frame.back().tangent();
+            at[0][row] = shape.tip.p;
+            at[1][row] = shape.tip.tangent();
         });
         for (int kind = 0; kind < 2; ++kind) {
             free_[kind] = at[kind].back();
@@ -105,7 +105,7 @@ class Search {
         solve(phi, [&](std::size_t row, const Backbone& shape, bool converged) {
             Deviation& deviation = known_[wanted_[row]];
             deviation.reached = converged;
-            const Vec3 apart[2] = {minus(shape.frame.back().p, free_[0]), minus(shape.frame.back().tangent(), free_[1])};
+            const Vec3 apart[2] = {minus(shape.tip.p, free_[0]), minus(shape.tip.tangent(), free_[1])};
             for (int kind = 0; kind < 2; ++kind) deviation.of[kind] = std::sqrt(dot(apart[kind], apart[kind]));
         });
         wanted_.clear();

@@ -192,7 +192,7 @@ bool Sensitivities::follow_loads(FrictionSolver& solver, LaneState& state, const
 
 Frame Sensitivities::tip(const FrictionSolver& solver, LaneState& state) {
     tracer_.trace(solver, state, 0, 1, solver.base_l(), &backbone_);
-    return backbone_.frame.back();
+    return backbone_.tip;
 }
 
 void Sensitivities::compute_each(FrictionSolver& solver, LaneState& state, const Configuration& q, const std::vector<double>& phi,

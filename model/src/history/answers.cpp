@@ -30,8 +30,8 @@ WaypointRows History::move_along(const std::vector<Configuration>& path) {
         if (status_ == Status::failed) break;
         tracer_.trace(solver_, state_, 0, 1, path[k].l.back(), &backbone);
         out.snaps[k] = snaps_;
-        out.tip[k] = backbone.frame.back().p;
-        out.tangent[k] = backbone.frame.back().tangent();
+        out.tip[k] = backbone.tip.p;
+        out.tangent[k] = backbone.tip.tangent();
         mean_phi(out.phi.data() + k * pairs);
     }
     return out;

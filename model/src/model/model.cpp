@@ -20,7 +20,7 @@ std::shared_ptr<const Setting> setting(const BoundSolver& solver) {
 Shape shape_of(const BoundSolver& solver, const LaneState& state, int lane, const Backbone& backbone) {
     if (solver.solver().robot().loaded()) return make_shape(solver.solver(), state, lane, solver.configuration());
     Shape shape;
-    shape.end_at(backbone.frame.back());
+    shape.end_at(backbone.tip);
     return shape;
 }
 

@@ -43,7 +43,7 @@ std::vector<std::size_t> runs(const std::vector<Configuration>& all) {
 
 void fill_bound(const BoundSolver& solver, std::size_t k, BoundRows& out) {
     const bool found = solver.frictionless().converged;
-    const Frame& tip = solver.backbone.frame.back();
+    const Frame& tip = solver.backbone.tip;
     out.position_bound[k] = solver.position;
     out.tangent_bound[k] = solver.tangent;
     out.stability[k] = found ? solver.stability() : kNaN;

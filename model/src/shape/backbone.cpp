@@ -26,7 +26,39 @@ double innermost_bending(const FrictionSolver& solver, const LaneState& state, i
     return square;
 }
 
+// Turned by the smallest rotation that takes its tangent to a unit vector near it.
+void tilt(Frame& frame, const Vec3& tangent) {
+    const Vec3 before = frame.tangent(), axis = cross(before, tangent);
+    const double by = 1 / (1 + dot(before, tangent));
+    for (int k = 0; k < 2; ++k) {
+        const Vec3 column = frame.column(k), turned = cross(axis, column);
+        const double along = dot(axis, column) * by;
+        for (int i = 0; i < 3; ++i) frame.R[3 * i + k] = dot(before, tangent) * column[i] + turned[i] + along * axis[i];
+    }
+    for (int i = 0; i < 3; ++i) frame.R[3 * i + 2] = tangent[i];
+}
+
 }  // namespace
+
+Frame tip_frame(const FrictionSolver& solver, const LaneState& state, int lane, const Frame& innermost) {
+    const KernelProblem& pb = solver.mesh().problem();
+    const int last = pb.nodes - 1;
+    int foremost = 0;  // innermost of those that end there
+    while (solver.mesh().is_ghost(pb.elements - 1, foremost)) ++foremost;
+    Frame end = innermost;
+    if (foremost == 0) return end;
+    Vec3 tangent = innermost.tangent();
+    for (int p = 0; p < foremost; ++p)
+        for (int plane = 0; plane < 2; ++plane) {
+            const Vec3 across = innermost.column(plane);
+            const double slope = state.unknown(last, slope_index(p, plane), lane);
+            for (int i = 0; i < 3; ++i) tangent[i] -= slope * across[i];
+        }
+    const double length = std::sqrt(dot(tangent, tangent));
+    for (double& v : tangent) v /= length;
+    tilt(end, tangent);
+    return end;
+}
 
 void BackboneTracer::bend(const FrictionSolver& solver, const LaneState& state, int first_lane, int count) {
     const KernelProblem& pb = solver.mesh().problem();
@@ -70,6 +102,7 @@ void BackboneTracer::follow(const FrictionSolver& solver, const LaneState& state
         advance(frame, kappa[0], kappa[1], pb.length[e]);
         out.frame[e + 1] = frame;
     }
+    out.tip = tip_frame(solver, state, lane, frame);
     auto outermost = [&](int k, int tubes) {
         double offset[2] = {0, 0};
         for (int p = 0; p < tubes - 1; ++p)

@@ -49,7 +49,7 @@ Shape make_shape(const FrictionSolver& solver, const LaneState& state, int lane,
             before = std::max(before, proximal);
         }
     }
-    shape.end_at(frame[n - 1]);
+    shape.end_at(tip_frame(solver, state, lane, frame[n - 1]));
     for (const TubeShape& tube : shape.tubes)
         for (double strain : tube.strain) shape.max_strain = std::max(shape.max_strain, strain);
     for (double at : shape.tubes[n - 1].s) shape.radius.push_back(outermost_radius(robot, q, at));

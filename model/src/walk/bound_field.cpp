@@ -75,7 +75,7 @@ FieldEntry field_entry(BoundSolver& solver, const Configuration& q, const Accura
         for (int i = 0; i < 3; ++i) entry.point[j][i] = static_cast<float>(point[i]);
         entry.envelope[j] = static_cast<float>(most);
     }
-    const Vec3 tangent = solver.backbone.frame.back().tangent();
+    const Vec3 tangent = solver.backbone.tip.tangent();
     for (int i = 0; i < 3; ++i) entry.tip_tangent[i] = static_cast<float>(tangent[i]);
     return entry;
 }

@@ -111,9 +111,9 @@ std::vector<PathSample> check_path(BoundSolver& solver, const std::vector<Config
         sample.motion = motion;
         sample.solves = solves;
         solves = 0;
-        sample.tip = solver.backbone.frame.back().p;
-        sample.tangent = solver.backbone.frame.back().tangent();
-        for (const Backbone& corner : solver.corner_backbones) sample.corner_tips.push_back(corner.frame.back().p);
+        sample.tip = solver.backbone.tip.p;
+        sample.tangent = solver.backbone.tip.tangent();
+        for (const Backbone& corner : solver.corner_backbones) sample.corner_tips.push_back(corner.tip.p);
         if (keep_shapes) {
             collect_points(solver, solver.backbone, density.point_spacing, sample.body);
             for (const Backbone& corner : solver.corner_backbones) collect_points(solver, corner, density.point_spacing, sample.body);
