@@ -56,11 +56,12 @@ def grown(
     tell: Callable[[str], None],
     with_names: Callable[[Scored], Scored],
     least: float,
+    smooth_counts: bool = True,
 ) -> tuple[Scored, list[Round]]:
     """The set with what was built beside it, if anything, and the rounds that were asked.
 
     known: pieces that may be built; with_names: adds what the catalogue has beside a set; least: share of the rest that
-    pieces must be able to close.
+    pieces must be able to close; smooth_counts: whether pieces beside others have to beat smooth surrogates as well.
     """
     rounds, here = list[Round](), chosen
     known = [piece for piece in known if piece.on.effect_name not in bench.robot.effects]
@@ -69,7 +70,7 @@ def grown(
         table = wide(bench, here, known)
         if not rounds and reach(bench, table, known, MOST_PIECES) < least:
             break
-        taken, there = _round(bench, here, table, known, bool(rounds))
+        taken, there = _round(bench, here, table, known, bool(rounds), smooth_counts)
         rounds.append(taken)
         if there is None:
             return here, rounds
@@ -79,14 +80,16 @@ def grown(
 
 
 def _round(
-    bench: CorrelatedBench, here: Scored, table: Wide, known: Sequence[Piece], is_more: bool
+    bench: CorrelatedBench, here: Scored, table: Wide, known: Sequence[Piece], is_more: bool, smooth_counts: bool
 ) -> tuple[Round, Scored | None]:
     """is_more: whether a piece was taken before."""
     tried = _tried(bench, table, known)
     beside = [table.beside(one.piece) for one in tried]
     draws = [drawn(here)[:, :DRAWS] for drawn in (bench.traded_draws, bench.null_draws)]
     chance, smooth = null_thresholds(table.here(), beside, bench.null_scores, draws)
-    needed = TIMES_CHANCE * (max(chance, smooth) if is_more else chance)
+    needed = TIMES_CHANCE * chance
+    if is_more:
+        needed = TIMES_CHANCE * max(chance, smooth) if smooth_counts else chance
     worth = [one for one in tried if one.gain > needed and one.certainty > CERTAIN]
     best: tuple[Piece, Scored] | None = None
     for one in sorted(worth[:TRIED], key=lambda one: (len(one.piece.names), known.index(one.piece))):

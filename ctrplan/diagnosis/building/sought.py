@@ -55,6 +55,10 @@ def tried(found: Partly, tell: Callable[[str], None]) -> Built | None:
     likely = most_probable_alone(_selector(found, found.chosen, tell))
     if likely is not None and not {*likely.names} <= _named(found, built):
         built = _better(found, built, _settled(found, likely, tell))
+    if built is not None and built.partly.judgement.findings and refusals(bench, built):
+        begun = bench.corrected(bench.scored(found.chosen.terms, found.chosen.fit))
+        more = _settled(found, begun, tell, smooth_counts=False)  # where something is known, pieces may be smaller
+        built = built if more is None or refusals(bench, more) else more
     built = built and _without_faint(found, built, tell)
     if built is not None:
         bench.corrected(built.scored)
@@ -101,12 +105,12 @@ def _better(found: Partly, one: Built | None, other: Built | None) -> Built | No
     return next((built for built in more if not refusals(found.bench, built)), best)
 
 
-def _settled(found: Partly, named: Scored, tell: Callable[[str], None]) -> Built | None:
+def _settled(found: Partly, named: Scored, tell: Callable[[str], None], smooth_counts: bool = True) -> Built | None:
     """Built beside a set, and once more where other names act beside the term: pieces may have stood for them.
 
     The new one is taken where it passes, and the old one does not or is less probable.
     """
-    bench, built = found.bench, _tried_beside(found, named, tell)
+    bench, built = found.bench, _tried_beside(found, named, tell, smooth_counts)
     asked = {frozenset(t.key for t in named.terms)}
     while built is not None and not bench.data.is_stream and len(asked) <= MOST_TIMES:
         names = [t for t in built.scored.terms if not is_built(t)]
@@ -114,7 +118,7 @@ def _settled(found: Partly, named: Scored, tell: Callable[[str], None]) -> Built
         if not names or key in asked:
             break
         asked.add(key)
-        again = _tried_beside(found, bench.corrected(bench.scored(names, built.scored.fit)), tell)
+        again = _tried_beside(found, bench.corrected(bench.scored(names, built.scored.fit)), tell, smooth_counts)
         if again is None or refusals(bench, again):
             break
         if not refusals(bench, built) and again.evidence < built.evidence:
@@ -125,7 +129,9 @@ def _settled(found: Partly, named: Scored, tell: Callable[[str], None]) -> Built
     return built
 
 
-def _tried_beside(found: Partly, named: Scored, tell: Callable[[str], None]) -> Built | None:
+def _tried_beside(
+    found: Partly, named: Scored, tell: Callable[[str], None], smooth_counts: bool = True
+) -> Built | None:
     """Beside a set: of the effects that hold, or with such besides as may hold beside a term.
 
     On a continuous motion the catalogue is asked after each piece. Of poses at rest it is asked of all pieces in the
@@ -142,7 +148,7 @@ def _tried_beside(found: Partly, named: Scored, tell: Callable[[str], None]) -> 
         return searched.chosen
 
     known = pieces(bench.robot, bench.data, found.known.terms)
-    scored, rounds = grown(bench, named, known, tell, with_names, WITHIN_REACH)
+    scored, rounds = grown(bench, named, known, tell, with_names, WITHIN_REACH, smooth_counts)
     if scored is named:
         return None
     selector = _selector(found, scored, tell)
