@@ -26,7 +26,7 @@ from ctrplan.diagnosis.noise_floor import noise_floor
 from ctrplan.diagnosis.partly import partly
 from ctrplan.diagnosis.sentences import effect_lines, verdict_sentence
 from ctrplan.diagnosis.usable_poses import usable_poses
-from ctrplan.diagnosis.workbench import values_by_name
+from ctrplan.diagnosis.workbench import Scored, values_by_name
 from ctrplan.effects.learned import parts
 from ctrplan.effects.learned.learned import named
 from ctrplan.effects.learned.ranges import Range
@@ -122,6 +122,24 @@ def test_a_term_is_sought_beside_the_most_probable_effect_as_well(monkeypatch: p
     found = sought.tried(unnamed, lambda _: None)
     assert found is not None and not refusals(before.bench, found)
     assert {*found.scored.names} == {"joint_scale", "learned_theta_2"}
+
+
+def test_a_search_that_builds_nothing_leaves_the_discrepancy_beside_what_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not beside the other effect that it was tried beside: what remains is described with it afterwards."""
+    beside, corrected = list[tuple[str, ...]](), CorrelatedBench.corrected
+    data, known = rippled({"joint_scale": {"theta_2": 0.25}}), {"joint_scale": CATALOGUE["joint_scale"]}
+    noise, usable = noise_floor(ROBOT, data)[0], usable_poses(ROBOT, data)
+    before = partly(ROBOT, data, usable, noise, candidates(ROBOT, data, known), lambda _: None)
+    unnamed = replace(before, chosen=before.bench.corrected(before.bench.scored([])))
+
+    def noted(bench: CorrelatedBench, scored: Scored) -> Scored:
+        beside.append(scored.names)
+        return corrected(bench, scored)
+
+    monkeypatch.setattr(sought, "_settled", lambda *_, **__: None)
+    monkeypatch.setattr(CorrelatedBench, "corrected", noted)
+    assert sought.build(unnamed, lambda _: None) is None
+    assert ("joint_scale",) in beside and beside[-1] == ()
 
 
 def test_a_robot_that_has_its_term_lacks_nothing_more() -> None:

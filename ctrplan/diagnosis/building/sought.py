@@ -60,8 +60,7 @@ def tried(found: Partly, tell: Callable[[str], None]) -> Built | None:
         more = _settled(found, begun, tell, smooth_counts=False)  # where something is known, pieces may be smaller
         built = built if more is None or refusals(bench, more) else more
     built = built and _without_faint(found, built, tell)
-    if built is not None:
-        bench.corrected(built.scored)
+    bench.corrected(built.scored if built else found.chosen)  # the discrepancy beside what is handed over
     return built
 
 
