@@ -6,6 +6,8 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -140,6 +142,20 @@ def test_a_search_that_builds_nothing_leaves_the_discrepancy_beside_what_holds(m
     monkeypatch.setattr(CorrelatedBench, "corrected", noted)
     assert sought.build(unnamed, lambda _: None) is None
     assert ("joint_scale",) in beside and beside[-1] == ()
+
+
+@pytest.mark.parametrize(
+    ("findings", "reasons", "counts"), [((1,), [], True), ((), [], False), ((1,), ["worse"], False)]
+)
+def test_smaller_pieces_count_only_beside_a_name(
+    findings: tuple[int, ...], reasons: list[str], counts: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a smooth null of a pair a wrong name beside a term that failed let them pass, and did not hold beside them."""
+    built: Any = SimpleNamespace(partly=SimpleNamespace(judgement=SimpleNamespace(findings=findings)))
+    found: Any = SimpleNamespace(bench=MagicMock(), chosen=MagicMock())
+    monkeypatch.setattr(sought, "_settled", lambda *_, smooth_counts: None if smooth_counts else built)
+    monkeypatch.setattr(sought, "refusals", lambda *_: reasons)
+    assert sought._of_smaller_pieces(found, lambda _: None) is (built if counts else None)
 
 
 def test_a_robot_that_has_its_term_lacks_nothing_more() -> None:

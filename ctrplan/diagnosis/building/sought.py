@@ -56,12 +56,19 @@ def tried(found: Partly, tell: Callable[[str], None]) -> Built | None:
     if likely is not None and not {*likely.names} <= _named(found, built):
         built = _better(found, built, _settled(found, likely, tell))
     if built is not None and built.partly.judgement.findings and refusals(bench, built):
-        begun = bench.corrected(bench.scored(found.chosen.terms, found.chosen.fit))
-        more = _settled(found, begun, tell, smooth_counts=False)  # where something is known, pieces may be smaller
-        built = built if more is None or refusals(bench, more) else more
+        built = _of_smaller_pieces(found, tell) or built
     built = built and _without_faint(found, built, tell)
     bench.corrected(built.scored if built else found.chosen)  # the discrepancy beside what is handed over
     return built
+
+
+def _of_smaller_pieces(found: Partly, tell: Callable[[str], None]) -> Built | None:
+    """What passes of pieces that need not beat smooth surrogates: where something is known, also beside the term."""
+    bench = found.bench
+    begun = bench.corrected(bench.scored(found.chosen.terms, found.chosen.fit))
+    built = _settled(found, begun, tell, smooth_counts=False)
+    passes = built is not None and built.partly.judgement.findings and not refusals(bench, built)
+    return built if passes else None
 
 
 def _without_faint(found: Partly, built: Built, tell: Callable[[str], None]) -> Built:
