@@ -21,6 +21,7 @@ from hidden_effects.world import ROBOTS, World, believed, withdrawn
 from places import ROOT
 
 from ctrplan.mechanics.core import Mechanics
+from ctrplan.mechanics.history import History
 from ctrplan.mechanics.tube import Tube as BelievedTube
 from ctrplan.mechanics.tube import TubeSection
 
@@ -37,10 +38,10 @@ def slippery() -> World:
     return believed()
 
 
-def rough() -> World:
+def rough(friction: tuple[float, float] = FRICTION) -> World:
     world = believed()
     return replace(
-        world, pairs=tuple(replace(pair, friction=mu) for pair, mu in zip(world.pairs, FRICTION, strict=True))
+        world, pairs=tuple(replace(pair, friction=mu) for pair, mu in zip(world.pairs, friction, strict=True))
     )
 
 
@@ -260,13 +261,44 @@ def test_friction_that_grows_leads_to_the_same_state() -> None:
 
 def followed(world: World, theta: Array, l_b: Array, offsets: Array) -> Array:
     """Tip after relative rotations of both pairs by `offsets`, from a released start."""
-    history: SlipHistory | None = None
-    for offset in offsets.tolist():
-        system = system_of(world, theta + offset * np.arange(3), l_b, COARSE)
+    return motion(world, theta + np.outer(offsets, np.arange(3)), np.tile(l_b, (len(offsets), 1)))[-1]
+
+
+def motion(world: World, thetas: Array, ls: Array) -> Array:
+    """(K, 3) tips along joints (K, 3), from a released start."""
+    history, tips = None, []
+    for theta, l_b in zip(thetas, ls, strict=True):
+        system = system_of(world, theta, l_b, COARSE)
+        history = history and history.moved(system)
         middle = system.solve(system.cold(), corner((0.0, 0.0)), CORNER_BARRIER, 1e-4)
         state = system.solve(middle, history or corner((0.0, 0.0)))
         history = (history or SlipHistory.begin(system, state, np.zeros(2))).after(system, state)
-    return tip_pose(system, state)[0]
+        tips.append(tip_pose(system, state)[0])
+    return np.array(tips)
+
+
+def test_a_translation_releases_what_a_rotation_has_loaded() -> None:
+    """Friction opposes the slip as a whole: a pair that slides along keeps little across."""
+    world, (theta, l_b) = rough(), joints(38.4, 82.6, -73.2)
+    turned = theta + np.outer(np.deg2rad([-45.0, 0.0, 0.0, 0.0, 0.0]), [0, 0, 1])
+    slid = l_b + 1e-3 * np.outer([0.0, 0.0, 0.7, 1.4, 2.0], [0, 0, 1])
+    without = motion(slippery(), turned, slid)
+    off = np.linalg.norm(motion(world, turned, slid) - without, axis=1)
+    locked = np.linalg.norm(motion(world, turned, np.tile(l_b, (5, 1))) - without[1], axis=1)
+    assert off[1] > 1e-3 and off[-1] < 0.3 * off[1]
+    np.testing.assert_allclose(locked[1:], locked[1], rtol=1e-3)
+
+
+def test_a_motion_that_turns_and_translates_agrees_with_the_history_of_ctrplan() -> None:
+    """Two formulations of one slip: rods with stations of their own against the core's contact nodes."""
+    u = np.linspace(0, 1, 49)
+    theta, l_b = joints(38.4, 82.6, -73.2)
+    thetas = theta + np.outer(np.sin(2 * np.pi * u), [0.0, 0.5, 1.0])
+    ls = l_b + 4e-3 * np.outer(np.sin(2 * np.pi * u + 1.0), [0, 0, 1])
+    with_it, without = rough((0.1, 0.08)), rough((0.0, 0.0))
+    ours, plain = (History(mechanics(w), "released").follow(thetas, ls).position_m for w in (with_it, without))
+    theirs = motion(with_it, thetas, ls) - motion(without, thetas, ls)
+    assert np.sqrt(np.mean((ours - plain - theirs) ** 2)) < 0.15 * np.sqrt(np.mean(theirs**2))
 
 
 def test_larger_clearance_and_softer_tubes_change_the_shape_gradually() -> None:

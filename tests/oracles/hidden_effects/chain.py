@@ -17,7 +17,7 @@ from hidden_effects.tube import Array
 from hidden_effects.world import World
 
 GROWING = (0.25, 0.5, 0.75, 1.0)
-KNOT_S = 0.4  # between solves of a continuous motion; a spline fills in
+KNOT_S, SLIP_KNOT_S = 0.4, 0.2  # between solves of a continuous motion, without and with friction; a spline fills in
 
 
 @dataclass(frozen=True)
@@ -32,10 +32,11 @@ class Poses:
         return self.F[:, :, 2]
 
 
-def poses(world: World, experiment: Experiment, fineness: Fineness | None = None, knot_s: float = KNOT_S) -> Poses:
+def poses(world: World, experiment: Experiment, fineness: Fineness | None = None, knot_s: float | None = None) -> Poses:
     """What an exact tracker would report."""
     mesh = fineness or Fineness()
-    p, F = _continuous(world, experiment, mesh, knot_s) if experiment.continuous else _dwelling(world, experiment, mesh)
+    knots = knot_s or (SLIP_KNOT_S if any(pair.friction for pair in world.pairs) else KNOT_S)
+    p, F = _continuous(world, experiment, mesh, knots) if experiment.continuous else _dwelling(world, experiment, mesh)
     times = experiment.motion.time_s[experiment.measured]
     if world.guide is not None:
         R = rotations(world.guide.rotations_rad(experiment.motion.l[experiment.measured]))[0]
@@ -96,7 +97,7 @@ def _followed(world: World, thetas: Array, ls: Array, fineness: Fineness) -> lis
             state = system.solve(middle, corner([0.0] * (world.n - 1)))
             history = SlipHistory.begin(system, state, np.zeros(world.n - 1))
         else:
-            history = moved(history, system)
+            history = history.moved(system)
             state = _loaded(system, middle, history)
         history = history.after(system, state)
         found.append(tip_pose(system, state))
@@ -111,13 +112,3 @@ def _loaded(system: System, middle: State, history: SlipHistory) -> State:
         for share in GROWING:
             middle = system.solve(middle, history.scaled(share), CORNER_BARRIER, ROUGHLY_M)
         return system.solve(middle, history)
-
-
-def moved(history: SlipHistory, system: System) -> SlipHistory:
-    """The history at the stations of another mesh, by their order."""
-    phi, slip = [], []
-    for old_phi, old_slip, contact in zip(history.phi, history.slip, system.contacts, strict=True):
-        order, asked = np.linspace(0, 1, len(old_phi)), np.linspace(0, 1, len(contact.s))
-        phi.append(np.interp(asked, order, old_phi))
-        slip.append(np.interp(asked, order, old_slip))
-    return SlipHistory(phi, slip, history.breakaway_m)

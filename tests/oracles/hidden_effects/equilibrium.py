@@ -73,7 +73,8 @@ class System:
     ) -> None:
         mesh = fineness or Fineness()
         self.tubes, self.theta_b, self.loads = tubes, np.asarray(theta_b, float), loads or Loads()
-        self.s = stations(tubes, np.asarray(l_b), mesh, contacts_m)
+        self.l_b = np.asarray(l_b, float)
+        self.s = stations(tubes, self.l_b, mesh, contacts_m)
         self.rods = [
             Rod(tube, base, self.s, mesh.links_per_node) for tube, base in zip(tubes, l_b.tolist(), strict=True)
         ]
