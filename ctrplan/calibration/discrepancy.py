@@ -30,6 +30,9 @@ class Block:
     vectors: Array
 
 
+Numbered = tuple[NDArray[np.int_], Block]  # (k, c) of the numbers r.ravel() of a fit, c for each row of a block
+
+
 @dataclass(frozen=True, eq=False)
 class Discrepancy:
     """Sizes over the noise of a coordinate of the position and of the tangent, and what goes together."""
@@ -150,8 +153,14 @@ class Spectrum:
 
     @classmethod
     def at(cls, fit: Linearised, blocks: Sequence[Block]) -> Spectrum:
-        """Of a fit whose discrepancy has these blocks."""
-        return cls(fit.precision, *(cls._parts(fit, blocks, part) for part in (POSITION, TANGENT)))
+        """Of a fit whose discrepancy has these blocks, of every number of a pose alike."""
+        numbers = np.arange(fit.r.size).reshape(fit.r.shape)
+        return cls.apart(fit, *([(numbers[b.poses, part], b) for b in blocks] for part in (POSITION, TANGENT)))
+
+    @classmethod
+    def apart(cls, fit: Linearised, position: Sequence[Numbered], tangent: Sequence[Numbered]) -> Spectrum:
+        """Of a fit whose positions and tangents have blocks of their own."""
+        return cls(fit.precision, cls._parts(fit, position), cls._parts(fit, tangent))
 
     def of(self, columns: Sequence[int]) -> Spectrum:
         """Of some of the parameters, the others being where they do nothing."""
@@ -162,17 +171,22 @@ class Spectrum:
         return Spectrum(self.precision[columns], *parts)
 
     @staticmethod
-    def _parts(fit: Linearised, blocks: Sequence[Block], part: slice) -> list[SizePart]:
-        r = np.concatenate([np.tensordot(b.vectors.T, fit.r[b.poses, part], axes=1) for b in blocks])
-        J = np.concatenate([np.tensordot(b.vectors.T, fit.J[b.poses, part], axes=1) for b in blocks])
-        values = np.concatenate([b.values for b in blocks])
+    def _parts(fit: Linearised, blocks: Sequence[Numbered]) -> list[SizePart]:
+        if not blocks:
+            return [SizePart(0.0, np.zeros((len(fit.precision),) * 2), np.zeros(len(fit.precision)), 0.0)]
+        r, J = fit.r.ravel(), fit.J.reshape(fit.r.size, -1)
+        along_r = np.concatenate([(b.vectors.T @ r[numbers]).ravel() for numbers, b in blocks])
+        along_J = np.concatenate(
+            [np.tensordot(b.vectors.T, J[numbers], axes=1).reshape(-1, J.shape[1]) for numbers, b in blocks]
+        )
+        values = np.concatenate([np.repeat(b.values, numbers.shape[1]) for numbers, b in blocks])
         alike = np.isclose(values, np.median(values), rtol=0, atol=1e-9)  # approaches of one configuration, among them
-        flat, y = J[~alike].reshape(-1, J.shape[2]), r[~alike].ravel()
-        same, of_same = J[alike].reshape(-1, J.shape[2]), r[alike].ravel()
+        flat, y = along_J[~alike], along_r[~alike]
+        same, of_same = along_J[alike], along_r[alike]
         H, g, square = same.T @ same, same.T @ of_same, float(of_same @ of_same)
         found = []
         for size in SIZES.tolist():
-            weight = np.repeat(1 / (1 + size**2 * values[~alike]), r.shape[1])
+            weight = 1 / (1 + size**2 * values[~alike])
             weighted, one = flat * weight[:, None], float(1 / (1 + size**2 * np.median(values)))
             fits = float(np.log(weight).sum() - weight @ y**2) + len(of_same) * np.log(one) - one * square
             found.append(SizePart(size, weighted.T @ flat + one * H, weighted.T @ y + one * g, fits))

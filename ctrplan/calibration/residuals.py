@@ -82,7 +82,7 @@ def residuals(
 ) -> Residuals:
     """Residuals of all poses; `group` (K,) numbers the configurations."""
     given = data.given
-    measured, plane = _compared(prediction.tangent, data.tangent)
+    measured, plane = compared(prediction.tangent, data.tangent)
     sigma_m = noise.position_m * data.over_tip
     position = np.where(given[:, :3], (data.position_m - prediction.position_m) / sigma_m, 0.0)
     tangent = np.where(given[:, 3:], _tangent_error(prediction.tangent, measured, plane) / noise.tangent_rad, 0.0)
@@ -107,7 +107,7 @@ def _weight(norm: Array) -> Array:
     return weight
 
 
-def _compared(tangent: Array, measured: Array) -> tuple[Array, Array]:
+def compared(tangent: Array, measured: Array) -> tuple[Array, Array]:
     """Measured tangents (K, 3) and the axes (K, 2, 3) along which predicted ones are compared with them.
 
     A tangent without one component is completed by the predicted one's, which leaves the angle between the two in the

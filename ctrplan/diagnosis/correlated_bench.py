@@ -16,15 +16,16 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration import discrepancy
 from ctrplan.calibration.discrepancy import Discrepancy, Linearised
 from ctrplan.calibration.least_squares import Fit, fit, fit_at
-from ctrplan.calibration.residuals import Noise
+from ctrplan.calibration.residuals import Noise, compared
 from ctrplan.calibration.symptoms import PHYSICAL_POISSON
-from ctrplan.diagnosis import surrogates
+from ctrplan.diagnosis import smooth_errors, surrogates
 from ctrplan.diagnosis.chance import DRAWS
 from ctrplan.diagnosis.frames import frames_beside
 from ctrplan.diagnosis.held_out import Linear, held_out_residuals
 from ctrplan.diagnosis.joint_memory import JointMemory, joint_memory
 from ctrplan.diagnosis.nested_scores import nested_null_scores
 from ctrplan.diagnosis.predictive import predictive_loss
+from ctrplan.diagnosis.smooth_errors import SmoothError
 from ctrplan.diagnosis.workbench import Scored, Workbench, linear
 from ctrplan.effects.catalogue import CATALOGUE
 from ctrplan.experiment.measurements import Measurements
@@ -49,6 +50,7 @@ class CorrelatedBench(Workbench):
         self.plain, self.restarts = noise, 0
         self._phi: Array | None = None
         self._handed: dict[Scored, Fit] = {}
+        self._errors_of_motion: Sequence[SmoothError] = ()
 
     def base(self, terms: Sequence[Term]) -> Term:
         """Ordinary calibration with Poisson's ratios that tubes have: nothing unexplained may hide in others."""
@@ -189,6 +191,16 @@ class CorrelatedBench(Workbench):
         stretch = np.unique(np.column_stack([self.group, self._run]), axis=0, return_inverse=True)[1].ravel()
         poses = [np.flatnonzero(stretch == number) for number in np.unique(stretch)]
         return discrepancy.within(found, poses, lambda rows, memory: discrepancy.decay(time[rows], memory))
+
+    def smooth_errors(self, here: Scored) -> Sequence[SmoothError]:
+        """That these poses may have besides. On a continuous motion tangents are as in the first set that was asked."""
+        if not self.data.is_stream:
+            return smooth_errors.at_rest(self.data, self.estimated(here).memory)
+        if not self._errors_of_motion:
+            tangent = here.fit.chain.predict(here.fit.p, derivatives=False).tangent
+            axes = np.cross(tangent[:, None], compared(tangent, self.data.tangent)[1])
+            self._errors_of_motion = smooth_errors.of_motion(self.data, axes)
+        return self._errors_of_motion
 
     def chain(self, terms: Sequence[Term]) -> ParametricChain:
         """Of terms, with friction as it is known by now."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ctrplan.diagnosis.chance import null_threshold
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
@@ -12,7 +12,7 @@ from ctrplan.diagnosis.holding import Evidence, Sides, evidence, in_its_place
 from ctrplan.diagnosis.partial_search import PartialSelector, is_built
 from ctrplan.diagnosis.selection import Step
 from ctrplan.diagnosis.smooth_bench import SmoothBench
-from ctrplan.diagnosis.smooth_evidence import SmoothEvidence
+from ctrplan.diagnosis.smooth_evidence import SmoothEvidence, best_of_each, rivals_of
 from ctrplan.diagnosis.verdict import CLOSE, CLOSE_ERRORS, MOST_RIVALS, Alternative, Finding, is_close
 from ctrplan.diagnosis.workbench import Panel, Scored
 from ctrplan.effects.learned.learned import Learned, learned, named
@@ -87,6 +87,8 @@ def held(selector: PartialSelector, chosen: Scored) -> Held:
         asked_of = [t for t in among if t.name in FRAMES or (t in chosen.terms and not is_built(t))]
         sides = {t.name: _sides(selector, chosen, panel, among, t) for t in asked_of}
         told = [evidence(bench, sides[t.name], t, chance) for t in asked_of]
+        if bench.data.is_stream:
+            told = _beside_smooth_errors(selector, chosen, told)
         beside_built = any(is_built(t) for t in chosen.terms)
         holding = [e for e in told if e.holds or (beside_built and e.is_one_of_several)]
         failing = [e for e in told if e not in holding and e.term in chosen.terms]
@@ -97,6 +99,24 @@ def held(selector: PartialSelector, chosen: Scored) -> Held:
         doubted.append(worst)
         dropped.append(Step("drop", worst.term.name, (), round(worst.gain, 2), round(worst.error, 2), 0.0, True))
         chosen = bench.corrected(bench.scored([t for t in chosen.terms if t is not worst.term], chosen.fit))
+
+
+def _beside_smooth_errors(selector: PartialSelector, chosen: Scored, told: Sequence[Evidence]) -> list[Evidence]:
+    """With the evidence that an error leaves which is smooth in the joints or in time; of a continuous motion.
+
+    What is certain by it may be another effect that is about as probable in its place, whatever blocks say.
+    """
+    variants = [t for t in selector.candidates.beside(chosen.terms) if t.name not in chosen.names]
+    asked, found = SmoothEvidence(selector.partial_bench, chosen, variants), list[Evidence]()
+    for e in told:
+        name = e.term.name
+        e = replace(e, odds=asked.highest() - asked.highest(without=name))
+        if e.is_certain:
+            others = [t for t in variants if t.effect.needs != name]
+            rivals = rivals_of(e.odds, best_of_each(asked.gains(others, without=name))) if others else []
+            e = replace(e, imitators=tuple(one.term for one in rivals))
+        found.append(e)
+    return found
 
 
 def finding(selector: PartialSelector, found: Held, e: Evidence) -> tuple[Finding, list[Alternative]]:
@@ -110,7 +130,8 @@ def finding(selector: PartialSelector, found: Held, e: Evidence) -> tuple[Findin
         return Finding(t, tuple(rivals)), rivals
     others, tried = [other for other in chosen.terms if other is not t], []
     imitators = {other.name for other in e.imitators}
-    ranked = [other for other, _, _ in in_its_place(bench, found.sides[t.name], t) if other.name not in imitators]
+    ranked = [] if e.is_certain else [one[0] for one in in_its_place(bench, found.sides[t.name], t)]
+    ranked = [other for other in ranked if other.name not in imitators]
     for other in [*e.imitators[: MOST_RIVALS + 1], *ranked[:TRIED]]:
         scored = bench.scored([*others, other], chosen.fit)
         tried.append(Alternative(other, scored, *bench.difference(chosen, scored)))

@@ -18,6 +18,8 @@ LEAST_WINNING = 0.9  # of the blocks that say something
 SAYS_SOMETHING = 0.5  # log-likelihood of a block that tells whether an effect acts
 MOST_SHIFT = 3.0  # standard errors by which a competitor may move an effect's parameters, of each on average
 LEAST_Z_BESIDE = 2.0  # of the gain that is left beside a competitor
+LEAST_ODDS = 7.0  # of a continuous motion: logarithm of the evidence beside an error that is smooth in joints or time
+LEAST_ODDS_OF_MOTION = 20.0  # of the same, of what acts by the motion, that is told whatever blocks say
 SAME_GAIN = 0.9  # of an effect's own: a competitor that brings as much in its place is told as another name for it
 
 
@@ -36,11 +38,16 @@ class Evidence:
     imitators: tuple[Term, ...]  # competitors beside which little of its gain is left, so that they may stand for it
     shift: float  # of its parameters beside the competitor that moves them most, in standard errors
     shifted_by: str
+    odds: float = np.inf  # logarithm of the evidence for it beside a smooth error, of a continuous motion
 
     @property
     def doubts(self) -> list[str]:
         """Why it does not hold; empty if it does."""
+        if self.is_certain:
+            return []
         found = []
+        if self.odds < LEAST_ODDS:
+            found.append(f"an error that is smooth in the joints or in time leaves it odds of exp({self.odds:.0f})")
         if self.z < LEAST_Z:
             found.append(f"its gain of {self.gain:.0f} is {self.z:.1f} standard errors above zero over blocks")
         if self.gain < TIMES_CHANCE * self.chance:
@@ -54,6 +61,14 @@ class Evidence:
         return found
 
     @property
+    def is_certain(self) -> bool:
+        """Whether it acts by the motion, and its evidence beside smooth errors is enough: no such error is like it.
+
+        Blocks of twice the memory of what remains may be too few to tell it then.
+        """
+        return LEAST_ODDS_OF_MOTION <= self.odds < np.inf and acts_by_motion(self.term)
+
+    @property
     def holds(self) -> bool:
         """Whether it may be named."""
         return not self.doubts
@@ -62,6 +77,11 @@ class Evidence:
     def is_one_of_several(self) -> bool:
         """Whether it may be named together with what may stand for it."""
         return len(self.doubts) == bool(self.imitators)
+
+
+def acts_by_motion(t: Term) -> bool:
+    """Whether an effect depends on how fast, or from where, a configuration is approached."""
+    return t.effect.stage == "clock" or t.effect.depends_on_history
 
 
 @dataclass(frozen=True, eq=False)

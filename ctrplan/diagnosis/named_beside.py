@@ -19,7 +19,7 @@ from ctrplan.diagnosis.frames import FRAME, FRAME_MOVES, FRAMES, frames_beside
 from ctrplan.diagnosis.held import Asked, asked_evidence, with_zero
 from ctrplan.diagnosis.partial_search import MOST_PARTS, PartialSelector, is_built
 from ctrplan.diagnosis.selection import Step, step
-from ctrplan.diagnosis.smooth_evidence import Gain, SmoothEvidence
+from ctrplan.diagnosis.smooth_evidence import EQUAL, Gain, SmoothEvidence, best_of_each, rivals_of
 from ctrplan.diagnosis.verdict import MOST_RIVALS, Alternative, Finding
 from ctrplan.diagnosis.workbench import Scored
 from ctrplan.pipeline.term import Term
@@ -27,8 +27,6 @@ from ctrplan.pipeline.term import Term
 LEAST_GAIN = 7.0  # of the logarithm of the evidence: odds of 1,100 to 1, for some hundred variants are asked
 LEAST_AGAIN = 4.0  # of the same, of a name that the terms were built beside: it was chosen before, and is one alone
 LIKELY = 10.0  # of the same, of a name beside a smooth error alone, for a term to be sought beside it
-EQUAL = 5.0  # of the same: what is as probable but for odds of 150 to 1 is told as "or"
-LEAST_OF_RIVAL = 2.0  # of the same, that a rival has to gain itself
 
 
 def named_beside(selector: PartialSelector, chosen: Scored) -> Asked:
@@ -54,7 +52,7 @@ def named_beside(selector: PartialSelector, chosen: Scored) -> Asked:
             continue
         if name is None:
             break
-        rivals, least = _rivals(ranked, name), _least(name.term.name, before)
+        rivals, least = rivals_of(name.gain, [one for one in ranked if one is not name]), _least(name.term.name, before)
         there = _Probable.of(bench, [*here.scored.terms, name.term], here.scored)
         passes = there.value - here.value >= least and len(rivals) <= MOST_RIVALS
         path.append(step("add", name.term, there.value - here.value, 0.0, least, passes))
@@ -106,7 +104,7 @@ def _least(name: str, before: Collection[str]) -> float:
 def _ranked(selector: PartialSelector, here: Scored, told: Collection[str] = ()) -> list[Gain]:
     """Best first, each effect in its best variant; told: names that are listed already, by themselves or as "or"."""
     variants = [t for t in _variants(selector, here) if t.name not in told]
-    return _best_of_each(SmoothEvidence(selector.partial_bench, here, variants).gains(variants)) if variants else []
+    return best_of_each(SmoothEvidence(selector.partial_bench, here, variants).gains(variants)) if variants else []
 
 
 def _variants(selector: PartialSelector, here: Scored) -> list[Term]:
@@ -117,18 +115,6 @@ def _variants(selector: PartialSelector, here: Scored) -> list[Term]:
     """
     most, known = len(np.unique(selector.bench.group)), {*FRAMES, *here.names}
     return [t for t in selector.candidates.beside(here.terms) if t.name not in known and len(t.parameters) <= most]
-
-
-def _best_of_each(gains: Sequence[Gain]) -> list[Gain]:
-    best: dict[str, Gain] = {}
-    for one in gains:
-        best.setdefault(one.term.name, one)
-    return list(best.values())
-
-
-def _rivals(ranked: Sequence[Gain], name: Gain) -> list[Gain]:
-    """What may stand for one of them."""
-    return [one for one in ranked if one is not name and one.gain > max(name.gain - EQUAL, LEAST_OF_RIVAL)]
 
 
 def _frame(selector: PartialSelector, settled: Scored, value: float) -> dict[str, tuple[Term, list[Gain]]]:
@@ -144,10 +130,10 @@ def _frame(selector: PartialSelector, settled: Scored, value: float) -> dict[str
     if not others:
         return {FRAME: (mine[0], [])}
     asked = SmoothEvidence(bench, settled, others)
-    gains = _best_of_each(asked.gains(others, without=FRAME))
-    own = Gain(mine[0], value - asked.highest())
-    rivals = [one for one in _rivals(gains, own) if one.gain > LEAST_GAIN]
-    better = any(one.gain > own.gain + EQUAL for one in rivals)
+    gains = best_of_each(asked.gains(others, without=FRAME))
+    own = value - asked.highest()
+    rivals = [one for one in rivals_of(own, gains) if one.gain > LEAST_GAIN]
+    better = any(one.gain > own + EQUAL for one in rivals)
     return {} if better or len(rivals) > MOST_RIVALS else {FRAME: (mine[0], rivals)}
 
 

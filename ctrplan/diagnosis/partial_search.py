@@ -1,4 +1,7 @@
-"""The search beside a discrepancy: one effect at a time, each far above what surrogates of the residual reach."""
+"""The search beside a discrepancy: one effect at a time, each far above what surrogates of the residual reach.
+
+On a continuous motion effects that act by the motion come first, by their evidence beside smooth errors.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +14,9 @@ from ctrplan.diagnosis.chance import null_thresholds
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.frames import FRAMES
 from ctrplan.diagnosis.held_out import Linear
-from ctrplan.diagnosis.holding import TIMES_CHANCE
+from ctrplan.diagnosis.holding import LEAST_ODDS, LEAST_ODDS_OF_MOTION, TIMES_CHANCE, acts_by_motion
 from ctrplan.diagnosis.selection import Report, Selection, Selector, step
+from ctrplan.diagnosis.smooth_evidence import SmoothEvidence
 from ctrplan.diagnosis.workbench import Panel, Scored, Screened, certainty, linear
 from ctrplan.effects.learned.learned import Learned
 from ctrplan.pipeline.term import Term
@@ -64,6 +68,8 @@ class PartialSelector(Selector):
         None with more parameters than there are blocks: like a distortion of the tracker on a pair, whose joints the
         place of the tip gives away, it would follow any smooth rest.
         """
+        if self.bench.data.is_stream and self._grow_by_motion(found):
+            return True
         here = found.chosen
         self.tell("trying effects beside " + (", ".join(here.names) or "a rest"))
         screened = self._screened(here)
@@ -80,12 +86,37 @@ class PartialSelector(Selector):
         fitted = self.fitted(here, worth)
         for candidate in fitted:
             gain, error = self.bench.difference(candidate, here)
-            passes = taken is None and self._passes(here, candidate)
+            passes = taken is None and self._passes(here, candidate) and self._is_probable(here, candidate)
             taken = candidate if passes else taken
             found.path.append(step("add", candidate.terms[-1], gain, error, found.threshold, passes))
         if taken is not None:
             found.chosen = self.bench.corrected(taken)
         return taken is not None
+
+    def _grow_by_motion(self, found: Selection) -> bool:
+        """The most probable effect that acts by the motion, where no smooth error is like it."""
+        here, bench = found.chosen, self.partial_bench
+        variants = [t for t in self._others(here) if acts_by_motion(t)]
+        if not variants:
+            return False
+        self.tell("asking what acts by the motion beside " + (", ".join(here.names) or "a smooth error"))
+        asked = SmoothEvidence(bench, here, variants)
+        best = asked.gains(variants)[0]
+        if best.gain < LEAST_ODDS_OF_MOTION:
+            return False
+        there = bench.corrected(bench.scored(self.candidates.completed(here.terms, best.term), here.fit))
+        gain = SmoothEvidence(bench, there).highest() - asked.highest()
+        taken = gain >= LEAST_ODDS_OF_MOTION
+        found.path.append(step("add", best.term, gain, 0.0, LEAST_ODDS_OF_MOTION, taken))
+        found.chosen = there if taken else bench.corrected(here)
+        return taken
+
+    def _is_probable(self, here: Scored, candidate: Scored) -> bool:
+        """Whether a candidate of a continuous motion does more than a smooth error would."""
+        if not self.bench.data.is_stream:
+            return True
+        before, after = (SmoothEvidence(self.partial_bench, one).highest() for one in (here, candidate))
+        return after - before >= LEAST_ODDS
 
     def _screened(self, here: Scored) -> list[Screened]:
         screened = self.bench.screened(here, self._others(here), self.candidates.completed)

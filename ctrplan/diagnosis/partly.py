@@ -78,6 +78,7 @@ class Partly:
             "gain": round(e.gain, 2),
             "standard_error": round(e.error, 2),
             "surrogates_98": round(e.chance, 2),
+            **({"odds_beside_a_smooth_error": round(e.odds, 1)} if np.isfinite(e.odds) else {}),
             "winning_blocks": round(e.winning, 3),
             "weakest_beside": {"effect": e.weakest, "z": round(e.weakest_z, 2)},
             "most_moved_by": {"effect": e.shifted_by, "standard_errors": round(e.shift, 2)},

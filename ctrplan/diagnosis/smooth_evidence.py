@@ -1,8 +1,8 @@
-"""How probable poses at rest are with a set of effects, beside an error that goes along with the joints.
+"""How probable poses are with a set of effects, beside an error that is smooth in the joints or in time.
 
-Where what remains is smooth in the joints, blocks left out are predicted by their neighbours, and gains over blocks
-tell little. The evidence has no blocks: all parameters of a set are integrated out over their priors, with the error in
-the covariance, as large and as smooth as is most probable beside this set. What an effect takes away needs no error to
+Where what remains is smooth, blocks left out are predicted by their neighbours, and gains over blocks tell little. The
+evidence has no blocks: all parameters of a set are integrated out over their priors, with the error in the covariance,
+of the kind, size and smoothness that are most probable beside this set. What an effect takes away needs no error to
 stand for it, and an effect that only follows a smooth error gains nothing, for the error is there anyway.
 """
 
@@ -10,20 +10,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.discrepancy import Block, Discrepancy, Linearised, Spectrum, block_of
+from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
-from ctrplan.diagnosis.joint_memory import square_distances
+from ctrplan.diagnosis.smooth_errors import SmoothError
 from ctrplan.diagnosis.workbench import Scored
 from ctrplan.pipeline.term import Term
 
-LENGTHS = (0.6, 1.0, 1.5, 2.5)  # [rad] of joints
-SMOOTH = (0.7, 1.0)  # share of what configurations differ by that goes along with the joints
 FINALISTS, PER_EFFECT = 8, 2  # variants asked with covariances of their own, and of one effect among them
+EQUAL = 5.0  # logarithm of the evidence: what is as probable but for odds of 150 to 1 is told as "or"
+LEAST_OF_RIVAL = 2.0  # of the same, that a rival has to gain itself
 
 
 @dataclass(frozen=True)
@@ -34,13 +33,36 @@ class Gain:
     gain: float
 
 
+def best_of_each(gains: Sequence[Gain]) -> list[Gain]:
+    """The best variant of every effect, of gains that have the best first."""
+    best: dict[str, Gain] = {}
+    for one in gains:
+        best.setdefault(one.term.name, one)
+    return list(best.values())
+
+
+def rivals_of(gain: float, others: Sequence[Gain]) -> list[Gain]:
+    """What may stand for an effect that gains so much."""
+    return [one for one in others if one.gain > max(gain - EQUAL, LEAST_OF_RIVAL)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Probable:
+    """The most probable error beside a set, over the noise, and the logarithm of the evidence that it has."""
+
+    evidence: float
+    error: SmoothError
+    position: float
+    tangent: float
+
+
 class SmoothEvidence:
     """Of a set of effects as it stands, and of variants that may be added to it, to first order."""
 
     def __init__(self, bench: CorrelatedBench, here: Scored, variants: Sequence[Term] = ()) -> None:
         """here: a set as the bench has it, with the discrepancy that is there now; variants: to be asked beside it."""
         self._among = [*bench.basis(here.terms), *here.terms]
-        self._share, self._correlations = bench.estimated(here).memory, _correlations(bench)
+        self._errors = bench.smooth_errors(here)
         if not variants:
             self._fit = bench.over_noise_at_priors(here)
             self._keys = tuple((t.name, q.name) for t in here.fit.chain.terms for q in t.parameters)
@@ -52,31 +74,33 @@ class SmoothEvidence:
         self._fit, self._keys = Linearised(left, J * solved[:, :, None], panel.whole.precision), panel.keys
         self._offset = panel.whole.offset
 
-    def highest(self) -> float:
-        """Logarithm of the evidence of the set itself, up to what is the same for every set of these poses."""
-        return self._highest([self._columns()])[0]
+    def highest(self, without: str = "") -> float:
+        """Logarithm of the evidence of the set itself, up to what is the same for every set of these poses.
+
+        without: an effect of the set that is left out of it.
+        """
+        return self._highest([self._columns(self._rest(without))])[0]
 
     def gains(self, variants: Sequence[Term], without: str = "") -> list[Gain]:
         """Of variants, best first: the best with the covariance of the set, each with a covariance of its own then.
 
         without: an effect of the set that is left out of it.
         """
-        self._among = [t for t in self._among if t.name != without]
-        own = self._columns()
-        plain, found = self._most_probable(own)
-        first = sorted(self._beside(found, own, variants), key=lambda one: -one.gain)
+        rest = self._rest(without)
+        found = self._most_probable(self._columns(rest))
+        first = sorted(self._beside(found, rest, variants), key=lambda one: -one.gain)
         finalists, count = list[Gain](), dict[str, int]()
         for one in first:
             count[one.term.name] = count.get(one.term.name, 0) + 1
             if count[one.term.name] <= PER_EFFECT and len(finalists) < FINALISTS:
                 finalists.append(one)
-        values = self._highest([self._columns(one.term) for one in finalists])
-        asked = [Gain(one.term, float(value - plain)) for one, value in zip(finalists, values, strict=True)]
+        values = self._highest([self._columns([*rest, one.term]) for one in finalists])
+        asked = [Gain(one.term, float(value - found.evidence)) for one, value in zip(finalists, values, strict=True)]
         return sorted(asked, key=lambda one: -one.gain)
 
     def moved(self, name: str) -> float:
         """How far an effect of the set moves positions, over noise and error: rms of what nothing else could do."""
-        found = self._most_probable(self._columns())[1]
+        found = self._most_probable(self._columns(self._among))
         over = 1 / np.hypot(1, np.repeat([found.position, found.tangent], [3, 2]))
         mine = np.array([key[0] == name for key in self._keys])
         J = (self._fit.J * over[:, None]).reshape(-1, len(mine))
@@ -85,8 +109,11 @@ class SmoothEvidence:
         own = (alone - rest @ by_rest).reshape(-1, 5)[:, :3]
         return float(np.sqrt(np.mean(own**2)))
 
-    def _columns(self, *more: Term) -> list[int]:
-        wanted = {(t.name, q.name) for t in (*self._among, *more) for q in t.parameters}
+    def _rest(self, without: str) -> list[Term]:
+        return [t for t in self._among if t.name != without]
+
+    def _columns(self, terms: Sequence[Term]) -> list[int]:
+        wanted = {(t.name, q.name) for t in terms for q in t.parameters}
         return [k for k, key in enumerate(self._keys) if key in wanted]
 
     def _highest(self, sets: Sequence[Sequence[int]]) -> list[float]:
@@ -95,33 +122,29 @@ class SmoothEvidence:
         some = Linearised(self._fit.r, self._fit.J[:, :, union], self._fit.precision[union])
         places = [np.searchsorted(union, columns).tolist() for columns in sets]
         best = [-np.inf] * len(sets)
-        for blocks in self._blocks():
-            spectrum = Spectrum.at(some, blocks)
+        for error in self._errors:
+            spectrum = error.spectrum(some)
             best = [
                 max(high, spectrum.of(columns).highest()[0] / 2) for high, columns in zip(best, places, strict=True)
             ]
         return best
 
-    def _most_probable(self, columns: Sequence[int]) -> tuple[float, Discrepancy]:
-        """Evidence of some columns, and the covariance that it has."""
+    def _most_probable(self, columns: Sequence[int]) -> _Probable:
+        """The error beside some columns."""
         some = Linearised(self._fit.r, self._fit.J[:, :, columns], self._fit.precision[columns])
-        found = [(*Spectrum.at(some, blocks).highest(), blocks) for blocks in self._blocks()]
-        value, position, tangent, blocks = max(found, key=lambda one: one[0])
-        return value / 2, Discrepancy(position, tangent, self._share, blocks)
+        found = [(*error.spectrum(some).highest(), error) for error in self._errors]
+        value, position, tangent, error = max(found, key=lambda one: one[0])
+        return _Probable(value / 2, error, position, tangent)
 
-    def _blocks(self) -> list[tuple[Block, ...]]:
-        share = self._share
-        own = np.eye(len(self._fit.r))
-        every = np.arange(len(own))
-        return [(block_of(every, share * one + (1 - share) * own),) for one in self._correlations]
-
-    def _beside(self, found: Discrepancy, own: Sequence[int], variants: Sequence[Term]) -> list[Gain]:
+    def _beside(self, found: _Probable, rest: Sequence[Term], variants: Sequence[Term]) -> list[Gain]:
         """Gains of variants with one covariance."""
-        J, scale = found.whitened(self._fit.J), 1 / np.sqrt(self._fit.precision)
-        flat = J.reshape(-1, J.shape[2]) * scale
-        H, g = flat.T @ flat + np.eye(len(scale)), flat.T @ found.whitened(self._fit.r).ravel()
-        plain = _evidence(H, g, own)
-        return [Gain(t, _evidence(H, g, self._columns(t)) - plain) for t in variants]
+        spectrum, scale = found.error.spectrum(self._fit), 1 / np.sqrt(self._fit.precision)
+        (position,) = (one for one in spectrum.position if one.size == found.position)
+        (tangent,) = (one for one in spectrum.tangent if one.size == found.tangent)
+        H = (position.H + tangent.H) * np.outer(scale, scale) + np.eye(len(scale))
+        g = (position.g + tangent.g) * scale
+        plain = _evidence(H, g, self._columns(rest))
+        return [Gain(t, _evidence(H, g, self._columns([*rest, t])) - plain) for t in variants]
 
 
 def _evidence(H: Array, g: Array, columns: Sequence[int]) -> float:
@@ -129,13 +152,3 @@ def _evidence(H: Array, g: Array, columns: Sequence[int]) -> float:
     factor = np.linalg.cholesky(H[np.ix_(columns, columns)])
     z = np.linalg.solve(factor, g[list(columns)])
     return float(z @ z / 2 - np.log(np.diag(factor)).sum())
-
-
-def _correlations(bench: CorrelatedBench) -> list[Array]:
-    """(K, K) of poses, of every smoothness that is tried, first of configurations that have nothing in common."""
-    number, first, which = np.unique(bench.data.configuration, return_index=True, return_inverse=True)
-    square, own = square_distances(bench.data, first.tolist()), np.eye(len(number))
-    found = [own]
-    found += [(1 - q) * own + q * np.exp(-square / (2 * length**2)) for q, length in product(SMOOTH, LENGTHS)]
-    pairs = np.ix_(which.ravel(), which.ravel())
-    return [one[pairs] for one in found]

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from measured_data import measured, pair_robot
+from scipy.spatial.transform import Rotation
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import decay
@@ -35,6 +37,17 @@ def logged(values: dict[str, dict[str, float]], seed: int) -> Measurements:
     return replace(data, position_m=data.position_m + 0.4e-3 * smooth[:, :3], tangent=tangent)
 
 
+def slowly_off(values: dict[str, dict[str, float]], seed: int, memory_s: float) -> Measurements:
+    """The same motion beside 2 mm and 3 deg that change slowly, as a tracker's place does."""
+    clean = logged(values, seed)
+    assert clean.time_s is not None
+    rng = np.random.default_rng(seed)
+    waves, phases = rng.standard_normal(60) / memory_s, rng.uniform(-np.pi, np.pi, 60)
+    slow = np.cos(clean.time_s[:, None] * waves + phases) @ rng.standard_normal((60, 6)) * np.sqrt(2 / 60)
+    turned = Rotation.from_rotvec(np.radians(2.0) * slow[:, 3:]).apply(clean.tangent)
+    return replace(clean, position_m=clean.position_m + 1.2e-3 * slow[:, :3], tangent=turned)
+
+
 def test_a_lag_is_named_beside_a_rest_with_the_memory_that_it_has() -> None:
     found = diagnose(ROBOT, logged({"lag": {"tau_s": LATE_S}}, seed=2), catalogue=CATALOGUED)
     assert found.verdict == "partial" and [t.name for t in found.listed] == ["lag"]
@@ -48,3 +61,16 @@ def test_a_lag_is_named_beside_a_rest_with_the_memory_that_it_has() -> None:
 def test_errors_that_are_remembered_are_no_effect() -> None:
     found = diagnose(ROBOT, logged({}, seed=4), catalogue=CATALOGUED)
     assert found.verdict == "unexplained" and not found.listed
+
+
+@pytest.mark.parametrize(("seed", "memory_s"), [(4, 20.0), (5, 60.0)])
+def test_what_changes_slowly_is_no_effect_although_some_look_like_it(seed: int, memory_s: float) -> None:
+    names = ("lag", "backlash", "drift", "sensor_offset", "sensor_distortion", "ovality")
+    found = diagnose(ROBOT, slowly_off({}, seed, memory_s), catalogue={name: CATALOGUE[name] for name in names})
+    assert found.verdict == "unexplained" and not found.listed and found.built is None
+
+
+def test_a_lag_is_named_beside_what_changes_slowly() -> None:
+    found = diagnose(ROBOT, slowly_off({"lag": {"tau_s": 0.1}}, 6, 20.0), catalogue=CATALOGUED)
+    assert [t.name for t in found.listed] == ["lag"]
+    assert found.partly is not None and found.partly.evidence_json(found.listed[0])["odds_beside_a_smooth_error"] > 20

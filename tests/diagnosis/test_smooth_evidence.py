@@ -13,7 +13,7 @@ from scipy.stats import multivariate_normal
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import Linearised, Spectrum, block_of, shared
 from ctrplan.calibration.residuals import Noise
-from ctrplan.diagnosis import CATALOGUE
+from ctrplan.diagnosis import CATALOGUE, smooth_evidence
 from ctrplan.diagnosis import named_beside as rules
 from ctrplan.diagnosis.blocks import block_split, blocks
 from ctrplan.diagnosis.building.search import built_term
@@ -89,7 +89,7 @@ def test_a_frame_is_named_where_it_moves_more_than_all_that_is_left() -> None:
 
 
 def test_what_was_listed_as_or_is_not_listed_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rules, "EQUAL", 1e9)
+    monkeypatch.setattr(smooth_evidence, "EQUAL", 1e9)
     (one,) = named_in(rippled({**OFFSET, "joint_scale": {"theta_2": 0.1}}, 0.3))
     assert {one.term.name, *(a.term.name for a in one.alternatives)} >= {"sensor_offset", "joint_scale"}
 

@@ -50,8 +50,8 @@ class Built:
     winning: float  # share of the blocks that say something
     share: float  # of the rest's squares
     rest: Rest  # what remains beside the built ones as well
-    odds: float = np.inf  # logarithm, of the terms beside an error as smooth as is probable, of poses at rest
-    evidence: float = 0.0  # logarithm of that of the whole set there
+    odds: float  # logarithm, of the terms beside an error as smooth as is probable
+    evidence: float  # logarithm of that of the whole set there
     is_shown: bool = False  # whether a less probable set passes, so that there is more than a smooth error
 
     @property
@@ -106,10 +106,8 @@ def built_of(found: Partly, rounds: Sequence[Round]) -> Built:
     before, after = mean_square(bench.left_out_m(plain)), mean_square(bench.left_out_m(scored))
     share = (before - after) / max(before - bench.plain.floor_m**2, 1e-12)
     rest = rest_beside(bench, scored, bench.plain)
-    odds, probable = np.inf, 0.0
-    if not bench.data.is_stream:
-        probable = SmoothEvidence(bench, scored).highest()
-        odds = probable - SmoothEvidence(bench, plain).highest()
+    probable = SmoothEvidence(bench, scored).highest()
+    odds = probable - SmoothEvidence(bench, plain).highest()
     return Built(
         scored, plain, found, tuple(rounds), *summed(gains), certainty(gains), winning, share, rest, odds, probable
     )

@@ -1,0 +1,109 @@
+"""Smooth errors that poses may have besides: all kinds and smoothnesses that the evidence of a set is asked beside.
+
+At rest an error goes along with the joints. On a continuous motion it is forgotten with time, exponentially or as a
+smooth function does, or it goes along with the joints. There the error of a tangent is a small rotation whose axes stay
+where they are: a tangent that turns shows other components of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+from ctrplan.calibration.discrepancy import (
+    POSITION,
+    TANGENT,
+    Block,
+    Linearised,
+    Numbered,
+    Spectrum,
+    block_of,
+    decay,
+)
+from ctrplan.diagnosis.joint_memory import square_distances
+from ctrplan.experiment.measurements import Measurements
+from ctrplan.experiment.motion import clock
+
+LENGTHS = (0.6, 1.0, 1.5, 2.5)  # [rad] of joints
+SMOOTH = (0.7, 1.0)  # share of what configurations differ by that goes along with the joints
+LENGTHS_OF_MOTION = (0.3, *LENGTHS)
+FORGOTTEN_S, SMOOTH_S = (0.3, 1.0, 3.0, 10.0, 30.0), (1.0, 3.0, 10.0, 30.0, 100.0)
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothError:
+    """How the errors of poses go along with each other; numbers of a fit that do so, of position and of tangent."""
+
+    position: tuple[Numbered, ...]
+    tangent: tuple[Numbered, ...]
+
+    def spectrum(self, fit: Linearised) -> Spectrum:
+        """Of a fit of these poses beside it, at every size."""
+        return Spectrum.apart(fit, self.position, self.tangent)
+
+
+def at_rest(data: Measurements, share: float) -> list[SmoothError]:
+    """Of poses at rest, first of configurations that have nothing in common; share: of a configuration's approaches."""
+    number, first, which = np.unique(data.configuration, return_index=True, return_inverse=True)
+    square, own = square_distances(data, first.tolist()), np.eye(len(number))
+    found = [own]
+    found += [(1 - q) * own + q * np.exp(-square / (2 * length**2)) for q, length in product(SMOOTH, LENGTHS)]
+    numbers, alone = _numbers(data), np.eye(data.count)
+    errors = []
+    for one in found:
+        block = block_of(np.arange(data.count), share * one[np.ix_(which.ravel(), which.ravel())] + (1 - share) * alone)
+        errors.append(SmoothError(((numbers[:, POSITION], block),), ((numbers[:, TANGENT], block),)))
+    return errors
+
+
+def of_motion(data: Measurements, axes: Array) -> list[SmoothError]:
+    """Of a continuous motion; axes (K, 2, 3) are those about which rotations are the two numbers of a tangent."""
+    return [
+        SmoothError(tuple(_of_coordinates(data, one)), tuple(_of_rotations(data, one, axes)))
+        for one in _correlations(data)
+    ]
+
+
+def _correlations(data: Measurements) -> Iterator[Array]:
+    """(K, K) of the poses of a continuous motion."""
+    time, together = clock(data), data.run[:, None] == data.run
+    for memory in FORGOTTEN_S:
+        yield decay(time, memory) * together
+    for memory in SMOOTH_S:
+        yield np.exp(-((time[:, None] - time) ** 2) / (2 * memory**2)) * together
+    square = square_distances(data, range(data.count))
+    for length in LENGTHS_OF_MOTION:
+        yield np.exp(-square / (2 * length**2))
+
+
+def _of_coordinates(data: Measurements, correlation: Array) -> Iterator[Numbered]:
+    """Every coordinate of a position alike; those that were measured of the same poses at once."""
+    given, numbers = data.given[:, POSITION], _numbers(data)[:, POSITION]
+    masks, which = np.unique(given, axis=1, return_inverse=True)
+    for k, mask in enumerate(masks.T):
+        rows = np.flatnonzero(mask)
+        if len(rows):
+            yield numbers[np.ix_(rows, np.flatnonzero(which.ravel() == k))], _block(correlation[np.ix_(rows, rows)])
+
+
+def _of_rotations(data: Measurements, correlation: Array, axes: Array) -> Iterator[Numbered]:
+    """A rotation with its own axes, seen about those of each tangent."""
+    seen: NDArray[np.bool_] = data.given[:, TANGENT]
+    pose = np.nonzero(seen)[0]
+    if len(pose):
+        along = axes[seen]
+        yield _numbers(data)[:, TANGENT][seen][:, None], _block((along @ along.T) * correlation[np.ix_(pose, pose)])
+
+
+def _numbers(data: Measurements) -> NDArray[np.int_]:
+    """(K, 5) where the numbers of the poses are in a fit's."""
+    return np.arange(5 * data.count).reshape(-1, 5)
+
+
+def _block(correlation: Array) -> Block:
+    return block_of(np.arange(len(correlation)), correlation)
