@@ -105,10 +105,11 @@ def leftovers(case: Case) -> list[Leftover]:
     return [Leftover(), Leftover(1.0)]
 
 
-def solve(folder: Path) -> None:
+def solve(folder: Path, chosen: list[int]) -> None:
     """Worlds and their sets, FOLDER/w00.pickle and FOLDER/w00_0."""
     folder.mkdir(parents=True, exist_ok=True)
-    for k, (row, hidden, continuous) in enumerate(WORLDS):
+    for k in chosen or range(len(WORLDS)):
+        row, hidden, continuous = WORLDS[k]
         stored = folder / f"w{k:02d}.pickle"
         if not stored.exists():
             count = ROWS if continuous else CONFIGURATIONS
@@ -202,8 +203,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("action", choices=["make", "ask", "table"])
     parser.add_argument("folder", type=Path)
+    parser.add_argument("--worlds", type=int, nargs="*", default=[], help="make these only, by their numbers")
     given = parser.parse_args()
-    {"make": solve, "ask": ask, "table": table}[given.action](given.folder)
+    if given.action == "make":
+        solve(given.folder, given.worlds)
+    else:
+        {"ask": ask, "table": table}[given.action](given.folder)
 
 
 if __name__ == "__main__":

@@ -54,9 +54,13 @@ def diagnose(
     checked_split(data, usable)  # before anything is asked
     known = candidates(robot, data, allowed)
     found = answer(robot, data, usable, noise, known, teller)
-    if progress:
-        progress("asking the held-out set", HELD_OUT_SHARE)
-    asked = opened(found, data)
+
+    def tell(step: str) -> None:
+        if progress:
+            progress(step, HELD_OUT_SHARE)
+
+    tell("asking the held-out set")
+    asked = opened(found, data, tell)
     found = asked.answer
     written, judgement = asked.written, asked.judgement
     poses = _marked(found, asked, data)

@@ -184,8 +184,8 @@ def _is_name(selector: PartialSelector, chosen: Scored, sides: Sides, e: Evidenc
 
 
 def _moves_far(bench: CorrelatedBench, chosen: Scored, t: Term) -> bool:
-    """Whether a frame moves positions of poses at rest about as far as noise and a smooth error do."""
-    return bench.data.is_stream or SmoothEvidence(bench, chosen).moved(t.name) >= FRAME_MOVES
+    """Whether a frame moves positions about as far as noise and a smooth error do."""
+    return SmoothEvidence(bench, chosen).moved(t.name) >= FRAME_MOVES
 
 
 def _rivals(selector: PartialSelector, sides: Sides, e: Evidence) -> list[tuple[Term, float, float]]:

@@ -19,7 +19,8 @@ SAYS_SOMETHING = 0.5  # log-likelihood of a block that tells whether an effect a
 MOST_SHIFT = 3.0  # standard errors by which a competitor may move an effect's parameters, of each on average
 LEAST_Z_BESIDE = 2.0  # of the gain that is left beside a competitor
 LEAST_ODDS = 7.0  # of a continuous motion: logarithm of the evidence beside an error that is smooth in joints or time
-LEAST_ODDS_OF_MOTION = 20.0  # of the same, of what acts by the motion, that is told whatever blocks say
+LEAST_ODDS_OF_MOTION = 30.0  # of the same, of what acts by the motion; play in the place of friction had 21 by mistake
+LEAST_Z_BESIDE_ODDS = 2.0  # standard errors over blocks, of what has these odds
 SAME_GAIN = 0.9  # of an effect's own: a competitor that brings as much in its place is told as another name for it
 
 
@@ -64,9 +65,16 @@ class Evidence:
     def is_certain(self) -> bool:
         """Whether it acts by the motion, and its evidence beside smooth errors is enough: no such error is like it.
 
-        Blocks of twice the memory of what remains may be too few to tell it then.
+        Blocks of twice the memory of what remains may be too few to tell it by themselves then.
         """
-        return LEAST_ODDS_OF_MOTION <= self.odds < np.inf and acts_by_motion(self.term)
+        by_odds = LEAST_ODDS_OF_MOTION <= self.odds < np.inf and self.z >= LEAST_Z_BESIDE_ODDS
+        return by_odds and acts_by_motion(self.term)
+
+    @property
+    def is_told_by_odds(self) -> bool:
+        """Whether blocks left out would not have told it: then it has to help on poses kept aside."""
+        by_blocks = self.z >= LEAST_Z and self.gain >= TIMES_CHANCE * self.chance and self.winning >= LEAST_WINNING
+        return self.is_certain and not by_blocks
 
     @property
     def holds(self) -> bool:

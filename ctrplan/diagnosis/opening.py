@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,15 +13,18 @@ from ctrplan.calibration.robot_content import within_file
 from ctrplan.calibration.unsolved import excused
 from ctrplan.diagnosis.agreement import contradiction
 from ctrplan.diagnosis.answer import Answer
-from ctrplan.diagnosis.building.built import LEAST_SHARE_ASIDE, Built, worse_in
+from ctrplan.diagnosis.building.built import LEAST_SHARE_ASIDE, MOST_WORSE, Built, worse_in
 from ctrplan.diagnosis.chi_square import Adequacy, ignored, remains
 from ctrplan.diagnosis.gap import Gap, open_held_out_set
 from ctrplan.diagnosis.localise import Place, localise
-from ctrplan.diagnosis.partly import Partly, left_by_names
+from ctrplan.diagnosis.partial_search import PartialSelector
+from ctrplan.diagnosis.partly import Partly, concluded, left_by_names
 from ctrplan.diagnosis.rescaled_noise import held_out_probability
+from ctrplan.diagnosis.selection import Report
 from ctrplan.diagnosis.verdict import Judgement, specific
 from ctrplan.diagnosis.workbench import Scored
 from ctrplan.experiment.measurements import Measurements
+from ctrplan.pipeline.term import Term
 
 HELD_OUT_REJECTED = 1e-4  # probability of the held-out set's residuals that takes a name back
 
@@ -39,13 +43,48 @@ class Opened:
     framed_gap: Gap | None = None  # with free frames alone, where something remains
 
 
-def opened(answer: Answer, data: Measurements) -> Opened:
+def opened(answer: Answer, data: Measurements, tell: Report = lambda _: None) -> Opened:
     """What the poses kept aside say of an answer; a built term that makes any region worse is taken back.
 
-    Names that hold beside it stay: they and the term have passed all that is asked before.
+    Names that hold beside it stay: they and the term have passed all that is asked before. What is told by its odds
+    alone, and not by blocks left out, is taken back where tips are nearer without it.
     """
     asked = _with_or_without_built(answer, data)
+    if harmful := _harmful(asked, data):
+        names = ", ".join(t.name for t in harmful)
+        note = f"Found and taken back: {names}, without which tips of the poses kept aside are nearer."
+        asked = _opened(_without(asked.answer, harmful, tell), data)
+        asked = replace(asked, notes=(*asked.notes, note))
     return replace(asked, framed_gap=_framed(asked.answer, data)) if asked.answer.partly else asked
+
+
+def _harmful(asked: Opened, data: Measurements) -> list[Term]:
+    """Effects told by their odds alone, without which poses kept aside are predicted better."""
+    part = asked.answer.partly
+    if part is None or asked.answer.interrupted or asked.judgement.verdict != "partial":
+        return []
+    listed = {finding.term.key for finding in asked.judgement.findings}
+    alone = [e.term for e in (one.evidence for one in part.parts) if e.is_told_by_odds and e.term.key in listed]
+    aside, group = data.subset(asked.answer.split.held_out_set), asked.answer.group[asked.answer.split.held_out_set]
+    found = []
+    for t in alone:
+        rest = part.bench.scored([other for other in asked.answer.chosen.terms if other.key != t.key])
+        fit = _beside_a_rest(part, rest).fit
+        gap = open_held_out_set(asked.answer.base.fit, fit, aside, group, asked.answer.noise)
+        if MOST_WORSE * gap.after.rms_m < asked.gap.after.rms_m:
+            found.append(t)
+    return found
+
+
+def _without(answer: Answer, harmful: Sequence[Term], tell: Report) -> Answer:
+    """The answer of a search that has some effects no longer."""
+    assert answer.partly is not None
+    part, gone = answer.partly, {t.name for t in harmful}
+    known = replace(part.known, terms=tuple(t for t in part.known.terms if t.name not in gone))
+    selector = PartialSelector(part.bench, known, tell)
+    again = concluded(selector, selector.run(), known, part.split, part.block, part.base)
+    path = (*answer.path, *again.path)
+    return replace(answer, chosen=again.chosen, judgement=again.judgement, partly=again, built=None, path=path)
 
 
 def _framed(answer: Answer, data: Measurements) -> Gap:

@@ -79,7 +79,7 @@ class SmoothEvidence:
 
         without: an effect of the set that is left out of it.
         """
-        return self._highest([self._columns(self._rest(without))])[0]
+        return float(self._highest([self._columns(self._rest(without))])[0])
 
     def gains(self, variants: Sequence[Term], without: str = "") -> list[Gain]:
         """Of variants, best first: the best with the covariance of the set, each with a covariance of its own then.
