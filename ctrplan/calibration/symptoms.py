@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from ctrplan.calibration.base_parameters import BaseParameters
@@ -14,7 +16,13 @@ CERTAIN = 2.0  # standard errors
 
 def is_strained(fit: Fit) -> bool:
     """Whether ordinary calibration had to go where no tube is: what is missing hides in it, whatever else was added."""
-    return any(sentence.startswith(f"{BaseParameters.name}:") for sentence in symptoms(fit))
+    return bool(strained(fit, [BaseParameters.name]))
+
+
+def strained(fit: Fit, names: Collection[str]) -> list[str]:
+    """Those of some terms whose parameters are where they should not be: they may stand for something else."""
+    owners = {sentence.split(":")[0] for sentence in symptoms(fit)}
+    return [name for name in names if name in owners]
 
 
 def symptoms(fit: Fit) -> list[str]:

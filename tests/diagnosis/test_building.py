@@ -158,6 +158,29 @@ def test_smaller_pieces_count_only_beside_a_name(
     assert sought._of_smaller_pieces(found, lambda _: None) is (built if counts else None)
 
 
+@pytest.mark.parametrize(
+    ("strange", "reasons", "left", "taken"),
+    [(["lag"], [], 0.5, True), ([], [], 0.5, False), (["lag"], ["worse"], 0.5, False), (["lag"], [], 1.5, False)],
+)
+def test_a_term_takes_the_place_of_names_that_are_not_plausible_where_it_predicts_better(
+    strange: list[str], reasons: list[str], left: float, taken: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Friction at the plate was called play and a delay of 0.4 s on continuous motions."""
+    bench = MagicMock()
+    bench.data.is_stream, bench.plain.floor_m = True, 0.0
+    bench.corrected = lambda scored: scored
+    bench.scored = lambda terms, near: "nothing"
+    bench.left_out_m = lambda scored: left if scored == "term" else 1.0
+    names: Any = SimpleNamespace(fit=None, names=("lag",))
+    found: Any = SimpleNamespace(bench=bench, chosen=names, is_noise=False, rest=SimpleNamespace(rms_m=1.0))
+    instead: Any = SimpleNamespace(scored="term")
+    monkeypatch.setattr(sought, "strained", lambda fit, names: strange)
+    monkeypatch.setattr(sought, "mean_square", lambda error: error)
+    monkeypatch.setattr(sought, "_settled", lambda found, at, tell: instead if at == "nothing" else None)
+    monkeypatch.setattr(sought, "refusals", lambda bench, built: reasons)
+    assert sought.tried(found, lambda _: None) is (instead if taken else None)
+
+
 def test_a_robot_that_has_its_term_lacks_nothing_more() -> None:
     again = diagnose(robot_from_dict(found().robot_content()), rippled(), catalogue={})
     assert again.verdict == "no_missing_effect" and again.built is None

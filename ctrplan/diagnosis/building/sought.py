@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ctrplan.calibration.symptoms import strained
 from ctrplan.diagnosis.building.built import Built, built_of, refusals
 from ctrplan.diagnosis.building.dictionary import pieces
 from ctrplan.diagnosis.building.search import grown
@@ -21,6 +22,7 @@ from ctrplan.diagnosis.named_beside import most_probable_alone
 from ctrplan.diagnosis.partial_search import PartialSelector, is_built
 from ctrplan.diagnosis.partly import Partly, concluded
 from ctrplan.diagnosis.selection import Selection, Step
+from ctrplan.diagnosis.shares import mean_square
 from ctrplan.diagnosis.smooth_evidence import SmoothEvidence
 from ctrplan.diagnosis.workbench import Scored
 from ctrplan.effects.learned.learned import Learned
@@ -51,7 +53,8 @@ def tried(found: Partly, tell: Callable[[str], None]) -> Built | None:
         return None
     built = _settled(found, found.chosen, tell)
     if bench.data.is_stream:
-        return built
+        strange = strained(found.chosen.fit, found.chosen.names)
+        return _instead_of_names(found, built, tell) if strange else built
     likely = most_probable_alone(_selector(found, found.chosen, tell))
     if likely is not None and not {*likely.names} <= _named(found, built):
         built = _better(found, built, _settled(found, likely, tell))
@@ -60,6 +63,25 @@ def tried(found: Partly, tell: Callable[[str], None]) -> Built | None:
     built = built and _without_faint(found, built, tell)
     bench.corrected(built.scored if built else found.chosen)  # the discrepancy beside what is handed over
     return built
+
+
+def _instead_of_names(found: Partly, beside: Built | None, tell: Callable[[str], None]) -> Built | None:
+    """Of a continuous motion: a term that names stand for, sought beside nothing, where blocks left out are nearer so.
+
+    It is where a name has a parameter that is not plausible: friction at the plate was called play in the drive and a
+    delay as long as delays can be, which left a third of it. Names that hold beside such a term are told with it.
+    """
+    bench = found.bench
+    passes = beside is not None and not refusals(bench, beside)
+    here = bench.corrected(beside.scored if beside and passes else found.chosen)
+    error = mean_square(bench.left_out_m(here))
+    nothing = bench.corrected(bench.scored([], found.chosen.fit))
+    instead = _settled(found, nothing, tell)
+    is_good = instead is not None and not refusals(bench, instead)
+    if instead is not None and is_good and mean_square(bench.left_out_m(instead.scored)) < error:
+        return instead
+    bench.corrected(here)
+    return beside
 
 
 def _of_smaller_pieces(found: Partly, tell: Callable[[str], None]) -> Built | None:
