@@ -65,7 +65,17 @@ def joined_measurements(parts: Sequence[Measurements], trackers: Sequence[str], 
         homing=_numbered(parts, homings),
         marker=_of_poses(parts, "marker", 0),
         noise_ratio=_of_poses(parts, "noise_ratio", 1.0),
+        file=_all_files(parts),
     )
+
+
+def _all_files(parts: Sequence[Measurements]) -> str | None:
+    """The first and how many more, in words."""
+    files = list(dict.fromkeys(part.file for part in parts if part.file))
+    more = len(files) - 1
+    if more < 1:
+        return parts[0].file
+    return f"{files[0]} and {more} other file{'s' if more > 1 else ''}"
 
 
 def _numbered(parts: Sequence[Measurements], names: Sequence[str]) -> NDArray[np.int_] | None:

@@ -149,6 +149,7 @@ def test_runs_in_several_files_have_a_frame_each_that_a_fit_finds(tmp_path: Path
     read = load(tmp_path, mapping(run=both))
     assert read.count == data.count and sorted(set(read.frames.tolist())) == [1, 2]
     assert len(np.unique(read.sequence)) == len(runs)
+    assert read.file is not None and read.file.endswith("a.txt and 1 other file")
     found = calibrate(ROBOT, read, ["calibration", "effects.frame_shift"])
     for axis, true in zip("xyz", shift, strict=True):
         low, high = found.estimates[f"shift_{axis}_2_mm"].ci95
