@@ -17,6 +17,8 @@ from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
 from ctrplan.diagnosis.answer import Answer
 from ctrplan.diagnosis.opening import opened
 from ctrplan.experiment.measurements import Measurements
+from ctrplan.reports.diagnosis_page.page import diagnosis_report_html
+from ctrplan.reports.diagnosis_page.selection_errors import selection_errors
 
 ROBOT, COUNT, MEMORY_S, LATE_S = pair_robot(), 500, 1.5, 0.2
 CATALOGUED = {name: CATALOGUE[name] for name in ("lag", "backlash", "joint_scale")}
@@ -94,6 +96,7 @@ def test_a_lag_is_named_by_its_odds_beside_what_changes_slowly() -> None:
     assert told.is_told_by_odds and told.odds > 30
     assert abs(found.to_json()["effects"][0]["parameters"]["tau_s"]["value"] - 0.04) < 0.015
     assert json.dumps(found.to_json(), allow_nan=False)
+    assert "Log-odds beside a smooth error" in diagnosis_report_html(found, selection_errors(found))
 
 
 def test_what_odds_alone_tell_is_taken_back_where_poses_kept_aside_are_nearer_without_it() -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from ctrplan.calibration.estimates import estimates
 from ctrplan.diagnosis.frames import FRAMES
 from ctrplan.diagnosis.partly import Partly
@@ -68,7 +70,11 @@ def _percent(share: float) -> str:
 
 
 def share_table(partly: Partly) -> Markup:
-    """Each effect that holds: what it closes of the gap, alone and last, and how sure that is."""
+    """Each effect that holds: what it closes of the gap, alone and last, and how sure that is.
+
+    On a continuous motion with its odds.
+    """
+    has_odds = any(np.isfinite(part.evidence.odds) for part in partly.parts)
     rows = (
         (
             part.evidence.term.effect.title,
@@ -77,6 +83,7 @@ def share_table(partly: Partly) -> Markup:
             f"{part.evidence.z:.1f}",
             f"{100 * part.evidence.winning:.0f} %",
             f"{part.evidence.gain:.0f} ({part.evidence.chance:.0f})",
+            *([f"{part.evidence.odds:.0f}"] if has_odds else []),
         )
         for part in partly.parts
     )
@@ -87,6 +94,7 @@ def share_table(partly: Partly) -> Markup:
         "Standard errors above none",
         "Blocks that speak for it",
         "Gain (chance)",
+        *(["Log-odds beside a smooth error"] if has_odds else []),
     )
     return table(header, rows)
 
