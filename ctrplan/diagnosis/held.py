@@ -104,14 +104,14 @@ def held(selector: PartialSelector, chosen: Scored) -> Held:
 def _beside_smooth_errors(selector: PartialSelector, chosen: Scored, told: Sequence[Evidence]) -> list[Evidence]:
     """With the evidence that an error leaves which is smooth in the joints or in time; of a continuous motion.
 
-    What is certain by it may be another effect that is about as probable in its place, whatever blocks say.
+    What is told by its odds alone may be another effect that is about as probable in its place.
     """
     variants = [t for t in selector.candidates.beside(chosen.terms) if t.name not in chosen.names]
     asked, found = SmoothEvidence(selector.partial_bench, chosen, variants), list[Evidence]()
     for e in told:
         name = e.term.name
         e = replace(e, odds=asked.highest() - asked.highest(without=name))
-        if e.is_certain:
+        if e.is_told_by_odds:
             others = [t for t in variants if t.effect.needs != name]
             rivals = rivals_of(e.odds, best_of_each(asked.gains(others, without=name))) if others else []
             e = replace(e, imitators=tuple(one.term for one in rivals))
@@ -130,7 +130,7 @@ def finding(selector: PartialSelector, found: Held, e: Evidence) -> tuple[Findin
         return Finding(t, tuple(rivals)), rivals
     others, tried = [other for other in chosen.terms if other is not t], []
     imitators = {other.name for other in e.imitators}
-    ranked = [] if e.is_certain else [one[0] for one in in_its_place(bench, found.sides[t.name], t)]
+    ranked = [] if e.is_told_by_odds else [one[0] for one in in_its_place(bench, found.sides[t.name], t)]
     ranked = [other for other in ranked if other.name not in imitators]
     for other in [*e.imitators[: MOST_RIVALS + 1], *ranked[:TRIED]]:
         scored = bench.scored([*others, other], chosen.fit)
