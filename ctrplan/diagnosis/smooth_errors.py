@@ -15,16 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.discrepancy import (
-    POSITION,
-    TANGENT,
-    Block,
-    Linearised,
-    Numbered,
-    Spectrum,
-    block_of,
-    decay,
-)
+from ctrplan.calibration.discrepancy import POSITION, TANGENT, Block, Linearised, Numbered, Spectrum, block_of, decay
 from ctrplan.diagnosis.joint_memory import square_distances
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.experiment.motion import clock
@@ -32,7 +23,7 @@ from ctrplan.experiment.motion import clock
 LENGTHS = (0.6, 1.0, 1.5, 2.5)  # [rad] of joints
 SMOOTH = (0.7, 1.0)  # share of what configurations differ by that goes along with the joints
 LENGTHS_OF_MOTION = (0.3, *LENGTHS)
-FORGOTTEN_S, SMOOTH_S = (0.3, 1.0, 3.0, 10.0, 30.0), (1.0, 3.0, 10.0, 30.0, 100.0)
+MEMORIES = 5  # forgotten ones from a step of the poses to half of the motion, smooth ones from four to twice of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,9 +63,11 @@ def of_motion(data: Measurements, axes: Array) -> list[SmoothError]:
 def _correlations(data: Measurements) -> Iterator[Array]:
     """(K, K) of the poses of a continuous motion."""
     time, together = clock(data), data.run[:, None] == data.run
-    for memory in FORGOTTEN_S:
+    steps = np.diff(np.sort(time))
+    step, whole = (float(np.median(steps[steps > 0])), float(np.ptp(time))) if steps.any() else (1.0, 1.0)
+    for memory in np.geomspace(step, max(whole / 2, step), MEMORIES):
         yield decay(time, memory) * together
-    for memory in SMOOTH_S:
+    for memory in np.geomspace(4 * step, max(2 * whole, 4 * step), MEMORIES):
         yield np.exp(-((time[:, None] - time) ** 2) / (2 * memory**2)) * together
     square = square_distances(data, range(data.count))
     for length in LENGTHS_OF_MOTION:

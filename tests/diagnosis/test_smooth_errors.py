@@ -106,13 +106,13 @@ def log_density(fit: Linearised, data: Measurements, number: int, position: floa
 
 
 def dense_correlation(data: Measurements, number: int) -> Array:
-    """(K, K) five that are forgotten, five smooth in time, five smooth in the joints."""
+    """(K, K) five that are forgotten, five smooth in time, five smooth in the joints; 9 poses half a second apart."""
     assert data.time_s is not None
     apart = np.abs(data.time_s[:, None] - data.time_s)
     if number < 5:
-        return np.exp(-apart / (0.3, 1.0, 3.0, 10.0, 30.0)[number])
+        return np.exp(-apart / np.geomspace(0.5, 2.0, 5)[number])
     if number < 10:
-        return np.exp(-0.5 * (apart / (1.0, 3.0, 10.0, 30.0, 100.0)[number - 5]) ** 2)
+        return np.exp(-0.5 * (apart / np.geomspace(2.0, 8.0, 5)[number - 5]) ** 2)
     theta, slides = data.theta_commanded, data.l_commanded / 0.05
     turn = theta - np.column_stack([np.zeros(COUNT), theta[:, :-1]])
     square = sum(2 - 2 * np.cos(turn[:, None, k] - turn[None, :, k]) for k in range(theta.shape[1]))
@@ -132,3 +132,12 @@ def _between(error: SmoothError, first: int) -> float:
     ((_, block),) = error.position
     correlation = (block.vectors * block.values) @ block.vectors.T
     return float(np.abs(correlation[:first, first:]).max())
+
+
+def test_errors_are_the_same_whatever_the_clock_counts_in() -> None:
+    """A log without times counts its rows, and a long one has poses that are far apart."""
+    data = logged()
+    assert data.time_s is not None
+    for other in (replace(data, time_s=60 * data.time_s), replace(data, time_s=None)):
+        for one, same in zip(of_motion(data, axes_of(data)), of_motion(other, axes_of(data)), strict=True):
+            assert _between(one, 4) == pytest.approx(_between(same, 4), rel=1e-9)
