@@ -17,10 +17,10 @@ from ctrplan.diagnosis.building.built import LEAST_SHARE_ASIDE, MOST_WORSE, Buil
 from ctrplan.diagnosis.chi_square import Adequacy, ignored, remains
 from ctrplan.diagnosis.gap import Gap, open_held_out_set
 from ctrplan.diagnosis.localise import Place, localise
-from ctrplan.diagnosis.partial_search import PartialSelector
+from ctrplan.diagnosis.partial_search import PartialSelector, is_built
 from ctrplan.diagnosis.partly import Partly, concluded, left_by_names
 from ctrplan.diagnosis.rescaled_noise import held_out_probability
-from ctrplan.diagnosis.selection import Report
+from ctrplan.diagnosis.selection import Report, Selection
 from ctrplan.diagnosis.verdict import Judgement, specific
 from ctrplan.diagnosis.workbench import Scored
 from ctrplan.experiment.measurements import Measurements
@@ -77,12 +77,15 @@ def _harmful(asked: Opened, data: Measurements) -> list[Term]:
 
 
 def _without(answer: Answer, harmful: Sequence[Term], tell: Report) -> Answer:
-    """The answer of a search that has some effects no longer."""
+    """What holds of the answer without some effects. Nothing is sought in their place: it was less probable."""
     assert answer.partly is not None
-    part, gone = answer.partly, {t.name for t in harmful}
-    known = replace(part.known, terms=tuple(t for t in part.known.terms if t.name not in gone))
-    selector = PartialSelector(part.bench, known, tell)
-    again = concluded(selector, selector.run(), known, part.split, part.block, part.base)
+    part, gone = answer.partly, {t.key for t in harmful}
+    known = replace(part.known, terms=tuple(t for t in part.known.terms if t.key not in gone))
+    rest = [t for t in answer.chosen.terms if t.key not in gone and not is_built(t)]
+    begun = part.bench.corrected(part.bench.scored(rest, part.chosen.fit))
+    again = concluded(
+        PartialSelector(part.bench, known, tell, begun), Selection(begun), known, part.split, part.block, part.base
+    )
     path = (*answer.path, *again.path)
     return replace(answer, chosen=again.chosen, judgement=again.judgement, partly=again, built=None, path=path)
 
