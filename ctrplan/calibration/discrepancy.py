@@ -155,12 +155,19 @@ class Spectrum:
     def at(cls, fit: Linearised, blocks: Sequence[Block]) -> Spectrum:
         """Of a fit whose discrepancy has these blocks, of every number of a pose alike."""
         numbers = np.arange(fit.r.size).reshape(fit.r.shape)
-        return cls.apart(fit, *([(numbers[b.poses, part], b) for b in blocks] for part in (POSITION, TANGENT)))
+        position, tangent = ([(numbers[b.poses, part], b) for b in blocks] for part in (POSITION, TANGENT))
+        return cls.apart(fit, position, tangent)
 
     @classmethod
-    def apart(cls, fit: Linearised, position: Sequence[Numbered], tangent: Sequence[Numbered]) -> Spectrum:
-        """Of a fit whose positions and tangents have blocks of their own."""
-        return cls(fit.precision, cls._parts(fit, position), cls._parts(fit, tangent))
+    def apart(
+        cls,
+        fit: Linearised,
+        position: Sequence[Numbered],
+        tangent: Sequence[Numbered],
+        sizes: tuple[Sequence[float], Sequence[float]] = (SIZES.tolist(), SIZES.tolist()),
+    ) -> Spectrum:
+        """Of a fit whose positions and tangents have blocks of their own; sizes: those that are asked for, of each."""
+        return cls(fit.precision, cls._parts(fit, position, sizes[0]), cls._parts(fit, tangent, sizes[1]))
 
     def of(self, columns: Sequence[int]) -> Spectrum:
         """Of some of the parameters, the others being where they do nothing."""
@@ -171,7 +178,7 @@ class Spectrum:
         return Spectrum(self.precision[columns], *parts)
 
     @staticmethod
-    def _parts(fit: Linearised, blocks: Sequence[Numbered]) -> list[SizePart]:
+    def _parts(fit: Linearised, blocks: Sequence[Numbered], sizes: Sequence[float]) -> list[SizePart]:
         if not blocks:
             return [SizePart(0.0, np.zeros((len(fit.precision),) * 2), np.zeros(len(fit.precision)), 0.0)]
         r, J = fit.r.ravel(), fit.J.reshape(fit.r.size, -1)
@@ -185,7 +192,7 @@ class Spectrum:
         same, of_same = along_J[alike], along_r[alike]
         H, g, square = same.T @ same, same.T @ of_same, float(of_same @ of_same)
         found = []
-        for size in SIZES.tolist():
+        for size in sizes:
             weight = 1 / (1 + size**2 * values[~alike])
             weighted, one = flat * weight[:, None], float(1 / (1 + size**2 * np.median(values)))
             fits = float(np.log(weight).sum() - weight @ y**2) + len(of_same) * np.log(one) - one * square

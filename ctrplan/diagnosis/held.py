@@ -108,9 +108,9 @@ def _beside_smooth_errors(selector: PartialSelector, chosen: Scored, told: Seque
     """
     variants = [t for t in selector.candidates.beside(chosen.terms) if t.name not in chosen.names]
     asked, found = SmoothEvidence(selector.partial_bench, chosen, variants), list[Evidence]()
-    for e in told:
-        name = e.term.name
-        e = replace(e, odds=asked.highest() - asked.highest(without=name))
+    names = [e.term.name for e in told]
+    for bare, name, odds in zip(told, names, asked.odds(names), strict=True):
+        e = replace(bare, odds=odds)
         if e.is_told_by_odds:
             others = [t for t in variants if t.effect.needs != name]
             rivals = rivals_of(e.odds, best_of_each(asked.gains(others, without=name))) if others else []

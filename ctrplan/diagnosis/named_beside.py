@@ -17,6 +17,7 @@ import numpy as np
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.frames import FRAME, FRAME_MOVES, FRAMES, frames_beside
 from ctrplan.diagnosis.held import Asked, asked_evidence, with_zero
+from ctrplan.diagnosis.holding import LEAST_ODDS
 from ctrplan.diagnosis.partial_search import MOST_PARTS, PartialSelector, is_built
 from ctrplan.diagnosis.selection import Step, step
 from ctrplan.diagnosis.smooth_evidence import EQUAL, Gain, SmoothEvidence, best_of_each, rivals_of
@@ -24,8 +25,7 @@ from ctrplan.diagnosis.verdict import MOST_RIVALS, Alternative, Finding
 from ctrplan.diagnosis.workbench import Scored
 from ctrplan.pipeline.term import Term
 
-LEAST_GAIN = 7.0  # of the logarithm of the evidence: odds of 1,100 to 1, for some hundred variants are asked
-LEAST_AGAIN = 4.0  # of the same, of a name that the terms were built beside: it was chosen before, and is one alone
+LEAST_AGAIN = 4.0  # logarithm of the evidence, of a name that the terms were built beside: it is one, chosen before
 LIKELY = 10.0  # of the same, of a name beside a smooth error alone, for a term to be sought beside it
 
 
@@ -98,7 +98,7 @@ class _Probable:
 
 def _least(name: str, before: Collection[str]) -> float:
     """Gain that a name needs; before: names that the terms were built beside."""
-    return LEAST_AGAIN if name in before else LEAST_GAIN
+    return LEAST_AGAIN if name in before else LEAST_ODDS
 
 
 def _ranked(selector: PartialSelector, here: Scored, told: Collection[str] = ()) -> list[Gain]:
@@ -131,8 +131,8 @@ def _frame(selector: PartialSelector, settled: Scored, value: float) -> dict[str
         return {FRAME: (mine[0], [])}
     asked = SmoothEvidence(bench, settled, others)
     gains = best_of_each(asked.gains(others, without=FRAME))
-    own = value - asked.highest()
-    rivals = [one for one in rivals_of(own, gains) if one.gain > LEAST_GAIN]
+    own = value - asked.highest(without=FRAME)
+    rivals = [one for one in rivals_of(own, gains) if one.gain > LEAST_ODDS]
     better = any(one.gain > own + EQUAL for one in rivals)
     return {} if better or len(rivals) > MOST_RIVALS else {FRAME: (mine[0], rivals)}
 

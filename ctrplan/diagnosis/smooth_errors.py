@@ -15,7 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.discrepancy import POSITION, TANGENT, Block, Linearised, Numbered, Spectrum, block_of, decay
+from ctrplan.calibration.discrepancy import (
+    POSITION,
+    TANGENT,
+    Block,
+    Linearised,
+    Numbered,
+    SizePart,
+    Spectrum,
+    block_of,
+    decay,
+)
 from ctrplan.diagnosis.joint_memory import square_distances
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.experiment.motion import clock
@@ -36,6 +46,11 @@ class SmoothError:
     def spectrum(self, fit: Linearised) -> Spectrum:
         """Of a fit of these poses beside it, at every size."""
         return Spectrum.apart(fit, self.position, self.tangent)
+
+    def at(self, fit: Linearised, position: float, tangent: float) -> tuple[SizePart, SizePart]:
+        """The same at one size of each, over the noise."""
+        spectrum = Spectrum.apart(fit, self.position, self.tangent, ([position], [tangent]))
+        return spectrum.position[0], spectrum.tangent[0]
 
 
 def at_rest(data: Measurements, share: float) -> list[SmoothError]:

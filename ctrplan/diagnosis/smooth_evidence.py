@@ -81,6 +81,11 @@ class SmoothEvidence:
         """
         return float(self._highest([self._columns(self._rest(without))])[0])
 
+    def odds(self, names: Sequence[str]) -> list[float]:
+        """Logarithms, of the set over the set without each of some of its effects."""
+        whole, *less = self._highest([self._columns(self._rest(name)) for name in ("", *names)])
+        return [float(whole - one) for one in less]
+
     def gains(self, variants: Sequence[Term], without: str = "") -> list[Gain]:
         """Of variants, best first: the best with the covariance of the set, each with a covariance of its own then.
 
@@ -138,9 +143,8 @@ class SmoothEvidence:
 
     def _beside(self, found: _Probable, rest: Sequence[Term], variants: Sequence[Term]) -> list[Gain]:
         """Gains of variants with one covariance."""
-        spectrum, scale = found.error.spectrum(self._fit), 1 / np.sqrt(self._fit.precision)
-        (position,) = (one for one in spectrum.position if one.size == found.position)
-        (tangent,) = (one for one in spectrum.tangent if one.size == found.tangent)
+        position, tangent = found.error.at(self._fit, found.position, found.tangent)
+        scale = 1 / np.sqrt(self._fit.precision)
         H = (position.H + tangent.H) * np.outer(scale, scale) + np.eye(len(scale))
         g = (position.g + tangent.g) * scale
         plain = _evidence(H, g, self._columns(rest))

@@ -20,7 +20,7 @@ from ctrplan.diagnosis.building.search import built_term
 from ctrplan.diagnosis.candidates import candidates
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.partial_search import PartialSelector
-from ctrplan.diagnosis.smooth_evidence import SmoothEvidence
+from ctrplan.diagnosis.smooth_evidence import Gain, SmoothEvidence
 from ctrplan.diagnosis.verdict import Finding
 from ctrplan.effects.learned.ranges import Range
 from ctrplan.effects.learned.targets import Target
@@ -86,6 +86,24 @@ def test_a_smooth_error_beside_a_term_has_no_name() -> None:
 
 def test_a_frame_is_named_where_it_moves_more_than_all_that_is_left() -> None:
     assert [one.term.name for one in told("frame", 0.3)] == ["base_misalignment"]
+
+
+@pytest.mark.parametrize(("own", "rival", "named"), [(40.0, 20.0, True), (40.0, 38.0, True), (20.0, 40.0, False)])
+def test_a_frame_gains_what_the_set_without_it_lacks(
+    own: float, rival: float, named: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Compared with the set that has it a frame would gain nothing, and every rival would do better."""
+    selector = selector_of(rippled(FRAME, 0.3))
+    settled = selector.bench.scored([RIPPLE])
+    (offset,) = (t for t in selector.candidates.terms if t.name == "tip_load")
+    monkeypatch.setattr(SmoothEvidence, "highest", lambda self, without="": 100.0 - own * (without == rules.FRAME))
+    monkeypatch.setattr(SmoothEvidence, "moved", lambda self, name: 1.0)
+    monkeypatch.setattr(SmoothEvidence, "gains", lambda self, variants, without="": [Gain(offset, rival)])
+    found = rules._frame(selector, settled, 100.0)
+    assert bool(found) == named
+    if named:
+        ((_, rivals),) = found.values()
+        assert bool(rivals) == (rival > own - smooth_evidence.EQUAL)
 
 
 def test_what_was_listed_as_or_is_not_listed_again(monkeypatch: pytest.MonkeyPatch) -> None:
