@@ -50,7 +50,8 @@ class CorrelatedBench(Workbench):
         self.plain, self.restarts = noise, 0
         self._phi: Array | None = None
         self._handed: dict[Scored, Fit] = {}
-        self._errors_of_motion: Sequence[SmoothError] = ()
+        self._axes: Array | None = None  # (K, 2, 3) of rotations that are the numbers of tangents
+        self._errors: dict[float, Sequence[SmoothError]] = {}  # by the share that approaches of a configuration have
 
     def base(self, terms: Sequence[Term]) -> Term:
         """Ordinary calibration with Poisson's ratios that tubes have: nothing unexplained may hide in others."""
@@ -193,14 +194,17 @@ class CorrelatedBench(Workbench):
         return discrepancy.within(found, poses, lambda rows, memory: discrepancy.decay(time[rows], memory))
 
     def smooth_errors(self, here: Scored) -> Sequence[SmoothError]:
-        """That these poses may have besides. On a continuous motion tangents are as in the first set that was asked."""
-        if not self.data.is_stream:
-            return smooth_errors.at_rest(self.data, self.estimated(here).memory)
-        if not self._errors_of_motion:
+        """That these poses may have besides; tangents are as in the first set that was asked."""
+        if self._axes is None:
             tangent = here.fit.chain.predict(here.fit.p, derivatives=False).tangent
-            axes = np.cross(tangent[:, None], compared(tangent, self.data.tangent)[1])
-            self._errors_of_motion = smooth_errors.of_motion(self.data, axes)
-        return self._errors_of_motion
+            self._axes = np.cross(tangent[:, None], compared(tangent, self.data.tangent)[1])
+        key = 0.0 if self.data.is_stream else self.estimated(here).memory
+        if key not in self._errors:
+            if self.data.is_stream:
+                self._errors[key] = smooth_errors.of_motion(self.data, self._axes)
+            else:
+                self._errors[key] = smooth_errors.at_rest(self.data, key, self._axes)
+        return self._errors[key]
 
     def chain(self, terms: Sequence[Term]) -> ParametricChain:
         """Of terms, with friction as it is known by now."""

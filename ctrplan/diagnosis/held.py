@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from ctrplan.diagnosis.chance import null_threshold
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.frames import FRAME_MOVES, FRAMES
-from ctrplan.diagnosis.holding import Evidence, Sides, evidence, in_its_place
+from ctrplan.diagnosis.holding import Evidence, Sides, evidence, in_its_place, telling_odds
 from ctrplan.diagnosis.partial_search import PartialSelector, is_built
 from ctrplan.diagnosis.selection import Step
 from ctrplan.diagnosis.smooth_bench import SmoothBench
@@ -19,6 +19,7 @@ from ctrplan.effects.learned.learned import Learned, learned, named
 from ctrplan.pipeline.term import Term
 
 CLEARLY = 2.0  # standard errors by which a rival has to do better than a frame to take its place
+LEAST_ODDS_OF_FRAME = 30.0  # logarithm, with which it need not move far; without any it is no name
 STANDS_OUT = 4.0  # times chance that a frame gains beside an error as smooth as the rest; 3.2 were seen in a null
 TRIED = 3  # effects that are fitted in the place of one that holds
 
@@ -87,8 +88,7 @@ def held(selector: PartialSelector, chosen: Scored) -> Held:
         asked_of = [t for t in among if t.name in FRAMES or (t in chosen.terms and not is_built(t))]
         sides = {t.name: _sides(selector, chosen, panel, among, t) for t in asked_of}
         told = [evidence(bench, sides[t.name], t, chance) for t in asked_of]
-        if bench.data.is_stream:
-            told = _beside_smooth_errors(selector, chosen, told)
+        told = _beside_smooth_errors(selector, chosen, told)
         beside_built = any(is_built(t) for t in chosen.terms)
         holding = [e for e in told if e.holds or (beside_built and e.is_one_of_several)]
         failing = [e for e in told if e not in holding and e.term in chosen.terms]
@@ -102,15 +102,19 @@ def held(selector: PartialSelector, chosen: Scored) -> Held:
 
 
 def _beside_smooth_errors(selector: PartialSelector, chosen: Scored, told: Sequence[Evidence]) -> list[Evidence]:
-    """With the evidence that an error leaves which is smooth in the joints or in time; of a continuous motion.
+    """With the evidence that an error leaves which is smooth in the joints or in time.
 
     What is told by its odds alone may be another effect that is about as probable in its place.
     """
+    is_stream = selector.bench.data.is_stream
     variants = [t for t in selector.candidates.beside(chosen.terms) if t.name not in chosen.names]
     asked, found = SmoothEvidence(selector.partial_bench, chosen, variants), list[Evidence]()
     names = [e.term.name for e in told]
     for bare, name, odds in zip(told, names, asked.odds(names), strict=True):
-        e = replace(bare, odds=odds)
+        if name in FRAMES and not is_stream:
+            found.append(bare)
+            continue
+        e = replace(bare, odds=odds, telling=telling_odds(bare.term, is_stream))
         if e.is_told_by_odds:
             others = [t for t in variants if t.effect.needs != name]
             rivals = rivals_of(e.odds, best_of_each(asked.gains(others, without=name))) if others else []
@@ -184,8 +188,13 @@ def _is_name(selector: PartialSelector, chosen: Scored, sides: Sides, e: Evidenc
 
 
 def _moves_far(bench: CorrelatedBench, chosen: Scored, t: Term) -> bool:
-    """Whether a frame moves positions about as far as noise and a smooth error do."""
-    return SmoothEvidence(bench, chosen).moved(t.name) >= FRAME_MOVES
+    """Whether a frame moves positions about as far as noise and a smooth error do; or at rest, whether odds tell it."""
+    asked = SmoothEvidence(bench, chosen)
+    far = asked.moved(t.name) >= FRAME_MOVES
+    if bench.data.is_stream:
+        return far
+    (odds,) = asked.odds([t.name])
+    return odds >= LEAST_ODDS_OF_FRAME or (far and odds > 0)
 
 
 def _rivals(selector: PartialSelector, sides: Sides, e: Evidence) -> list[tuple[Term, float, float]]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctrplan.base.arrays import Array
+from ctrplan.diagnosis.frames import FRAMES
 from ctrplan.diagnosis.held_out import Linear
 from ctrplan.diagnosis.workbench import Panel, Workbench, certainty
 from ctrplan.pipeline.term import Term
@@ -20,8 +21,24 @@ MOST_SHIFT = 3.0  # standard errors by which a competitor may move an effect's p
 LEAST_Z_BESIDE = 2.0  # of the gain that is left beside a competitor
 LEAST_ODDS = 7.0  # logarithm of the evidence beside a smooth error: 1,100 to 1, for some hundred variants are asked
 LEAST_ODDS_OF_MOTION = 30.0  # of the same, of what acts by the motion; true ones had 83 and more, nulls 3
-LEAST_Z_BESIDE_ODDS = 2.0  # standard errors over blocks, of what has these odds
+LEAST_ODDS_AT_REST = 12.0  # of the same, of poses at rest; nulls had up to 5
+LIKELY = 10.0  # of the same, of what is taken for the time being: what else is found may make it probable, or idle
+LEAST_Z_BESIDE_ODDS = 2.0  # standard errors over blocks, of what has these odds on a continuous motion
+LEAST_Z_AT_REST = 3.0  # of the same, of poses at rest; what stood for unknown effects had 2.4 and odds of 26
 SAME_GAIN = 0.9  # of an effect's own: a competitor that brings as much in its place is told as another name for it
+
+
+@dataclass(frozen=True)
+class Telling:
+    """What tells an effect by its odds: their logarithms, at first and in the end, and standard errors over blocks."""
+
+    first: float
+    odds: float
+    z: float
+
+
+OF_MOTION = Telling(LEAST_ODDS_OF_MOTION, LEAST_ODDS_OF_MOTION, LEAST_Z_BESIDE_ODDS)
+AT_REST = Telling(LIKELY, LEAST_ODDS_AT_REST, LEAST_Z_AT_REST)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +56,8 @@ class Evidence:
     imitators: tuple[Term, ...]  # competitors beside which little of its gain is left, so that they may stand for it
     shift: float  # of its parameters beside the competitor that moves them most, in standard errors
     shifted_by: str
-    odds: float = np.inf  # logarithm of the evidence for it beside a smooth error, of a continuous motion
+    odds: float = np.inf  # logarithm of the evidence for it beside a smooth error
+    telling: Telling | None = None  # odds that tell it although blocks say little; None where blocks have to
 
     @property
     def doubts(self) -> list[str]:
@@ -63,12 +81,8 @@ class Evidence:
 
     @property
     def is_certain(self) -> bool:
-        """Whether it acts by the motion, and its evidence beside smooth errors is enough: no such error is like it.
-
-        Blocks of twice the memory of what remains may be too few to tell it by themselves then.
-        """
-        by_odds = LEAST_ODDS_OF_MOTION <= self.odds < np.inf and self.z >= LEAST_Z_BESIDE_ODDS
-        return by_odds and acts_by_motion(self.term)
+        """Whether its evidence beside smooth errors is enough: blocks may be too few to tell it by themselves."""
+        return self.telling is not None and self.odds >= self.telling.odds and self.z >= self.telling.z
 
     @property
     def is_told_by_odds(self) -> bool:
@@ -85,6 +99,16 @@ class Evidence:
     def is_one_of_several(self) -> bool:
         """Whether it may be named together with what may stand for it."""
         return len(self.doubts) == bool(self.imitators)
+
+
+def telling_odds(t: Term, is_stream: bool) -> Telling | None:
+    """From which odds beside a smooth error an effect holds although blocks say little; None of what needs blocks.
+
+    That are frames, and on a continuous motion all that does not act by it: a smooth error may be like that.
+    """
+    if t.name in FRAMES or (is_stream and not acts_by_motion(t)):
+        return None
+    return OF_MOTION if is_stream else AT_REST
 
 
 def acts_by_motion(t: Term) -> bool:

@@ -17,7 +17,7 @@ import numpy as np
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.frames import FRAME, FRAME_MOVES, FRAMES, frames_beside
 from ctrplan.diagnosis.held import Asked, asked_evidence, with_zero
-from ctrplan.diagnosis.holding import LEAST_ODDS
+from ctrplan.diagnosis.holding import LEAST_ODDS, LIKELY
 from ctrplan.diagnosis.partial_search import MOST_PARTS, PartialSelector, is_built
 from ctrplan.diagnosis.selection import Step, step
 from ctrplan.diagnosis.smooth_evidence import EQUAL, Gain, SmoothEvidence, best_of_each, rivals_of
@@ -26,7 +26,6 @@ from ctrplan.diagnosis.workbench import Scored
 from ctrplan.pipeline.term import Term
 
 LEAST_AGAIN = 4.0  # logarithm of the evidence, of a name that the terms were built beside: it is one, chosen before
-LIKELY = 10.0  # of the same, of a name beside a smooth error alone, for a term to be sought beside it
 
 
 def named_beside(selector: PartialSelector, chosen: Scored) -> Asked:

@@ -1,6 +1,6 @@
 """The search beside a discrepancy: one effect at a time, each far above what surrogates of the residual reach.
 
-On a continuous motion effects that act by the motion come first, by their evidence beside smooth errors.
+Effects that their evidence beside smooth errors tells come first: on a continuous motion those that act by the motion.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from ctrplan.diagnosis.chance import null_thresholds
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.frames import FRAMES
 from ctrplan.diagnosis.held_out import Linear
-from ctrplan.diagnosis.holding import LEAST_ODDS, LEAST_ODDS_OF_MOTION, TIMES_CHANCE, acts_by_motion
+from ctrplan.diagnosis.holding import LEAST_ODDS, TIMES_CHANCE, telling_odds
 from ctrplan.diagnosis.selection import Report, Selection, Selector, step
 from ctrplan.diagnosis.smooth_evidence import SmoothEvidence
 from ctrplan.diagnosis.workbench import Panel, Scored, Screened, certainty, linear
@@ -68,7 +68,7 @@ class PartialSelector(Selector):
         None with more parameters than there are blocks: like a distortion of the tracker on a pair, whose joints the
         place of the tip gives away, it would follow any smooth rest.
         """
-        if self.bench.data.is_stream and self._grow_by_motion(found):
+        if self._grow_by_odds(found):
             return True
         here = found.chosen
         self.tell("trying effects beside " + (", ".join(here.names) or "a rest"))
@@ -93,21 +93,24 @@ class PartialSelector(Selector):
             found.chosen = self.bench.corrected(taken)
         return taken is not None
 
-    def _grow_by_motion(self, found: Selection) -> bool:
-        """The most probable effect that acts by the motion, where no smooth error is like it."""
+    def _grow_by_odds(self, found: Selection) -> bool:
+        """The most probable effect whose odds beside a smooth error tell it, if there is one."""
         here, bench = found.chosen, self.partial_bench
-        variants = [t for t in self._others(here) if acts_by_motion(t)]
+        by_odds = [(t, telling_odds(t, bench.data.is_stream)) for t in self._others(here)]
+        least = {t.name: telling.first for t, telling in by_odds if telling}
+        variants = [t for t, telling in by_odds if telling and len(t.parameters) <= self._blocks]
         if not variants:
             return False
-        self.tell("asking what acts by the motion beside " + (", ".join(here.names) or "a smooth error"))
+        self.tell("asking what is probable beside " + (", ".join(here.names) or "a smooth error"))
         asked = SmoothEvidence(bench, here, variants)
         best = asked.gains(variants)[0]
-        if best.gain < LEAST_ODDS_OF_MOTION:
+        needed = least[best.term.name]
+        if best.gain < needed:
             return False
         there = bench.corrected(bench.scored(self.candidates.completed(here.terms, best.term), here.fit))
         gain = SmoothEvidence(bench, there).highest() - asked.highest()
-        taken = gain >= LEAST_ODDS_OF_MOTION
-        found.path.append(step("add", best.term, gain, 0.0, LEAST_ODDS_OF_MOTION, taken))
+        taken = gain >= needed
+        found.path.append(step("add", best.term, gain, 0.0, needed, taken))
         found.chosen = there if taken else bench.corrected(here)
         return taken
 

@@ -1,8 +1,8 @@
 """Smooth errors that poses may have besides: all kinds and smoothnesses that the evidence of a set is asked beside.
 
-At rest an error goes along with the joints. On a continuous motion it is forgotten with time, exponentially or as a
-smooth function does, or it goes along with the joints. There the error of a tangent is a small rotation whose axes stay
-where they are: a tangent that turns shows other components of it.
+At rest an error goes along with the joints, or it is smooth in time. On a continuous motion it is forgotten with time,
+exponentially or as a smooth function does, or it goes along with the joints. The error of a tangent is a small rotation
+whose axes stay where they are: a tangent that turns shows other components of it.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ LENGTHS = (0.6, 1.0, 1.5, 2.5)  # [rad] of joints
 SMOOTH = (0.7, 1.0)  # share of what configurations differ by that goes along with the joints
 LENGTHS_OF_MOTION = (0.3, *LENGTHS)
 MEMORIES = 5  # forgotten ones from a step of the poses to half of the motion, smooth ones from four to twice of it
+MEMORIES_AT_REST = 6  # smooth ones from four steps to half of the time: what changes more slowly is a drift
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,40 +54,54 @@ class SmoothError:
         return spectrum.position[0], spectrum.tangent[0]
 
 
-def at_rest(data: Measurements, share: float) -> list[SmoothError]:
-    """Of poses at rest, first of configurations that have nothing in common; share: of a configuration's approaches."""
+def at_rest(data: Measurements, share: float, axes: Array) -> list[SmoothError]:
+    """Of poses at rest, first of configurations that have nothing in common; share: of a configuration's approaches.
+
+    axes (K, 2, 3) are those about which rotations are the two numbers of a tangent.
+    """
     number, first, which = np.unique(data.configuration, return_index=True, return_inverse=True)
     square, own = square_distances(data, first.tolist()), np.eye(len(number))
     found = [own]
     found += [(1 - q) * own + q * np.exp(-square / (2 * length**2)) for q, length in product(SMOOTH, LENGTHS)]
-    numbers, alone = _numbers(data), np.eye(data.count)
-    errors = []
-    for one in found:
-        block = block_of(np.arange(data.count), share * one[np.ix_(which.ravel(), which.ravel())] + (1 - share) * alone)
-        errors.append(SmoothError(((numbers[:, POSITION], block),), ((numbers[:, TANGENT], block),)))
-    return errors
+    of_poses = [one[np.ix_(which.ravel(), which.ravel())] for one in found]
+    of_poses = [share * one + (1 - share) * np.eye(data.count) for one in of_poses]
+    return [_error(data, one, axes) for one in (*of_poses, *_smooth_in_time(clock(data), MEMORIES_AT_REST, 0.5))]
 
 
 def of_motion(data: Measurements, axes: Array) -> list[SmoothError]:
-    """Of a continuous motion; axes (K, 2, 3) are those about which rotations are the two numbers of a tangent."""
-    return [
-        SmoothError(tuple(_of_coordinates(data, one)), tuple(_of_rotations(data, one, axes)))
-        for one in _correlations(data)
-    ]
+    """Of a continuous motion; axes (K, 2, 3) as of poses at rest."""
+    return [_error(data, one, axes) for one in _correlations(data)]
+
+
+def _error(data: Measurements, correlation: Array, axes: Array) -> SmoothError:
+    """With a correlation (K, K) of poses."""
+    return SmoothError(tuple(_of_coordinates(data, correlation)), tuple(_of_rotations(data, correlation, axes)))
 
 
 def _correlations(data: Measurements) -> Iterator[Array]:
     """(K, K) of the poses of a continuous motion."""
     time, together = clock(data), data.run[:, None] == data.run
-    steps = np.diff(np.sort(time))
-    step, whole = (float(np.median(steps[steps > 0])), float(np.ptp(time))) if steps.any() else (1.0, 1.0)
+    step, whole = _spans(time)
     for memory in np.geomspace(step, max(whole / 2, step), MEMORIES):
         yield decay(time, memory) * together
-    for memory in np.geomspace(4 * step, max(2 * whole, 4 * step), MEMORIES):
-        yield np.exp(-((time[:, None] - time) ** 2) / (2 * memory**2)) * together
+    for one in _smooth_in_time(time, MEMORIES, 2.0):
+        yield one * together
     square = square_distances(data, range(data.count))
     for length in LENGTHS_OF_MOTION:
         yield np.exp(-square / (2 * length**2))
+
+
+def _smooth_in_time(time: Array, count: int, longest: float) -> Iterator[Array]:
+    """(K, K) of memories from four steps of the poses to `longest` times the whole."""
+    step, whole = _spans(time)
+    for memory in np.geomspace(4 * step, max(longest * whole, 4 * step), count):
+        yield np.exp(-((time[:, None] - time) ** 2) / (2 * memory**2))
+
+
+def _spans(time: Array) -> tuple[float, float]:
+    """The usual step between poses, and from the first to the last."""
+    steps = np.diff(np.sort(time))
+    return (float(np.median(steps[steps > 0])), float(np.ptp(time))) if steps.any() else (1.0, 1.0)
 
 
 def _of_coordinates(data: Measurements, correlation: Array) -> Iterator[Numbered]:

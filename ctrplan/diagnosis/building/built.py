@@ -28,7 +28,6 @@ from ctrplan.pipeline.term import Term
 LEAST_Z = 5.0  # standard errors over blocks
 TIMES_CHANCE = 4.0  # the gain that the first piece reaches in 2 % of smooth surrogates, of all pieces together
 LEAST_EVIDENCE = 20.0  # logarithm, beside a smooth error: what four choices among 150 pieces may gain, 4 log 150
-LEAST_EVIDENCE_OF_SENSOR = 30.0  # of its terms, which a smooth error looks like: nulls of pairs had up to 21
 LEAST_WINNING = 0.85  # of the blocks that say something
 LEAST_SHARE = 0.6  # of the squares that remain beyond noise, closed on blocks left out
 LEAST_SHARE_ASIDE = 0.4  # of the same, closed on the poses kept aside
@@ -64,9 +63,7 @@ class Built:
         """Whether an error that is smooth in the joints might have let pieces gain as much."""
         if self.is_shown:
             return False
-        of_sensor = any(isinstance(t.effect, Learned) and t.effect.target.kind_name == "sensor" for t in self.terms)
-        least = LEAST_EVIDENCE_OF_SENSOR if of_sensor else LEAST_EVIDENCE
-        return self.gain < TIMES_CHANCE * self.rounds[0].smooth_chance or self.odds < least
+        return self.gain < TIMES_CHANCE * self.rounds[0].smooth_chance or self.odds < LEAST_EVIDENCE
 
     @property
     def path(self) -> tuple[Step, ...]:
