@@ -17,6 +17,7 @@ from ctrplan.pipeline.parametric_chain import ParametricChain
 
 CONFIGURATIONS, SEED = 24, 4
 OFFSET_RAD = np.radians(90.0)
+PROPOSALS = 3
 SEPARATING_LOG_ODDS = 1.0  # expected log-odds of a pose below which it separates nothing
 CERTAIN_LOG_ODDS = 100.0
 
@@ -36,8 +37,11 @@ class Proposal:
         return f"{self.log_odds:.1f}" if self.log_odds < CERTAIN_LOG_ODDS else f"above {CERTAIN_LOG_ODDS:g}"
 
 
-def proposals(chosen: Scored, other: Alternative, data: Measurements, noise: Noise, count: int = 3) -> list[Proposal]:
-    """The best of random configurations within the measured range, each approached from all directions."""
+def proposals(name: str, chosen: Scored, other: Alternative, data: Measurements, noise: Noise) -> list[Proposal]:
+    """The best of random configurations within the measured range, each approached from all directions.
+
+    name: of the effect that the alternative may stand for. A frame is in both fits.
+    """
     pool = _pool(data)
     chains = [ParametricChain(f.chain.robot, pool, f.chain.terms) for f in (chosen.fit, other.scored.fit)]
     predictions = [
@@ -49,8 +53,8 @@ def proposals(chosen: Scored, other: Alternative, data: Measurements, noise: Noi
     sound = predictions[0].sound & predictions[1].sound
     odds = np.bincount(pool.configuration, weights=np.where(sound, apart, 0.0))
     first = [int(np.flatnonzero(pool.configuration == k)[0]) for k in range(len(odds))]
-    best = np.argsort(-odds)[:count]
-    names = _name(chosen, other), other.term.name
+    best = np.argsort(-odds)[:PROPOSALS]
+    names = name, other.term.name
     rows = [int(pool.rows[first[k]]) for k in best]
     return [
         Proposal(pool.theta_commanded[row], pool.l_commanded[row], float(odds[k]), names)
@@ -66,7 +70,7 @@ def next_experiment(
     proposed: list[Proposal] = []
     for finding in judgement.findings:
         for other in finding.alternatives:
-            found = proposals(chosen, other, data, noise)
+            found = proposals(finding.term.name, chosen, other, data, noise)
             proposed += found
             sentences.append(_separating(finding.term.name, other, found))
             sentences.append(f"{finding.term.name} shows itself so: {finding.term.effect.experiment}.")
@@ -103,12 +107,6 @@ def _separating(name: str, other: Alternative, found: Sequence[Proposal]) -> str
         f"To tell {name} from {other.term.name}, measure theta = ({angles}) deg, l = ({places}) mm from all directions "
         f"of approach: expected log-odds {best.odds}."
     )
-
-
-def _name(chosen: Scored, other: Alternative) -> str:
-    """The chosen effect that the alternative replaces."""
-    kept = {t.key for t in other.scored.terms}
-    return next(t.name for t in chosen.terms if t.key not in kept)
 
 
 def _pool(data: Measurements) -> Measurements:

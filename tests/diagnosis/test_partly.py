@@ -18,14 +18,18 @@ from ctrplan.diagnosis.answer import Answer
 from ctrplan.diagnosis.candidates import candidates
 from ctrplan.diagnosis.chi_square import remains
 from ctrplan.diagnosis.confirmation import confirm
+from ctrplan.diagnosis.frames import frames
+from ctrplan.diagnosis.next_experiment import next_experiment
 from ctrplan.diagnosis.noise_floor import noise_floor
 from ctrplan.diagnosis.opening import opened
 from ctrplan.diagnosis.partly import Partly, partly
 from ctrplan.diagnosis.sentences import effect_lines
 from ctrplan.diagnosis.usable_poses import usable_poses
+from ctrplan.diagnosis.verdict import Alternative, Finding
 from ctrplan.errors import InputError
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.pipeline.term import term
 from ctrplan.reports.diagnosis_page.gap_split import gap_split
 from ctrplan.reports.diagnosis_page.page import diagnosis_report_html
 from ctrplan.reports.diagnosis_page.selection_errors import selection_errors
@@ -135,6 +139,21 @@ def test_zeros_of_a_robot_that_was_homed_anew_are_free_and_found_anew_on_other_r
     never_homed = confirm(partial(), beside_a_rest(KNOWN, OTHERS, seed=9))
     assert asked.calibrated.rms_m > 1.5 * never_homed.calibrated.rms_m
     assert asked.after.rms_m < 1.1 * never_homed.after.rms_m
+
+
+def test_a_frame_and_what_may_stand_for_it_are_told_apart_by_an_experiment() -> None:
+    """A frame is in the fit of its alternative as well: a misaligned base beside a kink ended in a traceback."""
+    found = partial()
+    assert found.partly is not None
+    bench, chosen = found.partly.bench, found.partly.chosen
+    (frame,) = frames(ROBOT, found.data)
+    distortion = CATALOGUE["sensor_distortion"]
+    other = term(distortion, [q.name for q in distortion.parameters(ROBOT)][:3], ROBOT)
+    beside = Alternative(other, bench.scored([*chosen.terms, other], chosen.fit), 0.0, 1.0)
+    judgement = replace(found.judgement, findings=(Finding(frame, (beside,)),))
+    said, proposed = next_experiment(chosen, judgement, found.data, bench.plain, ())
+    assert {one.between for one in proposed} == {("base_misalignment", "sensor_distortion")}
+    assert "base_misalignment from sensor_distortion" in said
 
 
 def test_the_report_splits_the_gap() -> None:
