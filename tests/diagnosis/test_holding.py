@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from ctrplan.base.arrays import Array
-from ctrplan.diagnosis import held, holding, workbench
+from ctrplan.diagnosis import CATALOGUE, held, holding, workbench
 from ctrplan.diagnosis.building.search import built_term
 from ctrplan.diagnosis.held_out import Linear
-from ctrplan.diagnosis.holding import Sides, evidence, in_its_place
+from ctrplan.diagnosis.holding import AT_REST, OF_MOTION, Evidence, Sides, Telling, evidence, in_its_place, telling_odds
 from ctrplan.diagnosis.holding import _shift as shift
 from ctrplan.effects.learned.learned import named
 from ctrplan.effects.learned.ranges import Range
@@ -175,3 +175,46 @@ def test_chance_moves_parameters_within_their_intervals_however_alike_a_competit
 
 def test_a_competitor_that_is_there_moves_them_further() -> None:
     assert shift_beside(0.9, 5.0, 10).min() > 3
+
+
+def told(odds: float, z: float, telling: Telling | None, winning: float = 0.8) -> Evidence:
+    """By blocks that say too little."""
+    t: Any = LAG
+    return Evidence(t, 40.0, 15.0, z, 10.0, winning, np.inf, "", (), 0.0, "", odds, telling)
+
+
+@pytest.mark.parametrize(
+    ("odds", "z", "telling", "holds"),
+    [
+        (12.5, 3.1, AT_REST, True),
+        (11.5, 3.1, AT_REST, False),
+        (12.5, 2.9, AT_REST, False),
+        (30.5, 2.1, OF_MOTION, True),
+        (29.0, 3.1, OF_MOTION, False),
+        (500.0, 3.1, None, False),
+    ],
+)
+def test_odds_tell_an_effect_although_blocks_say_little(
+    odds: float, z: float, telling: Telling | None, holds: bool
+) -> None:
+    found = told(odds, z, telling)
+    assert found.holds == found.is_told_by_odds == holds
+
+
+def test_what_blocks_tell_needs_odds_as_well() -> None:
+    by_blocks = [replace(told(odds, 6.0, AT_REST, winning=1.0), gain=400.0) for odds in (8.0, 6.0)]
+    assert [one.holds for one in by_blocks] == [True, False]
+    assert "odds of exp(6)" in by_blocks[1].doubts[0] and not by_blocks[0].is_told_by_odds
+
+
+def test_odds_tell_all_but_frames_at_rest_and_on_a_motion_what_acts_by_it() -> None:
+    at_rest = {
+        name: telling_odds(of_catalogue(name), is_stream=False) for name in ("lag", "drift", "base_misalignment")
+    }
+    assert at_rest == {"lag": AT_REST, "drift": AT_REST, "base_misalignment": None}
+    moving = {name: telling_odds(of_catalogue(name), is_stream=True) for name in ("lag", "friction", "drift")}
+    assert moving == {"lag": OF_MOTION, "friction": OF_MOTION, "drift": None}
+
+
+def of_catalogue(name: str) -> Any:
+    return SimpleNamespace(name=name, effect=CATALOGUE[name])

@@ -1,4 +1,4 @@
-"""Smooth errors of a continuous motion: what they say of tangents, of numbers that are missing, and of densities."""
+"""Smooth errors of poses: what they say of tangents, of numbers that are missing, of the time, and of densities."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scipy.stats import multivariate_normal
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.calibration.residuals import Noise, compared, residuals
-from ctrplan.diagnosis.smooth_errors import SmoothError, of_motion
+from ctrplan.diagnosis.smooth_errors import SmoothError, at_rest, of_motion
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.pipeline.prediction import Prediction
 
@@ -63,8 +63,35 @@ def test_the_evidence_is_the_density_with_the_error_in_the_covariance(number: in
     spectrum, dense = error.spectrum(fit), []
     sizes = [(spectrum.position[9], spectrum.tangent[4]), (spectrum.position[3], spectrum.tangent[12])]
     for position, tangent in sizes:
-        dense.append(log_density(fit, data, number, position.size, tangent.size))
+        dense.append(log_density(fit, data, dense_correlation(data, number), position.size, tangent.size))
     found = [spectrum.evidence(*pair) / 2 for pair in sizes]
+    assert found[0] - found[1] == pytest.approx(dense[0] - dense[1], rel=1e-9)
+
+
+@pytest.mark.parametrize("number", range(15))
+def test_so_it_is_of_poses_at_rest(number: int) -> None:
+    """Configurations alone, eight that go along with the joints, six with the time; approaches share a part."""
+    data = replace(logged(), is_stream=False, sequence=np.repeat([0, 1, 2, 3, 4], [2, 2, 2, 2, 1]))
+    theta, slides = data.theta_commanded.copy(), data.l_commanded.copy()
+    theta[1:8:2], slides[1:8:2] = theta[:8:2], slides[:8:2]
+    data = replace(data, theta_commanded=theta, l_commanded=slides)
+    assert len(np.unique(data.configuration)) == 5
+    error, fit, share = at_rest(data, 0.7, axes_of(data))[number], fit_of(data), 0.7
+    one = data.configuration[:, None] == data.configuration
+    if number == 0:
+        correlation = share * one + (1 - share) * np.eye(COUNT)
+    elif number < 9:
+        q, length = [(q, length) for q in (0.7, 1.0) for length in (0.6, 1.0, 1.5, 2.5)][number - 1]
+        smooth = np.exp(-0.5 * square_distances_of(data) / length**2)
+        correlation = share * ((1 - q) * one + q * smooth) + (1 - share) * np.eye(COUNT)
+    else:
+        assert data.time_s is not None
+        apart = data.time_s[:, None] - data.time_s
+        correlation = np.exp(-0.5 * (apart / np.geomspace(2.0, 2.0, 6)[number - 9]) ** 2)
+    spectrum = error.spectrum(fit)
+    pairs = [(spectrum.position[9], spectrum.tangent[4]), (spectrum.position[3], spectrum.tangent[12])]
+    found = [spectrum.evidence(*pair) / 2 for pair in pairs]
+    dense = [log_density(fit, data, correlation, position.size, tangent.size) for position, tangent in pairs]
     assert found[0] - found[1] == pytest.approx(dense[0] - dense[1], rel=1e-9)
 
 
@@ -86,13 +113,14 @@ def test_what_was_not_measured_does_not_count(what: str) -> None:
         pairs = [(spectrum.position[9], spectrum.tangent[min(4, len(spectrum.tangent) - 1)])]
         pairs.append((spectrum.position[3], spectrum.tangent[0]))
         found = [spectrum.evidence(*pair) / 2 for pair in pairs]
-        dense = [log_density(fit, data, number, position.size, tangent.size) for position, tangent in pairs]
+        correlation = dense_correlation(data, number)
+        dense = [log_density(fit, data, correlation, position.size, tangent.size) for position, tangent in pairs]
         assert found[0] - found[1] == pytest.approx(dense[0] - dense[1], rel=1e-9)
 
 
-def log_density(fit: Linearised, data: Measurements, number: int, position: float, tangent: float) -> float:
+def log_density(fit: Linearised, data: Measurements, correlation: Array, position: float, tangent: float) -> float:
     """Of the numbers that were measured, the covariance of every pair written out."""
-    correlation, axes = dense_correlation(data, number), axes_of(data)
+    axes = axes_of(data)
     covariance = np.eye(5 * COUNT)
     for i in range(COUNT):
         for j in range(COUNT):
@@ -113,11 +141,16 @@ def dense_correlation(data: Measurements, number: int) -> Array:
         return np.exp(-apart / np.geomspace(0.5, 2.0, 5)[number])
     if number < 10:
         return np.exp(-0.5 * (apart / np.geomspace(2.0, 8.0, 5)[number - 5]) ** 2)
+    return np.exp(-0.5 * square_distances_of(data) / (0.3, 0.6, 1.0, 1.5, 2.5)[number - 10] ** 2)
+
+
+def square_distances_of(data: Measurements) -> Array:
+    """(K, K) [rad^2] a chord for a rotation, 50 mm count as a radian."""
     theta, slides = data.theta_commanded, data.l_commanded / 0.05
     turn = theta - np.column_stack([np.zeros(COUNT), theta[:, :-1]])
     square = sum(2 - 2 * np.cos(turn[:, None, k] - turn[None, :, k]) for k in range(theta.shape[1]))
     square += ((slides[:, None] - slides) ** 2).sum(axis=2)
-    return np.exp(-0.5 * square / (0.3, 0.6, 1.0, 1.5, 2.5)[number - 10] ** 2)
+    return np.asarray(square)
 
 
 def test_errors_of_different_runs_go_along_with_the_joints_alone() -> None:
