@@ -56,7 +56,7 @@ class Evidence:
     imitators: tuple[Term, ...]  # competitors beside which little of its gain is left, so that they may stand for it
     shift: float  # of its parameters beside the competitor that moves them most, in standard errors
     shifted_by: str
-    odds: float = np.inf  # logarithm of the evidence for it beside a smooth error
+    odds: float = np.inf  # logarithm of the evidence for it beside a smooth error; infinite where nobody asks for it
     telling: Telling | None = None  # odds that tell it although blocks say little; None where blocks have to
 
     @property

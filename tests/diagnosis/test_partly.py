@@ -30,7 +30,7 @@ from ctrplan.errors import InputError
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.pipeline.term import term
-from ctrplan.reports.diagnosis_page.gap_split import gap_split
+from ctrplan.reports.diagnosis_page.gap_split import gap_split, share_table
 from ctrplan.reports.diagnosis_page.page import diagnosis_report_html
 from ctrplan.reports.diagnosis_page.selection_errors import selection_errors
 
@@ -175,6 +175,15 @@ def test_the_report_splits_the_gap() -> None:
     page = diagnosis_report_html(partial(), selection_errors(partial()))
     assert "remains, unexplained" in page and "Closes as the last" in page and "In part:" in page
     assert "noise of the measurement" in page and "remain (rms, noise taken out)" in page
+
+
+def test_the_report_says_where_odds_were_not_asked_for() -> None:
+    """Frames of poses at rest have none; they were told as inf."""
+    part = partial().partly
+    assert part is not None and "not asked" not in share_table(part)
+    frame = replace(part.parts[0], evidence=replace(part.parts[0].evidence, odds=np.inf))
+    page = share_table(replace(part, parts=(*part.parts, frame)))
+    assert "not asked" in page and "inf" not in page
 
 
 def test_other_runs_confirm_what_is_there_and_not_what_is_not() -> None:

@@ -69,10 +69,14 @@ def _percent(share: float) -> str:
     return f"{100 * share:.0f} %" if share >= 0.01 else "below 1 %"
 
 
+def _log_odds(odds: float) -> str:
+    return f"{odds:.0f}" if np.isfinite(odds) else "not asked"
+
+
 def share_table(partly: Partly) -> Markup:
     """Each effect that holds: what it closes of the gap, alone and last, and how sure that is.
 
-    On a continuous motion with its odds.
+    With its odds where these were asked for: not of frames of poses at rest, nor of names beside a built term.
     """
     has_odds = any(np.isfinite(part.evidence.odds) for part in partly.parts)
     rows = (
@@ -83,7 +87,7 @@ def share_table(partly: Partly) -> Markup:
             f"{part.evidence.z:.1f}",
             f"{100 * part.evidence.winning:.0f} %",
             f"{part.evidence.gain:.0f} ({part.evidence.chance:.0f})",
-            *([f"{part.evidence.odds:.0f}"] if has_odds else []),
+            *([_log_odds(part.evidence.odds)] if has_odds else []),
         )
         for part in partly.parts
     )
