@@ -59,7 +59,7 @@ def calibrated(
 ) -> Calibration:
     """Of all poses, their groups, those kept aside and those that went wrong, (K,) each."""
     data, group, aside = everything.subset(~wrong), everyones[~wrong], apart[~wrong]
-    passes, noticed = [*passes[:-1], within_file(passes[-1])], symptoms(passes[0])
+    passes, noticed = [*passes[:-1], within_file(passes[-1])], [symptom.sentence for symptom in symptoms(passes[0])]
     first, found = passes[0], passes[-1]
     robot, terms = found.chain.robot, found.chain.terms
     trained = held = PoseErrors.of(found.chain, found.p, group[~aside])

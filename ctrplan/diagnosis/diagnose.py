@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from ctrplan.base.arguments import EVENT, PROGRESS, Made, Texts, checked
 from ctrplan.base.progress import StageProgress
 from ctrplan.calibration.gross_outliers import outlier_sentences
-from ctrplan.calibration.symptoms import symptoms
 from ctrplan.calibration.unsolved import excused, unsolved_sentence
 from ctrplan.diagnosis.answer import Answer, answer
 from ctrplan.diagnosis.candidates import candidates, reduced
@@ -85,7 +84,6 @@ def diagnose(
             *found.notes,
             *judgement.notes,
             *asked.notes,
-            *symptoms(found.chosen.fit),
             *_coverage(usable),
             *outlier_sentences(written.fit, data, poses.outlying),
             *unsolved_sentence(data, poses.unsolved, ~poses.left_out, "calibrated or with the effects"),

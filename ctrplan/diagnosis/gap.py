@@ -28,6 +28,7 @@ class Gap:
     before: Errors
     after: Errors
     floor_m: float
+    spread_m: float  # rms distance that the uncertainty of the fitted parameters leaves open, with the effects
     regions: Mapping[str, tuple[Errors, Errors]]
     before_m: Array  # (V,) distances of the held-out set's poses, without those that are left out
     after_m: Array
@@ -50,7 +51,8 @@ def open_held_out_set(
     predictions = [chain.predict(p, derivatives=False) for chain, p in zip(chains, values, strict=True)]
     failed = predictions[1].failed | predictions[2].failed
     kept = ~excused(failed)
-    found = _residuals(chains[2].predict(after.p).subset(kept), held_out_set.subset(kept), group[kept], noise)
+    effective_there = chains[2].predict(after.p)
+    found = _residuals(effective_there.subset(kept), held_out_set.subset(kept), group[kept], noise)
     outlying, near = np.zeros(len(kept), bool), ~outliers(found.raw_norm)
     outlying[np.flatnonzero(kept)[~near]] = True
     kept &= ~outlying
@@ -63,8 +65,24 @@ def open_held_out_set(
     nominal, calibrated, effective = (summary(e, group) for e in errors)
     chi_square = _predictive(found.r[near][found.given[near]], found.J[near][found.given[near]], after)
     return Gap(
-        nominal, calibrated, effective, noise.floor_m, regions, errors[1], errors[2], chi_square, failed, outlying
+        nominal,
+        calibrated,
+        effective,
+        noise.floor_m,
+        _spread_m(effective_there.subset(kept).position_by, after),
+        regions,
+        errors[1],
+        errors[2],
+        chi_square,
+        failed,
+        outlying,
     )
+
+
+def _spread_m(position_by: Array, after: Fit) -> float:
+    """Rms distance, of positions with derivatives (V, 3, P), within the covariance of the parameters."""
+    per_pose = np.einsum("kip,pq,kiq->k", position_by, after.covariance, position_by)
+    return float(np.sqrt(per_pose.mean())) if len(per_pose) else 0.0
 
 
 def _regions(held_out_set: Measurements) -> dict[str, NDArray[np.bool_]]:

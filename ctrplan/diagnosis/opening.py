@@ -10,6 +10,7 @@ import numpy as np
 from ctrplan.calibration.pose_errors import distances
 from ctrplan.calibration.residuals import Residuals
 from ctrplan.calibration.robot_content import within_file
+from ctrplan.calibration.symptoms import symptoms
 from ctrplan.calibration.unsolved import excused
 from ctrplan.diagnosis.agreement import contradiction
 from ctrplan.diagnosis.answer import Answer
@@ -140,7 +141,9 @@ def _opened(answer: Answer, data: Measurements) -> Opened:
         gap = open_held_out_set(answer.base.fit, written.fit, aside, group, answer.noise)
         if doubt := contradiction(judgement.verdict, gap, place):
             judgement, notes = replace(judgement, verdict="unexplained"), [*notes, doubt]
-    return Opened(judgement, written, gap, place, tuple(notes), answer)
+    settled = answer.chosen if answer.partly else answer.bench.sized(answer.chosen)
+    told = [symptom.sentence for symptom in symptoms(settled.fit)]
+    return Opened(judgement, written, gap, place, (*notes, *told), answer)
 
 
 def _after_held_out_set(answer: Answer, gap: Gap, place: Place) -> tuple[Judgement, list[str]]:

@@ -167,6 +167,7 @@ def _gap(gap: Gap) -> dict[str, Any]:
         "before_rms_mm": _millimetres(gap.before.rms_m),
         "after_rms_mm": _millimetres(gap.after.rms_m),
         "noise_floor_mm": _millimetres(gap.floor_m),
+        "parameters_leave_open_mm": _millimetres(gap.spread_m),
         "heldout_poses": gap.after.poses,
         "before_max_mm": _millimetres(gap.before.max_m),
         "after_max_mm": _millimetres(gap.after.max_m),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ctrplan.calibration.estimates import estimates
-from ctrplan.diagnosis.agreement import times_noise
+from ctrplan.diagnosis.agreement import LARGEST_REST, times_noise
 from ctrplan.diagnosis.frames import FRAME
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.experiment.measurements import MOST_ROWS
@@ -21,7 +21,8 @@ def verdict_sentence(found: Diagnosis) -> str:
     if found.verdict == "no_missing_effect":
         return f"No missing effect: calibrated, the model agrees with the measurements to their noise{_but(found)}."
     if found.verdict == "named":
-        return f"Missing: {names}. With it the model agrees with the measurements to their noise{_but(found)}."
+        agrees = f"With it the model agrees with the measurements to their noise{_but(found)}"
+        return f"Missing: {names}. {agrees}{_left_open(found)}."
     if found.partly:
         closed = f"{found.gap.before.rms_m * 1e3:.2f} mm off without and {found.gap.after.rms_m * 1e3:.2f} mm with"
         more = f" {_built(found)}" if found.built else ""
@@ -34,6 +35,17 @@ def verdict_sentence(found: Diagnosis) -> str:
     if names:
         return f"Unexplained: {names} is at work, but not alone, {rest}."
     return f"Unexplained: nothing in the catalogue explains the measurements, {rest}."
+
+
+def _left_open(found: Diagnosis) -> str:
+    """Where the poses do not settle all parameters of an effect, so that others are predicted less well."""
+    after, floor, left_open = found.gap.after.rms_m, found.gap.floor_m, found.gap.spread_m
+    if times_noise(after, floor) <= LARGEST_REST:
+        return ""
+    return (
+        f", where it was fitted; poses kept aside are {after * 1e3:.2f} mm off, for its parameters are uncertain by "
+        f"{left_open * 1e3:.2f} mm there: more configurations would settle them"
+    )
 
 
 def _built(found: Diagnosis) -> str:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from ctrplan.calibration.symptoms import is_strained
+from ctrplan.calibration.symptoms import is_strained, strained
 from ctrplan.diagnosis.chi_square import Adequacy, remains
 from ctrplan.diagnosis.selection import Selection, Selector
 from ctrplan.diagnosis.workbench import Scored, Workbench
@@ -62,7 +62,7 @@ def judge(selector: Selector, found: Selection) -> Judgement:
         return Judgement("no_missing_effect" if left.is_adequate else "unexplained", (), left, ())
     compared = [a for t in chosen.terms for a in _compared(selector, found, t)]
     findings = tuple(_finding(bench, chosen, t, compared, left) for t in chosen.terms)
-    if not left.is_adequate or is_strained(chosen.fit):  # a fit that needs impossible tubes proves nothing
+    if not left.is_adequate or _is_strained(bench, chosen):
         kept = () if _is_enlarged(bench) else specific(bench, chosen, findings, left)
         return Judgement("unexplained", kept, left, tuple(compared))
     clear = tuple(f for f in findings if len(f.alternatives) <= MOST_RIVALS)
@@ -74,6 +74,16 @@ def judge(selector: Selector, found: Selection) -> Judgement:
         return Judgement("unexplained", rest, left, tuple(compared), tuple(_disbelieved(f.term) for f in shared))
     verdict: Verdict = "ambiguous" if any(f.alternatives for f in findings) else "named"
     return Judgement(verdict, findings, left, tuple(compared))
+
+
+def _is_strained(bench: Workbench, chosen: Scored) -> bool:
+    """Whether a set needs what is hardly possible: such a fit proves nothing.
+
+    It is asked with priors as wide as its effects are large: an effect that its prior draws in strains all else. Beside
+    noise that was enlarged, and may hide a misfit, no effect may be larger than is plausible.
+    """
+    fit = bench.sized(chosen).fit
+    return is_strained(fit) or (_is_enlarged(bench) and bool(strained(fit, chosen.names)))
 
 
 def _is_enlarged(bench: Workbench) -> bool:

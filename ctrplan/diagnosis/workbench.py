@@ -103,6 +103,7 @@ class Workbench:
         self._correction: tuple[Array, Array] | None = None
         self._done: dict[frozenset[str], Scored] = {}
         self._tried: dict[frozenset[str], list[Fit | None]] = {}  # where fits of a set began
+        self._sized: dict[tuple[Scored, Noise], Scored] = {}
 
     @cached_property
     def whitening_group(self) -> NDArray[np.int_]:
@@ -217,6 +218,12 @@ class Workbench:
         Priors say where to look. The size of an effect that is there is for the data to say: a prior that it exceeds
         would draw it in and make its interval too narrow.
         """
+        key = scored, self.noise
+        if key not in self._sized:
+            self._sized[key] = self._widened(scored)
+        return self._sized[key]
+
+    def _widened(self, scored: Scored) -> Scored:
         for _ in range(MOST_WIDENINGS):
             chain, p = scored.fit.chain, scored.fit.p
             terms = [
