@@ -71,6 +71,8 @@ def answer(
     if explained or found.interrupted or is_long:
         return found
     part = _beside_a_rest(found, data, usable, noise, known, teller)
+    if whole := _explaining_all(part, known, teller):
+        return whole
     return _with_built(part, part if part.judgement.verdict == "partial" or part.interrupted else found, teller)
 
 
@@ -124,6 +126,31 @@ def _beside_a_rest(
         group=part.block,
         partly=part,
     )
+
+
+def _explaining_all(part: Answer, known: Candidates, teller: Teller) -> Answer | None:
+    """What was found beside a rest, judged as any other set: None where something remains after all.
+
+    Effects that hide one another are found beside a rest, where each need not leave noise alone.
+    """
+    if part.partly is None or part.interrupted or not part.judgement.findings:
+        return None
+    there = part.partly.bench
+    bench = Workbench(there.robot, there.data, part.noise, there.group, there.fold)
+    frames = [f.term for f in part.judgement.findings if f.term.name not in part.chosen.names]
+    chosen = bench.corrected(bench.scored([*part.chosen.terms, *frames], part.chosen.fit))
+    if not remains(bench, chosen).is_adequate:
+        return None
+    selector = Selector(bench, known, teller, chosen)
+    try:
+        bench.pause = teller.pause
+        judgement = judge(selector, selector.found)
+    except Interrupted:
+        return None
+    bench.pause = lambda: None
+    if judgement.verdict not in ("named", "ambiguous"):
+        return None
+    return replace(part, bench=bench, chosen=chosen, judgement=judgement, partly=None)
 
 
 def _nothing(data: Measurements, parts: Split, bench: Workbench, wrong: NDArray[np.bool_]) -> Answer:

@@ -73,8 +73,10 @@ class Partly:
         (part,) = (part for part in self.parts if part.evidence.term.key == t.key)
         e = part.evidence
         return {
-            "share_of_gap_alone": round(part.alone, 3),
-            "share_of_gap_last": round(part.last, 3),
+            "share_of_gap_alone": round(part.alone.share, 3),
+            "share_of_gap_last": round(part.last.share, 3),
+            "alone_rms_mm": [round(x * 1e3, 4) for x in (part.alone.without_m, part.alone.with_m)],
+            "last_rms_mm": [round(x * 1e3, 4) for x in (part.last.without_m, part.last.with_m)],
             "gain": round(e.gain, 2),
             "standard_error": round(e.error, 2),
             "surrogates_98": round(e.chance, 2),

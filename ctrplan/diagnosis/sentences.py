@@ -21,7 +21,8 @@ def verdict_sentence(found: Diagnosis) -> str:
     if found.verdict == "no_missing_effect":
         return f"No missing effect: calibrated, the model agrees with the measurements to their noise{_but(found)}."
     if found.verdict == "named":
-        agrees = f"With it the model agrees with the measurements to their noise{_but(found)}"
+        them = "it" if len(found.listed) == 1 else "them"
+        agrees = f"With {them} the model agrees with the measurements to their noise{_but(found)}"
         return f"Missing: {names}. {agrees}{_left_open(found)}."
     if found.partly:
         closed = f"{found.gap.before.rms_m * 1e3:.2f} mm off without and {found.gap.after.rms_m * 1e3:.2f} mm with"

@@ -13,7 +13,7 @@ import tomli_w
 from measured_data import measured, pair_robot, waypoints, write_csv
 
 from ctrplan.cli import main
-from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
+from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, selection
 from ctrplan.diagnosis.answer import Answer
 from ctrplan.diagnosis.candidates import candidates
 from ctrplan.diagnosis.chi_square import remains
@@ -24,6 +24,7 @@ from ctrplan.diagnosis.noise_floor import noise_floor
 from ctrplan.diagnosis.opening import opened
 from ctrplan.diagnosis.partly import Partly, partly
 from ctrplan.diagnosis.sentences import effect_lines
+from ctrplan.diagnosis.shares import Closing
 from ctrplan.diagnosis.usable_poses import usable_poses
 from ctrplan.diagnosis.verdict import Alternative, Finding
 from ctrplan.errors import InputError
@@ -171,10 +172,31 @@ def test_a_frame_and_what_may_stand_for_it_are_told_apart_by_an_experiment() -> 
     assert "base_misalignment from sensor_distortion" in said
 
 
+def test_what_is_found_beside_a_rest_and_leaves_none_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Effects that hide one another: the ordinary search ends too early, and a part of the truth was all of it."""
+    monkeypatch.setattr(selection, "MOST_EFFECTS", 1)
+    values = {"backlash": {"theta_2_deg": 8.0}, "tip_load": {"force_x_N": 0.3, "force_y_N": -0.25}}
+    data = measured(ROBOT, waypoints(ROBOT, 18), values)
+    few = {name: CATALOGUE[name] for name in ("backlash", "tip_load", "homing_offset")}
+    found = diagnose(ROBOT, data, catalogue=few)
+    assert found.verdict == "named" and set(found.chosen.names) == set(values) and found.partly is None
+    assert found.gap.after.rms_m < 1.3 * found.gap.floor_m
+
+
 def test_the_report_splits_the_gap() -> None:
     page = diagnosis_report_html(partial(), selection_errors(partial()))
-    assert "remains, unexplained" in page and "Closes as the last" in page and "In part:" in page
+    assert "remains, unexplained" in page and "Beside all others" in page and "In part:" in page
     assert "noise of the measurement" in page and "remain (rms, noise taken out)" in page
+
+
+@pytest.mark.parametrize(("without_m", "with_m"), [(4.47e-3, 12e-3), (18e-3, 0.6e-3), (4e-3, 2e-3)])
+def test_effects_that_hide_one_another_have_errors_and_no_share(without_m: float, with_m: float) -> None:
+    closing = Closing(without_m, with_m, gap_m=4.4e-3)
+    part = partial().partly
+    assert part is not None
+    page = share_table(replace(part, parts=(replace(part.parts[0], alone=closing, last=closing),)))
+    assert page.count(f"{without_m * 1e3:.2f} to {with_m * 1e3:.2f} mm") == 2
+    assert ("mm, " in page) == (0 <= closing.share <= 1) == (f"{100 * closing.share:.0f} %" in page)
 
 
 def test_the_report_says_where_odds_were_not_asked_for() -> None:

@@ -11,6 +11,7 @@ from ctrplan.diagnosis.frames import FRAMES
 from ctrplan.diagnosis.partly import Partly
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.sentences import built_lines
+from ctrplan.diagnosis.shares import Closing
 from ctrplan.effects.learned.inputs import unit
 from ctrplan.reports import palette
 from ctrplan.reports.html_page import Markup, escaped, table, tag
@@ -82,8 +83,8 @@ def share_table(partly: Partly) -> Markup:
     rows = (
         (
             part.evidence.term.effect.title,
-            f"{100 * part.alone:.0f} %",
-            f"{100 * part.last:.0f} %",
+            _closes(part.alone),
+            _closes(part.last),
             f"{part.evidence.z:.1f}",
             f"{100 * part.evidence.winning:.0f} %",
             f"{part.evidence.gain:.0f} ({part.evidence.chance:.0f})",
@@ -93,14 +94,23 @@ def share_table(partly: Partly) -> Markup:
     )
     header = (
         "Effect",
-        "Closes alone",
-        "Closes as the last",
+        "Error without and with it, alone",
+        "Beside all others",
         "Standard errors above none",
         "Blocks that speak for it",
         "Gain (chance)",
         *(["Log-odds beside a smooth error"] if has_odds else []),
     )
-    return table(header, rows)
+    words = (
+        "Errors are of poses left out by blocks, rms. The share is of the squared error that calibration alone leaves, "
+        "beyond the noise. Where effects hide one another there is none: one of them, alone, makes things worse."
+    )
+    return tag("div", table(header, rows), tag("p", words, kind="quiet small"))
+
+
+def _closes(closing: Closing) -> str:
+    shown = f"{closing.without_m * 1e3:.2f} to {closing.with_m * 1e3:.2f} mm"
+    return f"{shown}, {100 * closing.share:.0f} %" if 0 <= closing.share <= 1 else shown
 
 
 def built_part(found: Diagnosis) -> list[Markup]:
