@@ -2,9 +2,10 @@
 
 A built term takes out what hid them, and what is left is mostly smooth in the joints. So names are asked anew there, by
 their evidence beside an error that is as smooth as is most probable, `smooth_evidence.py`, not by blocks left out.
-What is nearly as probable in the place of a name is told with it. A frame is free in every fit, and a smooth error is
-partly a frame, of the headings most of all: it is a name only where it moves positions as far as all that is left,
-and no effect explains more. Effects that explain as much are told with it.
+What is nearly as probable in the place of a name is told with it. Blocks left out say little there, but what they speak
+against is no name: it does again what the built term does. A frame is free in every fit, and a smooth error is partly a
+frame, of the headings most of all: it is a name only where it moves positions as far as all that is left, and no effect
+explains more. Effects that explain as much are told with it.
 """
 
 from __future__ import annotations
@@ -60,8 +61,17 @@ def named_beside(selector: PartialSelector, chosen: Scored) -> Asked:
         here, found[name.term.name] = there, (name.term, rivals)
     here = _without_the_idle(bench, here, found, path, before)
     settled = bench.corrected(here.scored)
-    found |= _frame(selector, settled, here.value)
-    evidence = asked_evidence(selector, settled, [t for t, _ in found.values()])
+    while True:
+        names = {**found, **_frame(selector, settled, here.value)}
+        evidence = asked_evidence(selector, settled, [t for t, _ in names.values()])
+        against = min((e for e in evidence if e.term.name in found), key=lambda e: e.gain, default=None)
+        if against is None or against.gain > 0:
+            break
+        path.append(step("drop", against.term, against.gain, against.error, 0.0, True))
+        found.pop(against.term.name)
+        here = _Probable.of(bench, [t for t in settled.terms if t is not against.term], settled)
+        settled = bench.corrected(here.scored)
+    found = names
     findings = tuple(_finding(bench, settled, t, rivals) for t, rivals in found.values())
     compared = tuple(a for f in findings for a in f.alternatives)
     return Asked(settled, evidence, findings, compared, (), tuple(path))

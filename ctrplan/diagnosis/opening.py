@@ -142,7 +142,7 @@ def _opened(answer: Answer, data: Measurements) -> Opened:
         if doubt := contradiction(judgement.verdict, gap, place):
             judgement, notes = replace(judgement, verdict="unexplained"), [*notes, doubt]
     settled = answer.chosen if answer.partly else answer.bench.sized(answer.chosen)
-    told = [symptom.sentence for symptom in symptoms(settled.fit)]
+    told = [s.sentence for s in symptoms(settled.fit) if s.owner not in {t.name for t in settled.terms if is_built(t)}]
     return Opened(judgement, written, gap, place, (*notes, *told), answer)
 
 

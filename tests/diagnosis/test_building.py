@@ -16,7 +16,7 @@ from measured_data import SIGMA_M, measured, pair_robot, waypoints
 
 from ctrplan.calibration.residuals import Noise
 from ctrplan.cli import main
-from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, opening
+from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, named_beside, opening
 from ctrplan.diagnosis.building import sought
 from ctrplan.diagnosis.building.built import refusals
 from ctrplan.diagnosis.building.dictionary import Piece, pieces
@@ -25,6 +25,7 @@ from ctrplan.diagnosis.building.search import _with_piece, built_term
 from ctrplan.diagnosis.candidates import candidates
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.noise_floor import noise_floor
+from ctrplan.diagnosis.partial_search import PartialSelector
 from ctrplan.diagnosis.partly import partly
 from ctrplan.diagnosis.sentences import effect_lines, verdict_sentence
 from ctrplan.diagnosis.usable_poses import usable_poses
@@ -103,6 +104,20 @@ def test_what_the_catalogue_has_is_named_beside_a_built_term_that_had_hidden_it(
     assert after.partly.rest.rms_m > 2 * after.built.rest.rms_m and not after.judgement.adequacy.is_adequate
     value = after.to_json()["effects"][0]["parameters"]["offset_x_mm"]["value"]
     assert value == pytest.approx(OFFSET["sensor_offset"]["offset_x_mm"], abs=0.15)
+
+
+def test_no_name_stays_that_blocks_left_out_speak_against(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Friction at the plate was built, and called play as well, of 3 deg (0 to 35) that no block asked for."""
+    data = rippled()
+    noise, usable = noise_floor(ROBOT, data)[0], usable_poses(ROBOT, data)
+    known = candidates(ROBOT, data, {"backlash": CATALOGUE["backlash"]})
+    part = partly(ROBOT, data, usable, noise, known, lambda _: None)
+    built = sought.tried(part, lambda _: None)
+    assert built is not None
+    monkeypatch.setattr(named_beside, "LEAST_ODDS", -100.0)  # so that anything is a name at first
+    asked = named_beside.named_beside(PartialSelector(part.bench, known, lambda _: None), built.scored)
+    assert [(step.action, step.taken) for step in asked.path] == [("add", True), ("drop", True)]
+    assert asked.path[1].gain <= 0 and not asked.findings and asked.chosen.names == ("learned_theta_2",)
 
 
 def test_names_stay_where_the_poses_kept_aside_take_the_term_back(monkeypatch: pytest.MonkeyPatch) -> None:
