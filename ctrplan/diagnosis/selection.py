@@ -77,7 +77,7 @@ class Selector:
             found.path.append(step("add", first.term, first.score - here.score, 0.0, needed, False))
         for candidate in tried:
             gain, error = self.bench.difference(candidate, here)
-            best = candidate is tried[0] and gain > needed and self._is_certain(candidate, gain, error)
+            best = candidate is tried[0] and gain > needed and self._is_certain(here, candidate, gain, error)
             found.path.append(step("add", candidate.terms[-1], gain, error, needed, best))
         if not tried or not found.path[-len(tried)].taken:
             return self._grow_by_two(found, tried)
@@ -122,9 +122,11 @@ class Selector:
         beside = [s.linear for s in screened]
         return null_threshold(linear(here.fit), beside, self.bench.null_scores, self.bench.null_draws(here))
 
-    def _is_certain(self, candidate: Scored, gain: float, error: float) -> bool:
-        """Whether a gain is no matter of a few configurations, or leaves nothing to gain."""
-        return gain > CERTAIN * error or remains(self.bench, candidate).is_adequate
+    def _is_certain(self, here: Scored, candidate: Scored, gain: float, error: float) -> bool:
+        """Whether a gain is no matter of a few configurations, or leaves noise alone where there was more before."""
+        if gain > CERTAIN * error:
+            return True
+        return remains(self.bench, candidate).is_adequate and not remains(self.bench, here).is_adequate
 
     def _others(self, here: Scored) -> list[Term]:
         names = set(here.names)
