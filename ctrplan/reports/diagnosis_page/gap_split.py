@@ -59,7 +59,7 @@ def _bar(parts: Sequence[tuple[str, float, str]]) -> Markup:
 def _key(parts: Sequence[tuple[str, float, str]]) -> Markup:
     square = "display: inline-block; width: 11px; height: 11px; border-radius: 3px; margin-right: 6px"
     entries = [
-        f'<span style="margin-right: 22px"><i style="{square}; background: {colour}"></i>'
+        f'<span style="margin-right: 22px; display: inline-block"><i style="{square}; background: {colour}"></i>'
         f"<b>{_percent(share)}</b> {escaped(label)}</span>"
         for label, share, colour in parts
     ]
