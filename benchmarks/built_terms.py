@@ -207,6 +207,8 @@ def asked(folder: Path) -> dict[str, Any]:
         return result | {"built": False}
     result["beside_mm"] = gap_mm(bench.handed_over(bench.sized(built.named)), aside, noise.floor_m)
     result["names"] = names(built.partly)
+    result["z_of_names"] = {part.evidence.term.name: round(part.evidence.z, 2) for part in built.partly.parts}
+    result["dropped"] = [(s.effect, s.gain, s.error) for s in built.partly.path if s.action == "drop"]
     result["built_mm"] = gap_mm(bench.handed_over(bench.sized(built.scored)), aside, noise.floor_m)
     refused = refusals(bench, built)
     terms = [t.effect.stated({})["acts_on"] + ": " + ", ".join(t.effect.parts) for t in built.terms]
