@@ -54,6 +54,7 @@ from ctrplan.diagnosis.workbench import Scored
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot
+from ctrplan.pipeline.friction_path import friction_correction
 from ctrplan.pipeline.parametric_chain import ParametricChain
 
 CONFIGURATIONS, RETRIES = 32, 8
@@ -227,6 +228,7 @@ def gap_mm(scored: Scored, aside: Measurements, floor_m: float) -> float:
     """Rms error on poses that nothing has read, the noise taken out."""
     fit = scored.fit
     chain = ParametricChain(fit.chain.robot, aside, fit.chain.terms)
+    chain.correction = friction_correction(chain, fit.p)
     error = distances(chain.predict(fit.p, derivatives=False), aside)
     return float(1e3 * np.sqrt(max(float(np.mean(error**2)) - floor_m**2, 0.0)))
 
