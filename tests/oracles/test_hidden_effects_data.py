@@ -24,6 +24,8 @@ from hidden_effects.noise import NOISE, add_noise
 from hidden_effects.world import ROBOTS, Motion, Ordinary, World, believed
 
 import ctrplan
+from ctrplan.diagnosis import CATALOGUE
+from ctrplan.drive.collars import Collars
 
 COARSE = Fineness(2e-3, 8e-3, 1.4, 2)
 DURATION_S = 100.0
@@ -63,6 +65,25 @@ def test_every_effect_changes_poses_and_the_more_the_larger(name: str, experimen
     some = replace(experiment, measured=np.isin(np.arange(len(experiment.measured)), rows))
     moved = [np.abs(poses(with_effect(name, size), some, COARSE).p - plain.p[kept]).max() for size in (0.5, 2.0)]
     assert 1e-6 < moved[0] < moved[1] < 30e-3
+
+
+@pytest.mark.parametrize("name", ["eccentricity", "joint_scale", "homing_rotation", "homing_translation", "backlash"])
+@pytest.mark.parametrize("seed", range(3))
+def test_true_parameters_of_the_drive_mean_what_a_diagnosis_means_by_them(name: str, seed: int, tmp_path: Path) -> None:
+    """An eccentricity's sin and cos were told the wrong way round, and no interval contained them."""
+    changed, true = effects.apply(name, believed(), draw(2.0, seed))
+    rng, n = np.random.default_rng(seed), believed().n
+    turns = rng.uniform(-3.0, 3.0, (12, n))
+    motion = Motion(turns, rng.uniform(-0.05, 0.0, (12, n)), np.arange(12.0), np.zeros(12, int))
+    moved = changed.drive[-1](motion)
+    (tmp_path / "robot.toml").write_text(robot_toml(believed(), "three tubes"))
+    found = CATALOGUE[effects.truth_name(name).split("|")[-1]]
+    si = {q.name: q.si for q in found.parameters(ctrplan.load_robot(tmp_path / "robot.toml"))}
+    values = {key: value * si[key] for key, value in true.items()}
+    directions = np.hstack([drive.last_direction(motion), np.zeros((12, n))])
+    collars = found.drive(values, Collars(motion.theta, motion.l), directions)
+    np.testing.assert_allclose(collars.theta, moved.theta, atol=1e-12)
+    np.testing.assert_allclose(collars.l, moved.l, atol=1e-15)
 
 
 def test_off_plane_precurvature_is_a_homing_offset(experiment: Experiment, plain: Poses) -> None:

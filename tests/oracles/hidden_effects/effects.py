@@ -218,7 +218,7 @@ def eccentricity(world: World, draw: Draw) -> tuple[World, Parameters]:
     amplitude = draw.one_of(world.n, draw.inner_tube(world.n), draw.size * np.deg2rad(2.0))
     phase = draw.rng.uniform(-np.pi, np.pi, world.n)
     world = add_drive(world, drive.Eccentricity(amplitude, phase))
-    sin_cos = np.rad2deg(amplitude * [np.sin(phase), np.cos(phase)])
+    sin_cos = np.rad2deg(amplitude * [np.cos(phase), np.sin(phase)])  # of a sin(theta + p), by sin and cos of theta
     return world, {**by_tube("sin_{}_deg", sin_cos[0]), **by_tube("cos_{}_deg", sin_cos[1])}
 
 
