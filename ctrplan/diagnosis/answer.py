@@ -18,12 +18,13 @@ from ctrplan.diagnosis.building.built import Built
 from ctrplan.diagnosis.building.sought import build
 from ctrplan.diagnosis.candidates import Candidates
 from ctrplan.diagnosis.chi_square import ignored, remains
+from ctrplan.diagnosis.noise_alone import remaining_error
 from ctrplan.diagnosis.partly import Partly, partly
 from ctrplan.diagnosis.rescaled_noise import rescaled_noise
 from ctrplan.diagnosis.selection import Selector, Step
 from ctrplan.diagnosis.teller import Interrupted, Teller
 from ctrplan.diagnosis.usable_poses import bench_of, checked_split, thinned, without_outliers
-from ctrplan.diagnosis.verdict import Finding, Judgement, judge
+from ctrplan.diagnosis.verdict import Finding, Judgement, judge, specific
 from ctrplan.diagnosis.workbench import Scored, Workbench
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.experiment.split import Split, groups
@@ -66,7 +67,7 @@ def answer(
         first = _beside_a_rest(nothing, data, usable, noise, known, teller)
         if first.interrupted or (first.partly and not first.partly.is_noise):
             return _with_built(first, first, teller)
-    found = _ordinary(data, usable, wrong, bench, parts, known, teller)
+    found = _unless_something_remains(_ordinary(data, usable, wrong, bench, parts, known, teller))
     explained = found.judgement.verdict != "unexplained" or found.judgement.adequacy.is_adequate
     if explained or found.interrupted or is_long:
         return found
@@ -128,6 +129,19 @@ def _beside_a_rest(
     )
 
 
+def _unless_something_remains(found: Answer) -> Answer:
+    """The answer, its names taken back where what they leave has a memory: effects are at work then, but not alone."""
+    judgement = found.judgement
+    if judgement.verdict not in ("named", "ambiguous") or found.interrupted:
+        return found
+    remains_too = remaining_error(found.bench, found.chosen)
+    if not remains_too:
+        return found
+    kept = specific(found.bench, found.chosen, judgement.findings, judgement.adequacy)
+    notes = (*judgement.notes, remains_too)
+    return replace(found, judgement=replace(judgement, verdict="unexplained", findings=kept, notes=notes))
+
+
 def _explaining_all(part: Answer, known: Candidates, teller: Teller) -> Answer | None:
     """What was found beside a rest, judged as any other set: None where something remains after all.
 
@@ -139,7 +153,7 @@ def _explaining_all(part: Answer, known: Candidates, teller: Teller) -> Answer |
     bench = Workbench(there.robot, there.data, part.noise, there.group, there.fold)
     frames = [f.term for f in part.judgement.findings if f.term.name not in part.chosen.names]
     chosen = bench.corrected(bench.scored([*part.chosen.terms, *frames], part.chosen.fit))
-    if not remains(bench, chosen).is_adequate:
+    if not remains(bench, chosen).is_adequate or remaining_error(bench, chosen):
         return None
     selector = Selector(bench, known, teller, chosen)
     try:

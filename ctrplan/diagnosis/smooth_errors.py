@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,7 @@ LENGTHS = (0.6, 1.0, 1.5, 2.5)  # [rad] of joints
 SMOOTH = (0.7, 1.0)  # share of what configurations differ by that goes along with the joints
 LENGTHS_OF_MOTION = (0.3, *LENGTHS)
 MEMORIES = 5  # forgotten ones from a step of the poses to half of the motion, smooth ones from four to twice of it
+Along = Literal["configuration", "joints", "time"]  # poses with like errors have the same of these, or are near in it
 MEMORIES_AT_REST = 6  # smooth ones from four steps to half of the time: what changes more slowly is a drift
 
 
@@ -41,6 +43,7 @@ MEMORIES_AT_REST = 6  # smooth ones from four steps to half of the time: what ch
 class SmoothError:
     """How the errors of poses go along with each other; numbers of a fit that do so, of position and of tangent."""
 
+    along: Along
     position: tuple[Numbered, ...]
     tangent: tuple[Numbered, ...]
 
@@ -65,30 +68,33 @@ def at_rest(data: Measurements, share: float, axes: Array) -> list[SmoothError]:
     found += [(1 - q) * own + q * np.exp(-square / (2 * length**2)) for q, length in product(SMOOTH, LENGTHS)]
     of_poses = [one[np.ix_(which.ravel(), which.ravel())] for one in found]
     of_poses = [share * one + (1 - share) * np.eye(data.count) for one in of_poses]
-    return [_error(data, one, axes) for one in (*of_poses, *_smooth_in_time(clock(data), MEMORIES_AT_REST, 0.5))]
+    one_by_one = _error("configuration", data, of_poses[0], axes)
+    along_joints = [_error("joints", data, one, axes) for one in of_poses[1:]]
+    in_time = [_error("time", data, one, axes) for one in _smooth_in_time(clock(data), MEMORIES_AT_REST, 0.5)]
+    return [one_by_one, *along_joints, *in_time]
 
 
 def of_motion(data: Measurements, axes: Array) -> list[SmoothError]:
     """Of a continuous motion; axes (K, 2, 3) as of poses at rest."""
-    return [_error(data, one, axes) for one in _correlations(data)]
+    return [_error(kind, data, one, axes) for kind, one in _correlations(data)]
 
 
-def _error(data: Measurements, correlation: Array, axes: Array) -> SmoothError:
+def _error(along: Along, data: Measurements, correlation: Array, axes: Array) -> SmoothError:
     """With a correlation (K, K) of poses."""
-    return SmoothError(tuple(_of_coordinates(data, correlation)), tuple(_of_rotations(data, correlation, axes)))
+    return SmoothError(along, tuple(_of_coordinates(data, correlation)), tuple(_of_rotations(data, correlation, axes)))
 
 
-def _correlations(data: Measurements) -> Iterator[Array]:
-    """(K, K) of the poses of a continuous motion."""
+def _correlations(data: Measurements) -> Iterator[tuple[Along, Array]]:
+    """What goes along, and (K, K) of the poses of a continuous motion."""
     time, together = clock(data), data.run[:, None] == data.run
     step, whole = _spans(time)
     for memory in np.geomspace(step, max(whole / 2, step), MEMORIES):
-        yield decay(time, memory) * together
+        yield "time", decay(time, memory) * together
     for one in _smooth_in_time(time, MEMORIES, 2.0):
-        yield one * together
+        yield "time", one * together
     square = square_distances(data, range(data.count))
     for length in LENGTHS_OF_MOTION:
-        yield np.exp(-square / (2 * length**2))
+        yield "joints", np.exp(-square / (2 * length**2))
 
 
 def _smooth_in_time(time: Array, count: int, longest: float) -> Iterator[Array]:

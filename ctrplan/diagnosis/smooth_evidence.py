@@ -81,6 +81,17 @@ class SmoothEvidence:
         """
         return float(self._highest([self._columns(self._rest(without))])[0])
 
+    def beside_noise_alone(self) -> tuple[float, SmoothError]:
+        """Logarithm of how much more probable the set is beside an error than beside noise alone, and that error."""
+        columns = self._columns(self._among)
+        some = Linearised(self._fit.r, self._fit.J[:, :, columns], self._fit.precision[columns])
+        found = []
+        for error in self._errors:
+            spectrum = error.spectrum(some)
+            found.append((spectrum.highest()[0] - spectrum.evidence(spectrum.position[0], spectrum.tangent[0]), error))
+        value, error = max(found, key=lambda one: one[0])
+        return value / 2, error
+
     def odds(self, names: Sequence[str]) -> list[float]:
         """Logarithms, of the set over the set without each of some of its effects."""
         whole, *less = self._highest([self._columns(self._rest(name)) for name in ("", *names)])
