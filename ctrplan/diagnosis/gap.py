@@ -14,6 +14,7 @@ from ctrplan.calibration.pose_errors import Errors, distances, summary
 from ctrplan.calibration.residuals import Noise, Residuals, residuals
 from ctrplan.calibration.unsolved import excused
 from ctrplan.diagnosis.chi_square import ChiSquare, outliers
+from ctrplan.diagnosis.rescaled_noise import HEAVY, tail_weight
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.pipeline.friction_path import friction_correction
 from ctrplan.pipeline.parametric_chain import ParametricChain
@@ -28,6 +29,7 @@ class Gap:
     before: Errors
     after: Errors
     floor_m: float
+    tails: float  # of the residuals that were fitted: variance of their squares over what it is for Gaussian noise
     spread_m: float  # rms distance that the uncertainty of the fitted parameters leaves open, with the effects
     regions: Mapping[str, tuple[Errors, Errors]]
     before_m: Array  # (V,) distances of the held-out set's poses, without those that are left out
@@ -69,6 +71,7 @@ def open_held_out_set(
         calibrated,
         effective,
         noise.floor_m,
+        _tails(after.residuals),
         _spread_m(effective_there.subset(kept).position_by, after),
         regions,
         errors[1],
@@ -77,6 +80,12 @@ def open_held_out_set(
         failed,
         outlying,
     )
+
+
+def _tails(fitted: Residuals) -> float:
+    near = ~outliers(fitted.raw_norm)
+    weight = tail_weight(fitted.norm[near], fitted.given.sum(axis=1)[near]) if near.any() else 1.0
+    return weight if weight > HEAVY else 1.0
 
 
 def _spread_m(position_by: Array, after: Fit) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ctrplan.calibration.estimates import estimates
@@ -39,14 +41,15 @@ def verdict_sentence(found: Diagnosis) -> str:
 
 
 def _left_open(found: Diagnosis) -> str:
-    """Where the poses do not settle all parameters of an effect, so that others are predicted less well."""
+    """Why others are predicted less well: poses do not settle all parameters, or noise with heavy tails varies."""
     after, floor, left_open = found.gap.after.rms_m, found.gap.floor_m, found.gap.spread_m
     if times_noise(after, floor) <= LARGEST_REST:
         return ""
-    return (
-        f", where it was fitted; poses kept aside are {after * 1e3:.2f} mm off, for its parameters are uncertain by "
-        f"{left_open * 1e3:.2f} mm there: more configurations would settle them"
-    )
+    off = f", where it was fitted; poses kept aside are {after * 1e3:.2f} mm off"
+    if times_noise(after, math.hypot(floor, left_open)) > LARGEST_REST:
+        return f"{off}, for the noise has heavy tails"
+    uncertain = f"its parameters are uncertain by {left_open * 1e3:.2f} mm there: more configurations would settle them"
+    return f"{off}, for {uncertain}"
 
 
 def _built(found: Diagnosis) -> str:

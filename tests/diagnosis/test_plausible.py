@@ -11,7 +11,7 @@ from measured_data import measured, pair_robot, waypoints
 
 from ctrplan.calibration.symptoms import is_strained, strained, symptoms
 from ctrplan.diagnosis import CATALOGUE, diagnose
-from ctrplan.diagnosis.agreement import LARGEST_REST, contradiction
+from ctrplan.diagnosis.agreement import LARGEST_REST, contradiction, largest_rest
 from ctrplan.diagnosis.candidates import candidates
 from ctrplan.diagnosis.noise_floor import noise_floor
 from ctrplan.diagnosis.selection import Selector
@@ -98,5 +98,10 @@ def test_what_parameters_leave_open_is_no_contradiction_and_is_told() -> None:
     assert "contradict" in contradiction("named", far, found.place)
     assert contradiction("named", open_, found.place) == ""
     assert "uncertain by" in verdict_sentence(replace(found, gap=open_))
+    tailed = replace(far, tails=12.0)
+    assert contradiction("named", tailed, found.place) == ""
+    assert "heavy tails" in verdict_sentence(replace(found, gap=tailed))
+    assert contradiction("no_missing_effect", tailed, found.place) != ""
+    assert largest_rest(1.0) == pytest.approx(LARGEST_REST) and largest_rest(4.0) == pytest.approx(np.sqrt(3.5))
     nothing = contradiction("no_missing_effect", open_, replace(found.place, rms_m=off))
     assert "poses that were fitted" in nothing  # nothing is left open there
