@@ -142,7 +142,8 @@ def _opened(answer: Answer, data: Measurements) -> Opened:
         if doubt := contradiction(judgement.verdict, gap, place):
             judgement, notes = replace(judgement, verdict="unexplained"), [*notes, doubt]
     settled = answer.chosen if answer.partly else answer.bench.sized(answer.chosen)
-    told = [s.sentence for s in symptoms(settled.fit) if s.owner not in {t.name for t in settled.terms if is_built(t)}]
+    built = {t.name for t in settled.terms if is_built(t)}
+    told = [symptom.sentence for symptom in symptoms(settled.fit) if symptom.owner not in built]
     return Opened(judgement, written, gap, place, (*notes, *told), answer)
 
 

@@ -24,14 +24,14 @@ def verdict_sentence(found: Diagnosis) -> str:
         return f"No missing effect: calibrated, the model agrees with the measurements to their noise{_but(found)}."
     if found.verdict == "named":
         them = "it" if len(found.listed) == 1 else "them"
-        agrees = f"With {them} the model agrees with the measurements to their noise{_but(found)}"
-        return f"Missing: {names}. {agrees}{_left_open(found)}."
+        agrees = f"With {them} the model agrees with the measurements to their noise{_but(found)}."
+        return f"Missing: {names}. {agrees}{_left_open(found)}"
     if found.partly:
         closed = f"{found.gap.before.rms_m * 1e3:.2f} mm off without and {found.gap.after.rms_m * 1e3:.2f} mm with"
         more = f" {_built(found)}" if found.built else ""
         return f"In part: {names}. Tips are {closed}; something remains that nothing in the catalogue explains.{more}"
     if found.verdict == "ambiguous":
-        return f"Missing: {names}. The data can't tell them apart, both would explain them."
+        return f"Missing: {names}. The data can't tell them apart, both would explain them.{_left_open(found)}"
     rest = f"what remains is {left:.1f} times the noise"
     if found.built:
         return f"Unexplained: nothing in the catalogue explains the measurements. {_built(found)}"
@@ -41,15 +41,14 @@ def verdict_sentence(found: Diagnosis) -> str:
 
 
 def _left_open(found: Diagnosis) -> str:
-    """Why others are predicted less well: poses do not settle all parameters, or noise with heavy tails varies."""
+    """Why poses kept aside are further off than noise: others do not settle all parameters, or the noise varies."""
     after, floor, left_open = found.gap.after.rms_m, found.gap.floor_m, found.gap.spread_m
     if times_noise(after, floor) <= LARGEST_REST:
         return ""
-    off = f", where it was fitted; poses kept aside are {after * 1e3:.2f} mm off"
+    off = f" Poses kept aside are {after * 1e3:.2f} mm off, the noise is {floor * 1e3:.2f} mm:"
     if times_noise(after, math.hypot(floor, left_open)) > LARGEST_REST:
-        return f"{off}, for the noise has heavy tails"
-    uncertain = f"its parameters are uncertain by {left_open * 1e3:.2f} mm there: more configurations would settle them"
-    return f"{off}, for {uncertain}"
+        return f"{off} it has heavy tails."
+    return f"{off} parameters are uncertain by {left_open * 1e3:.2f} mm there, more configurations would settle them."
 
 
 def _built(found: Diagnosis) -> str:

@@ -35,8 +35,9 @@ LENGTHS = (0.6, 1.0, 1.5, 2.5)  # [rad] of joints
 SMOOTH = (0.7, 1.0)  # share of what configurations differ by that goes along with the joints
 LENGTHS_OF_MOTION = (0.3, *LENGTHS)
 MEMORIES = 5  # forgotten ones from a step of the poses to half of the motion, smooth ones from four to twice of it
-Along = Literal["configuration", "joints", "time"]  # poses with like errors have the same of these, or are near in it
 MEMORIES_AT_REST = 6  # smooth ones from four steps to half of the time: what changes more slowly is a drift
+
+Along = Literal["configuration", "joints", "time"]  # poses with like errors have the same of these, or are near in it
 
 
 @dataclass(frozen=True, eq=False)

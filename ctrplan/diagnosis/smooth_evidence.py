@@ -83,9 +83,7 @@ class SmoothEvidence:
 
     def beside_noise_alone(self) -> tuple[float, SmoothError]:
         """Logarithm of how much more probable the set is beside an error than beside noise alone, and that error."""
-        columns = self._columns(self._among)
-        some = Linearised(self._fit.r, self._fit.J[:, :, columns], self._fit.precision[columns])
-        found = []
+        some, found = self._only(self._columns(self._among)), []
         for error in self._errors:
             spectrum = error.spectrum(some)
             found.append((spectrum.highest()[0] - spectrum.evidence(spectrum.position[0], spectrum.tangent[0]), error))
@@ -132,10 +130,14 @@ class SmoothEvidence:
         wanted = {(t.name, q.name) for t in terms for q in t.parameters}
         return [k for k, key in enumerate(self._keys) if key in wanted]
 
+    def _only(self, columns: Sequence[int]) -> Linearised:
+        """The other parameters being where they do nothing."""
+        return Linearised(self._fit.r, self._fit.J[:, :, columns], self._fit.precision[columns])
+
     def _highest(self, sets: Sequence[Sequence[int]]) -> list[float]:
         """(S,) of sets of columns, each with the covariance that is most probable beside it."""
         union = sorted({column for columns in sets for column in columns})
-        some = Linearised(self._fit.r, self._fit.J[:, :, union], self._fit.precision[union])
+        some = self._only(union)
         places = [np.searchsorted(union, columns).tolist() for columns in sets]
         best = [-np.inf] * len(sets)
         for error in self._errors:
@@ -147,7 +149,7 @@ class SmoothEvidence:
 
     def _most_probable(self, columns: Sequence[int]) -> _Probable:
         """The error beside some columns."""
-        some = Linearised(self._fit.r, self._fit.J[:, :, columns], self._fit.precision[columns])
+        some = self._only(columns)
         found = [(*error.spectrum(some).highest(), error) for error in self._errors]
         value, position, tangent, error = max(found, key=lambda one: one[0])
         return _Probable(value / 2, error, position, tangent)

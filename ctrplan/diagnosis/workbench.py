@@ -103,7 +103,7 @@ class Workbench:
         self._correction: tuple[Array, Array] | None = None
         self._done: dict[frozenset[str], Scored] = {}
         self._tried: dict[frozenset[str], list[Fit | None]] = {}  # where fits of a set began
-        self._sized: dict[tuple[Scored, Noise], Scored] = {}
+        self._sized: dict[tuple[Scored, Noise], Scored] = {}  # with wide priors
 
     @cached_property
     def whitening_group(self) -> NDArray[np.int_]:
@@ -220,10 +220,10 @@ class Workbench:
         """
         key = scored, self.noise
         if key not in self._sized:
-            self._sized[key] = self._widened(scored)
+            self._sized[key] = self._freed(scored)
         return self._sized[key]
 
-    def _widened(self, scored: Scored) -> Scored:
+    def _freed(self, scored: Scored) -> Scored:
         for _ in range(MOST_WIDENINGS):
             chain, p = scored.fit.chain, scored.fit.p
             terms = [
