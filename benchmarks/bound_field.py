@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.core import Field, PathDensity, PathLimits, Status
+from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.walk import Field, PathDensity, PathLimits
 from ctrplan.planning.bound_table import BoundTable, tabulated_bounds
 from ctrplan.robot.robot import Robot
 

@@ -50,9 +50,9 @@ from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.base.arrays import Array
 from ctrplan.errors import CtrplanError
-from ctrplan.files.bare_scenario import bare_scenario
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.mechanics.accuracy import Accuracy
+from ctrplan.planning.bare_scenario import bare_scenario
 from ctrplan.planning.certificate.certify import certify
 from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.scenario import Scenario

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.core import Mechanics, Status
+from ctrplan.mechanics.core import Mechanics
+from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.tube import Tube, TubeSection
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -12,7 +12,8 @@ import numpy as np
 from history_page import PAIR, THREE, norm_mm, present, table
 
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.core import Accuracy, Status
+from ctrplan.mechanics.accuracy import Accuracy
+from ctrplan.mechanics.shapes import Status
 from ctrplan.robot.robot import Robot
 
 HISTORIES = 1000  # of each robot

@@ -11,8 +11,8 @@ from history_page import PAIR, PAIR_L_M, THREE, draw, norm_mm, panels, present, 
 from matplotlib import colormaps
 
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.core import Accuracy
-from ctrplan.mechanics.history import HistoryOptions
+from ctrplan.mechanics.accuracy import Accuracy
+from ctrplan.mechanics.history_options import HistoryOptions
 from ctrplan.reports import palette
 from ctrplan.robot.robot import Robot
 

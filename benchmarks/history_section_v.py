@@ -9,8 +9,7 @@ from history_page import COLOURS, PAIR, PAIR_L_M, draw, norm_mm, panels, present
 from matplotlib.figure import Figure
 
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.core import Shape
-from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.shapes import Shape, Status
 from ctrplan.reports import palette
 
 ANGLES_DEG = np.arange(0, 361, 10)

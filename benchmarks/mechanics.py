@@ -23,7 +23,10 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.core import Accuracy, PathDensity, Shape, Status, kernel_name
+from ctrplan.mechanics.accuracy import Accuracy
+from ctrplan.mechanics.core import kernel_name
+from ctrplan.mechanics.shapes import Shape, Status
+from ctrplan.mechanics.walk import PathDensity
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "tests" / place) for place in ("oracles", "support")]

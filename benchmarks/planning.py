@@ -23,7 +23,7 @@ from own_cache import use_own_cache
 from planning_queries import Query, queries
 
 import ctrplan
-from ctrplan.anatomy.clearance_grid import exact_clearance
+from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.drive.trajectory import time_parameterise, verify_limits
 from ctrplan.errors import CtrplanError
 from ctrplan.planning import Plan

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from ctrplan.files.plan_file import WrittenPlan, load_plan
     from ctrplan.files.robot_file import load_robot
     from ctrplan.files.scenario_file import load_scenario
-    from ctrplan.mechanics.core import Bound, Bounds, Shape, Status
     from ctrplan.mechanics.history import History, HistoryStep
+    from ctrplan.mechanics.shapes import Bound, Bounds, Shape, Status
     from ctrplan.planning.finish.reorder import reorder as reorder
     from ctrplan.planning.inverse_kinematics import InverseKinematics
     from ctrplan.planning.inverse_kinematics import inverse_kinematics as inverse_kinematics

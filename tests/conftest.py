@@ -19,7 +19,8 @@ from ctrplan.drive.trajectory import time_parameterise
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import scenario_from_dict
 from ctrplan.planning.certificate.certify import certify
-from ctrplan.planning.plan import Leg, Plan, ReorderReport, leg_kind
+from ctrplan.planning.plan import Plan
+from ctrplan.planning.planned_motion import Leg, ReorderReport, leg_kind
 from ctrplan.planning.scenario import Scenario
 
 OBSTACLES = [

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 from ctrplan.base.arrays import Array
 from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.core import Shape
+from ctrplan.mechanics.shapes import Shape
 from ctrplan.reports import palette
 from paper_figures.contact_regions import Region, offset_m, regions
 from paper_figures.drawing import COLOURS, figure, label, legend, save, table

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.core import Shape, TubeShape
+from ctrplan.mechanics.shapes import Shape, TubeShape
 from paper_figures.pairs import OUTER_LENGTH_M
 
 CONTACT = 0.01  # share of the largest force at which a contact point counts

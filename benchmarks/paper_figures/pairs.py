@@ -11,7 +11,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.core import Shape
+from ctrplan.mechanics.shapes import Shape
 from ctrplan.robot.robot import Robot
 
 ROOT = Path(__file__).resolve().parents[2]

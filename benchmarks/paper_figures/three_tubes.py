@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from ctrplan.base.arrays import Array
 from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.core import Bound, Shape, Status
+from ctrplan.mechanics.shapes import Bound, Shape, Status
 from ctrplan.reports import palette
 from paper_figures.drawing import label, prepare, save, table
 from paper_figures.pairs import (

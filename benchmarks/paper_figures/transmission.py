@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from ctrplan.mechanics.core import Status
+from ctrplan.mechanics.shapes import Status
 from ctrplan.reports import palette
 from paper_figures.drawing import COLOURS, figure, label, legend, points, save, table
 from paper_figures.pairs import (

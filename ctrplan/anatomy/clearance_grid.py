@@ -16,21 +16,12 @@ from numpy.typing import ArrayLike
 
 from ctrplan.anatomy.distance_field import SignedDistanceField
 from ctrplan.anatomy.grid_distance import COARSEST, grid_distance
-from ctrplan.anatomy.parts import AnatomyPart, combined_clearance, exact_clearance
+from ctrplan.anatomy.parts import AnatomyPart, combined_clearance
 from ctrplan.anatomy.shape import Shape
 from ctrplan.base.arrays import Array
 from ctrplan.base.progress import Progress, part_of
 from ctrplan.errors import InputError
 from ctrplan.storage import cache as field_cache
-
-__all__ = [
-    "AnatomyPart",
-    "SignedDistanceField",
-    "build_field",
-    "default_spacing_m",
-    "exact_clearance",
-    "field_bounds",
-]
 
 FORMAT = b"ctrplan distance field 2"  # part of the cache key: change it with anything that changes the values
 SPACINGS_M = (1e-6, 1.0)

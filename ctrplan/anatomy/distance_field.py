@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-import ctrplan._model as _model
+from ctrplan import _model
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.base.arrays import Array
 

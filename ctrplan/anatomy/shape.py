@@ -16,10 +16,9 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import ArrayLike
 
-from ctrplan.base.abstract_struct import AbstractStruct
 from ctrplan.base.arguments import Number, require
 from ctrplan.base.arrays import Array, numbers, read_only
-from ctrplan.base.catalogue import Catalogue
+from ctrplan.base.catalogue import AbstractStruct, Catalogue
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
 from ctrplan.storage.number_ranges import Distance
@@ -73,7 +72,7 @@ class PartEntry(Struct, metaclass=AbstractStruct, forbid_unknown_fields=True, kw
         """The shape that the entry describes; `table` reads files and says faults. Raises InputError."""
 
 
-CATALOGUE: Catalogue[type[PartEntry]] = Catalogue("obstacle kind")
+CATALOGUE: Catalogue[type[PartEntry]] = Catalogue("obstacle kind", "ctrplan.anatomy.shapes")
 E_ = TypeVar("E_", bound=type[PartEntry])
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-import ctrplan._model as _model
+from ctrplan import _model
 from ctrplan.base.arrays import Array
 
 

@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from ctrplan.calibration.base_parameters import ABSOLUTE_STIFFNESS, BaseParameters
 from ctrplan.calibration.named_parameters import NamedParameters
-from ctrplan.effects.catalogue import CATALOGUE
-from ctrplan.effects.effect import Effect
+from ctrplan.effects.effect import CATALOGUE, Effect
 from ctrplan.errors import InputError
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.pipeline.term import Term, term

@@ -14,7 +14,7 @@ from ctrplan.anatomy.mesh_defect import MeshDefectError
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import Role, Shape
 from ctrplan.base.units import MM_PER_M
-from ctrplan.cases import draft
+from ctrplan.cases.draft import part
 from ctrplan.cases.moving import between_phases_mm, with_margin
 from ctrplan.cases.structures import Structure
 from ctrplan.cases.work import SCENARIO, Work
@@ -44,7 +44,7 @@ def drafted(work: Work, content: dict[str, Any], robot: str, structures: Sequenc
 def shape_of(work: Work, structure: Structure, frame: Frame) -> Shape:
     """A structure by itself in the case's frame. Raises InputError."""
     role: Role = "avoid"
-    content = {"frame": frame, "anatomy": [draft.part(structure, role, work.request, work.folder)]}
+    content = {"frame": frame, "anatomy": [part(structure, role, work.request, work.folder)]}
     document = Document.of(content, "scenario", str(work.file(SCENARIO)))
     with _said_of([structure]):
         return anatomy_part(Table(document, ("anatomy", 0), True)).shape

@@ -15,7 +15,8 @@ from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 
 if TYPE_CHECKING:
     from ctrplan.base.arrays import Array
-    from ctrplan.mechanics.core import Accuracy, Bound, Shape
+    from ctrplan.mechanics.accuracy import Accuracy
+    from ctrplan.mechanics.shapes import Bound, Shape
     from ctrplan.robot.robot import Robot
 
 EXAMPLES = """examples:
@@ -70,7 +71,7 @@ def run_bound(arguments: argparse.Namespace) -> int:
     import numpy as np
 
     from ctrplan.files.robot_file import load_robot
-    from ctrplan.mechanics.core import Status
+    from ctrplan.mechanics.shapes import Status
     from ctrplan.pipeline.left_ranges import range_notes
     from ctrplan.planning.play import play_shift
     from ctrplan.robot.nesting import nesting_violation
@@ -107,7 +108,7 @@ def run_bound(arguments: argparse.Namespace) -> int:
 
 def _no_bound(found: Bound) -> str:
     """Why there is none, in one sentence."""
-    from ctrplan.mechanics.core import Status
+    from ctrplan.mechanics.shapes import Status
 
     statuses = [found.frictionless.status, *(shape.status for shape in found.corners)]
     if Status.OVERTWISTED in statuses:

@@ -14,7 +14,7 @@ from ctrplan.errors import InputError
 from ctrplan.storage.output_folder import DEFAULT, output_folder, write_results
 
 if TYPE_CHECKING:
-    from ctrplan.mechanics.core import Accuracy
+    from ctrplan.mechanics.accuracy import Accuracy
     from ctrplan.studies.sweep import Sweep
 
 OUTPUTS = ("sweep.csv", "sweep.png")
@@ -63,7 +63,7 @@ def _write(folder: Path, result: Sweep) -> None:
 
 
 def _summary(folder: Path, result: Sweep) -> str:
-    from ctrplan.mechanics.core import Status
+    from ctrplan.mechanics.shapes import Status
 
     count = " x ".join(map(str, result.shape))
     lines = [f"{result.robot.name}: {count} points over {' and '.join(axis.key for axis in result.axes)}"]

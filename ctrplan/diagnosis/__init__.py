@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from ctrplan.diagnosis.diagnose import diagnose as diagnose
     from ctrplan.diagnosis.result import Diagnosis
-    from ctrplan.effects.catalogue import CATALOGUE
-    from ctrplan.effects.effect import Effect, Parameter, register
+    from ctrplan.effects.effect import CATALOGUE, Effect, Parameter, register
 
 _HOMES = {
-    "CATALOGUE": "effects.catalogue",
+    "CATALOGUE": "effects.effect",
     "Diagnosis": "diagnosis.result",
     "Effect": "effects.effect",
     "Parameter": "effects.effect",

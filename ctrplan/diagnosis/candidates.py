@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from ctrplan.effects.catalogue import CATALOGUE
-from ctrplan.effects.effect import Effect
+from ctrplan.effects.effect import CATALOGUE, Effect
 from ctrplan.errors import InputError
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.pipeline.parametric_chain import DRIVEN_ALREADY
 from ctrplan.pipeline.term import Term, term
 from ctrplan.robot.robot import Robot
-
-__all__ = ["CATALOGUE", "Candidates", "candidates"]
 
 
 @dataclass(frozen=True, eq=False)

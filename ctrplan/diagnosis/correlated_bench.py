@@ -27,7 +27,7 @@ from ctrplan.diagnosis.nested_scores import nested_null_scores
 from ctrplan.diagnosis.predictive import predictive_loss
 from ctrplan.diagnosis.smooth_errors import SmoothError
 from ctrplan.diagnosis.workbench import Scored, Workbench, linear
-from ctrplan.effects.catalogue import CATALOGUE
+from ctrplan.effects.effect import CATALOGUE
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.experiment.motion import clock
 from ctrplan.pipeline.followed_runs import followed

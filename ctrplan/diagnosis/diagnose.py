@@ -23,8 +23,7 @@ from ctrplan.diagnosis.opening import Opened, opened
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.teller import HELD_OUT_SHARE, Teller
 from ctrplan.diagnosis.usable_poses import checked_split, usable_poses
-from ctrplan.effects.catalogue import CATALOGUE
-from ctrplan.effects.effect import Effect
+from ctrplan.effects.effect import CATALOGUE, Effect
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.robot.robot import Robot
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ctrplan.effects.catalogue import CATALOGUE
+from ctrplan.effects.effect import CATALOGUE
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.pipeline.term import Term, term
 from ctrplan.robot.robot import Robot

@@ -167,7 +167,9 @@ class Effect(ABC):
 
 
 E_ = TypeVar("E_", bound=type[Effect])
-CATALOGUE: Catalogue[Effect] = Catalogue("effect")
+CATALOGUE: Catalogue[Effect] = Catalogue(
+    "effect", *(f"ctrplan.effects.{stage}" for stage in ("clock", "drive", "mechanics", "sensor"))
+)
 STATED = ("name", "stage", "equation", "signature", "experiment")  # what every effect says of itself
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ctrplan.effects.catalogue import CATALOGUE
-from ctrplan.effects.effect import Effect
+from ctrplan.effects.effect import CATALOGUE, Effect
 from ctrplan.effects.learned import table as learned_table
 
 COMMON_NOTES = ("ci95", "provenance")  # keys of any effect's table that say where its values come from

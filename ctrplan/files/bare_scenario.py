@@ -11,8 +11,6 @@ from ctrplan.planning.bare_scenario import bare_scenario
 from ctrplan.planning.scenario import Scenario
 from ctrplan.storage.toml_document import read_document
 
-__all__ = ["bare_scenario", "load_robot_or_scenario"]
-
 
 def load_robot_or_scenario(
     path: str | os.PathLike[str], overrides: Sequence[str] = (), *, allow_outside: bool = False

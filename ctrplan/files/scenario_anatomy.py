@@ -36,8 +36,7 @@ def anatomy_part(table: Table) -> AnatomyPart:
 
 
 def _shape(table: Table) -> tuple[Shape, PartEntry]:
-    from ctrplan.anatomy.shape import PartEntry
-    from ctrplan.anatomy.shape_catalogue import CATALOGUE
+    from ctrplan.anatomy.shape import CATALOGUE, PartEntry
 
     if MOTION in table.content:
         raise table.fault(f"goes with {FILES}, the structure in several phases", MOTION)

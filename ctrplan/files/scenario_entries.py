@@ -116,6 +116,6 @@ def _joint_value(table: dict[str, Any], joint: Joint, document: Document, *path:
 
 def planner_settings(table: Table) -> PlannerSettings:
     """[planner]. Raises InputError for a planner that there is not, and for settings that are not its own."""
-    from ctrplan.planning.search.planner_catalogue import CATALOGUE, DEFAULT
+    from ctrplan.planning.planner_settings import CATALOGUE, DEFAULT
 
-    return chosen(table, "name", CATALOGUE, PlannerSettings, DEFAULT.name)
+    return chosen(table, "name", CATALOGUE, PlannerSettings, DEFAULT)

@@ -5,14 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import ctrplan.files.trajectory_formats
-from ctrplan.base.extensions import import_modules
 from ctrplan.drive.trajectory import Trajectory
 from ctrplan.errors import InputError
 from ctrplan.files.trajectory_format import CATALOGUE, TrajectoryFormat
 from ctrplan.storage.atomic_write import write_atomically
-
-import_modules(ctrplan.files.trajectory_formats, CATALOGUE)
 
 
 def trajectory_formats(names: Sequence[str]) -> list[TrajectoryFormat]:

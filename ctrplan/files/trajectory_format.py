@@ -29,7 +29,7 @@ class TrajectoryFormat:
         return f"trajectory{self.suffix}"
 
 
-CATALOGUE: Catalogue[TrajectoryFormat] = Catalogue("trajectory format")
+CATALOGUE: Catalogue[TrajectoryFormat] = Catalogue("trajectory format", "ctrplan.files.trajectory_formats")
 
 
 def register(name: str, *, suffix: str) -> Callable[[AsText], AsText]:
@@ -41,7 +41,7 @@ def register(name: str, *, suffix: str) -> Callable[[AsText], AsText]:
         raise InputError("must be a dot and letters or digits, such as .csv", key="suffix", value=suffix)
 
     def registered(text: AsText) -> AsText:
-        same = [other.name for other in CATALOGUE.values() if other.suffix == suffix and other.name != name]
+        same = [other.name for other in CATALOGUE.registered.values() if other.suffix == suffix and other.name != name]
         if same:
             raise InputError(f"is the suffix of format {same[0]} already", key="suffix", value=suffix)
         CATALOGUE.add(name, TrajectoryFormat(name, suffix, text), text.__module__)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-import ctrplan._model as _model
+from ctrplan import _model
 from ctrplan.base.arguments import EXECUTOR, PROGRESS, Choice, Flag, Made, Number, Texts, Whole, checked, require
 from ctrplan.base.arrays import Array, numbers
 from ctrplan.base.cores import core_threads
@@ -41,7 +41,7 @@ from ctrplan.mechanics.derivative_names import directions
 from ctrplan.mechanics.friction_states import SPACING, FrictionStates
 from ctrplan.mechanics.loads import Loads
 from ctrplan.mechanics.nesting import nests
-from ctrplan.mechanics.shapes import Bound, Bounds, FrictionBodies, Shape, Status, Tips, TubeShape
+from ctrplan.mechanics.shapes import Bound, Bounds, FrictionBodies, Shape, Tips
 from ctrplan.mechanics.tube import RANGES, SECTION_RANGES
 from ctrplan.mechanics.walk import Field, PathDensity, PathLimits, PathSamples
 
@@ -51,22 +51,6 @@ if TYPE_CHECKING:
     from ctrplan.mechanics.history_options import HistoryOptions
     from ctrplan.mechanics.tube import Tube
 
-__all__ = [
-    "Accuracy",
-    "Array",
-    "Bound",
-    "Bounds",
-    "Field",
-    "Mechanics",
-    "PathDensity",
-    "PathLimits",
-    "PathSamples",
-    "Shape",
-    "Status",
-    "Tips",
-    "TubeShape",
-    "kernel_name",
-]
 
 MOST_THREADS = 1024
 TIPS_AT_ONCE = 1 << 16  # whose copies in the core take little memory, and no time to give up

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-import ctrplan._model as _model
+from ctrplan import _model
 from ctrplan.base.arrays import Array
 
 # Points (K, 3) and what is asked for (K,) [m] -> clearance, exact where it is below that, else a lower bound of it.

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ctrplan.effects.catalogue import CATALOGUE
-from ctrplan.effects.effect import Parameter
+from ctrplan.effects.effect import CATALOGUE, Parameter
 from ctrplan.effects.learned import table as learned_table
 from ctrplan.effects.of_file import COMMON_NOTES, NOTES, effect_of
 from ctrplan.robot.robot import Robot

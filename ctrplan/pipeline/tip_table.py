@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.core import Accuracy
+from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.mechanics.loads import Loads
 from ctrplan.mechanics.nesting import is_in_order, moved_to_nest
 from ctrplan.mechanics.shapes import Status

@@ -8,7 +8,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ctrplan.anatomy.anatomy_field import anatomy_field, shared_spacing_m
-from ctrplan.anatomy.clearance_grid import SignedDistanceField, field_bounds
+from ctrplan.anatomy.clearance_grid import field_bounds
+from ctrplan.anatomy.distance_field import SignedDistanceField
 
 if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario

@@ -6,8 +6,8 @@ import numpy as np
 
 from ctrplan.errors import InputError
 from ctrplan.planning.joint_space import JointSpace
+from ctrplan.planning.planner_settings import CATALOGUE, DEFAULT
 from ctrplan.planning.scenario import Goal, Scenario
-from ctrplan.planning.search.planner_catalogue import DEFAULT
 from ctrplan.robot.robot import Robot
 
 
@@ -28,7 +28,7 @@ def bare_scenario(robot: Robot) -> Scenario:
         base_R=np.eye(3),
         start=start,
         goal=Goal(joints=start, tip_m=None, tolerance_m=1e-3),
-        planner=DEFAULT,
+        planner=CATALOGUE[DEFAULT](),  # type: ignore[call-arg]  # every setting has a default
         path=robot.path,
         warnings=robot.warnings,
     )

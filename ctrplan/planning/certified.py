@@ -18,7 +18,7 @@ from ctrplan.errors import InputError
 from ctrplan.planning.comparison import Difference, differences
 
 if TYPE_CHECKING:
-    from ctrplan.mechanics.core import Accuracy
+    from ctrplan.mechanics.accuracy import Accuracy
     from ctrplan.planning.scenario import StartFriction
 
 

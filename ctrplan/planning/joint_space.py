@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,13 +15,14 @@ from ctrplan.base.arrays import Array, numbers, read_only
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
 from ctrplan.mechanics.nesting import TOLERANCE_M, reach_inequalities
-from ctrplan.planning.plan import MotionStyle
 
 if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario
     from ctrplan.robot.robot import Robot
 
 from ctrplan.base.units import MM_PER_M
+
+MotionStyle = Literal["rotations before translations", "simultaneous"]
 
 PROJECTIONS = 12  # rounds over limits and nesting, which are few and nearly orthogonal
 MM_PER_RAD = 20.0  # where no scenario says otherwise

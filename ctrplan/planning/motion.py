@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arguments import Choice, Made, Number, checked
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.core import Field, PathDensity, PathLimits, PathSamples, Status
 from ctrplan.mechanics.friction_law import largest_deviation
+from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.walk import Field, PathDensity, PathLimits, PathSamples
 from ctrplan.planning.anatomy_grid import anatomy_grid
-from ctrplan.planning.joint_space import JointSpace
+from ctrplan.planning.joint_space import JointSpace, MotionStyle
 from ctrplan.planning.path_cost import path_cost_mm
-from ctrplan.planning.plan import MotionStyle
 from ctrplan.planning.play import usual_play_shift
 from ctrplan.planning.search_clock import ASKED_NS, LOOKED_UP_NS, ROOM_NS, SHAPE_NS, WorkMeter, counted_aside
 from ctrplan.planning.search_watch import SearchWatch

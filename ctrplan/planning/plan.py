@@ -9,37 +9,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ctrplan.planning.certified import Certificate, CertificateSamples, Closest, Recheck, Settling, TargetReached
+from ctrplan.planning.certified import Closest, Recheck
 from ctrplan.planning.comparison import path_differences
 from ctrplan.planning.plan_json import plan_to_json
 from ctrplan.planning.plan_timing import place_time_s
 from ctrplan.planning.planned_motion import (
-    ComparedWay,
-    Compensation,
-    Leg,
-    LegKind,
-    MotionStyle,
     PlannedMotion,
-    ReorderReport,
-    leg_kind,
 )
-
-__all__ = [
-    "Certificate",
-    "CertificateSamples",
-    "Closest",
-    "ComparedWay",
-    "Compensation",
-    "Leg",
-    "LegKind",
-    "MotionStyle",
-    "Plan",
-    "Recheck",
-    "ReorderReport",
-    "Settling",
-    "TargetReached",
-    "leg_kind",
-]
 
 ENDED_BY_TIME = "The search was ended by the clock: with the same seed, another machine may find another path."
 

@@ -11,9 +11,10 @@ from ctrplan.base.arrays import Array, numbers
 from ctrplan.errors import InputError
 from ctrplan.planning.planned_motion import PlannedMotion
 from ctrplan.planning.scenario import Scenario
+from ctrplan.planning.target_chances.aim import Stop, end_stop
 from ctrplan.planning.target_chances.drawn_poses import DrawnPoses
 from ctrplan.planning.target_chances.simulated_poses import DrivenPath, SimulatedPoses
-from ctrplan.planning.target_chances.stops import Stop, end_stop, plan_stops
+from ctrplan.planning.target_chances.stops import plan_stops
 from ctrplan.planning.target_chances.target_miss import goal_miss, judged
 from ctrplan.planning.target_chances.tour_miss import tour_miss
 from ctrplan.planning.uncertainty.chance import Draws

@@ -10,6 +10,7 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.drive.drive import Drive
 from ctrplan.planning.certified import Certificate
+from ctrplan.planning.joint_space import MotionStyle
 from ctrplan.planning.search_clock import SearchEnd
 
 if TYPE_CHECKING:
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from ctrplan.planning.uncertainty.result import Uncertainty
 
 LegKind = Literal["rotation", "translation", "simultaneous"]
-MotionStyle = Literal["rotations before translations", "simultaneous"]
 
 
 @dataclass(frozen=True, eq=False)

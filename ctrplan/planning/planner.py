@@ -24,6 +24,7 @@ from ctrplan.planning.certificate.friction_cube import refuse_many_tubes
 from ctrplan.planning.certificate.start_branches import other_start
 from ctrplan.planning.certificate.tour import joined_certificates
 from ctrplan.planning.certificate.walked_legs import WalkedLegs, walk_legs
+from ctrplan.planning.certified import Certificate
 from ctrplan.planning.clearance_shares import with_shares
 from ctrplan.planning.finish.compensate import compensate
 from ctrplan.planning.finish.oscillate_at_goal import settle
@@ -35,8 +36,9 @@ from ctrplan.planning.goals.goal_states import goal_states
 from ctrplan.planning.goals.goal_turns import is_at_goal, nearest_turn, turn_notes
 from ctrplan.planning.goals.line import follow_line, line_beginnings
 from ctrplan.planning.motion import MotionChecker
-from ctrplan.planning.plan import ENDED_BY_TIME, Certificate, Compensation, Plan
+from ctrplan.planning.plan import ENDED_BY_TIME, Plan
 from ctrplan.planning.plan_uncertainty import plan_uncertainty
+from ctrplan.planning.planned_motion import Compensation
 from ctrplan.planning.search.stage_search import Candidate, Progress, Report, StageSearch
 from ctrplan.planning.search_clock import SearchClock, SearchEnd
 from ctrplan.robot.friction_calibration import friction_law

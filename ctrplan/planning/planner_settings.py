@@ -12,8 +12,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from msgspec import Meta, Struct
 
-from ctrplan.base.abstract_struct import AbstractStruct
-from ctrplan.base.catalogue import Catalogue
+from ctrplan.base.catalogue import AbstractStruct, Catalogue
 from ctrplan.errors import InputError
 
 
@@ -35,7 +34,8 @@ class PlannerSettings(Struct, metaclass=AbstractStruct, frozen=True, forbid_unkn
         """
 
 
-CATALOGUE: Catalogue[type[PlannerSettings]] = Catalogue("planner")
+CATALOGUE: Catalogue[type[PlannerSettings]] = Catalogue("planner", "ctrplan.planning.search.planners")
+DEFAULT = "BIT*"  # where a scenario names none
 P = TypeVar("P", bound=type[PlannerSettings])
 
 

@@ -9,13 +9,13 @@ from PIL import Image
 
 from ctrplan.anatomy.mesh_defect import MeshDefect
 from ctrplan.base.arrays import Array
+from ctrplan.base.surface import Surface, capsule
 from ctrplan.base.units import MM_PER_M
 from ctrplan.reports.render.bodies import rgb
 from ctrplan.reports.render.body import Body, vertex_normals
 from ctrplan.reports.render.camera import Camera, look_at
 from ctrplan.reports.render.film import SKY, write_caption
 from ctrplan.reports.render.picture import Picture, Stage
-from ctrplan.reports.surface import Surface, capsule
 
 WIDTH, HEIGHT, SAMPLES = 900, 700, 2
 TISSUE, EDGE = rgb("#C9B3A6"), "#D62222"

@@ -9,7 +9,7 @@ import numpy as np
 
 from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.base.arrays import Array
-from ctrplan.reports.surface import Rod
+from ctrplan.base.surface import Rod
 
 if TYPE_CHECKING:
     from ctrplan.planning.certified import Closest

@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.surface import Rod, Surface
 from ctrplan.errors import SolverError
-from ctrplan.reports.surface import Rod, Surface
 
 if TYPE_CHECKING:
-    from ctrplan.mechanics.core import Bound, TubeShape
+    from ctrplan.mechanics.shapes import Bound, TubeShape
     from ctrplan.planning.scenario import Scenario
 
 STATIONS = 40

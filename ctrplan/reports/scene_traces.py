@@ -9,12 +9,12 @@ import plotly.graph_objects as go
 
 from ctrplan.anatomy.patient_frame import Frame, axis_label
 from ctrplan.base.arrays import Array
+from ctrplan.base.surface import Surface
 from ctrplan.reports import palette
 from ctrplan.reports import scene_looks as looks
 from ctrplan.reports.framing import side_azimuth_rad
 from ctrplan.reports.html_page import FONT
 from ctrplan.reports.pose import Pose
-from ctrplan.reports.surface import Surface
 from ctrplan.reports.tube_ends import tube_surface
 
 if TYPE_CHECKING:

@@ -7,12 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ctrplan.anatomy.mesh_thinning import collapsed
-from ctrplan.base.surface import Rod, Surface, capsule
+from ctrplan.base.surface import Surface
 
 if TYPE_CHECKING:
     from ctrplan.anatomy.parts import AnatomyPart
-
-__all__ = ["Rod", "Surface", "anatomy_surface", "capsule", "thinned"]
 
 
 def anatomy_surface(part: AnatomyPart, triangles: int = 12_000) -> Surface:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ctrplan.base.arrays import Array
-from ctrplan.reports.surface import Surface
+from ctrplan.base.surface import Surface
 
 if TYPE_CHECKING:
     from ctrplan.base.surface import Rod

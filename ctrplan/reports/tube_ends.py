@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.surface import Rod, Surface
 from ctrplan.reports.pose import Pose
-from ctrplan.reports.surface import Rod, Surface
 
 WIDTH, STANDS_OUT = 0.018, 1.35  # share of the robot's length, and of the outermost radius
 

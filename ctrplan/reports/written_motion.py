@@ -9,7 +9,7 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.base.progress import Progress
 from ctrplan.files.plan_file import WrittenPlan
-from ctrplan.mechanics.core import Status
+from ctrplan.mechanics.shapes import Status
 from ctrplan.planning.scenario import Scenario
 from ctrplan.reports.narrowest_pose import NarrowestPose, narrowest_pose
 from ctrplan.reports.played_poses import poses_along

@@ -23,8 +23,11 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from ctrplan.base.progress import Progress
-    from ctrplan.mechanics.core import Accuracy, Bound, Bounds, Mechanics, Shape
-    from ctrplan.mechanics.history import History, HistoryOptions, Start
+    from ctrplan.mechanics.accuracy import Accuracy
+    from ctrplan.mechanics.core import Mechanics
+    from ctrplan.mechanics.history import History, Start
+    from ctrplan.mechanics.history_options import HistoryOptions
+    from ctrplan.mechanics.shapes import Bound, Bounds, Shape
     from ctrplan.mechanics.walker import Walker
     from ctrplan.robot.observer.observer import Observer
     from ctrplan.robot.observer.slow_offset import SlowOffset

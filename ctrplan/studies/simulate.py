@@ -24,8 +24,9 @@ from ctrplan.experiment.friction_states import last_directions
 from ctrplan.experiment.joint_path import JointPath
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.joint_path_file import joint_columns
-from ctrplan.mechanics.core import Accuracy, Bounds, Status
+from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.mechanics.history import History, Start
+from ctrplan.mechanics.shapes import Bounds, Status
 from ctrplan.pipeline.chain import Chain, at_instants
 from ctrplan.pipeline.left_ranges import range_notes
 from ctrplan.pipeline.walked_markers import walked

@@ -23,7 +23,7 @@ from ctrplan.drive.drive import UNITS
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.batch import TASK, chunks, join, run
-from ctrplan.mechanics.core import Status
+from ctrplan.mechanics.shapes import Status
 from ctrplan.pipeline.left_ranges import range_notes
 from ctrplan.robot.nesting import nesting_violation
 from ctrplan.robot.robot import Robot
@@ -31,7 +31,8 @@ from ctrplan.storage.toml_document import override_names
 from ctrplan.studies.sweep_axis import MOST_POINTS, SweepAxis
 
 if TYPE_CHECKING:
-    from ctrplan.mechanics.core import Accuracy, Bounds
+    from ctrplan.mechanics.accuracy import Accuracy
+    from ctrplan.mechanics.shapes import Bounds
 
 FEWEST_TASKS = 32  # while there are as many configurations
 

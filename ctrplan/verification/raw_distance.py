@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctrplan.anatomy.parts import AnatomyPart
-from ctrplan.anatomy.shape import Shape
+from ctrplan.anatomy.shape import Shape as Part
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.base.arrays import Array
 
@@ -43,7 +43,7 @@ class RawAnatomy:
         return np.minimum(outside, np.max(lumens, axis=0)) if lumens else outside
 
 
-def _signed(shape: Shape) -> Signed:
+def _signed(shape: Part) -> Signed:
     """The judge's own distance where it has one for the kind, else that of the kind."""
     given = vars(shape)
     if shape.kind == "sphere":

@@ -26,8 +26,9 @@ from ctrplan.planning.comparison import SAME, SHARE, Difference
 from ctrplan.planning.finish.compensate import predicted_arrives
 from ctrplan.planning.finish.oscillate_at_goal import settled_again
 from ctrplan.planning.goals.goal_turns import nearest_turn
-from ctrplan.planning.plan import Leg, Plan, ReorderReport, leg_kind
+from ctrplan.planning.plan import Plan
 from ctrplan.planning.plan_json import plan_to_json
+from ctrplan.planning.planned_motion import Leg, ReorderReport, leg_kind
 
 # Of plan.json, what follows from scenario and legs; None where a hand-made plan says nothing.
 KEYS = ("base", "goal", "via", "margins", "cost", "joints", "legs", "certificate", "trajectory", "follow_the_leader_m")

@@ -11,14 +11,9 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ctrplan.anatomy.clearance_grid import (
-    AnatomyPart,
-    SignedDistanceField,
-    build_field,
-    default_spacing_m,
-    exact_clearance,
-    field_bounds,
-)
+from ctrplan.anatomy.clearance_grid import build_field, default_spacing_m, field_bounds
+from ctrplan.anatomy.distance_field import SignedDistanceField
+from ctrplan.anatomy.parts import AnatomyPart, exact_clearance
 from ctrplan.anatomy.shape import Shape
 from ctrplan.anatomy.shapes.capsule import Capsule
 from ctrplan.anatomy.shapes.mesh import Mesh

@@ -18,7 +18,7 @@ from ctrplan.calibration.least_squares import Fit, fit_at
 from ctrplan.calibration.named_parameters import NamedParameters
 from ctrplan.calibration.residuals import Noise
 from ctrplan.calibration.robot_content import calibrated_content
-from ctrplan.effects.catalogue import CATALOGUE
+from ctrplan.effects.effect import CATALOGUE
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.pipeline.parametric_chain import ParametricChain

@@ -19,7 +19,7 @@ from ctrplan.diagnosis.candidates import candidates
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.partial_search import PartialSelector
 from ctrplan.diagnosis.workbench import Scored
-from ctrplan.effects.catalogue import CATALOGUE
+from ctrplan.effects.effect import CATALOGUE
 
 ROBOT = pair_robot()
 PLAN = waypoints(ROBOT, 12)

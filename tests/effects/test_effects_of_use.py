@@ -12,7 +12,7 @@ from scipy.integrate import solve_bvp
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.calibrate import calibrate
 from ctrplan.drive.collars import Collars
-from ctrplan.effects.catalogue import CATALOGUE
+from ctrplan.effects.effect import CATALOGUE
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.plate_moment import largest_plate_moment, plate_moment

@@ -9,7 +9,7 @@ import pytest
 from measured_data import chain_of, pair_robot, waypoints
 
 from ctrplan.base.arrays import Array
-from ctrplan.effects.catalogue import CATALOGUE
+from ctrplan.effects.effect import CATALOGUE
 from ctrplan.effects.sensor.frame_shift import MOST_FRAMES
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.sensor.poses import Poses, rotation

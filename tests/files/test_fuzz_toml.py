@@ -15,10 +15,10 @@ from places import SCENARIOS
 
 from ctrplan.errors import CtrplanError, InputError
 from ctrplan.experiment.measurements import Measurements
-from ctrplan.files.bare_scenario import bare_scenario
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
+from ctrplan.planning.bare_scenario import bare_scenario
 from ctrplan.planning.scenario import Scenario
 from ctrplan.robot.robot import Robot
 

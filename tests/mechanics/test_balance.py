@@ -11,7 +11,8 @@ from places import ROBOTS
 
 from ctrplan.base.arrays import Array
 from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.core import Mechanics, Shape, Status, TubeShape
+from ctrplan.mechanics.core import Mechanics
+from ctrplan.mechanics.shapes import Shape, Status, TubeShape
 from ctrplan.mechanics.tube import Tube, TubeSection
 
 ROBOT = load_robot(ROBOTS / "three_tube.toml")

@@ -16,7 +16,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot
 from ctrplan.mechanics.batch import CHUNK, FEWEST, chunks, rows_in_a_chunk
-from ctrplan.mechanics.core import Bounds
+from ctrplan.mechanics.shapes import Bounds
 
 PAIR = load_robot(ROBOTS / "table_1_pair.toml")  # two corners: quick
 

@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from measured_data import pair_robot
 
-from ctrplan.mechanics.core import Mechanics, Status
+from ctrplan.mechanics.core import Mechanics
 from ctrplan.mechanics.core_arrays import sound
+from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.tube import SOFTEST_NM2, STIFFEST_NM2
 
 ROBOT = pair_robot(contact=[{"friction_coefficient": 0.3}])

@@ -16,8 +16,9 @@ from scipy.interpolate import CubicSpline
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.core import Mechanics, Shape, Status
+from ctrplan.mechanics.core import Mechanics
 from ctrplan.mechanics.loads import Loads
+from ctrplan.mechanics.shapes import Shape, Status
 from ctrplan.mechanics.tube import Tube, TubeSection
 
 ROBOT = load_robot(ROOT / "scenarios" / "robots" / "three_tube.toml")

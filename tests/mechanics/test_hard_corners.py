@@ -11,7 +11,8 @@ import pytest
 from ctrplan.base.arrays import Array
 from ctrplan.cli import main
 from ctrplan.files.robot_file import write_robot
-from ctrplan.mechanics.core import Mechanics, Status
+from ctrplan.mechanics.core import Mechanics
+from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.tube import Tube, TubeSection
 
 Sections = list[tuple[float, float, float]]

@@ -13,7 +13,8 @@ from table_1_pair import table_1_pair
 
 from ctrplan.base.arrays import Array
 from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.core import Bound, Mechanics, Shape, Status
+from ctrplan.mechanics.core import Mechanics
+from ctrplan.mechanics.shapes import Bound, Shape, Status
 from ctrplan.mechanics.tube import Tube, TubeSection
 
 ROBOT = load_robot(ROBOTS / "three_tube.toml")

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.core import Mechanics, Shape, Status
+from ctrplan.mechanics.core import Mechanics
+from ctrplan.mechanics.shapes import Shape, Status
 from ctrplan.mechanics.tube import Tube, TubeSection
 
 ROBOTS = 200

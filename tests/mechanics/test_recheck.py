@@ -12,8 +12,10 @@ from places import ROBOTS
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.core import Accuracy, Mechanics, Shape
+from ctrplan.mechanics.accuracy import Accuracy
+from ctrplan.mechanics.core import Mechanics
 from ctrplan.mechanics.loads import Loads
+from ctrplan.mechanics.shapes import Shape
 
 ROBOT = load_robot(ROBOTS / "three_tube.toml")
 THETA, L = np.array([0.3, 1.6, 2.9]), np.array([0.0, -0.017, -0.07])

@@ -18,7 +18,7 @@ from table_1_pair import table_1_pair
 
 from ctrplan.base.arrays import Array
 from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.core import Bound, Shape, Status
+from ctrplan.mechanics.shapes import Bound, Shape, Status
 from ctrplan.robot.robot import Robot
 
 THREE_TUBES = load_robot(ROBOTS / "three_tube.toml")

@@ -18,10 +18,13 @@ from scipy.optimize import brentq
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
-from ctrplan.mechanics.core import Accuracy, Field, Mechanics, PathDensity, Status, kernel_name
+from ctrplan.mechanics.accuracy import Accuracy
+from ctrplan.mechanics.core import Mechanics, kernel_name
 from ctrplan.mechanics.history import History
 from ctrplan.mechanics.loads import Loads
+from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.tube import Contact, Tube, TubeSection
+from ctrplan.mechanics.walk import Field, PathDensity
 
 ROBOT_FILE = ROBOTS / "three_tube.toml"
 ROBOT = load_robot(ROBOT_FILE)

@@ -13,8 +13,9 @@ from scipy.integrate import solve_bvp
 
 from ctrplan.base.arrays import Array
 from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.core import Mechanics, Shape, Status
+from ctrplan.mechanics.core import Mechanics
 from ctrplan.mechanics.loads import Loads
+from ctrplan.mechanics.shapes import Shape, Status
 from ctrplan.mechanics.tube import Tube, TubeSection
 
 ROBOT = load_robot(ROBOTS / "three_tube.toml")

@@ -9,7 +9,7 @@ import pytest
 from measured_data import chain_of, pair_robot, waypoints
 
 from ctrplan.base.arrays import Array
-from ctrplan.effects.catalogue import CATALOGUE
+from ctrplan.effects.effect import CATALOGUE
 from ctrplan.errors import InputError, SolverError
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import robot_from_dict

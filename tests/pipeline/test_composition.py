@@ -11,10 +11,9 @@ from effect_values import continuous_motion, effects, table
 from measured_data import pair_robot
 
 from ctrplan.drive.collars import Collars
-from ctrplan.effects.catalogue import CATALOGUE
 from ctrplan.effects.clock.lag import Lag
 from ctrplan.effects.drive.backlash import Backlash
-from ctrplan.effects.effect import Stage
+from ctrplan.effects.effect import CATALOGUE, Stage
 from ctrplan.experiment.joint_path import JointPath
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.pipeline.chain import Acting, Chain

@@ -20,14 +20,14 @@ from measured_data import pair_robot
 from ctrplan.base.arrays import Array
 from ctrplan.cli import main
 from ctrplan.drive.collars import Collars
-from ctrplan.effects.catalogue import CATALOGUE
+from ctrplan.effects.effect import CATALOGUE
 from ctrplan.experiment.joint_path import JointPath
 from ctrplan.experiment.measurements import Measurements
-from ctrplan.files.bare_scenario import bare_scenario
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.core import Mechanics
 from ctrplan.pipeline.chain import Chain
 from ctrplan.pipeline.parametric_chain import ParametricChain
+from ctrplan.planning.bare_scenario import bare_scenario
 from ctrplan.planning.goals.tip_solver import TipSolver, TipTarget
 from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.motion import MotionChecker

@@ -17,8 +17,9 @@ from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.bound_lookup import FieldLookup
-from ctrplan.mechanics.core import Field, PathDensity, PathLimits, Status
 from ctrplan.mechanics.nesting import nests
+from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.walk import Field, PathDensity, PathLimits
 from ctrplan.planning import bound_table as fields
 from ctrplan.planning import plan
 from ctrplan.planning.bound_table import BoundTable, FieldError, choose_axes, known_table, tabulated_bounds

@@ -16,7 +16,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.files.scenario_file import scenario_from_dict
-from ctrplan.mechanics.core import Accuracy
+from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.planning.certificate.allowances import POINT_SPACING_M, SAME_BRANCH_M, bound_allowance_m, mesh_allowance_m
 from ctrplan.planning.certificate.body_pieces import PARTS, around, beside
 from ctrplan.planning.certificate.certify import certify

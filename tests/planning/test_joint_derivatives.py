@@ -10,9 +10,9 @@ from effect_values import effects
 from measured_data import pair_robot
 
 from ctrplan.base.arrays import Array
-from ctrplan.effects.catalogue import CATALOGUE
-from ctrplan.files.bare_scenario import bare_scenario
+from ctrplan.effects.effect import CATALOGUE
 from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.planning.bare_scenario import bare_scenario
 from ctrplan.planning.finish.compensate import tip_jacobian
 from ctrplan.planning.goals.tip_slopes import bound_slopes, tips_by_joints
 from ctrplan.planning.goals.tip_solver import TipSolver

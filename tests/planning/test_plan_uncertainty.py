@@ -20,9 +20,10 @@ from ctrplan.base.arrays import Array
 from ctrplan.commands.plan import _summary
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.planning.certificate.certify import walk_legs
+from ctrplan.planning.certificate.walked_legs import walk_legs
+from ctrplan.planning.certified import CertificateSamples
 from ctrplan.planning.motion import search_limits
-from ctrplan.planning.plan import CertificateSamples, Plan
+from ctrplan.planning.plan import Plan
 from ctrplan.planning.scenario import Goal, Registration, Scenario
 from ctrplan.planning.uncertainty.allowance import bodies_at, parameter_allowance
 from ctrplan.planning.uncertainty.chance import wilson

@@ -20,7 +20,7 @@ import ctrplan
 from ctrplan.drive.trajectory import verify_limits
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.mechanics.core import Status
+from ctrplan.mechanics.shapes import Status
 from ctrplan.planning.certificate.allowances import SEARCH_MESH_M, SPACING_M, TIGHT_M, bound_allowance_m
 from ctrplan.planning.certificate.certify import certify
 from ctrplan.planning.certificate.walked_piece import walk_pieces

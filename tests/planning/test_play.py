@@ -16,9 +16,10 @@ from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.planning.certificate.certify import certify
 from ctrplan.planning.certificate.walked_piece import walk_pieces
+from ctrplan.planning.certified import Certificate
 from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.motion import search_limits
-from ctrplan.planning.plan import Certificate, Plan
+from ctrplan.planning.plan import Plan
 from ctrplan.planning.play import play_shift
 from ctrplan.planning.scenario import Scenario
 from ctrplan.reports.plan_words.verdict_words import certificate_in_words

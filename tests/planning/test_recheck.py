@@ -14,10 +14,12 @@ from places import SCENARIOS
 import ctrplan
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.mechanics.core import Accuracy
+from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.planning.certificate.certify import certify
 from ctrplan.planning.certificate.tour import joined_certificates
-from ctrplan.planning.plan import Certificate, Leg, Plan
+from ctrplan.planning.certified import Certificate
+from ctrplan.planning.plan import Plan
+from ctrplan.planning.planned_motion import Leg
 from ctrplan.planning.scenario import Goal, Scenario
 
 MESHES: tuple[Accuracy, Accuracy] = ("search", "certificate")

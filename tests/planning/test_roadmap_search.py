@@ -13,7 +13,7 @@ from places import SCENARIOS
 
 from ctrplan.base.arrays import Array
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.mechanics.core import PathSamples
+from ctrplan.mechanics.walk import PathSamples
 from ctrplan.planning.anatomy_grid import anatomy_grid
 from ctrplan.planning.bound_table import BoundTable
 from ctrplan.planning.goals.goal_descent import descended

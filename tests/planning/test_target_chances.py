@@ -26,10 +26,9 @@ from ctrplan.planning.plan import Plan
 from ctrplan.planning.plan_json import _plain
 from ctrplan.planning.play import play_turn
 from ctrplan.planning.scenario import Goal, Registration, Scenario
-from ctrplan.planning.target_chances.aim import Aim
+from ctrplan.planning.target_chances.aim import Aim, end_stop
 from ctrplan.planning.target_chances.beyond_first_order import BeyondFirstOrder
 from ctrplan.planning.target_chances.drawn_poses import DrawnPoses
-from ctrplan.planning.target_chances.stops import end_stop
 from ctrplan.planning.target_chances.target_miss import judged
 from ctrplan.planning.uncertainty.chance import Chance, Draws, chance, wilson
 from ctrplan.planning.uncertainty.result import Uncertainty

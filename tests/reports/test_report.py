@@ -19,7 +19,8 @@ from packed_page import library, unpacked
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.base.surface import capsule
-from ctrplan.planning.plan import ComparedWay, Plan
+from ctrplan.planning.plan import Plan
+from ctrplan.planning.planned_motion import ComparedWay
 from ctrplan.reports.html_page import Markup, page, table, tag
 from ctrplan.reports.plan_page.motion import moments
 from ctrplan.reports.plan_page.page import joints_figure, margins_figure, plan_report_html, write_plan_report

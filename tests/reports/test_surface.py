@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.mesh import Mesh
-from ctrplan.reports.surface import Rod, Surface, anatomy_surface, capsule, thinned
+from ctrplan.base.surface import Rod, Surface, capsule
+from ctrplan.reports.surface import anatomy_surface, thinned
 
 
 def helix(stations: int = 60) -> Rod:

@@ -13,7 +13,7 @@ from places import ROBOTS
 from ctrplan.cli import main
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.mechanics.core import Status
+from ctrplan.mechanics.shapes import Status
 from ctrplan.reports.plan_picture.sweep import sweep_figure
 from ctrplan.storage.toml_document import read_document
 from ctrplan.studies.sweep import Sweep, sweep, sweep_csv

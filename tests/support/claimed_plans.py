@@ -12,9 +12,11 @@ import ctrplan
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.drive.trajectory import time_parameterise
-from ctrplan.files.bare_scenario import bare_scenario
+from ctrplan.planning.bare_scenario import bare_scenario
 from ctrplan.planning.certificate.certify import certify
-from ctrplan.planning.plan import Certificate, Leg, Plan, ReorderReport, leg_kind
+from ctrplan.planning.certified import Certificate
+from ctrplan.planning.plan import Plan
+from ctrplan.planning.planned_motion import Leg, ReorderReport, leg_kind
 from ctrplan.planning.scenario import Scenario
 
 

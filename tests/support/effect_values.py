@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ctrplan.effects.catalogue import CATALOGUE
+from ctrplan.effects.effect import CATALOGUE
 from ctrplan.experiment.measurements import Measurements
 from ctrplan.robot.robot import Robot
 

@@ -13,7 +13,7 @@ import pytest
 import ctrplan.diagnosis.candidates  # noqa: F401 (fills the catalogue)
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.base_parameters import BaseParameters
-from ctrplan.effects.catalogue import CATALOGUE
+from ctrplan.effects.effect import CATALOGUE
 from ctrplan.experiment.measurements import Measurements, is_streamed
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.core import Mechanics

@@ -24,7 +24,7 @@ from ctrplan.cli import main
 from ctrplan.commands.progress_bar import ProgressBar
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.planning.planner import Progress
+from ctrplan.planning.search.stage_search import Progress
 
 SCHEMA = SCENARIOS.parent / "docs" / "plan.schema.json"
 ROBOT = str(SCENARIOS / "robots" / "three_tube.toml")

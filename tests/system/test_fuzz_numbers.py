@@ -25,11 +25,11 @@ from measured_data import measured, pair_robot, waypoints, write_csv
 from places import SCENARIOS
 
 import ctrplan
-from ctrplan.anatomy.shape_catalogue import CATALOGUE as SHAPES
+from ctrplan.anatomy.shape import CATALOGUE as SHAPES
 from ctrplan.calibration.calibrate import calibrate
 from ctrplan.cli import main
 from ctrplan.drive.trajectory import time_parameterise
-from ctrplan.effects.catalogue import CATALOGUE as EFFECTS
+from ctrplan.effects.effect import CATALOGUE as EFFECTS
 from ctrplan.errors import CtrplanError, InputError
 from ctrplan.files.design_entries import DesignEntry
 from ctrplan.files.measurement_file import load_measurements
@@ -38,7 +38,7 @@ from ctrplan.files.robot_file import load_robot, robot_from_dict, write_robot
 from ctrplan.files.scenario_entries import ScenarioEntry
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.core import Mechanics
-from ctrplan.mechanics.history import HistoryOptions
+from ctrplan.mechanics.history_options import HistoryOptions
 from ctrplan.planning.planner_settings import CATALOGUE as PLANNERS
 from ctrplan.studies.sweep import sweep
 from ctrplan.studies.sweep_axis import parse_axis

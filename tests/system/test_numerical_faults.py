@@ -11,14 +11,16 @@ import pytest
 from places import SCENARIOS
 
 import ctrplan
-from ctrplan.anatomy.clearance_grid import AnatomyPart, build_field, field_bounds
+from ctrplan.anatomy.clearance_grid import build_field, field_bounds
+from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.cli import main
 from ctrplan.drive.trajectory import time_parameterise
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_file import load_scenario, scenario_from_dict
-from ctrplan.mechanics.core import Field, PathDensity, PathLimits, Status
+from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.walk import Field, PathDensity, PathLimits
 from ctrplan.storage.toml_document import read_document
 
 FILE = SCENARIOS / "robots" / "table_1_pair.toml"

@@ -20,10 +20,11 @@ from ctrplan.anatomy.shapes.capsule import Capsule
 from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.cli import main
 from ctrplan.errors import InputError
-from ctrplan.files.bare_scenario import bare_scenario
 from ctrplan.files.plan_file import WrittenPlan
 from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.planning.plan import Certificate, Plan
+from ctrplan.planning.bare_scenario import bare_scenario
+from ctrplan.planning.certified import Certificate
+from ctrplan.planning.plan import Plan
 from ctrplan.verification.finding import ALLOWED
 from ctrplan.verification.interval_ends import robots_at_ends
 from ctrplan.verification.scene import write_scene

@@ -13,8 +13,8 @@ import numpy as np
 from ctrplan.anatomy.images.kept import images_kept
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import Role
-from ctrplan.cases import draft
 from ctrplan.cases.aims import aimed_at, middles
+from ctrplan.cases.draft import base, draft, from_folder, start_values
 from ctrplan.cases.drafted import drafted, shape_of, with_motion_margins
 from ctrplan.cases.inputs import found_in
 from ctrplan.cases.points import Named, case_frame, places_of
@@ -124,10 +124,10 @@ def _drafted(work: Work, task: _Task) -> tuple[dict[str, Any], Scenario]:
     """The scenario, as the content of its file and read."""
     asked, structures = work.request, [one for one, _ in task.structures]
     robot = load_robot(robot_file(asked.robot))
-    start = draft.start_values(robot.drive, drawn_back(robot))
-    content = draft.draft(asked, work.folder, task.frame, task.structures, task.targets, start)
-    content["base"] = draft.base(task.entries[0], task.targets)
-    beside = draft.from_folder(work.folder, robot_file(asked.robot))
+    start = start_values(robot.drive, drawn_back(robot))
+    content = draft(asked, work.folder, task.frame, task.structures, task.targets, start)
+    content["base"] = base(task.entries[0], task.targets)
+    beside = from_folder(work.folder, robot_file(asked.robot))
     scenario = with_motion_margins(work, drafted(work, content, beside, structures), content)
     if asked.sheath_mm is not None:
         sheaths = _sheaths(scenario, task.entries, task.targets, asked.sheath_mm)
@@ -150,7 +150,7 @@ def _text(robot: Path) -> str:
 def _sheaths(
     scenario: Scenario, entries: Sequence[Named], targets: Sequence[Named], radius_mm: float
 ) -> list[dict[str, Any]]:
-    looks = [draft.base(entry, targets)["look_at"] for entry in entries]
+    looks = [base(entry, targets)["look_at"] for entry in entries]
     return [
         sheath(scenario, entry.points_mm[0] / 1e3, np.divide(look, 1e3), radius_mm)
         for entry, look in zip(entries, looks, strict=True)
@@ -159,7 +159,7 @@ def _sheaths(
 
 def _more(entries: Sequence[Named], targets: Sequence[Named]) -> str:
     """Entries besides the first, which is the scenario's base."""
-    rows = [draft.base(entry, targets) for entry in entries[1:]]
+    rows = [base(entry, targets) for entry in entries[1:]]
     lines = [",".join(map(repr, [*row["position_mm"], *row["look_at"]])) for row in rows]
     return "\n".join([ENTRY_COLUMNS, *lines]) + "\n"
 

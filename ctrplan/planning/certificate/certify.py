@@ -12,7 +12,7 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.base.progress import Progress
 from ctrplan.base.units import MM_PER_M
-from ctrplan.mechanics.core import Accuracy
+from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.planning.certificate.allowances import BEYOND_BOUND_M
 from ctrplan.planning.certificate.closest import closest_places
 from ctrplan.planning.certificate.goal_miss import frictionless_miss, goal_miss_m, line_error_m

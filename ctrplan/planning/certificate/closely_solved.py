@@ -16,7 +16,8 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.base.cores import cores
-from ctrplan.mechanics.core import PathDensity, Status
+from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.walk import PathDensity
 from ctrplan.planning.certificate.allowances import POINT_SPACING_M, SAME_BRANCH_M, mesh_allowance_m
 from ctrplan.planning.certificate.anatomy_distance import AnatomyDistance
 from ctrplan.planning.certificate.friction_states import CornerShapes

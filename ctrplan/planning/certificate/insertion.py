@@ -8,7 +8,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import distance_from_polyline
-from ctrplan.mechanics.core import Status
+from ctrplan.mechanics.shapes import Status
 from ctrplan.planning.plan_timing import joints_at
 
 if TYPE_CHECKING:

@@ -17,7 +17,8 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.base.cores import cores
-from ctrplan.mechanics.core import PathDensity, Status
+from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.walk import PathDensity
 from ctrplan.planning.certificate.allowances import SAME_BRANCH_M
 from ctrplan.planning.certificate.walked_piece import Piece
 

@@ -16,14 +16,15 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.base.cores import cores
 from ctrplan.errors import SolverError
-from ctrplan.mechanics.core import Status
 from ctrplan.mechanics.history import OSCILLATION_DEG, History
+from ctrplan.mechanics.shapes import Status
 from ctrplan.robot.friction_calibration import friction_law
 from ctrplan.robot.observer.state import ObservedHistory
 
 if TYPE_CHECKING:
-    from ctrplan.mechanics.core import Accuracy, Shape
+    from ctrplan.mechanics.accuracy import Accuracy
     from ctrplan.mechanics.history import HistoryState, Start
+    from ctrplan.mechanics.shapes import Shape
     from ctrplan.planning.scenario import Scenario
     from ctrplan.robot.robot import Robot
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.base.units import MM_PER_M
-from ctrplan.mechanics.core import PathLimits
+from ctrplan.mechanics.walk import PathLimits
 from ctrplan.planning.certificate.allowances import SAME_BRANCH_M, SPACING_M, mesh_allowance_m
 from ctrplan.planning.certificate.goal_miss import line_error_m
 from ctrplan.planning.certificate.stated_bounds import StatedBounds

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ctrplan.base.units import MM_PER_M
-from ctrplan.mechanics.core import Shape
+from ctrplan.mechanics.shapes import Shape
 from ctrplan.planning.certificate.allowances import BEYOND_BOUND_M
 from ctrplan.planning.certificate.anatomy_distance import AnatomyDistance
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ctrplan.planning.certified import Certificate, CertificateSamples, Closest, TargetReached
 
 if TYPE_CHECKING:
-    from ctrplan.mechanics.core import Accuracy
+    from ctrplan.mechanics.accuracy import Accuracy
 
 
 def joined_certificates(stages: list[Certificate]) -> Certificate:

@@ -14,7 +14,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.base.progress import Progress
 from ctrplan.base.units import MM_PER_M
 from ctrplan.drive.legs import merge_legs
-from ctrplan.mechanics.core import Accuracy
+from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.planning.certificate.closely_solved import closely_solved
 from ctrplan.planning.certificate.every_state import in_every_friction_state
 from ctrplan.planning.certificate.friction_cube import refuse_many_tubes

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array, lengths
 from ctrplan.base.cores import cores
 from ctrplan.base.progress import Progress
-from ctrplan.mechanics.core import PathDensity, PathSamples
+from ctrplan.mechanics.walk import PathDensity, PathSamples
 from ctrplan.planning.certificate.allowances import POINT_SPACING_M, SPACING_M, UNEVEN_FRICTION_M, mesh_allowance_m
 from ctrplan.planning.certificate.anatomy_distance import AnatomyDistance
 from ctrplan.planning.certificate.friction_states import CornerShapes

@@ -9,7 +9,7 @@ from ctrplan.base.units import MM_PER_M
 from ctrplan.drive.legs import merge_legs
 from ctrplan.planning.certificate.prediction import goal_error, start_states
 from ctrplan.planning.motion import MotionChecker
-from ctrplan.planning.plan import ComparedWay, leg_kind
+from ctrplan.planning.planned_motion import ComparedWay, leg_kind
 
 HELD_BACK_M = (2e-3, 5e-3, 10e-3)  # of a translation, driven after the last rotation
 RELEASED_M = 10e-3  # of translation after which nothing more is gained (Section V-B)

@@ -12,10 +12,11 @@ from ctrplan.base.progress import Progress, part_of
 from ctrplan.base.units import MM_PER_M
 from ctrplan.planning.certificate.certify import certify
 from ctrplan.planning.certificate.prediction import Prediction, predict_end, predict_from, start_states
+from ctrplan.planning.certified import Certificate, CertificateSamples
 from ctrplan.planning.finish.oscillate_at_goal import settled_again
 from ctrplan.planning.goals.goal_state import target_in_robot_frame
 from ctrplan.planning.motion import MotionChecker
-from ctrplan.planning.plan import Certificate, CertificateSamples, Compensation
+from ctrplan.planning.planned_motion import Compensation
 from ctrplan.planning.scenario import Scenario
 from ctrplan.robot.robot import Robot
 

@@ -17,8 +17,8 @@ from ctrplan.drive.drive import Drive
 from ctrplan.mechanics.history import OSCILLATION_DEG
 from ctrplan.planning.certificate.certify import Arrival, certify, frictionless_arrives
 from ctrplan.planning.certificate.prediction import predict_end, predict_from
+from ctrplan.planning.certified import Certificate, Settling
 from ctrplan.planning.motion import MotionChecker
-from ctrplan.planning.plan import Certificate, Settling
 
 AMPLITUDES_DEG = (40, 25, 15, 8)  # of the first turn, tried in this order; 40 is the paper's
 SHAPE = np.array(OSCILLATION_DEG) / OSCILLATION_DEG[0] * (-1.0) ** np.arange(len(OSCILLATION_DEG))

@@ -19,10 +19,13 @@ from ctrplan.pipeline.left_ranges import plan_range_notes
 from ctrplan.planning.certificate.certify import certify
 from ctrplan.planning.certificate.insertion import follow_the_leader_m
 from ctrplan.planning.certificate.prediction import TIP_TOLERANCE_M, goal_error, start_states
+from ctrplan.planning.certified import Certificate
 from ctrplan.planning.finish.alternatives import alternative, changes, held_back, straight_line, translations_first
+from ctrplan.planning.joint_space import MotionStyle
 from ctrplan.planning.motion import Motion, MotionChecker
 from ctrplan.planning.path_cost import path_cost_mm
-from ctrplan.planning.plan import Certificate, Compensation, Leg, MotionStyle, Plan, ReorderReport, leg_kind
+from ctrplan.planning.plan import Plan
+from ctrplan.planning.planned_motion import Compensation, Leg, ReorderReport, leg_kind
 from ctrplan.planning.search_clock import SearchEnd
 
 if TYPE_CHECKING:

@@ -17,7 +17,8 @@ from scipy.sparse.csgraph import connected_components
 from ctrplan.base.arrays import Array
 from ctrplan.base.cores import cores
 from ctrplan.base.units import MM_PER_M
-from ctrplan.mechanics.core import PathSamples, Status
+from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.walk import PathSamples
 from ctrplan.planning.goals.tip_slopes import tips_by_joints
 from ctrplan.planning.goals.tip_solver import (
     DAMPING,

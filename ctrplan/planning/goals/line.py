@@ -9,7 +9,7 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import distance_from_polyline
 from ctrplan.errors import NoAnswerError
-from ctrplan.mechanics.core import Status
+from ctrplan.mechanics.shapes import Status
 from ctrplan.planning.goals.goal_state import GoalState
 from ctrplan.planning.goals.tip_solver import TipSolver, TipTarget
 from ctrplan.planning.motion import MotionChecker

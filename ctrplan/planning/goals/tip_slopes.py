@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.core import Tips
 from ctrplan.mechanics.friction_law import corner_signs
+from ctrplan.mechanics.shapes import Tips
 from ctrplan.planning.motion import MotionChecker
 
 

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.base.units import MM_PER_M
-from ctrplan.mechanics.core import Mechanics, Status
+from ctrplan.mechanics.core import Mechanics
+from ctrplan.mechanics.shapes import Status
 from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.search_watch import SearchWatch
 

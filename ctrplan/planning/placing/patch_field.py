@@ -10,7 +10,7 @@ from ctrplan.anatomy.anatomy_field import anatomy_field, shared_spacing_m
 from ctrplan.anatomy.clearance_grid import field_bounds
 from ctrplan.anatomy.distance_field import SignedDistanceField
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.core import Field
+from ctrplan.mechanics.walk import Field
 from ctrplan.planning.placing.patch import Patch, Pose
 
 if TYPE_CHECKING:

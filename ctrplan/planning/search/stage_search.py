@@ -18,12 +18,12 @@ from ctrplan.planning.certificate.certify import finished
 from ctrplan.planning.certificate.failed_walk import failure_with_place
 from ctrplan.planning.certificate.uneven_friction import NEAR_LIMIT_M
 from ctrplan.planning.certificate.walked_legs import WalkedLegs, walk_legs
+from ctrplan.planning.certified import Certificate
 from ctrplan.planning.finish.reorder import Reordered, as_given, least_error
 from ctrplan.planning.goals.goal_descent import descended
 from ctrplan.planning.goals.goal_state import GoalState
 from ctrplan.planning.goals.goal_states import distinct
 from ctrplan.planning.motion import MotionChecker
-from ctrplan.planning.plan import Certificate
 from ctrplan.planning.search.insertion_chains import direct_roadmap, promising, retreat_roadmap
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
 from ctrplan.planning.search.search_problem import SearchProblem

@@ -93,3 +93,19 @@ class Misses:
 def quantile95(values: Array) -> float:
     """95 % are below; inf where robots without an equilibrium are among the rest."""
     return float(np.quantile(np.nan_to_num(values, nan=np.inf), 0.95, method="higher"))
+
+
+@dataclass(frozen=True, eq=False)
+class Stop:
+    """A target, and the samples at which its tip is looked at: those along its line, its end last."""
+
+    goal: Goal
+    samples: NDArray[np.int_]  # (W,) of the path
+    places: NDArray[np.int_]  # (W,) numbers of these among the samples of all stops
+    play_m: float = 0.0  # how far play of the drive may move the tip
+    play_rad: float = 0.0  # and turn its tangent
+
+
+def end_stop(goal: Goal, sample: int) -> Stop:
+    """At one sample, without play."""
+    return Stop(goal, np.array([sample]), np.array([0]))

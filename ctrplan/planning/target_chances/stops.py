@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,28 +9,13 @@ from numpy.typing import NDArray
 
 from ctrplan.drive.legs import distance_from_polyline
 from ctrplan.planning.play import play_turn
+from ctrplan.planning.target_chances.aim import Stop
 
 if TYPE_CHECKING:
     from ctrplan.planning.planned_motion import PlannedMotion
     from ctrplan.planning.scenario import Goal
 
 ON_LINE = 8  # samples along a line, evenly; and the one where the frictionless tip is farthest from it
-
-
-@dataclass(frozen=True, eq=False)
-class Stop:
-    """A target, and the samples at which its tip is looked at: those along its line, its end last."""
-
-    goal: Goal
-    samples: NDArray[np.int_]  # (W,) of the path
-    places: NDArray[np.int_]  # (W,) numbers of these among the samples of all stops
-    play_m: float = 0.0  # how far play of the drive may move the tip
-    play_rad: float = 0.0  # and turn its tangent
-
-
-def end_stop(goal: Goal, sample: int) -> Stop:
-    """At one sample, without play."""
-    return Stop(goal, np.array([sample]), np.array([0]))
 
 
 def plan_stops(plan: PlannedMotion) -> tuple[Stop, ...]:

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.planning.target_chances.aim import Aim, Misses, quantile95
+from ctrplan.planning.target_chances.aim import Aim, Misses, Stop, quantile95
 from ctrplan.planning.target_chances.drawn_poses import DrawnPoses
 from ctrplan.planning.target_chances.simulated_poses import SimulatedPoses
-from ctrplan.planning.target_chances.stops import Stop
 from ctrplan.planning.uncertainty.chance import chance
 from ctrplan.planning.uncertainty.contributors import (
     OFF,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.core import PathDensity, Status
+from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.walk import PathDensity
 from ctrplan.planning.motion import MotionChecker
 
 DENSITY = PathDensity(rotation_rad=0.5, translation_m=12e-3, motion_m=25e-3)

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
-from ctrplan.mechanics.core import Status
+from ctrplan.mechanics.shapes import Status
 from ctrplan.planning.plan_timing import Played, joints_at
 from ctrplan.planning.play import play_shift
 from ctrplan.reports import scene_looks as looks
@@ -22,7 +23,7 @@ from ctrplan.reports.live.standing import Standings
 from ctrplan.reports.plan_words.worst_miss import WorstMiss
 from ctrplan.reports.pose import Pose, pose, stand
 from ctrplan.reports.scene_traces import anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces, xyz
-from ctrplan.reports.surface import Surface, anatomy_surface
+from ctrplan.reports.surface import anatomy_surface
 
 if TYPE_CHECKING:
     from ctrplan.planning.scenario import Scenario

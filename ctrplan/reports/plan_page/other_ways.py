@@ -10,7 +10,8 @@ from ctrplan.reports.html_page import Markup, table, tag
 from ctrplan.reports.plan_words.numbers import digits, millimetres
 
 if TYPE_CHECKING:
-    from ctrplan.planning.plan import ComparedWay, Plan
+    from ctrplan.planning.plan import Plan
+    from ctrplan.planning.planned_motion import ComparedWay
 
 NAMES = {
     "as given": "as the search found it",

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import plotly.graph_objects as go
 
+from ctrplan.base.surface import Surface, capsule
 from ctrplan.reports import scene_looks as looks
 from ctrplan.reports.framing import view_box
 from ctrplan.reports.plan_page.narrowest import narrowest_traces
@@ -16,7 +17,7 @@ from ctrplan.reports.plan_scene import PlanScene, goal_tip, tip_path
 from ctrplan.reports.plan_words.numbers import millimetres
 from ctrplan.reports.pose import stand
 from ctrplan.reports.scene_traces import SIDES, anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces, xyz
-from ctrplan.reports.surface import Surface, anatomy_surface, capsule, thinned
+from ctrplan.reports.surface import anatomy_surface, thinned
 from ctrplan.reports.swept_space import swept_surface
 
 if TYPE_CHECKING:

@@ -14,13 +14,14 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from ctrplan.anatomy.patient_frame import Frame, axis_label
 from ctrplan.base.arrays import Array
+from ctrplan.base.surface import Surface
 from ctrplan.reports import palette
 from ctrplan.reports import scene_looks as looks
 from ctrplan.reports.framing import side_azimuth_rad, view_box
 from ctrplan.reports.plan_scene import goal_tip, tip_path
 from ctrplan.reports.plan_words.numbers import millimetres
 from ctrplan.reports.pose import Pose, stand
-from ctrplan.reports.surface import Surface, anatomy_surface
+from ctrplan.reports.surface import anatomy_surface
 from ctrplan.reports.tube_ends import end_ring
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ctrplan.mechanics.core import Status
+from ctrplan.mechanics.shapes import Status
 from ctrplan.reports import palette
 from ctrplan.reports.plan_picture.over_rows import label_errors, label_friction, png, stacked
 from ctrplan.studies.simulate import Simulation

@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.core import Status
+from ctrplan.mechanics.shapes import Status
 from ctrplan.reports import palette
 from ctrplan.studies.sweep import Sweep
 from ctrplan.studies.sweep_axis import SweepAxis

@@ -7,10 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.surface import Rod, capsule
 from ctrplan.reports import scene_looks as looks
 from ctrplan.reports.pose import Pose, stand
 from ctrplan.reports.render.body import Body
-from ctrplan.reports.surface import Rod, anatomy_surface, capsule
+from ctrplan.reports.surface import anatomy_surface
 from ctrplan.reports.written_motion import WrittenMotion
 
 TRIANGLES = 60_000  # of a part of the anatomy

@@ -6,6 +6,7 @@ import numpy as np
 
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.base.arrays import Array
+from ctrplan.base.surface import Surface
 from ctrplan.files.slicer.itk_transform import itk_transform_text
 from ctrplan.files.slicer.markups import MarkupType, markups_text
 from ctrplan.files.slicer.model_sequence import browser_node, model_sequence, sequence_node
@@ -15,7 +16,6 @@ from ctrplan.files.slicer.slicer_space import SCENE
 from ctrplan.reports import scene_looks as looks
 from ctrplan.reports.plan_words.numbers import millimetres
 from ctrplan.reports.pose import stand
-from ctrplan.reports.surface import Surface
 from ctrplan.reports.swept_space import swept_surface
 from ctrplan.reports.written_motion import WrittenMotion
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import SolverError
-from ctrplan.mechanics.core import Status
+from ctrplan.mechanics.shapes import Status
 from ctrplan.robot.observer.slow_model import Slow
 
 if TYPE_CHECKING:

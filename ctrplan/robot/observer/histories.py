@@ -15,7 +15,8 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.errors import SolverError
 from ctrplan.mechanics.core import Mechanics
-from ctrplan.mechanics.history import History, HistoryOptions, HistoryPath, Start
+from ctrplan.mechanics.history import History, HistoryPath, Start
+from ctrplan.mechanics.history_options import HistoryOptions
 from ctrplan.robot.observer.bank import Member, begun, moved
 from ctrplan.robot.observer.shared_work import SharedWork
 from ctrplan.robot.observer.slow_model import SlowModel

@@ -16,11 +16,10 @@ from ctrplan.files.study_entries import StudyEntry, VaryEntry
 from ctrplan.storage.toml_document import Document
 from ctrplan.storage.toml_table import Table
 from ctrplan.studies.study.axes import CONFIGURATION, TASK_PREFIX, Axis
-from ctrplan.studies.study.kinds_installed import CATALOGUE, TaskKind
 from ctrplan.studies.study.loaded import Loaded
 from ctrplan.studies.study.sources import Sources
 from ctrplan.studies.study.task import Job, TaskList
-from ctrplan.studies.study.task_kind import check_settings
+from ctrplan.studies.study.task_kind import CATALOGUE, TaskKind, check_settings
 from ctrplan.studies.study.varied import axes_of, files_varied
 
 if TYPE_CHECKING:

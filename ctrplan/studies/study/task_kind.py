@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
 import msgspec
 from msgspec import Meta, Struct
 
-from ctrplan.base.abstract_struct import AbstractStruct
-from ctrplan.base.catalogue import Catalogue
+from ctrplan.base.catalogue import AbstractStruct, Catalogue
 from ctrplan.errors import InputError
 from ctrplan.storage.toml_document import Document
 
@@ -72,7 +71,7 @@ class TaskKind(Struct, metaclass=AbstractStruct, forbid_unknown_fields=True, kw_
         return ()
 
 
-CATALOGUE: Catalogue[type[TaskKind]] = Catalogue("task kind")
+CATALOGUE: Catalogue[type[TaskKind]] = Catalogue("task kind", "ctrplan.studies.study.kinds")
 
 
 def register(name: str) -> Callable[[T], T]:

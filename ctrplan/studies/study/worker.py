@@ -18,10 +18,10 @@ from ctrplan.base.version import __version__
 from ctrplan.errors import CtrplanError, InputError, NoAnswerError
 from ctrplan.storage.toml_document import Document
 from ctrplan.storage.toml_table import Table
-from ctrplan.studies.study.kinds_installed import CATALOGUE, TaskKind
 from ctrplan.studies.study.lines import Lines
 from ctrplan.studies.study.numbered import Numbered
 from ctrplan.studies.study.task import Job, Row, Status, Task
+from ctrplan.studies.study.task_kind import CATALOGUE, TaskKind
 
 Chunk = Sequence[Task] | Numbered
 """Tasks that a worker gets at a time."""

@@ -11,7 +11,7 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.mechanics.batch import rows_in_a_chunk
-from ctrplan.mechanics.core import Status
+from ctrplan.mechanics.shapes import Status
 from ctrplan.robot.nesting import nesting_violation
 from ctrplan.storage.number_ranges import Angle, Coordinate
 from ctrplan.studies.study.axes import CONFIGURATION
