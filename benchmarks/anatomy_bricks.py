@@ -21,7 +21,7 @@ from ctrplan.anatomy.anatomy_field import anatomy_field, shared_spacing_m
 from ctrplan.anatomy.clearance_grid import build_field, default_spacing_m, field_bounds
 from ctrplan.base.arrays import Array
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.planning.scenario import Scenario
+from ctrplan.scenario.scenario import Scenario
 
 POSES, MOVED_M, TURNED_RAD = 20, 5e-3, np.radians(10)
 SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"

@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from ctrplan.anatomy.clearance_grid import build_field
-from ctrplan.anatomy.distance_field import SignedDistanceField
+from ctrplan.anatomy.clearance_grid import SignedDistanceField, build_field
 from ctrplan.anatomy.mesh_file import load_mesh
 from ctrplan.anatomy.parts import AnatomyPart, exact_clearance
 from ctrplan.anatomy.shapes.mesh import Mesh

@@ -28,10 +28,10 @@ import tomli_w
 import trimesh
 
 import ctrplan
-from ctrplan.base.cores import one_core
-from ctrplan.planning.scenario import Goal
-from ctrplan.planning.target_set.worth import Search, SetWorth, set_worth
+from ctrplan.base.long_work import one_core
+from ctrplan.scenario.scenario import Goal
 from ctrplan.storage.toml_document import read_document
+from ctrplan.studies.target_set import Search, SetWorth, set_worth
 
 ROOT = Path(__file__).resolve().parent.parent
 SCENARIOS = ROOT / "scenarios"

@@ -11,8 +11,8 @@ from pathlib import Path
 from own_cache import use_own_cache
 
 import ctrplan
-from ctrplan.planning.certificate.certify import certify
-from ctrplan.planning.certified import Certificate
+from ctrplan.certificate.certificate import Certificate
+from ctrplan.certificate.certify import certify
 
 SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"
 NAMES = ["airway", "heart_chamber", "ribs", "sinus", "ventricle", "vessel"]

@@ -19,7 +19,7 @@ import numpy as np
 from ctrplan.files.robot_file import load_robot
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import Field, PathDensity, PathLimits
-from ctrplan.planning.bound_table import BoundTable, tabulated_bounds
+from ctrplan.motion.bound_table import BoundTable, tabulated_bounds
 from ctrplan.robot.robot import Robot
 
 ROBOT = Path(__file__).parents[1] / "scenarios" / "robots" / "three_tube.toml"

@@ -42,19 +42,17 @@ from hidden_effects.leftovers import Leftover, add_leftover
 from hidden_effects.noise import add_noise
 from hidden_effects.score import wilson
 
-from ctrplan.calibration.pose_errors import distances
+from ctrplan.calibration.estimates import distances
+from ctrplan.diagnosis.adequacy import noise_floor
 from ctrplan.diagnosis.building import built as limits
-from ctrplan.diagnosis.building.built import refusals
-from ctrplan.diagnosis.building.sought import tried
-from ctrplan.diagnosis.candidates import candidates
-from ctrplan.diagnosis.noise_floor import noise_floor
-from ctrplan.diagnosis.partly import Partly, partly
+from ctrplan.diagnosis.building.built import refusals, tried
+from ctrplan.diagnosis.partial import Partly, partly
 from ctrplan.diagnosis.usable_poses import usable_poses
-from ctrplan.diagnosis.workbench import Scored
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.diagnosis.workbench import Scored, candidates
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot
-from ctrplan.pipeline.friction_path import friction_correction
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.pipeline.followed_runs import friction_correction
 from ctrplan.pipeline.parametric_chain import ParametricChain
 
 CONFIGURATIONS, RETRIES = 32, 8

@@ -19,9 +19,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from ctrplan.calibration.calibrate import calibrate
-from ctrplan.experiment.friction_states import friction_state
-from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import load_robot
+from ctrplan.measurement.approach import friction_state
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.tip_table import tip_table
 from ctrplan.robot.named_numbers import value_of, with_values

@@ -64,10 +64,10 @@ def planned() -> dict[str, list[list[float]]]:
 def once(legs: dict[str, list[list[float]]]) -> Times:
     """With the package that Python finds first."""
     import ctrplan
-    from ctrplan.planning.certificate import certify as module
+    from ctrplan.certificate import certify as module
 
     try:
-        from ctrplan.planning.certificate.walked_legs import walk_legs
+        from ctrplan.certificate.walked_legs import walk_legs
     except ImportError:  # older checkouts
         walk_legs = module.walk_legs  # type: ignore[attr-defined]
     spare = {"spare_m": 0.5e-3} if "spare_m" in inspect.signature(walk_legs).parameters else {}

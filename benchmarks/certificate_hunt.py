@@ -6,7 +6,7 @@ Scene by scene: one of seven robots (two, three and four tubes, loose and tight 
 configuration, one sphere, rod or plate. In half of the scenes, "between", it stands beside a body in a random friction
 state between the corners, up to 1.5 mm within it, and yet 0.2 mm clear of frictionless and corner shapes where such a
 place is found; in the others, "random", it stands somewhere beside the frictionless body, farther off. `certify` walks
-the motion. Four judges look for a hit, with the distances of `ctrplan.verification`:
+the motion. Four judges look for a hit, with the distances of `ctrplan.audit`:
 
 - grid: bodies on a grid of friction states at 5 places of the motion; 401 states of one pair, 41 x 41 of two, 9 x 9 x 9
   of three (coarser per pair);
@@ -48,17 +48,16 @@ from ctrplan.anatomy.shape import Shape
 from ctrplan.anatomy.shapes.capsule import Capsule
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.anatomy.shapes.sphere import Sphere
+from ctrplan.audit.body import RawAnatomy, body_of
 from ctrplan.base.arrays import Array
+from ctrplan.certificate.certify import certify
 from ctrplan.errors import CtrplanError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.mechanics.accuracy import Accuracy
-from ctrplan.planning.bare_scenario import bare_scenario
-from ctrplan.planning.certificate.certify import certify
-from ctrplan.planning.joint_space import JointSpace
-from ctrplan.planning.scenario import Scenario
 from ctrplan.robot.robot import Robot
-from ctrplan.verification.body import body_of
-from ctrplan.verification.raw_distance import RawAnatomy
+from ctrplan.scenario.bare_scenario import bare_scenario
+from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.scenario import Scenario
 
 ROOT = Path(__file__).resolve().parents[1]
 ROBOTS = ROOT / "scenarios" / "robots"

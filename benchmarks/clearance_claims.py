@@ -20,9 +20,9 @@ import numpy as np
 
 import ctrplan
 from ctrplan.base.arrays import Array
+from ctrplan.certificate.walked_legs import walk_legs
 from ctrplan.files.scenario_file import scenario_from_dict
-from ctrplan.planning.certificate.walked_legs import walk_legs
-from ctrplan.planning.scenario import Scenario
+from ctrplan.scenario.scenario import Scenario
 
 ROBOTS = Path(__file__).resolve().parents[1] / "scenarios" / "robots"
 ROBOT = ctrplan.load_robot(ROBOTS / "three_tube.toml")

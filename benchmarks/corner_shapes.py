@@ -19,7 +19,7 @@ from scipy.interpolate import CubicSpline
 import ctrplan
 from ctrplan.base.arrays import Array
 from ctrplan.mechanics.shapes import Bound, Shape
-from ctrplan.reports import palette
+from ctrplan.reports import looks
 
 ROOT = Path(__file__).resolve().parents[1]
 ROBOT = ROOT / "scenarios" / "robots" / "three_tube.toml"
@@ -53,15 +53,15 @@ def draw_side(ax: Axes, bound: Bound) -> None:
         ax.annotate(label, seen[-1], (9, 0), textcoords="offset points", va="center", fontsize=10, color=colour)
     left = smooth(bound.frictionless)[0] @ axes.T * 1e3
     ax.annotate(f"front plate {FROM_M * 1e3:.0f} mm to the left", left, (2, 12), textcoords="offset points", fontsize=9,
-                color=palette.MUTED)  # fmt: skip
+                color=looks.MUTED)  # fmt: skip
     ax.annotate("four corners: friction of both\npairs of tubes at its limit", (0.03, 0.95), xycoords="axes fraction",
-                va="top", fontsize=10, color=palette.INK)  # fmt: skip
+                va="top", fontsize=10, color=looks.INK)  # fmt: skip
     ax.margins(x=0.02, y=0.15)
     ax.set_xlim(right=ax.get_xlim()[1] + 15)
     ax.set_aspect("equal")
     ax.set_xlabel("mm along insertion", fontsize=9.5)
     ax.set_ylabel("mm, seen obliquely", fontsize=9.5)
-    ax.set_title("The same joint values, five equilibria", loc="left", fontsize=11.5, color=palette.INK)
+    ax.set_title("The same joint values, five equilibria", loc="left", fontsize=11.5, color=looks.INK)
 
 
 def smooth(shape: Shape) -> Array:
@@ -72,7 +72,7 @@ def smooth(shape: Shape) -> Array:
 def draw_tips(ax: Axes, bound: Bound) -> None:
     """The tips, with a circle of the bound's radius around the frictionless one."""
     axes, centre, radius = view(bound), bound.frictionless.tip_m, bound.position_m * 1e3
-    ax.add_patch(Circle((0, 0), radius, facecolor="#FBEFEA", edgecolor=palette.BOUND, linewidth=1.2, linestyle="--"))
+    ax.add_patch(Circle((0, 0), radius, facecolor="#FBEFEA", edgecolor=looks.BOUND, linewidth=1.2, linestyle="--"))
     for (shape, colour, _), pair in itertools.zip_longest(
         styles(bound), itertools.product("+\N{MINUS SIGN}", repeat=2)
     ):
@@ -86,20 +86,20 @@ def draw_tips(ax: Axes, bound: Bound) -> None:
             text, offset, side = f"({pair[0]}, {pair[1]})", (0, -16), "center"
         ax.annotate(text, tip, offset, textcoords="offset points", fontsize=10.5, ha=side, va="center", color=colour)
     worst = (bound.corners[bound.worst_corner].tip_m - centre) @ axes.T * 1e3
-    arrow = {"arrowstyle": "<|-|>", "color": palette.BOUND, "lw": 1.8, "shrinkA": 5, "shrinkB": 5}
+    arrow = {"arrowstyle": "<|-|>", "color": looks.BOUND, "lw": 1.8, "shrinkA": 5, "shrinkB": 5}
     ax.annotate("", worst, (0, 0), arrowprops=arrow)
     ax.annotate(f"bound {radius:.1f} mm", worst / 2, (0, 9), textcoords="offset points", ha="center", fontsize=10.5,
-                color=palette.BOUND, fontweight="bold")  # fmt: skip
+                color=looks.BOUND, fontweight="bold")  # fmt: skip
     ax.set(xlim=(-radius - SIDE_MM, radius + SIDE_MM), ylim=(-radius - 1, radius + 1))
     ax.set_aspect("equal")
     ax.set_xlabel("mm", fontsize=9.5)
-    ax.set_title("Their tips: the farthest one is the bound", loc="left", fontsize=11.5, color=palette.INK)
+    ax.set_title("Their tips: the farthest one is the bound", loc="left", fontsize=11.5, color=looks.INK)
 
 
 def styles(bound: Bound) -> list[tuple[Shape, str, float]]:
     """Shapes with colours and widths of their lines; the frictionless one last, on top."""
     corners = [(corner, colour, 2.2) for corner, colour in zip(bound.corners, COLOURS, strict=True)]
-    return [*corners, (bound.frictionless, palette.INK, 2.6)]
+    return [*corners, (bound.frictionless, looks.INK, 2.6)]
 
 
 def picture() -> Figure:

@@ -27,24 +27,22 @@ from own_cache import use_own_cache
 
 import ctrplan
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.base_parameters import BaseParameters
+from ctrplan.calibration.parameters import BaseParameters
 from ctrplan.errors import CtrplanError, NoAnswerError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.files.scenario_file import scenario_from_dict
 from ctrplan.mechanics.history import History
 from ctrplan.planning import Plan
-from ctrplan.planning.anatomy_grid import anatomy_grid
-from ctrplan.planning.certificate.prediction import rows_to_simulate, start_states
-from ctrplan.planning.scenario import Scenario
-from ctrplan.planning.target_chances.aim import Aim
-from ctrplan.planning.target_chances.drawn_poses import DrawnPoses
-from ctrplan.planning.target_chances.simulated_poses import DrivenPath, SimulatedPoses
-from ctrplan.planning.uncertainty.chance import Draws, wilson
-from ctrplan.robot.robot import Robot
-from ctrplan.robot.stated_intervals import StatedIntervals
+from ctrplan.robot.robot import Robot, StatedIntervals
+from ctrplan.scenario.anatomy_grid import anatomy_grid
+from ctrplan.scenario.prediction import rows_to_simulate, start_states
+from ctrplan.scenario.scenario import Scenario
 from ctrplan.storage.toml_document import read_document
-from ctrplan.uncertain.parameters import uncertain_parameters
-from ctrplan.uncertain.tip_slopes import held_collars
+from ctrplan.uncertainty.chance import Draws, wilson
+from ctrplan.uncertainty.drawn_poses import DrawnPoses, DrivenPath, SimulatedPoses
+from ctrplan.uncertainty.parameters import uncertain_parameters
+from ctrplan.uncertainty.target import Aim
+from ctrplan.uncertainty.tip_slopes import held_collars
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENARIOS = ["ribs", "vessel", "heart_chamber", "airway", "deploy"]
@@ -109,7 +107,7 @@ def planned(scenario: Scenario) -> tuple[Plan, str]:
         bare = replace(scenario.robot, intervals=StatedIntervals(), effects=effects, model_error_m=0.0)
         registration = replace(scenario.registration, position_sigma_m=0.0, rotation_sigma_rad=0.0)
         plan = replace(ctrplan.plan(replace(scenario, robot=bare, registration=registration)), scenario=scenario)
-        return replace(plan, uncertainty=ctrplan.uncertainty(plan)), "without"
+        return replace(plan, uncertainty=ctrplan.plan_uncertainty(plan)), "without"
 
 
 @dataclass(frozen=True, eq=False)

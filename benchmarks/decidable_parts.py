@@ -26,11 +26,9 @@ from hidden_effects.case import make
 from hidden_effects.leftovers import DEG_PER_MM, _places
 
 from ctrplan.calibration.residuals import residuals
-from ctrplan.diagnosis.blocks import block_split, blocks
-from ctrplan.diagnosis.correlated_bench import CorrelatedBench
-from ctrplan.diagnosis.frames import FRAMES
-from ctrplan.diagnosis.noise_floor import noise_floor
-from ctrplan.diagnosis.usable_poses import usable_poses
+from ctrplan.diagnosis.adequacy import noise_floor
+from ctrplan.diagnosis.correlated_bench import FRAMES, CorrelatedBench
+from ctrplan.diagnosis.usable_poses import block_split, blocks, usable_poses
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot
 

@@ -32,8 +32,8 @@ from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_file import load_scenario, scenario_from_dict
 from ctrplan.planning import Plan
-from ctrplan.planning.scenario import Scenario
 from ctrplan.robot.robot import Robot
+from ctrplan.scenario.scenario import Scenario
 from ctrplan.storage.toml_document import read_document
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -20,7 +20,7 @@ from matplotlib.axes import Axes
 import ctrplan
 from ctrplan.planning.placing.place import CONE_RAD, RADIUS_M, Placement, _patch
 from ctrplan.planning.placing.screen import Screen, Worth
-from ctrplan.reports import palette
+from ctrplan.reports import looks
 
 ROOT = Path(__file__).resolve().parent.parent
 PICTURE = ROOT / "docs" / "images" / "entry.png"
@@ -56,12 +56,12 @@ def draw(axes: Axes, name: str, worths: list[Worth], found: Placement) -> None:
     share = np.array([worth.share * tolerance_mm if worth.possible else np.nan for worth in worths])
     axes.scatter(*look[np.isnan(share)].T, s=9, color="#d5d9de", linewidths=0)
     known = ~np.isnan(share)
-    points = axes.scatter(*look[known].T, c=share[known], s=26, cmap=f"{palette.HEAT}_r", linewidths=0)
+    points = axes.scatter(*look[known].T, c=share[known], s=26, cmap=f"{looks.HEAT}_r", linewidths=0)
     plt.colorbar(points, ax=axes, label="worst-case friction error (mm)", shrink=0.7)
     for pose in found.poses:
         if pose.reached:
-            axes.plot(*np.degrees(np.arcsin(pose.direction[:2])), "o", mfc="none", mec=palette.INK, ms=8, mew=0.8)
-    axes.plot(*np.degrees(np.arcsin(found.own.direction[:2])), "x", color=palette.LIMIT, ms=9, mew=2)
+            axes.plot(*np.degrees(np.arcsin(pose.direction[:2])), "o", mfc="none", mec=looks.INK, ms=8, mew=0.8)
+    axes.plot(*np.degrees(np.arcsin(found.own.direction[:2])), "x", color=looks.LIMIT, ms=9, mew=2)
     axes.set_title(name, fontsize=10)
     axes.set_xlabel("looks to x (deg)")
     axes.set_aspect("equal")

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import ctrplan
-from ctrplan.reports import palette
-from ctrplan.reports.study_page.poses import BasePoses
+from ctrplan.reports import looks
+from ctrplan.reports.study_page import BasePoses
 
 ROOT = Path(__file__).resolve().parent.parent
 STUDY = ROOT / "scenarios" / "studies" / "entry_ventricle.toml"
@@ -33,7 +33,7 @@ class Panel:
 
     title: str
     values: NDArray[np.float64]
-    colours: str = palette.HEAT
+    colours: str = looks.HEAT
 
 
 def print_poses(poses: BasePoses, tilt_deg: NDArray[np.float64]) -> None:
@@ -61,7 +61,7 @@ def draw(poses: BasePoses) -> None:
     panels = (
         Panel("targets reached", poses.reached.astype(float)),
         Panel("of them within 2 mm whatever friction does", poses.within.astype(float)),
-        Panel("error at worst, mean of those reached (mm)", poses.mean, f"{palette.HEAT}_r"),
+        Panel("error at worst, mean of those reached (mm)", poses.mean, f"{looks.HEAT}_r"),
     )
     figure, axes = plt.subplots(1, 3, figsize=(13, 4.2), layout="constrained")
     for axis, panel in zip(axes, panels, strict=True):
@@ -69,7 +69,7 @@ def draw(poses: BasePoses) -> None:
         axis.scatter(*look[~known].T, s=10, color="#d5d9de", linewidths=0)
         points = axis.scatter(*look[known].T, c=panel.values[known], s=20, cmap=panel.colours, linewidths=0)
         plt.colorbar(points, ax=axis, shrink=0.8)
-        axis.plot(*look[poses.order[0]], "o", mfc="none", mec=palette.LIMIT, ms=9, mew=1.5)
+        axis.plot(*look[poses.order[0]], "o", mfc="none", mec=looks.LIMIT, ms=9, mew=1.5)
         axis.set_title(panel.title, fontsize=10)
         axis.set_xlabel("looks to x (deg)")
         axis.set_aspect("equal")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 
 import ctrplan
-from ctrplan.planning.bound_table import tabulated_bounds
+from ctrplan.motion.bound_table import tabulated_bounds
 from ctrplan.planning.table_worth import table_worth
 
 

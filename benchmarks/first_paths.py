@@ -26,8 +26,8 @@ from planning_queries import queries
 
 import ctrplan
 from ctrplan.errors import CtrplanError
-from ctrplan.planning.scenario import Scenario
 from ctrplan.planning.search.stage_search import Progress
+from ctrplan.scenario.scenario import Scenario
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 SCENARIOS = CHECKOUT / "scenarios"

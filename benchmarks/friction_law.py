@@ -14,7 +14,7 @@ import numpy as np
 from page_table import put_into_page
 
 import ctrplan
-from ctrplan.mechanics.friction_law import FrictionLaw, largest_deviation
+from ctrplan.mechanics.friction import FrictionLaw, largest_deviation
 from ctrplan.robot.friction_calibration import HISTORIES, SimulatedPath, fit, misses, simulated_paths
 
 ROOT = Path(__file__).resolve().parents[1]

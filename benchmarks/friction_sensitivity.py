@@ -15,8 +15,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import ctrplan
-from ctrplan.reports import palette
-from ctrplan.studies.study.sensitivity import Sensitivity, sensitivity
+from ctrplan.reports import looks
+from ctrplan.studies.study.analysis import Sensitivity, sensitivity
 
 ROOT = Path(__file__).resolve().parent.parent
 STUDY = ROOT / "scenarios" / "studies" / "friction_ventricle.toml"
@@ -46,13 +46,13 @@ def print_numbers(study: ctrplan.Study, table: ctrplan.StudyTable, found: Sensit
 
 def draw(table: ctrplan.StudyTable, found: Sensitivity) -> None:
     figure, (cloud, bars) = plt.subplots(1, 2, figsize=(10, 3.6), layout="constrained")
-    cloud.scatter(table[FRICTION[1]], table["bound_mm"], s=5, color=palette.SERIES[0], linewidths=0)
+    cloud.scatter(table[FRICTION[1]], table["bound_mm"], s=5, color=looks.SERIES[0], linewidths=0)
     cloud.set_xlabel("friction between the inner two tubes")
     cloud.set_ylabel("worst-case friction error (mm)")
     cloud.set_ylim(0)
     order = np.argsort(found.total)
     bars.barh(
-        [found.keys[k] for k in order], found.total[order], xerr=found.total_interval[order], color=palette.SERIES[0]
+        [found.keys[k] for k in order], found.total[order], xerr=found.total_interval[order], color=looks.SERIES[0]
     )
     bars.set_xlabel("share of the variance, with all others")
     bars.tick_params(axis="y", labelsize=8)

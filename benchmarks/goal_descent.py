@@ -19,11 +19,10 @@ from own_cache import use_own_cache
 from planning import in_turn, paired
 from planning_queries import Query, queries
 
-from ctrplan.planning.goals.branches import reach
-from ctrplan.planning.goals.goal_descent import descended
-from ctrplan.planning.goals.goal_state import GoalState, tip_target
-from ctrplan.planning.goals.goal_states import goal_states
-from ctrplan.planning.motion import MotionChecker
+from ctrplan.motion.checker import MotionChecker
+from ctrplan.planning.goals.goal_states import descended, goal_states
+from ctrplan.planning.goals.reach import reach
+from ctrplan.scenario.tip_solver import GoalState, tip_target
 
 LONG_SEEDS = (1, 2, 3)
 

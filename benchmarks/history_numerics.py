@@ -11,9 +11,8 @@ from history_page import PAIR, PAIR_L_M, THREE, draw, norm_mm, panels, present, 
 from matplotlib import colormaps
 
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.accuracy import Accuracy
-from ctrplan.mechanics.history_options import HistoryOptions
-from ctrplan.reports import palette
+from ctrplan.mechanics.accuracy import Accuracy, HistoryOptions
+from ctrplan.reports import looks
 from ctrplan.robot.robot import Robot
 
 PATHS = 20  # of each robot, for the energy
@@ -101,7 +100,7 @@ def slip_front(write: bool) -> None:
     for turn in turns_deg.tolist():
         (pair,) = history.advance(theta_b + [0, np.radians(turn)], PAIR_L_M).friction
         loaded = pair.force_N > 5e-3 * pair.force_N.max()
-        colour = colormaps[palette.HEAT](turn / turns_deg[-1])
+        colour = colormaps[looks.HEAT](turn / turns_deg[-1])
         axes[0, 0].plot(1e3 * pair.s_m[loaded], pair.phi[loaded], color=colour, marker=".", label=f"{turn} deg")
     axes[0, 0].set_xlabel("arc length from the plate (mm)")
     axes[0, 0].set_ylabel("friction state of the contacts that carry force")

@@ -15,12 +15,12 @@ from PIL import Image
 
 from ctrplan.base.arrays import Array
 from ctrplan.files.robot_file import load_robot
-from ctrplan.reports import palette
+from ctrplan.reports import looks
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE, IMAGES = ROOT / "docs" / "history.md", ROOT / "docs" / "images" / "history"
 BEGIN, END = "<!-- table: {} -->\n", "<!-- end of table -->"
-COLOURS = (*palette.SERIES, palette.ENVELOPE, palette.CORNER)
+COLOURS = (*looks.SERIES, looks.ENVELOPE, looks.CORNER)
 PAIR = load_robot(ROOT / "scenarios" / "robots" / "table_5_pair.toml")
 THREE = load_robot(ROOT / "scenarios" / "robots" / "three_tube.toml")
 PAIR_L_M = np.array([0.0, -0.0604])  # curved part of the inner tube half extended
@@ -59,7 +59,7 @@ def panels(rows: int, columns: int, size_in: tuple[float, float], **options: Any
 
 
 def style(ax: Axes) -> None:
-    ax.grid(color=palette.GRID, linewidth=0.8)
+    ax.grid(color=looks.GRID, linewidth=0.8)
     ax.set_axisbelow(True)
     ax.spines[["top", "right"]].set_visible(False)
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from ctrplan.base.arrays import Array
 from ctrplan.mechanics.shapes import Shape, Status
-from ctrplan.reports import palette
+from ctrplan.reports import looks
 
 ANGLES_DEG = np.arange(0, 361, 10)
 OFFSET_DEG, OFFSET_M = 90.0, 10e-3
@@ -112,8 +112,8 @@ def fig_19() -> Figure:
     for k, name in enumerate(HISTORIES):
         axes[0, 0].plot(ANGLES_DEG, angle[:, k], color=COLOURS[k], label=name, linewidth=1.4)
         axes[0, 1].plot(ANGLES_DEG, angle[:, k] - free_angle, color=COLOURS[k], marker=".", linewidth=1.2)
-    axes[0, 0].plot(ANGLES_DEG, free_angle, "--", color=palette.INK, label="frictionless")
-    axes[0, 1].axhline(0, ls="--", color=palette.INK, linewidth=1)
+    axes[0, 0].plot(ANGLES_DEG, free_angle, "--", color=looks.INK, label="frictionless")
+    axes[0, 1].axhline(0, ls="--", color=looks.INK, linewidth=1)
     axes[0, 0].set_ylabel("relative angle at the tip of tube 1 (deg)")
     axes[0, 1].set_ylabel("against the frictionless solution (deg)")
     for ax in axes.flat:
@@ -130,7 +130,7 @@ def fig_20() -> Figure:
     for ax, (a, b) in zip(axes.flat, ((0, 1), (0, 2)), strict=True):
         for k in range(2):
             ax.plot(1e3 * tip[:, k, a], 1e3 * tip[:, k, b], color=COLOURS[k], label=list(HISTORIES)[k])
-        ax.plot(1e3 * free_tip[:, a], 1e3 * free_tip[:, b], "--", color=palette.INK, label="frictionless", linewidth=1)
+        ax.plot(1e3 * free_tip[:, a], 1e3 * free_tip[:, b], "--", color=looks.INK, label="frictionless", linewidth=1)
         for k, name in enumerate(HISTORIES):
             points = tip[::6, k]
             ax.plot(1e3 * points[:, a], 1e3 * points[:, b], ".", color=COLOURS[k], label=name if k > 1 else None)
@@ -176,8 +176,8 @@ def loop(write: bool) -> None:
         axes[0, 0].plot(deg, angle, color=colour, label=label)
         axes[0, 1].plot(deg, angle - deg, color=colour)
         if deg is base_deg:
-            axes[0, 0].plot(deg, free, "--", color=palette.INK, linewidth=1, label="frictionless")
-            axes[0, 1].plot(deg, free - deg, "--", color=palette.INK, linewidth=1)
+            axes[0, 0].plot(deg, free, "--", color=looks.INK, linewidth=1, label="frictionless")
+            axes[0, 1].plot(deg, free - deg, "--", color=looks.INK, linewidth=1)
             there, back = angle[:91], angle[90:][::-1]
             for at in (60, 120, 180, 240, 300):
                 k = at // 4

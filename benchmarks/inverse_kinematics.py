@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from ctrplan.files.robot_file import load_robot
-from ctrplan.planning.goals.tip_solver import REACHED_M, TipSolver, TipTarget
-from ctrplan.planning.joint_space import JointSpace
+from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.tip_solver import REACHED_M, TipSolver, TipTarget
 
 ROBOTS = Path(__file__).resolve().parents[1] / "scenarios" / "robots"
 

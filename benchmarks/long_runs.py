@@ -24,7 +24,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 import ctrplan
-from ctrplan.planning.joint_space import JointSpace
+from ctrplan.scenario.joint_space import JointSpace
 
 SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"
 NEAR = "goal.joints={'rotate outer' = 6, 'rotate inner' = 10, 'translate inner' = -27}"  # of pair_free.toml

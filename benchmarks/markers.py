@@ -22,7 +22,7 @@ import numpy as np
 import ctrplan
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import Noise, information_inverse, residuals
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.robot.robot import Robot
 

@@ -4,7 +4,7 @@ python benchmarks/mesh_allowance.py [--count 40] [--clearances-mm 0.3 1 3]
 
 Random configurations of the shipped robots, with their own clearances between tubes and with wider ones. Printed, in
 mm: the largest distance of a body point (frictionless and corner shapes, at the tip where meshes have different
-points), the most that a bound is short, and the allowances of ctrplan/planning/certificate/allowances.py. Shapes more
+points), the most that a bound is short, and the allowances of ctrplan/certificate/friction_states.py. Shapes more
 than BRANCH_M apart are other equilibria and are counted by themselves.
 """
 
@@ -19,12 +19,12 @@ import numpy as np
 from own_cache import use_own_cache
 
 from ctrplan.base.arrays import Array
+from ctrplan.certificate.friction_states import bound_allowance_m, mesh_allowance_m
 from ctrplan.files.robot_file import load_robot
 from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.mechanics.shapes import FrictionBodies
-from ctrplan.planning.certificate.allowances import bound_allowance_m, mesh_allowance_m
-from ctrplan.planning.joint_space import JointSpace
 from ctrplan.robot.robot import Robot
+from ctrplan.scenario.joint_space import JointSpace
 
 ROBOTS = Path(__file__).resolve().parents[1] / "scenarios" / "robots"
 NAMES = ("three_tube", "table_1_pair", "table_4_pair", "table_5_pair")

@@ -28,10 +28,9 @@ import numpy as np
 
 import ctrplan
 from ctrplan.base.arrays import Array
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.named_numbers import with_values
-from ctrplan.robot.observer.slow_offset import SlowOffset
-from ctrplan.robot.observer.slow_parameter import SlowParameter
+from ctrplan.robot.observer.slow_states import SlowOffset, SlowParameter
 from ctrplan.robot.robot import Robot
 from ctrplan.studies.follow import Following, follow
 

@@ -36,11 +36,11 @@ from hidden_effects.noise import add_noise
 from hidden_effects.score import wilson
 from hidden_effects.world import believed
 
-from ctrplan.diagnosis.building.sought import build
-from ctrplan.diagnosis.candidates import candidates
-from ctrplan.diagnosis.noise_floor import noise_floor
-from ctrplan.diagnosis.partly import partly
+from ctrplan.diagnosis.adequacy import noise_floor
+from ctrplan.diagnosis.building.built import build
+from ctrplan.diagnosis.partial import partly
 from ctrplan.diagnosis.usable_poses import usable_poses
+from ctrplan.diagnosis.workbench import candidates
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot
 

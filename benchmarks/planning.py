@@ -26,9 +26,9 @@ import ctrplan
 from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.drive.trajectory import time_parameterise, verify_limits
 from ctrplan.errors import CtrplanError
+from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning import Plan
 from ctrplan.planning.goals.goal_states import goal_states
-from ctrplan.planning.motion import MotionChecker
 
 BLIND = ["cost.error_along=0", "cost.error_goal=0"]
 AWARE = ["cost.error_along=10", "cost.error_goal=100"]  # ten times the defaults: errors matter most here

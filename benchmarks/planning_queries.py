@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.planning.motion import MotionChecker
-from ctrplan.planning.scenario import Scenario
+from ctrplan.motion.checker import MotionChecker
+from ctrplan.scenario.scenario import Scenario
 
 Array = NDArray[np.float64]
 SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"

@@ -16,8 +16,7 @@ from page_table import put_into_page
 import ctrplan
 from ctrplan.errors import CtrplanError
 from ctrplan.planning import Plan
-from ctrplan.planning.path_cost import path_cost_mm
-from ctrplan.planning.scenario import Cost
+from ctrplan.scenario.scenario import Cost, path_cost_mm
 
 ROOT = Path(__file__).resolve().parents[1]
 BEGIN, END = "<!-- planning table -->\n", "<!-- end of planning table -->"

@@ -21,13 +21,13 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 import ctrplan
-from ctrplan.reports import palette
+from ctrplan.reports import looks
 
 ROOT = Path(__file__).resolve().parent.parent
 STUDIES, PICTURE = ROOT / "scenarios" / "studies", ROOT / "docs" / "images" / "reach_maps.png"
 NAMES = ("ventricle", "airway")
 REGARDS = (("free_within", "without regard to friction"), ("within", "whatever friction does"))
-LEVELS = (("within 1 mm", palette.MET), ("within 2 mm", palette.SERIES[1]), ("not", "#c8ccd2"))
+LEVELS = (("within 1 mm", looks.MET), ("within 2 mm", looks.SERIES[1]), ("not", "#c8ccd2"))
 Z95 = 1.96
 
 

@@ -28,7 +28,7 @@ from pathlib import Path
 import tomli_w
 
 from ctrplan.base.arrays import Array
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements
 
 TRAINING = ("square_1", "helix_1", "hypo_1")
 OUTER_MM, INNER_MM = (2.045, 1.372, 0.940), (1.448, 0.965, 0.737)  # outermost first
@@ -94,7 +94,7 @@ def calibrated(output: Path, runs: Sequence[str], every: int) -> None:
     import numpy as np
 
     import ctrplan
-    from ctrplan.calibration.pose_errors import distances
+    from ctrplan.calibration.estimates import distances
     from ctrplan.pipeline.parametric_chain import ParametricChain
 
     believed = ctrplan.load_robot(output / "robot.toml")

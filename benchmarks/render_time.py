@@ -14,9 +14,9 @@ import time
 import numpy as np
 
 from ctrplan.files.plan_file import load_plan
+from ctrplan.reports.plan_scene import written_motion
 from ctrplan.reports.render.film import film
 from ctrplan.reports.render.views import VIEWS
-from ctrplan.reports.written_motion import written_motion
 
 WIDTH, HEIGHT, PICTURES = 960, 720, 6
 

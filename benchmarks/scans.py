@@ -86,22 +86,22 @@ def _errors(folder: Path, spacing: tuple[float, ...], radius: float, grey: bool,
 
 def sides(folder: Path) -> None:
     """Of labels 1 mm wide, axes along the patient's; by how many voxels the smoothing's kernel is wide."""
-    from ctrplan.anatomy.images import level_surface
+    from ctrplan.anatomy.images import structure
 
     ranges = ((0, 5), (5, 10), (10, 20), (20, 35), (35, 55))
     print(
         "| radius (voxels) | smoothed over | beyond 0.15 | " + " | ".join(f"{a} to {b} deg" for a, b in ranges) + " |"
     )
     print("|---|---|---|" + "---|" * len(ranges))
-    kept = level_surface.SIGMA, level_surface.HALO
+    kept = structure.SIGMA, structure.HALO
     for radius in (3.0, 9.0):
         for sigma in (1.5, 3.0):
-            level_surface.SIGMA, level_surface.HALO = sigma, int(np.ceil(3 * sigma)) + 2
+            structure.SIGMA, structure.HALO = sigma, int(np.ceil(3 * sigma)) + 2
             off, angle = np.concatenate([_sided(folder, radius, seed) for seed in range(DRAWS)]).T
             largest = [off[(angle >= a) & (angle < b)].max() for a, b in ranges]
             shown = " | ".join(f"{x:.2f}" for x in largest)
             print(f"| {radius:g} | {sigma:g} | {100 * np.mean(off > 0.15):.0f} % | {shown} |")
-    level_surface.SIGMA, level_surface.HALO = kept
+    structure.SIGMA, structure.HALO = kept
 
 
 def _sided(folder: Path, radius: float, seed: int) -> phantoms.Array:

@@ -20,13 +20,11 @@ from own_cache import use_own_cache
 
 import ctrplan
 from ctrplan.base.arrays import Array
+from ctrplan.certificate.every_state import LOOK_EVERY, SampleStates, StatesBetween
+from ctrplan.certificate.walked_piece import walked
 from ctrplan.mechanics.accuracy import Accuracy
-from ctrplan.planning.certificate.every_state import LOOK_EVERY
-from ctrplan.planning.certificate.sample_states import SampleStates
-from ctrplan.planning.certificate.states_between import StatesBetween
-from ctrplan.planning.certificate.walked_piece import walked
-from ctrplan.planning.joint_space import JointSpace
-from ctrplan.planning.scenario import Scenario
+from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.scenario import Scenario
 
 SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"
 STATES = 12  # random ones of every sample

@@ -33,10 +33,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 import ctrplan
-from ctrplan.base.cores import one_core
+from ctrplan.base.long_work import one_core
 from ctrplan.studies.study.engine_dask import DaskEngine
-from ctrplan.studies.study.run import Doing
-from ctrplan.studies.study.study import Study
+from ctrplan.studies.study.study import Doing, Study
 
 SCENARIOS = Path(__file__).resolve().parent.parent / "scenarios"
 ROBOT = str(SCENARIOS / "robots" / "three_tube.toml")

@@ -30,17 +30,17 @@ import numpy as np
 from matplotlib.axes import Axes
 
 import ctrplan
-from ctrplan.base.cores import one_core
-from ctrplan.planning.scenario import Goal
-from ctrplan.planning.target_set.worth import Search, SetWorth, set_worth
-from ctrplan.reports import palette
+from ctrplan.base.long_work import one_core
+from ctrplan.reports import looks
+from ctrplan.scenario.scenario import Goal
+from ctrplan.studies.target_set import Search, SetWorth, set_worth
 
 ROOT = Path(__file__).resolve().parent.parent
 FILE = ROOT / "scenarios" / "studies" / "design_ventricle.toml"
 PICTURE = ROOT / "docs" / "images" / "tube_design.png"
 STARTS = 200  # of inverse kinematics, for the comparison
 FRICTION = ("robot.contact.1.friction_coefficient", "robot.contact.2.friction_coefficient")
-COLOURS = {"shipped": palette.SERIES[2], "literature": palette.SERIES[1], "with friction": palette.SERIES[0]}
+COLOURS = {"shipped": looks.SERIES[2], "literature": looks.SERIES[1], "with friction": looks.SERIES[0]}
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,11 +110,11 @@ def draw_front(axes: Axes, found: ctrplan.TubeDesigns) -> None:
     """Error with tolerances against stability of the search that regards friction, by reach."""
     done = [looked.numbers for looked in found.archive.all if looked.is_done]
     x, y, reach = (np.array([row[name] for row in done]) for name in ("robust_mm", "stability", "reach"))
-    points = axes.scatter(x, y, c=reach * 100, s=14, cmap=palette.HEAT, linewidths=0, vmin=0, vmax=100)
+    points = axes.scatter(x, y, c=reach * 100, s=14, cmap=looks.HEAT, linewidths=0, vmin=0, vmax=100)
     plt.colorbar(points, ax=axes, label="targets reached (%)", shrink=0.8)
     front = [looked.numbers for looked in found.front]
     ends = [row[name] for name in ("robust_mm", "stability") for row in front]
-    axes.plot(ends[: len(front)], ends[len(front) :], "o", mfc="none", mec=palette.INK, ms=7, mew=0.8, label="front")
+    axes.plot(ends[: len(front)], ends[len(front) :], "o", mfc="none", mec=looks.INK, ms=7, mew=0.8, label="front")
     axes.set_xscale("log")
     axes.set_xlabel("mean error at worst, within tolerances (mm)")
     axes.set_ylabel("least stability on the way")
@@ -127,8 +127,8 @@ def draw_targets(axes: Axes, rows: Sequence[Judged], unreached_mm: float) -> Non
     for k, row in enumerate(rows):
         at = np.arange(len(row.rubbing.targets)) + (k - (len(rows) - 1) / 2) * width
         axes.bar(at, row.rubbing.errors_mm, width, color=COLOURS[row.name], label=row.name)
-    axes.axhline(unreached_mm, color=palette.LIMIT, lw=0.8, ls=":")
-    axes.text(-0.4, unreached_mm * 1.01, "not reached", fontsize=8, color=palette.LIMIT, va="bottom")
+    axes.axhline(unreached_mm, color=looks.LIMIT, lw=0.8, ls=":")
+    axes.text(-0.4, unreached_mm * 1.01, "not reached", fontsize=8, color=looks.LIMIT, va="bottom")
     axes.set_xlabel("target")
     axes.set_ylabel("error at worst (mm)")
     axes.set_ylim(0, 1.12 * unreached_mm)
@@ -138,7 +138,7 @@ def draw_targets(axes: Axes, rows: Sequence[Judged], unreached_mm: float) -> Non
 def draw_tolerances(axes: Axes, entry: dict[str, Any]) -> None:
     """What tolerances of the first design cost."""
     rows = entry["tolerances"][:8][::-1]
-    axes.barh([row["name"] for row in rows], [row["costs_mm"] for row in rows], color=palette.SERIES[0])
+    axes.barh([row["name"] for row in rows], [row["costs_mm"] for row in rows], color=looks.SERIES[0])
     axes.tick_params(axis="y", labelsize=8)
     axes.set_xlabel("costs (mm of mean error at worst)")
 

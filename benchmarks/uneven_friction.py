@@ -17,13 +17,13 @@ from mesh_allowance import NAMES, ROBOTS
 from own_cache import use_own_cache
 
 from ctrplan.base.arrays import Array
+from ctrplan.certificate.anatomy_distance import AnatomyDistance
+from ctrplan.certificate.friction_states import UNEVEN_FRICTION_M
+from ctrplan.certificate.uneven_friction import PARTS, worst_uneven_friction
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import scenario_from_dict
-from ctrplan.planning.certificate.allowances import UNEVEN_FRICTION_M
-from ctrplan.planning.certificate.anatomy_distance import AnatomyDistance
-from ctrplan.planning.certificate.uneven_friction import PARTS, worst_uneven_friction
-from ctrplan.planning.joint_space import JointSpace
 from ctrplan.robot.robot import Robot
+from ctrplan.scenario.joint_space import JointSpace
 
 
 def obstacle(rng: np.random.Generator, near_mm: Array) -> dict[str, object]:

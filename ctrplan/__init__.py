@@ -12,47 +12,46 @@ from ctrplan.base.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from ctrplan import planning
-    from ctrplan.calibration.calibrate import calibrate
-    from ctrplan.calibration.calibration import Calibration
-    from ctrplan.cases.case import Case
-    from ctrplan.cases.case import case as case
+    from ctrplan.audit.verify import Verification
+    from ctrplan.audit.verify import verify as verify
+    from ctrplan.calibration.calibrate import Calibration, calibrate
     from ctrplan.diagnosis.diagnose import diagnose as diagnose
     from ctrplan.diagnosis.result import Diagnosis
     from ctrplan.errors import CtrplanError, InputError, NoAnswerError
-    from ctrplan.experiment.measurements import Measurements
     from ctrplan.files.measurement_file import load_measurements
     from ctrplan.files.plan_file import WrittenPlan, load_plan
     from ctrplan.files.robot_file import load_robot
     from ctrplan.files.scenario_file import load_scenario
+    from ctrplan.measurement.measurements import Measurements
     from ctrplan.mechanics.history import History, HistoryStep
     from ctrplan.mechanics.shapes import Bound, Bounds, Shape, Status
+    from ctrplan.patients.case import Case
+    from ctrplan.patients.case import case as case
     from ctrplan.planning.finish.reorder import reorder as reorder
     from ctrplan.planning.inverse_kinematics import InverseKinematics
     from ctrplan.planning.inverse_kinematics import inverse_kinematics as inverse_kinematics
     from ctrplan.planning.placing.base_pose import BasePose
     from ctrplan.planning.placing.place import Placement
     from ctrplan.planning.placing.place import place as place
-    from ctrplan.planning.plan import Plan
-    from ctrplan.planning.plan_uncertainty import uncertainty as uncertainty
     from ctrplan.planning.planner import plan as plan
-    from ctrplan.planning.scenario import Scenario
+    from ctrplan.plans.plan import Plan
+    from ctrplan.plans.uncertainty import plan_uncertainty as plan_uncertainty
     from ctrplan.robot.robot import Robot
+    from ctrplan.scenario.scenario import Scenario
     from ctrplan.studies.design.tube_design import TubeDesign, TubeDesigns
     from ctrplan.studies.plan_many import plan_many as plan_many
     from ctrplan.studies.study.study import Study
     from ctrplan.studies.study.table import StudyTable
     from ctrplan.studies.study.table import load_study as load_study
-    from ctrplan.uncertain.bound import bound_with_parameters as bound_with_parameters
-    from ctrplan.verification.verify import Verification
-    from ctrplan.verification.verify import verify as verify
+    from ctrplan.uncertainty.tip_slopes import bound_with_parameters as bound_with_parameters
 
 _HOMES = {
-    "Calibration": "calibration.calibration",
+    "Calibration": "calibration.calibrate",
     "Diagnosis": "diagnosis.result",
     "calibrate": "calibration.calibrate",
-    "Case": "cases.case",
-    "case": "cases.case",
-    "Measurements": "experiment.measurements",
+    "Case": "patients.case",
+    "case": "patients.case",
+    "Measurements": "measurement.measurements",
     "diagnose": "diagnosis.diagnose",
     "load_measurements": "files.measurement_file",
     "Bound": "mechanics.shapes",
@@ -66,12 +65,12 @@ _HOMES = {
     "NoAnswerError": "errors",
     "Robot": "robot.robot",
     "load_robot": "files.robot_file",
-    "Scenario": "planning.scenario",
+    "Scenario": "scenario.scenario",
     "load_scenario": "files.scenario_file",
     "load_plan": "files.plan_file",
     "WrittenPlan": "files.plan_file",
-    "Verification": "verification.verify",
-    "verify": "verification.verify",
+    "Verification": "audit.verify",
+    "verify": "audit.verify",
     "Plan": "planning",
     "plan": "planning",
     "reorder": "planning",
@@ -86,8 +85,8 @@ _HOMES = {
     "TubeDesigns": "studies.design.tube_design",
     "StudyTable": "studies.study.table",
     "load_study": "studies.study.table",
-    "bound_with_parameters": "uncertain.bound",
-    "uncertainty": "planning.plan_uncertainty",
+    "bound_with_parameters": "uncertainty.tip_slopes",
+    "plan_uncertainty": "plans.uncertainty",
 }
 __all__ = [
     "BasePose",
@@ -128,10 +127,10 @@ __all__ = [
     "place",
     "plan",
     "plan_many",
+    "plan_uncertainty",
     "planning",
     "reorder",
     "verify",
-    "uncertainty",
 ]
 
 

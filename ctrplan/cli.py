@@ -9,7 +9,7 @@ from collections.abc import Sequence
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command; returns its exit code: 0 done, 1 no answer, 2 malformed input, 130 interrupted."""
     try:
-        from ctrplan.base.interrupts import interrupts_noticed
+        from ctrplan.base.long_work import interrupts_noticed
         from ctrplan.commands.program import run
 
         with interrupts_noticed():

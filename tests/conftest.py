@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ctrplan.certificate.certify import certify
 from ctrplan.drive.trajectory import time_parameterise
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import scenario_from_dict
-from ctrplan.planning.certificate.certify import certify
-from ctrplan.planning.plan import Plan
-from ctrplan.planning.planned_motion import Leg, ReorderReport, leg_kind
-from ctrplan.planning.scenario import Scenario
+from ctrplan.plans.plan import Plan
+from ctrplan.plans.planned_motion import Leg, ReorderReport, leg_kind
+from ctrplan.scenario.scenario import Scenario
 
 OBSTACLES = [
     {"kind": "sphere", "center_mm": [0, 60, 110], "radius_mm": 15, "margin_mm": 1.0},

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ctrplan.diagnosis import CATALOGUE, Effect
-from ctrplan.effects.learned.targets import KINDS
+from ctrplan.effects.learned.inputs import KINDS
 from ctrplan.files.robot_file import load_robot
 
 ROBOT = Path(__file__).parents[1] / "scenarios" / "robots" / "three_tube.toml"

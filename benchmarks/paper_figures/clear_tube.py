@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from ctrplan.base.arrays import Array
 from ctrplan.files.robot_file import load_robot
 from ctrplan.mechanics.shapes import Shape
-from ctrplan.reports import palette
+from ctrplan.reports import looks
 from paper_figures.contact_regions import Region, offset_m, regions
 from paper_figures.drawing import COLOURS, figure, label, legend, save, table
 from paper_figures.pairs import (
@@ -33,7 +33,7 @@ def fig_17() -> str:
         half = regions(narrow.solve(*joints(angle), accuracy="certificate"))
         cells = [f"{1e3 * r.s_m:.1f} mm, {round(_on_tube_deg(shape, r))} deg" for r in found]
         rows.append((f"{angle} deg", *cells, *(f"{1e3 * (f[-1].s_m - f[-2].s_m):.1f} mm" for f in (found, half))))
-    axes[0].axhline(clearance_mm, color=palette.MUTED, linestyle="--", linewidth=1.1)
+    axes[0].axhline(clearance_mm, color=looks.MUTED, linestyle="--", linewidth=1.1)
     axes[0].annotate("clearance", (0, clearance_mm), (0, 4), textcoords="offset points", fontsize=8.5)
     label(axes[0], "Fig. 17(a)", "arc length (mm)", "distance of the wire from the wall (mm)")
     label(axes[1], "Fig. 17(b)", "arc length (mm)", "where the wire leans, on the clear tube (deg)")

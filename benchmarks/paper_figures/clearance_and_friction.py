@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from ctrplan.reports import palette
+from ctrplan.reports import looks
 from paper_figures.drawing import COLOURS, figure, label, legend, points, save, table
 from paper_figures.pairs import (
     CLEARANCES_MM,
@@ -69,8 +69,8 @@ def fig_6_7() -> str:
         known = exact("friction_at_180_deg", clearance_m=1e-3 * clearance)
         points(axes[1], [1e3 * r["tip_m"][1] for r in known], [1e3 * r["tip_m"][0] for r in known], colour)
     label(axes[1], "Fig. 7, friction coefficient 0 to 0.5 either way", "tip y (mm)", "tip x (mm)")
-    axes[1].plot(0, 0, "+", color=palette.INK, markersize=9)
-    axes[1].annotate("zero clearance", (0, 0), (6, -1), textcoords="offset points", fontsize=8.5, color=palette.INK)
+    axes[1].plot(0, 0, "+", color=looks.INK, markersize=9)
+    axes[1].annotate("zero clearance", (0, 0), (6, -1), textcoords="offset points", fontsize=8.5, color=looks.INK)
     axes[1].set_ylim(-0.4, 7.6)
     legend(axes[1], "clearance", ncols=3, loc="upper center", checked=True)
     save(fig, "fig_6_7")

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from ctrplan.reports import palette
+from ctrplan.reports import looks
 from paper_figures.contact_regions import Region, couple, regions
 from paper_figures.drawing import COLOURS, figure, label, legend, save, table
 from paper_figures.pairs import (
@@ -76,7 +76,7 @@ def fig_11_12() -> str:
         axes[0].plot(along, across, color=colour, linewidth=1.8, label=f"{angle} deg")
         for r in regions(shape):
             at = [np.interp(r.s_m, shape.s_m, values) for values in (along, across)]
-            axes[0].plot(*at, "o", markersize=0.45 * r.force_N, color=palette.SERIES[2], alpha=0.55, markeredgewidth=0)
+            axes[0].plot(*at, "o", markersize=0.45 * r.force_N, color=looks.SERIES[2], alpha=0.55, markeredgewidth=0)
     axes[0].set_xlim(-22, 165)
     axes[0].set_aspect("equal", adjustable="datalim")
     label(axes[0], "Fig. 11, diameter in proportion to the force", "z (mm)", "in the bending plane (mm)")

@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from PIL import Image
 
-from ctrplan.reports import palette
+from ctrplan.reports import looks
 
 IMAGES = Path(__file__).resolve().parents[2] / "docs/images/validation"
-COLOURS = (*palette.SERIES, palette.ENVELOPE)
+COLOURS = (*looks.SERIES, looks.ENVELOPE)
 
 
 def figure(panels: int, height_in: float = 3.7) -> tuple[Figure, list[Axes]]:
@@ -24,25 +24,25 @@ def figure(panels: int, height_in: float = 3.7) -> tuple[Figure, list[Axes]]:
 
 
 def prepare(ax: Axes) -> Axes:
-    ax.grid(color=palette.GRID, linewidth=0.8)
+    ax.grid(color=looks.GRID, linewidth=0.8)
     ax.set_axisbelow(True)
     ax.spines[["top", "right"]].set_visible(False)
-    ax.spines[["left", "bottom"]].set_color(palette.MUTED)
-    ax.tick_params(colors=palette.MUTED, labelcolor=palette.INK, labelsize=9)
+    ax.spines[["left", "bottom"]].set_color(looks.MUTED)
+    ax.tick_params(colors=looks.MUTED, labelcolor=looks.INK, labelsize=9)
     return ax
 
 
 def label(ax: Axes, title: str, x: str, y: str) -> None:
-    ax.set_title(title, loc="left", fontsize=10.5, color=palette.INK)
-    ax.set_xlabel(x, fontsize=9.5, color=palette.INK)
-    ax.set_ylabel(y, fontsize=9.5, color=palette.INK)
+    ax.set_title(title, loc="left", fontsize=10.5, color=looks.INK)
+    ax.set_xlabel(x, fontsize=9.5, color=looks.INK)
+    ax.set_ylabel(y, fontsize=9.5, color=looks.INK)
 
 
 def legend(ax: Axes, title: str, checked: bool = False, **options: Any) -> None:
     """`checked`: there are values of the exact-geometry solver too."""
     handles, _ = ax.get_legend_handles_labels()
     if checked:
-        handles.append(Line2D([], [], linestyle="", label="exact geometry", **hollow(palette.INK)))
+        handles.append(Line2D([], [], linestyle="", label="exact geometry", **hollow(looks.INK)))
     ax.legend(handles=handles, title=title, frameon=False, fontsize=8.5, title_fontsize=8.5, labelspacing=0.3,
               alignment="left", **options)  # fmt: skip
 

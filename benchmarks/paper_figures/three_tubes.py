@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from ctrplan.base.arrays import Array
 from ctrplan.files.robot_file import load_robot
 from ctrplan.mechanics.shapes import Bound, Shape, Status
-from ctrplan.reports import palette
+from ctrplan.reports import looks
 from paper_figures.drawing import label, prepare, save, table
 from paper_figures.pairs import (
     ROBOTS,
@@ -99,12 +99,12 @@ def off_mm(point: GridPoint, shapes: Iterable[Shape]) -> float:
 
 
 SHAPES = (  # the sign of pair 1 by line style, of pair 2 by colour
-    ("zero clearance", palette.INK, 1.6, "--"),
-    ("clearance, no friction", palette.SERIES[2], 2, "-"),
-    ("friction (+, +)", palette.SERIES[0], 2, "-"),
-    ("(+, -)", palette.SERIES[1], 2, "-"),
-    ("(-, +)", palette.SERIES[4], 2, ":"),
-    ("(-, -)", palette.SERIES[5], 2, ":"),
+    ("zero clearance", looks.INK, 1.6, "--"),
+    ("clearance, no friction", looks.SERIES[2], 2, "-"),
+    ("friction (+, +)", looks.SERIES[0], 2, "-"),
+    ("(+, -)", looks.SERIES[1], 2, "-"),
+    ("(-, +)", looks.SERIES[4], 2, ":"),
+    ("(-, -)", looks.SERIES[5], 2, ":"),
 )
 
 

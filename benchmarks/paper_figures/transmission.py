@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from ctrplan.mechanics.shapes import Status
-from ctrplan.reports import palette
+from ctrplan.reports import looks
 from paper_figures.drawing import COLOURS, figure, label, legend, points, save, table
 from paper_figures.pairs import (
     CLEARANCES_MM,
@@ -28,13 +28,13 @@ def fig_8() -> str:
     rows = []
     for ax, length, title in zip(axes, (SMALL_MM, TRANSMISSION_MM), ("(a) no", "(b) 17 mm"), strict=True):
         shape = opposed(3, 0, length)
-        for tube, colour, name in zip(shape.tubes, (palette.START, palette.INK), ("outer", "inner"), strict=True):
+        for tube, colour, name in zip(shape.tubes, (looks.START, looks.INK), ("outer", "inner"), strict=True):
             curve = CubicHermiteSpline(tube.s_m, tube.centreline_m, tube.frames[:, :, 2])
             x, _, z = 1e3 * curve(np.linspace(tube.s_m[0], tube.s_m[-1], 400)).T
             ax.plot(z, x, color=colour, linewidth=2, label=name)
         outer, inner = (1e3 * tube.centreline_m[-1, 0] for tube in shape.tubes)
         label(ax, f"Fig. 8{title} transmission, clearance 3 mm", "z (mm)", "x (mm)")
-        ax.axhline(0, color=palette.MUTED, linewidth=0.8)
+        ax.axhline(0, color=looks.MUTED, linewidth=0.8)
         rows.append((f"{round(length):d} mm", f"{outer:.2f} mm", f"{inner:.2f} mm", f"{abs(outer + inner) / 2:.2f} mm"))
     for ax in axes:
         ax.set(ylim=(-3.4, 9), xlim=(-20, 155))
@@ -59,9 +59,9 @@ def fig_9() -> str:
         cells = [f"{np.interp(max(t, SMALL_MM), lengths[:count], far):.2f} ({_known_mm(known, t):.2f})" for t in shown]
         rows.append((f"{clearance:g} mm", *cells, f"{lengths[count - 1]:g} mm"))
     limit = zero_clearance_limit_mm()
-    ax.axvline(limit, color=palette.LIMIT, linestyle="--", linewidth=1.1)
+    ax.axvline(limit, color=looks.LIMIT, linestyle="--", linewidth=1.1)
     ax.annotate("zero-clearance pair\nunstable beyond", (limit, 11.8), (6, 0), textcoords="offset points",
-                fontsize=8.5, color=palette.LIMIT)  # fmt: skip
+                fontsize=8.5, color=looks.LIMIT)  # fmt: skip
     label(ax, "Fig. 9, base angle 180 deg", "transmission length (mm)", "tip difference (mm)")
     ax.set(ylim=(0, 13.5), xlim=(-5, 230))
     legend(ax, "clearance", checked=True)

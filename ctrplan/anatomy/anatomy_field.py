@@ -16,14 +16,17 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ctrplan.anatomy.clearance_grid import content_key, default_spacing_m
-from ctrplan.anatomy.distance_field import Grid, SignedDistanceField
-from ctrplan.anatomy.grid_distance import COARSEST, grid_distance
-from ctrplan.anatomy.nearby import FEW, nearby
-from ctrplan.anatomy.parts import AnatomyPart, combined_clearance, surface_distance
+from ctrplan.anatomy.clearance_grid import (
+    COARSEST,
+    Grid,
+    SignedDistanceField,
+    content_key,
+    default_spacing_m,
+    grid_distance,
+)
+from ctrplan.anatomy.parts import FEW, AnatomyPart, combined_clearance, nearby, surface_distance
 from ctrplan.base.arrays import Array
-from ctrplan.base.cores import cores
-from ctrplan.base.progress import Progress
+from ctrplan.base.long_work import Progress, cores
 from ctrplan.storage import cache
 
 BRICK = 48  # cells along an edge: 0.5 MB
@@ -58,7 +61,7 @@ def anatomy_field(
     """Clearance on the lattice's nodes around the box lower_m (3,) to upper_m (3,) [m], which `field_bounds` gives.
 
     Beyond reach_m [m] of base_position_m (3,) [m], anatomy's frame, it may say -reach_m: no robot gets there.
-    progress: called with the fraction done, 0 to 1. Accuracy: `ctrplan.anatomy.grid_distance`.
+    progress: called with the fraction done, 0 to 1. Accuracy: `ctrplan.anatomy.clearance_grid`.
     """
     lattice = Lattice.of(parts, spacing_m)
     first, last = lattice.nodes_around(np.asarray(lower_m, np.float64), np.asarray(upper_m, np.float64))

@@ -1,5 +1,12 @@
 """Obstacles and lumens as one signed-distance field: the clearance available to a point, on a grid.
 
+Exact queries cost microseconds, and most nodes of a grid lie far from the surface. Distances are therefore exact on a
+grid COARSEST times coarser; each halving of the step interpolates and then replaces by exact values all nodes within
+FAR coarse steps S. What stays interpolated is at least (FAR - sqrt(3) / 2) S from the surface, since distance is
+1-Lipschitz and each node within sqrt(3) / 2 S of what it is interpolated from. On either side of the surface distance
+is a minimum of cones |x - p| with second derivatives of at most 1 / |x - p|, so that interpolation exceeds the unsigned
+distance by at most 3 S^2 / (8 d): below 2 % of d. It can fall short by sqrt(3) / 2 S, on the medial axis.
+
 The core samples the field at every point of every shape; the certificate uses `exact_clearance` instead. What the parts
 mean together stands in `ctrplan.anatomy.parts`.
 """
@@ -9,19 +16,103 @@ from __future__ import annotations
 import hashlib
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from ctrplan.anatomy.distance_field import SignedDistanceField
-from ctrplan.anatomy.grid_distance import COARSEST, grid_distance
-from ctrplan.anatomy.parts import AnatomyPart, combined_clearance
+from ctrplan import _model
+from ctrplan.anatomy.parts import CHUNK_POINTS, AnatomyPart, combined_clearance, surface_distance
 from ctrplan.anatomy.shape import Shape
 from ctrplan.base.arrays import Array
-from ctrplan.base.progress import Progress, part_of
+from ctrplan.base.long_work import Progress, part_of
 from ctrplan.errors import InputError
 from ctrplan.storage import cache as field_cache
+
+Grid = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class SignedDistanceField:
+    """Clearance on a regular grid: node (i, j, k) stands at origin_m + spacing_m * (i, j, k).
+
+    origin_m (3,) [m]; values_m (nx, ny, nz) float32, C order [m], see `exact_clearance` for the quantity;
+    parts: what it was built from, for measuring its error.
+    """
+
+    origin_m: Array
+    spacing_m: float
+    values_m: Grid
+    parts: tuple[AnatomyPart, ...] = field(default=(), repr=False)
+
+    @property
+    def upper_m(self) -> Array:
+        """The corner (3,) opposite to origin_m [m]."""
+        return np.asarray(self.origin_m + self.spacing_m * (np.array(self.values_m.shape) - 1))
+
+    def sample(self, points_m: ArrayLike) -> Array:
+        """Trilinear clearance (K,) [m] at points (K, 3) [m].
+
+        Outside the grid: the value at the nearest point of the grid's box minus the distance to it, a lower bound since
+        clearance is 1-Lipschitz.
+        """
+        points = np.ascontiguousarray(points_m, dtype=np.float64).reshape(-1, 3)
+        origin = np.ascontiguousarray(self.origin_m, dtype=np.float64)
+        grid = _model.Grid(
+            values=self.values_m, origin=origin, spacing=self.spacing_m, R_AB=np.eye(3), p_AB=np.zeros(3)
+        )
+        return np.asarray(grid.sample(points))
+
+
+COARSEST = 4  # grid steps of the coarsest level, a power of two; node counts are a multiple of it plus one
+FAR = 6.0
+
+
+def grid_distance(
+    part: AnatomyPart, origin_m: Array, spacing_m: float, shape: tuple[int, int, int], report: Progress
+) -> Grid:
+    """Distance (nx, ny, nz) to the part's surface at the nodes origin_m + spacing_m (i, j, k) [m], negative within it.
+
+    report: called with the fraction done.
+    """
+    step = COARSEST
+    values = np.empty(tuple((n - 1) // step + 1 for n in shape), dtype=np.float32)
+    _fill(values, np.inf, part, origin_m, spacing_m * step, None)
+    while step > 1:
+        limit, step = FAR * spacing_m * step, step // 2
+        values = _halved(values)
+        _fill(values, limit, part, origin_m, spacing_m * step, report if step == 1 else None)
+    return values
+
+
+def _fill(values: Grid, limit: float, part: AnatomyPart, origin: Array, step: float, report: Progress | None) -> None:
+    """Replace by exact distances: all values, or with a finite `limit` [m] those within it that are interpolated."""
+    planes = max(1, CHUNK_POINTS // values[0].size)
+    for first in range(0, len(values), planes):
+        block = values[first : first + planes]
+        if np.isfinite(limit):
+            wanted = np.abs(block) <= limit
+            wanted[first % 2 :: 2, ::2, ::2] = False  # nodes of the coarse level are exact already
+            node = np.argwhere(wanted)
+        else:
+            node = np.indices(block.shape).reshape(3, -1).T
+        if len(node):
+            points = origin + step * (node + (first, 0, 0))
+            block[tuple(node.T)] = surface_distance(part, np.ascontiguousarray(points))
+        if report:
+            report(min(1.0, (first + planes) / len(values)))
+
+
+def _halved(coarse: Grid) -> Grid:
+    """Trilinear interpolation to half the grid step: (n, ...) nodes become (2 n - 1, ...)."""
+    fine = np.empty(tuple(2 * n - 1 for n in coarse.shape), dtype=np.float32)
+    fine[::2, ::2, ::2] = coarse
+    fine[1::2, ::2, ::2] = (coarse[:-1] + coarse[1:]) / 2
+    fine[:, 1::2, ::2] = (fine[:, :-1:2, ::2] + fine[:, 2::2, ::2]) / 2
+    fine[:, :, 1::2] = (fine[:, :, :-1:2] + fine[:, :, 2::2]) / 2
+    return fine
+
 
 FORMAT = b"ctrplan distance field 2"  # part of the cache key: change it with anything that changes the values
 SPACINGS_M = (1e-6, 1.0)
@@ -76,7 +167,7 @@ def build_field(
     The grid starts at lower_m and ends up to 4 nodes beyond upper_m. progress: called with the fraction done, 0 to 1.
     cache: keep the grid on disk and take it from there (see `ctrplan.storage.cache`).
     Values are exact within some 11 grid steps of a surface and coarser further away, see
-    `ctrplan.anatomy.grid_distance`.
+    `ctrplan.anatomy.clearance_grid`.
     Raises InputError for a box or spacing that makes no grid.
     """
     if not parts:

@@ -18,7 +18,7 @@ from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.vtk_file import read_vtk
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
-from ctrplan.storage.file_bytes import file_name
+from ctrplan.storage.csv_table import file_name
 
 Number = TypeVar("Number", np.float64, np.int64)
 

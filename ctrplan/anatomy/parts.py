@@ -1,21 +1,26 @@
-"""One structure of the anatomy, and the clearance that several of them leave to a point.
+"""Structures of the anatomy, the exact clearance that they leave to a point, and which of many matter around a
+place.
 
 The clearance of a point is the minimum over the parts to avoid of (distance outside the part - its margin). Several
 lumens are one room: the robot stays within their union, so of the parts with role "inside" the largest of (distance
 inside the part - its margin) counts, and the minimum is then taken with the parts to avoid. Near the seam of two
 overlapping lumens this is less than the distance to the wall of their union, never more. Every distance is to a surface
 and therefore 1-Lipschitz, and so is the clearance.
+
+A certificate asks for hundreds of thousands of them. The tree looks for the triangle nearest to a point, beginning with
+that of the point before it, which is near along a body. Other threads work meanwhile.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ctrplan import _model
 from ctrplan.anatomy.shape import Role, Shape
 from ctrplan.base.arrays import Array
 from ctrplan.errors import CtrplanError, InputError
@@ -98,3 +103,81 @@ def exact_clearance(parts: Sequence[AnatomyPart], points_m: ArrayLike) -> Array:
     if not parts:
         return np.full(len(points), np.inf)
     return np.asarray(combined_clearance(parts, lambda part: surface_distance(part, points)), dtype=np.float64)
+
+
+class TriangleTree:
+    """Of one surface; can't be pickled."""
+
+    def __init__(self, vertices_m: Array, faces: NDArray[np.int64]) -> None:
+        """vertices_m (V, 3) [m], faces (F, 3) indices of them.
+
+        Raises ValueError without faces or where they name vertices that are not there.
+        """
+        self.core = _model.TriangleTree(np.ascontiguousarray(vertices_m), np.ascontiguousarray(faces))
+
+    def distance(self, points_m: Array) -> Array:
+        """(K,) [m] from points (K, 3) [m] to the nearest triangle, zero or more."""
+        return np.asarray(self.core.distance(np.ascontiguousarray(points_m)))
+
+
+FEW = 8  # parts that are asked straight away
+MANY = 64  # parts of which boxes are looked at first, where places are few: boxes of many take longer than they save
+ROUNDING_M = 1e-9
+CELL_M = 10e-3  # within which points are asked together
+
+
+def nearby(parts: Sequence[AnatomyPart], places_m: Array, radius_m: float) -> list[tuple[AnatomyPart, ...]]:
+    """For each of C places (C, 3) [m] the parts that may decide the clearance of any point within `radius_m` of it.
+
+    Distances change by no more than a point moves, so that a part stays behind the nearest one wherever it is behind
+    by twice the radius. Lumens are one room: of them those count that a point may be deepest in.
+    """
+    matters = np.ones((len(parts), len(places_m)), dtype=bool)
+    for role, sign in (("avoid", 1.0), ("inside", -1.0)):
+        rows = [k for k, part in enumerate(parts) if part.role == role]
+        if not rows:
+            continue
+        if sign > 0 and len(rows) > MANY and len(places_m) <= FEW:
+            matters[rows] = False
+            rows = [rows[k] for k in np.flatnonzero(_within_reach([parts[k] for k in rows], places_m, radius_m))]
+        margin = np.array([[parts[k].margin_m] for k in rows])
+        clearance = sign * np.array([surface_distance(parts[k], places_m) for k in rows]) - margin
+        behind = clearance - clearance.min(axis=0) if sign > 0 else clearance.max(axis=0) - clearance
+        matters[rows] = behind <= 2 * radius_m
+    return [tuple(parts[k] for k in np.flatnonzero(column).tolist()) for column in matters.T]
+
+
+def _within_reach(parts: Sequence[AnatomyPart], places_m: Array, radius_m: float) -> NDArray[np.bool_]:
+    """(K,) which parts to avoid may matter around any of the places (C, 3) [m], by boxes alone: none is asked.
+
+    A surface is nowhere nearer than its box, seen from outside, and nowhere farther than the box's farthest corner.
+    """
+    lower, upper = (np.array([part.box[end] for part in parts])[:, None] for end in (0, 1))
+    margin = np.array([part.margin_m for part in parts])
+    outside = np.maximum(np.maximum(lower - places_m, places_m - upper), 0.0)
+    nearest = np.linalg.norm(outside, axis=2)
+    nearest[nearest == 0] = -np.inf  # within the box, maybe deep in the part
+    farthest = np.linalg.norm(np.maximum(np.abs(places_m - lower), np.abs(places_m - upper)), axis=2)
+    least = (farthest - margin[:, None]).min(axis=0)
+    reach: NDArray[np.bool_] = (nearest - margin[:, None] <= least + 2 * radius_m + ROUNDING_M).any(axis=1)
+    return reach
+
+
+def exact_clearance_of_many(parts: Sequence[AnatomyPart], points_m: Array) -> Array:
+    """As `parts.exact_clearance`, of many parts and points cell by cell: the same digits in a fraction of the time."""
+    points = np.ascontiguousarray(points_m, dtype=np.float64).reshape(-1, 3)
+    if len(parts) <= FEW or not len(points) or not np.isfinite(points).all():
+        return exact_clearance(parts, points)
+    clearance = np.empty(len(points))
+    for rows, few in _cells(parts, points):
+        clearance[rows] = exact_clearance(few, points[rows])
+    return clearance
+
+
+def _cells(parts: Sequence[AnatomyPart], points: Array) -> Iterator[tuple[NDArray[np.intp], tuple[AnatomyPart, ...]]]:
+    """Rows of the points in each cell, and the parts that may matter there."""
+    cells, owner = np.unique(np.floor(points / CELL_M), axis=0, return_inverse=True)
+    order = np.argsort(owner.ravel(), kind="stable")
+    rows = np.split(order, np.cumsum(np.bincount(owner.ravel()))[:-1])
+    radius = CELL_M * np.sqrt(3) / 2 * (1 + 1e-9)
+    yield from zip(rows, nearby(parts, (cells + 0.5) * CELL_M, float(radius)), strict=True)

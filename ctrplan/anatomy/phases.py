@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ctrplan.anatomy.shape import Role, Shape
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.surface import Surface
-from ctrplan.base.units import MM_PER_M
 from ctrplan.errors import InputError
 
 SAMPLED = 3000  # vertices of a phase of which the way to the next one is looked at

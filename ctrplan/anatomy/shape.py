@@ -21,7 +21,7 @@ from ctrplan.base.arrays import Array, numbers, read_only
 from ctrplan.base.catalogue import AbstractStruct, Catalogue
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
-from ctrplan.storage.number_ranges import Distance
+from ctrplan.storage.toml_document import Distance
 from ctrplan.storage.toml_table import Table
 
 LENGTH = Number(0, 1e3, "m", above=True)

@@ -2,20 +2,156 @@
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import igl
 import numpy as np
 
-from ctrplan.anatomy.mesh_defect import MeshDefect, MeshDefectError
 from ctrplan.anatomy.mesh_file import read_triangles, stated_frame
-from ctrplan.anatomy.mesh_holes import Repair, closed
-from ctrplan.anatomy.mesh_repair import Indices, MeshRefusal, merged, refuse_open, turned_outward
-from ctrplan.anatomy.mesh_thinning import thinned, thinning_note
+from ctrplan.anatomy.mesh_repair import (
+    Indices,
+    MeshDefect,
+    MeshDefectError,
+    MeshRefusal,
+    Repair,
+    closed,
+    merged,
+    odd_edges,
+    refuse_open,
+    turned_outward,
+)
 from ctrplan.anatomy.patient_frame import Frame, to_scenario
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.surface import Surface
 from ctrplan.storage.toml_table import Table
+
+HUGE, ENOUGH = 1_000_000, 200_000  # triangles: what is thinned, and to what
+MOST_ERROR_M = 0.05e-3
+TRIES = 3  # each with twice the triangles of the one before
+HALVINGS = 4
+SLABS = 6
+CHUNK = 1 << 17
+
+
+def thinned(vertices: Array, faces: Indices) -> tuple[Array, Indices, float]:
+    """The surface in fewer triangles and by how much [m] it may be off, at most MOST_ERROR_M.
+
+    As it is, and 0, where it is not HUGE, can't be thinned by as little, or the extra package is missing.
+    """
+    if len(faces) <= HUGE:
+        return vertices, faces, 0.0
+    for doubled in range(TRIES):
+        if (wanted := 2**doubled * ENOUGH) >= len(faces) or (found := collapsed(vertices, faces, wanted)) is None:
+            break
+        points, triangles = found
+        error = np.inf if len(odd_edges(triangles)) else _error_m(vertices, faces, points, triangles)
+        if error <= MOST_ERROR_M:
+            return points, triangles, float(error)
+    return vertices, faces, 0.0
+
+
+def thinning_note(faces: Indices, error_m: float) -> tuple[str, ...]:
+    """What there is to know of it; nothing where nothing was done."""
+    if not error_m:
+        return ()
+    return (f"was thinned to {len(faces)} triangles, off by {error_m * MM_PER_M:.2g} mm at most, part of the margin",)
+
+
+def collapsed(vertices: Array, faces: Indices, triangles: int) -> tuple[Array, Indices] | None:
+    """The surface (V, 3) [m], (F, 3) in about so many triangles, by edges whose collapse moves it least.
+
+    None where the extra package is missing.
+    """
+    if (simplify := _simplify()) is None:
+        return None
+    share = max(0.0, 1 - triangles / len(faces))
+    points, left = simplify(vertices * MM_PER_M, faces.astype(np.int32), share)[:2]
+    return np.ascontiguousarray(points, dtype=np.float64) / MM_PER_M, np.ascontiguousarray(left, dtype=np.int64)
+
+
+def _simplify() -> Any:
+    try:
+        return importlib.import_module("fast_simplification").simplify
+    except ImportError:
+        return None
+
+
+def _error_m(vertices: Array, faces: Indices, thin: Array, triangles: Indices) -> float:
+    """How far a surface lies from its thinned one, bounded, and points of the thinned one from it, the larger."""
+    tree = igl.AABB()
+    tree.init(thin, triangles)
+    error = 0.0
+    for first in range(0, len(faces), CHUNK):
+        error = max(error, _bound_m(vertices[faces[first : first + CHUNK]], tree, thin, triangles, HALVINGS))
+        if error > MOST_ERROR_M:
+            return error
+    return max(error, _back_m(vertices, faces, np.concatenate([thin, thin[triangles].mean(axis=1)])))
+
+
+def _bound_m(corners: Array, tree: Any, thin: Array, triangles: Indices, halvings: int) -> float:
+    """Bound on the distance of any point of triangles (K, 3, 3) to the thinned surface.
+
+    Distance to one triangle, the nearest to the middle, is convex: no point is farther from it than the corners are.
+    Triangles that lie across an edge of the thinned surface are halved.
+    """
+    squared, nearest, _ = tree.squared_distance(thin, triangles, np.ascontiguousarray(corners.mean(axis=1)))
+    if (surely := float(np.sqrt(np.max(squared)))) > MOST_ERROR_M:
+        return surely  # too far in any case
+    target = thin[triangles[np.asarray(nearest).ravel()]]
+    away = _to_triangles_m(corners, target)
+    wide = np.flatnonzero(away > MOST_ERROR_M)
+    if not len(wide) or not halvings:
+        return float(away.max())
+    rest = float(np.delete(away, wide).max(initial=0.0))
+    a, b, c = np.moveaxis(corners[wide], 1, 0)
+    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+    four = [np.stack(one, axis=1) for one in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+    return max(rest, _bound_m(np.concatenate(four), tree, thin, triangles, halvings - 1))
+
+
+def _to_triangles_m(corners: Array, target: Array) -> Array:
+    """(K,) how far the corners of triangles (K, 3, 3) lie from other triangles (K, 3, 3), one each, at the most."""
+    sides = np.roll(target, -1, axis=1) - target
+    normal = np.cross(sides[:, 0], sides[:, 1])
+    length = np.linalg.norm(normal, axis=1)
+    normal /= np.where(length > 0, length, 1.0)[:, None]
+    inward = np.cross(normal[:, None], sides)
+    offset = np.einsum("ksx,ksx->ks", inward, target)
+    beyond = np.einsum("kpx,ksx->kps", corners, inward) < offset[:, None]  # of which side a corner lies outside
+    height = np.abs(np.einsum("kpx,kx->kp", corners - target[:, :1], normal))
+    k, p = np.nonzero(beyond.any(axis=2) | (length == 0)[:, None])
+    height[k, p] = _to_sides_m(corners[k, p], target[k], sides[k])
+    return np.asarray(height.max(axis=1))
+
+
+def _to_sides_m(points: Array, starts: Array, sides: Array) -> Array:
+    """(K,) from points (K, 3) to the nearest of three segments each, with starts and sides (K, 3, 3)."""
+    offset = points[:, None] - starts
+    squared = np.maximum(np.einsum("ksx,ksx->ks", sides, sides), 1e-300)
+    along = np.clip(np.einsum("ksx,ksx->ks", offset, sides) / squared, 0, 1)
+    return np.asarray(np.linalg.norm(offset - along[..., None] * sides, axis=2).min(axis=1))
+
+
+def _back_m(vertices: Array, faces: Indices, points: Array) -> float:
+    """How far points (K, 3) of the thinned surface lie from the surface; slab by slab, since its tree is large."""
+    axis = int(np.ptp(vertices, axis=0).argmax())
+    middle = vertices[faces[:, 0], axis]
+    bounds = np.quantile(middle, np.linspace(0, 1, SLABS + 1))
+    reach, least = 2e-3, np.full(len(points), np.inf)
+    for low, high in zip(bounds[:-1], bounds[1:], strict=True):
+        rows = np.ascontiguousarray(faces[(middle >= low) & (middle <= high)])
+        asked = np.flatnonzero((points[:, axis] >= low - reach) & (points[:, axis] <= high + reach))
+        if not len(rows) or not len(asked):
+            continue
+        used, index = np.unique(rows, return_inverse=True)
+        part, tree = np.ascontiguousarray(vertices[used]), igl.AABB()
+        tree.init(part, np.ascontiguousarray(index.reshape(-1, 3)))
+        squared = tree.squared_distance(part, index.reshape(-1, 3), np.ascontiguousarray(points[asked]))[0]
+        least[asked] = np.minimum(least[asked], np.sqrt(np.asarray(squared)))
+    return float(least.max())
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,11 +1,13 @@
-"""The arrays of all rooms: float64, and read-only where objects are shared between threads."""
+"""Arrays of all packages, units of files and screens in SI, and directions as unit vectors."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from ctrplan.errors import InputError
 
@@ -48,3 +50,32 @@ def numbers(values: ArrayLike, key: str) -> Array:
 def _kind_of(given: NDArray[Any]) -> str:
     names = {"M": "dates", "m": "durations", "U": "texts", "S": "texts", "b": "truth values", "c": "complex numbers"}
     return names.get(given.dtype.kind, "objects that a float can't hold")
+
+
+MM_PER_M = 1e3
+MILLIMETRE = 1e-3  # m
+DEGREE = math.pi / 180  # rad
+
+# What people may write, in files and on the command line: beyond it a value is in another unit.
+LONGEST_MM = 1e5
+MOST_TURNS_DEG = 360e3  # a thousand turns
+
+Z = np.array([0.0, 0.0, 1.0])
+TINY = 1e-12
+
+
+def unit(vector: ArrayLike) -> Array:
+    """A vector (3,), not zero, divided by its length; squares neither overflow nor vanish."""
+    given = np.asarray(vector, dtype=np.float64)
+    scaled = given / np.abs(given).max()
+    return np.asarray(scaled / np.linalg.norm(scaled))
+
+
+def shortest_rotation(direction: ArrayLike) -> Array:
+    """(3, 3) the rotation by the smallest angle that takes z to a direction (3,); for -z about x."""
+    aim = unit(direction)
+    axis = np.cross(Z, aim)
+    sine = float(np.linalg.norm(axis))
+    if sine < TINY:
+        return np.asarray(Rotation.from_rotvec([0.0 if aim[2] > 0 else math.pi, 0.0, 0.0]).as_matrix())
+    return np.asarray(Rotation.from_rotvec(axis / sine * math.atan2(sine, aim[2])).as_matrix())

@@ -1,4 +1,4 @@
-"""Differences of measured and predicted poses over the noise.
+"""Differences of measured and predicted poses over the noise, and how positions and tangents are weighed.
 
 A pose has five numbers: three of its position, over the standard deviation of a coordinate, and the two components of
 the measured tangent in the plane normal to the predicted one, over the standard deviation of a small rotation. Of a
@@ -12,14 +12,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import Discrepancy
-from ctrplan.experiment.measurements import Measurements
-from ctrplan.pipeline.prediction import Prediction
+from ctrplan.errors import InputError
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.pipeline.term import Prediction
+from ctrplan.robot.robot import Robot
 
 PER_POSE = 5
 MODEL_POSITION_M, MODEL_TANGENT_RAD = 0.05e-3, np.radians(0.05)  # of the solver, docs/model.md
@@ -174,3 +177,21 @@ def information_inverse(J: Array, weight: Array, precision: Array) -> Array:
     values, vectors = np.linalg.eigh(H * np.outer(scale, scale))
     root: Array = scale[:, None] * vectors / np.sqrt(np.maximum(values, 1e-14 * values.max()))
     return root
+
+
+Weighting = Literal["stated", "paper"]
+
+PAPER = Noise(1e-3, float(np.radians(1.0)))  # 1 deg of the tangent weighs as much as 1 mm, text at (49)
+NO_TANGENT_SIGMA = "is missing, needed for the tangents of these measurements"
+
+
+def weighed_by(robot: Robot, data: Measurements, weighting: Weighting | None) -> Noise:
+    """The noise that residuals are divided by, the paper's where none is stated. Raises InputError if it must be."""
+    stated = robot.measurement
+    if weighting == "stated" and stated is None:
+        raise InputError("is missing, needed for weights from the stated noise", file=robot.path, key="measurement")
+    if stated is None or weighting == "paper":
+        return PAPER
+    if stated.tangent_sigma_rad is None and data.has_tangents:
+        raise InputError(NO_TANGENT_SIGMA, file=robot.path, key="measurement.tangent_sigma_deg")
+    return Noise(stated.position_sigma_m, stated.tangent_sigma_rad or PAPER.tangent_rad)

@@ -16,11 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.residuals import Noise
-from ctrplan.calibration.weighting import PAPER
-from ctrplan.experiment.friction_states import friction_state, last_directions
-from ctrplan.experiment.measurements import LONGEST_LAG_S, Measurements
-from ctrplan.experiment.motion import rest_began
+from ctrplan.calibration.residuals import PAPER, Noise
+from ctrplan.measurement.approach import friction_state, last_directions, rest_began
+from ctrplan.measurement.measurements import LONGEST_LAG_S, Measurements
 
 LEAST_SPARE = 20  # repeats beyond the first of their kind: the noise is then known to about 10 %
 LEAST_WINDOWS = 100  # of differences, which overlap

@@ -1,4 +1,6 @@
-"""`ctrplan bound`: the friction bound at one configuration, as text or JSON; with --sweep see sweep.py beside."""
+"""`ctrplan bound`: the friction bound at one configuration or over one or two axes, as text, JSON, table and
+picture.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +8,17 @@ import argparse
 import json
 import math
 import sys
+import time
+from collections import Counter
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
 from ctrplan.commands.options import add_joint_options, add_set_option, configuration
+from ctrplan.commands.terminal import ProgressBar
 from ctrplan.errors import InputError, NoAnswerError, SolverError
+from ctrplan.mechanics.core import MOST_TUBES_OF_ALL_CORNERS
+from ctrplan.storage.output_folder import DEFAULT, output_folder, write_results
 from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 
 if TYPE_CHECKING:
@@ -18,6 +26,110 @@ if TYPE_CHECKING:
     from ctrplan.mechanics.accuracy import Accuracy
     from ctrplan.mechanics.shapes import Bound, Shape
     from ctrplan.robot.robot import Robot
+    from ctrplan.studies.sweep import Sweep
+
+LONG_S = 2.0
+FEWEST_TUBES = 6  # that may take so long
+AT_ONCE = 4  # friction states that the core solves side by side
+EXTREME_SHARE = 0.55  # of the states that a search for extreme corners may ask for, those that it does: 6 to 10 tubes
+HARD_S = 10  # what the core grants corners that are hard to reach
+
+
+def states_visited(n: int, corners: Literal["all", "extreme"]) -> float:
+    """Friction states that a bound of n tubes solves; for extreme corners in the mean."""
+    pairs = n - 1
+    if corners == "all":
+        return float(2**pairs)
+    # each sign of each pair, two dozen candidates and their neighbours in four rounds, the corners chosen
+    return EXTREME_SHARE * (2 * pairs + 1 + 24 + 8 * pairs + 16)
+
+
+def sentence_beforehand(
+    robot: Robot, theta_b: Array, l_b: Array, accuracy: Accuracy, corners: Literal["all", "extreme"] | None
+) -> str | None:
+    """What will be visited and how long that takes, by one solve at the configuration; None where it is soon done."""
+    if robot.n < FEWEST_TUBES:
+        return None
+    chosen = corners or ("all" if robot.n <= MOST_TUBES_OF_ALL_CORNERS else "extreme")
+    begun = time.perf_counter()
+    robot.solve(theta_b, l_b, accuracy=accuracy)
+    expected_s = (time.perf_counter() - begun) * states_visited(robot.n, chosen) / AT_ONCE
+    which = f"{2 ** (robot.n - 1)} corners of {robot.n} tubes"
+    if chosen == "extreme":
+        which = f"the extreme ones of {which}" + ("" if corners else ", all with --corners all")
+    if expected_s < LONG_S:
+        return None if corners or chosen == "all" else which
+    return f"{which}: about {expected_s:.0f} s, up to {HARD_S} s more where corners are hard to reach"
+
+
+OUTPUTS = ("sweep.csv", "sweep.png")
+PATIENCE_S = 1.0  # before a progress bar shows up
+
+
+def run_sweep(arguments: argparse.Namespace) -> int:
+    """Runs the command; returns its exit code, 1 if no point has a bound. Raises CtrplanError."""
+    from ctrplan.files.robot_file import robot_from_dict
+    from ctrplan.storage.toml_document import read_document
+    from ctrplan.studies.sweep import check_axes, parse_axis, sweep
+
+    if arguments.json:
+        raise InputError("goes with one configuration; a sweep writes sweep.csv", key="--json")
+    document = read_document(arguments.robot, arguments.overrides)
+    robot = robot_from_dict(document.content, file=document.file)
+    commanded = configuration(arguments, robot.n)
+    axes = [parse_axis(text, robot.n) for text in arguments.sweep]
+    check_axes(axes)
+    accuracy: Accuracy = arguments.accuracy or "search"
+    folder = output_folder(DEFAULT if arguments.output is None else arguments.output, OUTPUTS)
+    terminal = sys.stderr is not None and sys.stderr.isatty()
+    with ProgressBar(quiet=not terminal, patience_s=PATIENCE_S) as bar:
+        result = sweep(document.content, axes, *commanded, file=document.file, accuracy=accuracy, progress=bar.show)
+    _warn(result)
+    _write(folder, result)
+    print(_summary(folder, result))
+    return 0 if result.usable.any() else 1
+
+
+def _warn(result: Sweep) -> None:
+    """Every warning about the robot as it is, and how many more the axes' values bring up."""
+    own = result.robot.warnings
+    new = [warning for warning in result.warnings if warning not in own]
+    more = [f"{len(new) - 1} more like the last at other values of the sweep."] if len(new) > 1 else []
+    for warning in (*own, *new[:1], *more):
+        print(f"ctrplan: warning: {warning}", file=sys.stderr)
+
+
+def _write(folder: Path, result: Sweep) -> None:
+    from ctrplan.reports.path_pictures import sweep_png
+    from ctrplan.studies.sweep import sweep_csv
+
+    write_results(folder, dict(zip(OUTPUTS, (sweep_csv(result), sweep_png(result)), strict=True)))
+
+
+def _summary(folder: Path, result: Sweep) -> str:
+    from ctrplan.mechanics.shapes import Status
+
+    count = " x ".join(map(str, result.shape))
+    lines = [f"{result.robot.name}: {count} points over {' and '.join(axis.key for axis in result.axes)}"]
+    lines += [f"  {label:27} {text}" for label, text in _extremes(result).items()]
+    found = Counter(Status(status).name for status in result.bounds.status.tolist())
+    lines.append(f"  {'status':27} {', '.join(f'{number} {name}' for name, number in found.most_common())}")
+    lines.append(f"  {'written to':27} {folder}/sweep.csv, sweep.png")
+    return "\n".join(lines)
+
+
+def _extremes(result: Sweep) -> dict[str, str]:
+    import numpy as np
+
+    if not result.usable.any():
+        return {"worst-case friction error": "no bound is promised at any point"}
+    bound_mm = np.where(result.usable, result.bounds.position_m * 1e3, np.nan)
+    texts = {}
+    for label, k in (("smallest friction error", np.nanargmin(bound_mm)), ("largest", np.nanargmax(bound_mm))):
+        where = zip(result.axes, result.values[k].tolist(), strict=True)
+        texts[label] = f"{bound_mm[k]:.3f} mm at {', '.join(axis.at(value) for axis, value in where)}"
+    return texts
+
 
 EXAMPLES = """examples:
   ctrplan bound scenarios/robots/three_tube.toml --theta-deg 0 90 180 --l-mm 0 -17 -62.8
@@ -72,12 +184,12 @@ def run_bound(arguments: argparse.Namespace) -> int:
 
     from ctrplan.files.robot_file import load_robot
     from ctrplan.mechanics.shapes import Status
-    from ctrplan.pipeline.left_ranges import range_notes
-    from ctrplan.planning.play import play_shift
-    from ctrplan.robot.nesting import nesting_violation
+    from ctrplan.motion.play import play_shift
+    from ctrplan.pipeline.installed import range_notes
+    from ctrplan.robot.robot import nesting_violation
 
     if arguments.sweep:
-        from ctrplan.commands.sweep import run_sweep
+        from ctrplan.commands.bound import run_sweep
 
         return run_sweep(arguments)
     if arguments.output is not None:
@@ -123,8 +235,8 @@ def _no_bound(found: Bound) -> str:
 
 def _bounded(robot: Robot, theta_b: Array, l_b: Array, arguments: argparse.Namespace) -> Bound:
     """The bound, with its time said before and a bar meanwhile where it takes long."""
-    from ctrplan.commands.bound_time import sentence_beforehand
-    from ctrplan.commands.progress_bar import ProgressBar
+    from ctrplan.commands.bound import sentence_beforehand
+    from ctrplan.commands.terminal import ProgressBar
 
     accuracy: Accuracy = arguments.accuracy or "certificate"
     if said := sentence_beforehand(robot, theta_b, l_b, accuracy, arguments.corners):

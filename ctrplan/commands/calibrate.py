@@ -15,8 +15,8 @@ from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 from ctrplan.storage.output_folder import output_folder, written_together
 
 if TYPE_CHECKING:
-    from ctrplan.calibration.calibration import Calibration
-    from ctrplan.calibration.pose_errors import Errors
+    from ctrplan.calibration.calibrate import Calibration
+    from ctrplan.calibration.estimates import Errors
 
 OUTPUTS = ("robot.toml", "calibration.json", "report.html")
 EXAMPLES = """examples:
@@ -63,7 +63,7 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
     from ctrplan.files.measurement_file import load_measurements
     from ctrplan.files.robot_file import load_robot, write_robot
     from ctrplan.reports.calibration_page import calibration_report_html
-    from ctrplan.storage.atomic_write import write_atomically
+    from ctrplan.storage.output_folder import write_atomically
 
     robot = load_robot(arguments.robot, arguments.overrides)
     data = load_measurements(arguments.measurements, robot)

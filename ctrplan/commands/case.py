@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.arguments import SEARCH_TIME, SEED, Number, Whole, in_plain_digits
-from ctrplan.base.interrupts import INTERRUPTED, interrupt_event
-from ctrplan.base.units import LONGEST_MM
+from ctrplan.base.arrays import LONGEST_MM
+from ctrplan.base.long_work import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_number
-from ctrplan.commands.progress_bar import ProgressBar
+from ctrplan.commands.terminal import ProgressBar
 from ctrplan.errors import InputError
 
 if TYPE_CHECKING:
-    from ctrplan.cases.case import Case, StepTold
+    from ctrplan.patients.case import Case, StepTold
 
 NAMES = ("scenario", "bases", "placed", "plan", "slicer")
 HANDED_ON = (
@@ -133,7 +133,7 @@ def run_case(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError where a step fails."""
     places = {name: _places(f"--{name}", getattr(arguments, name)) for name in ("target", "entry")}
     with interrupt_event() as interrupted:  # imports take a second
-        from ctrplan.cases.case import case
+        from ctrplan.patients.case import case
 
         if interrupted.is_set():
             raise KeyboardInterrupt

@@ -6,9 +6,9 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Any
 
-from ctrplan.base.interrupts import INTERRUPTED
+from ctrplan.base.long_work import INTERRUPTED
 from ctrplan.commands.options import add_allow_outside_option, add_set_option
-from ctrplan.commands.progress_bar import ProgressBar
+from ctrplan.commands.terminal import ProgressBar
 from ctrplan.commands.worker_options import StageTeller, add_worker_options, chosen_workers
 from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 
@@ -62,9 +62,9 @@ def add_parser(commands: Any) -> None:
 
 def run_design_command(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code: 1 where no design reaches a target. Raises CtrplanError."""
-    from ctrplan.studies.design.sampler import check_installed
+    from ctrplan.studies.design.search import check_installed
     from ctrplan.studies.design.tube_design import TubeDesign
-    from ctrplan.studies.study.run import in_words
+    from ctrplan.studies.study.study import in_words
 
     check_installed()
     where = chosen_workers(arguments)
@@ -89,7 +89,7 @@ def run_design_command(arguments: argparse.Namespace) -> int:
 
 
 def _told(arguments: argparse.Namespace, found: TubeDesigns) -> int:
-    from ctrplan.reports.design_page.page import write_design_report
+    from ctrplan.reports.design_page import write_design_report
 
     write_design_report(found)
     print(_text(found))

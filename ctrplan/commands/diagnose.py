@@ -9,9 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ctrplan.base.interrupts import INTERRUPTED, interrupt_event
+from ctrplan.base.long_work import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_set_option
-from ctrplan.commands.progress_bar import ProgressBar
+from ctrplan.commands.terminal import ProgressBar
 from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 from ctrplan.storage.output_folder import output_folder, written_together
 
@@ -70,8 +70,8 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is nothing to write."""
     with interrupt_event() as interrupted:
         from ctrplan.diagnosis import CATALOGUE, diagnose
-        from ctrplan.diagnosis.candidates import reduced
         from ctrplan.diagnosis.confirmation import confirm
+        from ctrplan.diagnosis.workbench import reduced
         from ctrplan.files.measurement_file import load_measurements
         from ctrplan.files.robot_file import load_robot
 
@@ -95,9 +95,9 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
 def _write(folder: Path, found: Diagnosis) -> None:
     """All files or none."""
     from ctrplan.files.robot_file import write_robot
-    from ctrplan.reports.diagnosis_page.page import write_diagnosis_report
-    from ctrplan.reports.diagnosis_page.selection_errors import selection_errors
-    from ctrplan.storage.atomic_write import write_atomically
+    from ctrplan.reports.diagnosis_figures import selection_errors
+    from ctrplan.reports.diagnosis_page import write_diagnosis_report
+    from ctrplan.storage.output_folder import write_atomically
 
     errors = selection_errors(found)  # writers solve nothing
     with written_together(folder, OUTPUTS) as made:

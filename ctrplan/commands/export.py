@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from ctrplan.commands.written_plan import add_plan_arguments, add_steps_option, progress_bar, read_plan, solved_motion
+from ctrplan.commands.options import add_plan_arguments, add_steps_option, progress_bar, read_plan, solved_motion
 from ctrplan.storage.output_folder import output_folder, write_results
 
 if TYPE_CHECKING:
-    from ctrplan.reports.written_motion import WrittenMotion
+    from ctrplan.reports.plan_scene import WrittenMotion
 
 PROGRAMS = ("slicer",)
 STEPS = 60
@@ -48,8 +48,8 @@ def add_parser(commands: Any) -> None:
 
 def run_export(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises InputError for what is no plan, and without a frame."""
-    from ctrplan.files.slicer.slicer_space import SCENE, patient_frame
-    from ctrplan.reports.slicer_case.files import case_files
+    from ctrplan.files.slicer_markups import SCENE, patient_frame
+    from ctrplan.reports.slicer_case import case_files
 
     plan = read_plan(arguments)
     frame = patient_frame(plan.scenario, arguments.frame)

@@ -8,11 +8,11 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.commands.options import add_set_option
-from ctrplan.commands.progress_bar import ProgressBar
+from ctrplan.commands.terminal import ProgressBar
 from ctrplan.storage.output_folder import output_folder, write_results
 
 if TYPE_CHECKING:
-    from ctrplan.planning.bound_table import BoundTable
+    from ctrplan.motion.bound_table import BoundTable
 
 OUTPUTS = ("report.html",)
 
@@ -38,7 +38,7 @@ def add_parser(commands: Any) -> None:
 def run_field(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError."""
     from ctrplan.files.robot_file import load_robot
-    from ctrplan.planning.bound_table import choose_axes, tabulated_bounds
+    from ctrplan.motion.bound_table import choose_axes, tabulated_bounds
 
     robot = load_robot(arguments.robot, arguments.overrides)
     folder = output_folder(arguments.output, OUTPUTS) if arguments.output is not None else None

@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.arguments import SEED, Number, Whole
-from ctrplan.base.units import LONGEST_MM
+from ctrplan.base.arrays import LONGEST_MM
 from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.storage.output_folder import output_folder, write_results
 
 if TYPE_CHECKING:
     from ctrplan.base.arrays import Array
-    from ctrplan.planning.goals.branches import Configuration, Reach
-    from ctrplan.planning.scenario import Scenario
+    from ctrplan.planning.goals.reach import Configuration, Reach
+    from ctrplan.scenario.scenario import Scenario
 
 DIRECTION_TOLERANCE_DEG = 5.0
 OUTPUTS = ("report.html",)
@@ -61,8 +61,8 @@ def run_ik(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError, NoAnswerError where the point is out of reach."""
     import numpy as np
 
-    from ctrplan.files.bare_scenario import load_robot_or_scenario
-    from ctrplan.pipeline.left_ranges import plan_range_notes
+    from ctrplan.files.scenario_file import load_robot_or_scenario
+    from ctrplan.pipeline.installed import plan_range_notes
     from ctrplan.planning.inverse_kinematics import inverse_kinematics
 
     scenario = load_robot_or_scenario(arguments.file, arguments.overrides, allow_outside=arguments.allow_outside)
@@ -94,8 +94,7 @@ def run_ik(arguments: argparse.Namespace) -> int:
 
 
 def _write(folder: Path, scenario: Scenario, found: Reach, branches: list[int]) -> None:
-    from ctrplan.reports.reach_page.page import reach_report_html
-    from ctrplan.reports.reach_page.scene import reach_scene
+    from ctrplan.reports.reach_page import reach_report_html, reach_scene
 
     scene = reach_scene(scenario, found, branches)  # writers solve nothing
     write_results(folder, {OUTPUTS[0]: reach_report_html(scene)})

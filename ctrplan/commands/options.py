@@ -1,16 +1,20 @@
-"""Options that several commands share."""
+"""Options and arguments that several commands share."""
 
 from __future__ import annotations
 
 import argparse
+import sys
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.arguments import Number, Whole, in_plain_digits, require
-from ctrplan.base.units import LONGEST_MM, MOST_TURNS_DEG
+from ctrplan.base.arrays import LONGEST_MM, MOST_TURNS_DEG
+from ctrplan.commands.terminal import ProgressBar
 from ctrplan.errors import InputError
 
 if TYPE_CHECKING:
     from ctrplan.base.arrays import Array
+    from ctrplan.files.plan_file import WrittenPlan
+    from ctrplan.reports.plan_scene import WrittenMotion
 
 
 def add_set_option(parser: argparse.ArgumentParser, what: str, example: str = "tube.2.poisson_ratio=0.28") -> None:
@@ -77,3 +81,62 @@ def configuration(arguments: argparse.Namespace, n: int) -> tuple[Array, Array]:
         if len(values) != n:
             raise InputError(f"needs {n} values, one per tube, outermost first", key=key, value=values)
     return np.radians(arguments.theta_deg), np.multiply(arguments.l_mm, 1e-3)
+
+
+USUAL_PORT = 18944
+
+
+def add_igtl_option(parser: argparse.ArgumentParser, what: str) -> None:
+    """Adds --igtl."""
+    add_number(
+        parser,
+        "--igtl",
+        Whole(0, 65535),
+        metavar="PORT",
+        help=f"send {what} over OpenIGTLink, on this port of 127.0.0.1 (usually {USUAL_PORT}; 0: a free one)",
+    )
+
+
+STEPS = Whole(2, 2000)
+PATIENCE_S = 1.0  # before a progress bar shows up
+
+
+def add_plan_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the plan, its scenario, and what it was planned with."""
+    parser.add_argument("plan", metavar="PLAN.json", help="a plan that ctrplan plan wrote, trajectory.csv beside it")
+    parser.add_argument("scenario", metavar="SCENARIO.toml", nargs="?", help="where the plan's own one is elsewhere")
+    parser.add_argument("--trajectory", metavar="CSV", help="the trajectory, if it is not beside the plan")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    add_allow_outside_option(parser)
+    add_set_option(parser, "the scenario's key, or the robot's after robot., as the plan was made with")
+
+
+def add_steps_option(parser: argparse.ArgumentParser, default: int) -> None:
+    """Adds --steps."""
+    add_number(parser, "--steps", STEPS, default=default, help="poses at equal times (default: %(default)s)")
+
+
+def read_plan(arguments: argparse.Namespace) -> WrittenPlan:
+    """The plan that the arguments name. Raises InputError."""
+    from ctrplan.files.plan_file import load_plan
+
+    return load_plan(
+        arguments.plan,
+        arguments.scenario,
+        arguments.overrides,
+        trajectory=arguments.trajectory,
+        allow_outside=arguments.allow_outside,
+    )
+
+
+def progress_bar(arguments: argparse.Namespace) -> ProgressBar:
+    """A bar on a terminal, for what takes long enough."""
+    terminal = sys.stderr is not None and sys.stderr.isatty()
+    return ProgressBar(quiet=arguments.quiet or not terminal, patience_s=PATIENCE_S)
+
+
+def solved_motion(plan: WrittenPlan, steps: int, bar: ProgressBar) -> WrittenMotion:
+    """The plan's robot at `steps` poses. Raises SolverError where it has none."""
+    from ctrplan.reports.plan_scene import written_motion
+
+    return written_motion(plan, steps, lambda share: bar.show("solving", share))

@@ -11,17 +11,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.arguments import SEED, Number, Whole
-from ctrplan.base.interrupts import INTERRUPTED, interrupt_event
-from ctrplan.base.units import LONGEST_MM, MM_PER_M
+from ctrplan.base.arrays import LONGEST_MM, MM_PER_M
+from ctrplan.base.long_work import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
-from ctrplan.commands.progress_bar import ProgressBar
+from ctrplan.commands.terminal import ProgressBar
 from ctrplan.errors import InputError, NoAnswerError
 
 if TYPE_CHECKING:
     from ctrplan.base.arrays import Array
     from ctrplan.planning.placing.base_pose import BasePose
     from ctrplan.planning.placing.place import Placement
-    from ctrplan.planning.scenario import Scenario
+    from ctrplan.scenario.scenario import Scenario
 
 PATIENCE_S = 1.0  # before a progress bar shows up
 CANDIDATES, CONFIRM, PLANS = 256, 8, 3
@@ -135,7 +135,7 @@ def _picked(arguments: argparse.Namespace, scenario: Scenario, found: Placement)
 
 def _write(arguments: argparse.Namespace, file: Path, pose: BasePose) -> None:
     from ctrplan.files.placed_scenario import names_files_outside, placed_scenario
-    from ctrplan.storage.atomic_write import write_atomically
+    from ctrplan.storage.output_folder import write_atomically
     from ctrplan.storage.toml_document import read_document
 
     own = [text for text in arguments.overrides if not text.lstrip().startswith("robot.")]

@@ -10,16 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.arguments import SEARCH_TIME, SEED
-from ctrplan.base.interrupts import INTERRUPTED, interrupt_event
+from ctrplan.base.long_work import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
-from ctrplan.commands.progress_bar import ProgressBar
-from ctrplan.commands.terminal import amber
+from ctrplan.commands.terminal import ProgressBar, amber
 from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 from ctrplan.storage.output_folder import output_folder
 
 if TYPE_CHECKING:
-    from ctrplan.files.trajectory_format import TrajectoryFormat
-    from ctrplan.planning.plan import Plan
+    from ctrplan.files.trajectory_file import TrajectoryFormat
+    from ctrplan.plans.plan import Plan
 
 FORMATS = ("csv", "ros2")  # of the trajectory, where --formats says nothing
 
@@ -78,7 +77,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
     with interrupt_event() as interrupted:
         from ctrplan.files.scenario_file import load_scenario
         from ctrplan.files.trajectory_file import left_over, trajectory_formats
-        from ctrplan.pipeline.left_ranges import plan_range_notes
+        from ctrplan.pipeline.installed import plan_range_notes
         from ctrplan.planning import plan
         from ctrplan.planning.table_worth import helpful_table
         from ctrplan.reports.plan_folder import plan_outputs
@@ -146,7 +145,7 @@ def _targets(plan: Plan) -> dict[str, str]:
 
 
 def _figures(plan: Plan) -> dict[str, str]:
-    from ctrplan.reports.plan_words.uncertainty_rows import uncertainty_rows
+    from ctrplan.reports.uncertainty_words import uncertainty_rows
 
     certificate, reordered = plan.certificate, plan.reorder
     goal_mm, worst_mm = certificate.goal_bound_m * 1e3, certificate.worst_bound_m * 1e3
@@ -171,7 +170,7 @@ def _figures(plan: Plan) -> dict[str, str]:
 
 def _clearances(plan: Plan) -> dict[str, str]:
     """Without friction, in its worst state, and as certified; what is assumed of friction at the start."""
-    from ctrplan.reports.plan_words.clearance_rows import LABELS, START_FRICTION, clearance_rows
+    from ctrplan.reports.plan_words import LABELS, START_FRICTION, clearance_rows
 
     rows = {LABELS[row.kind]: row.sentence for row in clearance_rows(plan)}
     start = START_FRICTION[plan.certificate.start_friction]
@@ -180,7 +179,7 @@ def _clearances(plan: Plan) -> dict[str, str]:
 
 def _misses(plan: Plan) -> dict[str, str]:
     """Each target's distance at worst beside its tolerance, amber on a terminal where it is beyond."""
-    from ctrplan.reports.plan_words.worst_miss import worst_misses
+    from ctrplan.reports.plan_words import worst_misses
 
     texts = {}
     for miss in worst_misses(plan):
@@ -192,7 +191,7 @@ def _misses(plan: Plan) -> dict[str, str]:
 
 def _extras(plan: Plan) -> dict[str, str]:
     """Lines about what was asked for beyond the path."""
-    from ctrplan.planning.plan_timing import settling_duration_s
+    from ctrplan.plans.timing import settling_duration_s
 
     lines, settling, compensation = dict[str, str](), plan.certificate.settling, plan.compensation
     if plan.certificate.worst_play_m:

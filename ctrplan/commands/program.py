@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import argparse
 import errno
 import io
 import os
+import re
 import sys
+import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
+from typing import Any, NoReturn
 
 import ctrplan
 from ctrplan.commands import (
@@ -27,9 +31,49 @@ from ctrplan.commands import (
     verify,
     view,
 )
-from ctrplan.commands.command_line import CommandLine
-from ctrplan.commands.refused_mesh import tell_picture
-from ctrplan.errors import CtrplanError
+from ctrplan.errors import CtrplanError, InputError
+
+# What looks like an option but is a value: -17e0, -1,+1, -.5, -inf. No option of ours begins like this.
+NEGATIVE_VALUE = re.compile(r"-(\.?\d|inf|nan)")
+
+
+class CommandLine(argparse.ArgumentParser):
+    """A parser, of the program or of one of its commands."""
+
+    def __init__(self, *arguments: Any, **keys: Any) -> None:
+        """Arguments of argparse.ArgumentParser."""
+        super().__init__(*arguments, **keys)
+        self._negative_number_matcher = NEGATIVE_VALUE  # before Python 3.14 argparse knows -17 and -0.5 only
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        """As argparse, but what is left over is refused by the command that it was given to. Raises InputError."""
+        found, rest = super().parse_known_args(args, namespace)
+        if rest:
+            self.error(f"{' '.join(rest)}: is not known here")
+        return found, rest
+
+    def error(self, message: str) -> NoReturn:
+        """Raises InputError, with where to look for help."""
+        message = message.removeprefix("argument ").replace("-o/--output", "--output")
+        raise InputError(f"{message} (see {self.prog} --help)")
+
+
+def tell_picture(error: CtrplanError) -> None:
+    """Draws the place of a refused mesh and says where the picture is; nothing for any other error."""
+    defect = getattr(error, "defect", None)
+    if defect is None:
+        return
+    from ctrplan.reports.mesh_defect_picture import mesh_defect_png
+
+    with suppress(OSError):  # the sentence has been said, a picture that can't be written is no failure
+        png = mesh_defect_png(defect)
+        number, name = tempfile.mkstemp(prefix=f"ctrplan_{defect.file.stem[:40]}_", suffix=".png")
+        with os.fdopen(number, "wb") as file:
+            file.write(png)
+        print(f"ctrplan: a picture of the place: {name}", file=sys.stderr)
+
 
 COMMANDS = (
     plan,

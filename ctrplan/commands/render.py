@@ -7,9 +7,8 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.arguments import Number, in_plain_digits
-from ctrplan.commands.options import add_number
-from ctrplan.commands.progress_bar import ProgressBar
-from ctrplan.commands.written_plan import add_plan_arguments, progress_bar, read_plan, solved_motion
+from ctrplan.commands.options import add_number, add_plan_arguments, progress_bar, read_plan, solved_motion
+from ctrplan.commands.terminal import ProgressBar
 from ctrplan.errors import InputError
 
 if TYPE_CHECKING:

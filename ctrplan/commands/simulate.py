@@ -1,4 +1,4 @@
-"""`ctrplan simulate`: what the robot does along a joint path, as a table and a picture."""
+"""`ctrplan simulate`: what the robot does along a joint path or a measured log, as a table and a picture."""
 
 from __future__ import annotations
 
@@ -9,17 +9,95 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.arguments import Number, Whole, in_plain_digits
-from ctrplan.base.interrupts import INTERRUPTED, interrupt_event
-from ctrplan.commands.igtl_options import add_igtl_option
-from ctrplan.commands.options import add_number, add_set_option
-from ctrplan.commands.progress_bar import ProgressBar
+from ctrplan.base.long_work import INTERRUPTED, interrupt_event
+from ctrplan.commands.options import add_igtl_option, add_number, add_set_option
+from ctrplan.commands.terminal import ProgressBar
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 from ctrplan.storage.output_folder import output_folder, write_results
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.history import Start
+    from ctrplan.robot.observer.slow_states import SlowParameter
+    from ctrplan.studies.follow import Following
     from ctrplan.studies.simulate import Simulation
+
+FOLLOWED_OUTPUTS = ("followed.csv", "followed.png")
+FOLLOWED_PATIENCE_S = 1.0
+
+
+def run_simulate_measured(arguments: argparse.Namespace) -> int:
+    """Runs the command; returns its exit code. Raises CtrplanError."""
+    for option, value, default in (
+        ("--start", arguments.start, "released"),
+        ("--accuracy", arguments.accuracy, "search"),
+    ):
+        if value != default:
+            raise InputError(
+                "does not go with --measured, an observer starts from every state", key=option, value=value
+            )
+    with interrupt_event() as interrupted:
+        from ctrplan.files.measurement_file import load_measurements
+        from ctrplan.files.robot_file import load_robot
+        from ctrplan.robot.observer.slow_states import SlowOffset
+        from ctrplan.studies.follow import follow
+
+        robot = load_robot(arguments.robot, arguments.overrides)
+        data = load_measurements(arguments.path, robot)
+        folder = output_folder(arguments.output, FOLLOWED_OUTPUTS)
+        for warning in (*robot.warnings, *data.warnings):
+            print(f"ctrplan: warning: {warning}", file=sys.stderr)
+        offset = SlowOffset(arguments.offset_mm * 1e-3, arguments.offset_steps)
+        terminal = sys.stderr is not None and sys.stderr.isatty()
+        with ProgressBar(quiet=not terminal, patience_s=FOLLOWED_PATIENCE_S) as bar:
+            result = follow(
+                robot,
+                data,
+                offset=offset,
+                slow=[_slow(text) for text in arguments.slow],
+                members=arguments.histories,
+                progress=lambda share: bar.show("following", share),
+                interrupted=interrupted,
+            )
+        _write_followed(folder, result)
+        print(_followed_summary(folder, result))
+    return 0
+
+
+def _slow(text: str) -> SlowParameter:
+    """NAME=SIGMA."""
+    from ctrplan.robot.observer.slow_states import SlowParameter
+
+    name, _, sigma = text.partition("=")
+    value = in_plain_digits(sigma)
+    if not name or value is None:
+        raise InputError("must be NAME=SIGMA, as contact.1.friction_coefficient=0.1", key="--slow", value=text)
+    return SlowParameter(name, value)
+
+
+def _write_followed(folder: Path, result: Following) -> None:
+    from ctrplan.reports.path_pictures import following_png
+    from ctrplan.studies.follow import followed_csv
+
+    write_results(folder, dict(zip(FOLLOWED_OUTPUTS, (followed_csv(result), following_png(result)), strict=True)))
+
+
+def _followed_summary(folder: Path, result: Following) -> str:
+    import numpy as np
+
+    lines = [f"{result.robot.name}: {len(result.measured_m)} measured tips followed, off one step ahead:"]
+    for label, error_m in (("with the observer", result.error_m), ("without", result.error_without_m)):
+        error_mm = error_m[np.isfinite(error_m)] * 1e3
+        if len(error_mm):
+            rms, most = np.sqrt(np.mean(error_mm**2)), error_mm.max()
+            lines.append(f"  {label:27} {rms:.3f} mm (rms), at most {most:.3f} mm")
+    for name, values in result.parameters.items():
+        lines.append(f"  {name:27} {values[-1, 0]:.4g} +- {1.96 * values[-1, 1]:.2g} in the end")
+    held = np.all((result.low_m <= result.measured_m) & (result.measured_m <= result.high_m), axis=1).mean()
+    lines.append(f"  {'measured within interval':27} {100 * held:.0f} % of the rows")
+    lines.append(f"  {'written to':27} {folder}/{', '.join(FOLLOWED_OUTPUTS)}")
+    return "\n".join(lines)
+
 
 OUTPUTS = ("poses.csv", "simulate.png")
 MOST_MEMBERS, LARGEST_OFFSET_MM = 1000, 100.0
@@ -93,13 +171,13 @@ def add_parser(commands: Any) -> None:
 def run_simulate(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError, also where no equilibrium is found to go on to."""
     if arguments.igtl is not None:
-        from ctrplan.reports.openigtlink.messages import pyigtl
+        from ctrplan.reports.openigtlink import pyigtl
 
         if arguments.measured:
             raise InputError("goes without --measured", key="--igtl", value=arguments.igtl)
         pyigtl()
     if arguments.measured:
-        from ctrplan.commands.simulate_measured import run_simulate_measured
+        from ctrplan.commands.simulate import run_simulate_measured
 
         return run_simulate_measured(arguments)
     with interrupt_event() as interrupted:
@@ -146,7 +224,7 @@ def start_state(text: str, pairs: int) -> Start:
 
 
 def _write(folder: Path, result: Simulation) -> None:
-    from ctrplan.reports.plan_picture.simulation import simulation_png
+    from ctrplan.reports.path_pictures import simulation_png
     from ctrplan.studies.simulate import poses_csv
 
     write_results(folder, dict(zip(OUTPUTS, (poses_csv(result), simulation_png(result)), strict=True)))
@@ -154,7 +232,7 @@ def _write(folder: Path, result: Simulation) -> None:
 
 def _play(result: Simulation, port: int, interrupted: threading.Event) -> None:
     """Sends the tips as fast as the path says, or ten a second; waits for a listener first."""
-    from ctrplan.reports.openigtlink.played_tips import play_tips
+    from ctrplan.reports.openigtlink import play_tips
 
     play_tips(result, port, interrupted, lambda at: print(f"OpenIGTLink: waiting on 127.0.0.1:{at}", flush=True))
 

@@ -6,15 +6,14 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Any
 
-from ctrplan.base.interrupts import INTERRUPTED
+from ctrplan.base.long_work import INTERRUPTED
 from ctrplan.commands.options import add_allow_outside_option, add_set_option
-from ctrplan.commands.progress_bar import ProgressBar
+from ctrplan.commands.terminal import ProgressBar
 from ctrplan.commands.worker_options import StageTeller, add_worker_options, chosen_workers
 from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 
 if TYPE_CHECKING:
-    from ctrplan.studies.study.run import Outcome, Where
-    from ctrplan.studies.study.study import Study
+    from ctrplan.studies.study.study import Outcome, Study, Where
 
 MOST_INPUTS = 3  # that a line of the terminal names; the table has all of them
 
@@ -61,8 +60,7 @@ def add_parser(commands: Any) -> None:
 
 def run_study_command(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code: 1 where no task has an answer. Raises CtrplanError."""
-    from ctrplan.studies.study.run import refuse_endless, run_study
-    from ctrplan.studies.study.study import Study
+    from ctrplan.studies.study.study import Study, refuse_endless, run_study
 
     where = chosen_workers(arguments)
     study = Study.read(arguments.study, arguments.overrides, allow_outside=arguments.allow_outside)
@@ -81,7 +79,7 @@ def run_study_command(arguments: argparse.Namespace) -> int:
 
 def _beforehand(study: Study, where: Where) -> str:
     """What will be done, and about how long that takes."""
-    from ctrplan.studies.study.run import in_words
+    from ctrplan.studies.study.study import in_words
 
     core_s = study.count * study.task_s
     workers = "1 worker" if where.expected == 1 else f"{where.expected} workers"
@@ -93,7 +91,7 @@ def _beforehand(study: Study, where: Where) -> str:
 
 
 def _write_report(study: Study, found: Outcome) -> None:
-    from ctrplan.reports.study_page.page import write_study_report
+    from ctrplan.reports.study_page import write_study_report
 
     write_study_report(study, found.table)
 
@@ -118,7 +116,7 @@ def _summary(study: Study, found: Outcome) -> str:
 
 def _extremes(study: Study, found: Outcome) -> dict[str, str]:
     """The best and the worst row."""
-    from ctrplan.studies.study.extremes import extremes, judged_by
+    from ctrplan.studies.study.analysis import extremes, judged_by
 
     column, rows = judged_by(study), list(found.table.rows())
     inputs = [name for axis in study.axes for name in axis.at(0).inputs]

@@ -8,14 +8,14 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.arguments import SEED, Number
-from ctrplan.base.interrupts import INTERRUPTED, interrupt_event
+from ctrplan.base.long_work import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
-from ctrplan.commands.progress_bar import ProgressBar
+from ctrplan.commands.terminal import ProgressBar
 from ctrplan.storage.output_folder import output_folder
 
 if TYPE_CHECKING:
-    from ctrplan.verification.finding import Finding
-    from ctrplan.verification.verify import Verification
+    from ctrplan.audit.case import Finding
+    from ctrplan.audit.verify import Verification
 
 DEFAULT_FOLDER = "counterexample"
 TIME = Number(0, 86400, "s", above=True)
@@ -76,9 +76,9 @@ def add_parser(commands: Any) -> None:
 def run_verify(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises InputError for what is no plan."""
     with interrupt_event() as interrupted:
+        from ctrplan.audit.scene import outputs, write_scene
+        from ctrplan.audit.verify import verify
         from ctrplan.files.plan_file import load_plan
-        from ctrplan.verification.scene import outputs, write_scene
-        from ctrplan.verification.verify import verify
 
         plan = load_plan(
             arguments.plan,

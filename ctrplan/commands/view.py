@@ -9,13 +9,12 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.arguments import Whole
-from ctrplan.commands.igtl_options import add_igtl_option
-from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
+from ctrplan.commands.options import add_allow_outside_option, add_igtl_option, add_number, add_set_option
 
 if TYPE_CHECKING:
     from ctrplan.files.plan_file import WrittenPlan
-    from ctrplan.planning.scenario import Scenario
     from ctrplan.reports.live.state import LiveState
+    from ctrplan.scenario.scenario import Scenario
 
 EXAMPLES = """examples:
   ctrplan view scenarios/robots/three_tube.toml
@@ -67,8 +66,8 @@ def run_view(arguments: argparse.Namespace) -> int:
 
 def loaded(arguments: argparse.Namespace) -> tuple[Scenario, WrittenPlan | None]:
     """The scenario of the file, and the plan if that is one. Raises InputError."""
-    from ctrplan.files.bare_scenario import load_robot_or_scenario
     from ctrplan.files.plan_file import load_plan
+    from ctrplan.files.scenario_file import load_robot_or_scenario
 
     if arguments.file.lower().endswith(".json"):
         plan = load_plan(arguments.file, None, arguments.overrides, allow_outside=arguments.allow_outside)
@@ -80,9 +79,8 @@ def _sending(arguments: argparse.Namespace, state: LiveState) -> AbstractContext
     """Sends every pose that is shown, the start first, if that was asked for."""
     if arguments.igtl is None:
         return nullcontext()
-    from ctrplan.files.slicer.slicer_space import patient_frame
-    from ctrplan.reports.openigtlink.broadcast import Broadcast
-    from ctrplan.reports.openigtlink.messages import pose_messages, pyigtl
+    from ctrplan.files.slicer_markups import patient_frame
+    from ctrplan.reports.openigtlink import Broadcast, pose_messages, pyigtl
 
     frame = patient_frame(state.scenario, arguments.frame)
     pyigtl()

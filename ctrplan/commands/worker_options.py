@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 from ctrplan.base.arguments import Whole
 from ctrplan.commands.options import add_number
-from ctrplan.commands.progress_bar import ProgressBar
+from ctrplan.commands.terminal import ProgressBar
 from ctrplan.errors import InputError
 
 if TYPE_CHECKING:
-    from ctrplan.studies.study.run import Doing, Where
+    from ctrplan.studies.study.study import Doing, Where
 
 MOST_WORKERS = 1024
 
@@ -27,7 +27,7 @@ def add_worker_options(parser: argparse.ArgumentParser) -> None:
 
 def chosen_workers(arguments: argparse.Namespace) -> Where:
     """Who does the tasks. Raises InputError for options that contradict each other."""
-    from ctrplan.studies.study.run import Where
+    from ctrplan.studies.study.study import Where
 
     for first, second in (("--scheduler", "--scheduler-file"), ("--scheduler", "--workers")):
         values = [getattr(arguments, name[2:].replace("-", "_")) for name in (first, second)]
@@ -46,7 +46,7 @@ class StageTeller:
 
     def __call__(self, doing: Doing) -> None:
         """Shows it."""
-        from ctrplan.studies.study.run import in_words
+        from ctrplan.studies.study.study import in_words
 
         if doing.note and doing.note != self.noted:
             self.noted = doing.note

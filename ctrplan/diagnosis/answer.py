@@ -1,4 +1,4 @@
-"""From measurements to a set of effects and a verdict, before the held-out set is opened.
+"""From measurements to a set of effects and a verdict, before the test set is opened.
 
 The ordinary search comes first and names what leaves noise alone. Where nothing does, what holds beside a rest is asked
 for, `partly.py`. A long log of a continuous motion, in which the ordinary search takes minutes, is asked that first.
@@ -6,29 +6,54 @@ for, `partly.py`. A long log of a continuous motion, in which the ordinary searc
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.gross_outliers import gross_outliers, too_many
+from ctrplan.base.long_work import StageProgress
+from ctrplan.calibration.fit_warnings import gross_outliers, too_many
 from ctrplan.calibration.residuals import Noise
-from ctrplan.diagnosis.building.built import Built
-from ctrplan.diagnosis.building.sought import build
-from ctrplan.diagnosis.candidates import Candidates
-from ctrplan.diagnosis.chi_square import ignored, remains
-from ctrplan.diagnosis.noise_alone import remaining_error
-from ctrplan.diagnosis.partly import Partly, partly
-from ctrplan.diagnosis.rescaled_noise import rescaled_noise
+from ctrplan.diagnosis.adequacy import ignored, remains, rescaled_noise
+from ctrplan.diagnosis.building.built import Built, build
+from ctrplan.diagnosis.partial import Partly, partly
 from ctrplan.diagnosis.selection import Selector, Step
-from ctrplan.diagnosis.teller import Interrupted, Teller
+from ctrplan.diagnosis.smooth_evidence import remaining_error
 from ctrplan.diagnosis.usable_poses import bench_of, checked_split, thinned, without_outliers
 from ctrplan.diagnosis.verdict import Finding, Judgement, judge, specific
-from ctrplan.diagnosis.workbench import Scored, Workbench
-from ctrplan.experiment.measurements import Measurements
-from ctrplan.experiment.split import Split, groups
+from ctrplan.diagnosis.workbench import Candidates, Scored, Workbench
+from ctrplan.measurement.measurements import Measurements, Split, groups
 from ctrplan.robot.robot import Robot
+
+HELD_OUT_SHARE = 0.95  # of the work done when the held-out set is asked
+
+
+class Interrupted(Exception):
+    """Ctrl-C between two fits."""
+
+
+@dataclass(eq=False)
+class Teller:
+    """Names the steps to whoever watches, and stops between them when asked to."""
+
+    progress: StageProgress | None
+    interrupted: threading.Event | None
+    share: float = 0.05
+
+    def pause(self) -> None:
+        """Where a run may stop."""
+        if self.interrupted is not None and self.interrupted.is_set():
+            raise Interrupted
+
+    def __call__(self, step: str) -> None:
+        """A step begins."""
+        self.pause()
+        self.share += 0.25 * (HELD_OUT_SHARE - self.share)  # how many steps there will be is not known
+        if self.progress:
+            self.progress(step, self.share)
+
 
 INTERRUPTED = "Interrupted: this is what was found until then, not a verdict."
 LONG_LOG = 400  # poses of a continuous motion, of which parts are asked for first

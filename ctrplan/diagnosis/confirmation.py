@@ -17,22 +17,19 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arguments import Made, checked
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.gross_outliers import gross_outliers, too_many
+from ctrplan.calibration.estimates import Errors, distances, summary
+from ctrplan.calibration.fit_warnings import excused, gross_outliers, too_many
 from ctrplan.calibration.least_squares import Fit, fit
-from ctrplan.calibration.pose_errors import Errors, distances, summary
 from ctrplan.calibration.residuals import Noise, residuals, robust_square
-from ctrplan.calibration.unsolved import excused
-from ctrplan.diagnosis.blocks import blocks
-from ctrplan.diagnosis.correlated_bench import fixed
-from ctrplan.diagnosis.frames import FRAMES, frames
-from ctrplan.diagnosis.held_out import steps_without
-from ctrplan.diagnosis.holding import summed
+from ctrplan.diagnosis.block_evidence import summed
+from ctrplan.diagnosis.correlated_bench import FRAMES, fixed, frames
+from ctrplan.diagnosis.cross_validation import steps_without
 from ctrplan.diagnosis.result import Diagnosis
-from ctrplan.diagnosis.usable_poses import usable_poses
+from ctrplan.diagnosis.usable_poses import blocks, usable_poses
 from ctrplan.diagnosis.workbench import certainty, linear, values_by_name
 from ctrplan.errors import InputError
-from ctrplan.experiment.measurements import Measurements
-from ctrplan.pipeline.friction_path import friction_correction
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.pipeline.followed_runs import friction_correction
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import Term
 

@@ -1,7 +1,19 @@
-"""Fits beside a discrepancy: what no effect explains has a size and a memory, and the robot's frames are always free.
+"""Fits beside a discrepancy: what no effect explains has a size and a memory, and the frames of the robot are always
+free.
+
+A robot that is held in a hand, or registered anew, stands elsewhere in every run. Nothing else can be told before that.
+So it is with the zeros of its joints where it was homed anew: they are free beside those of the first homing.
+
+Of a continuous motion phases are drawn anew, the same for all five numbers of a pose. Of poses at rest, configurations
+trade their residuals, turned over at random, and so do the approaches of one. What near configurations have
+in common is taken out before they trade and put back afterwards: an error that is smooth in the joints has surrogates
+that are smooth.
 
 With it in the covariance, poses count for as much as they say, and everything that holds on white noise holds again.
 On a continuous motion, friction follows the simulated history from the first comparison on.
+
+Whatever is smooth in the joints follows such an error half way. Beside it in the covariance only what does better than
+an error of that smoothness gains. Here whitened residuals of configurations may trade places as they are.
 """
 
 from __future__ import annotations
@@ -15,25 +27,82 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.calibration import discrepancy
 from ctrplan.calibration.discrepancy import Discrepancy, Linearised
+from ctrplan.calibration.fit_warnings import PHYSICAL_POISSON
 from ctrplan.calibration.least_squares import Fit, fit, fit_at
 from ctrplan.calibration.residuals import Noise, compared
-from ctrplan.calibration.symptoms import PHYSICAL_POISSON
-from ctrplan.diagnosis import smooth_errors, surrogates
-from ctrplan.diagnosis.chance import DRAWS
-from ctrplan.diagnosis.frames import frames_beside
-from ctrplan.diagnosis.held_out import Linear, held_out_residuals
-from ctrplan.diagnosis.joint_memory import JointMemory, joint_memory
-from ctrplan.diagnosis.nested_scores import nested_null_scores
-from ctrplan.diagnosis.predictive import predictive_loss
-from ctrplan.diagnosis.smooth_errors import SmoothError
+from ctrplan.diagnosis import correlated_bench, remainder
+from ctrplan.diagnosis.cross_validation import DRAWS, Linear, held_out_residuals, nested_null_scores, predictive_loss
+from ctrplan.diagnosis.remainder import JointMemory, SmoothError, joint_memory
 from ctrplan.diagnosis.workbench import Scored, Workbench, linear
 from ctrplan.effects.effect import CATALOGUE
-from ctrplan.experiment.measurements import Measurements
-from ctrplan.experiment.motion import clock
+from ctrplan.measurement.approach import clock
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.followed_runs import followed
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import Term, term
 from ctrplan.robot.robot import Robot
+
+FRAME, SHIFT = "base_misalignment", "frame_shift"  # of the first set-up, and of the others beside it
+HOMED = "homing_shift"  # zeros after every further homing
+FRAMES = (FRAME, SHIFT, HOMED)
+FRAME_MOVES = 0.9  # of the size of noise and smooth error, that a frame has to move positions by: a part of any smooth
+# error is a frame; wrong ones had up to 0.8, true ones 0.97 and more
+
+
+def frames(robot: Robot, data: Measurements) -> list[Term]:
+    """One rigid motion, one more for every further frame that the poses are in, and zeros for every further homing."""
+    effect = CATALOGUE[FRAME]
+    found = [term(effect, [parameter.name for parameter in effect.parameters(robot)], robot)]
+    for shift in (CATALOGUE[SHIFT], CATALOGUE[HOMED]):
+        if not shift.untestable(robot, data) and not (data.of_collars and shift.stage == "drive"):
+            (names,) = shift.variants(robot, data)
+            found.append(term(shift, names, robot))
+    return found
+
+
+def frames_beside(robot: Robot, data: Measurements, terms: Sequence[Term]) -> list[Term]:
+    """Those that are neither among the terms nor in the robot file."""
+    known = {*robot.effects, *(t.name for t in terms)}
+    return [t for t in frames(robot, data) if t.name not in known]
+
+
+SEED = 11
+
+
+def of_motion(r: Array, run: NDArray[np.int_], count: int) -> Array:
+    """(K, 5, D) of residuals (K, 5) in the order of runs (K,), D = count of them."""
+    rng = np.random.default_rng(SEED)
+    drawn = np.empty((*r.shape, count))
+    for number in np.unique(run):
+        inside = np.flatnonzero(run == number)
+        mean = r[inside].mean(axis=0)
+        spectrum = np.fft.rfft(r[inside] - mean, axis=0)
+        phase = np.exp(1j * rng.uniform(-np.pi, np.pi, (len(spectrum), 1, count)))
+        again = np.fft.irfft(spectrum[:, :, None] * phase, n=len(inside), axis=0)
+        drawn[inside] = again + mean[:, None] * rng.choice([-1.0, 1.0], count)
+    return drawn
+
+
+def of_configurations(
+    r: Array, configuration: NDArray[np.int_], count: int, memory: JointMemory | None = None
+) -> Array:
+    """(K, 5, D) of residuals (K, 5) of poses at rest, by number of their configurations (K,)."""
+    rng = np.random.default_rng(SEED)
+    members = [np.flatnonzero(configuration == number) for number in np.unique(configuration)]
+    means = np.array([r[rows].mean(axis=0) for rows in members])
+    own = np.concatenate([r[rows] - mean for rows, mean in zip(members, means, strict=True)])
+    traders = memory.whitened(means) if memory else means
+    rows, which = np.concatenate(members), np.repeat(np.arange(len(members)), [len(some) for some in members])
+    drawn = np.empty((count, *r.shape))
+    for d in range(count):
+        traded, left = rng.permutation(len(members)), rng.permutation(len(own))
+        signs = rng.choice([-1.0, 1.0], (len(members), 1))
+        again = signs * traders[traded]
+        of_configuration = memory.coloured(again) if memory else again
+        drawn[d, rows] = of_configuration[which] + rng.choice([-1.0, 1.0], (len(own), 1)) * own[left]
+    moved: Array = np.ascontiguousarray(np.moveaxis(drawn, 0, -1))
+    return moved
+
 
 HELD = 1e-4  # of a prior, which holds a parameter
 USUAL_FRICTION = 0.2  # coefficient at which states are simulated while nobody knows any
@@ -97,9 +166,9 @@ class CorrelatedBench(Workbench):
     def _drawn(self, here: Scored, memory: JointMemory | None) -> Array:
         left = self.coloured(here.fit.residuals.r)
         if self.data.is_stream:
-            drawn = surrogates.of_motion(left, self._run, DRAWS)
+            drawn = correlated_bench.of_motion(left, self._run, DRAWS)
         else:
-            drawn = surrogates.of_configurations(left, self.data.configuration, DRAWS, memory)
+            drawn = correlated_bench.of_configurations(left, self.data.configuration, DRAWS, memory)
         whitened = self._discrepancy.whitened(drawn) if self._discrepancy else drawn
         flat: Array = whitened.reshape(-1, DRAWS)
         return flat
@@ -201,9 +270,9 @@ class CorrelatedBench(Workbench):
         key = 0.0 if self.data.is_stream else self.estimated(here).memory
         if key not in self._errors:
             if self.data.is_stream:
-                self._errors[key] = smooth_errors.of_motion(self.data, self._axes)
+                self._errors[key] = remainder.of_motion(self.data, self._axes)
             else:
-                self._errors[key] = smooth_errors.at_rest(self.data, key, self._axes)
+                self._errors[key] = remainder.at_rest(self.data, key, self._axes)
         return self._errors[key]
 
     def chain(self, terms: Sequence[Term]) -> ParametricChain:
@@ -239,3 +308,26 @@ def fixed(t: Term, p: Array) -> Term:
         replace(q, prior=HELD * q.prior, neutral=float(value) / q.si) for q, value in zip(t.parameters, p, strict=True)
     ]
     return Term(t.effect, tuple(held))
+
+
+class SmoothBench(CorrelatedBench):
+    """Of another bench of poses at rest, with the most probable discrepancy beside one of its sets."""
+
+    def __init__(self, bench: CorrelatedBench, here: Scored) -> None:
+        """here: a set of the bench, which has a discrepancy."""
+        super().__init__(bench.robot, bench.data, bench.plain, bench.group, bench.fold)
+        self._correction = bench._correction
+        left, found = bench.over_noise_at_priors(here), bench.estimated(here)
+        along = joint_memory(left, bench.data, found)
+        self.noise = replace(self.plain, discrepancy=discrepancy.over_joints(left, found.memory, along.correlation))
+
+    def at(self, scored: Scored) -> Scored:
+        """A set of the other bench as it stands here."""
+        fit = fit_at(scored.fit.chain, self.noise, self.whitening_group, scored.fit.p)
+        return Scored(scored.terms, fit, self.loss(linear(fit).refitted()))
+
+    def null_draws(self, here: Scored) -> Array:
+        """(5 K, D) whitened residuals of a fit, configurations having traded theirs."""
+        drawn = correlated_bench.of_configurations(here.fit.residuals.r, self.data.configuration, DRAWS)
+        flat: Array = drawn.reshape(-1, DRAWS)
+        return flat

@@ -11,20 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arguments import EVENT, PROGRESS, Made, Texts, checked
-from ctrplan.base.progress import StageProgress
-from ctrplan.calibration.gross_outliers import outlier_sentences
-from ctrplan.calibration.unsolved import excused, unsolved_sentence
-from ctrplan.diagnosis.answer import Answer, answer
-from ctrplan.diagnosis.candidates import candidates, reduced
-from ctrplan.diagnosis.chi_square import ignored
+from ctrplan.base.long_work import StageProgress
+from ctrplan.calibration.fit_warnings import excused, outlier_sentences, unsolved_sentence
+from ctrplan.diagnosis.adequacy import ignored, noise_floor
+from ctrplan.diagnosis.answer import HELD_OUT_SHARE, Answer, Teller, answer
 from ctrplan.diagnosis.next_experiment import next_experiment
-from ctrplan.diagnosis.noise_floor import noise_floor
-from ctrplan.diagnosis.opening import Opened, opened
 from ctrplan.diagnosis.result import Diagnosis
-from ctrplan.diagnosis.teller import HELD_OUT_SHARE, Teller
+from ctrplan.diagnosis.test_set import Opened, opened
 from ctrplan.diagnosis.usable_poses import checked_split, usable_poses
+from ctrplan.diagnosis.workbench import candidates, reduced
 from ctrplan.effects.effect import CATALOGUE, Effect
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
 

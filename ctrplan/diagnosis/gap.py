@@ -1,7 +1,10 @@
-"""The held-out set: poses that nothing has seen, before and after the effects were added, over all and by region."""
+"""The gap on the test set before and after effects were added, and the rule that no verdict is greener than its
+figures.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -9,16 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.calibration.estimates import Errors, distances, summary
+from ctrplan.calibration.fit_warnings import excused
 from ctrplan.calibration.least_squares import Fit
-from ctrplan.calibration.pose_errors import Errors, distances, summary
-from ctrplan.calibration.residuals import Noise, Residuals, residuals
-from ctrplan.calibration.unsolved import excused
-from ctrplan.diagnosis.chi_square import ChiSquare, outliers
-from ctrplan.diagnosis.rescaled_noise import HEAVY, tail_weight
-from ctrplan.experiment.measurements import Measurements
-from ctrplan.pipeline.friction_path import friction_correction
+from ctrplan.calibration.residuals import MODEL_POSITION_M, Noise, Residuals, residuals
+from ctrplan.diagnosis.adequacy import HEAVY, ChiSquare, outliers, tail_weight
+from ctrplan.diagnosis.localise import Place
+from ctrplan.diagnosis.verdict import Verdict
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.pipeline.followed_runs import friction_correction
 from ctrplan.pipeline.parametric_chain import ParametricChain
-from ctrplan.pipeline.prediction import Prediction
+from ctrplan.pipeline.term import Prediction
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,3 +119,43 @@ def _predictive(r: Array, J: Array, after: Fit) -> ChiSquare:
     """Residuals (R,) with derivatives (R, P) over noise and the parameters' own uncertainty together."""
     spread = np.eye(len(r)) + J @ after.covariance @ J.T
     return ChiSquare(float(r @ np.linalg.solve(spread, r)), len(r))
+
+
+LARGEST_REST = 1.5  # of the noise: rms error with which a model still agrees with measurements
+LEAST_TOLD = 0.2  # of the noise: what parameters leave open
+
+
+def times_noise(rms_m: float, floor_m: float) -> float:
+    """An rms error [m] over the noise and the solver's own error."""
+    return rms_m / math.hypot(floor_m, math.sqrt(3) * MODEL_POSITION_M)
+
+
+def largest_rest(tails: float) -> float:
+    """Of the noise, whose squares vary `tails` times as much as Gaussian ones: so much less certain is their mean."""
+    return math.sqrt(1 + (LARGEST_REST**2 - 1) * math.sqrt(tails))
+
+
+def contradiction(verdict: Verdict, gap: Gap, place: Place) -> str:
+    """What contradicts a verdict that says that a model agrees with the measurements, as a sentence; empty if nothing.
+
+    On the poses kept aside it is the error with the effects, beyond noise and what the fitted parameters leave open:
+    few poses do not settle an effect of many parameters, and noise with heavy tails is larger here and smaller there.
+    Where none is missing, no tails are allowed for, and the poses that were fitted are asked as well.
+    """
+    if verdict == "partial" and gap.after.rms_m >= gap.before.rms_m:
+        off = f"{gap.before.rms_m * 1e3:.2f} mm off (rms) without them and {gap.after.rms_m * 1e3:.2f} mm with them"
+        return f"The figures contradict the effects found: on the poses kept aside tips are {off}."
+    if verdict in ("partial", "unexplained"):
+        return ""
+    is_complete = verdict == "no_missing_effect"
+    largest = LARGEST_REST if is_complete else largest_rest(gap.tails)
+    shown = {"the poses kept aside": (gap.after.rms_m, math.hypot(gap.floor_m, gap.spread_m), largest)}
+    if is_complete:
+        shown["the poses that were fitted"] = place.rms_m, gap.floor_m, LARGEST_REST
+    for where, (rms_m, expected_m, most) in shown.items():
+        if not times_noise(rms_m, expected_m) <= most:
+            told = gap.spread_m > LEAST_TOLD * gap.floor_m
+            left_open = f", parameters leave {gap.spread_m * 1e3:.2f} mm open" if told else ""
+            off = f"tips are {rms_m * 1e3:.2f} mm off (rms), the noise is {gap.floor_m * 1e3:.2f} mm{left_open}"
+            return f"The figures contradict it: on {where} {off}."
+    return ""

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.experiment.friction_states import friction_state
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.approach import friction_state
+from ctrplan.measurement.measurements import Measurements
 
 PERMUTATIONS, SEED = 200, 3
 CHANCE = 0.05

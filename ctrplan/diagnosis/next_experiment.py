@@ -12,7 +12,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import Noise, residuals
 from ctrplan.diagnosis.verdict import Alternative, Judgement
 from ctrplan.diagnosis.workbench import Scored
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.parametric_chain import ParametricChain
 
 CONFIGURATIONS, SEED = 24, 4

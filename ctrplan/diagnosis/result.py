@@ -9,23 +9,22 @@ from typing import Any, Protocol
 import numpy as np
 
 from ctrplan.base.version import __version__
-from ctrplan.calibration.estimates import estimates
-from ctrplan.calibration.pose_errors import Errors
+from ctrplan.calibration.estimates import Errors, estimates
 from ctrplan.calibration.residuals import Noise
 from ctrplan.calibration.robot_content import calibrated_content, model_error_m
+from ctrplan.diagnosis.adequacy import ChiSquare
 from ctrplan.diagnosis.building.built import Built
-from ctrplan.diagnosis.chi_square import ChiSquare
-from ctrplan.diagnosis.frames import FRAMES
+from ctrplan.diagnosis.correlated_bench import FRAMES
 from ctrplan.diagnosis.gap import Gap
 from ctrplan.diagnosis.localise import Place
 from ctrplan.diagnosis.next_experiment import Proposal
-from ctrplan.diagnosis.partly import Partly
-from ctrplan.diagnosis.rest import Rest
+from ctrplan.diagnosis.partial import Partly
+from ctrplan.diagnosis.remainder import Rest
 from ctrplan.diagnosis.selection import Step
 from ctrplan.diagnosis.verdict import Judgement, Verdict
 from ctrplan.diagnosis.workbench import Scored
 from ctrplan.effects.learned.learned import Learned
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import Term
 from ctrplan.robot.robot import Robot
 

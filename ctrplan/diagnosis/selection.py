@@ -6,10 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from ctrplan.calibration.least_squares import Fit
-from ctrplan.diagnosis.candidates import Candidates
-from ctrplan.diagnosis.chance import null_threshold
-from ctrplan.diagnosis.chi_square import remains
-from ctrplan.diagnosis.workbench import Scored, Screened, Workbench, linear
+from ctrplan.diagnosis.adequacy import remains
+from ctrplan.diagnosis.cross_validation import null_threshold
+from ctrplan.diagnosis.workbench import Candidates, Scored, Screened, Workbench, linear
 from ctrplan.pipeline.term import Term
 
 MOST_EFFECTS = 4

@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from ctrplan.calibration.estimates import estimates
-from ctrplan.diagnosis.agreement import LARGEST_REST, times_noise
-from ctrplan.diagnosis.frames import FRAME
+from ctrplan.diagnosis.correlated_bench import FRAME
+from ctrplan.diagnosis.gap import LARGEST_REST, times_noise
 from ctrplan.diagnosis.result import Diagnosis
-from ctrplan.experiment.measurements import MOST_ROWS
+from ctrplan.measurement.measurements import MOST_ROWS
 from ctrplan.pipeline.term import Term
 
 WORTH_TELLING = 0.9  # of the error without them, which frames have to undercut

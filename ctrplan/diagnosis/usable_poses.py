@@ -1,19 +1,119 @@
-"""Which poses a diagnosis goes by: the believed robot is stable, clocks can be compared, nothing went wrong."""
+"""Which poses a diagnosis goes by, and which of them are independent evidence.
+
+Two configurations are kin if they are the same but for full turns, a common rotation, or a reflection: whatever belongs
+to one belongs to the other. Kin stand in one block, and blocks are left out and kept aside as a whole.
+
+A solution that is found afresh is one of them, the robot stays in the one that it comes from, and models that are alike
+elsewhere are centimetres apart. Such a pose says which equilibrium a model has chosen, not which effects act.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
-from ctrplan.calibration.gross_outliers import gross_outliers, too_many
+from ctrplan.base.arrays import Array
+from ctrplan.calibration.fit_warnings import gross_outliers, too_many
 from ctrplan.calibration.residuals import Noise
-from ctrplan.diagnosis.workbench import Workbench
+from ctrplan.diagnosis.correlated_bench import CorrelatedBench
+from ctrplan.diagnosis.workbench import Scored, Workbench
 from ctrplan.errors import InputError
-from ctrplan.experiment.measurements import LONGEST_LAG_S, Measurements
-from ctrplan.experiment.split import Split, groups, split
+from ctrplan.measurement.approach import clock
+from ctrplan.measurement.measurements import FOLDS, LONGEST_LAG_S, SEED, VAULT_SHARE, Measurements, Split, groups, split
 from ctrplan.mechanics.shapes import Status
+from ctrplan.pipeline.followed_runs import followed
+from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.tip_table import nested
 from ctrplan.robot.robot import Robot
+
+MEMORIES_IN_BLOCK = 2.0  # correlation times that a block of a continuous motion lasts at least
+LEAST_BLOCKS = 16  # of a continuous motion, shorter ones where it does not last long enough
+KIN_RAD, KIN_M = np.radians(2.0), 0.5e-3  # joints nearer than this are the same configuration
+KIN_SHARE = 0.5  # of the poses of a block of a continuous motion that have kin in another, which makes the blocks one
+
+
+def blocks(data: Measurements, memory: float) -> NDArray[np.int_]:
+    """(K,) number of each pose's block; the memory is in s, of a log without times in rows."""
+    if not data.is_stream:
+        return _joined(data.configuration, _kin_pairs(data), share=0.0)
+    time, run = clock(data), data.sequence[data.rows]
+    lasts = sum(float(np.ptp(time[run == number])) for number in np.unique(run))
+    length = min(MEMORIES_IN_BLOCK * memory, lasts / LEAST_BLOCKS)
+    number, count = np.zeros(data.count, dtype=np.int_), 0
+    for one in np.unique(run).tolist():
+        inside = run == one
+        since = time[inside] - time[inside].min()
+        pieces = max(1, int(since.max() // length))
+        number[inside] = count + np.minimum((since / max(since.max(), 1e-9) * pieces).astype(np.int_), pieces - 1)
+        count += pieces
+    return _joined(number, _kin_pairs(data), share=KIN_SHARE)
+
+
+def block_split(data: Measurements, usable: NDArray[np.bool_], block: NDArray[np.int_]) -> Split:
+    """A quarter of the blocks, (K,) by number, is kept aside; every other one is a fold, or part of one of six."""
+    numbers = np.random.default_rng(SEED).permutation(np.unique(block[usable]))
+    aside = int(round(VAULT_SHARE * len(numbers)))
+    held_out = np.isin(block, numbers[:aside]) & usable
+    selection = np.flatnonzero(usable & ~held_out)
+    order = {number: k % FOLDS for k, number in enumerate(numbers[aside:].tolist())}
+    return Split(selection, np.flatnonzero(held_out), np.array([order[n] for n in block[selection].tolist()]))
+
+
+def _kin_pairs(data: Measurements) -> NDArray[np.int_]:
+    """(N, 2) poses whose configurations are kin."""
+    turns = np.diff(data.theta_commanded[data.rows], axis=1) / KIN_RAD
+    slides = data.l_commanded[data.rows] / KIN_M
+    pairs = [_near(turns, turns, slides), _near(turns, -turns, slides)]
+    return np.concatenate(pairs)
+
+
+def _near(turns: Array, others: Array, slides: Array) -> NDArray[np.int_]:
+    """(N, 2) rows of the first that are within 1 of rows of the second in every column; rotations are modulo a turn."""
+    turn = 2 * np.pi / KIN_RAD
+    length = 4 * (np.ptp(slides, axis=0) + 1)  # of a box that translations never go round
+    box = np.concatenate([np.full(turns.shape[1], turn), length])
+    first, second = (np.mod(np.hstack([a, slides - slides.min(axis=0)]), box) for a in (turns, others))
+    found = cKDTree(first, boxsize=box).query_ball_tree(cKDTree(second, boxsize=box), 1.0, p=np.inf)
+    return np.array([(i, j) for i, near in enumerate(found) for j in near if i != j], dtype=np.int_).reshape(-1, 2)
+
+
+def _joined(number: NDArray[np.int_], pairs: NDArray[np.int_], share: float) -> NDArray[np.int_]:
+    """Blocks of which more than a `share` of the poses have kin in another become one with it."""
+    block = np.unique(number, return_inverse=True)[1].ravel()
+    count = int(block.max()) + 1
+    between = np.unique(np.column_stack([pairs[:, 0], block[pairs[:, 1]]]), axis=0)  # pose, block where it has kin
+    links = np.zeros((count, count))
+    np.add.at(links, (block[between[:, 0]], between[:, 1]), 1.0)
+    kin = links / np.bincount(block)[:, None] > share
+    joined: NDArray[np.int_] = connected_components(coo_matrix(kin), directed=False)[1][block]
+    return joined
+
+
+APART_M = 5e-3  # of a simulated history and a solution found afresh, in the same friction state
+MOST = 0.1  # of the poses: where there are more, the model is not this robot
+
+
+def on_one_branch(bench: CorrelatedBench, chosen: Scored) -> NDArray[np.bool_]:
+    """(K,) poses where simulated histories and solutions found afresh agree, with usual friction and without any."""
+    if not bench.data.is_stream or bench.robot.n < 2:
+        return np.ones(bench.data.count, bool)
+    apart = _apart_m(*bench.rubbing(chosen)) > APART_M
+    if not chosen.fit.chain.robot_at(chosen.fit.p).friction.any():
+        apart |= _apart_m(chosen.fit.chain, chosen.fit.p) > APART_M
+    return ~apart if apart.mean() <= MOST else np.ones(bench.data.count, bool)
+
+
+def _apart_m(chain: ParametricChain, p: Array) -> Array:
+    """(K,) [m] of the tips; 0 where either is missing."""
+    path, alone = followed(chain, p), ParametricChain(chain.robot, chain.data, chain.terms)
+    alone.followed_phi = np.clip(np.nan_to_num(path.phi), -1.0, 1.0)
+    afresh, sound = alone.before_sensor(p)
+    distance: Array = np.where(sound, np.linalg.norm(path.position_m - afresh, axis=1), 0.0)
+    return np.nan_to_num(distance)
+
 
 LEAST_STABILITY = 0.03  # of the believed robot: nearer to snapping no model is asked
 MOST_POSES = 200  # of a continuous motion that are compared; the others stand near them and say the same

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from ctrplan.calibration.symptoms import is_strained, strained
-from ctrplan.diagnosis.chi_square import Adequacy, remains
+from ctrplan.calibration.fit_warnings import is_strained, strained
+from ctrplan.diagnosis.adequacy import Adequacy, remains
 from ctrplan.diagnosis.selection import Selection, Selector
 from ctrplan.diagnosis.workbench import Scored, Workbench
 from ctrplan.pipeline.term import Term, term

@@ -1,8 +1,10 @@
-"""Fits of the base with sets of effects to the poses of the selection, each with its held-out score, kept for reuse."""
+"""Fits of the base with sets of effects, each with its cross-validation score, and the effects that the data can
+test.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,16 +12,60 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.base_parameters import ABSOLUTE_STIFFNESS, BaseParameters
 from ctrplan.calibration.least_squares import Fit, fit, fit_at
+from ctrplan.calibration.parameters import ABSOLUTE_STIFFNESS, BaseParameters
 from ctrplan.calibration.residuals import UNSOUND, Noise, residuals, robust_square
-from ctrplan.diagnosis.chance import white
-from ctrplan.diagnosis.held_out import Linear, held_out_loss, null_scores
-from ctrplan.experiment.measurements import Measurements
-from ctrplan.pipeline.friction_path import friction_correction
-from ctrplan.pipeline.parametric_chain import ParametricChain
+from ctrplan.diagnosis.cross_validation import Linear, held_out_loss, null_scores, white
+from ctrplan.effects.effect import CATALOGUE, Effect
+from ctrplan.errors import InputError
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.pipeline.followed_runs import friction_correction
+from ctrplan.pipeline.parametric_chain import DRIVEN_ALREADY, ParametricChain
 from ctrplan.pipeline.term import Term, term
 from ctrplan.robot.robot import Robot
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Variants of every testable effect, and the reasons why the rest is not testable."""
+
+    terms: tuple[Term, ...]
+    not_testable: Mapping[str, str]
+
+    def beside(self, chosen: Sequence[Term]) -> list[Term]:
+        """Variants that are not chosen yet and can act: what they need is chosen or can be chosen with them."""
+        keys, known = {t.key for t in chosen}, {t.name for t in self.terms} | {t.name for t in chosen}
+        return [t for t in self.terms if t.key not in keys and (not t.effect.needs or t.effect.needs in known)]
+
+    def completed(self, chosen: Sequence[Term], added: Term) -> list[Term]:
+        """The chosen terms, what the added one needs, and it."""
+        missing = added.effect.needs not in ("", *(t.name for t in chosen))
+        needed = [t for t in self.terms if missing and t.name == added.effect.needs]
+        return [*chosen, *needed, added]
+
+
+def reduced(catalogue: Mapping[str, Effect], without: Sequence[str], *, key: str = "without") -> dict[str, Effect]:
+    """The catalogue without some of its effects. Raises InputError, about `key`, for a name that it does not have."""
+    for name in without:
+        if name not in catalogue:
+            raise InputError(f"must be an effect of the catalogue: {', '.join(catalogue)}", key=key, value=name)
+    return {name: effect for name, effect in catalogue.items() if name not in without}
+
+
+def candidates(robot: Robot, data: Measurements, catalogue: Mapping[str, Effect] = CATALOGUE) -> Candidates:
+    """Everything in the catalogue, sorted into testable and not."""
+    terms: list[Term] = []
+    reasons: dict[str, str] = {}
+    for name, effect in catalogue.items():
+        driven = data.of_collars and effect.stage == "drive"
+        if reason := DRIVEN_ALREADY if driven else effect.untestable(robot, data):
+            reasons[name] = reason
+        elif name in robot.effects:
+            reasons[name] = "is in the robot file already"
+        else:
+            terms += [term(effect, names, robot) for names in effect.variants(robot, data) if names]
+    return Candidates(tuple(terms), reasons)
+
 
 MOST_WIDENINGS = 3
 WIDENED_FROM = 1.1  # standard deviations of a prior

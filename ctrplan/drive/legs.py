@@ -1,12 +1,25 @@
-"""Straight legs in joint space: which waypoints of a path are corners, and how far points are from the legs."""
+"""Collars that hold the tubes' bases, and straight legs in joint space."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from ctrplan.base.arrays import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Collars:
+    """Base rotations theta (K, n) [rad] and base translations l (K, n) [m], outermost tube first.
+
+    An ideal drive puts them where they are commanded.
+    """
+
+    theta: Array
+    l: Array  # noqa: E741 (as in the equations)
+
 
 MERGE_TOLERANCE = 1e-9  # a merged leg passes its waypoints within this fraction of its length
 REPEAT_TOLERANCE = 1e-12  # rad or m: a waypoint nearer than this to the one before it is the same waypoint

@@ -15,11 +15,11 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.base.catalogue import Catalogue
-from ctrplan.drive.collars import Collars
+from ctrplan.drive.legs import Collars
 from ctrplan.errors import InputError
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.measurement.sensor import Poses
 from ctrplan.robot.robot import Robot
-from ctrplan.sensor.poses import Poses
 
 Stage = Literal["clock", "drive", "mechanics", "sensor"]
 Values = Mapping[str, float]  # parameter -> value, SI

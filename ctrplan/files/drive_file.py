@@ -12,8 +12,7 @@ from msgspec import Meta, Struct
 from ctrplan.base.arrays import Array, read_only
 from ctrplan.drive.drive import UNITS, Drive, Joint, Kind
 from ctrplan.mechanics.tube import Tube
-from ctrplan.storage.number_ranges import Angle, Name
-from ctrplan.storage.toml_document import Document
+from ctrplan.storage.toml_document import Angle, Document, Name
 
 Travel = Annotated[float, Meta(ge=-5000, le=5000)]  # mm; beyond it the value is in another unit
 Gear = Annotated[float, Meta(ge=-1000, le=1000)]

@@ -15,12 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.experiment.joined import joined_paths
-from ctrplan.experiment.joint_path import JointPath
-from ctrplan.experiment.turns import jumps, looks_wrapped, unwrapped
-from ctrplan.files.sources import Source, sources
-from ctrplan.robot.nesting import nesting_violation
-from ctrplan.robot.robot import Robot
+from ctrplan.files.mapping_file import Source, sources
+from ctrplan.measurement.joined import joined_paths
+from ctrplan.measurement.joint_path import JointPath, jumps, looks_wrapped, unwrapped
+from ctrplan.robot.robot import Robot, nesting_violation
 from ctrplan.storage.csv_table import CsvTable
 
 LARGEST_TIME_S = 1e12  # stamps in ns or ms are no seconds

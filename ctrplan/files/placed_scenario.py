@@ -9,11 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ctrplan.base.units import MM_PER_M
-from ctrplan.planning.placing.base_pose import BasePose
-from ctrplan.planning.placing.patch import DIGITS, MM_DIGITS, Pose
-from ctrplan.storage.toml_document import Document
-from ctrplan.storage.toml_text import toml_text
+from ctrplan.base.arrays import MM_PER_M
+from ctrplan.planning.placing.base_pose import DIGITS, MM_DIGITS, BasePose, Pose
+from ctrplan.storage.toml_document import Document, toml_text
 
 TURNS = ("quaternion_wxyz", "direction", "look_at", "roll_deg")
 

@@ -7,22 +7,183 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta, Struct
 from msgspec.structs import asdict
 
 from ctrplan.base.arrays import Array
+from ctrplan.certificate.certificate import Closest
+from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
-from ctrplan.files.plan_entries import PlanEntry
-from ctrplan.files.played_trajectory import places_on_legs, played_samples
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.planning.certified import Closest
-from ctrplan.planning.plan import Plan
-from ctrplan.planning.plan_json import SCHEMA_VERSION, SI_UNITS, plan_to_json
-from ctrplan.planning.scenario import Scenario
-from ctrplan.storage.file_bytes import file_bytes, file_name
+from ctrplan.plans.plan import Plan
+from ctrplan.plans.plan_json import SCHEMA_VERSION, SI_UNITS, plan_to_json
+from ctrplan.scenario.scenario import Scenario
+from ctrplan.storage.csv_table import CsvTable, file_bytes, file_name
 from ctrplan.storage.toml_document import Document
+
+Numbers = list[float | None]  # None: not finite
+
+
+class SourceEntry(Struct):
+    """A file that a plan was made of."""
+
+    sha256: str
+    path: str | None = None
+
+
+class JointEntry(Struct):
+    """A joint of the drive."""
+
+    name: str
+
+
+class LegEntry(Struct):
+    """A leg; joint values by name, each in deg or mm and in SI."""
+
+    start: dict[str, dict[str, float]]
+    end: dict[str, dict[str, float]]
+
+
+class SamplesEntry(Struct):
+    """Columns of the certificate's samples that are judged."""
+
+    joints: Annotated[list[list[float]], Meta(min_length=1)]
+    bound_m: Numbers
+    predicted_m: Numbers
+    clearance_m: Numbers | None = None
+
+
+class TargetEntry(Struct):
+    """A target of the plan."""
+
+    leg: Annotated[int, Meta(ge=0)]
+
+
+class ClosestEntry(Struct):
+    """Where the robot comes closest to the anatomy."""
+
+    clearance_m: float
+    distance_m: float
+    part: str
+    tube: Annotated[int, Meta(ge=1)]
+    point_m: tuple[float, float, float]
+    leg: Annotated[int, Meta(ge=0)]
+    path_mm: float
+    joints: list[float]
+    phi: list[float]
+
+
+class CertificateEntry(Struct):
+    """Claims that are judged."""
+
+    valid: bool
+    worst_bound_m: float | None
+    worst_predicted_m: float | None
+    min_clearance_m: float | None
+    min_stability: float | None
+    max_strain: float | None
+    targets: Annotated[list[TargetEntry], Meta(min_length=1)]
+    samples: SamplesEntry
+    closest: ClosestEntry | None = None
+
+
+class CompensationEntry(Struct):
+    """What the joints were moved by for the predicted tip to arrive."""
+
+    note: str
+
+
+class SettlingEntry(Struct):
+    """The oscillation that ends a plan."""
+
+    amplitude_rad: float
+    first_leg: Annotated[int, Meta(ge=0)]
+
+
+class TrajectoryEntry(Struct):
+    """How the trajectory was sampled."""
+
+    period_s: Annotated[float, Meta(ge=1e-9, le=1e9)] | None
+
+
+class PlanEntry(Struct):
+    """A plan.json."""
+
+    schema_version: int
+    ctrplan_version: str
+    scenario: SourceEntry
+    robot: SourceEntry
+    joints: list[JointEntry]
+    legs: Annotated[list[LegEntry], Meta(min_length=1)]
+    certificate: CertificateEntry
+    trajectory: TrajectoryEntry
+    settling: SettlingEntry | None = None
+    compensation: CompensationEntry | None = None
+
+
+LEAVES = 1e-5  # rad or m by which a sample may lie beside its leg: digits that somebody rounded
+SHORTEST = 1e-4  # rad or m of a leg that no sample may leave out
+
+
+def played_samples(path: str | os.PathLike[str], drive: Drive) -> tuple[Array, Array]:
+    """Times (T,) [s] and joint values (T, m) of a trajectory.csv; other columns are not needed.
+
+    Raises InputError, one sentence with row and column, for what is missing, no finite number, or out of order.
+    """
+    table = CsvTable(file_name(path, "a trajectory.csv"), "trajectory")
+    joints = zip(drive.names, drive.is_rotation.tolist(), strict=True)
+    columns = [f"{'_'.join(name.split())}_position_{'rad' if rotates else 'm'}" for name, rotates in joints]
+    for name in ("time_s", *columns):
+        if name not in table.header:
+            raise table.fault("is missing", column=name)
+    time_s = table.numbers("time_s")
+    for row in (np.flatnonzero(np.diff(time_s) <= 0) + 1).tolist():
+        raise table.fault(f"must be later than the row before, {time_s[row - 1]:.9g} s", row, "time_s", time_s[row])
+    return time_s, np.column_stack([table.numbers(name) for name in columns])
+
+
+def places_on_legs(rows: Array, waypoints: Array, file: str | None, what: str) -> Array:
+    """(T,) leg number plus share of it where joints (T, m) lie on the legs through waypoints (L + 1, m).
+
+    Raises InputError for rows that leave the legs, go back, leave a leg out, or do not go from start to end.
+    """
+    places, leg, share = np.empty(len(rows)), 0, 0.0
+    for k, row in enumerate(rows):
+        leg, share = _next_place(row, waypoints, leg, share, file, f"{what}, sample {k + 1}")
+        places[k] = leg + share
+    for k, end, name in ((0, 0, "start"), (len(rows) - 1, len(waypoints) - 1, "end")):
+        if np.abs(rows[k] - waypoints[end]).max() > LEAVES:
+            raise InputError(f"must be at the {name} of the plan's legs", file=file, key=f"{what}, sample {k + 1}")
+    return places
+
+
+def _next_place(row: Array, waypoints: Array, leg: int, share: float, file: str | None, key: str) -> tuple[int, float]:
+    """The first place at or after (leg, share) where the row lies on the legs."""
+    for k in range(leg, len(waypoints) - 1):
+        chord = waypoints[k + 1] - waypoints[k]
+        length = float(np.linalg.norm(chord))
+        along = float((row - waypoints[k]) @ chord) / length**2 if length > 0 else 0.0
+        at = min(max(along, share if k == leg else 0.0), 1.0)
+        if np.abs(row - waypoints[k] - at * chord).max() <= LEAVES:
+            return k, at
+        if k > leg and length > SHORTEST:
+            break
+    if _apart(row, waypoints) > LEAVES:
+        raise InputError(f"leaves the plan's legs by {_apart(row, waypoints):.3g} rad or m", file=file, key=key)
+    raise InputError("is out of order: the legs do not pass here after the sample before", file=file, key=key)
+
+
+def _apart(row: Array, waypoints: Array) -> float:
+    """Distance [rad or m, the largest joint's] of a row (m,) from the legs."""
+    chords = np.diff(waypoints, axis=0)
+    squares = np.sum(chords**2, axis=1)
+    along = np.sum((row - waypoints[:-1]) * chords, axis=1) / np.where(squares > 0, squares, 1.0)
+    feet = waypoints[:-1] + np.clip(along, 0.0, 1.0)[:, None] * chords
+    return float(np.abs(row - feet).max(axis=1).min())
+
 
 LARGEST_FILE_BYTES = 200_000_000
 SAME = 1e-9  # of a number of a leg in its two units, and of where legs meet, rad or m

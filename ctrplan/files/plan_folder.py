@@ -13,14 +13,13 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from ctrplan.certificate.certificate import Certificate, CertificateSamples, Settling
 from ctrplan.drive.trajectory import PERIOD_S, Trajectory, time_parameterise
 from ctrplan.errors import InputError
-from ctrplan.files.plan_file import WrittenPlan, load_plan
-from ctrplan.files.played_trajectory import played_samples
-from ctrplan.planning.certified import Certificate, CertificateSamples, Settling
-from ctrplan.planning.plan import Plan
-from ctrplan.planning.planned_motion import Compensation, Leg, ReorderReport, leg_kind
-from ctrplan.planning.uncertainty.result import Uncertainty
+from ctrplan.files.plan_file import WrittenPlan, load_plan, played_samples
+from ctrplan.plans.plan import Plan
+from ctrplan.plans.planned_motion import Compensation, Leg, ReorderReport, leg_kind
+from ctrplan.uncertainty.result import Uncertainty
 
 SAME_S, SAME = 1e-6, 1e-6  # of times [s] and joint values [rad, m] that were written with few digits
 TYPES = {"Accuracy": str, "StartFriction": str}  # names that the dataclasses know while types are checked

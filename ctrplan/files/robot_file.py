@@ -7,18 +7,293 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
+import numpy as np
 import tomli_w
+from msgspec import Meta, Struct
 
-from ctrplan.files.drive_file import HomeEntry, build_drive
-from ctrplan.files.robot_entries import MeasurementEntry, RobotEntry, build_contacts, build_markers, build_tubes
-from ctrplan.files.uncertainty_entries import build_intervals
-from ctrplan.robot.nesting import never_nests
-from ctrplan.robot.robot import Robot, diametral_gap_m
-from ctrplan.sensor.noise import SensorNoise
-from ctrplan.storage.atomic_write import write_atomically
-from ctrplan.storage.toml_document import Document, read_document
+from ctrplan.base.arrays import Array, read_only
+from ctrplan.errors import InputError
+from ctrplan.files.drive_file import HomeEntry, JointEntry, build_drive
+from ctrplan.measurement.sensor import Marker, SensorNoise
+from ctrplan.mechanics.tube import SOFTEST_NM2, STIFFEST_NM2, Contact, Tube, TubeSection
+from ctrplan.robot.named_numbers import MAGNITUDE, value_of
+from ctrplan.robot.robot import KEYS, Robot, StatedIntervals, diametral_gap_m, never_nests
+from ctrplan.storage.output_folder import write_atomically
+from ctrplan.storage.toml_document import (
+    LARGEST_NUMBER,
+    Distance,
+    Document,
+    Length,
+    Name,
+    Step,
+    interval_fault,
+    read_document,
+)
+
+MOST_TUBES = 12  # the bound visits 2**(n - 1) corners
+MOST_MARKERS = 200
+LONGEST_TUBE_MM = 5000.0  # beyond these two a value was most likely given in another unit
+LARGEST_CURVATURE_PER_M = 1000.0
+LARGEST_FRICTION = 2.0
+LENGTH_TOLERANCE_M = 1e-9
+TAKEN_NAMES = ("frictionless", "measured")  # of columns beside those of the tip
+
+Curvature = Annotated[float, Meta(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]  # narrower below, with a hint
+
+
+class SectionEntry(Struct, forbid_unknown_fields=True):
+    """[[tube.section]], from base to tip."""
+
+    length_mm: Length
+    curvature_x_per_m: Curvature
+    curvature_y_per_m: Curvature
+
+
+class TubeEntry(Struct, forbid_unknown_fields=True):
+    """[[tube]], outermost first."""
+
+    outer_diameter_mm: Annotated[float, Meta(gt=0, le=1000)]
+    inner_diameter_mm: Annotated[float, Meta(ge=0, le=1000)]
+    bending_stiffness_Nm2: Annotated[float, Meta(ge=SOFTEST_NM2, le=STIFFEST_NM2)]
+    poisson_ratio: Annotated[float, Meta(gt=-0.999, le=0.5)]
+    section: Annotated[list[SectionEntry], Meta(min_length=1)]
+    collar_length_mm: Annotated[float, Meta(ge=0, le=LONGEST_TUBE_MM)] = 0.0
+    max_strain: Annotated[float, Meta(gt=0, le=1)] = 0.08
+    density_kg_m3: Annotated[float, Meta(ge=0, le=1e5)] = 0.0
+    retractable: bool = False
+
+
+class ContactEntry(Struct, forbid_unknown_fields=True):
+    """[[contact]], one per neighbouring pair."""
+
+    # Limits are checked by hand: msgspec 0.22 reads stray memory for a union of a constrained number and a tuple.
+    friction_coefficient: float | list[float]
+    clearance_mm: Annotated[float, Meta(gt=0, le=1000)] | None = None
+
+
+class MeasurementEntry(Struct, forbid_unknown_fields=True):
+    """[measurement]: standard deviations of each coordinate and of a rotation of the tangent about each axis."""
+
+    position_sigma_mm: Annotated[float, Meta(ge=1e-6, le=1000)]
+    tangent_sigma_deg: Annotated[float, Meta(ge=1e-6, le=180)] | None = None  # of a tracker of positions alone
+
+
+class MarkerEntry(Struct, forbid_unknown_fields=True):
+    """[[marker]]: a point of the body whose position is measured, by its distance along a tube from one of its ends."""
+
+    name: Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9]{0,39}$")]
+    tube: Annotated[int, Meta(ge=1, le=MOST_TUBES)]
+    from_tip_mm: Distance | None = None
+    from_base_mm: Distance | None = None
+    position_sigma_mm: Annotated[float, Meta(ge=1e-6, le=1000)] | None = None
+
+
+class UncertaintyEntry(Struct, forbid_unknown_fields=True):
+    """[uncertainty]: 95 % intervals of the file's own numbers, and how errors go together."""
+
+    ci95: dict[str, Any] = {}
+    correlated: list[str] = []
+    correlation: list[list[Annotated[float, Meta(ge=-1.001, le=1.001)]]] = []  # rounded ones too
+
+
+class RobotEntry(Struct, forbid_unknown_fields=True):
+    """A robot file."""
+
+    tube: Annotated[list[TubeEntry], Meta(min_length=1, max_length=MOST_TUBES)]
+    name: Name | None = None
+    contact: list[ContactEntry] = []
+    home: HomeEntry | None = None
+    joint: Annotated[list[JointEntry], Meta(min_length=1)] | None = None
+    model_error_mm: Annotated[float, Meta(ge=0, le=1000)] = 0.0
+    measurement: MeasurementEntry | None = None
+    marker: Annotated[list[MarkerEntry], Meta(max_length=MOST_MARKERS)] = []
+    uncertainty: UncertaintyEntry | None = None
+    effects: dict[str, Any] = {}
+    provenance: dict[str, Any] = {}  # where calibrated values come from
+
+
+def build_tubes(entry: RobotEntry, document: Document) -> tuple[Tube, ...]:
+    """Tubes of the file. Raises InputError for values no tube can have and for tubes that don't fit together."""
+    tubes = tuple(_tube(tube, i, document) for i, tube in enumerate(entry.tube))
+    for i in range(1, len(tubes)):
+        _check_fit(tubes[i - 1], tubes[i], i, document)
+    return tubes
+
+
+def build_contacts(entry: RobotEntry, document: Document) -> tuple[Contact, ...]:
+    """Contacts of the file. Raises InputError unless there is one per neighbouring pair of tubes."""
+    pairs, given = len(entry.tube) - 1, len(entry.contact)
+    if given != pairs:
+        rule = f"must be given once per neighbouring pair of tubes, {pairs} in all, not {given}"
+        raise document.fault(rule, "contact")
+    return tuple(_contact(contact, i, document) for i, contact in enumerate(entry.contact))
+
+
+def build_markers(entry: RobotEntry, document: Document) -> tuple[Marker, ...]:
+    """Markers of the file. Raises InputError for one that is nowhere on its tube and for names given twice."""
+    names = [marker.name for marker in entry.marker]
+    for k, name in enumerate(names):
+        if name in names[:k]:
+            raise document.fault("is the name of another marker", "marker", k, "name")
+        if name in TAKEN_NAMES:
+            raise document.fault("is a word of other columns of poses", "marker", k, "name")
+    return tuple(_marker(marker, k, entry, document) for k, marker in enumerate(entry.marker))
+
+
+def _marker(entry: MarkerEntry, k: int, robot: RobotEntry, document: Document) -> Marker:
+    if entry.tube > len(robot.tube):
+        raise document.fault(f"must be one of the {len(robot.tube)} tubes", "marker", k, "tube")
+    if (entry.from_tip_mm is None) == (entry.from_base_mm is None):
+        raise document.fault("must have from_tip_mm or from_base_mm, one of them", "marker", k)
+    key = "from_tip_mm" if entry.from_base_mm is None else "from_base_mm"
+    length_mm, at_mm = sum(s.length_mm for s in robot.tube[entry.tube - 1].section), getattr(entry, key)
+    if at_mm > length_mm:
+        raise document.fault(f"must be within the tube, which is {length_mm:g} mm long", "marker", k, key)
+    sigma = entry.position_sigma_mm
+    if sigma is not None and robot.measurement is None:
+        rule = "needs the noise of the tip beside it, position_sigma_mm of [measurement]"
+        raise document.fault(rule, "marker", k, "position_sigma_mm")
+    end: Literal["tip", "base"] = "tip" if key == "from_tip_mm" else "base"
+    return Marker(entry.name, entry.tube, at_mm * 1e-3, end, None if sigma is None else sigma * 1e-3)
+
+
+def _tube(entry: TubeEntry, i: int, document: Document) -> Tube:
+    if not entry.inner_diameter_mm < entry.outer_diameter_mm:
+        rule = f"must be smaller than outer_diameter_mm = {entry.outer_diameter_mm:g} mm"
+        raise document.fault(rule, "tube", i, "inner_diameter_mm")
+    sections = tuple(_section(section, i, k, document) for k, section in enumerate(entry.section))
+    tube = Tube(
+        outer_diameter_m=entry.outer_diameter_mm * 1e-3,
+        inner_diameter_m=entry.inner_diameter_mm * 1e-3,
+        bending_stiffness_Nm2=entry.bending_stiffness_Nm2,
+        poisson_ratio=entry.poisson_ratio,
+        sections=sections,
+        collar_length_m=entry.collar_length_mm * 1e-3,
+        max_strain=entry.max_strain,
+        density_kg_m3=entry.density_kg_m3,
+        retractable=entry.retractable,
+    )
+    for k, section in enumerate(sections):
+        if section.curvature_per_m * tube.outer_diameter_m / 2 >= 1:
+            bend = f"bends by a radius of {1e3 / section.curvature_per_m:.3g} mm"
+            rule = f"{bend}, must be more than the tube's own outer radius"
+            raise document.fault(rule, "tube", i, "section", k)
+    if tube.length_m * 1e3 > LONGEST_TUBE_MM:
+        rule = f"sections add up to {tube.length_m * 1e3:g} mm, must be at most 5000 mm, are they in millimetres?"
+        raise document.fault(rule, "tube", i)
+    return tube
+
+
+def _section(entry: SectionEntry, i: int, k: int, document: Document) -> TubeSection:
+    if entry.length_mm > LONGEST_TUBE_MM:
+        rule = "must be at most 5000 mm, is it in millimetres?"
+        raise document.fault(rule, "tube", i, "section", k, "length_mm")
+    for key in ("curvature_x_per_m", "curvature_y_per_m"):
+        if abs(getattr(entry, key)) > LARGEST_CURVATURE_PER_M:
+            rule = "must be within -1000 to 1000 1/m, is it per metre?"
+            raise document.fault(rule, "tube", i, "section", k, key)
+    return TubeSection(entry.length_mm * 1e-3, entry.curvature_x_per_m, entry.curvature_y_per_m)
+
+
+def _check_fit(outer: Tube, inner: Tube, i: int, document: Document) -> None:
+    """`inner` is tube i (from 0)."""
+    if not inner.outer_diameter_m < outer.inner_diameter_m:
+        rule = f"must be smaller than tube.{i}.inner_diameter_mm = {outer.inner_diameter_m * 1e3:g} mm"
+        raise document.fault(rule, "tube", i, "outer_diameter_mm")
+    needed = outer.length_m + inner.collar_length_m
+    if inner.length_m < needed - LENGTH_TOLERANCE_M and not inner.retractable:
+        rule = (
+            f"sections add up to {inner.length_m * 1e3:g} mm, must be at least {needed * 1e3:g} mm: the length of "
+            f"tube {i} ({outer.length_m * 1e3:g} mm) and this tube's collar ({inner.collar_length_m * 1e3:g} mm)"
+        )
+        raise document.fault(rule, "tube", i)
+
+
+def _contact(entry: ContactEntry, i: int, document: Document) -> Contact:
+    friction = entry.friction_coefficient
+    interval = friction if isinstance(friction, list) else [friction, friction]
+    if len(interval) != 2 or not 0 <= interval[0] <= interval[1] <= LARGEST_FRICTION:
+        rule = "must be a number from 0 to 2, or an interval [low, high] within 0 to 2 with low <= high"
+        raise document.fault(rule, "contact", i, "friction_coefficient")
+    clearance_m = None if entry.clearance_mm is None else entry.clearance_mm * 1e-3
+    return Contact((interval[0], interval[1]), clearance_m)
+
+
+ROUNDING = 1e-3  # of correlations
+PLACE = ("uncertainty", "ci95")
+
+
+def build_intervals(entry: UncertaintyEntry | None, robot: Robot, document: Document) -> StatedIntervals:
+    """The table in SI. Raises InputError for what is no number of the file, no interval, or no correlation."""
+    if entry is None:
+        return StatedIntervals()
+    found: dict[str, tuple[float, float]] = {}
+    for path, ends in _flat(entry.ci95):
+        name, si = _named(path, robot, document)
+        value = value_of(robot, name)
+        if fault := interval_fault(ends, value / si):
+            raise document.fault(fault, *PLACE, *path)
+        if name.endswith(MAGNITUDE) and value == 0:
+            raise document.fault("has no direction, the section is straight", *PLACE, *path)
+        found[name] = float(ends[0]) * si, float(ends[1]) * si
+    names = tuple(_correlated(name, robot, found, document) for name in entry.correlated)
+    return StatedIntervals(found, names, _correlation(entry, document))
+
+
+def _flat(table: Mapping[str, Any], path: tuple[Step, ...] = ()) -> Iterator[tuple[tuple[Step, ...], Any]]:
+    """Keys as `tube.2.poisson_ratio`, written in quotes or as tables in tables."""
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from _flat(value, (*path, key))
+        else:
+            yield (*path, key), value
+
+
+def _named(path: tuple[Step, ...], robot: Robot, document: Document) -> tuple[str, float]:
+    """The number's name and the SI value of its unit in the file."""
+    stem, _, key = ".".join(map(str, path)).rpartition(".")
+    try:
+        name, si = KEYS[key]
+        value_of(robot, f"{stem}.{name}")
+    except (KeyError, InputError):
+        known = ", ".join(KEYS)
+        rule = (
+            f"is no number of this file that may have an interval, such as tube.1.poisson_ratio; those end in {known}"
+        )
+        raise document.fault(rule, *PLACE, *path) from None
+    return f"{stem}.{name}", si
+
+
+def _correlated(name: str, robot: Robot, found: Mapping[str, Any], document: Document) -> str:
+    """The name, SI, if it has an interval."""
+    kind, *rest = name.split(".")
+    if kind == "effects" and len(rest) == 2:
+        table = robot.effects.get(rest[0], {})
+        if isinstance(table, dict) and rest[1] in table.get("ci95", {}):
+            return name
+    stem, _, key = name.rpartition(".")
+    if key in KEYS and f"{stem}.{KEYS[key][0]}" in found:
+        return f"{stem}.{KEYS[key][0]}"
+    raise document.fault(f'"{name}" has no 95 % interval in this file', "uncertainty", "correlated")
+
+
+def _correlation(entry: UncertaintyEntry, document: Document) -> Array | None:
+    count = len(entry.correlated)
+    if any(len(row) != count for row in entry.correlation) or len(entry.correlation) != count:
+        raise document.fault(f"must be {count} rows of {count} numbers, as `correlated`", "uncertainty", "correlation")
+    if len(set(entry.correlated)) != count:
+        raise document.fault("names a parameter twice", "uncertainty", "correlated")
+    if not count:
+        return None
+    found = np.array(entry.correlation)
+    symmetric = np.allclose(found, found.T, rtol=0, atol=ROUNDING) and np.allclose(np.diag(found), 1, rtol=0)
+    if not symmetric or np.linalg.eigvalsh((found + found.T) / 2).min() < -count * ROUNDING:
+        rule = "must be a correlation: symmetric, 1 on its diagonal, no negative eigenvalue"
+        raise document.fault(rule, "uncertainty", "correlation")
+    return read_only((found + found.T) / 2)
+
 
 LARGEST_CLEARANCE_RATIO = 0.02  # of the smallest radius of curvature (Ha et al. 2019, section I)
 SMALLEST_CLEARANCE_M = 5e-6  # the meshes do not resolve the contact forces of smaller ones (docs/model.md)
@@ -66,8 +341,10 @@ def _build(document: Document) -> Robot:
     robot = replace(robot, intervals=intervals, warnings=tuple(_clearance_warnings(robot, document)))
     if not robot.effects:
         return robot
-    from ctrplan.pipeline.file_effects import check_effects
-    from ctrplan.pipeline.installed import installed  # slow to import; most robots have no effects
+    from ctrplan.pipeline.installed import (
+        check_effects,
+        installed,  # slow to import; most robots have no effects
+    )
 
     check_effects(robot, document)
     return installed(robot)

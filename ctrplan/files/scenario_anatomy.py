@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ctrplan.base.units import LONGEST_MM, MM_PER_M
-from ctrplan.files.chosen_table import chosen
-from ctrplan.planning.scenario import Goal
+from ctrplan.base.arrays import LONGEST_MM, MM_PER_M
+from ctrplan.scenario.scenario import Goal
 from ctrplan.storage.toml_document import Document
-from ctrplan.storage.toml_table import Table
+from ctrplan.storage.toml_table import Table, chosen
 
 if TYPE_CHECKING:
     from ctrplan.anatomy.fixture import Fixture

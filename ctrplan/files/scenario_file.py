@@ -1,4 +1,4 @@
-"""Scenario files (TOML) -> Scenario."""
+"""Scenario files (TOML) -> Scenario; a robot file stands in free space."""
 
 from __future__ import annotations
 
@@ -7,28 +7,176 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Annotated, Any, Literal, cast, get_args
 
 import numpy as np
+from msgspec import Meta, Struct
+from scipy.spatial.transform import Rotation
 
-from ctrplan.anatomy.images.kept import images_kept
-from ctrplan.base.arrays import Array, read_only
-from ctrplan.base.directions import unit
-from ctrplan.files.base_rotation import base_rotation
-from ctrplan.files.robot_file import load_robot
+from ctrplan.anatomy.images.image_file import images_kept
+from ctrplan.base.arrays import MOST_TURNS_DEG, Array, read_only, shortest_rotation, unit
+from ctrplan.drive.drive import Joint
+from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_anatomy import anatomy_notes, anatomy_part, fixture, refuse_targets_outside_images
-from ctrplan.files.scenario_entries import (
-    CostEntry,
-    GoalEntry,
-    ScenarioEntry,
-    joint_values,
-    planner_settings,
+from ctrplan.robot.robot import Robot, nesting_violation
+from ctrplan.scenario.bare_scenario import bare_scenario
+from ctrplan.scenario.scenario import Cost, Goal, Margins, PlannerSettings, Registration, Scenario, StartFriction
+from ctrplan.storage.toml_document import (
+    Angle,
+    Document,
+    Length,
+    Name,
+    Point,
+    Step,
+    Tolerance,
+    Vector,
+    Weight,
+    checked_overrides,
+    metres,
+    read_document,
 )
-from ctrplan.planning.scenario import Cost, Goal, Margins, Registration, Scenario, StartFriction
-from ctrplan.robot.robot import Robot
-from ctrplan.storage.number_ranges import Vector, metres
-from ctrplan.storage.toml_document import Document, Step, checked_overrides, read_document
-from ctrplan.storage.toml_table import Table, file_inside
+from ctrplan.storage.toml_table import Table, chosen, file_inside
+
+LIMIT_TOLERANCE = 1e-9  # rad or m
+
+Share = Annotated[float, Meta(ge=-2, le=2)]  # of a quaternion
+
+
+class BaseEntry(Struct, forbid_unknown_fields=True, frozen=True):
+    """[base]: the robot frame in the anatomy's frame; without any of three ways to turn it, it is not turned."""
+
+    position_mm: Point = (0.0, 0.0, 0.0)
+    quaternion_wxyz: tuple[Share, Share, Share, Share] | None = None
+    direction: Vector | None = None  # of the robot's z axis, which it gets to by the shortest rotation
+    look_at: Point | None = None  # mm, a point that the z axis goes through
+    roll_deg: Angle | None = None  # about the z axis, before that
+    position_sigma_mm: Annotated[float, Meta(ge=0, le=1000)] = 0.0  # standard deviation of each coordinate
+    rotation_sigma_deg: Annotated[float, Meta(ge=0, le=180)] = 0.0  # of a small rotation about each axis
+
+
+class GoalEntry(Struct, forbid_unknown_fields=True):
+    """[goal] or one [[target]]: joints, or a tip position or a line for the tip in the anatomy's frame."""
+
+    name: Name | None = None
+    joints: dict[str, Any] | None = None
+    tip_mm: Point | None = None
+    line_mm: Annotated[list[Point], Meta(min_length=2, max_length=1000)] | None = None
+    tolerance_mm: Tolerance = 1.0
+    direction: Vector | None = None
+    direction_tolerance_deg: Annotated[float, Meta(gt=0, le=180)] | None = None
+
+
+class MarginsEntry(Struct, forbid_unknown_fields=True, frozen=True):
+    """[margins]."""
+
+    stability: Annotated[float, Meta(ge=0, le=1000)] = Margins.stability
+    max_strain: Annotated[float, Meta(gt=0, le=1)] = Margins.max_strain
+
+
+class CostEntry(Struct, forbid_unknown_fields=True, frozen=True):
+    """[cost]: weights of a cost in mm."""
+
+    path: Weight = Cost.path
+    mm_per_rad: Annotated[float, Meta(ge=1e-3, le=1e5)] = Cost.mm_per_rad
+    error_along: Weight = Cost.error_along
+    error_goal: Weight = Cost.error_goal
+    max_error_goal_mm: Length | None = None
+    stop: Weight = Cost.stop
+
+
+class ScenarioEntry(Struct, forbid_unknown_fields=True):
+    """A scenario file."""
+
+    robot: str
+    start: dict[str, Any]
+    goal: GoalEntry | None = None
+    target: list[GoalEntry] = []
+    name: Name | None = None
+    frame: Literal["RAS", "LPS"] | None = None  # of the patient, in which the scenario's places are said
+    base: BaseEntry = BaseEntry()
+    anatomy: list[dict[str, Any]] = []  # of the kind that each names, see scenario_anatomy
+    fixture: list[dict[str, Any]] = []  # bodies at the base, see scenario_anatomy
+    margins: MarginsEntry = MarginsEntry()
+    cost: CostEntry = CostEntry()
+    planner: dict[str, Any] = {}  # of the planner that it names, see planner_settings
+
+
+def joint_values(table: dict[str, Any], robot: Robot, document: Document, *path: Step) -> Array:
+    """(m,) rad or m from a table of joint names in deg or mm; `path` is the table's own key.
+
+    Raises InputError for an unknown or missing joint, a value beyond its limits, and tubes that don't nest.
+    """
+    joints = robot.drive.joints
+    for name in table:
+        if name not in robot.drive.names:
+            raise document.fault(f"unknown joint, the robot has {', '.join(robot.drive.names)}", *path, name)
+    q = read_only([_joint_value(table, joint, document, *path) for joint in joints])
+    if violation := nesting_violation(robot, *robot.drive.collars(q)):
+        raise document.fault(violation, *path)
+    return q
+
+
+def _joint_value(table: dict[str, Any], joint: Joint, document: Document, *path: Step) -> float:
+    if joint.name not in table:
+        raise document.fault(f"is missing, every joint needs a value (in {joint.unit})", *path, joint.name)
+    value = table[joint.name]
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise document.fault(f"must be a number (in {joint.unit})", *path, joint.name)
+    if not abs(value) <= MOST_TURNS_DEG:  # also of rotations without limits
+        rule = f"must be from {-MOST_TURNS_DEG:g} to {MOST_TURNS_DEG:g} {joint.unit}"
+        raise document.fault(rule, *path, joint.name, unit=joint.unit)
+    q = float(value) * joint.si_per_unit
+    if not joint.lower - LIMIT_TOLERANCE <= q <= joint.upper + LIMIT_TOLERANCE:
+        lower, upper = joint.lower / joint.si_per_unit, joint.upper / joint.si_per_unit
+        rule = f"must be within the joint's limits, {lower:.9g} to {upper:.9g} {joint.unit}"
+        raise document.fault(rule, *path, joint.name, unit=joint.unit)
+    return q
+
+
+def planner_settings(table: Table) -> PlannerSettings:
+    """[planner]. Raises InputError for a planner that there is not, and for settings that are not its own."""
+    from ctrplan.scenario.scenario import CATALOGUE, DEFAULT
+
+    return chosen(table, "name", CATALOGUE, PlannerSettings, DEFAULT)
+
+
+QUATERNION_TOLERANCE = 1e-3
+WAYS = ("quaternion_wxyz", "direction", "look_at")
+
+
+def base_rotation(base: BaseEntry, document: Document) -> Array:
+    """(3, 3) from the robot's frame to the anatomy's. Raises InputError for two ways of saying it, and none."""
+    given = [way for way in WAYS if getattr(base, way) is not None]
+    if len(given) > 1:
+        raise document.fault(f"must have only one of {', '.join(WAYS)}, has {' and '.join(given)}", "base")
+    if base.roll_deg is not None and given not in (["direction"], ["look_at"]):
+        raise document.fault("goes with direction or look_at", "base", "roll_deg")
+    if given in ([], ["quaternion_wxyz"]):
+        return _turned(base.quaternion_wxyz or (1.0, 0.0, 0.0, 0.0), document)
+    roll = Rotation.from_euler("z", base.roll_deg or 0.0, degrees=True).as_matrix()
+    return read_only(shortest_rotation(_direction(base, document)) @ roll)
+
+
+def _turned(wxyz: tuple[float, float, float, float], document: Document) -> Array:
+    w, x, y, z = wxyz
+    norm = math.hypot(w, x, y, z)
+    if not abs(norm - 1) <= QUATERNION_TOLERANCE:
+        rule = f"must have norm 1 within {QUATERNION_TOLERANCE}, has {norm:g}"
+        raise document.fault(rule, "base", "quaternion_wxyz")
+    return read_only(Rotation.from_quat([x, y, z, w]).as_matrix())
+
+
+def _direction(base: BaseEntry, document: Document) -> Array:
+    """(3,) of any length."""
+    if base.direction is not None:
+        if not any(base.direction):
+            raise document.fault("must not be zero", "base", "direction")
+        return np.array(base.direction)
+    away: Array = np.subtract(base.look_at or base.position_mm, base.position_mm)
+    if not away.any():
+        raise document.fault("must not be the base's own position_mm", "base", "look_at")
+    return away
+
 
 ROBOT_PREFIX = "robot."
 FRICTION = "friction"  # the key of [start] that is no joint
@@ -155,3 +303,13 @@ def _unit_vector(vector: Vector, document: Document, *path: Step) -> Array:
 def _cost(entry: CostEntry) -> Cost:
     limit_m = None if entry.max_error_goal_mm is None else entry.max_error_goal_mm * 1e-3
     return Cost(entry.path, entry.mm_per_rad, entry.error_along, entry.error_goal, limit_m, entry.stop)
+
+
+def load_robot_or_scenario(
+    path: str | os.PathLike[str], overrides: Sequence[str] = (), *, allow_outside: bool = False
+) -> Scenario:
+    """The scenario of a file, or the bare scenario of a robot file: what has tubes is a robot. Raises InputError."""
+    document = read_document(path)
+    if "tube" not in document.content:
+        return load_scenario(path, overrides, allow_outside=allow_outside)
+    return bare_scenario(robot_from_dict(document.with_overrides(overrides).content, file=document.file))

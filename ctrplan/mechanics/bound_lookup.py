@@ -1,4 +1,4 @@
-"""Bounds looked up on a grid in the core; `ctrplan.planning.bound_table` decides what is on it."""
+"""Bounds looked up on a grid in the core; `ctrplan.motion.bound_table` decides what is on it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ctrplan import _model
 from ctrplan.base.arrays import Array
 from ctrplan.mechanics.core import Mechanics
 from ctrplan.mechanics.core_arrays import core_density, core_grid, core_limits, joint_rows, promised
-from ctrplan.mechanics.core_errors import input_errors
+from ctrplan.mechanics.shapes import input_errors
 from ctrplan.mechanics.walk import Field, PathDensity, PathLimits, PathSamples
 
 COLUMNS = {name: slice(first, first + count) for name, (first, count) in _model.entry_columns().items()}

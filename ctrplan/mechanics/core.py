@@ -15,11 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from ctrplan import _model
 from ctrplan.base.arguments import EXECUTOR, PROGRESS, Choice, Flag, Made, Number, Texts, Whole, checked, require
 from ctrplan.base.arrays import Array, numbers
-from ctrplan.base.cores import core_threads
-from ctrplan.base.progress import Progress, part_of
+from ctrplan.base.long_work import Progress, core_threads, part_of
 from ctrplan.errors import InputError
 from ctrplan.mechanics.accuracy import Accuracy
-from ctrplan.mechanics.batch import bounds_in_chunks, bounds_on_executor, chunks, rows_in_a_chunk
 from ctrplan.mechanics.core_arrays import (
     core_density,
     core_grid,
@@ -27,6 +25,7 @@ from ctrplan.mechanics.core_arrays import (
     core_loads,
     core_pair,
     core_tube,
+    directions,
     joint_row,
     joint_rows,
     joint_table,
@@ -36,19 +35,24 @@ from ctrplan.mechanics.core_arrays import (
     sound,
     worst,
 )
-from ctrplan.mechanics.core_errors import input_errors
-from ctrplan.mechanics.derivative_names import directions
-from ctrplan.mechanics.friction_states import SPACING, FrictionStates
-from ctrplan.mechanics.loads import Loads
-from ctrplan.mechanics.nesting import nests
-from ctrplan.mechanics.shapes import Bound, Bounds, FrictionBodies, Shape, Tips
-from ctrplan.mechanics.tube import RANGES, SECTION_RANGES
-from ctrplan.mechanics.walk import Field, PathDensity, PathLimits, PathSamples
+from ctrplan.mechanics.friction import SPACING, FrictionStates
+from ctrplan.mechanics.shapes import Bound, Bounds, FrictionBodies, Shape, Tips, input_errors
+from ctrplan.mechanics.tube import RANGES, SECTION_RANGES, Loads, nests
+from ctrplan.mechanics.walk import (
+    Field,
+    PathDensity,
+    PathLimits,
+    PathSamples,
+    bounds_in_chunks,
+    bounds_on_executor,
+    chunks,
+    rows_in_a_chunk,
+)
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from ctrplan.mechanics.history_options import HistoryOptions
+    from ctrplan.mechanics.accuracy import HistoryOptions
     from ctrplan.mechanics.tube import Tube
 
 
@@ -231,7 +235,7 @@ class Mechanics:
     ) -> Tips:
         """Tips of K friction states, theta_b, l_b (K, n), phi (K, n - 1), and their derivatives by P parameters.
 
-        Parameters are named as in `ctrplan.mechanics.derivative_names`. Rows of one configuration are solved
+        Parameters are named as in `ctrplan.mechanics.core_arrays`. Rows of one configuration are solved
         faster when they follow each other. Derivatives are those of the discretised equations; NaN where a
         solve FAILED, where a collar, joint or tip would pass another one, by the compliance of a shaft that is
         rigid, and where a load is so large that its own change does not settle. Collars, joints and tips that

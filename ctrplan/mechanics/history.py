@@ -16,14 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.base.arguments import PROGRESS, Choice, Made, checked
 from ctrplan.base.arrays import Array, numbers
-from ctrplan.base.progress import Progress
+from ctrplan.base.long_work import Progress
 from ctrplan.errors import InputError, SolverError
 from ctrplan.mechanics.accuracy import Accuracy
+from ctrplan.mechanics.accuracy import HistoryOptions as HistoryOptions
 from ctrplan.mechanics.core import Mechanics
 from ctrplan.mechanics.core_arrays import joint_row, joint_rows, shape_from_core
-from ctrplan.mechanics.core_errors import input_errors
-from ctrplan.mechanics.history_options import HistoryOptions as HistoryOptions
-from ctrplan.mechanics.shapes import Shape, Status
+from ctrplan.mechanics.shapes import Shape, Status, input_errors
 
 if TYPE_CHECKING:
     import ctrplan._model as _model

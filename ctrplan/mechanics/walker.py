@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 from ctrplan import _model
 from ctrplan.base.arrays import Array
 from ctrplan.mechanics.core_arrays import joint_row, solved_bound
-from ctrplan.mechanics.core_errors import input_errors
-from ctrplan.mechanics.shapes import Bound, Status
+from ctrplan.mechanics.shapes import Bound, Status, input_errors
 
 
 @dataclass(frozen=True, eq=False)

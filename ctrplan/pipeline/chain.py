@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.drive.collars import Collars
+from ctrplan.drive.legs import Collars
 from ctrplan.effects.effect import Effect, Stage, Values
-from ctrplan.effects.of_file import NOTES, effect_of
-from ctrplan.experiment.friction_states import friction_state
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.effects.learned.learned import FILE_NOTES, effect_of
+from ctrplan.measurement.approach import friction_state
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.measurement.sensor import Poses, moved_rigidly
 from ctrplan.robot.named_numbers import with_values
 from ctrplan.robot.robot import Robot
-from ctrplan.sensor.poses import Poses, moved_rigidly
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ def acting_in_file(robot: Robot) -> tuple[Acting, ...]:
     for name, table in robot.effects.items():
         effect = effect_of(name, table, robot.n)
         si = {parameter.name: parameter.si for parameter in effect.parameters(robot.ideal or robot)}
-        values = {key: float(value) * si[key] for key, value in table.items() if key not in NOTES}
+        values = {key: float(value) * si[key] for key, value in table.items() if key not in FILE_NOTES}
         found.append(Acting(effect, values))
     return tuple(found)
 

@@ -1,4 +1,7 @@
-"""The robot followed along whole runs, friction and all: tips and friction states at the poses of a continuous motion.
+"""Whole runs followed with friction: tips, markers and friction states at the poses of a continuous motion.
+
+At rest after a 90 degree approach the states are right, and a finer mesh gives the rest. On a continuous motion
+friction is spread unevenly along the tubes, and the whole path is simulated.
 
 The whole motion is simulated, however few of the poses are asked about. Where a simulation stops, it begins again at
 the next waypoint, from the friction state it had; the tip remembers that for some tens of degrees only.
@@ -13,14 +16,30 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import SolverError
-from ctrplan.experiment.needed_waypoints import needed_waypoints
-from ctrplan.mechanics.history import Start
+from ctrplan.measurement.approach import friction_state, needed_waypoints
+from ctrplan.mechanics.history import History, HistoryPath, Start
 from ctrplan.mechanics.shapes import Status
 from ctrplan.pipeline.parametric_chain import ParametricChain
-from ctrplan.pipeline.point_table import on_body
-from ctrplan.pipeline.tip_table import nested
-from ctrplan.pipeline.walked_markers import walked
+from ctrplan.pipeline.tip_table import markers_on, nested, on_body, point_table
 from ctrplan.robot.robot import Robot
+
+
+def walked(robot: Robot, history: History, theta_b: Array, l_b: Array) -> tuple[HistoryPath, Array]:
+    """The history along collars (K, n) [rad], (K, n) [m], and (K, M, 6) position [m] and tangent of M markers.
+
+    NaN after a waypoint without an equilibrium. Without markers it is one call into the core.
+    """
+    markers = np.full((len(theta_b), len(robot.markers), 6), np.nan)
+    if not robot.markers:
+        return history.follow(theta_b, l_b), markers
+    steps = []
+    for k in range(len(theta_b)):
+        steps.append(history.follow(theta_b[k : k + 1], l_b[k : k + 1]))
+        if steps[-1].status[0] < Status.FAILED:
+            markers[k] = np.hstack(markers_on(robot, history.shape(), l_b[k]))
+    names = HistoryPath.__dataclass_fields__
+    return HistoryPath(*(np.concatenate([getattr(step, name) for step in steps]) for name in names)), markers
+
 
 MOST_RESTARTS = 20  # of a run; a robot that fails more often is not this robot
 
@@ -84,3 +103,26 @@ def _run(robot: Robot, theta: Array, l_b: Array) -> tuple[Array, int]:
             if restarts > MOST_RESTARTS:
                 break
     return table, restarts
+
+
+LARGEST_M = 5e-3  # corrections beyond it are a path that snapped, and are left out
+
+
+def friction_correction(chain: ParametricChain, p: Array) -> tuple[Array, Array] | None:
+    """What to add to positions (K, 3) [m] and tangents (K, 3) at parameters (P,); None without friction."""
+    robot = chain.at(p).mechanics
+    if not robot.friction.any():
+        return None
+    # friction that a rest or a speed has changed is as much less in the states as in the history, to first order
+    collars, phi = chain.collars(p), friction_state(chain.data, chain.at(p).release_m)
+    coarse = point_table(robot, chain.data, collars, phi)
+    if chain.data.is_stream:
+        path = followed(chain, p)
+        position, tangent = path.position_m, path.tangent
+    else:
+        fine = point_table(robot, chain.data, collars, phi, accuracy="certificate")
+        position, tangent = fine.position_m, fine.tangent
+    shift, turn = position - coarse.position_m, tangent - coarse.tangent
+    wild = ~(np.linalg.norm(shift, axis=1) < LARGEST_M)
+    shift[wild], turn[wild] = 0.0, 0.0
+    return shift, turn

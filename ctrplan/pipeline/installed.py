@@ -1,4 +1,4 @@
-"""A robot with its effects at work in it: what bounds, plans, goals and the live view ask.
+"""A robot with its effects at work in it: what bounds, plans, goals and the live view evaluate.
 
 Effects of the mechanics are in its tubes, contacts and loads, those of the drive in `drive.collars`. Effects of the
 clock and of the sensor change what is measured, not where the robot is: the chain has them.
@@ -6,14 +6,86 @@ clock and of the sensor change what is measured, not where the robot is: the cha
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ctrplan.base.arrays import Array
-from ctrplan.drive.collars import Collars
+from ctrplan.drive.legs import Collars
+from ctrplan.effects.effect import CATALOGUE, Parameter
+from ctrplan.effects.learned import learned as learned_table
+from ctrplan.effects.learned.inputs import Situation, unit
+from ctrplan.effects.learned.learned import COMMON_NOTES, FILE_NOTES, Learned, effect_of
+from ctrplan.measurement.sensor import Poses
 from ctrplan.pipeline.chain import Chain
 from ctrplan.robot.robot import Robot
+from ctrplan.storage.toml_document import Document, interval_fault
+
+
+def check_effects(robot: Robot, document: Document) -> None:
+    """Raises InputError for an effect that is not in the catalogue and for parameters it does not have."""
+    for name, table in robot.effects.items():
+        if learned_table.is_learned(name):
+            for key, rule in learned_table.faults(name, table, COMMON_NOTES, robot.n):
+                raise document.fault(rule, "effects", name, *([key] if key else []))
+        elif name not in CATALOGUE:
+            raise document.fault(f"unknown effect, known ones are {', '.join(CATALOGUE)}", "effects", name)
+        known = {parameter.name: parameter for parameter in effect_of(name, table, robot.n).parameters(robot)}
+        for key, value in table.items():
+            if key in (FILE_NOTES if learned_table.is_learned(name) else COMMON_NOTES):
+                continue
+            if key not in known:
+                raise document.fault(f"unknown parameter, known ones are {', '.join(known)}", "effects", name, key)
+            if isinstance(value, bool) or not isinstance(value, (int, float)):
+                raise document.fault("must be a number", "effects", name, key)
+            low, high = known[key].lower, known[key].upper
+            if not low <= value <= high:
+                raise document.fault(f"must be from {low:g} to {high:g}", "effects", name, key)
+        _check_intervals(name, table, known, document)
+
+
+def _check_intervals(name: str, table: Mapping[str, Any], known: Mapping[str, Parameter], document: Document) -> None:
+    intervals = table.get("ci95", {})
+    if not isinstance(intervals, dict):
+        raise document.fault("must be a table of intervals", "effects", name, "ci95")
+    for key, ends in intervals.items():
+        if key not in known:
+            raise document.fault(f"unknown parameter, known ones are {', '.join(known)}", "effects", name, "ci95", key)
+        if fault := interval_fault(ends, float(table.get(key, known[key].neutral))):
+            raise document.fault(fault, "effects", name, "ci95", key)
+        if not (known[key].lower <= ends[0] and ends[1] <= known[key].upper):
+            rule = f"must be from {known[key].lower:g} to {known[key].upper:g}"
+            raise document.fault(rule, "effects", name, "ci95", key)
+
+
+def range_notes(
+    robot: Robot, theta_commanded: ArrayLike, l_commanded: ArrayLike, poses: Poses | None = None
+) -> tuple[str, ...]:
+    """One sentence for each input that leaves its range, at rotations (n,) or (K, n) [rad] and translations [m] alike.
+
+    `poses` are the K tips, for terms of the sensor; without them nothing is said about tips.
+    """
+    built = [given.effect for given in Chain.of(robot).acting if isinstance(given.effect, Learned)]
+    if not built:
+        return ()
+    theta, l = np.atleast_2d(np.asarray(theta_commanded, float)), np.atleast_2d(np.asarray(l_commanded, float))  # noqa: E741
+    at = Situation(theta, l, poses=poses, tubes=robot.tubes)
+    return tuple(_sentence(effect, name, worst) for effect in built for name, worst in effect.leaves(at).items())
+
+
+def plan_range_notes(robot: Robot, joints: Array) -> tuple[str, ...]:
+    """The same of joint values (K, m), in the order of the drive."""
+    return range_notes(robot, *robot.drive.commanded(joints))
+
+
+def _sentence(effect: Learned, name: str, worst: float) -> str:
+    span, of = effect.ranges[name], unit(name)
+    ends = f"{span.low:.4g} to {span.high:.4g} {of}".rstrip()
+    where = f"{name} reaches {worst:.4g} {of}".rstrip()
+    return f"{effect.name} was built from data with {name} from {ends}; here {where}, and it is held at the edge."
 
 
 def installed(robot: Robot) -> Robot:

@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
-from ctrplan.experiment.measurements import Measurements
-from ctrplan.pipeline.point_table import markers_on, on_body
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.pipeline.tip_table import markers_on, on_body
 from ctrplan.robot.robot import Robot
 
 LEAST_POSES = 4

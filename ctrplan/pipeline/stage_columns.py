@@ -12,15 +12,14 @@ from typing import Protocol
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.drive.collars import Collars
+from ctrplan.drive.legs import Collars
 from ctrplan.effects.effect import Parameter
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.measurement.sensor import Poses, frames_along
 from ctrplan.pipeline.chain import Chain
-from ctrplan.pipeline.point_table import point_table
 from ctrplan.pipeline.term import Term
-from ctrplan.pipeline.tip_table import TipTable
+from ctrplan.pipeline.tip_table import TipTable, point_table
 from ctrplan.robot.named_numbers import value_of
-from ctrplan.sensor.poses import Poses, frames_along
 
 STEP = 1e-4  # of a parameter's prior, for the stages that are arithmetic
 COARSE_STEP = 0.005  # of a parameter's prior, where the mechanics are differenced

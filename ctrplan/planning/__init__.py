@@ -6,16 +6,14 @@ For an OMPL set-up of one's own: `state_space`, `Validity`, `MotionValidity` and
 
 from __future__ import annotations
 
-from ctrplan.planning.certified import Certificate, CertificateSamples
+from ctrplan.certificate.certificate import Certificate, CertificateSamples
+from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.finish.reorder import reorder
-from ctrplan.planning.joint_space import JointSpace, l_shaped
-from ctrplan.planning.motion import MotionChecker
-from ctrplan.planning.plan import Plan
-from ctrplan.planning.planned_motion import Leg, ReorderReport
 from ctrplan.planning.planner import plan
-from ctrplan.planning.search.objective import BoundObjective
-from ctrplan.planning.search.ompl_space import StateReader, state_space
-from ctrplan.planning.search.validity import MotionValidity, Validity
+from ctrplan.planning.search.ompl_set_up import BoundObjective, MotionValidity, StateReader, Validity, state_space
+from ctrplan.plans.plan import Plan
+from ctrplan.plans.planned_motion import Leg, ReorderReport
+from ctrplan.scenario.joint_space import JointSpace, l_shaped
 
 __all__ = [
     "BoundObjective",

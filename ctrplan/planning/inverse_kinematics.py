@@ -11,15 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ctrplan.base.arguments import SEED, Number, Whole, checked, require
-from ctrplan.base.arrays import numbers
-from ctrplan.base.units import LONGEST_MM
+from ctrplan.base.arrays import LONGEST_MM, numbers
 from ctrplan.errors import InputError
-from ctrplan.planning.bare_scenario import bare_scenario
-from ctrplan.planning.goals.branches import Configuration, Reach, reach
-from ctrplan.planning.goals.tip_solver import TipTarget
-from ctrplan.planning.motion import MotionChecker, path_limits
-from ctrplan.planning.scenario import Scenario
+from ctrplan.motion.checker import MotionChecker, path_limits
+from ctrplan.planning.goals.reach import Configuration, Reach, reach
 from ctrplan.robot.robot import Robot
+from ctrplan.scenario.bare_scenario import bare_scenario
+from ctrplan.scenario.scenario import Scenario
+from ctrplan.scenario.tip_solver import TipTarget
 
 if TYPE_CHECKING:
     from ctrplan.base.arrays import Array

@@ -15,38 +15,32 @@ import numpy as np
 
 from ctrplan.base.arguments import EVENT, PROGRESS, SEARCH_TIME, SEED, Flag, Made, checked
 from ctrplan.base.arrays import Array
-from ctrplan.base.interrupts import interrupt_event
-from ctrplan.base.progress import part_of
+from ctrplan.base.long_work import SearchClock, SearchEnd, interrupt_event, part_of
+from ctrplan.certificate.certificate import Certificate, joined_certificates
+from ctrplan.certificate.closest import failure_with_place
+from ctrplan.certificate.friction_cube import refuse_many_tubes
+from ctrplan.certificate.other_equilibria import other_start
+from ctrplan.certificate.walked_legs import WalkedLegs, walk_legs
 from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.planning.certificate.failed_walk import failure_with_place
-from ctrplan.planning.certificate.friction_cube import refuse_many_tubes
-from ctrplan.planning.certificate.start_branches import other_start
-from ctrplan.planning.certificate.tour import joined_certificates
-from ctrplan.planning.certificate.walked_legs import WalkedLegs, walk_legs
-from ctrplan.planning.certified import Certificate
-from ctrplan.planning.clearance_shares import with_shares
+from ctrplan.motion.checker import MotionChecker, with_shares
 from ctrplan.planning.finish.compensate import compensate
 from ctrplan.planning.finish.oscillate_at_goal import settle
 from ctrplan.planning.finish.reorder import Reordered, as_given, assemble
-from ctrplan.planning.goals.clearances import refuse_impossible_margins, start_room, start_trouble
-from ctrplan.planning.goals.fixtures import refuse_blocked_fixtures
-from ctrplan.planning.goals.goal_state import GoalState
-from ctrplan.planning.goals.goal_states import goal_states
-from ctrplan.planning.goals.goal_turns import is_at_goal, nearest_turn, turn_notes
+from ctrplan.planning.goals.goal_states import goal_states, is_at_goal, nearest_turn, turn_notes
 from ctrplan.planning.goals.line import follow_line, line_beginnings
-from ctrplan.planning.motion import MotionChecker
-from ctrplan.planning.plan import ENDED_BY_TIME, Plan
-from ctrplan.planning.plan_uncertainty import plan_uncertainty
-from ctrplan.planning.planned_motion import Compensation
+from ctrplan.planning.goals.room import refuse_blocked_fixtures, refuse_impossible_margins, start_room, start_trouble
 from ctrplan.planning.search.stage_search import Candidate, Progress, Report, StageSearch
-from ctrplan.planning.search_clock import SearchClock, SearchEnd
+from ctrplan.plans.plan import ENDED_BY_TIME, Plan
+from ctrplan.plans.planned_motion import Compensation
+from ctrplan.plans.uncertainty import stated_uncertainty
 from ctrplan.robot.friction_calibration import friction_law
+from ctrplan.scenario.tip_solver import GoalState
 
 if TYPE_CHECKING:
-    from ctrplan.planning.bound_table import BoundTable
-    from ctrplan.planning.scenario import Scenario
+    from ctrplan.motion.bound_table import BoundTable
     from ctrplan.robot.observer.state import ObserverState
+    from ctrplan.scenario.scenario import Scenario
 
 
 @checked(
@@ -127,7 +121,7 @@ def plan(
         compensation=finish.compensation,
         ended_by="interruption" if interrupted.is_set() else ended_by,
     )
-    finished = replace(finished, uncertainty=plan_uncertainty(finished))
+    finished = replace(finished, uncertainty=stated_uncertainty(finished))
     return replace(finished, interrupted=interrupted.is_set())
 
 

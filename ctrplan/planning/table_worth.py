@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.planning.bound_table import BoundTable, known_table
-from ctrplan.planning.motion import DEFINITE_COLLISION_M, Motion, MotionChecker
+from ctrplan.motion.bound_table import BoundTable, known_table
+from ctrplan.motion.checker import DEFINITE_COLLISION_M, Motion, MotionChecker
 
 if TYPE_CHECKING:
-    from ctrplan.planning.scenario import Scenario
+    from ctrplan.scenario.scenario import Scenario
 
 STATES, MOTIONS = 3000, 24  # of a narrow lumen few states are clear
 SEED, CLEARLY = 11, 0.1

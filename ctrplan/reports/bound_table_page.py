@@ -9,11 +9,10 @@ import plotly.graph_objects as go
 
 from ctrplan.base.version import __version__
 from ctrplan.mechanics.bound_lookup import FieldLookup
-from ctrplan.planning.bound_table import Axis, BoundTable
-from ctrplan.reports import palette
-from ctrplan.reports.glossary import glossary, term
+from ctrplan.motion.bound_table import Axis, BoundTable
+from ctrplan.reports import looks
 from ctrplan.reports.html_page import FONT, Markup, facts, page, plot, section, table, tag
-from ctrplan.reports.plan_words.numbers import millimetres
+from ctrplan.reports.words import glossary, millimetres, term
 
 WORDS = ("worst-case friction error", "stability", "Coulomb friction")
 MEANING = (
@@ -49,14 +48,14 @@ def bounds_figure(found: BoundTable) -> go.Figure:
     ordered = np.sort(bounds_mm(found))
     share = 100 * np.arange(1, len(ordered) + 1) / max(len(ordered), 1)
     kept = np.unique(np.linspace(0, max(len(ordered) - 1, 0), min(len(ordered), 500)).astype(int))
-    line = {"color": palette.BOUND, "width": 2}
+    line = {"color": looks.BOUND, "width": 2}
     figure = go.Figure(go.Scatter(x=ordered[kept], y=share[kept], mode="lines", line=line, showlegend=False))
-    axis = {"gridcolor": palette.GRID, "zeroline": False}
+    axis = {"gridcolor": looks.GRID, "zeroline": False}
     figure.update_xaxes(title_text="worst-case friction error (mm)", rangemode="tozero", **axis)
     figure.update_yaxes(title_text="configurations with at most it (%)", range=[0, 101], **axis)
     figure.update_layout(
         height=340, margin={"l": 60, "r": 20, "t": 20, "b": 50}, plot_bgcolor="white", paper_bgcolor="white",
-        font={"family": FONT, "color": palette.INK, "size": 13},
+        font={"family": FONT, "color": looks.INK, "size": 13},
     )  # fmt: skip
     return figure
 

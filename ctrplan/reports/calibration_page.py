@@ -7,11 +7,11 @@ from collections.abc import Iterator
 import plotly.graph_objects as go
 
 from ctrplan.base.version import __version__
-from ctrplan.calibration.calibration import Calibration
-from ctrplan.calibration.pose_errors import Errors
-from ctrplan.reports import palette
-from ctrplan.reports.glossary import glossary, term
+from ctrplan.calibration.calibrate import Calibration
+from ctrplan.calibration.estimates import Errors
+from ctrplan.reports import looks
 from ctrplan.reports.html_page import FONT, Markup, facts, page, plot, section, table, tag
+from ctrplan.reports.words import glossary, term
 
 WORDS = ("rms", "held-out poses", "95 % interval")
 MEANING = (
@@ -51,17 +51,17 @@ def errors_figure(found: Calibration) -> go.Figure:
     names, sets = zip(*_sets(found), strict=True)
     rms = [1e3 * errors.rms_m for errors in sets]
     low, high = ([abs(1e3 * e.rms_ci95_m[k] - r) for e, r in zip(sets, rms, strict=True)] for k in (0, 1))
-    bars = {"type": "data", "symmetric": False, "array": high, "arrayminus": low, "color": palette.MUTED}
+    bars = {"type": "data", "symmetric": False, "array": high, "arrayminus": low, "color": looks.MUTED}
     figure = go.Figure(go.Bar(x=rms, y=names, orientation="h", name="rms, 95 % interval", error_x=bars))
-    figure.data[0].marker.color = [palette.PLATE, *[palette.SERIES[0]] * (len(names) - 1)]
-    worst = {"symbol": "line-ns-open", "size": 16, "color": palette.LIMIT, "line": {"width": 3}}
+    figure.data[0].marker.color = [looks.PLATE, *[looks.SERIES[0]] * (len(names) - 1)]
+    worst = {"symbol": "line-ns-open", "size": 16, "color": looks.LIMIT, "line": {"width": 3}}
     largest = [1e3 * errors.max_m for errors in sets]
     figure.add_trace(go.Scatter(x=largest, y=names, mode="markers", name="largest", marker=worst))
-    figure.update_xaxes(title_text="error of the tip (mm)", rangemode="tozero", gridcolor=palette.GRID)
+    figure.update_xaxes(title_text="error of the tip (mm)", rangemode="tozero", gridcolor=looks.GRID)
     figure.update_yaxes(autorange="reversed")
     figure.update_layout(
         height=260, margin={"l": 110, "r": 20, "t": 20, "b": 50}, plot_bgcolor="white", paper_bgcolor="white",
-        font={"family": FONT, "color": palette.INK, "size": 13}, legend={"orientation": "h", "y": 1.2},
+        font={"family": FONT, "color": looks.INK, "size": 13}, legend={"orientation": "h", "y": 1.2},
     )  # fmt: skip
     return figure
 

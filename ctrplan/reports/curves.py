@@ -2,10 +2,26 @@
 
 from __future__ import annotations
 
+import html
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from ctrplan.base.arrays import Array
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+from plotly.subplots import make_subplots
+
+from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.drive.drive import UNITS, Kind
+from ctrplan.motion.checker import path_limits
+from ctrplan.plans.timing import leg_end_s, sample_time_s
+from ctrplan.reports import looks
+from ctrplan.reports.html_page import FONT
+from ctrplan.reports.words import millimetres
+
+if TYPE_CHECKING:
+    from ctrplan.plans.plan import Plan
 
 Dash = Literal["solid", "dotted"]
 
@@ -89,3 +105,197 @@ class Timeline:
     def kinds(self) -> dict[str, str]:
         """Colour by kind of the legs that there are."""
         return {shade.kind: shade.colour for shade in self.shades}
+
+
+MOST_SAMPLES = 1500  # of a trajectory: more than there are pixels across
+
+
+def timeline(plan: Plan) -> Timeline:
+    """The plan's time, shaded by its legs."""
+    ends = leg_end_s(plan).tolist()
+    legs = zip([0.0, *ends[:-1]], ends, plan.legs, strict=True)
+    shades = (Shade(start, end, leg.kind, looks.LEG_KINDS[leg.kind]) for start, end, leg in legs)
+    return Timeline(plan.trajectory.duration_s, tuple(shades))
+
+
+def error_panel(plan: Plan) -> Panel:
+    """How far friction takes the tip [mm]: worst case, prediction, the value at the goal and what is allowed there."""
+    samples, limit_m = plan.certificate.samples, plan.scenario.cost.max_error_goal_m
+    time_s, bound_mm = sample_time_s(plan), samples.bound_m * MM_PER_M
+    series = (
+        Series("worst case", time_s, bound_mm, looks.BOUND),
+        Series("predicted by history", time_s, samples.predicted_m * MM_PER_M, looks.BOUND, "dotted"),
+    )
+    stated_m = plan.certificate.goal_bound_m
+    at_goal = Mark(f"at the goal\n{millimetres(stated_m)}", stated_m * MM_PER_M, looks.GOAL, True)
+    title = "Friction error of the tip"
+    if limit_m is None:
+        return Panel(title, "error", "mm", series, marks=(at_goal,))
+    allowed = Mark(f"allowed\n{millimetres(limit_m)}", limit_m * MM_PER_M, looks.LIMIT, False)
+    limits = (Limit(limit_m * MM_PER_M, looks.LIMIT),)
+    return Panel(title, "error", "mm", series, limits, "allowed at the goal", (at_goal, allowed))
+
+
+def direction_panel(plan: Plan) -> Panel:
+    """How far friction turns the tip's direction in the worst case [deg]."""
+    return _sampled(
+        plan,
+        "Worst-case friction error of the tip's direction",
+        "error",
+        "deg",
+        np.degrees(plan.certificate.samples.bound_rad),
+        looks.BOUND,
+    )
+
+
+def margin_panels(plan: Plan) -> tuple[Panel, ...]:
+    """Clearance [mm] (but in free space), stability and strain [%], each with what it must keep."""
+    samples, limits = plan.certificate.samples, path_limits(plan.scenario)
+    clearance_mm, least_mm = samples.clearance_m * MM_PER_M, limits.clearance_m * MM_PER_M
+    rows = [
+        ("Clearance beyond the margins", "clearance", "mm", clearance_mm, looks.CLEARANCE, least_mm, "least allowed"),
+        ("Stability", "stability", "", samples.stability, looks.STABILITY, limits.stability, "least allowed"),
+        ("Strain", "strain", "%", 100 * samples.max_strain, looks.STRAIN, 100 * limits.max_strain, "most allowed"),
+    ]
+    shown = rows if np.isfinite(samples.clearance_m).any() else rows[1:]
+    return tuple(_sampled(plan, *row) for row in shown)
+
+
+def position_panels(plan: Plan) -> tuple[Panel, ...]:
+    """Joints between their limits: rotations [deg], translations [mm], those that there are."""
+    kinds = [kind for kind in UNITS if any(joint.kind == kind for joint in plan.scenario.robot.drive.joints)]
+    return tuple(_positions(plan, kind) for kind in kinds)
+
+
+def speed_panel(plan: Plan) -> Panel:
+    """Every joint's speed as a share of its limit [%]."""
+    drive, trajectory, rows = plan.scenario.robot.drive, plan.trajectory, _shown_rows(plan)
+    share = 100 * np.abs(trajectory.velocity[rows]) / drive.max_velocity
+    series = tuple(
+        Series(name, trajectory.time_s[rows], share[:, j], colour, "solid" if drive.is_rotation[j] else "dotted")
+        for j, (name, colour) in enumerate(zip(drive.names, looks.joint_colours(drive), strict=True))
+    )
+    return Panel("Speeds", "speed", "% of limit", series, (Limit(100.0, looks.LIMIT),), "limit")
+
+
+def _sampled(
+    plan: Plan,
+    title: str,
+    quantity: str,
+    unit: str,
+    values: Array,
+    colour: str,
+    limit: float | None = None,
+    limits_are: str = "",
+) -> Panel:
+    """One quantity at the certificate's samples."""
+    limits = () if limit is None else (Limit(limit, looks.LIMIT),)
+    return Panel(title, quantity, unit, (Series(title, sample_time_s(plan), values, colour),), limits, limits_are)
+
+
+def _positions(plan: Plan, kind: Kind) -> Panel:
+    drive, trajectory, rows, (unit, si) = plan.scenario.robot.drive, plan.trajectory, _shown_rows(plan), UNITS[kind]
+    colours = looks.joint_colours(drive)
+    chosen = [j for j, joint in enumerate(drive.joints) if joint.kind == kind]
+    series = (
+        Series(drive.names[j], trajectory.time_s[rows], trajectory.position[rows, j] / si, colours[j]) for j in chosen
+    )
+    ends = ((end / si, colours[j]) for j in chosen for end in (drive.lower[j], drive.upper[j]))
+    limits = tuple(Limit(float(end), colour) for end, colour in ends if np.isfinite(end))
+    return Panel(f"{kind.capitalize()}s", "position", unit, tuple(series), limits, "limits", from_zero=False)
+
+
+def _shown_rows(plan: Plan) -> NDArray[np.int_]:
+    """Rows of the trajectory that are drawn, the first and the last among them."""
+    count = len(plan.trajectory.time_s)
+    return np.unique(np.linspace(0, count - 1, MOST_SAMPLES).round().astype(int))
+
+
+ROW_HEIGHT = 165
+CURSOR = 0  # the shape that a script moves
+DASHES = {"solid": "solid", "dotted": "dot"}
+
+
+def stacked_figure(panels: Sequence[Panel], timeline: Timeline) -> go.Figure:
+    """Panels with their headings, limits and marks; the legs are shaded by their kind."""
+    count = len(panels)
+    figure = make_subplots(rows=count, cols=1, shared_xaxes=True, vertical_spacing=52 / (ROW_HEIGHT * count))
+    for row, panel in enumerate(panels, start=1):
+        _add_panel(figure, row, panel, timeline)
+    shades = (_shade(shade, row) for row in range(1, count + 1) for shade in timeline.shades)
+    figure.update_layout(
+        height=ROW_HEIGHT * count + 110,
+        margin={"l": 70, "r": 20, "t": 60, "b": 50},
+        shapes=[_cursor(0.0), *shades],
+        hovermode="x unified",
+        plot_bgcolor="rgba(0,0,0,0)",
+        font={"color": looks.INK, "size": 13, "family": FONT},
+        uirevision="stays",
+    )
+    figure.update_xaxes(range=[0, timeline.end_s], showgrid=False)
+    figure.update_xaxes(title_text="time (s)", ticks="outside", row=count, col=1)
+    return figure
+
+
+def _add_panel(figure: go.Figure, row: int, panel: Panel, timeline: Timeline) -> None:
+    place = {"row": row, "col": 1}
+    legend = "legend" if row == 1 else f"legend{row}"
+    for series in panel.series:
+        figure.add_trace(_curve(series, panel.unit, legend, shown=len(panel.series) > 1), **place)
+    for limit in panel.limits:
+        line = {"color": limit.colour, "width": 1.2, "dash": "dash"}
+        ends = {"x": [0, timeline.end_s], "y": [limit.value, limit.value]}
+        figure.add_scatter(**ends, mode="lines", line=line, hoverinfo="skip", showlegend=False, **place)
+    for mark in panel.marks:
+        if mark.has_point:
+            _add_point(figure, timeline.duration_s, mark.value, mark.colour, place)
+    rule = {"rangemode": "tozero"} if panel.from_zero else {}
+    figure.update_yaxes(title_text=panel.unit, gridcolor=looks.GRID, zeroline=False, **place, **rule)
+    _add_heading(figure, row, html.escape(panel.heading), legend)
+
+
+def _curve(series: Series, unit: str, legend: str, *, shown: bool) -> Any:
+    return go.Scatter(
+        x=series.time_s.astype(np.float32),
+        y=series.values.astype(np.float32),
+        name=html.escape(series.name),
+        mode="lines",
+        line={"color": series.colour, "width": 2, "dash": DASHES[series.dash]},
+        hovertemplate=f"%{{y:.4g}} {unit}",
+        legend=legend,
+        showlegend=shown,
+    )
+
+
+def _add_point(figure: go.Figure, time_s: float, value: float, colour: str, place: dict[str, int]) -> None:
+    """At the end of a curve, whole although it stands on the axis's edge."""
+    marker = {"color": colour, "size": 9}
+    drawn = {"mode": "markers", "marker": marker, "cliponaxis": False, "hoverinfo": "skip", "showlegend": False}
+    figure.add_scatter(x=[time_s], y=[value], **drawn, **place)
+
+
+def _add_heading(figure: go.Figure, row: int, text: str, legend: str) -> None:
+    """Text at the left above a panel, its legend at the right."""
+    top = figure.layout["yaxis" if row == 1 else f"yaxis{row}"].domain[1]
+    figure.add_annotation(
+        text=f"<b>{text}</b>", x=0, y=top, xref="paper", yref="paper", xanchor="left", yanchor="bottom",
+        showarrow=False, yshift=4,
+    )  # fmt: skip
+    place = {"orientation": "h", "x": 1, "xanchor": "right", "y": top, "yanchor": "bottom", "bgcolor": "rgba(0,0,0,0)"}
+    figure.update_layout({legend: place})
+
+
+def _shade(shade: Shade, row: int) -> dict[str, Any]:
+    """A rectangle behind the panel in `row`."""
+    axis = f"y{'' if row == 1 else row} domain"
+    return _upright(shade.start_s, shade.end_s, axis) | {"type": "rect", "fillcolor": shade.colour, "layer": "below"}
+
+
+def _cursor(time_s: float) -> dict[str, Any]:
+    """A line across all panels."""
+    return _upright(time_s, time_s, "paper") | {"type": "line", "line": {"color": looks.INK, "width": 1.5}}
+
+
+def _upright(start: float, end: float, axis: str) -> dict[str, Any]:
+    """A shape over the whole height of an axis."""
+    return {"x0": start, "x1": end, "y0": 0, "y1": 1, "xref": "x", "yref": axis, "line": {"width": 0}}

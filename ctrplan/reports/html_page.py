@@ -11,7 +11,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from ctrplan.reports import palette
+from ctrplan.reports import looks
 
 # The browser itself refuses whatever would reach for the network; plotly.js builds functions from strings.
 POLICY = "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:"
@@ -27,27 +27,27 @@ button:hover { background: #eef2f5; }
 #key i, .scene-key i { display: inline-block; width: 11px; height: 11px; border-radius: 3px; margin-right: 6px; }"""
 STYLE = f"""
 :root {{ color-scheme: light; }}
-body {{ margin: 0; background: #f4f6f8; color: {palette.INK}; line-height: 1.5;
+body {{ margin: 0; background: #f4f6f8; color: {looks.INK}; line-height: 1.5;
   font-family: {FONT}; font-size: 16px; }}
 main {{ max-width: 1120px; margin: 0 auto; padding: 28px 20px 60px; }}
 h1 {{ font-size: 1.9rem; line-height: 1.2; margin: 0 0 14px; overflow-wrap: anywhere; }}
 h2 {{ font-size: 1.2rem; margin: 0 0 4px; }}
 p {{ margin: 6px 0 10px; max-width: 75ch; }}
-.kicker {{ color: {palette.MUTED}; margin: 0 0 2px; font-size: 0.95rem; }}
+.kicker {{ color: {looks.MUTED}; margin: 0 0 2px; font-size: 0.95rem; }}
 .verdict {{ border-left: 6px solid; border-radius: 6px; padding: 12px 18px; margin: 0 0 18px; background: #fff;
   font-size: 1.1rem; font-weight: 600; max-width: none; }}
-.good {{ color: {palette.MET}; }} .bad {{ color: {palette.LIMIT}; }}
-.caution {{ color: {palette.CAUTION}; }} .quiet {{ color: {palette.MUTED}; }}
+.good {{ color: {looks.MET}; }} .bad {{ color: {looks.LIMIT}; }}
+.caution {{ color: {looks.CAUTION}; }} .quiet {{ color: {looks.MUTED}; }}
 .tiles {{ display: flex; flex-wrap: wrap; gap: 12px; margin: 0 0 18px; }}
 .tile {{ background: #fff; border-radius: 8px; padding: 12px 14px; flex: 1 1 110px; }}
 .tile b {{ display: block; font-size: 1.5rem; line-height: 1.3; white-space: nowrap; }}
-.tile > span {{ color: {palette.MUTED}; font-size: 0.9rem; }}
+.tile > span {{ color: {looks.MUTED}; font-size: 0.9rem; }}
 section {{ background: #fff; border-radius: 8px; padding: 18px 22px; margin: 0 0 18px; }}
 table {{ border-collapse: collapse; width: 100%; font-size: 0.95rem; }}
-th, td {{ text-align: left; vertical-align: top; padding: 6px 14px 6px 0; border-bottom: 1px solid {palette.GRID};
+th, td {{ text-align: left; vertical-align: top; padding: 6px 14px 6px 0; border-bottom: 1px solid {looks.GRID};
   overflow-wrap: anywhere; font-variant-numeric: tabular-nums; }}
-th {{ color: {palette.MUTED}; font-weight: 600; overflow-wrap: break-word; }}
-td.key {{ width: 30%; color: {palette.MUTED}; }}
+th {{ color: {looks.MUTED}; font-weight: 600; overflow-wrap: break-word; }}
+td.key {{ width: 30%; color: {looks.MUTED}; }}
 code {{ font-size: 0.85rem; }}
 .plot {{ margin: 8px -8px 0; }}
 .scene {{ height: max(300px, min(560px, 100vh - 370px)); margin: 0; }} .scene > div {{ height: 100%; }}
@@ -56,17 +56,17 @@ code {{ font-size: 0.85rem; }}
 .looking {{ display: flex; flex-wrap: wrap; gap: 6px; align-items: center; margin: 0 0 10px; font-size: 0.9rem; }}
 .looking button {{ padding: 2px 10px; }} .cut {{ display: flex; gap: 8px; align-items: center; margin-left: 8px; }}
 .cut select {{ font: inherit; }} .cut input {{ width: 120px; }}
-.player button {{ width: 7em; font-weight: 600; color: #fff; background: {palette.SERIES[0]}; border: 0; }}
+.player button {{ width: 7em; font-weight: 600; color: #fff; background: {looks.SERIES[0]}; border: 0; }}
 .player button:hover {{ background: #005a8e; }}
 output {{ min-width: 3.5em; text-align: right; }} output, .moment b {{ font-variant-numeric: tabular-nums; }}
 .moment > div {{ margin: 0 0 10px; }} .moment b {{ display: block; font-size: 1.5rem; line-height: 1.2; }}
-.moment span {{ color: {palette.MUTED}; font-size: 0.9rem; }} .moment b.bound {{ color: {palette.BOUND}; }}
+.moment span {{ color: {looks.MUTED}; font-size: 0.9rem; }} .moment b.bound {{ color: {looks.BOUND}; }}
 .ways {{ font-size: 0.9rem; }} .small {{ font-size: 0.85rem; }} .hint {{ margin-bottom: 0; max-width: none; }}
 .wide, .twin {{ overflow-x: auto; }} .wide th, .wide td {{ overflow-wrap: break-word; }}
 {KEY_STYLE}
-abbr {{ text-decoration: underline dotted {palette.MUTED} 1px; text-underline-offset: 3px; cursor: help; }}
-details {{ margin: 10px 0 0; }} summary {{ cursor: pointer; color: {palette.MUTED}; }}
-dt {{ font-weight: 600; }} dd {{ margin: 0 0 8px; color: {palette.MUTED}; max-width: 75ch; }}
+abbr {{ text-decoration: underline dotted {looks.MUTED} 1px; text-underline-offset: 3px; cursor: help; }}
+details {{ margin: 10px 0 0; }} summary {{ cursor: pointer; color: {looks.MUTED}; }}
+dt {{ font-weight: 600; }} dd {{ margin: 0 0 8px; color: {looks.MUTED}; max-width: 75ch; }}
 @media (max-width: 800px) {{
   main {{ padding: 16px 10px 40px; }} section {{ padding: 14px 14px; }} h1 {{ font-size: 1.5rem; }}
   .verdict {{ font-size: 1rem; padding: 10px 14px; }} .tile {{ padding: 8px 12px; }} .tile b {{ font-size: 1.25rem; }}

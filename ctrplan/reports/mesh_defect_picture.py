@@ -7,10 +7,9 @@ import io
 import numpy as np
 from PIL import Image
 
-from ctrplan.anatomy.mesh_defect import MeshDefect
-from ctrplan.base.arrays import Array
+from ctrplan.anatomy.mesh_repair import MeshDefect
+from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.surface import Surface, capsule
-from ctrplan.base.units import MM_PER_M
 from ctrplan.reports.render.bodies import rgb
 from ctrplan.reports.render.body import Body, vertex_normals
 from ctrplan.reports.render.camera import Camera, look_at

@@ -6,12 +6,11 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from ctrplan.files.trajectory_file import trajectory_formats, write_trajectory
-from ctrplan.files.trajectory_format import TrajectoryFormat
-from ctrplan.planning.plan import Plan
-from ctrplan.planning.plan_json import write_plan_json
-from ctrplan.reports.plan_page.page import write_plan_report
-from ctrplan.reports.plan_picture.picture import write_plan_png
+from ctrplan.files.trajectory_file import TrajectoryFormat, trajectory_formats, write_trajectory
+from ctrplan.plans.plan import Plan
+from ctrplan.plans.plan_json import write_plan_json
+from ctrplan.reports.plan_page import write_plan_report
+from ctrplan.reports.plan_picture import write_plan_png
 from ctrplan.reports.plan_scene import plan_scene
 from ctrplan.storage.output_folder import output_folder, written_together
 

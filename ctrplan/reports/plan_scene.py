@@ -2,16 +2,145 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.base.arrays import Array
-from ctrplan.reports.narrowest_pose import NarrowestPose, narrowest_pose
-from ctrplan.reports.played_poses import poses_along
-from ctrplan.reports.pose import Pose
+from ctrplan.base.long_work import Progress
+from ctrplan.base.surface import Rod
+from ctrplan.errors import SolverError
+from ctrplan.files.plan_file import WrittenPlan
+from ctrplan.mechanics.shapes import Status
+from ctrplan.plans.timing import Played, joints_at
+from ctrplan.reports.robot_surface import Pose, pose
+from ctrplan.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
-    from ctrplan.planning.plan import Plan
+    from ctrplan.certificate.certificate import Closest
+    from ctrplan.plans.plan import Plan
+
+
+def poses_along(
+    scenario: Scenario, trajectory: Played, frames: int, progress: Progress | None = None
+) -> tuple[Pose, ...]:
+    """`frames` poses of a trajectory, both ends included; one if it takes no time.
+
+    Solves the model at each. Left out are poses where the model has none: a plan that is not certified may have some.
+    Raises SolverError where no pose has a solution.
+    """
+    duration_s = float(trajectory.time_s[-1])
+    times = np.linspace(0.0, duration_s, frames if duration_s > 0 else 1)
+    path = []
+    for k, (joints, at) in enumerate(zip(joints_at(trajectory, times), times.tolist(), strict=True)):
+        if progress is not None:
+            progress(k / len(times))
+        with suppress(SolverError):
+            path.append(pose(scenario, joints, at))
+    if not path:
+        raise SolverError("The model has no solution anywhere on the plan's trajectory.")
+    return tuple(path)
+
+
+SPACING_M = 1e-3
+NUDGE_M = 1e-5  # of differences of the distance
+
+
+@dataclass(frozen=True, eq=False)
+class NarrowestPose:
+    """In the friction state that comes closest; anatomy's frame."""
+
+    place: Closest
+    body: Rod  # outline of N stations
+    clearance_m: Array  # (N,) of its surface beyond the margins
+    gap_m: Array  # (2, 3) from the tube's surface to the anatomy's
+
+
+def narrowest_pose(scenario: Scenario, place: Closest | None) -> NarrowestPose | None:
+    """Solves one shape; None in free space, where there is no such place, and where the model has no solution."""
+    if place is None:
+        return None
+    collars = scenario.robot.drive.collars(place.joints)
+    found = scenario.robot.mechanics.friction_bodies(
+        *collars, place.phi[None], spacing_m=SPACING_M, accuracy="certificate"
+    )
+    if not found.solved[0] or len(found.radius_m) < 2:
+        return None
+    points = scenario.located(found.point_m[0])
+    along = np.gradient(points, axis=0)
+    tangent = along / np.linalg.norm(along, axis=1, keepdims=True)
+    clearance = exact_clearance(scenario.anatomy, points) - found.radius_m
+    return NarrowestPose(place, Rod(points, tangent, found.radius_m), clearance, _gap(scenario, place))
+
+
+def _gap(scenario: Scenario, place: Closest) -> Array:
+    """(2, 3) straight across the free room at a place."""
+    steps = NUDGE_M * np.concatenate([np.eye(3), -np.eye(3)])
+    ahead, behind = exact_clearance(scenario.anatomy, place.point_m + steps).reshape(2, 3)
+    away = (ahead - behind) / max(float(np.linalg.norm(ahead - behind)), 1e-12)
+    radius = scenario.robot.tubes[place.tube - 1].outer_diameter_m / 2
+    return place.point_m - np.array([[radius], [radius + place.distance_m]]) * away
+
+
+@dataclass(frozen=True, eq=False)
+class WrittenMotion:
+    """A plan that was read, with the poses of its robot, anatomy's frame."""
+
+    plan: WrittenPlan
+    path: tuple[Pose, ...]  # at equal steps of the time, both ends included
+    tip_m: Array  # (K, 3) without friction, at the places that were certified
+    narrowest: NarrowestPose | None  # in free space
+
+    @property
+    def scenario(self) -> Scenario:
+        """What was planned."""
+        return self.plan.scenario
+
+    @property
+    def times_s(self) -> list[float]:
+        """(F,) of the poses."""
+        return [pose.time_s for pose in self.path]
+
+    @property
+    def targets(self) -> dict[str, Array]:
+        """Places (3,) to be reached, in their order, by their names; of joint values the place that they lead to."""
+        goals, found = self.scenario.targets, {}
+        for k, goal in enumerate(goals, start=1):
+            name = goal.name or ("goal" if k == len(goals) else f"target {k}")
+            found[name] = goal.tip_m if goal.tip_m is not None else self.path[-1].tip_m
+        return found
+
+    @property
+    def step_m(self) -> float:
+        """How far a station of the robot's centreline moves at most between two poses."""
+        lines = [pose.tubes[-1].centreline_m for pose in self.path]
+        steps = [np.linalg.norm(b - a, axis=1).max() for a, b in zip(lines[:-1], lines[1:], strict=True)]
+        return float(max(steps, default=0.0))
+
+    def at(self, name: str) -> Array:
+        """(F,) a column of the certificate's samples at the times of the poses; NaN where the plan has no number."""
+        if name not in self.plan.certificate["samples"]:
+            return np.full(len(self.path), np.nan)
+        passed_s = np.interp(self.plan.certified_places, self.plan.places, self.plan.time_s)
+        return np.interp(self.times_s, passed_s, self.plan.column(name))
+
+
+def written_motion(plan: WrittenPlan, steps: int, progress: Progress | None = None) -> WrittenMotion:
+    """Solves the model at `steps` poses, the tip wherever it was certified, and once where the robot is closest.
+
+    Raises SolverError where no pose has a solution.
+    """
+    scenario, drive = plan.scenario, plan.scenario.robot.drive
+    path = poses_along(scenario, plan, steps, progress)
+    joints = np.array(plan.certificate["samples"]["joints"])
+    free = np.zeros((len(joints), scenario.robot.n - 1))
+    tips = scenario.robot.mechanics.tips_with_friction(*drive.collars(joints), free)
+    tip_m = scenario.located(tips.position_m[tips.status == Status.CONVERGED])
+    return WrittenMotion(plan, path, tip_m, narrowest_pose(scenario, plan.closest))
+
 
 FRAMES = 50
 

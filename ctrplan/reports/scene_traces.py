@@ -10,15 +10,13 @@ import plotly.graph_objects as go
 from ctrplan.anatomy.patient_frame import Frame, axis_label
 from ctrplan.base.arrays import Array
 from ctrplan.base.surface import Surface
-from ctrplan.reports import palette
-from ctrplan.reports import scene_looks as looks
-from ctrplan.reports.framing import side_azimuth_rad
+from ctrplan.reports import looks
 from ctrplan.reports.html_page import FONT
-from ctrplan.reports.pose import Pose
-from ctrplan.reports.tube_ends import tube_surface
+from ctrplan.reports.looks import side_azimuth_rad
+from ctrplan.reports.robot_surface import Pose, tube_surface
 
 if TYPE_CHECKING:
-    from ctrplan.planning.scenario import Scenario
+    from ctrplan.scenario.scenario import Scenario
 
 SIDES, ENVELOPE_SIDES = 10, 12
 FINENESS = 128  # parts of a mm
@@ -32,7 +30,9 @@ def robot_traces(pose: Pose) -> list[Any]:
         mesh_trace(tube_surface(pose, i, SIDES), looks.tube_look(i).colour, 1.0, looks.tube_look(i).name)
         for i in range(len(pose.tubes))
     ]
-    envelope = mesh_trace(pose.envelope.surface(ENVELOPE_SIDES), looks.ENVELOPE.colour, 0.22, looks.ENVELOPE.name)
+    envelope = mesh_trace(
+        pose.envelope.surface(ENVELOPE_SIDES), looks.ENVELOPE_LOOK.colour, 0.22, looks.ENVELOPE_LOOK.name
+    )
     corners = go.Scatter3d(
         **_corner_lines(pose),
         mode="lines",
@@ -60,7 +60,7 @@ def anatomy_traces(scenario: Scenario, surfaces: list[Surface]) -> list[Any]:
     """What to avoid and what to stay inside, translucent."""
     roles, traces = [part.role for part in scenario.anatomy], []
     for k, (role, surface) in enumerate(zip(roles, surfaces, strict=True)):
-        look, opacity = looks.ANATOMY[role], 0.35 if role == "avoid" else 0.2
+        look, opacity = looks.ANATOMY_LOOK[role], 0.35 if role == "avoid" else 0.2
         trace = mesh_trace(surface, look.colour, opacity, look.name, shown=role not in roles[:k])
         traces.append(trace.update(meta={"cut": True, "wall": opacity}))  # for looking.js
     return traces
@@ -95,7 +95,7 @@ def lay_out(figure: go.Figure, lower_m: Array, upper_m: Array, robot_m: Array, f
 
     frame: of the patient, whose letters then stand at the ends of the axes.
     """
-    axis = {"backgroundcolor": "#F8FAFB", "gridcolor": palette.GRID, "zeroline": False, "nticks": 6}
+    axis = {"backgroundcolor": "#F8FAFB", "gridcolor": looks.GRID, "zeroline": False, "nticks": 6}
     ranges = (np.stack([lower_m, upper_m], axis=1) * 1e3).tolist()
     axes = {
         f"{'xyz'[k]}axis": axis | {"title": {"text": f"{axis_label(k, frame)} (mm)"}, "range": r}
@@ -115,5 +115,5 @@ def lay_out(figure: go.Figure, lower_m: Array, upper_m: Array, robot_m: Array, f
         scene={"aspectmode": "manual", "aspectratio": aspect, "camera": camera, **axes},
         showlegend=False,  # the key is beside the scene
         uirevision="stays",
-        font={"color": palette.INK, "size": 13, "family": FONT},
+        font={"color": looks.INK, "size": 13, "family": FONT},
     )

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.planning.certificate.allowances import bound_allowance_m
-from ctrplan.planning.plan_timing import joints_at
+from ctrplan.certificate.friction_states import bound_allowance_m
+from ctrplan.plans.timing import joints_at
 
 if TYPE_CHECKING:
-    from ctrplan.reports.written_motion import WrittenMotion
+    from ctrplan.reports.plan_scene import WrittenMotion
 
 
 def stated_error_m(motion: WrittenMotion) -> Array:

@@ -15,12 +15,12 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import CtrplanError, InputError, SolverError
-from ctrplan.mechanics.friction_law import FrictionLaw, tip_deviations
-from ctrplan.mechanics.nesting import nesting_inequalities
+from ctrplan.mechanics.friction import FrictionLaw, tip_deviations
 from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.tube import nesting_inequalities
 from ctrplan.mechanics.walk import PathDensity, PathLimits
 from ctrplan.storage import cache as field_cache
-from ctrplan.storage.atomic_write import write_atomically
+from ctrplan.storage.output_folder import write_atomically
 
 if TYPE_CHECKING:
     from ctrplan.drive.drive import Drive

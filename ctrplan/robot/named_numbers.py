@@ -8,8 +8,7 @@ from typing import Any, Protocol, TypeVar
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
-from ctrplan.mechanics.loads import Loads
-from ctrplan.mechanics.tube import Contact, Tube, TubeSection
+from ctrplan.mechanics.tube import Contact, Loads, Tube, TubeSection
 
 MAGNITUDE = "curvature_per_m"  # of a section's precurvature, whose direction stays
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.storage.temporary import temporary
+from ctrplan.storage.output_folder import temporary
 
 MAX_TOTAL_BYTES = 1_000_000_000
 SUFFIX, FORMER_SUFFIX = ".grid", ".npz"  # the latter are not read any more

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -13,7 +14,35 @@ import numpy as np
 from ctrplan.base.arguments import in_plain_digits
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
-from ctrplan.storage.file_bytes import file_bytes
+
+
+def file_name(path: str | os.PathLike[str], what: str) -> str:
+    """The path as text. Raises InputError for what is none: it must be the path of `what`, such as "a TOML file"."""
+    try:
+        name = os.fspath(path)
+    except TypeError:
+        name = None
+    if not isinstance(name, str):
+        raise InputError(f"must be the path of {what}", value=path)
+    return name
+
+
+def file_bytes(file: str, largest_bytes: int, kind: str, what: str) -> bytes:
+    """Everything in `file`; its kind is "CSV" or so. Raises InputError if it is unreadable or too large a `what`."""
+    try:
+        with open(file, "rb") as stream:
+            size = os.fstat(stream.fileno()).st_size  # a file that is much too large is not read at all
+            data = stream.read(largest_bytes + 1) if size <= largest_bytes else b""
+    except FileNotFoundError:
+        raise InputError("does not exist", file=file) from None
+    except IsADirectoryError:
+        raise InputError(f"is a folder, not a {kind} file", file=file) from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"can't be read ({getattr(error, 'strerror', None) or error})", file=file) from None
+    if max(size, len(data)) > largest_bytes:
+        raise InputError(f"is larger than {largest_bytes // 10**6} MB, no {what}", file=file)
+    return data
+
 
 LARGEST_FILE_BYTES = 200_000_000
 LARGEST_NUMBER = 1e20  # stamps in nanoseconds are smaller

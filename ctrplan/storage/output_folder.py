@@ -1,15 +1,106 @@
-"""The folder that a command writes its results into."""
+"""Files and folders of results, written whole or not at all: under a temporary name first, then renamed.
+
+Whoever writes under a name holds a lock on it (flock). The system takes the lock away when the process ends, however it
+ends: a name that can be locked is nobody's any more. Where there are no such locks, on some network drives, nothing is
+taken for abandoned.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import hashlib
 import os
-from collections.abc import Iterator, Mapping, Sequence
+import re
+import secrets
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 from ctrplan.errors import CtrplanError, InputError
-from ctrplan.storage.temporary import temporary
+
+NAME = re.compile(r"\.ctrplan-[0-9a-f]{16}\.tmp")
+TO_LOCK = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK  # nor wait for the other end of a pipe that has such a name
+
+
+@contextlib.contextmanager
+def temporary(parent: Path, make: Callable[[Path], object]) -> Iterator[Path]:
+    """A hidden name in `parent` for what `make` makes, Path.mkdir or Path.touch; removed at the end unless renamed.
+
+    What processes that are gone left in `parent` is removed first. Raises OSError where the system refuses.
+    """
+    remove_abandoned(parent)
+    path, lock = _made(parent, make)
+    try:
+        yield path
+    finally:
+        _remove(path)
+        os.close(lock)
+
+
+def remove_abandoned(parent: Path) -> None:
+    """Remove every temporary name in `parent` that nobody holds; being refused is no error."""
+    for path in parent.glob(".ctrplan-*"):
+        if NAME.fullmatch(path.name):
+            with contextlib.suppress(OSError):
+                lock = os.open(path, TO_LOCK)
+                try:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    _remove(path)
+                finally:
+                    os.close(lock)
+
+
+def _made(parent: Path, make: Callable[[Path], object]) -> tuple[Path, int]:
+    """Path and open lock; made again if another process took it for abandoned in the moment before it was locked."""
+    while True:
+        path = parent / f".ctrplan-{secrets.token_hex(8)}.tmp"
+        make(path)
+        try:
+            lock = os.open(path, TO_LOCK)
+        except FileNotFoundError:
+            continue
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(lock)
+            continue
+        except OSError:  # no locks here, for anybody
+            return path, lock
+        if path.exists():
+            return path, lock
+        os.close(lock)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        with contextlib.suppress(OSError):  # renamed, most often
+            path.unlink()
+
+
+def write_atomically(path: str | os.PathLike[str], content: str | bytes) -> None:
+    """Write content (text as UTF-8) to path; a reader sees the old file or the new one, never a part.
+
+    Raises CtrplanError where the system refuses (no such folder, no permission, disk full); the old file stays.
+    """
+    target = Path(os.path.realpath(path))  # a link is written through, not replaced
+    try:
+        with temporary(target.parent, Path.touch) as made:
+            _write_through(made, content.encode() if isinstance(content, str) else content)
+            os.replace(made, target)
+    except OSError as error:
+        raise CtrplanError(f"{path}: could not be written, nothing was changed: {error.strerror or error}.") from error
+
+
+def _write_through(path: Path, content: bytes) -> None:
+    with open(path, "wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())  # before the rename, or a crash may leave an empty file under the final name
+
 
 DEFAULT = "ctrplan-output"
 CHECKSUMS = "SHA256SUMS"
@@ -24,7 +115,7 @@ def written_together(folder: Path, outputs: Sequence[str]) -> Iterator[Path]:
     `sha256sum -c SHA256SUMS` tells a whole set from a mixed one. What a killed process left hidden is removed by the
     next one. Makes `folder` if need be. Raises CtrplanError where the system refuses.
     """
-    from ctrplan.storage.atomic_write import write_atomically
+    from ctrplan.storage.output_folder import write_atomically
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -40,7 +131,7 @@ def written_together(folder: Path, outputs: Sequence[str]) -> Iterator[Path]:
 
 def write_results(folder: Path, results: Mapping[str, str | bytes]) -> None:
     """Writes contents by their file names as `written_together` does."""
-    from ctrplan.storage.atomic_write import write_atomically
+    from ctrplan.storage.output_folder import write_atomically
 
     with written_together(folder, tuple(results)) as made:
         for name, content in results.items():

@@ -1,4 +1,9 @@
-"""Strict reading of the TOML files people write: every fault is one sentence with file, key, value, unit and rule."""
+"""Strict reading of the TOML files people write, and writing them: every fault is one sentence with file, key, value
+and rule.
+
+No number of a file is without a range: beyond it a value is in another unit, or nothing can be computed with it.
+`LARGEST_NUMBER` holds where a file's table is read by whoever extends ctrplan and states none.
+"""
 
 from __future__ import annotations
 
@@ -6,19 +11,64 @@ import copy
 import csv
 import hashlib
 import json
+import math
 import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 import numpy as np
+import tomli_w
+from msgspec import Meta
 
+from ctrplan.base.arrays import LONGEST_MM, MOST_TURNS_DEG, Array, read_only
 from ctrplan.errors import InputError
-from ctrplan.storage.file_bytes import file_bytes, file_name
-from ctrplan.storage.number_ranges import LARGEST_NUMBER
+from ctrplan.storage.csv_table import file_bytes, file_name
 from ctrplan.storage.toml_faults import first_fault, unit_of
+
+LARGEST_NUMBER = 1e12
+LARGEST_WEIGHT = 1e6
+FINEST_MM = 1e-3  # finer than any solve
+
+Name = Annotated[str, Meta(min_length=1, max_length=80)]
+Length = Annotated[float, Meta(gt=0, le=LONGEST_MM)]  # mm
+Distance = Annotated[float, Meta(ge=0, le=LONGEST_MM)]  # mm
+Tolerance = Annotated[float, Meta(ge=FINEST_MM, le=1000)]  # mm
+Angle = Annotated[float, Meta(ge=-MOST_TURNS_DEG, le=MOST_TURNS_DEG)]  # deg
+Weight = Annotated[float, Meta(ge=0, le=LARGEST_WEIGHT)]  # of a term in a sum
+Fraction = Annotated[float, Meta(ge=0, le=1)]
+Count = Annotated[int, Meta(ge=1, le=100_000)]
+Component = Annotated[float, Meta(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]  # of a vector whose length does not matter
+Vector = tuple[Component, Component, Component]
+Coordinate = Annotated[float, Meta(ge=-LONGEST_MM, le=LONGEST_MM)]  # mm
+Point = tuple[Coordinate, Coordinate, Coordinate]  # mm
+
+
+def metres(point_mm: Point) -> Array:
+    """(3,) [m] of a point in mm, read-only."""
+    return read_only(np.multiply(point_mm, 1e-3))
+
+
+ROUNDING = 1e-6  # relative, of values and ends written with a few digits
+
+
+def interval_fault(ends: Any, value: float) -> str:
+    """The rule that `ends` break as an interval around `value`, as the end of a sentence; empty if they don't."""
+    is_pair = isinstance(ends, (list, tuple)) and len(ends) == 2
+    if not is_pair or not all(isinstance(end, (int, float)) and not isinstance(end, bool) for end in ends):
+        return "must be an interval [low, high] of two numbers"
+    low, high = float(ends[0]), float(ends[1])
+    if not (math.isfinite(low) and math.isfinite(high)):
+        return "must be an interval of finite numbers"
+    if low > high:
+        return "must be an interval [low, high] with low <= high"
+    slack = ROUNDING * max(abs(low), abs(high), abs(value))
+    if not low - slack <= value <= high + slack:
+        return f"must contain its value, {value:.6g}"
+    return ""
+
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -196,3 +246,30 @@ def _numbers(value: Any, path: tuple[Step, ...] = ()) -> Iterator[tuple[tuple[St
             yield from _numbers(item, (*path, position))
     elif isinstance(value, (int, float)) and not isinstance(value, bool):
         yield path, value
+
+
+def toml_text(content: Mapping[str, Any]) -> str:
+    """The content; read back it is the same."""
+    tables = {key: value for key, value in content.items() if isinstance(value, Mapping) or _is_tables(value)}
+    lines = [f"{_key(key)} = {_value(value)}\n" for key, value in content.items() if key not in tables]
+    for key, value in tables.items():
+        one, many = f"\n[{_key(key)}]\n", f"\n[[{_key(key)}]]\n"
+        blocks = [(one, value)] if isinstance(value, Mapping) else [(many, table) for table in value]
+        lines += [head + "".join(f"{_key(k)} = {_value(v)}\n" for k, v in table.items()) for head, table in blocks]
+    return "".join(lines)
+
+
+def _is_tables(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(item, Mapping) for item in value)
+
+
+def _key(name: str) -> str:
+    return tomli_w.dumps({name: 0}).partition(" = 0")[0]
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items()) + "}"
+    return tomli_w.dumps({"x": value}).removeprefix("x = ").rstrip("\n")

@@ -1,4 +1,4 @@
-"""One table within a TOML file: read strictly, with sentences that name the file and the whole key."""
+"""One table within a TOML file, and the member of a catalogue that it names."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
+from ctrplan.base.catalogue import Catalogue
 from ctrplan.errors import InputError
 from ctrplan.storage.toml_document import Document, Step
 from ctrplan.storage.toml_faults import first_fault
@@ -92,3 +93,43 @@ def _inside(name: str, document: Document, allow_outside: bool, is_there: Callab
     if not exists:
         raise document.fault("is not a file that exists", *path)
     return folder / name
+
+
+Entry = TypeVar("Entry", bound=msgspec.Struct)
+
+
+def chosen(
+    table: Table, by: str, catalogue: Catalogue[type[Entry]], common: type[msgspec.Struct], default: str | None = None
+) -> Entry:
+    """The table as the catalogue's schema that its key `by` names; all of them have the keys of `common`.
+
+    default: what it names where the key is missing. Raises InputError for a name that is not in the catalogue, for a
+    key of another schema than the one named, for one that is missing, and for what does not fit.
+    """
+    name = _name(table, by, catalogue, default)
+    own = {other: _own_fields(schema, common) for other, schema in catalogue.items()}
+    for key in sorted(table.content):
+        if key not in own[name] and any(key in keys for keys in own.values()):
+            raise table.fault(f"does not go with {by} = '{name}'", key)
+    for key in _required(catalogue[name]):
+        if key not in table.content and key != by:
+            raise table.fault(f"is missing, a {name} needs {', '.join(own[name])}", key)
+    return table.to(catalogue[name])
+
+
+def _name(table: Table, by: str, catalogue: Catalogue[type[Entry]], default: str | None) -> str:
+    name = table.content.get(by, default)
+    if name is None:
+        raise table.fault("is missing", by)
+    if not isinstance(name, str) or name not in catalogue:
+        raise table.fault(f"must be one of {catalogue.names}", by)
+    return name
+
+
+def _own_fields(schema: type[msgspec.Struct], common: type[msgspec.Struct]) -> Sequence[str]:
+    shared = {field.name for field in msgspec.structs.fields(common)}
+    return [field.name for field in msgspec.structs.fields(schema) if field.name not in shared]
+
+
+def _required(schema: type[msgspec.Struct]) -> Sequence[str]:
+    return [field.name for field in msgspec.structs.fields(schema) if field.required]

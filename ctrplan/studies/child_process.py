@@ -1,4 +1,4 @@
-"""A process of its own that calls functions, and is ended when a call takes longer than it may, whatever it is doing.
+"""Processes of this machine that call functions, ended when a call takes longer than it may, also as an executor.
 
 Neither a thread nor a process of a pool can be ended from outside without those beside it; a child can. It is started
 by `python -m`, so that scripts need no guard of their main module, and workers of a cluster may have one.
@@ -11,9 +11,12 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from multiprocessing.connection import Connection, Pipe
-from typing import Any
+from typing import Any, TypeVar
 from weakref import WeakSet
+
+from ctrplan.base.long_work import cores
 
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "CTRPLAN_THREADS")
 START_S = 60.0  # for what it imports
@@ -125,3 +128,24 @@ def serve(descriptor: int) -> None:
 
 if __name__ == "__main__":
     serve(int(sys.argv[1]))
+
+T = TypeVar("T")
+
+
+class ChildExecutor(ThreadPoolExecutor):
+    """As many processes as cores, or as are asked for; a child that dies takes its own task with it and no other's."""
+
+    def __init__(self, workers: int | None = None) -> None:
+        """Starts a process with its first task."""
+        super().__init__(workers or cores())
+        self.workers = workers or cores()
+
+    def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
+        """A call of a function of some module; `limit_s` among the keywords is the time that it may take."""
+        return super().submit(in_child, fn, *args, **kwargs)
+
+    def __exit__(self, *_: object) -> None:
+        """Ends the processes, whatever they are doing."""
+        self.shutdown(wait=False, cancel_futures=True)
+        close_children()
+        self.shutdown()

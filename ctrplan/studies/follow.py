@@ -17,20 +17,18 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arguments import EVENT, PROGRESS, SEED, Made, Whole, checked
 from ctrplan.base.arrays import Array
-from ctrplan.base.progress import Progress
-from ctrplan.drive.collars import Collars
+from ctrplan.base.long_work import Progress
+from ctrplan.drive.legs import Collars
 from ctrplan.errors import NoAnswerError, SolverError
-from ctrplan.experiment.friction_states import last_directions
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.approach import last_directions
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.measurement.sensor import Poses, SensorNoise, frames_along
 from ctrplan.mechanics.history import HistoryPath
 from ctrplan.mechanics.shapes import Status
 from ctrplan.pipeline.chain import Chain
-from ctrplan.robot.observer.estimate import Observed
-from ctrplan.robot.observer.slow_offset import SlowOffset
-from ctrplan.robot.observer.slow_parameter import SlowParameter
+from ctrplan.robot.observer.slow_states import SlowOffset, SlowParameter
+from ctrplan.robot.observer.state import Observed
 from ctrplan.robot.robot import Robot
-from ctrplan.sensor.noise import SensorNoise
-from ctrplan.sensor.poses import Poses, frames_along
 from ctrplan.studies.simulate import across_tips
 
 AXES = ("x", "y", "z")

@@ -8,15 +8,15 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.arguments import EXECUTOR, PROGRESS, SEARCH_TIME, SEED, Made, checked, require
-from ctrplan.base.cores import one_core
+from ctrplan.base.long_work import one_core
 from ctrplan.errors import CtrplanError, InputError, NoAnswerError
-from ctrplan.planning.plan import Plan
 from ctrplan.planning.planner import plan
-from ctrplan.studies.child_executor import ChildExecutor
+from ctrplan.plans.plan import Plan
+from ctrplan.studies.child_process import ChildExecutor
 
 if TYPE_CHECKING:
-    from ctrplan.base.progress import Progress
-    from ctrplan.planning.scenario import Scenario
+    from ctrplan.base.long_work import Progress
+    from ctrplan.scenario.scenario import Scenario
 
 SCENARIO = Made("Scenario")
 

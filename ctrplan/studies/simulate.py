@@ -18,21 +18,20 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arguments import EVENT, PROGRESS, Choice, Made, checked
 from ctrplan.base.arrays import Array
-from ctrplan.drive.collars import Collars
+from ctrplan.drive.legs import Collars
 from ctrplan.errors import InputError
-from ctrplan.experiment.friction_states import last_directions
-from ctrplan.experiment.joint_path import JointPath
-from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.joint_path_file import joint_columns
+from ctrplan.measurement.approach import last_directions
+from ctrplan.measurement.joint_path import JointPath
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.measurement.sensor import Poses, frames_along
 from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.mechanics.history import History, Start
 from ctrplan.mechanics.shapes import Bounds, Status
 from ctrplan.pipeline.chain import Chain, at_instants
-from ctrplan.pipeline.left_ranges import range_notes
-from ctrplan.pipeline.walked_markers import walked
-from ctrplan.robot.nesting import nesting_violation
-from ctrplan.robot.robot import Robot
-from ctrplan.sensor.poses import Poses, frames_along
+from ctrplan.pipeline.followed_runs import walked
+from ctrplan.pipeline.installed import range_notes
+from ctrplan.robot.robot import Robot, nesting_violation
 
 SAMPLE_RAD, SAMPLE_M = np.radians(10.0), 3e-3  # between two looks at the tip on a leg
 

@@ -17,11 +17,11 @@ from typing import Any
 import ctrplan
 from ctrplan.anatomy.clearance_grid import content_key
 from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.planning.goals.branches import Configuration
-from ctrplan.planning.goals.goal_descent import descended
-from ctrplan.planning.goals.goal_state import GoalState
-from ctrplan.planning.motion import MotionChecker, path_limits
-from ctrplan.planning.scenario import Goal
+from ctrplan.motion.checker import MotionChecker, path_limits
+from ctrplan.planning.goals.goal_states import descended
+from ctrplan.planning.goals.reach import Configuration
+from ctrplan.scenario.scenario import Goal
+from ctrplan.scenario.tip_solver import GoalState
 
 NEAR_MM = (1.0, 2.0)
 STARTS = 40  # of inverse kinematics; more find a little more

@@ -11,8 +11,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ctrplan.anatomy.clearance_grid import build_field, default_spacing_m, field_bounds
-from ctrplan.anatomy.distance_field import SignedDistanceField
+from ctrplan.anatomy.clearance_grid import SignedDistanceField, build_field, default_spacing_m, field_bounds
 from ctrplan.anatomy.parts import AnatomyPart, exact_clearance
 from ctrplan.anatomy.shape import Shape
 from ctrplan.anatomy.shapes.capsule import Capsule

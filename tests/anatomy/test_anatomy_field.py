@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ctrplan.anatomy import anatomy_field as module
 from ctrplan.anatomy.anatomy_field import BRICK, Lattice, anatomy_field, shared_spacing_m
-from ctrplan.anatomy.clearance_grid import field_bounds
-from ctrplan.anatomy.distance_field import SignedDistanceField
+from ctrplan.anatomy.clearance_grid import SignedDistanceField, field_bounds
 from ctrplan.anatomy.parts import AnatomyPart, exact_clearance
 from ctrplan.anatomy.shapes.capsule import Capsule
 from ctrplan.anatomy.shapes.mesh import Mesh

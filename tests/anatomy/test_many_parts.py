@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from ctrplan.anatomy.anatomy_field import anatomy_field
-from ctrplan.anatomy.nearby import exact_clearance_of_many, nearby
-from ctrplan.anatomy.parts import AnatomyPart, exact_clearance
+from ctrplan.anatomy.parts import AnatomyPart, exact_clearance, exact_clearance_of_many, nearby
 from ctrplan.anatomy.shapes.sphere import Sphere
 
 

@@ -10,14 +10,14 @@ import pytest
 import trimesh
 from phantoms import distance_mm, part_of
 
-from ctrplan.anatomy import mesh_thinning
-from ctrplan.anatomy.mesh_thinning import thinned
+from ctrplan.anatomy import surface_file
+from ctrplan.anatomy.surface_file import thinned
 
 
 @pytest.fixture(autouse=True)
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mesh_thinning, "HUGE", 15_000)
-    monkeypatch.setattr(mesh_thinning, "ENOUGH", 4_000)
+    monkeypatch.setattr(surface_file, "HUGE", 15_000)
+    monkeypatch.setattr(surface_file, "ENOUGH", 4_000)
 
 
 def lump() -> trimesh.Trimesh:
@@ -34,7 +34,7 @@ def test_what_it_is_off_by_bounds_distances(tmp_path: Path, monkeypatch: pytest.
     error_mm = part.shape.surface_error_m * 1e3
     assert 0 < error_mm <= 0.05 and part.margin_m == pytest.approx(1e-3 + part.shape.surface_error_m)
     assert f"off by {error_mm:.2g} mm at most" in note and 3_000 < len(part.shape.surface().faces) <= 8_000
-    monkeypatch.setattr(mesh_thinning, "HUGE", 10**9)
+    monkeypatch.setattr(surface_file, "HUGE", 10**9)
     whole = part_of(tmp_path, None, kind="mesh", file="a.stl", unit="mm")
     points = np.random.default_rng(0).uniform(-11, 11, (4000, 3))
     assert np.abs(distance_mm(part, points) - distance_mm(whole, points)).max() <= error_mm
@@ -45,7 +45,7 @@ def test_the_bound_holds_for_all_points_of_the_surface() -> None:
     fine, coarse = trimesh.creation.icosphere(4, radius=0.001), trimesh.creation.icosphere(3, radius=0.001)
     vertices, faces = np.asarray(fine.vertices), np.asarray(fine.faces, dtype=np.int64)
     thin, triangles = np.asarray(coarse.vertices), np.asarray(coarse.faces, dtype=np.int64)
-    bound = mesh_thinning._error_m(vertices, faces, thin, triangles)
+    bound = surface_file._error_m(vertices, faces, thin, triangles)
     shares = np.random.default_rng(0).dirichlet((1, 1, 1), (len(faces), 20))
     points = np.einsum("fsk,fkx->fsx", shares, vertices[faces]).reshape(-1, 3)
     away = np.sqrt(igl.point_mesh_squared_distance(points, thin, triangles)[0].max())
@@ -55,8 +55,8 @@ def test_the_bound_holds_for_all_points_of_the_surface() -> None:
 def test_what_cant_be_thinned_by_as_little_stays_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = lump()
     vertices, faces = np.asarray(mesh.vertices) * 1e-3, np.asarray(mesh.faces, dtype=np.int64)
-    monkeypatch.setattr(mesh_thinning, "MOST_ERROR_M", 1e-9)
+    monkeypatch.setattr(surface_file, "MOST_ERROR_M", 1e-9)
     kept, same, error = thinned(vertices, faces)
     assert kept is vertices and same is faces and error == 0
-    monkeypatch.setattr(mesh_thinning, "_simplify", lambda: None)
+    monkeypatch.setattr(surface_file, "_simplify", lambda: None)
     assert thinned(vertices, faces)[1] is faces

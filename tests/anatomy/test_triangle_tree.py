@@ -6,9 +6,9 @@ import igl
 import numpy as np
 import pytest
 
-from ctrplan.anatomy.distance_field import SignedDistanceField
+from ctrplan.anatomy.clearance_grid import SignedDistanceField
+from ctrplan.anatomy.parts import TriangleTree
 from ctrplan.anatomy.shapes.mesh import Mesh
-from ctrplan.anatomy.triangle_tree import TriangleTree
 from ctrplan.base.arrays import Array
 
 STEPS = 40  # along the sides of triangles that are tried point by point

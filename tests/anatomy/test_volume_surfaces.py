@@ -11,7 +11,7 @@ import SimpleITK
 from phantoms import AXES, CENTRE, OBLIQUE, capsule, distance_mm, image, near_points, part_of, torus, written
 from scipy.spatial.transform import Rotation
 
-from ctrplan.anatomy.images import level_surface
+from ctrplan.anatomy.images import structure
 from ctrplan.anatomy.images.structure import Structure
 
 
@@ -29,8 +29,8 @@ def test_the_surface_lies_between_the_voxels_without_stairs(spacing: Any, tmp_pa
         part = part_of(tmp_path, kind="volume", file="a.nrrd", label=3, margin_mm=0.5)
         off = body(part.shape.surface().vertices_m * 1e3) / wide
         assert np.sqrt(np.mean(off**2)) <= 0.15 and abs(np.mean(off)) <= 0.03
-        assert np.abs(off).max() <= level_surface.LABEL_ERROR
-        assert part.margin_m == pytest.approx(0.5e-3 + level_surface.LABEL_ERROR * wide * 1e-3)
+        assert np.abs(off).max() <= structure.LABEL_ERROR
+        assert part.margin_m == pytest.approx(0.5e-3 + structure.LABEL_ERROR * wide * 1e-3)
 
 
 def test_labels_leave_a_wall_along_the_voxels_open_by_nearly_one(tmp_path: Path) -> None:
@@ -57,7 +57,7 @@ def test_grey_values_cross_a_threshold_between_voxels(tmp_path: Path) -> None:
     body = capsule(CENTRE - 9 * OBLIQUE[1], CENTRE + 9 * OBLIQUE[1], 6)
     written(image(body, CENTRE, 24, 1.0, grey=True), tmp_path / "a.nrrd")
     inside = part_of(tmp_path, kind="volume", file="a.nrrd", above=-500)
-    assert np.abs(body(inside.shape.surface().vertices_m * 1e3)).max() <= level_surface.GREY_ERROR
+    assert np.abs(body(inside.shape.surface().vertices_m * 1e3)).max() <= structure.GREY_ERROR
     outside = part_of(tmp_path, kind="volume", file="a.nrrd", below=-500, role="inside")
     points = CENTRE + (near_points() - CENTRE) / 2  # nearer to the body than to the image's edges
     np.testing.assert_allclose(distance_mm(outside, points), -distance_mm(inside, points), atol=0.05)
@@ -71,8 +71,8 @@ def test_the_surface_is_closed_and_every_voxel_on_its_side(tmp_path: Path, monke
     chosen = Structure(inside, None, np.zeros(3, np.int64), False)
     surfaces = []
     for slab in (5, 100):
-        monkeypatch.setattr(level_surface, "SLAB", slab)
-        vertices, faces = level_surface.level_surface(chosen)
+        monkeypatch.setattr(structure, "SLAB", slab)
+        vertices, faces = structure.level_surface(chosen)
         sides = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
         assert (np.unique(sides, axis=0, return_counts=True)[1] % 2 == 0).all()
         centres = np.argwhere(np.ones(inside.shape, bool))[:, ::-1].astype(float)
@@ -85,12 +85,12 @@ def test_the_surface_is_closed_and_every_voxel_on_its_side(tmp_path: Path, monke
 def test_a_tube_of_one_voxel_stays_whole(tmp_path: Path) -> None:
     inside = np.zeros((40, 9, 9), bool)
     inside[3:37, 4, 4] = True
-    vertices, _ = level_surface.level_surface(Structure(inside, None, np.zeros(3, np.int64), False))
+    vertices, _ = structure.level_surface(Structure(inside, None, np.zeros(3, np.int64), False))
     assert vertices[:, 2].min() < 3 and vertices[:, 2].max() > 36
 
 
 def test_thin_tubes_are_known_to_be_less_certain(tmp_path: Path) -> None:
-    for radius, bound in ((0.9, level_surface.THIN_ERROR), (2.5, level_surface.LABEL_ERROR)):
+    for radius, bound in ((0.9, structure.THIN_ERROR), (2.5, structure.LABEL_ERROR)):
         body = capsule(CENTRE - 12 * OBLIQUE[1], CENTRE + 12 * OBLIQUE[1], radius)
         written(image(body, CENTRE, 18, 1.0, AXES["swapped"]), tmp_path / "a.nrrd")
         part = part_of(tmp_path, kind="volume", file="a.nrrd", label=3)

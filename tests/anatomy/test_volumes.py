@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import scenario_from_dict
-from ctrplan.planning.scenario import Scenario
+from ctrplan.scenario.scenario import Scenario
 
 SPACING = (0.8, 1.0, 1.3)
 TO_RAS = np.array([-1.0, -1.0, 1.0])

@@ -12,8 +12,8 @@ from measured_data import SIGMA_M, measured, pair_robot, waypoints, without_solu
 from ctrplan.calibration.calibrate import calibrate
 from ctrplan.cli import main
 from ctrplan.errors import InputError
-from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import load_robot
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
 ROBOT = pair_robot()

@@ -15,11 +15,11 @@ from ctrplan.calibration.calibrate import calibrate
 from ctrplan.calibration.least_squares import fit
 from ctrplan.calibration.residuals import Noise, residuals
 from ctrplan.diagnosis import CATALOGUE, diagnose
-from ctrplan.diagnosis.chi_square import adequacy
+from ctrplan.diagnosis.adequacy import adequacy
 from ctrplan.diagnosis.workbench import linear
-from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.measurement.measurements import Measurements
 
 ROBOT = pair_robot()
 TRUE = {"calibration": {"precurvature_factor_1_1": 1.06, "stiffness_factor_2": 1.15}}

@@ -12,15 +12,14 @@ import pytest
 from effect_values import OF_CONTINUOUS_MOTIONS, continuous_motion, effects
 from measured_data import measured, pair_robot, waypoints
 
-from ctrplan.calibration.base_parameters import BaseParameters
 from ctrplan.calibration.calibrate import calibrate
 from ctrplan.calibration.least_squares import Fit, fit_at
-from ctrplan.calibration.named_parameters import NamedParameters
+from ctrplan.calibration.parameters import BaseParameters, NamedParameters
 from ctrplan.calibration.residuals import Noise
 from ctrplan.calibration.robot_content import calibrated_content
 from ctrplan.effects.effect import CATALOGUE
-from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import Term, term
 from ctrplan.robot.robot import Robot

@@ -7,10 +7,10 @@ import pytest
 from measured_data import SIGMA_M, pair_robot
 
 from ctrplan.calibration.shown_noise import shown_noises
-from ctrplan.diagnosis.noise_floor import noise_floor
+from ctrplan.diagnosis.adequacy import noise_floor
 from ctrplan.errors import InputError
-from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.measurement.measurements import Measurements
 
 ROBOT = pair_robot()
 SILENT = robot_from_dict({key: value for key, value in ROBOT.content.items() if key != "measurement"})

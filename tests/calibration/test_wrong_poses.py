@@ -10,11 +10,10 @@ import pytest
 from measured_data import SIGMA_M, measured, pair_robot, waypoints, write_csv
 from numpy.typing import NDArray
 
-from ctrplan.calibration.calibrate import calibrate
-from ctrplan.calibration.calibration import Calibration
+from ctrplan.calibration.calibrate import Calibration, calibrate
 from ctrplan.cli import main
-from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import write_robot
+from ctrplan.measurement.measurements import Measurements
 
 ROBOT = pair_robot()
 TRUE = {"calibration": {"precurvature_factor_1_1": 1.1, "stiffness_factor_2": 1.1, "poisson_ratio_2": 0.2}}

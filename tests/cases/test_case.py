@@ -17,10 +17,10 @@ import tomli_w
 
 import ctrplan
 from ctrplan.anatomy import clearance_grid
-from ctrplan.cases.bases_table import read_bases
-from ctrplan.cases.case import Case, case
-from ctrplan.cases.work import BASES, PLACED, SCENARIO
 from ctrplan.errors import InputError, NoAnswerError
+from ctrplan.patients.bases_table import read_bases
+from ctrplan.patients.case import Case, case
+from ctrplan.patients.work import BASES, PLACED, SCENARIO
 from ctrplan.planning.placing import screen as screening
 from ctrplan.reports import plan_folder
 from ctrplan.storage.toml_document import read_document
@@ -83,8 +83,8 @@ def test_a_phantom_is_planned_and_written_whole(planned: Case) -> None:
 def test_a_rerun_keeps_all_and_an_edited_step_is_used(
     planned: Case, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ctrplan.cases.steps.bases.place", lambda *_, **__: pytest.fail("it placed again"))
-    monkeypatch.setattr("ctrplan.cases.steps.plan.plan", lambda *_, **__: pytest.fail("it planned again"))
+    monkeypatch.setattr("ctrplan.patients.steps.place", lambda *_, **__: pytest.fail("it placed again"))
+    monkeypatch.setattr("ctrplan.patients.steps.plan", lambda *_, **__: pytest.fail("it planned again"))
     assert not any(step.is_made for step in case(folder).steps)
     header, *rows = (folder / BASES).read_text().splitlines()
     assert len(rows) > 1
@@ -113,7 +113,7 @@ def test_an_edit_that_would_be_lost_is_refused_until_its_step_is_asked_for(
         asked.append(scenario.goal.tolerance_m)
         raise NoAnswerError("none")
 
-    monkeypatch.setattr("ctrplan.cases.steps.bases.place", place)
+    monkeypatch.setattr("ctrplan.patients.steps.place", place)
     with pytest.raises(NoAnswerError, match=r"nothing is reached from the entry \[-31, 17, 57\] mm"):
         case(folder)
     assert asked == [0.002] and not (folder / BASES).exists()
@@ -131,7 +131,7 @@ def test_an_edited_base_is_planned_from(folder: Path, monkeypatch: pytest.Monkey
         asked.append(1e3 * scenario.base_position_m[0])
         raise NoAnswerError("none")
 
-    monkeypatch.setattr("ctrplan.cases.steps.plan.plan", plan)
+    monkeypatch.setattr("ctrplan.patients.steps.plan", plan)
     with pytest.raises(NoAnswerError):
         case(folder)
     assert asked == [pytest.approx(content["base"]["position_mm"][0])]  # and from no other row
@@ -146,7 +146,7 @@ def test_where_a_base_has_no_plan_the_next_rows_are_tried(folder: Path, monkeypa
         assert ctrplan.load_scenario(scenario.path, allow_outside=True).sha256 == scenario.sha256
         raise NoAnswerError("none")
 
-    monkeypatch.setattr("ctrplan.cases.steps.plan.plan", plan)
+    monkeypatch.setattr("ctrplan.patients.steps.plan", plan)
     with pytest.raises(NoAnswerError):
         case(folder, from_step="placed", bases=2)
     np.testing.assert_allclose(asked, [row.pose.position_m for row in read_bases(folder / BASES)[:2]], atol=1e-12)
@@ -161,8 +161,8 @@ def test_the_row_that_a_plan_was_found_from_is_said(folder: Path, monkeypatch: p
             raise NoAnswerError("none")
         return None
 
-    monkeypatch.setattr("ctrplan.cases.steps.plan.plan", plan)
-    monkeypatch.setattr("ctrplan.cases.steps.plan._sentence", lambda made: "certified")
+    monkeypatch.setattr("ctrplan.patients.steps.plan", plan)
+    monkeypatch.setattr("ctrplan.patients.steps._sentence", lambda made: "certified")
     monkeypatch.setattr(plan_folder, "save_plan", lambda made, folder: None)
     case(folder, from_step="placed", until="plan", bases=2)
     record = json.loads((folder / "case.json").read_text())
@@ -171,7 +171,7 @@ def test_the_row_that_a_plan_was_found_from_is_said(folder: Path, monkeypatch: p
 
 KILLED = """
 import os, signal, sys
-from ctrplan.cases.case import case
+from ctrplan.patients.case import case
 from ctrplan.storage import atomic_write
 replace, done = os.replace, 0
 

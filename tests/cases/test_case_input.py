@@ -18,18 +18,17 @@ from dicom_series import write_series
 
 import ctrplan
 from ctrplan.anatomy.parts import exact_clearance
-from ctrplan.cases.case import NAMES, case
-from ctrplan.cases.roles import by_name
-from ctrplan.cases.steps.scenario import robot_file
-from ctrplan.cases.work import SCENARIO
 from ctrplan.cli import main
 from ctrplan.commands import case as commands
 from ctrplan.errors import CtrplanError
-from ctrplan.files.slicer.markups_file import read_markups
-from ctrplan.planning.drawn_back import drawn_back
-from ctrplan.planning.scenario import Scenario
-from ctrplan.storage.toml_document import read_document
-from ctrplan.storage.toml_text import toml_text
+from ctrplan.files.slicer_markups import read_markups
+from ctrplan.patients.case import NAMES, case
+from ctrplan.patients.steps import robot_file
+from ctrplan.patients.structures import by_name
+from ctrplan.patients.work import SCENARIO
+from ctrplan.scenario.bare_scenario import drawn_back
+from ctrplan.scenario.scenario import Scenario
+from ctrplan.storage.toml_document import read_document, toml_text
 
 TARGET = phantom.ENTRY + phantoms.OBLIQUE @ (20.0, -30.0, 120.0)
 LOOK = phantom.ENTRY + phantoms.OBLIQUE @ (10.0, 5.0, 100.0)

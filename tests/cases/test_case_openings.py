@@ -14,10 +14,10 @@ import trimesh
 
 import ctrplan
 from ctrplan.anatomy.parts import exact_clearance
-from ctrplan.cases.case import case
-from ctrplan.cases.work import SCENARIO
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.planning.scenario import Scenario
+from ctrplan.patients.case import case
+from ctrplan.patients.work import SCENARIO
+from ctrplan.scenario.scenario import Scenario
 
 TARGET = phantom.ENTRY + phantoms.OBLIQUE @ (20.0, -30.0, 120.0)
 
@@ -48,7 +48,7 @@ def test_nothing_reached_says_what_was_tried(image: Path, tmp_path: Path, monkey
     own = SimpleNamespace(reached=0, reason="the nearest tip is 16.8 mm away")
     tried = "256 poses tried: 200 have a valid start, 2 seem to reach one; none reaches a target: too close."
     nothing = SimpleNamespace(poses=(own,), drawn=256, sentence=tried)
-    monkeypatch.setattr("ctrplan.cases.steps.bases.place", lambda *_, **__: nothing)
+    monkeypatch.setattr("ctrplan.patients.steps.place", lambda *_, **__: nothing)
     keys: dict[str, Any] = {"lumens": ["1"], "avoids": ["2"], "targets": [TARGET], "entries": [phantom.ENTRY]}
     with pytest.raises(NoAnswerError, match=r"nothing is reached from the entry .* 256 poses tried: .*: too close\. A"):
         scenario_of(tmp_path / "case", image, until="bases", **keys)

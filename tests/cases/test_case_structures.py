@@ -17,11 +17,11 @@ from ctrplan.anatomy.images import image_file
 from ctrplan.anatomy.phases import Phases
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.anatomy.shapes.volume import Volume
-from ctrplan.cases.aims import middle_m
-from ctrplan.cases.case import case
-from ctrplan.cases.work import SCENARIO
 from ctrplan.errors import InputError
-from ctrplan.planning.scenario import Scenario
+from ctrplan.patients.case import case
+from ctrplan.patients.draft import middle_m
+from ctrplan.patients.work import SCENARIO
+from ctrplan.scenario.scenario import Scenario
 
 NODULE = phantom.ENTRY + phantoms.OBLIQUE @ (15.0, -20.0, 120.0)
 CLEAR = phantom.ENTRY + phantoms.OBLIQUE @ (10.0, 5.0, 60.0)

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from measured_data import pair_robot, waypoints
 
-from ctrplan.diagnosis.blocks import block_split, blocks
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.diagnosis.usable_poses import block_split, blocks
+from ctrplan.measurement.measurements import Measurements
 
 PLAN = waypoints(pair_robot(), 18)
 

@@ -16,28 +16,25 @@ from measured_data import SIGMA_M, measured, pair_robot, waypoints
 
 from ctrplan.calibration.residuals import Noise
 from ctrplan.cli import main
-from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, named_beside, opening
-from ctrplan.diagnosis.building import sought
+from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, partial, test_set
+from ctrplan.diagnosis.adequacy import noise_floor
+from ctrplan.diagnosis.building import built
 from ctrplan.diagnosis.building.built import refusals
 from ctrplan.diagnosis.building.dictionary import Piece, pieces
-from ctrplan.diagnosis.building.probes import wide
-from ctrplan.diagnosis.building.search import _with_piece, built_term
-from ctrplan.diagnosis.candidates import candidates
+from ctrplan.diagnosis.building.term_search import _with_piece, built_term, wide
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
-from ctrplan.diagnosis.noise_floor import noise_floor
+from ctrplan.diagnosis.partial import partly
 from ctrplan.diagnosis.partial_search import PartialSelector
-from ctrplan.diagnosis.partly import partly
 from ctrplan.diagnosis.sentences import effect_lines, verdict_sentence
 from ctrplan.diagnosis.usable_poses import usable_poses
-from ctrplan.diagnosis.workbench import Scored, values_by_name
+from ctrplan.diagnosis.workbench import Scored, candidates, values_by_name
 from ctrplan.effects.learned import parts
+from ctrplan.effects.learned.inputs import Range, Target
 from ctrplan.effects.learned.learned import named
-from ctrplan.effects.learned.ranges import Range
-from ctrplan.effects.learned.targets import Target
-from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.reports.diagnosis_page.page import diagnosis_report_html
-from ctrplan.reports.diagnosis_page.selection_errors import selection_errors
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.reports.diagnosis_figures import selection_errors
+from ctrplan.reports.diagnosis_page import diagnosis_report_html
 
 ROBOT = pair_robot()
 PLAN = waypoints(ROBOT, 18)
@@ -112,16 +109,16 @@ def test_no_name_stays_that_blocks_left_out_speak_against(monkeypatch: pytest.Mo
     noise, usable = noise_floor(ROBOT, data)[0], usable_poses(ROBOT, data)
     known = candidates(ROBOT, data, {"backlash": CATALOGUE["backlash"]})
     part = partly(ROBOT, data, usable, noise, known, lambda _: None)
-    built = sought.tried(part, lambda _: None)
-    assert built is not None
-    monkeypatch.setattr(named_beside, "LEAST_ODDS", -100.0)  # so that anything is a name at first
-    asked = named_beside.named_beside(PartialSelector(part.bench, known, lambda _: None), built.scored)
+    term = built.tried(part, lambda _: None)
+    assert term is not None
+    monkeypatch.setattr(partial, "LEAST_ODDS", -100.0)  # so that anything is a name at first
+    asked = partial.named_beside(PartialSelector(part.bench, known, lambda _: None), term.scored)
     assert [(step.action, step.taken) for step in asked.path] == [("add", True), ("drop", True)]
     assert asked.path[1].gain <= 0 and not asked.findings and asked.chosen.names == ("learned_theta_2",)
 
 
 def test_names_stay_where_the_poses_kept_aside_take_the_term_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(opening, "LEAST_SHARE_ASIDE", 2.0)
+    monkeypatch.setattr(test_set, "LEAST_SHARE_ASIDE", 2.0)
     after = diagnose(ROBOT, rippled(FURTHER), catalogue={"sensor_offset": CATALOGUE["sensor_offset"]})
     assert after.verdict == "partial" and [t.name for t in after.listed] == ["sensor_offset"]
     assert after.built is None and any("taken back" in note for note in after.notes)
@@ -129,14 +126,14 @@ def test_names_stay_where_the_poses_kept_aside_take_the_term_back(monkeypatch: p
 
 def test_a_term_is_sought_beside_the_most_probable_effect_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
     """As where no piece comes within reach beside nothing: on screws that couple joints of a wrong scale."""
-    settled = sought._settled
-    monkeypatch.setattr(sought, "_settled", lambda found, at, tell: settled(found, at, tell) if at.terms else None)
+    settled = built._settled
+    monkeypatch.setattr(built, "_settled", lambda found, at, tell: settled(found, at, tell) if at.terms else None)
     data = rippled({"joint_scale": {"theta_2": 0.25}})
     noise, usable = noise_floor(ROBOT, data)[0], usable_poses(ROBOT, data)
     known = candidates(ROBOT, data, {"joint_scale": CATALOGUE["joint_scale"]})
     before = partly(ROBOT, data, usable, noise, known, lambda _: None)
     unnamed = replace(before, chosen=before.bench.corrected(before.bench.scored([])))
-    found = sought.tried(unnamed, lambda _: None)
+    found = built.tried(unnamed, lambda _: None)
     assert found is not None and not refusals(before.bench, found)
     assert {*found.scored.names} == {"joint_scale", "learned_theta_2"}
 
@@ -153,9 +150,9 @@ def test_a_search_that_builds_nothing_leaves_the_discrepancy_beside_what_holds(m
         beside.append(scored.names)
         return corrected(bench, scored)
 
-    monkeypatch.setattr(sought, "_settled", lambda *_, **__: None)
+    monkeypatch.setattr(built, "_settled", lambda *_, **__: None)
     monkeypatch.setattr(CorrelatedBench, "corrected", noted)
-    assert sought.build(unnamed, lambda _: None) is None
+    assert built.build(unnamed, lambda _: None) is None
     assert ("joint_scale",) in beside and beside[-1] == ()
 
 
@@ -168,9 +165,9 @@ def test_smaller_pieces_count_only_beside_a_name(
     """In a smooth null of a pair a wrong name beside a term that failed let them pass, and did not hold beside them."""
     built: Any = SimpleNamespace(partly=SimpleNamespace(judgement=SimpleNamespace(findings=findings)))
     found: Any = SimpleNamespace(bench=MagicMock(), chosen=MagicMock())
-    monkeypatch.setattr(sought, "_settled", lambda *_, smooth_counts: None if smooth_counts else built)
-    monkeypatch.setattr(sought, "refusals", lambda *_: reasons)
-    assert sought._of_smaller_pieces(found, lambda _: None) is (built if counts else None)
+    monkeypatch.setattr(built, "_settled", lambda *_, smooth_counts: None if smooth_counts else built)
+    monkeypatch.setattr(built, "refusals", lambda *_: reasons)
+    assert built._of_smaller_pieces(found, lambda _: None) is (built if counts else None)
 
 
 @pytest.mark.parametrize(
@@ -189,11 +186,11 @@ def test_a_term_takes_the_place_of_names_that_are_not_plausible_where_it_predict
     names: Any = SimpleNamespace(fit=None, names=("lag",))
     found: Any = SimpleNamespace(bench=bench, chosen=names, is_noise=False, rest=SimpleNamespace(rms_m=1.0))
     instead: Any = SimpleNamespace(scored="term")
-    monkeypatch.setattr(sought, "strained", lambda fit, names: strange)
-    monkeypatch.setattr(sought, "mean_square", lambda error: error)
-    monkeypatch.setattr(sought, "_settled", lambda found, at, tell: instead if at == "nothing" else None)
-    monkeypatch.setattr(sought, "refusals", lambda bench, built: reasons)
-    assert sought.tried(found, lambda _: None) is (instead if taken else None)
+    monkeypatch.setattr(built, "strained", lambda fit, names: strange)
+    monkeypatch.setattr(built, "mean_square", lambda error: error)
+    monkeypatch.setattr(built, "_settled", lambda found, at, tell: instead if at == "nothing" else None)
+    monkeypatch.setattr(built, "refusals", lambda bench, built: reasons)
+    assert built.tried(found, lambda _: None) is (instead if taken else None)
 
 
 def test_a_robot_that_has_its_term_lacks_nothing_more() -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ctrplan.diagnosis.chi_square import adequacy
-from ctrplan.diagnosis.held_out import Linear
+from ctrplan.diagnosis.adequacy import adequacy
+from ctrplan.diagnosis.cross_validation import Linear
 
 
 @pytest.mark.parametrize("weight", [1.0, 1e-2, 1e-6])

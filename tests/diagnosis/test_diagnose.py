@@ -18,11 +18,10 @@ from ctrplan.cli import main
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
 from ctrplan.diagnosis.localise import localise
 from ctrplan.errors import InputError
-from ctrplan.experiment.measurements import Measurements
-from ctrplan.experiment.split import split
 from ctrplan.files.robot_file import load_robot, write_robot
-from ctrplan.reports.diagnosis_page.page import diagnosis_report_html
-from ctrplan.reports.diagnosis_page.selection_errors import selection_errors
+from ctrplan.measurement.measurements import Measurements, split
+from ctrplan.reports.diagnosis_figures import selection_errors
+from ctrplan.reports.diagnosis_page import diagnosis_report_html
 from ctrplan.reports.html_page import escaped
 
 ROBOT = pair_robot()

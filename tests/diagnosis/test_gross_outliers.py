@@ -13,13 +13,13 @@ from made_up_input import FUZZ
 from measured_data import SIGMA_M, measured, pair_robot, waypoints
 from numpy.typing import NDArray
 
-from ctrplan.calibration.gross_outliers import LEAST, far_from_all
+from ctrplan.calibration.fit_warnings import LEAST, far_from_all
 from ctrplan.calibration.residuals import MODEL_POSITION_M
 from ctrplan.calibration.robot_content import CHI95
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
-from ctrplan.diagnosis.agreement import LARGEST_REST, largest_rest, times_noise
+from ctrplan.diagnosis.gap import LARGEST_REST, largest_rest, times_noise
 from ctrplan.diagnosis.sentences import verdict_sentence
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements
 
 ROBOT = pair_robot()
 PLAN = waypoints(ROBOT, 20)

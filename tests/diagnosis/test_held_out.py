@@ -10,12 +10,18 @@ from scipy.stats import multivariate_normal
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import PER_POSE, Noise, Residuals
-from ctrplan.diagnosis.chance import null_threshold
-from ctrplan.diagnosis.chi_square import ChiSquare, adequacy, outliers
-from ctrplan.diagnosis.held_out import Linear, held_out_loss, held_out_residuals, null_scores, steps_without
-from ctrplan.diagnosis.nested_scores import nested_null_scores
-from ctrplan.diagnosis.predictive import predictive_loss, predictive_null_scores
-from ctrplan.diagnosis.rescaled_noise import held_out_probability, rescaled_noise
+from ctrplan.diagnosis.adequacy import ChiSquare, adequacy, held_out_probability, outliers, rescaled_noise
+from ctrplan.diagnosis.cross_validation import (
+    Linear,
+    held_out_loss,
+    held_out_residuals,
+    nested_null_scores,
+    null_scores,
+    null_threshold,
+    predictive_loss,
+    predictive_null_scores,
+    steps_without,
+)
 
 POSES, GROUPS = 120, 24
 GROUP = np.repeat(np.arange(GROUPS), POSES // GROUPS)

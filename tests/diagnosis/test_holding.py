@@ -10,14 +10,22 @@ import numpy as np
 import pytest
 
 from ctrplan.base.arrays import Array
-from ctrplan.diagnosis import CATALOGUE, held, holding, workbench
-from ctrplan.diagnosis.building.search import built_term
-from ctrplan.diagnosis.held_out import Linear
-from ctrplan.diagnosis.holding import AT_REST, OF_MOTION, Evidence, Sides, Telling, evidence, in_its_place, telling_odds
-from ctrplan.diagnosis.holding import _shift as shift
+from ctrplan.diagnosis import CATALOGUE, block_evidence, partial_search, workbench
+from ctrplan.diagnosis.block_evidence import (
+    AT_REST,
+    OF_MOTION,
+    Evidence,
+    Sides,
+    Telling,
+    evidence,
+    in_its_place,
+    telling_odds,
+)
+from ctrplan.diagnosis.block_evidence import _shift as shift
+from ctrplan.diagnosis.building.term_search import built_term
+from ctrplan.diagnosis.cross_validation import Linear
+from ctrplan.effects.learned.inputs import Range, Target
 from ctrplan.effects.learned.learned import named
-from ctrplan.effects.learned.ranges import Range
-from ctrplan.effects.learned.targets import Target
 
 
 @dataclass(frozen=True)
@@ -78,8 +86,10 @@ def by_table(monkeypatch: pytest.MonkeyPatch) -> None:
     def gains(bench: object, with_it: frozenset[str], without_it: frozenset[str]) -> Array:
         return (EXPLAINED[with_it] - EXPLAINED[without_it]) * np.array([0.9, 1.0, 1.1, 1.0])
 
-    monkeypatch.setattr(holding, "_gains", gains)
-    monkeypatch.setattr(holding, "_shift", lambda panel, among, t, other: 40.0 if other.name == "drive_lag" else 0.5)
+    monkeypatch.setattr(block_evidence, "_gains", gains)
+    monkeypatch.setattr(
+        block_evidence, "_shift", lambda panel, among, t, other: 40.0 if other.name == "drive_lag" else 0.5
+    )
 
 
 def asked(*others: Term) -> Any:
@@ -101,7 +111,7 @@ def test_what_only_refines_an_effect_does_not_compete_with_it() -> None:
 
 
 def test_a_competitor_that_takes_its_parameters_away_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(holding, "_shift", lambda *_: 40.0)
+    monkeypatch.setattr(block_evidence, "_shift", lambda *_: 40.0)
     assert asked(OTHER).doubts == ["beside backlash its parameters leave their intervals"]
 
 
@@ -114,13 +124,13 @@ def test_effects_in_its_place_come_best_first_each_in_its_best_variant() -> None
 def test_a_frame_whose_place_something_takes_is_told_with_it_if_it_stands_out_beside_a_smooth_error(
     moves_far: bool, stands_out: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(held, "_stands_out", lambda *_: stands_out)
-    monkeypatch.setattr(held, "_moves_far", lambda *_: moves_far)
+    monkeypatch.setattr(partial_search, "_stands_out", lambda *_: stands_out)
+    monkeypatch.setattr(partial_search, "_moves_far", lambda *_: moves_far)
     selector: Any = SimpleNamespace(bench=None, partial_bench=None)
     chosen: Any = None
     for others, is_name in (([], True), ([SOFT], stands_out), ([BETTER], False)):
         asked_of: Any = SimpleNamespace(term=FRAME, imitators=())
-        assert held._is_name(selector, chosen, sides(FRAME, *others), asked_of) == (is_name and moves_far)
+        assert partial_search._is_name(selector, chosen, sides(FRAME, *others), asked_of) == (is_name and moves_far)
 
 
 @pytest.mark.parametrize(
@@ -132,9 +142,9 @@ def test_a_frame_is_compared_with_the_constant_of_a_built_term_whose_zero_is_arb
     on, bench = Target(kind, tube), SimpleNamespace(robot=SimpleNamespace(n=2))
     slope = named(on, "slope_l_2")
     term = built_term(on, slope, {"l_2": Range(-0.1, 0.0)}, 2)
-    names = [parameter.name for parameter in held.with_zero(bench, term).parameters]  # type: ignore[arg-type]
+    names = [parameter.name for parameter in partial_search.with_zero(bench, term).parameters]  # type: ignore[arg-type]
     assert names == slope + (named(on, "constant") if is_arbitrary else [])
-    twice = held.with_zero(bench, held.with_zero(bench, term))  # type: ignore[arg-type]
+    twice = partial_search.with_zero(bench, partial_search.with_zero(bench, term))  # type: ignore[arg-type]
     assert [parameter.name for parameter in twice.parameters] == names
 
 
@@ -144,7 +154,7 @@ def test_an_effect_that_a_competitor_leaves_little_of_is_one_of_several(monkeypa
     found = asked(OTHER)
     assert found.imitators == (OTHER,) and found.is_one_of_several and not found.holds
     assert found.doubts == ["beside backlash little of its gain is left"]
-    monkeypatch.setattr(holding, "_shift", lambda *_: 40.0)
+    monkeypatch.setattr(block_evidence, "_shift", lambda *_: 40.0)
     assert not asked(OTHER).is_one_of_several  # more speaks against it than that
 
 

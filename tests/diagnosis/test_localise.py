@@ -9,9 +9,9 @@ import pytest
 from measured_data import pair_robot, waypoints
 
 from ctrplan.base.arrays import Array
+from ctrplan.diagnosis.answer import HELD_OUT_SHARE, Teller
 from ctrplan.diagnosis.localise import localise, quantities
-from ctrplan.diagnosis.teller import HELD_OUT_SHARE, Teller
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements
 
 DATA = waypoints(pair_robot(), 18)
 

@@ -7,9 +7,7 @@ import pytest
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import PER_POSE
-from ctrplan.diagnosis.held_out import Linear
-from ctrplan.diagnosis.nested_scores import nested_null_scores
-from ctrplan.diagnosis.predictive import predictive_null_scores
+from ctrplan.diagnosis.cross_validation import Linear, nested_null_scores, predictive_null_scores
 
 POSES, COMMON = 47, 6
 GROUP = np.arange(POSES) // 4  # the last block is smaller

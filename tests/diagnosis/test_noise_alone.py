@@ -9,11 +9,10 @@ import pytest
 from measured_data import measured, pair_robot, waypoints
 
 from ctrplan.diagnosis import CATALOGUE, diagnose
-from ctrplan.diagnosis.chi_square import remains
-from ctrplan.diagnosis.noise_alone import remaining_error
-from ctrplan.diagnosis.noise_floor import noise_floor
+from ctrplan.diagnosis.adequacy import noise_floor, remains
+from ctrplan.diagnosis.smooth_evidence import remaining_error
 from ctrplan.diagnosis.workbench import Scored, Workbench
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import Term, term
 
 ROBOT = pair_robot()

@@ -14,26 +14,24 @@ from measured_data import measured, pair_robot, waypoints, write_csv
 
 from ctrplan.cli import main
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, selection
+from ctrplan.diagnosis.adequacy import noise_floor, remains
 from ctrplan.diagnosis.answer import Answer
-from ctrplan.diagnosis.candidates import candidates
-from ctrplan.diagnosis.chi_square import remains
+from ctrplan.diagnosis.block_evidence import Closing
 from ctrplan.diagnosis.confirmation import confirm
-from ctrplan.diagnosis.frames import frames
+from ctrplan.diagnosis.correlated_bench import frames
 from ctrplan.diagnosis.next_experiment import next_experiment
-from ctrplan.diagnosis.noise_floor import noise_floor
-from ctrplan.diagnosis.opening import opened
-from ctrplan.diagnosis.partly import Partly, partly
+from ctrplan.diagnosis.partial import Partly, partly
 from ctrplan.diagnosis.sentences import effect_lines
-from ctrplan.diagnosis.shares import Closing
+from ctrplan.diagnosis.test_set import opened
 from ctrplan.diagnosis.usable_poses import usable_poses
 from ctrplan.diagnosis.verdict import Alternative, Finding
+from ctrplan.diagnosis.workbench import candidates
 from ctrplan.errors import InputError
-from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import term
-from ctrplan.reports.diagnosis_page.gap_split import gap_split, share_table
-from ctrplan.reports.diagnosis_page.page import diagnosis_report_html
-from ctrplan.reports.diagnosis_page.selection_errors import selection_errors
+from ctrplan.reports.diagnosis_figures import selection_errors
+from ctrplan.reports.diagnosis_page import diagnosis_report_html, gap_split, share_table
 
 ROBOT = pair_robot()
 PLAN, OTHERS = waypoints(ROBOT, 18), waypoints(ROBOT, 8, seed=5)

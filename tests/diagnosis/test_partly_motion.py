@@ -15,10 +15,10 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import decay
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
 from ctrplan.diagnosis.answer import Answer
-from ctrplan.diagnosis.opening import opened
-from ctrplan.experiment.measurements import Measurements
-from ctrplan.reports.diagnosis_page.page import diagnosis_report_html
-from ctrplan.reports.diagnosis_page.selection_errors import selection_errors
+from ctrplan.diagnosis.test_set import opened
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.reports.diagnosis_figures import selection_errors
+from ctrplan.reports.diagnosis_page import diagnosis_report_html
 
 ROBOT, COUNT, MEMORY_S, LATE_S = pair_robot(), 500, 1.5, 0.2
 CATALOGUED = {name: CATALOGUE[name] for name in ("lag", "backlash", "joint_scale")}

@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 from measured_data import measured, pair_robot, waypoints
 
-from ctrplan.calibration.symptoms import is_strained, strained, symptoms
+from ctrplan.calibration.fit_warnings import is_strained, strained, symptoms
 from ctrplan.diagnosis import CATALOGUE, diagnose
-from ctrplan.diagnosis.agreement import LARGEST_REST, contradiction, largest_rest
-from ctrplan.diagnosis.candidates import candidates
-from ctrplan.diagnosis.noise_floor import noise_floor
+from ctrplan.diagnosis.adequacy import noise_floor
+from ctrplan.diagnosis.gap import LARGEST_REST, contradiction, largest_rest
 from ctrplan.diagnosis.selection import Selector
 from ctrplan.diagnosis.sentences import verdict_sentence
 from ctrplan.diagnosis.verdict import judge
-from ctrplan.diagnosis.workbench import Workbench
+from ctrplan.diagnosis.workbench import Workbench, candidates
 from ctrplan.pipeline.term import Term, term
 
 ROBOT = pair_robot()

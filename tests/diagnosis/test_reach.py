@@ -12,13 +12,10 @@ from measured_data import SIGMA_M, measured, pair_robot, waypoints
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.building.dictionary import Piece, pieces
-from ctrplan.diagnosis.building.probes import Wide, wide
-from ctrplan.diagnosis.building.reach import reach
-from ctrplan.diagnosis.building.search import grown
-from ctrplan.diagnosis.candidates import candidates
+from ctrplan.diagnosis.building.term_search import Wide, grown, reach, wide
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.partial_search import PartialSelector
-from ctrplan.diagnosis.workbench import Scored
+from ctrplan.diagnosis.workbench import Scored, candidates
 from ctrplan.effects.effect import CATALOGUE
 
 ROBOT = pair_robot()

@@ -5,11 +5,9 @@ from __future__ import annotations
 from measured_data import measured, pair_robot, waypoints
 
 from ctrplan.diagnosis import CATALOGUE
-from ctrplan.diagnosis.candidates import candidates
-from ctrplan.diagnosis.chi_square import remains
-from ctrplan.diagnosis.noise_floor import noise_floor
+from ctrplan.diagnosis.adequacy import noise_floor, remains
 from ctrplan.diagnosis.selection import CERTAIN, Selector
-from ctrplan.diagnosis.workbench import Workbench
+from ctrplan.diagnosis.workbench import Workbench, candidates
 from ctrplan.pipeline.term import Term, term
 
 ROBOT = pair_robot()

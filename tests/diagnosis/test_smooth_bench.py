@@ -10,14 +10,13 @@ from measured_data import SIGMA_M, SIGMA_RAD, measured, pair_robot, waypoints
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import Noise
-from ctrplan.diagnosis.blocks import block_split, blocks
-from ctrplan.diagnosis.candidates import Candidates, candidates
-from ctrplan.diagnosis.correlated_bench import CorrelatedBench
-from ctrplan.diagnosis.held import _sides as sides
-from ctrplan.diagnosis.holding import Sides, evidence
+from ctrplan.diagnosis.block_evidence import Sides, evidence
+from ctrplan.diagnosis.correlated_bench import CorrelatedBench, SmoothBench
 from ctrplan.diagnosis.partial_search import PartialSelector
-from ctrplan.diagnosis.smooth_bench import SmoothBench
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.diagnosis.partial_search import _sides as sides
+from ctrplan.diagnosis.usable_poses import block_split, blocks
+from ctrplan.diagnosis.workbench import Candidates, candidates
+from ctrplan.measurement.measurements import Measurements
 
 ROBOT = pair_robot()
 PLAN = waypoints(ROBOT, 24, seed=4)

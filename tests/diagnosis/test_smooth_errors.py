@@ -13,9 +13,9 @@ from scipy.stats import multivariate_normal
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.calibration.residuals import Noise, compared, residuals
-from ctrplan.diagnosis.smooth_errors import SmoothError, at_rest, of_motion
-from ctrplan.experiment.measurements import Measurements
-from ctrplan.pipeline.prediction import Prediction
+from ctrplan.diagnosis.remainder import SmoothError, at_rest, of_motion
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.pipeline.term import Prediction
 
 ROBOT, COUNT = pair_robot(), 9
 RNG = np.random.default_rng(4)

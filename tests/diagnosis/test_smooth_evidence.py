@@ -14,17 +14,16 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import Linearised, Spectrum, block_of, shared
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE, smooth_evidence
-from ctrplan.diagnosis import named_beside as rules
-from ctrplan.diagnosis.blocks import block_split, blocks
-from ctrplan.diagnosis.building.search import built_term
-from ctrplan.diagnosis.candidates import candidates
+from ctrplan.diagnosis import partial as rules
+from ctrplan.diagnosis.building.term_search import built_term
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.partial_search import PartialSelector
 from ctrplan.diagnosis.smooth_evidence import Gain, SmoothEvidence
+from ctrplan.diagnosis.usable_poses import block_split, blocks
 from ctrplan.diagnosis.verdict import Finding
-from ctrplan.effects.learned.ranges import Range
-from ctrplan.effects.learned.targets import Target
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.diagnosis.workbench import candidates
+from ctrplan.effects.learned.inputs import Range, Target
+from ctrplan.measurement.measurements import Measurements
 
 ROBOT = pair_robot()
 PLAN = waypoints(ROBOT, 24, seed=4)

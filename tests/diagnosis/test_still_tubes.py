@@ -11,8 +11,8 @@ from measured_data import measured, pair_robot, waypoints
 from ctrplan.calibration.calibrate import calibrate
 from ctrplan.diagnosis import CATALOGUE, diagnose
 from ctrplan.diagnosis.building.dictionary import pieces
-from ctrplan.diagnosis.candidates import candidates
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.diagnosis.workbench import candidates
+from ctrplan.measurement.measurements import Measurements
 
 ROBOT = pair_robot()
 PLAN = waypoints(ROBOT, 14)

@@ -7,15 +7,15 @@ from measured_data import pair_robot, waypoints
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import Linearised, of_configurations
-from ctrplan.diagnosis import surrogates
-from ctrplan.diagnosis.joint_memory import joint_memory
+from ctrplan.diagnosis import correlated_bench
+from ctrplan.diagnosis.remainder import joint_memory
 
 
 def test_of_a_motion_keep_the_spectrum_and_lose_the_phases() -> None:
     rng = np.random.default_rng(0)
     r = np.cumsum(rng.standard_normal((200, 5)), axis=0)
     r -= r.mean(axis=0)
-    drawn = surrogates.of_motion(r, np.zeros(200, dtype=int), 50)
+    drawn = correlated_bench.of_motion(r, np.zeros(200, dtype=int), 50)
     spectrum = np.abs(np.fft.rfft(r, axis=0))
     np.testing.assert_allclose(
         np.abs(np.fft.rfft(drawn, axis=0))[1:-1], spectrum[1:-1, :, None].repeat(50, 2), rtol=1e-6
@@ -30,7 +30,7 @@ def test_of_configurations_keep_what_approaches_share() -> None:
     rng = np.random.default_rng(1)
     configuration = np.repeat(np.arange(20), 5)
     r = np.repeat(rng.standard_normal((20, 5)), 5, axis=0) + 0.1 * rng.standard_normal((100, 5))
-    drawn = surrogates.of_configurations(r, configuration, 100)
+    drawn = correlated_bench.of_configurations(r, configuration, 100)
     within = drawn.reshape(20, 5, 5, 100).std(axis=1)
     assert 0.05 < within.mean() < 0.2 and 0.7 < np.mean(drawn**2) / np.mean(r**2) < 1.3
     assert abs(np.einsum("kc,kcd->d", r, drawn).mean() / np.sum(r**2)) < 0.1
@@ -47,7 +47,7 @@ def test_of_configurations_are_as_smooth_in_the_joints_as_what_remains() -> None
         rest = of_configurations(left, plan.configuration)
         memory = joint_memory(left, plan, rest)
         assert (memory.smooth > 0.5) == is_smooth
-        for drawn in (surrogates.of_configurations(left.r, plan.configuration, 60, memory), smooth[:, :, None]):
+        for drawn in (correlated_bench.of_configurations(left.r, plan.configuration, 60, memory), smooth[:, :, None]):
             near = roughness(drawn, turn[:, 0], plan.configuration)
             assert (near < 0.7) if is_smooth or drawn.shape[2] == 1 else (near > 0.85)
 

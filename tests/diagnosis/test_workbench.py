@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from measured_data import measured, pair_robot, waypoints
 
-from ctrplan.calibration.pose_errors import distances
+from ctrplan.calibration.estimates import distances
 from ctrplan.diagnosis import CATALOGUE
-from ctrplan.diagnosis.noise_floor import noise_floor
+from ctrplan.diagnosis.adequacy import noise_floor
 from ctrplan.diagnosis.workbench import Workbench
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import Term, term
 
 ROBOT = pair_robot()

@@ -14,9 +14,8 @@ from ctrplan.base.arrays import Array
 from ctrplan.drive.drive import Drive, Joint, Kind
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
-from ctrplan.mechanics.nesting import nesting_inequalities
-from ctrplan.robot.nesting import nesting_violation
-from ctrplan.robot.robot import Robot
+from ctrplan.mechanics.tube import nesting_inequalities
+from ctrplan.robot.robot import Robot, nesting_violation
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -11,11 +11,11 @@ from scipy.integrate import solve_bvp
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.calibrate import calibrate
-from ctrplan.drive.collars import Collars
+from ctrplan.drive.legs import Collars
 from ctrplan.effects.effect import CATALOGUE
-from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.mechanics.plate_moment import largest_plate_moment, plate_moment
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.mechanics.shapes import largest_plate_moment, plate_moment
 from ctrplan.pipeline.parametric_chain import ParametricChain
 
 ROBOT = pair_robot(contact=[{"friction_coefficient": 0.3}])

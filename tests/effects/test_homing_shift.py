@@ -11,7 +11,7 @@ from measured_data import chain_of, pair_robot, waypoints
 from ctrplan.base.arrays import Array
 from ctrplan.effects.drive.homing_shift import MOST_HOMINGS
 from ctrplan.effects.effect import CATALOGUE
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.parametric_chain import ParametricChain
 
 EFFECT = CATALOGUE["homing_shift"]

@@ -8,16 +8,13 @@ import numpy as np
 import pytest
 from measured_data import pair_robot, waypoints
 
-from ctrplan.drive.collars import Collars
-from ctrplan.effects.learned.inputs import Situation
-from ctrplan.effects.learned.learned import LearnedSensor, learned, named
-from ctrplan.effects.learned.ranges import Range
-from ctrplan.effects.learned.targets import Target
-from ctrplan.effects.of_file import effect_of
+from ctrplan.drive.legs import Collars
+from ctrplan.effects.learned.inputs import Range, Situation, Target
+from ctrplan.effects.learned.learned import LearnedSensor, effect_of, learned, named
 from ctrplan.errors import InputError
-from ctrplan.pipeline.left_ranges import range_notes
+from ctrplan.measurement.sensor import Poses
+from ctrplan.pipeline.installed import range_notes
 from ctrplan.robot.robot import Robot
-from ctrplan.sensor.poses import Poses
 
 RIPPLE = {"sin_3_theta_2_deg": 4.0, "range": {"theta_2": [-180.0, 180.0]}}
 GUIDE = {"slope_l_2_deg": 6.0, "square_l_2_deg": -2.0, "range": {"l_2": [-30.0, -10.0]}}

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ctrplan.experiment.friction_states import friction_state, last_directions
-from ctrplan.experiment.measurements import Measurements, is_streamed
+from ctrplan.measurement.approach import friction_state, last_directions
+from ctrplan.measurement.measurements import Measurements, is_streamed
 
 
 def along(theta_2: list[float], l_2: list[float] | None = None) -> Measurements:

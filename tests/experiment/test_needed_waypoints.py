@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ctrplan.experiment.needed_waypoints import STRAIGHT_M, STRAIGHT_RAD, needed_waypoints
+from ctrplan.measurement.approach import STRAIGHT_M, STRAIGHT_RAD, needed_waypoints
 
 
 def wandering(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:

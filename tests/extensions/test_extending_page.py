@@ -76,7 +76,7 @@ import numpy as np
 import ctrplan
 from ctrplan.planning import MotionChecker
 from ctrplan.planning.goals.goal_states import goal_states
-from ctrplan.planning.search.search_problem import SearchProblem
+from ctrplan.planning.search.ompl_set_up import SearchProblem
 
 scenario = ctrplan.load_scenario("first.toml", ["planner.name=RRT", "planner.goal_bias=0.3"])
 checker = MotionChecker(scenario)
@@ -112,7 +112,7 @@ import numpy as np
 import ctrplan
 from ctrplan.anatomy.parts import AnatomyPart, exact_clearance
 from ctrplan.anatomy.shapes.mesh import Mesh
-from ctrplan.reports.surface import anatomy_surface
+from ctrplan.reports.robot_surface import anatomy_surface
 
 (part,) = ctrplan.load_scenario("boxed.toml").anatomy
 drawn = anatomy_surface(part)

@@ -14,13 +14,13 @@ from made_up_input import NUMBERS, assert_names_the_fault, cases
 from places import SCENARIOS
 
 from ctrplan.errors import CtrplanError, InputError
-from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.planning.bare_scenario import bare_scenario
-from ctrplan.planning.scenario import Scenario
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
+from ctrplan.scenario.bare_scenario import bare_scenario
+from ctrplan.scenario.scenario import Scenario
 
 ROBOTS = {path.stem: path.read_text() for path in sorted((SCENARIOS / "robots").glob("*.toml"))}
 PROBLEMS = {name: (SCENARIOS / f"{name}.toml").read_text() for name in ("pair_free", "ribs", "vessel")}

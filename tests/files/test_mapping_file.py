@@ -16,10 +16,10 @@ from scipy.spatial.transform import Rotation
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.calibrate import calibrate
 from ctrplan.errors import InputError
-from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.joint_path_file import load_joint_path
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.studies.simulate import simulate
 
 ROBOT = pair_robot()

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from written_plan_files import write_small_plan
 
+from ctrplan.audit.case import DrivenWay
 from ctrplan.errors import InputError
 from ctrplan.files.plan_file import WrittenPlan, load_plan
-from ctrplan.verification.driven_way import DrivenWay
 
 
 @pytest.fixture(scope="module")

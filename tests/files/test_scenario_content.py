@@ -20,7 +20,7 @@ from ctrplan.files.joint_path_file import load_joint_path
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_file import load_scenario, scenario_from_dict
-from ctrplan.planning.scenario import Scenario
+from ctrplan.scenario.scenario import Scenario
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -20,9 +20,9 @@ from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.planning.scenario import Cost, Margins
 from ctrplan.planning.search.planners.bit_star import BITStar
 from ctrplan.planning.search.planners.rrt_star import RRTStar
+from ctrplan.scenario.scenario import Cost, Margins
 from ctrplan.storage.toml_document import Document
 
 if sys.version_info >= (3, 11):

@@ -7,7 +7,7 @@ import pytest
 from places import ROBOTS
 
 from ctrplan.files.robot_file import load_robot
-from ctrplan.robot.nesting import nesting_violation
+from ctrplan.robot.robot import nesting_violation
 
 SHIPPED = ROBOTS
 

@@ -19,12 +19,9 @@ from scipy.spatial.transform import Rotation
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
-from ctrplan.files.slicer.itk_transform import itk_transform_text
-from ctrplan.files.slicer.markups import markups_text
-from ctrplan.files.slicer.model_sequence import model_sequence
-from ctrplan.files.slicer.ply_model import ply_model
-from ctrplan.files.slicer.slicer_space import patient_frame
-from ctrplan.planning.scenario import Scenario
+from ctrplan.files.slicer_markups import patient_frame
+from ctrplan.files.slicer_scene import itk_transform_text, markups_text, model_sequence, ply_model
+from ctrplan.scenario.scenario import Scenario
 
 # Nothing of it looks the same from another side. In the patient: P is 10 mm left of the origin, 20 behind, 30 above.
 POINTS_LPS_MM = np.array([[10, 20, 30], [-1, 0, 0], [0, 2.5, -7], [40.25, -3, 11]])

@@ -17,7 +17,7 @@ from ctrplan.drive.trajectory import Trajectory
 from ctrplan.errors import CtrplanError, InputError
 from ctrplan.files.trajectory_file import left_over, trajectory_formats, write_trajectory
 from ctrplan.files.trajectory_formats.ros2_message import trajectory_as_ros2_yaml
-from ctrplan.storage.atomic_write import write_atomically
+from ctrplan.storage.output_folder import write_atomically
 
 
 def example() -> Trajectory:

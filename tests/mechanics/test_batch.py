@@ -15,8 +15,8 @@ from places import ROBOTS
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.batch import CHUNK, FEWEST, chunks, rows_in_a_chunk
 from ctrplan.mechanics.shapes import Bounds
+from ctrplan.mechanics.walk import CHUNK, FEWEST, chunks, rows_in_a_chunk
 
 PAIR = load_robot(ROBOTS / "table_1_pair.toml")  # two corners: quick
 

@@ -17,9 +17,8 @@ from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot
 from ctrplan.mechanics.core import Mechanics
-from ctrplan.mechanics.loads import Loads
 from ctrplan.mechanics.shapes import Shape, Status
-from ctrplan.mechanics.tube import Tube, TubeSection
+from ctrplan.mechanics.tube import Loads, Tube, TubeSection
 
 ROBOT = load_robot(ROOT / "scenarios" / "robots" / "three_tube.toml")
 TABLE_5 = load_robot(ROOT / "scenarios" / "robots" / "table_5_pair.toml")

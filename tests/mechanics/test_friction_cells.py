@@ -9,7 +9,7 @@ import pytest
 
 import ctrplan._model as core
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.friction_cells import Doubts, bodies_between, cell_bodies, cell_spread, least_of_points
+from ctrplan.mechanics.friction import Doubts, bodies_between, cell_bodies, cell_spread, least_of_points
 
 HALVINGS, HALF_M = 9, 0.5e-3
 

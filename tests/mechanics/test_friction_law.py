@@ -10,7 +10,7 @@ from places import ROBOTS
 
 import ctrplan
 from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.mechanics.friction_law import FrictionLaw, largest_deviation, released_share, tip_deviations
+from ctrplan.mechanics.friction import FrictionLaw, largest_deviation, released_share, tip_deviations
 from ctrplan.robot.friction_calibration import HISTORIES, _digest, fit, friction_law, misses, simulated_paths
 
 LAW = FrictionLaw(loading_rad=np.array([0.3, 0.5]), release_m=np.array([0.2e-3, 0.4e-3]))

@@ -12,8 +12,8 @@ import ctrplan
 from ctrplan.errors import InputError
 from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.mechanics.core import Mechanics
-from ctrplan.mechanics.loads import Loads
 from ctrplan.mechanics.shapes import FrictionBodies
+from ctrplan.mechanics.tube import Loads
 
 ROBOT = ctrplan.load_robot(ROBOTS / "three_tube.toml")
 LOADED = Mechanics(ROBOT.tubes, ROBOT.clearance_m, [0.17, 0.2], Loads(tip_force_N=(0.05, 0.02, -0.03)))

@@ -11,10 +11,9 @@ from places import ROBOTS
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.nesting import is_in_order, moved_to_nest, nests, reach_inequalities
-from ctrplan.planning.joint_space import JointSpace
-from ctrplan.robot.nesting import nesting_violation
-from ctrplan.robot.robot import Robot
+from ctrplan.mechanics.tube import is_in_order, moved_to_nest, nests, reach_inequalities
+from ctrplan.robot.robot import Robot, nesting_violation
+from ctrplan.scenario.joint_space import JointSpace
 
 THREE = load_robot(ROBOTS / "three_tube.toml")
 SOFT = {"shaft_compliance_rad_per_Nm": 0.5, "collar_length_m": 0.0}

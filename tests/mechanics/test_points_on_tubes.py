@@ -9,7 +9,7 @@ import pytest
 from places import ROBOTS
 
 from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.points_on_tubes import points_on_tubes
+from ctrplan.mechanics.shapes import points_on_tubes
 
 TUBES = load_robot(ROBOTS / "three_tube.toml").solve([0.0, 0.5, 1.0], [0.0, -0.017, -0.06], [0.5, -1.0]).tubes
 

@@ -14,8 +14,8 @@ from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot
 from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.mechanics.core import Mechanics
-from ctrplan.mechanics.loads import Loads
 from ctrplan.mechanics.shapes import Shape
+from ctrplan.mechanics.tube import Loads
 
 ROBOT = load_robot(ROBOTS / "three_tube.toml")
 THETA, L = np.array([0.3, 1.6, 2.9]), np.array([0.0, -0.017, -0.07])

@@ -15,8 +15,8 @@ from ctrplan.calibration.calibrate import calibrate
 from ctrplan.errors import InputError
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.mechanics.nesting import nests, reach_inequalities
 from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.tube import nests, reach_inequalities
 from ctrplan.robot.robot import Robot
 
 TUBES = (  # outer and inner diameter, stiffness, sections: length [mm], curvature [1/m]

@@ -21,9 +21,8 @@ from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.mechanics.core import Mechanics, kernel_name
 from ctrplan.mechanics.history import History
-from ctrplan.mechanics.loads import Loads
 from ctrplan.mechanics.shapes import Status
-from ctrplan.mechanics.tube import Contact, Tube, TubeSection
+from ctrplan.mechanics.tube import Contact, Loads, Tube, TubeSection
 from ctrplan.mechanics.walk import Field, PathDensity
 
 ROBOT_FILE = ROBOTS / "three_tube.toml"

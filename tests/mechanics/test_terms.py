@@ -14,9 +14,8 @@ from scipy.integrate import solve_bvp
 from ctrplan.base.arrays import Array
 from ctrplan.files.robot_file import load_robot
 from ctrplan.mechanics.core import Mechanics
-from ctrplan.mechanics.loads import Loads
 from ctrplan.mechanics.shapes import Shape, Status
-from ctrplan.mechanics.tube import Tube, TubeSection
+from ctrplan.mechanics.tube import Loads, Tube, TubeSection
 
 ROBOT = load_robot(ROBOTS / "three_tube.toml")
 THETA, L = np.array([0.0, 1.3, 2.9]), np.array([0.0, -0.017, -0.07])

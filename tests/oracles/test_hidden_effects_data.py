@@ -25,7 +25,7 @@ from hidden_effects.world import ROBOTS, Motion, Ordinary, World, believed
 
 import ctrplan
 from ctrplan.diagnosis import CATALOGUE
-from ctrplan.drive.collars import Collars
+from ctrplan.drive.legs import Collars
 
 COARSE = Fineness(2e-3, 8e-3, 1.4, 2)
 DURATION_S = 100.0

@@ -11,13 +11,13 @@ from measured_data import chain_of, pair_robot, waypoints
 from ctrplan.base.arrays import Array
 from ctrplan.effects.effect import CATALOGUE
 from ctrplan.errors import InputError, SolverError
-from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.mechanics.history import History
-from ctrplan.pipeline.friction_path import friction_correction
+from ctrplan.pipeline.followed_runs import friction_correction
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.tip_table import nested
-from ctrplan.robot.nesting import nesting_violation
+from ctrplan.robot.robot import nesting_violation
 
 ROBOT = pair_robot(contact=[{"friction_coefficient": 0.1}])
 DATA = waypoints(ROBOT, 3)

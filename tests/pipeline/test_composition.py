@@ -10,16 +10,16 @@ import pytest
 from effect_values import continuous_motion, effects, table
 from measured_data import pair_robot
 
-from ctrplan.drive.collars import Collars
+from ctrplan.drive.legs import Collars
 from ctrplan.effects.clock.lag import Lag
 from ctrplan.effects.drive.backlash import Backlash
 from ctrplan.effects.effect import CATALOGUE, Stage
-from ctrplan.experiment.joint_path import JointPath
 from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.measurement.joint_path import JointPath
+from ctrplan.measurement.sensor import Poses, frames_along
 from ctrplan.pipeline.chain import Acting, Chain
 from ctrplan.pipeline.installed import with_chain
 from ctrplan.robot.robot import Robot
-from ctrplan.sensor.poses import Poses, frames_along
 from ctrplan.studies.simulate import simulate
 
 PLAIN = pair_robot(contact=[{"friction_coefficient": 0.1}])

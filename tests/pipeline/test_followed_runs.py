@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from measured_data import chain_of, pair_robot
 
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.mechanics.history import History, HistoryPath
 from ctrplan.mechanics.shapes import Status
 from ctrplan.pipeline.followed_runs import followed

@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.calibrate import calibrate
-from ctrplan.calibration.named_parameters import NamedParameters
+from ctrplan.calibration.parameters import NamedParameters
 from ctrplan.calibration.residuals import Noise, residuals
-from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.pipeline.friction_path import friction_correction
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.pipeline.followed_runs import friction_correction
 from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.pipeline.term import Term
 from ctrplan.robot.robot import Robot

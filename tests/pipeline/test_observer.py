@@ -10,10 +10,9 @@ from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot
 from ctrplan.mechanics.history import HistoryPath
+from ctrplan.robot.observer.histories import start_states
 from ctrplan.robot.observer.observer import Observer
-from ctrplan.robot.observer.slow_offset import SlowOffset
-from ctrplan.robot.observer.slow_parameter import SlowParameter
-from ctrplan.robot.observer.start_states import start_states
+from ctrplan.robot.observer.slow_states import SlowOffset, SlowParameter
 from ctrplan.robot.robot import Robot
 
 PAIR, THREE = load_robot(ROBOTS / "table_5_pair.toml"), load_robot(ROBOTS / "three_tube.toml")

@@ -19,23 +19,22 @@ from measured_data import pair_robot
 
 from ctrplan.base.arrays import Array
 from ctrplan.cli import main
-from ctrplan.drive.collars import Collars
+from ctrplan.drive.legs import Collars
 from ctrplan.effects.effect import CATALOGUE
-from ctrplan.experiment.joint_path import JointPath
-from ctrplan.experiment.measurements import Measurements
 from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.measurement.joint_path import JointPath
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.mechanics.core import Mechanics
+from ctrplan.motion.checker import MotionChecker
 from ctrplan.pipeline.chain import Chain
 from ctrplan.pipeline.parametric_chain import ParametricChain
-from ctrplan.planning.bare_scenario import bare_scenario
-from ctrplan.planning.goals.tip_solver import TipSolver, TipTarget
-from ctrplan.planning.joint_space import JointSpace
-from ctrplan.planning.motion import MotionChecker
 from ctrplan.reports.live.state import LiveState
 from ctrplan.robot.robot import Robot
+from ctrplan.scenario.bare_scenario import bare_scenario
+from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.tip_solver import TipSolver, TipTarget
 from ctrplan.studies.simulate import simulate
-from ctrplan.studies.sweep import sweep
-from ctrplan.studies.sweep_axis import parse_axis
+from ctrplan.studies.sweep import parse_axis, sweep
 
 PLAIN = pair_robot(contact=[{"friction_coefficient": 0.1}])
 AT_REST = [name for name, e in CATALOGUE.items() if e.stage in ("drive", "mechanics") and e.acts_at_rest]

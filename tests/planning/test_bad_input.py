@@ -14,11 +14,11 @@ from places import SCENARIOS
 
 from ctrplan.cli import main
 from ctrplan.files.scenario_file import scenario_from_dict
-from ctrplan.planning.goals.clearances import start_trouble
-from ctrplan.planning.motion import MotionChecker
-from ctrplan.planning.plan import Plan
-from ctrplan.reports.plan_page.page import plan_report_html
-from ctrplan.reports.plan_picture.picture import plan_figure
+from ctrplan.motion.checker import MotionChecker
+from ctrplan.planning.goals.room import start_trouble
+from ctrplan.plans.plan import Plan
+from ctrplan.reports.plan_page import plan_report_html
+from ctrplan.reports.plan_picture import plan_figure
 from ctrplan.reports.plan_scene import plan_scene
 
 
@@ -112,8 +112,8 @@ def drawn(plan: Plan) -> Iterator[None]:
     figure, page = plan_figure(scene), plan_report_html(scene)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("ctrplan.reports.plan_folder.plan_scene", lambda _: scene)
-        patch.setattr("ctrplan.reports.plan_picture.picture.plan_figure", lambda _: figure)
-        patch.setattr("ctrplan.reports.plan_page.page.plan_report_html", lambda _: page)
+        patch.setattr("ctrplan.reports.plan_picture.plan_figure", lambda _: figure)
+        patch.setattr("ctrplan.reports.plan_page.plan_report_html", lambda _: page)
         yield
 
 
@@ -136,7 +136,7 @@ def test_trouble_while_writing_leaves_nothing_behind(
         real(descriptor)
 
     monkeypatch.setattr(os, "fsync", fsync)
-    monkeypatch.setattr("ctrplan.planning.plan", lambda *_, **__: plan)
+    monkeypatch.setattr("ctrplan.plans.plan", lambda *_, **__: plan)
     code, sentence = refusal(capsys, "plan", str(SCENARIOS / "pair_free.toml"), "-o", str(out))
     assert code == 1 and os.strerror(fault) in sentence and "Traceback" not in sentence
     assert [path.name for path in out.iterdir()] == ["plan.json"]
@@ -150,9 +150,9 @@ def test_folder_nobody_may_write_into_is_refused_before_planning(capsys: pytest.
 
 def test_nearest_point_is_where_the_sentence_says() -> None:
     """Beyond the longest robot straight ahead: nothing is nearer than what is reported, by brute force."""
-    from ctrplan.files.bare_scenario import load_robot_or_scenario
-    from ctrplan.planning.goals.branches import reach
-    from ctrplan.planning.goals.tip_solver import TipTarget
+    from ctrplan.files.scenario_file import load_robot_or_scenario
+    from ctrplan.planning.goals.reach import reach
+    from ctrplan.scenario.tip_solver import TipTarget
 
     scenario = load_robot_or_scenario(SCENARIOS / "robots" / "three_tube.toml")
     checker, target = MotionChecker(scenario), np.array([0.06, 0.02, 0.27])

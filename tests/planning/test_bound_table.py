@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 from places import ROBOTS
 
+from ctrplan.certificate.friction_states import bound_allowance_m
 from ctrplan.cli import main
 from ctrplan.commands.field import _print_errors
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.bound_lookup import FieldLookup
-from ctrplan.mechanics.nesting import nests
 from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.tube import nests
 from ctrplan.mechanics.walk import Field, PathDensity, PathLimits
-from ctrplan.planning import bound_table as fields
+from ctrplan.motion import bound_table as fields
+from ctrplan.motion.bound_table import BoundTable, FieldError, choose_axes, known_table, tabulated_bounds
 from ctrplan.planning import plan
-from ctrplan.planning.bound_table import BoundTable, FieldError, choose_axes, known_table, tabulated_bounds
-from ctrplan.planning.certificate.allowances import bound_allowance_m
 from ctrplan.planning.table_worth import _lost, helpful_table, table_worth
 from ctrplan.robot.robot import Robot
 

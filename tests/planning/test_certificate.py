@@ -13,23 +13,28 @@ from places import ROBOTS
 
 import ctrplan
 from ctrplan.base.arrays import Array
+from ctrplan.certificate.anatomy_distance import PARTS, around, beside
+from ctrplan.certificate.certify import SimulatedBodies, certify
+from ctrplan.certificate.friction_cube import CubeAsked, Needed, least_of_cube
+from ctrplan.certificate.friction_states import (
+    POINT_SPACING_M,
+    SAME_BRANCH_M,
+    Solved,
+    State,
+    bound_allowance_m,
+    corner_states,
+    mesh_allowance_m,
+)
+from ctrplan.certificate.other_equilibria import other_equilibrium
+from ctrplan.certificate.walked_piece import walk_pieces
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.files.scenario_file import scenario_from_dict
 from ctrplan.mechanics.accuracy import Accuracy
-from ctrplan.planning.certificate.allowances import POINT_SPACING_M, SAME_BRANCH_M, bound_allowance_m, mesh_allowance_m
-from ctrplan.planning.certificate.body_pieces import PARTS, around, beside
-from ctrplan.planning.certificate.certify import certify
-from ctrplan.planning.certificate.friction_cube import CubeAsked, least_of_cube
-from ctrplan.planning.certificate.friction_states import Solved, State, corner_states
-from ctrplan.planning.certificate.least_of_states import Needed
-from ctrplan.planning.certificate.other_equilibria import other_equilibrium
-from ctrplan.planning.certificate.simulated_bodies import SimulatedBodies
-from ctrplan.planning.certificate.walked_piece import walk_pieces
-from ctrplan.planning.joint_space import JointSpace
-from ctrplan.planning.play import play_reach, play_shift
-from ctrplan.planning.scenario import Scenario
+from ctrplan.motion.play import play_reach, play_shift
 from ctrplan.robot.robot import Robot
+from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.scenario import Scenario
 
 ROBOT = ctrplan.load_robot(ROBOTS / "three_tube.toml")
 

@@ -13,15 +13,14 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from ctrplan.anatomy.parts import surface_distance
-from ctrplan.planning.certificate.allowances import TIGHT_M
-from ctrplan.planning.certificate.certify import certify
-from ctrplan.planning.certificate.closely_solved import closely_solved
-from ctrplan.planning.certificate.tour import joined_certificates
-from ctrplan.planning.certificate.walked_piece import least_of, walk_pieces
-from ctrplan.planning.certified import Certificate, Closest
-from ctrplan.planning.joint_space import JointSpace
-from ctrplan.planning.plan import Plan
-from ctrplan.planning.plan_timing import joints_at
+from ctrplan.certificate.certificate import Certificate, Closest, joined_certificates
+from ctrplan.certificate.certify import certify
+from ctrplan.certificate.closely_solved import closely_solved
+from ctrplan.certificate.friction_states import TIGHT_M
+from ctrplan.certificate.walked_piece import least_of, walk_pieces
+from ctrplan.plans.plan import Plan
+from ctrplan.plans.timing import joints_at
+from ctrplan.scenario.joint_space import JointSpace
 
 KINDS = ("nominal", "closest", "narrowest")
 WAYPOINTS_DEG_MM = [[0, 60, 110, -30], [0, 60, 110, -20]]

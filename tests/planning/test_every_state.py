@@ -10,16 +10,15 @@ import pytest
 from places import SCENARIOS
 
 from ctrplan.base.arrays import Array
+from ctrplan.certificate import every_state
+from ctrplan.certificate.every_state import LOOK_EVERY, SampleStates, _Look, in_every_friction_state
+from ctrplan.certificate.friction_cube import LeastOfStates, Needed
+from ctrplan.certificate.problems import problems_of_walk
+from ctrplan.certificate.walked_piece import Piece, walk_pieces
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.planning.certificate import every_state
-from ctrplan.planning.certificate.every_state import LOOK_EVERY, _Look, in_every_friction_state
-from ctrplan.planning.certificate.least_of_states import LeastOfStates, Needed
-from ctrplan.planning.certificate.problems import problems_of_walk
-from ctrplan.planning.certificate.sample_states import SampleStates
-from ctrplan.planning.certificate.walked_piece import Piece, walk_pieces
-from ctrplan.planning.joint_space import JointSpace
-from ctrplan.planning.motion import path_limits
-from ctrplan.planning.scenario import Scenario
+from ctrplan.motion.checker import path_limits
+from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.scenario import Scenario
 
 
 def test_another_equilibrium_at_the_narrowest_places_is_told_as_that(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from places import SCENARIOS
 
+from ctrplan.certificate.closest import failure_with_place
+from ctrplan.certificate.walked_legs import walk_legs
 from ctrplan.files.scenario_file import scenario_from_dict
-from ctrplan.planning.certificate.failed_walk import failure_with_place
-from ctrplan.planning.certificate.walked_legs import walk_legs
 
 CENTRE_MM, RADIUS_MM, MARGIN_MM = np.array([60.0, 32.0, 165.0]), 18.6, 0.5
 START = {"rotate outer": 0, "rotate middle": 60, "rotate inner": 110, "translate inner": -30}

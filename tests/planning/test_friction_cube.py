@@ -12,20 +12,17 @@ from places import ROBOTS
 
 import ctrplan
 from ctrplan.base.arrays import Array
+from ctrplan.certificate.certify import _contradictions, certify, finished
+from ctrplan.certificate.friction_cube import LESS_M, CubeAsked, Needed, cell_clearances, least_of_cube, least_of_cubes
+from ctrplan.certificate.friction_states import UNEVEN_FRICTION_M, Cell, Solved, State, corner_states, mesh_allowance_m
+from ctrplan.certificate.other_equilibria import other_start
+from ctrplan.certificate.walked_legs import walk_legs
+from ctrplan.certificate.walked_piece import walk_pieces
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.files.scenario_file import scenario_from_dict
-from ctrplan.planning.certificate.allowances import UNEVEN_FRICTION_M, mesh_allowance_m
-from ctrplan.planning.certificate.cell_clearances import cell_clearances
-from ctrplan.planning.certificate.certify import _contradictions, certify, finished
-from ctrplan.planning.certificate.friction_cube import LESS_M, CubeAsked, least_of_cube, least_of_cubes
-from ctrplan.planning.certificate.friction_states import Cell, Solved, State, corner_states
-from ctrplan.planning.certificate.least_of_states import Needed
-from ctrplan.planning.certificate.prediction import Prediction
-from ctrplan.planning.certificate.start_branches import other_start
-from ctrplan.planning.certificate.walked_legs import walk_legs
-from ctrplan.planning.certificate.walked_piece import walk_pieces
-from ctrplan.planning.joint_space import JointSpace
-from ctrplan.planning.scenario import Scenario
+from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.prediction import Prediction
+from ctrplan.scenario.scenario import Scenario
 
 ROBOT = ctrplan.load_robot(ROBOTS / "three_tube.toml")
 

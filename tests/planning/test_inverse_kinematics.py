@@ -12,14 +12,14 @@ from places import SCENARIOS
 
 from ctrplan.cli import main
 from ctrplan.errors import NoAnswerError
-from ctrplan.files.bare_scenario import load_robot_or_scenario
 from ctrplan.files.robot_file import load_robot, robot_from_dict
-from ctrplan.planning.bare_scenario import bare_scenario
-from ctrplan.planning.goals.branches import reach
-from ctrplan.planning.goals.tip_solver import REACHED_M, TipSolver, TipTarget, angle_to
-from ctrplan.planning.joint_space import JointSpace
-from ctrplan.planning.motion import MotionChecker
+from ctrplan.files.scenario_file import load_robot_or_scenario
+from ctrplan.motion.checker import MotionChecker
+from ctrplan.planning.goals.reach import reach
 from ctrplan.reports.live.state import LiveState
+from ctrplan.scenario.bare_scenario import bare_scenario
+from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.tip_solver import REACHED_M, TipSolver, TipTarget, angle_to
 from ctrplan.storage.toml_document import read_document
 
 ROBOTS = SCENARIOS / "robots"

@@ -12,13 +12,13 @@ from measured_data import pair_robot
 from ctrplan.base.arrays import Array
 from ctrplan.effects.effect import CATALOGUE
 from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.planning.bare_scenario import bare_scenario
+from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.finish.compensate import tip_jacobian
-from ctrplan.planning.goals.tip_slopes import bound_slopes, tips_by_joints
-from ctrplan.planning.goals.tip_solver import TipSolver
-from ctrplan.planning.joint_space import JointSpace
-from ctrplan.planning.motion import MotionChecker
+from ctrplan.planning.goals.reach import bound_slopes, tips_by_joints
 from ctrplan.robot.robot import Robot
+from ctrplan.scenario.bare_scenario import bare_scenario
+from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.tip_solver import TipSolver
 
 PLAIN = pair_robot(contact=[{"friction_coefficient": 0.2}])
 OF_THE_DRIVE = ["none", *(name for name, e in CATALOGUE.items() if e.stage == "drive"), "all"]

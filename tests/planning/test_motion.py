@@ -9,8 +9,8 @@ import pytest
 from places import SCENARIOS
 
 from ctrplan.files.scenario_file import load_scenario
+from ctrplan.motion.checker import DOUBTFUL_M, MotionChecker
 from ctrplan.planning.goals.goal_states import goal_states
-from ctrplan.planning.motion import DOUBTFUL_M, MotionChecker
 
 
 @pytest.mark.parametrize("name", ["sinus", "airway"])

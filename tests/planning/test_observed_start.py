@@ -10,18 +10,18 @@ import pytest
 from places import ROBOTS, SCENARIOS
 
 import ctrplan
+from ctrplan.audit.recomputed import recomputed_differences
+from ctrplan.certificate.certify import certify
 from ctrplan.errors import CtrplanError, InputError
 from ctrplan.files.plan_file import load_plan
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.files.trajectory_file import trajectory_formats, write_trajectory
-from ctrplan.planning.certificate.certify import certify
-from ctrplan.planning.certificate.prediction import predict
-from ctrplan.planning.plan_json import write_plan_json
-from ctrplan.planning.scenario import Scenario
+from ctrplan.plans.plan_json import write_plan_json
 from ctrplan.robot.observer.state import ObserverState
 from ctrplan.robot.robot import Robot
-from ctrplan.verification.recomputed import recomputed_differences
+from ctrplan.scenario.prediction import predict
+from ctrplan.scenario.scenario import Scenario
 
 START = np.array([1.0, 3.2, -0.03])
 WAY = np.array([START, START + [0.0, -0.2, 0.0]])

@@ -8,17 +8,16 @@ from places import SCENARIOS
 
 import ctrplan
 from ctrplan.base.arrays import Array
+from ctrplan.certificate.certify import certify
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.planning.certificate.certify import certify
-from ctrplan.planning.certificate.prediction import predict, predict_end, predict_from, start_states
-from ctrplan.planning.finish.alternatives import held_back, translations_first
+from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.finish.compensate import compensate, corrected
 from ctrplan.planning.finish.oscillate_at_goal import SHAPE, oscillation, settle, turnings
-from ctrplan.planning.finish.reorder import as_given, assemble, least_error
-from ctrplan.planning.motion import MotionChecker
-from ctrplan.planning.plan import Plan
-from ctrplan.planning.scenario import Scenario
+from ctrplan.planning.finish.reorder import as_given, assemble, held_back, least_error, translations_first
+from ctrplan.plans.plan import Plan
+from ctrplan.scenario.prediction import predict, predict_end, predict_from, start_states
+from ctrplan.scenario.scenario import Scenario
 
 START = np.array([0.0, 0.0, -0.03])
 GOAL = np.array([1.0, 3.2, 0.02])  # of the pair: friction moves its tip by 5 mm

@@ -21,8 +21,7 @@ import ctrplan
 from ctrplan.cli import main
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.planning.placing import screen as screening
-from ctrplan.planning.placing.base_pose import BasePose, base_pose, placed
-from ctrplan.planning.placing.patch import Patch, Pose
+from ctrplan.planning.placing.base_pose import BasePose, Patch, Pose, base_pose, placed
 from ctrplan.planning.placing.place import Placement, place
 from ctrplan.planning.placing.screen import Screen, Worth
 

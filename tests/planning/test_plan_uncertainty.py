@@ -17,19 +17,19 @@ import ctrplan
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.base.arrays import Array
+from ctrplan.certificate.certificate import CertificateSamples
+from ctrplan.certificate.walked_legs import walk_legs
 from ctrplan.commands.plan import _summary
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.planning.certificate.walked_legs import walk_legs
-from ctrplan.planning.certified import CertificateSamples
-from ctrplan.planning.motion import search_limits
-from ctrplan.planning.plan import Plan
-from ctrplan.planning.scenario import Goal, Registration, Scenario
-from ctrplan.planning.uncertainty.allowance import bodies_at, parameter_allowance
-from ctrplan.planning.uncertainty.chance import wilson
-from ctrplan.reports.plan_page.uncertainty import uncertainty_section
-from ctrplan.uncertain.body_spread import alike, body_at, solved_bodies
-from ctrplan.uncertain.parameters import uncertain_parameters
+from ctrplan.motion.checker import search_limits
+from ctrplan.plans.plan import Plan
+from ctrplan.reports.plan_page import uncertainty_section
+from ctrplan.scenario.scenario import Goal, Registration, Scenario
+from ctrplan.uncertainty.allowance import bodies_at, parameter_allowance
+from ctrplan.uncertainty.body_clearance import alike, body_at, solved_bodies
+from ctrplan.uncertainty.chance import wilson
+from ctrplan.uncertainty.parameters import uncertain_parameters
 
 INTERVALS = [
     "robot.uncertainty.ci95.tube.3.section.2.curvature_per_m=[17.9, 18.5]",
@@ -161,7 +161,7 @@ def test_a_margin_that_only_the_intervals_break_is_refused_in_a_sentence_that_sa
 
 
 def test_causes_add_up_and_are_ranked(uncertain: Scenario) -> None:
-    found = ctrplan.uncertainty(uncertain, path(uncertain))
+    found = ctrplan.plan_uncertainty(uncertain, path(uncertain))
     assert found.closest is not None
     for causes in (found.goal.contributors, found.closest.contributors):
         shares = [cause.share_m for cause in causes]
@@ -177,7 +177,7 @@ def test_causes_add_up_and_are_ranked(uncertain: Scenario) -> None:
 def test_what_measuring_takes_off_is_what_the_worst_case_is_without() -> None:
     with_both, without = ribs(*INTERVALS, *REGISTRATION), ribs(*INTERVALS)
     joints = path(with_both)[-1]
-    whole, less = (ctrplan.uncertainty(s, joints).goal for s in (with_both, without))
+    whole, less = (ctrplan.plan_uncertainty(s, joints).goal for s in (with_both, without))
     saved = {c.name: c.saved_m for c in whole.contributors}["registration"]
     second = whole.beyond_first_order_m - less.beyond_first_order_m
     assert whole.worst_m - less.worst_m - second == pytest.approx(saved, abs=1e-6)
@@ -185,9 +185,9 @@ def test_what_measuring_takes_off_is_what_the_worst_case_is_without() -> None:
 
 def test_linear_chances_agree_with_solves(uncertain: Scenario) -> None:
     joints = path(uncertain)
-    miss = ctrplan.uncertainty(uncertain, joints).goal.quantile_any_friction_m
+    miss = ctrplan.plan_uncertainty(uncertain, joints).goal.quantile_any_friction_m
     goal = replace(uncertain.goal, tolerance_m=miss - 0.3e-3)
-    found = ctrplan.uncertainty(replace(uncertain, goal=goal), joints)
+    found = ctrplan.plan_uncertainty(replace(uncertain, goal=goal), joints)
     assert found.goal.chance_any_friction is not None and found.closest is not None
     assert 0.05 < found.goal.chance_any_friction.share < 0.95
     for chance in (found.goal.chance_any_friction, found.closest.chance_margin, found.closest.chance_touch):
@@ -197,7 +197,7 @@ def test_linear_chances_agree_with_solves(uncertain: Scenario) -> None:
 def test_registration_alone_misses_by_a_chi_distribution(pair: Scenario) -> None:
     sigma = 0.5e-3
     scenario = replace(pair, registration=replace(pair.registration, position_sigma_m=sigma))
-    found = ctrplan.uncertainty(scenario, scenario.start).goal
+    found = ctrplan.plan_uncertainty(scenario, scenario.start).goal
     assert found.chance_any_friction is not None
     low, high = found.chance_any_friction.low, found.chance_any_friction.high
     assert low <= stats.chi(3).sf(1e-3 / sigma) <= high
@@ -208,7 +208,7 @@ def test_registration_alone_misses_by_a_chi_distribution(pair: Scenario) -> None
 
 def test_a_turned_base_misses_by_its_lever(pair: Scenario) -> None:
     scenario = replace(pair, registration=replace(pair.registration, rotation_sigma_rad=0.004))
-    found = ctrplan.uncertainty(scenario, scenario.start).goal
+    found = ctrplan.plan_uncertainty(scenario, scenario.start).goal
     lever = float(np.linalg.norm(pair.goal.tip_m))
     assert found.worst_m == pytest.approx(0.004 * stats.chi(3).ppf(0.95) * lever, rel=1e-4)
     across = 0.004 * lever * stats.chi(2).ppf(0.95)  # a rotation about the lever itself moves nothing
@@ -221,7 +221,7 @@ def test_registration_alone_touches_a_sphere_as_often_as_the_normal_says(pair: S
     center = shape.tip_m + shape.tip_tangent * (30e-3 + shape.radius_m[-1] + room)
     ball = AnatomyPart(Sphere(center, 30e-3), "avoid", 0.0)
     scenario = replace(pair, anatomy=(ball,), registration=replace(pair.registration, position_sigma_m=sigma))
-    found = ctrplan.uncertainty(scenario, scenario.start).closest
+    found = ctrplan.plan_uncertainty(scenario, scenario.start).closest
     assert found is not None
     assert found.nominal_m == pytest.approx(room, abs=0.1e-3)  # by the grid
     assert found.chance_touch.share == pytest.approx(stats.norm.sf(found.nominal_m / sigma), abs=0.015)
@@ -230,7 +230,7 @@ def test_registration_alone_touches_a_sphere_as_often_as_the_normal_says(pair: S
 
 def test_one_pose_in_twenty_exceeds_what_calibration_left_unexplained(pair: Scenario) -> None:
     scenario = replace(pair, robot=replace(pair.robot, model_error_m=1e-3))
-    found = ctrplan.uncertainty(scenario, scenario.start).goal
+    found = ctrplan.plan_uncertainty(scenario, scenario.start).goal
     assert found.chance_any_friction is not None
     assert found.chance_any_friction.low <= 0.05 <= found.chance_any_friction.high
     assert found.worst_m == pytest.approx(1e-3)
@@ -247,7 +247,7 @@ def test_wilson_intervals_cover_as_they_should() -> None:
 @pytest.fixture(scope="module")
 def uncertain_plan(make_plan: Callable[..., Plan]) -> Plan:
     plan = make_plan(goal={"tip_mm": [38, 66, 182], "tolerance_mm": 1.0}, base={"position_sigma_mm": 0.3})
-    return replace(plan, uncertainty=ctrplan.uncertainty(plan))
+    return replace(plan, uncertainty=ctrplan.plan_uncertainty(plan))
 
 
 def test_a_plan_says_what_is_uncertain_everywhere(uncertain_plan: Plan) -> None:
@@ -269,4 +269,4 @@ def test_nonsense_is_refused(pair: Scenario, plan: Plan) -> None:
     unknown = np.full(len(pair.start), np.nan)
     for of, joints in ((pair, None), (pair, [0.0]), (pair, unknown), (3, None), (plan, pair.start)):
         with pytest.raises(InputError):
-            ctrplan.uncertainty(of, joints)  # type: ignore[arg-type]
+            ctrplan.plan_uncertainty(of, joints)  # type: ignore[arg-type]

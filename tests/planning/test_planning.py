@@ -17,21 +17,20 @@ from places import SCENARIOS
 from small_scenarios import pair_past_a_sphere, pair_without_named_joints
 
 import ctrplan
+from ctrplan.certificate.certify import certify
+from ctrplan.certificate.friction_states import SEARCH_MESH_M, SPACING_M, TIGHT_M, bound_allowance_m
+from ctrplan.certificate.walked_piece import walk_pieces
 from ctrplan.drive.trajectory import verify_limits
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.shapes import Status
-from ctrplan.planning.certificate.allowances import SEARCH_MESH_M, SPACING_M, TIGHT_M, bound_allowance_m
-from ctrplan.planning.certificate.certify import certify
-from ctrplan.planning.certificate.walked_piece import walk_pieces
+from ctrplan.motion.checker import Motion, MotionChecker, invalid
 from ctrplan.planning.finish.reorder import as_given, assemble, rotations_first
 from ctrplan.planning.goals.goal_states import goal_states
-from ctrplan.planning.joint_space import JointSpace
-from ctrplan.planning.motion import Motion, MotionChecker, invalid
-from ctrplan.planning.scenario import Goal, Scenario
-from ctrplan.planning.search.ompl_space import StateReader, state_space
+from ctrplan.planning.search.ompl_set_up import MotionValidity, StateReader, Validity, state_space
 from ctrplan.planning.search.stage_search import Progress
-from ctrplan.planning.search.validity import MotionValidity, Validity
+from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.scenario import Goal, Scenario
 
 BLIND = ["cost.error_along=0", "cost.error_goal=0"]
 
@@ -243,7 +242,7 @@ def around(plan: ctrplan.Plan, sample: np.intp) -> np.ndarray:
 
 def test_certificate_measures_distances_and_asks_no_grid(ribs: ctrplan.Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     """No grid can fool it: a wider margin is missed by as much as it is wider, and by what lies between two points."""
-    monkeypatch.setattr("ctrplan.planning.motion.anatomy_grid", lambda _: pytest.fail("a grid was asked"))
+    monkeypatch.setattr("ctrplan.motion.checker.anatomy_grid", lambda _: pytest.fail("a grid was asked"))
     cases = [scenario("ribs", f"anatomy.1.margin_mm={mm}") for mm in (1, 4)]
     narrow = around(ribs, ribs.certificate.samples.clearance_m.argmin())
     cases = [replace(case, start=narrow[0], goal=Goal(narrow[-1], None, 1e-3)) for case in cases]

@@ -11,19 +11,19 @@ import pytest
 from places import SCENARIOS
 
 from ctrplan.base.arrays import Array
+from ctrplan.certificate.certificate import Certificate
+from ctrplan.certificate.certify import certify
+from ctrplan.certificate.walked_piece import walk_pieces
 from ctrplan.cli import main
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.planning.certificate.certify import certify
-from ctrplan.planning.certificate.walked_piece import walk_pieces
-from ctrplan.planning.certified import Certificate
-from ctrplan.planning.joint_space import JointSpace
-from ctrplan.planning.motion import search_limits
-from ctrplan.planning.plan import Plan
-from ctrplan.planning.play import play_shift
-from ctrplan.planning.scenario import Scenario
-from ctrplan.reports.plan_words.verdict_words import certificate_in_words
+from ctrplan.motion.checker import search_limits
+from ctrplan.motion.play import play_shift
+from ctrplan.plans.plan import Plan
+from ctrplan.reports.plan_words import certificate_in_words
 from ctrplan.robot.robot import Robot
+from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.scenario import Scenario
 
 WIDTHS = {"theta_2_deg": 4.0, "theta_3_deg": 3.0, "l_3_mm": 1.0}
 

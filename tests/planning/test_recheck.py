@@ -12,15 +12,14 @@ import pytest
 from places import SCENARIOS
 
 import ctrplan
+from ctrplan.certificate.certificate import Certificate, joined_certificates
+from ctrplan.certificate.certify import certify
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.accuracy import Accuracy
-from ctrplan.planning.certificate.certify import certify
-from ctrplan.planning.certificate.tour import joined_certificates
-from ctrplan.planning.certified import Certificate
-from ctrplan.planning.plan import Plan
-from ctrplan.planning.planned_motion import Leg
-from ctrplan.planning.scenario import Goal, Scenario
+from ctrplan.plans.plan import Plan
+from ctrplan.plans.planned_motion import Leg
+from ctrplan.scenario.scenario import Goal, Scenario
 
 MESHES: tuple[Accuracy, Accuracy] = ("search", "certificate")
 TURN_RAD_M = np.array([0.0, np.radians(6.0), np.radians(-8.0), 0.003])

@@ -12,18 +12,17 @@ import pytest
 from places import SCENARIOS
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.long_work import SearchClock, WorkMeter
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.walk import PathSamples
-from ctrplan.planning.anatomy_grid import anatomy_grid
-from ctrplan.planning.bound_table import BoundTable
-from ctrplan.planning.goals.goal_descent import descended
-from ctrplan.planning.goals.goal_states import goal_states
-from ctrplan.planning.motion import MotionChecker
+from ctrplan.motion.bound_table import BoundTable
+from ctrplan.motion.checker import MotionChecker
+from ctrplan.planning.goals.goal_states import descended, goal_states
 from ctrplan.planning.search.insertion_chains import Roadmap
+from ctrplan.planning.search.ompl_set_up import SearchProblem
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
-from ctrplan.planning.search.search_problem import SearchProblem
 from ctrplan.planning.search.stage_search import StageSearch
-from ctrplan.planning.search_clock import SearchClock, WorkMeter
+from ctrplan.scenario.anatomy_grid import anatomy_grid
 
 
 @pytest.fixture(scope="module")

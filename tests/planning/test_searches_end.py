@@ -16,17 +16,15 @@ from made_up_input import FUZZ
 from places import SCENARIOS
 
 import ctrplan
+from ctrplan.base.long_work import CHEAP_QUESTIONS, LEAST_REAL_S, SearchClock, SearchOver, SearchWatch, WorkMeter
 from ctrplan.errors import NoAnswerError
 from ctrplan.files.scenario_file import load_scenario, scenario_from_dict
-from ctrplan.planning.goals.goal_states import goal_states
-from ctrplan.planning.goals.goal_turns import is_at_goal, nearest_turn
-from ctrplan.planning.joint_space import JointSpace
-from ctrplan.planning.motion import MotionChecker
-from ctrplan.planning.scenario import Scenario
-from ctrplan.planning.search.search_problem import SearchProblem
+from ctrplan.motion.checker import MotionChecker
+from ctrplan.planning.goals.goal_states import goal_states, is_at_goal, nearest_turn
+from ctrplan.planning.search.ompl_set_up import SearchProblem
 from ctrplan.planning.search.stage_search import StageSearch
-from ctrplan.planning.search_clock import LEAST_REAL_S, SearchClock, WorkMeter
-from ctrplan.planning.search_watch import CHEAP_QUESTIONS, SearchOver, SearchWatch
+from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.scenario import Scenario
 
 PLANNERS = ["BIT*", "RRT*", "RRTConnect"]
 CASES = settings(
@@ -233,7 +231,7 @@ def test_counted_time_ends_by_the_clock_when_what_it_counts_takes_too_long(monke
     """Where next to nothing is counted of what takes time."""
     checker = MotionChecker(pair((0, 0), (0.3, 0.3)))
     problem = SearchProblem(checker, goal_states(checker, np.random.default_rng(0)), seed=0)
-    monkeypatch.setattr("ctrplan.planning.search_clock.LEAST_REAL_S", 0.2)
+    monkeypatch.setattr("ctrplan.base.long_work.LEAST_REAL_S", 0.2)
     monkeypatch.setattr(WorkMeter, "add", lambda *_: None)
     clock, began = SearchClock(checker.meter, timed=False), time.monotonic()
     problem.solve(lambda _: clock.is_past(0.03), only_first=False)

@@ -11,14 +11,12 @@ import pytest
 from places import ROBOTS
 
 import ctrplan
+from ctrplan.certificate.every_state import LOOK_EVERY, SampleStates, StatesBetween
+from ctrplan.certificate.friction_states import Solved, State, corner_states, corner_weights
+from ctrplan.certificate.walked_piece import walked
 from ctrplan.files.scenario_file import scenario_from_dict
 from ctrplan.mechanics.accuracy import Accuracy
-from ctrplan.planning.certificate.every_state import LOOK_EVERY
-from ctrplan.planning.certificate.friction_states import Solved, State, corner_states, corner_weights
-from ctrplan.planning.certificate.sample_states import SampleStates
-from ctrplan.planning.certificate.states_between import StatesBetween
-from ctrplan.planning.certificate.walked_piece import walked
-from ctrplan.planning.joint_space import JointSpace
+from ctrplan.scenario.joint_space import JointSpace
 
 ROBOT = ctrplan.load_robot(ROBOTS / "three_tube.toml")
 INNER: list[State] = list(itertools.product((-0.5, 0.0, 0.5), repeat=2))

@@ -16,27 +16,26 @@ from scipy.spatial.transform import Rotation
 
 import ctrplan
 from ctrplan.base.arrays import Array
+from ctrplan.certificate.certificate import joined_certificates
+from ctrplan.certificate.certify import certify
 from ctrplan.drive.legs import distance_from_polyline
 from ctrplan.files.plan_folder import _made
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.planning.certificate.certify import certify
-from ctrplan.planning.certificate.prediction import start_states
-from ctrplan.planning.certificate.tour import joined_certificates
-from ctrplan.planning.plan import Plan
-from ctrplan.planning.plan_json import _plain
-from ctrplan.planning.play import play_turn
-from ctrplan.planning.scenario import Goal, Registration, Scenario
-from ctrplan.planning.target_chances.aim import Aim, end_stop
-from ctrplan.planning.target_chances.beyond_first_order import BeyondFirstOrder
-from ctrplan.planning.target_chances.drawn_poses import DrawnPoses
-from ctrplan.planning.target_chances.target_miss import judged
-from ctrplan.planning.uncertainty.chance import Chance, Draws, chance, wilson
-from ctrplan.planning.uncertainty.result import Uncertainty
-from ctrplan.reports.plan_page.uncertainty import uncertainty_section
-from ctrplan.reports.plan_words.uncertainty_rows import uncertainty_rows
-from ctrplan.uncertain.parameters import uncertain_parameters
-from ctrplan.uncertain.tip_slopes import poses_at
-from ctrplan.uncertain.worst_case import CHI95
+from ctrplan.motion.play import play_turn
+from ctrplan.plans.plan import Plan
+from ctrplan.plans.plan_json import _plain
+from ctrplan.reports.plan_page import uncertainty_section
+from ctrplan.reports.uncertainty_words import uncertainty_rows
+from ctrplan.scenario.prediction import start_states
+from ctrplan.scenario.scenario import Goal, Registration, Scenario
+from ctrplan.uncertainty.chance import Chance, Draws, chance, wilson
+from ctrplan.uncertainty.drawn_poses import BeyondFirstOrder, DrawnPoses
+from ctrplan.uncertainty.parameters import uncertain_parameters
+from ctrplan.uncertainty.result import Uncertainty
+from ctrplan.uncertainty.target import Aim, end_stop
+from ctrplan.uncertainty.target_miss import judged
+from ctrplan.uncertainty.tip_slopes import poses_at
+from ctrplan.uncertainty.worst_case import CHI95
 
 SCHEMA = json.loads((ROOT / "docs" / "plan.schema.json").read_text(encoding="utf-8"))
 CURVED = [
@@ -79,7 +78,7 @@ def chances_of(scenario: Scenario, *tolerances: tuple[float, float]) -> list[Cha
 def test_a_turned_base_turns_the_tangent_by_a_rayleigh_distribution() -> None:
     sigma = np.radians(0.5)
     scenario = registered(pair(NO_FRICTION), sigma_rad=sigma)
-    found = ctrplan.uncertainty(scenario, scenario.start).goal.turn
+    found = ctrplan.plan_uncertainty(scenario, scenario.start).goal.turn
     assert found is not None and found.chance_by_history is None
     exact = float(np.exp(-((TOLERANCE_RAD / sigma) ** 2) / 2))
     assert found.chance_any_friction.low <= exact <= found.chance_any_friction.high
@@ -91,7 +90,7 @@ def test_a_turned_base_turns_the_tangent_by_a_rayleigh_distribution() -> None:
 
 def test_a_shifted_base_turns_nothing() -> None:
     scenario = registered(pair(NO_FRICTION), sigma_m=5e-3)
-    found = ctrplan.uncertainty(scenario, scenario.start).goal
+    found = ctrplan.plan_uncertainty(scenario, scenario.start).goal
     assert found.turn is not None and found.turn.chance_any_friction.share == 0 and found.turn.worst_rad < 1e-6
     assert found.chance_any_friction is not None and found.chance_any_friction.share > 0.9  # by position alone
 
@@ -101,7 +100,7 @@ def test_a_shifted_base_turns_nothing() -> None:
 )
 def test_without_spread_a_target_is_met_or_missed(turned_deg: float, off_m: float, expected: float) -> None:
     scenario = pair(NO_FRICTION, turned_deg=turned_deg, off_m=off_m)
-    found = ctrplan.uncertainty(registered(scenario, sigma_m=1e-9, sigma_rad=1e-9), scenario.start).goal
+    found = ctrplan.plan_uncertainty(registered(scenario, sigma_m=1e-9, sigma_rad=1e-9), scenario.start).goal
     assert found.chance_any_friction is not None and found.chance_any_friction.stated == expected
 
 
@@ -125,7 +124,7 @@ def test_a_scene_that_is_turned_and_moved_as_a_whole_has_the_same_chances() -> N
         base_position_m=R @ scenario.base_position_m + shift,
         goal=replace(goal, tip_m=R @ goal.tip_m + shift, direction=R @ goal.direction),
     )
-    here, there = (ctrplan.uncertainty(s, s.start).goal for s in (scenario, moved))
+    here, there = (ctrplan.plan_uncertainty(s, s.start).goal for s in (scenario, moved))
     assert here.turn is not None and there.turn is not None
     assert here.chance_any_friction == there.chance_any_friction
     assert here.turn.chance_any_friction == there.turn.chance_any_friction
@@ -156,14 +155,14 @@ def test_chances_are_those_of_robots_solved_one_by_one() -> None:
         low, high = wilson(missed)
         assert 0.05 < missed.mean() < 0.95
         assert low - 0.01 <= found.share <= high + 0.01
-    quantile = ctrplan.uncertainty(scenario, scenario.start).goal.turn
+    quantile = ctrplan.plan_uncertainty(scenario, scenario.start).goal.turn
     assert quantile is not None
     assert quantile.quantile_any_friction_rad == pytest.approx(np.quantile(turned, 0.95), rel=0.08)
 
 
 def test_causes_of_a_turn_add_up_and_friction_and_curvature_are_among_them() -> None:
     scenario = registered(pair(*CURVED, *FRICTION), 0.2e-3, np.radians(0.2))
-    found = ctrplan.uncertainty(scenario, scenario.start).goal.turn
+    found = ctrplan.plan_uncertainty(scenario, scenario.start).goal.turn
     assert found is not None
     shares = [cause.share_rad for cause in found.contributors]
     assert shares == sorted(shares, reverse=True)
@@ -174,7 +173,10 @@ def test_causes_of_a_turn_add_up_and_friction_and_curvature_are_among_them() -> 
 
 def test_no_robot_within_its_box_is_turned_further_than_the_worst_case() -> None:
     scenario = pair(*CURVED, *FRICTION, turned_deg=0.7)
-    found, parameters = ctrplan.uncertainty(scenario, scenario.start).goal.turn, uncertain_parameters(scenario.robot)
+    found, parameters = (
+        ctrplan.plan_uncertainty(scenario, scenario.start).goal.turn,
+        uncertain_parameters(scenario.robot),
+    )
     assert found is not None and scenario.goal.direction is not None
     rng, collars = np.random.default_rng(3), scenario.robot.drive.collars(scenario.start)
     turned = []
@@ -271,7 +273,7 @@ def toured(plan: Plan) -> Callable[[float, float], Plan]:
 
 
 def test_each_target_has_its_own_chance_and_all_together_one(toured: Callable[[float, float], Plan]) -> None:
-    found = ctrplan.uncertainty(toured(0.6e-3, 0.7e-3))
+    found = ctrplan.plan_uncertainty(toured(0.6e-3, 0.7e-3))
     (via,), goal, both = found.via, found.goal, found.tour
     assert both is not None and both.targets == 2 and both.chance_by_history is not None
     assert via.name == "first" and via.sample is not None and goal.sample is not None and via.sample < goal.sample
@@ -285,7 +287,7 @@ def test_what_is_uncertain_of_a_tour_is_written_read_and_told(toured: Callable[[
     plan = toured(0.6e-3, 0.7e-3)
     goal = replace(plan.scenario.goal, direction=np.array([0.0, 0.6, 0.8]), direction_tolerance_rad=0.4)
     plan = replace(plan, scenario=replace(plan.scenario, goal=goal))
-    plan = replace(plan, uncertainty=ctrplan.uncertainty(plan))
+    plan = replace(plan, uncertainty=ctrplan.plan_uncertainty(plan))
     written = _plain(plan.uncertainty.to_json())  # type: ignore[union-attr]
     Draft202012Validator({**SCHEMA["properties"]["uncertainty"], "$defs": SCHEMA["$defs"]}).validate(written)
     again = replace(plan, uncertainty=_made(Uncertainty, written))
@@ -300,7 +302,7 @@ def test_what_is_uncertain_of_a_tour_is_written_read_and_told(toured: Callable[[
 
 
 def test_a_target_that_nobody_misses_leaves_the_chance_of_the_other(toured: Callable[[float, float], Plan]) -> None:
-    found = ctrplan.uncertainty(toured(1.0, 0.7e-3))
+    found = ctrplan.plan_uncertainty(toured(1.0, 0.7e-3))
     assert found.tour is not None and found.via[0].chance_by_history is not None
     assert found.via[0].chance_by_history.share == 0
     assert found.tour.chance_by_history == found.goal.chance_by_history
@@ -309,16 +311,16 @@ def test_a_target_that_nobody_misses_leaves_the_chance_of_the_other(toured: Call
 
 def test_a_target_on_the_way_is_judged_as_if_it_were_the_goal(toured: Callable[[float, float], Plan]) -> None:
     plan = toured(0.6e-3, 0.7e-3)
-    here = ctrplan.uncertainty(plan).via[0]
+    here = ctrplan.plan_uncertainty(plan).via[0]
     q = plan.certificate.samples.joints[here.sample]
     alone = replace(plan.scenario, goal=plan.scenario.via[0], via=())
-    there = ctrplan.uncertainty(alone, q).goal
+    there = ctrplan.plan_uncertainty(alone, q).goal
     assert here.chance_any_friction == there.chance_any_friction  # nothing is unexplained: the same draws
     assert (here.worst_m, here.contributors) == (there.worst_m, there.contributors)
 
 
 def test_unexplained_errors_of_two_targets_are_two_draws(plan: Plan) -> None:
-    found = ctrplan.uncertainty(tour(plan, 0.5e-3, NO_FRICTION, model_error_m=0.5e-3)).tour
+    found = ctrplan.plan_uncertainty(tour(plan, 0.5e-3, NO_FRICTION, model_error_m=0.5e-3)).tour
     assert found is not None and found.chance_any_friction.share == pytest.approx(1 - 0.95**2, abs=0.01)
 
 
@@ -340,7 +342,7 @@ def test_chances_by_history_are_those_of_robots_that_drive_the_path(toured: Call
         off[k] = [np.linalg.norm(tip - goal.tip_m) for tip, goal in zip(tips, scenario.targets, strict=True)]
     level = np.quantile(off, [0.3, 0.8], axis=0)
     for share, (first_m, last_m) in zip((0.3, 0.8), level, strict=True):
-        found = ctrplan.uncertainty(replace(plan, scenario=registered(toured(first_m, last_m).scenario)))
+        found = ctrplan.plan_uncertainty(replace(plan, scenario=registered(toured(first_m, last_m).scenario)))
         (via,), both = found.via, found.tour
         assert both is not None and both.chance_by_history and via.chance_by_history and found.goal.chance_by_history
         for stated, missed in (
@@ -361,8 +363,8 @@ def test_a_line_is_missed_where_the_tip_leaves_it_on_the_way_or_at_its_end(plan:
     line = np.array([robot.solve(*drive.collars(q)).tip_m for q in between])
     begin = Goal(None, line[0], 0.5e-3, name="line, beginning")
     goal = Goal(None, line[-1], 0.5e-3, line_m=line, name="line")
-    along = ctrplan.uncertainty(driven(plan, replace(plain, via=(begin,), goal=goal), joints))
-    ends = ctrplan.uncertainty(driven(plan, replace(plain, via=(begin,), goal=replace(goal, line_m=None)), joints))
+    along = ctrplan.plan_uncertainty(driven(plan, replace(plain, via=(begin,), goal=goal), joints))
+    ends = ctrplan.plan_uncertainty(driven(plan, replace(plain, via=(begin,), goal=replace(goal, line_m=None)), joints))
     whole, end = along.goal, ends.goal
     assert whole.chance_by_history and end.chance_by_history
     assert whole.chance_any_friction.share >= end.chance_any_friction.share > 0.01  # type: ignore[union-attr]

@@ -13,21 +13,20 @@ import pytest
 from places import SCENARIOS
 
 import ctrplan
+from ctrplan.base.long_work import SearchClock
+from ctrplan.certificate.certify import certify
+from ctrplan.certificate.friction_states import bound_allowance_m
 from ctrplan.drive.legs import distance_from_polyline
 from ctrplan.drive.trajectory import time_parameterise
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.files.bare_scenario import load_robot_or_scenario
-from ctrplan.files.scenario_file import scenario_from_dict
-from ctrplan.planning.certificate.allowances import bound_allowance_m
-from ctrplan.planning.certificate.certify import certify
+from ctrplan.files.scenario_file import load_robot_or_scenario, scenario_from_dict
+from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.finish.oscillate_at_goal import settle
 from ctrplan.planning.goals.goal_states import goal_states
 from ctrplan.planning.goals.line import follow_line
-from ctrplan.planning.motion import MotionChecker
-from ctrplan.planning.scenario import Goal, Scenario
-from ctrplan.planning.search.search_problem import SearchProblem
+from ctrplan.planning.search.ompl_set_up import SearchProblem
 from ctrplan.planning.search.stage_search import Candidate, Progress, StageSearch
-from ctrplan.planning.search_clock import SearchClock
+from ctrplan.scenario.scenario import Goal, Scenario
 
 START = {"rotate outer": 0, "rotate inner": 0, "translate inner": -30}
 

@@ -8,13 +8,13 @@ from places import ROBOTS
 
 import ctrplan
 from ctrplan.base.arrays import Array
+from ctrplan.certificate import uneven_friction
+from ctrplan.certificate.anatomy_distance import AnatomyDistance
+from ctrplan.certificate.certify import certify
+from ctrplan.certificate.uneven_friction import PARTS, Uneven, worst_uneven_friction
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import scenario_from_dict
-from ctrplan.planning.certificate import uneven_friction
-from ctrplan.planning.certificate.anatomy_distance import AnatomyDistance
-from ctrplan.planning.certificate.certify import certify
-from ctrplan.planning.certificate.uneven_friction import PARTS, Uneven, worst_uneven_friction
-from ctrplan.planning.scenario import Scenario
+from ctrplan.scenario.scenario import Scenario
 
 ROBOT = ctrplan.load_robot(ROBOTS / "three_tube.toml")
 Q = np.array([*np.radians([-68.0, -28.0, 118.0]), -30e-3])

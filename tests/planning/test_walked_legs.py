@@ -9,10 +9,10 @@ import pytest
 from places import SCENARIOS
 
 from ctrplan.base.arrays import Array
+from ctrplan.certificate import walked_piece
+from ctrplan.certificate.walked_legs import walk_legs
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.planning.certificate import walked_piece
-from ctrplan.planning.certificate.walked_legs import walk_legs
-from ctrplan.planning.joint_space import JointSpace
+from ctrplan.scenario.joint_space import JointSpace
 
 
 def test_pieces_of_a_failed_walk_are_not_walked_again(monkeypatch: pytest.MonkeyPatch) -> None:

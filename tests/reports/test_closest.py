@@ -11,14 +11,12 @@ import pytest
 
 from ctrplan.anatomy.parts import surface_distance
 from ctrplan.commands.plan import _summary
-from ctrplan.planning.plan import Plan
-from ctrplan.reports.narrowest_pose import NarrowestPose
-from ctrplan.reports.plan_page.narrowest import clearance_section, narrowest_traces
-from ctrplan.reports.plan_page.scene import scene_figure
-from ctrplan.reports.plan_picture.picture import plan_figure
-from ctrplan.reports.plan_scene import PlanScene, plan_scene
-from ctrplan.reports.plan_words.clearance_rows import START_FRICTION, clearance_rows
-from ctrplan.reports.plan_words.numbers import millimetres
+from ctrplan.plans.plan import Plan
+from ctrplan.reports.plan_motion import clearance_section, narrowest_traces, scene_figure
+from ctrplan.reports.plan_picture import plan_figure
+from ctrplan.reports.plan_scene import NarrowestPose, PlanScene, plan_scene
+from ctrplan.reports.plan_words import START_FRICTION, clearance_rows
+from ctrplan.reports.words import millimetres
 
 
 @pytest.fixture

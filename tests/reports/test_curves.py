@@ -11,10 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from ctrplan.planning.plan import Plan
-from ctrplan.reports import palette
-from ctrplan.reports.curves import Panel
-from ctrplan.reports.plan_curves import (
+from ctrplan.plans.plan import Plan
+from ctrplan.reports import looks
+from ctrplan.reports.curves import (
+    CURSOR,
+    Panel,
     direction_panel,
     error_panel,
     margin_panels,
@@ -22,9 +23,8 @@ from ctrplan.reports.plan_curves import (
     speed_panel,
     timeline,
 )
-from ctrplan.reports.plan_page.page import joints_figure, margins_figure
-from ctrplan.reports.plan_page.panels import CURSOR
-from ctrplan.reports.plan_picture.picture import plan_figure
+from ctrplan.reports.plan_page import joints_figure, margins_figure
+from ctrplan.reports.plan_picture import plan_figure
 from ctrplan.reports.plan_scene import plan_scene
 
 
@@ -79,7 +79,7 @@ def test_both_draw_the_limit_and_the_value_at_the_goal(bounded: Plan, picture: F
     dashed = [trace.y for trace in margins_figure(bounded).data if trace.line.dash == "dash"]
     assert [2.0, 2.0] in [list(values) for values in dashed]
     points = [trace for trace in margins_figure(bounded).data if trace.mode == "markers"]
-    assert [point.y[0] for point in points] == [at_goal.value] and points[0].marker.color == palette.GOAL
+    assert [point.y[0] for point in points] == [at_goal.value] and points[0].marker.color == looks.GOAL
 
 
 def test_both_shade_the_legs_alike(bounded: Plan, picture: Figure) -> None:

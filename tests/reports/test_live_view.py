@@ -15,12 +15,11 @@ from places import SCENARIOS
 from scipy.spatial.transform import Rotation
 from written_plan_files import GOAL, write_small_plan
 
+from ctrplan.certificate.certify import certify
 from ctrplan.commands.program import parser
 from ctrplan.commands.view import loaded
 from ctrplan.drive.trajectory import time_parameterise
-from ctrplan.files.bare_scenario import load_robot_or_scenario
-from ctrplan.files.scenario_entries import BaseEntry
-from ctrplan.planning.certificate.certify import certify
+from ctrplan.files.scenario_file import BaseEntry, load_robot_or_scenario
 from ctrplan.reports.live.server import LiveServer
 from ctrplan.reports.live.state import LiveState
 

@@ -13,7 +13,7 @@ import trimesh
 from PIL import Image
 from places import ROBOTS
 
-from ctrplan.anatomy.mesh_defect import MeshDefect
+from ctrplan.anatomy.mesh_repair import MeshDefect
 from ctrplan.base.surface import Surface
 from ctrplan.cli import main
 from ctrplan.reports import mesh_defect_picture

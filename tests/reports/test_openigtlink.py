@@ -13,12 +13,11 @@ import pytest
 
 from ctrplan.cli import main
 from ctrplan.errors import InputError
-from ctrplan.files.bare_scenario import load_robot_or_scenario
-from ctrplan.planning.scenario import Scenario
+from ctrplan.files.scenario_file import load_robot_or_scenario
 from ctrplan.reports.live.state import LiveState
-from ctrplan.reports.openigtlink.broadcast import Broadcast
-from ctrplan.reports.openigtlink.messages import pose_messages, tip_messages
-from ctrplan.reports.pose import pose
+from ctrplan.reports.openigtlink import Broadcast, pose_messages, tip_messages
+from ctrplan.reports.robot_surface import pose
+from ctrplan.scenario.scenario import Scenario
 
 PAIR = Path(__file__).parents[2] / "scenarios" / "robots" / "table_1_pair.toml"
 WAIT_S = 5.0

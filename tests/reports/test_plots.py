@@ -15,9 +15,9 @@ from PIL import Image
 from places import ROBOTS
 
 from ctrplan.files.robot_file import load_robot
-from ctrplan.planning.plan import Plan
-from ctrplan.reports import palette
-from ctrplan.reports.plan_picture.picture import plan_figure, write_plan_png
+from ctrplan.plans.plan import Plan
+from ctrplan.reports import looks
+from ctrplan.reports.plan_picture import plan_figure, write_plan_png
 from ctrplan.reports.plan_scene import PlanScene, plan_scene
 
 
@@ -95,5 +95,5 @@ def test_motion_without_time_is_drawn(make_plan: Callable[..., Plan], tmp_path: 
 @pytest.mark.parametrize("path", sorted(ROBOTS.glob("*.toml")), ids=lambda path: path.stem)
 def test_joints_of_a_kind_differ_in_colour(path: Path) -> None:
     drive = load_robot(path).drive
-    coloured = list(zip(drive.is_rotation.tolist(), palette.joint_colours(drive), strict=True))
+    coloured = list(zip(drive.is_rotation.tolist(), looks.joint_colours(drive), strict=True))
     assert len(set(coloured)) == len(coloured)

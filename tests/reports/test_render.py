@@ -18,7 +18,8 @@ from ctrplan.base.surface import Surface, capsule
 from ctrplan.cli import main
 from ctrplan.errors import InputError
 from ctrplan.files.plan_file import WrittenPlan
-from ctrplan.planning.plan import Plan
+from ctrplan.plans.plan import Plan
+from ctrplan.reports.plan_scene import WrittenMotion, written_motion
 from ctrplan.reports.render.body import Body
 from ctrplan.reports.render.camera import Camera, look_at
 from ctrplan.reports.render.compass import letters
@@ -27,9 +28,8 @@ from ctrplan.reports.render.film_file import film_suffix, write_film
 from ctrplan.reports.render.fragments import fragments
 from ctrplan.reports.render.picture import Stage
 from ctrplan.reports.render.views import VIEWS, camera_of, robot_points
-from ctrplan.reports.slicer_case.files import case_files
+from ctrplan.reports.slicer_case import case_files
 from ctrplan.reports.stated_error import stated_error_m
-from ctrplan.reports.written_motion import WrittenMotion, written_motion
 
 SIZE = 120
 UP = np.array([0.0, 0.0, 1.0])

@@ -19,17 +19,15 @@ from packed_page import library, unpacked
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.base.surface import capsule
-from ctrplan.planning.plan import Plan
-from ctrplan.planning.planned_motion import ComparedWay
+from ctrplan.plans.plan import Plan
+from ctrplan.plans.planned_motion import ComparedWay
+from ctrplan.reports.curves import CURSOR
 from ctrplan.reports.html_page import Markup, page, table, tag
-from ctrplan.reports.plan_page.motion import moments
-from ctrplan.reports.plan_page.page import joints_figure, margins_figure, plan_report_html, write_plan_report
-from ctrplan.reports.plan_page.panels import CURSOR
-from ctrplan.reports.plan_page.scene import scene_figure
+from ctrplan.reports.plan_motion import moments, scene_figure
+from ctrplan.reports.plan_page import joints_figure, margins_figure, plan_report_html, write_plan_report
 from ctrplan.reports.plan_scene import FRAMES, PlanScene, plan_scene
-from ctrplan.reports.plan_words.certificate_rows import certificate_rows
-from ctrplan.reports.plan_words.numbers import millimetres
-from ctrplan.reports.plan_words.verdict import verdict
+from ctrplan.reports.plan_words import certificate_rows, verdict
+from ctrplan.reports.words import millimetres
 
 HOSTILE = """<script>alert("x")</script><img src=x onerror=alert(1)>'&</title>"""
 LOADING = ("src", "href", "data", "poster", "srcset", "action", "formaction", "background")

@@ -10,13 +10,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ctrplan.anatomy.patient_frame import Frame
-from ctrplan.planning.plan import Plan
-from ctrplan.planning.plan_timing import joints_at, leg_end_s, sample_time_s
-from ctrplan.reports.framing import view_box
-from ctrplan.reports.plan_page.scene import scene_figure
+from ctrplan.plans.plan import Plan
+from ctrplan.plans.timing import joints_at, leg_end_s, sample_time_s
+from ctrplan.reports.looks import view_box
+from ctrplan.reports.plan_motion import scene_figure
 from ctrplan.reports.plan_scene import goal_tip, plan_scene, tip_path
-from ctrplan.reports.pose import plate, pose
-from ctrplan.reports.tube_ends import end_ring, tube_surface
+from ctrplan.reports.robot_surface import end_ring, plate, pose, tube_surface
 
 TURN = Rotation.from_euler("xyz", [40, -70, 110], degrees=True)
 SHIFT_M = np.array([0.02, -0.05, 0.11])

@@ -15,9 +15,9 @@ from written_plan_files import write_small_plan
 
 from ctrplan.cli import main
 from ctrplan.files.plan_file import WrittenPlan
-from ctrplan.planning.plan import Plan
-from ctrplan.reports.slicer_case.files import case_files
-from ctrplan.reports.written_motion import WrittenMotion, written_motion
+from ctrplan.plans.plan import Plan
+from ctrplan.reports.plan_scene import WrittenMotion, written_motion
+from ctrplan.reports.slicer_case import case_files
 
 STEPS = 4
 

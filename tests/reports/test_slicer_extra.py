@@ -9,9 +9,9 @@ from types import ModuleType
 import pytest
 
 from ctrplan.files.plan_file import WrittenPlan
-from ctrplan.planning.plan import Plan
-from ctrplan.reports.slicer_case.files import case_files
-from ctrplan.reports.written_motion import written_motion
+from ctrplan.plans.plan import Plan
+from ctrplan.reports.plan_scene import written_motion
+from ctrplan.reports.slicer_case import case_files
 from ctrplan.storage.output_folder import write_results
 
 FILE = Path(__file__).parents[2] / "extras" / "slicer" / "CtrplanCase.py"

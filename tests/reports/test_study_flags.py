@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from ctrplan.reports.study_page.maps import OUTCOMES, outcomes
-from ctrplan.reports.study_page.quantities import Quantity, is_flag
-from ctrplan.reports.study_page.tables import of_flags, of_numbers
+from ctrplan.reports.study_figures import OUTCOMES, outcomes
+from ctrplan.reports.study_tables import Quantity, is_flag, of_flags, of_numbers
 from ctrplan.studies.study.table import StudyTable
 
 COLUMNS: dict[str, list[Any]] = {

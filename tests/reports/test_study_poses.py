@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ctrplan.reports.study_page.poses import COLUMNS, BasePoses
+from ctrplan.reports.study_page import COLUMNS, BasePoses
 from ctrplan.studies.study.table import StudyTable
 
 TILT = np.radians(10.0)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.base.surface import Rod, Surface, capsule
-from ctrplan.reports.surface import anatomy_surface, thinned
+from ctrplan.reports.robot_surface import anatomy_surface, thinned
 
 
 def helix(stations: int = 60) -> Rod:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import igl
 import numpy as np
 
-from ctrplan.planning.plan import Plan
+from ctrplan.plans.plan import Plan
 from ctrplan.reports.plan_scene import plan_scene
-from ctrplan.reports.plan_words.numbers import millimetres
-from ctrplan.reports.plan_words.verdict_words import certificate_in_words
-from ctrplan.reports.swept_space import _depths, _grid, swept_surface
+from ctrplan.reports.plan_words import certificate_in_words
+from ctrplan.reports.robot_surface import _depths, _grid, swept_surface
+from ctrplan.reports.words import millimetres
 
 
 def test_swept_space_holds_every_envelope_and_little_more(plan: Plan) -> None:

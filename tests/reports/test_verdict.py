@@ -8,11 +8,10 @@ from typing import Any
 
 import pytest
 
-from ctrplan.planning.plan import Plan
-from ctrplan.reports import palette
-from ctrplan.reports.plan_words.certificate_rows import certificate_rows
-from ctrplan.reports.plan_words.numbers import digits, millimetres
-from ctrplan.reports.plan_words.verdict import COLOURS, is_acceptable, standing, verdict
+from ctrplan.plans.plan import Plan
+from ctrplan.reports import looks
+from ctrplan.reports.plan_words import COLOURS, certificate_rows, is_acceptable, standing, verdict
+from ctrplan.reports.words import digits, millimetres
 
 
 def changed(plan: Plan, max_error_goal_m: float | None = None, **certificate: Any) -> Plan:
@@ -50,7 +49,7 @@ def test_target_that_may_be_missed_is_never_green(plan: Plan) -> None:
     row = next(row for row in certificate_rows(missed) if row.caution)
     assert row.value == "4.20 mm" and row.requirement == "tolerance 1.00 mm" and row.met is None
     for colour, chosen in (("CAUTION", missed), ("LIMIT", changed(plan, valid=False, problems=("x",), **reached))):
-        assert COLOURS[standing(chosen)] == getattr(palette, colour)
+        assert COLOURS[standing(chosen)] == getattr(looks, colour)
     assert standing(changed(plan, goal_tip_error_m=0.3e-3, goal_bound_m=0.3e-3, goal_play_m=0.5e-3)) == "caution"
     assert standing(changed(plan, goal_tip_error_m=math.nan, goal_bound_m=0.0)) != "good"
 

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from ctrplan.anatomy import shapes
-from ctrplan.anatomy.clearance_grid import build_field
-from ctrplan.anatomy.distance_field import SignedDistanceField
+from ctrplan.anatomy.clearance_grid import SignedDistanceField, build_field
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shape import Role
 from ctrplan.anatomy.shapes.mesh import Mesh

@@ -13,14 +13,12 @@ from pathlib import Path
 import pytest
 from checksums import unmatched
 
-from ctrplan.storage.atomic_write import write_atomically
-from ctrplan.storage.output_folder import written_together
-from ctrplan.storage.temporary import NAME, remove_abandoned, temporary
+from ctrplan.storage.output_folder import NAME, remove_abandoned, temporary, write_atomically, written_together
 
 HOLDER = """
 import sys
 from pathlib import Path
-from ctrplan.storage.temporary import temporary
+from ctrplan.storage.output_folder import temporary
 with temporary(Path(sys.argv[1]), getattr(Path, sys.argv[2])):
     print("made", flush=True)
     sys.stdin.read()

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ctrplan.files.robot_entries import RobotEntry
-from ctrplan.files.scenario_entries import ScenarioEntry
+from ctrplan.files.robot_file import RobotEntry
+from ctrplan.files.scenario_file import ScenarioEntry
 from ctrplan.storage.toml_faults import first_fault
 
 

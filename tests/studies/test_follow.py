@@ -14,7 +14,7 @@ from ctrplan.cli import main
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot
 from ctrplan.pipeline.chain import Chain
-from ctrplan.robot.observer.slow_parameter import SlowParameter
+from ctrplan.robot.observer.slow_states import SlowParameter
 from ctrplan.robot.robot import Robot
 from ctrplan.studies.follow import follow, followed_csv
 

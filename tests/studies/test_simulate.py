@@ -13,10 +13,10 @@ from places import ROBOTS
 from ctrplan.cli import main
 from ctrplan.commands.simulate import start_state
 from ctrplan.errors import InputError
-from ctrplan.experiment.joint_path import JointPath
 from ctrplan.files.joint_path_file import load_joint_path
 from ctrplan.files.robot_file import load_robot, robot_from_dict
-from ctrplan.reports.plan_picture.simulation import simulation_figure
+from ctrplan.measurement.joint_path import JointPath
+from ctrplan.reports.path_pictures import simulation_figure
 from ctrplan.robot.robot import Robot
 from ctrplan.studies.simulate import poses_csv, simulate
 

@@ -19,11 +19,10 @@ from places import ROBOTS, SCENARIOS
 import ctrplan
 from ctrplan.errors import InputError
 from ctrplan.studies.study.engine import answer
-from ctrplan.studies.study.lines import Lines
-from ctrplan.studies.study.numbered import Numbered
-from ctrplan.studies.study.run import Doing, chunk_size, chunk_sizes
-from ctrplan.studies.study.study import Study
+from ctrplan.studies.study.store import Lines
+from ctrplan.studies.study.study import Doing, Study, chunk_size, chunk_sizes
 from ctrplan.studies.study.table import load_study
+from ctrplan.studies.study.task import Numbered
 
 PAIR = str(ROBOTS / "table_5_pair.toml")
 FRICTION = "contact.1.friction_coefficient"
@@ -74,7 +73,7 @@ def test_tasks_that_are_sent_by_number_are_those_of_the_list(tmp_path: Path) -> 
 
 
 def test_processes_give_the_same_table(tmp_path: Path) -> None:
-    from ctrplan.studies.child_executor import ChildExecutor
+    from ctrplan.studies.child_process import ChildExecutor
 
     alone = run(bounds(), tmp_path / "alone")
     with ChildExecutor(2) as executor:
@@ -86,7 +85,9 @@ def test_processes_give_the_same_table(tmp_path: Path) -> None:
 def test_what_was_done_before_an_interruption_is_not_done_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ctrplan.studies.study.run.SHARES", 4)  # four chunks of three, two of them handed out at a time
+    monkeypatch.setattr(
+        "ctrplan.studies.study.study.SHARES", 4
+    )  # four chunks of three, two of them handed out at a time
     folder = tmp_path / "out"
     first = run(bounds(), folder, Here(most=6), workers=1)
     assert 0 < len(first) < 12

@@ -16,11 +16,11 @@ from scipy import stats
 
 import ctrplan
 from ctrplan.anatomy.parts import exact_clearance
-from ctrplan.base.directions import shortest_rotation
+from ctrplan.base.arrays import shortest_rotation
 from ctrplan.errors import InputError
-from ctrplan.files.bare_scenario import load_robot_or_scenario
-from ctrplan.reports.study_page.page import study_report_html
-from ctrplan.studies.study.sensitivity import sensitivity
+from ctrplan.files.scenario_file import load_robot_or_scenario
+from ctrplan.reports.study_page import study_report_html
+from ctrplan.studies.study.analysis import sensitivity
 from ctrplan.studies.study.sources import matching_files
 from ctrplan.studies.study.study import Study
 

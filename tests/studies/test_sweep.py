@@ -14,10 +14,9 @@ from ctrplan.cli import main
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.mechanics.shapes import Status
-from ctrplan.reports.plan_picture.sweep import sweep_figure
+from ctrplan.reports.path_pictures import sweep_figure
 from ctrplan.storage.toml_document import read_document
-from ctrplan.studies.sweep import Sweep, sweep, sweep_csv
-from ctrplan.studies.sweep_axis import parse_axis
+from ctrplan.studies.sweep import Sweep, parse_axis, sweep, sweep_csv
 
 PAIR, THREE = str(ROBOTS / "table_5_pair.toml"), str(ROBOTS / "three_tube.toml")
 AT = ["--theta-deg", "0", "90", "--l-mm", "0", "-60"]

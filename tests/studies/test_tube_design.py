@@ -17,21 +17,27 @@ from places import SCENARIOS
 import ctrplan
 from ctrplan.cli import main
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.files.design_entries import MadeEntry, StockEntry
+from ctrplan.files.design_file import MadeEntry, StockEntry
 from ctrplan.files.robot_file import load_robot
-from ctrplan.planning.scenario import Goal
-from ctrplan.planning.target_set.bound_slopes import RobotPair, bound_by, robot_at
-from ctrplan.planning.target_set.outlook import dominates
-from ctrplan.planning.target_set.target_worth import aimed, target_checker, target_worth, worth_beside
-from ctrplan.reports.design_page.page import design_report_html
-from ctrplan.studies.child_executor import ChildExecutor
-from ctrplan.studies.design.confirm import confirm
-from ctrplan.studies.design.local_steps import is_better
-from ctrplan.studies.design.stock_choice import StockChoice
+from ctrplan.reports.design_page import design_report_html
+from ctrplan.scenario.scenario import Goal
+from ctrplan.studies.child_process import ChildExecutor
+from ctrplan.studies.design.search import confirm, is_better
+from ctrplan.studies.design.space import StockChoice
 from ctrplan.studies.study.engine import ExecutorEngine
 from ctrplan.studies.study.store import Store
 from ctrplan.studies.study.study import Study
 from ctrplan.studies.study.table import load_study
+from ctrplan.studies.target_set import (
+    RobotPair,
+    aimed,
+    bound_by,
+    dominates,
+    robot_at,
+    target_checker,
+    target_worth,
+    worth_beside,
+)
 
 pytest.importorskip("optuna")
 
@@ -213,7 +219,7 @@ def test_a_search_that_nobody_means_to_wait_for_is_refused_with_its_time(tmp_pat
 
 
 def test_without_optuna_a_sentence_says_what_to_install(monkeypatch: Any, capsys: Any) -> None:
-    monkeypatch.setattr("ctrplan.studies.design.sampler.find_spec", lambda name: None)
+    monkeypatch.setattr("ctrplan.studies.design.search.find_spec", lambda name: None)
     assert main(["design", str(SCENARIOS / "studies" / "design_ventricle.toml")]) == 2
     assert "pip install 'ctrplan[design]'" in capsys.readouterr().err
 
@@ -221,8 +227,8 @@ def test_without_optuna_a_sentence_says_what_to_install(monkeypatch: Any, capsys
 def test_the_command_writes_the_front_and_its_robots(tmp_path: Path, capsys: Any, monkeypatch: Any) -> None:
     import tomli_w
 
-    monkeypatch.setattr("ctrplan.studies.study.run.is_installed", lambda: False)  # dask starts in two seconds
-    monkeypatch.setattr("ctrplan.studies.study.run.PoolEngine", lambda workers: ExecutorEngine(Here(), workers))
+    monkeypatch.setattr("ctrplan.studies.study.study.is_installed", lambda: False)  # dask starts in two seconds
+    monkeypatch.setattr("ctrplan.studies.study.study.PoolEngine", lambda workers: ExecutorEngine(Here(), workers))
     (tmp_path / "design.toml").write_text(tomli_w.dumps(content(trials=2, local={"designs": 0})), encoding="utf-8")
     folder = tmp_path / "out"
     arguments = ["--allow-outside", "--workers", "1", "--quiet"]
@@ -259,7 +265,7 @@ def test_where_no_way_to_the_joints_is_found_one_to_the_tip_is_sought(
     def blocked(scenario: ctrplan.Scenario, **_: Any) -> None:
         raise NoAnswerError("to joints" if scenario.goal.joints is not None else "to a tip")
 
-    monkeypatch.setattr("ctrplan.planning.plan", blocked)
+    monkeypatch.setattr("ctrplan.plans.plan", blocked)
     store, engine = Store(found.folder), ExecutorEngine(Here(most=3), 1)
     with pytest.raises(KeyboardInterrupt):  # and what was not done then is done afterwards
         confirm(found.search, found.front[:1], store, engine, lambda _: None)

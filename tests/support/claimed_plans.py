@@ -11,13 +11,13 @@ from places import SCENARIOS
 import ctrplan
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.sphere import Sphere
+from ctrplan.certificate.certificate import Certificate
+from ctrplan.certificate.certify import certify
 from ctrplan.drive.trajectory import time_parameterise
-from ctrplan.planning.bare_scenario import bare_scenario
-from ctrplan.planning.certificate.certify import certify
-from ctrplan.planning.certified import Certificate
-from ctrplan.planning.plan import Plan
-from ctrplan.planning.planned_motion import Leg, ReorderReport, leg_kind
-from ctrplan.planning.scenario import Scenario
+from ctrplan.plans.plan import Plan
+from ctrplan.plans.planned_motion import Leg, ReorderReport, leg_kind
+from ctrplan.scenario.bare_scenario import bare_scenario
+from ctrplan.scenario.scenario import Scenario
 
 
 def claiming(scenario: Scenario, end: list[float], change: Callable[[Certificate], Certificate] = lambda c: c) -> Plan:

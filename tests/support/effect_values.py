@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ctrplan.effects.effect import CATALOGUE
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
 OF_CONTINUOUS_MOTIONS = ("lag", "drive_lag", "translation_release", "friction_speed", "relaxation")

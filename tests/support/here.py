@@ -6,7 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
 
-from ctrplan.studies.study.numbered import Numbered
+from ctrplan.studies.study.task import Numbered
 
 
 class Here:

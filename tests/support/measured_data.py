@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import ctrplan.diagnosis.candidates  # noqa: F401 (fills the catalogue)
 from ctrplan.base.arrays import Array
-from ctrplan.calibration.base_parameters import BaseParameters
+from ctrplan.calibration.parameters import BaseParameters
 from ctrplan.effects.effect import CATALOGUE
-from ctrplan.experiment.measurements import Measurements, is_streamed
 from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.measurement.measurements import Measurements, is_streamed
 from ctrplan.mechanics.core import Mechanics
 from ctrplan.mechanics.shapes import Status, Tips
 from ctrplan.pipeline import tip_table

@@ -8,7 +8,7 @@ from typing import Any
 from places import SCENARIOS
 
 from ctrplan.files.scenario_file import scenario_from_dict
-from ctrplan.planning.scenario import Scenario
+from ctrplan.scenario.scenario import Scenario
 
 PAIR = {
     "robot": "robots/table_5_pair.toml",

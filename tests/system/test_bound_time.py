@@ -12,7 +12,7 @@ from hard_robots import content
 from made_up_input import FUZZ
 
 from ctrplan.cli import main
-from ctrplan.commands.bound_time import FEWEST_TUBES, HARD_S, LONG_S, states_visited
+from ctrplan.commands.bound import FEWEST_TUBES, HARD_S, LONG_S, states_visited
 from ctrplan.files.robot_file import write_robot
 
 TUBES = 8
@@ -36,7 +36,7 @@ def test_the_time_is_said_before_it_is_taken(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """However fast the machine: how long is long enough to be told is set to nothing."""
-    monkeypatch.setattr("ctrplan.commands.bound_time.LONG_S", 0.0)
+    monkeypatch.setattr("ctrplan.commands.bound.LONG_S", 0.0)
     tubes = [
         {
             "outer_diameter_mm": 1.0 + 0.5 * (TUBES - 1 - i),

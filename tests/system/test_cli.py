@@ -21,7 +21,7 @@ from places import SCENARIOS
 import ctrplan
 from ctrplan.base.arguments import SEARCH_TIME, SEED
 from ctrplan.cli import main
-from ctrplan.commands.progress_bar import ProgressBar
+from ctrplan.commands.terminal import ProgressBar
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.planning.search.stage_search import Progress

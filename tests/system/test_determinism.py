@@ -18,13 +18,13 @@ from ctrplan.cli import main
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.core import kernel_name
-from ctrplan.planning.plan_json import plan_to_json
+from ctrplan.plans.plan_json import plan_to_json
 
 BOUNDS = """
 import json, sys
 import numpy as np
 from ctrplan.mechanics.core import kernel_name
-from ctrplan.planning.joint_space import JointSpace
+from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.files.robot_file import load_robot
 found = {"kernel": kernel_name()}
 for name in sys.argv[2:]:

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from places import ROOT
 
+from ctrplan.certificate.friction_states import CERTIFICATE_MESH_M, SEARCH_MESH_M
 from ctrplan.commands.program import parser
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.planning import plan
-from ctrplan.planning.certificate.allowances import CERTIFICATE_MESH_M, SEARCH_MESH_M
 
 PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")])
 SUMMARY = "<!-- summary -->\n", "<!-- end of summary -->\n"

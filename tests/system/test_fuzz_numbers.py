@@ -31,17 +31,14 @@ from ctrplan.cli import main
 from ctrplan.drive.trajectory import time_parameterise
 from ctrplan.effects.effect import CATALOGUE as EFFECTS
 from ctrplan.errors import CtrplanError, InputError
-from ctrplan.files.design_entries import DesignEntry
+from ctrplan.files.design_file import DesignEntry
 from ctrplan.files.measurement_file import load_measurements
-from ctrplan.files.robot_entries import RobotEntry
-from ctrplan.files.robot_file import load_robot, robot_from_dict, write_robot
-from ctrplan.files.scenario_entries import ScenarioEntry
-from ctrplan.files.scenario_file import load_scenario
+from ctrplan.files.robot_file import RobotEntry, load_robot, robot_from_dict, write_robot
+from ctrplan.files.scenario_file import ScenarioEntry, load_scenario
+from ctrplan.mechanics.accuracy import HistoryOptions
 from ctrplan.mechanics.core import Mechanics
-from ctrplan.mechanics.history_options import HistoryOptions
-from ctrplan.planning.planner_settings import CATALOGUE as PLANNERS
-from ctrplan.studies.sweep import sweep
-from ctrplan.studies.sweep_axis import parse_axis
+from ctrplan.scenario.scenario import CATALOGUE as PLANNERS
+from ctrplan.studies.sweep import parse_axis, sweep
 
 ROBOT_FILE = SCENARIOS / "robots" / "table_1_pair.toml"
 SCENARIO_FILE = SCENARIOS / "pair_free.toml"

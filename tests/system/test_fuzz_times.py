@@ -25,9 +25,9 @@ from places import SCENARIOS
 from ctrplan.base.arrays import Array
 from ctrplan.cli import main
 from ctrplan.errors import CtrplanError
-from ctrplan.files.bare_scenario import load_robot_or_scenario
 from ctrplan.files.robot_file import load_robot, write_robot
-from ctrplan.planning.bound_table import choose_axes
+from ctrplan.files.scenario_file import load_robot_or_scenario
+from ctrplan.motion.bound_table import choose_axes
 from ctrplan.reports.live.state import LiveState
 from ctrplan.robot.robot import Robot
 

@@ -25,7 +25,7 @@ from ctrplan.cli import main
 from ctrplan.diagnosis import diagnose
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot, write_robot
-from ctrplan.planning.bound_table import known_table, tabulated_bounds
+from ctrplan.motion.bound_table import known_table, tabulated_bounds
 from ctrplan.robot.friction_calibration import friction_law
 from ctrplan.storage.output_folder import written_together
 
@@ -117,7 +117,7 @@ WRITER = """
 import sys
 from pathlib import Path
 from ctrplan.storage.output_folder import written_together
-from ctrplan.storage.atomic_write import write_atomically
+from ctrplan.storage.output_folder import write_atomically
 names = ["a", "b", "c"]
 for version in range(10**6):
     with written_together(Path(sys.argv[1]), names) as made:

@@ -12,7 +12,7 @@ from ctrplan.calibration.calibrate import calibrate
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.uncertain.parameters import CI95, UncertainParameters, uncertain_parameters
+from ctrplan.uncertainty.parameters import CI95, UncertainParameters, uncertain_parameters
 
 PAIR = pair_robot()
 ROBOT = SCENARIOS / "robots" / "three_tube.toml"

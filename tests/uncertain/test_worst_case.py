@@ -12,9 +12,9 @@ import ctrplan
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot
 from ctrplan.robot.robot import Robot
-from ctrplan.uncertain.parameters import UncertainParameters, uncertain_parameters
-from ctrplan.uncertain.tip_slopes import tip_slopes, tips_at
-from ctrplan.uncertain.worst_case import CHI95, BaseBall, OffsetBox, Sides, farthest, reach_m
+from ctrplan.uncertainty.parameters import UncertainParameters, uncertain_parameters
+from ctrplan.uncertainty.tip_slopes import tip_slopes, tips_at
+from ctrplan.uncertainty.worst_case import CHI95, BaseBall, OffsetBox, Sides, farthest, reach_m
 
 ROBOT = SCENARIOS / "robots" / "three_tube.toml"
 INTERVALS = [

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from places import SCENARIOS
 
+from ctrplan.audit.body import SPACING_M, body_of
 from ctrplan.drive.legs import distance_from_polyline
 from ctrplan.files.robot_file import load_robot
-from ctrplan.verification.body import SPACING_M, body_of
 
 ROBOT = load_robot(SCENARIOS / "robots" / "three_tube.toml")
 COLLARS = ROBOT.drive.collars(np.array([0.3, 1.2, -2.0, -0.03]))

@@ -11,8 +11,8 @@ from ctrplan.anatomy.parts import AnatomyPart, exact_clearance
 from ctrplan.anatomy.shapes.capsule import Capsule
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.anatomy.shapes.sphere import Sphere
+from ctrplan.audit.body import RawAnatomy, winding_number
 from ctrplan.base.arrays import Array
-from ctrplan.verification.raw_distance import RawAnatomy, winding_number
 
 BALL = trimesh.creation.icosphere(subdivisions=3, radius=0.02)
 SHELL = trimesh.util.concatenate([BALL, trimesh.creation.icosphere(subdivisions=2, radius=0.01)])

@@ -18,17 +18,17 @@ from scipy.spatial.transform import Rotation
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.capsule import Capsule
 from ctrplan.anatomy.shapes.sphere import Sphere
+from ctrplan.audit.case import ALLOWED
+from ctrplan.audit.recomputed import robots_at_ends
+from ctrplan.audit.scene import write_scene
+from ctrplan.audit.verify import Verification, verify
+from ctrplan.certificate.certificate import Certificate
 from ctrplan.cli import main
 from ctrplan.errors import InputError
 from ctrplan.files.plan_file import WrittenPlan
 from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.planning.bare_scenario import bare_scenario
-from ctrplan.planning.certified import Certificate
-from ctrplan.planning.plan import Plan
-from ctrplan.verification.finding import ALLOWED
-from ctrplan.verification.interval_ends import robots_at_ends
-from ctrplan.verification.scene import write_scene
-from ctrplan.verification.verify import Verification, verify
+from ctrplan.plans.plan import Plan
+from ctrplan.scenario.bare_scenario import bare_scenario
 
 LITTLE = 4_000  # units of work
 SHORT_WAYPOINTS = [[0, 0, 0, -80], [0, 8, 12, -80], [0, 8, 12, -77]]

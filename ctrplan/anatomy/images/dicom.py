@@ -11,8 +11,7 @@ import numpy as np
 
 from ctrplan.anatomy.images.header import Header
 from ctrplan.anatomy.images.image import Image, ImageRefusal
-from ctrplan.anatomy.images.image_file import check_bytes, checked
-from ctrplan.anatomy.images.simpleitk import kept_locale, quiet, reason, simpleitk
+from ctrplan.anatomy.images.image_file import check_bytes, checked, kept_locale, quiet, reason, simpleitk
 from ctrplan.base.arrays import Array
 
 POSITION, ORIENTATION, SPACING = "0020|0032", "0020|0037", "0028|0030"

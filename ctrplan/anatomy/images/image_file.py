@@ -2,6 +2,16 @@
 
 from __future__ import annotations
 
+import gzip
+import importlib
+import locale
+import os
+import struct
+import sys
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -9,13 +19,108 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.anatomy.images.header import Header, check_gzip, first_bytes, read_header
-from ctrplan.anatomy.images.image import Image, ImageRefusal, UnfitImageRefusal
-from ctrplan.anatomy.images.nifti_2 import SIZE as NIFTI_2_BYTES
-from ctrplan.anatomy.images.nifti_2 import is_nifti_2, read_nifti_2, shape_and_type
-from ctrplan.anatomy.images.segments import segments_of
-from ctrplan.anatomy.images.simpleitk import quiet, reason, simpleitk
+from ctrplan.anatomy.images.image import Image, ImageRefusal, UnfitImageRefusal, segments_of
 from ctrplan.anatomy.patient_frame import TURNED
 from ctrplan.base.arrays import Array
+
+
+def simpleitk() -> Any:
+    """The package, its warnings off. Raises ImageRefusal where it is not installed."""
+    try:
+        package: Any = importlib.import_module("SimpleITK")
+    except ImportError as error:
+        raise ImageRefusal("needs SimpleITK: pip install ctrplan[images]") from error
+    package.ProcessObject.SetGlobalWarningDisplay(False)
+    return package
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """What its parts print of damaged files besides raising an error is not shown."""
+    sys.stderr.flush()
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+
+
+@contextmanager
+def kept_locale() -> Iterator[None]:
+    """What its reader of DICOM does to the locale is undone: it sets C, after which files are opened as ASCII."""
+    kept = locale.setlocale(locale.LC_ALL)
+    try:
+        yield
+    finally:
+        locale.setlocale(locale.LC_ALL, kept)
+
+
+def reason(error: Exception) -> str:
+    """The last thing that the package says of a failure, in a line."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return " ".join((lines[-1] if lines else type(error).__name__).split())[-160:]
+
+
+SIZE = 540
+MAGIC = b"n+2\0"
+TYPES = {2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4", 1024: "i8", 1280: "u8"}
+DATA_TYPE, DIM, OFFSET, SCALING = ("h", 12), ("8q", 16), ("q", 168), ("2d", 176)
+
+
+def is_nifti_2(head: bytes) -> bool:
+    """Whether the first bytes of a file are those of NIfTI-2, in either order."""
+    return len(head) >= 4 and SIZE in struct.unpack("<i", head[:4]) + struct.unpack(">i", head[:4])
+
+
+def shape_and_type(head: bytes) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Voxels along each axis, those of length 1 at the end left out, and their type. Raises ImageRefusal."""
+    order = "<" if struct.unpack("<i", head[:4])[0] == SIZE else ">"
+    code = _read(head, order, DATA_TYPE)[0]
+    count, *dim = _read(head, order, DIM)
+    if head[4:8] != MAGIC or not 1 <= count <= 7 or any(n < 1 for n in dim[:count]):
+        raise ImageRefusal("is damaged, or has its voxels in another file: its header is none of NIfTI-2")
+    if code not in TYPES:
+        raise ImageRefusal(f"has values of NIfTI's type {code} (colour, complex?): must have one real number a voxel")
+    shape = [int(n) for n in dim[:count]]
+    while len(shape) > 3 and shape[-1] == 1:
+        shape.pop()
+    return tuple(shape), np.dtype(order + TYPES[code])
+
+
+def read_nifti_2(path: Path, head: bytes) -> NDArray[Any]:
+    """(nz, ny, nx) values as the header scales them. Raises ImageRefusal for a file that is cut short."""
+    order = "<" if struct.unpack("<i", head[:4])[0] == SIZE else ">"
+    shape, kind = shape_and_type(head)
+    slope, intercept = _read(head, order, SCALING)
+    start, count = int(_read(head, order, OFFSET)[0]), int(np.prod(shape))
+    data = _nifti_bytes(path, start, count * kind.itemsize)
+    if start < SIZE or len(data) < count * kind.itemsize:
+        due = f"it has {len(data)} bytes of voxels, {count * kind.itemsize} are due"
+        raise ImageRefusal(f"is damaged or cut short: {due}")
+    values = np.frombuffer(data, kind, count).reshape(shape[::-1]).astype(kind.newbyteorder("="))
+    if slope in (0.0, 1.0) and intercept == 0 or not np.isfinite([slope, intercept]).all():
+        return values
+    return np.asarray(values * (slope or 1.0) + intercept)
+
+
+def _nifti_bytes(path: Path, start: int, count: int) -> bytes:
+    try:
+        with path.open("rb") as plain:
+            packed = plain.read(2) == b"\x1f\x8b"
+        with gzip.open(path) if packed else path.open("rb") as stream:
+            stream.seek(start)
+            return bytes(stream.read(count))
+    except (EOFError, OSError, ValueError, zlib.error) as error:
+        raise ImageRefusal(f"is damaged or cut short ({' '.join(str(error).split())})") from error
+
+
+def _read(head: bytes, order: str, field: tuple[str, int]) -> tuple[Any, ...]:
+    kind, offset = field
+    return struct.unpack_from(order + kind, head, offset)
+
 
 SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
 MOST_BYTES = 2_000_000_000
@@ -33,7 +138,7 @@ def is_image(path: Path) -> bool:
 def read_image(path: Path) -> Image:
     """The volume. Raises ImageRefusal."""
     sitk, header = simpleitk(), read_header(path)
-    if is_nifti_2(head := first_bytes(path, NIFTI_2_BYTES)):
+    if is_nifti_2(head := first_bytes(path, SIZE)):
         return _nifti_2(path, head, header)
     reader = sitk.ImageFileReader()
     reader.SetFileName(str(path))
@@ -145,3 +250,37 @@ def _check_size(image: Image) -> None:
         raise ImageRefusal(
             f"is {extent * 1e3:.3g} mm across: must be {SMALLEST_M * 1e3:g} mm to {LARGEST_M:g} m ({hint})"
         )
+
+
+MOST_KEPT_BYTES = 600_000_000  # of voxels that are kept; what was read last stays
+Key = tuple[Path, int, int]  # with size and time of writing
+_KEPT: ContextVar[dict[Key, Image] | None] = ContextVar("kept", default=None)
+
+
+@contextmanager
+def images_kept() -> Iterator[None]:
+    """Within it an image that was read is not read again, unless its file has changed or others took its room."""
+    if _KEPT.get() is not None:
+        yield
+        return
+    before = _KEPT.set({})
+    try:
+        yield
+    finally:
+        _KEPT.reset(before)
+
+
+def image_of(path: Path) -> Image:
+    """The image of a file, read where it is not kept. Raises ImageRefusal."""
+    from ctrplan.anatomy.images.image_file import read_image  # readers, which few scenarios need
+
+    images = _KEPT.get()
+    if images is None:
+        return read_image(path)
+    told = path.stat()
+    key = (path.resolve(), told.st_size, told.st_mtime_ns)
+    if key not in images:
+        images[key] = read_image(path)
+        while len(images) > 1 and sum(image.voxels.nbytes for image in images.values()) > MOST_KEPT_BYTES:
+            del images[next(iter(images))]
+    return images[key]

@@ -9,7 +9,7 @@ import numpy as np
 from ctrplan.anatomy.shape import PartEntry, Shape, length, point, register
 from ctrplan.base.arrays import Array, lengths
 from ctrplan.base.surface import Surface, capsule
-from ctrplan.storage.number_ranges import Length, Point, metres
+from ctrplan.storage.toml_document import Length, Point, metres
 from ctrplan.storage.toml_table import Table
 
 

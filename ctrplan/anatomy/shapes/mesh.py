@@ -10,9 +10,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ctrplan.anatomy.parts import TriangleTree
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import PartEntry, Shape, register
-from ctrplan.anatomy.triangle_tree import TriangleTree
 from ctrplan.base.arrays import Array, lengths, numbers, read_only
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Literal
 from weakref import WeakKeyDictionary
 
+from ctrplan.anatomy.parts import TriangleTree
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import PartEntry, register
 from ctrplan.anatomy.shapes.mesh import Mesh
-from ctrplan.anatomy.triangle_tree import TriangleTree
 from ctrplan.base.arrays import Array
 from ctrplan.storage.toml_table import Table
 

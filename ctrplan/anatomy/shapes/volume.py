@@ -14,9 +14,8 @@ from ctrplan.anatomy.images.structure import Choice, Structure, has_thin_parts, 
 from ctrplan.anatomy.patient_frame import Frame, to_scenario
 from ctrplan.anatomy.shape import PartEntry, register
 from ctrplan.anatomy.shapes.mesh import Mesh
-from ctrplan.base.arrays import Array
-from ctrplan.base.units import MM_PER_M
-from ctrplan.storage.number_ranges import Component, Distance
+from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.storage.toml_document import Component, Distance
 from ctrplan.storage.toml_table import Table
 
 Label = Annotated[int, Meta(ge=1, le=2**31 - 1)]
@@ -77,8 +76,8 @@ class VolumeEntry(PartEntry):
 
 def volume(image: Image, choice: Choice, file: str, surface_error_mm: float | None = None) -> Volume:
     """The surface of what is chosen of an image. Raises ImageRefusal where that is nothing."""
-    from ctrplan.anatomy.images.level_surface import level_surface  # slow to import
-    from ctrplan.anatomy.mesh_thinning import thinned, thinning_note
+    from ctrplan.anatomy.images.structure import level_surface  # slow to import
+    from ctrplan.anatomy.surface_file import thinned, thinning_note
 
     found = structure(image, choice)
     vertices, faces = level_surface(found)
@@ -94,7 +93,7 @@ def volume(image: Image, choice: Choice, file: str, surface_error_mm: float | No
 
 def _voxels_off(found: Structure) -> float:
     """What a surface may be off by in widest voxels."""
-    from ctrplan.anatomy.images.level_surface import GREY_ERROR, LABEL_ERROR, THIN_ERROR
+    from ctrplan.anatomy.images.structure import GREY_ERROR, LABEL_ERROR, THIN_ERROR
 
     if found.above is not None:
         return GREY_ERROR
@@ -103,8 +102,7 @@ def _voxels_off(found: Structure) -> float:
 
 def _read(path: Path, series: str | None) -> Image:
     from ctrplan.anatomy.images.dicom import read_series  # with SimpleITK, which few scenarios need
-    from ctrplan.anatomy.images.image_file import SUFFIXES, is_image
-    from ctrplan.anatomy.images.kept import image_of
+    from ctrplan.anatomy.images.image_file import SUFFIXES, image_of, is_image
 
     if path.is_dir() or path.suffix.lower() == ".dcm":
         return read_series(path if path.is_dir() else path.parent, series)

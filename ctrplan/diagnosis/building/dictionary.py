@@ -14,11 +14,10 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.effects.effect import sliding, turning
+from ctrplan.effects.learned.inputs import Target
 from ctrplan.effects.learned.learned import named
-from ctrplan.effects.learned.targets import Target
-from ctrplan.experiment.friction_states import last_directions
-from ctrplan.experiment.measurements import Measurements
-from ctrplan.experiment.motion import time_at_rest_s
+from ctrplan.measurement.approach import last_directions, time_at_rest_s
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import Term
 from ctrplan.robot.robot import Robot
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.effects.effect import Effect, Parameter, Values, register, sliding, turning
-from ctrplan.experiment.measurements import LONGEST_LAG_S, Measurements
+from ctrplan.measurement.measurements import LONGEST_LAG_S, Measurements
 from ctrplan.robot.robot import Robot
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ctrplan.effects.effect import Effect, Parameter, Values, register
-from ctrplan.experiment.measurements import LONGEST_LAG_S, Measurements
+from ctrplan.measurement.measurements import LONGEST_LAG_S, Measurements
 from ctrplan.robot.robot import Robot
 
 

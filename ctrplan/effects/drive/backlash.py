@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from ctrplan.base.arrays import Array
-from ctrplan.drive.collars import Collars
+from ctrplan.drive.legs import Collars
 from ctrplan.effects.effect import DEGREE, MILLIMETRE, Effect, Parameter, Values, numbered, register
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
 
@@ -49,7 +49,7 @@ class Backlash(Effect):
 
 def _reversed(data: Measurements) -> list[str]:
     """Parameters of the actuators that poses were approached with in both directions."""
-    from ctrplan.experiment.friction_states import last_directions
+    from ctrplan.measurement.approach import last_directions
 
     directions = last_directions(data)
     both = [(directions[:, j] > 0).any() and (directions[:, j] < 0).any() for j in range(2 * data.n)]

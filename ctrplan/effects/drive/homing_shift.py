@@ -8,7 +8,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.effects.effect import DEGREE, MILLIMETRE, Effect, Parameter, Values, register, sliding, turning
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
 MOST_HOMINGS = 13

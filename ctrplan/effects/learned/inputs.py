@@ -1,19 +1,20 @@
-"""What a built term may depend on: joints, tips, time, columns of the data, in the units that ranges are stated in."""
+"""What a built term depends on and acts on: inputs with the ranges of the data, targets by stage."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.experiment.friction_states import friction_state
-from ctrplan.experiment.measurements import Measurements
-from ctrplan.experiment.motion import time_at_rest_s, turning_speeds
+from ctrplan.effects.effect import DEGREE, MILLIMETRE, Stage
+from ctrplan.measurement.approach import friction_state, time_at_rest_s, turning_speeds
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.measurement.sensor import Poses
 from ctrplan.mechanics.tube import Tube
-from ctrplan.sensor.poses import Poses
 
 WHOLE_TURN_DEG = 300.0  # of a rotation, with which a periodic part has seen the whole turn
 OF_TUBE = re.compile(r"(theta|turn|l|overlap|load|speed)_([1-9]\d*)")
@@ -120,3 +121,125 @@ _OF_TUBE: dict[str, Callable[[Situation, int], Array | None]] = {
     "load": lambda at, i: None if at.data is None else friction_state(at.data)[:, i],
     "speed": lambda at, i: None if at.data is None else np.degrees(turning_speeds(at.data)[:, i]),
 }
+
+
+@dataclass(frozen=True)
+class Range:
+    """Of an input, in its own unit."""
+
+    low: float
+    high: float
+
+    @property
+    def middle(self) -> float:
+        """Between the ends."""
+        return (self.low + self.high) / 2
+
+    @property
+    def half(self) -> float:
+        """Of the width."""
+        return max((self.high - self.low) / 2, 1e-12)
+
+    @property
+    def is_whole_turn(self) -> bool:
+        """Whether a rotation has seen nearly all angles."""
+        return self.high - self.low >= WHOLE_TURN_DEG
+
+    def nearest(self, angle_deg: Array) -> Array:
+        """(K,) the same angles, by whole turns as near to the middle as they come."""
+        near: Array = angle_deg - 360.0 * np.round((angle_deg - self.middle) / 360.0)
+        return near
+
+
+Ranges = Mapping[str, Range]
+
+
+def held(name: str, ranges: Ranges, at: Situation, *, periodic: bool = False) -> Array:
+    """(K,) values of an input inside its range; its middle where the situation does not know it."""
+    span, found = ranges[name], values(name, at)
+    if found is None:
+        return np.full(at.count, span.middle)
+    found = np.where(np.isfinite(found), found, span.middle)
+    if periodic and span.is_whole_turn:
+        return found
+    inside: Array = np.clip(span.nearest(found) if periodic else found, span.low, span.high)
+    return inside
+
+
+def outside(name: str, span: Range, at: Situation, *, periodic: bool) -> NDArray[np.bool_]:
+    """(K,) whether an input is out of its range by more than a thousandth of it; one that nobody knows is not."""
+    found = values(name, at)
+    if found is None or (periodic and is_rotation(name) and span.is_whole_turn):
+        return np.zeros(at.count, bool)
+    near = span.nearest(found) if periodic else found
+    far: NDArray[np.bool_] = np.abs(near - span.middle) > span.half * 1.001 + 1e-9
+    return far
+
+
+PREFIX = "learned_"
+AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Of a target: its stage, the unit of its coefficients, how large they may be, and what it is in words."""
+
+    stage: Stage
+    unit: str
+    si: float
+    prior: float
+    words: str
+    has_axes: bool = False
+
+    @property
+    def most(self) -> float:
+        """Of a coefficient, either way."""
+        return 12 * self.prior
+
+
+KINDS = {
+    "theta": Kind("drive", "deg", DEGREE, 5.0, "the rotation of tube {}"),
+    "l": Kind("drive", "mm", MILLIMETRE, 2.0, "the translation of tube {}"),
+    "curvature": Kind("mechanics", "percent", 0.01, 10.0, "the precurvature of tube {}"),
+    "bend": Kind("mechanics", "percent", 0.01, 10.0, "the precurvature of tube {} across its plane"),
+    "stiffness": Kind("mechanics", "percent", 0.01, 20.0, "the bending stiffness of tube {}"),
+    "plate": Kind("mechanics", "deg", DEGREE, 2.0, "the tilt of all in front of the plate", has_axes=True),
+    "sensor": Kind("sensor", "mm", MILLIMETRE, 3.0, "the position that is read", has_axes=True),
+}
+WAY = "_way"  # of a drive's term that depends on the last direction of motion
+NAME = re.compile(r"learned_(theta|l|curvature|bend|stiffness|plate|sensor)(?:_([1-9]\d*))?(_way)?")
+
+
+@dataclass(frozen=True)
+class Target:
+    """A kind and the tube that it is of, from 1; 0 of none."""
+
+    kind_name: str
+    tube: int = 0
+    of_way: bool = False
+
+    @property
+    def kind(self) -> Kind:
+        """Its kind."""
+        return KINDS[self.kind_name]
+
+    @property
+    def effect_name(self) -> str:
+        """As in a robot file."""
+        return PREFIX + self.kind_name + (f"_{self.tube}" if self.tube else "") + (WAY if self.of_way else "")
+
+    @property
+    def words(self) -> str:
+        """For people."""
+        return self.kind.words.format(self.tube)
+
+
+def target(effect_name: str, n: int) -> Target | None:
+    """Of an effect's name, for a robot of n tubes; None where the name is of none."""
+    found = NAME.fullmatch(effect_name)
+    if not found:
+        return None
+    kind, tube, way = found[1], int(found[2] or 0), bool(found[3])
+    if KINDS[kind].has_axes != (tube == 0) or tube > n or (way and KINDS[kind].stage != "drive"):
+        return None
+    return Target(kind, tube, way)

@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.drive.collars import Collars
+from ctrplan.drive.legs import Collars
 from ctrplan.effects.effect import Effect, Parameter, Values, register
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
 LEAST_M = 2e-3

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from ctrplan.effects.effect import Effect, Parameter, Values, numbered, register
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
 
@@ -31,7 +31,7 @@ class Friction(Effect):
         )
 
     def untestable(self, robot: Robot, data: Measurements) -> str:
-        from ctrplan.experiment.friction_states import friction_state
+        from ctrplan.measurement.approach import friction_state
 
         if robot.n < 2:
             return "one tube rubs on nothing"

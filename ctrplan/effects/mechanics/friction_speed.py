@@ -8,8 +8,8 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.effects.effect import DEGREE, Effect, Parameter, Values, register
-from ctrplan.experiment.measurements import Measurements
-from ctrplan.experiment.motion import turning_speeds
+from ctrplan.measurement.approach import turning_speeds
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
 SPEED_DEG_S = 5.0  # where nothing is said of it

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from ctrplan.effects.effect import Effect, Parameter, Values, register
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
 

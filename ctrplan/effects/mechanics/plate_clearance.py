@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.drive.collars import Collars
+from ctrplan.drive.legs import Collars
 from ctrplan.effects.effect import DEGREE, Effect, Parameter, Values, register
 from ctrplan.effects.mechanics.plate_compliance import STRAIGHT, bears_on_plate
-from ctrplan.experiment.measurements import Measurements
-from ctrplan.mechanics.plate_moment import largest_plate_moment, plate_moment
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.mechanics.shapes import largest_plate_moment, plate_moment
 from ctrplan.robot.robot import Robot
 
 SOFT_SHARE = 0.05  # of the largest moment, at which the tilt is half of the room (weight and friction of the guide)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.drive.collars import Collars
+from ctrplan.drive.legs import Collars
 from ctrplan.effects.effect import Effect, Parameter, Values, register
-from ctrplan.experiment.measurements import Measurements
-from ctrplan.mechanics.plate_moment import largest_plate_moment, plate_moment
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.mechanics.shapes import largest_plate_moment, plate_moment
 from ctrplan.robot.robot import Robot
 
 STRAIGHT = "no curved section is ever drawn back into the front plate"

@@ -8,8 +8,8 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.effects.effect import Effect, Parameter, Values, register
-from ctrplan.experiment.measurements import Measurements
-from ctrplan.experiment.motion import use_left
+from ctrplan.measurement.approach import use_left
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
 LEAST_TURN_RAD = 2 * np.pi  # of use; less changes no tube

@@ -8,8 +8,8 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.effects.effect import Effect, Parameter, Values, register
-from ctrplan.experiment.measurements import Measurements
-from ctrplan.experiment.motion import time_at_rest_s
+from ctrplan.measurement.approach import time_at_rest_s
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
 TIME_S = 5.0  # where nothing is said of it

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from itertools import pairwise
 
 from ctrplan.effects.effect import Effect, Parameter, Values, register
-from ctrplan.experiment.measurements import Measurements
-from ctrplan.mechanics.nesting import SHAFT_ROOM_M
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.mechanics.tube import SHAFT_ROOM_M
 from ctrplan.robot.robot import Robot
 
 NEARLY_RIGID = 1e-3  # rad/(N m), which moves a tip by about a micrometre: a rigid shaft has no derivative

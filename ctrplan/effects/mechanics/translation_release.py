@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ctrplan.effects.effect import MILLIMETRE, Effect, Parameter, Values, register, sliding
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.robot import Robot
 
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from ctrplan.effects.effect import DEGREE, MILLIMETRE, Effect, Parameter, Values, register
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.measurement.sensor import Poses, moved_rigidly
 from ctrplan.robot.robot import Robot
-from ctrplan.sensor.poses import Poses, moved_rigidly
 
 HOUR_S = 3600.0
 MM_PER_H, DEG_PER_H = MILLIMETRE / HOUR_S, DEGREE / HOUR_S

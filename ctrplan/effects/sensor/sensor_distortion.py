@@ -9,9 +9,9 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.effects.effect import MILLIMETRE, Effect, Parameter, Values, register
-from ctrplan.experiment.measurements import Measurements
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.measurement.sensor import Poses, frames_along
 from ctrplan.robot.robot import Robot
-from ctrplan.sensor.poses import Poses, frames_along
 
 MONOMIALS = tuple("".join(m) or "1" for k in range(4) for m in itertools.combinations_with_replacement("xyz", k))
 CENTRE_M, SPAN_M = np.array([0.0, 0.0, 0.15]), 0.1  # where the polynomials are centred and how far one unit is

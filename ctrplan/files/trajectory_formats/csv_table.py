@@ -9,7 +9,7 @@ import numpy as np
 
 from ctrplan.drive.trajectory import Trajectory
 from ctrplan.errors import InputError
-from ctrplan.files.trajectory_format import register
+from ctrplan.files.trajectory_file import register
 
 
 @register("csv", suffix=".csv")

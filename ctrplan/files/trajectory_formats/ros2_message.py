@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterable
 
 from ctrplan.drive.trajectory import Trajectory
-from ctrplan.files.trajectory_format import register
+from ctrplan.files.trajectory_file import register
 
 
 @register("ros2", suffix=".yaml")

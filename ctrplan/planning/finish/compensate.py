@@ -7,18 +7,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import Array
-from ctrplan.base.progress import Progress, part_of
-from ctrplan.base.units import MM_PER_M
-from ctrplan.planning.certificate.certify import certify
-from ctrplan.planning.certificate.prediction import Prediction, predict_end, predict_from, start_states
-from ctrplan.planning.certified import Certificate, CertificateSamples
+from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.base.long_work import Progress, part_of
+from ctrplan.certificate.certificate import Certificate, CertificateSamples
+from ctrplan.certificate.certify import certify
+from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.finish.oscillate_at_goal import settled_again
-from ctrplan.planning.goals.goal_state import target_in_robot_frame
-from ctrplan.planning.motion import MotionChecker
-from ctrplan.planning.planned_motion import Compensation
-from ctrplan.planning.scenario import Scenario
+from ctrplan.plans.planned_motion import Compensation
 from ctrplan.robot.robot import Robot
+from ctrplan.scenario.prediction import Prediction, predict_end, predict_from, start_states
+from ctrplan.scenario.scenario import Scenario
+from ctrplan.scenario.tip_solver import target_in_robot_frame
 
 ITERATIONS = 6
 CLOSE_M = 0.02e-3  # of the predicted tip to the target; better than histories are simulated

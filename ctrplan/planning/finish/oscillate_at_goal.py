@@ -10,15 +10,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ctrplan.base.arrays import Array
-from ctrplan.base.progress import Progress, part_of
-from ctrplan.base.units import MM_PER_M
+from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.base.long_work import Progress, part_of
+from ctrplan.certificate.certificate import Certificate, Settling
+from ctrplan.certificate.certify import Arrival, certify, frictionless_arrives
 from ctrplan.drive.drive import Drive
 from ctrplan.mechanics.history import OSCILLATION_DEG
-from ctrplan.planning.certificate.certify import Arrival, certify, frictionless_arrives
-from ctrplan.planning.certificate.prediction import predict_end, predict_from
-from ctrplan.planning.certified import Certificate, Settling
-from ctrplan.planning.motion import MotionChecker
+from ctrplan.motion.checker import MotionChecker
+from ctrplan.scenario.prediction import predict_end, predict_from
 
 AMPLITUDES_DEG = (40, 25, 15, 8)  # of the first turn, tried in this order; 40 is the paper's
 SHAPE = np.array(OSCILLATION_DEG) / OSCILLATION_DEG[0] * (-1.0) ** np.arange(len(OSCILLATION_DEG))

@@ -10,10 +10,9 @@ from ctrplan.base.arrays import Array
 from ctrplan.drive.legs import distance_from_polyline
 from ctrplan.errors import NoAnswerError
 from ctrplan.mechanics.shapes import Status
-from ctrplan.planning.goals.goal_state import GoalState
-from ctrplan.planning.goals.tip_solver import TipSolver, TipTarget
-from ctrplan.planning.motion import MotionChecker
-from ctrplan.planning.scenario import Goal
+from ctrplan.motion.checker import MotionChecker
+from ctrplan.scenario.scenario import Goal
+from ctrplan.scenario.tip_solver import GoalState, TipSolver, TipTarget
 
 SPACING_M = 2e-3  # of the points that are solved for
 CORRECTIONS = 3  # of the zero-clearance target, so that the frictionless tip with clearance arrives

@@ -13,20 +13,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ctrplan.base.arguments import EVENT, PROGRESS, SEED, Made, Number, Whole, checked, require
-from ctrplan.base.arrays import numbers
-from ctrplan.base.interrupts import interrupt_event
-from ctrplan.base.progress import StageProgress
-from ctrplan.base.units import LONGEST_MM
+from ctrplan.base.arrays import LONGEST_MM, numbers
+from ctrplan.base.long_work import StageProgress, interrupt_event
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.planning.goals.tip_solver import TipSolver
-from ctrplan.planning.joint_space import JointSpace
-from ctrplan.planning.placing.base_pose import BasePose, base_pose, placed
-from ctrplan.planning.placing.patch import Patch, Pose, middle_of
+from ctrplan.planning.placing.base_pose import BasePose, Patch, Pose, base_pose, middle_of, placed
 from ctrplan.planning.placing.screen import Screen, Worth
+from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.tip_solver import TipSolver
 
 if TYPE_CHECKING:
     from ctrplan.base.arrays import Array
-    from ctrplan.planning.scenario import Scenario
+    from ctrplan.scenario.scenario import Scenario
 
 RADIUS_M, CONE_RAD = 10e-3, math.radians(30.0)
 CANDIDATES, CONFIRMED = 256, 8

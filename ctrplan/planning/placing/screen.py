@@ -1,4 +1,5 @@
-"""A cheap look at base poses: zero-clearance shapes to each target, their room in the anatomy, and bounds of the best.
+"""A cheap evaluation of base poses: zero-clearance shapes to each target, their room in the anatomy, bounds of the
+best.
 
 What the tip can reach belongs to the robot: it is drawn once, and each pose asks for what lies near its targets.
 """
@@ -13,15 +14,47 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ctrplan.anatomy.distance_field import SignedDistanceField
+from ctrplan.anatomy.anatomy_field import anatomy_field, shared_spacing_m
+from ctrplan.anatomy.clearance_grid import SignedDistanceField, field_bounds
 from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.base.arrays import Array
-from ctrplan.planning.goals.tip_solver import TipSolver, TipTarget, angle_to
-from ctrplan.planning.joint_space import JointSpace
-from ctrplan.planning.motion import DEFINITE_COLLISION_M, breach, search_limits
-from ctrplan.planning.placing.patch import Patch, Pose
-from ctrplan.planning.placing.patch_field import patch_field, seen_from
-from ctrplan.planning.scenario import Scenario
+from ctrplan.mechanics.walk import Field
+from ctrplan.motion.checker import DEFINITE_COLLISION_M, breach, search_limits
+from ctrplan.planning.placing.base_pose import Patch, Pose
+from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.scenario import Scenario
+from ctrplan.scenario.tip_solver import TipSolver, TipTarget, angle_to
+
+
+def patch_field(scenario: Scenario, patch: Patch) -> SignedDistanceField | None:
+    """None in free space. Bricks that are on disk for other poses of the robot are taken from there."""
+    if not scenario.anatomy:
+        return None
+    reach = max(tube.length_m for tube in scenario.robot.tubes) + scenario.robot.tubes[0].outer_diameter_m
+    ends = [patch.center_m, *([] if patch.along_m is None else [patch.along_m])]
+    middle = np.mean(ends, axis=0)
+    far = reach + patch.radius_m + max(float(np.linalg.norm(end - middle)) for end in ends)
+    lower, upper = _around(scenario, middle, far)
+    return anatomy_field(
+        scenario.anatomy,
+        lower,
+        upper,
+        shared_spacing_m(scenario.anatomy, reach),
+        base_position_m=middle,
+        reach_m=far,
+    )
+
+
+def _around(scenario: Scenario, middle_m: Array, far_m: float) -> tuple[Array, Array]:
+    """Corners (3,), (3,) of what lies in front of a base in the middle or behind it."""
+    halves = [field_bounds(scenario.anatomy, far_m, middle_m, np.diag([1.0, side, side])) for side in (1.0, -1.0)]
+    return np.min([lower for lower, _ in halves], axis=0), np.max([upper for _, upper in halves], axis=0)
+
+
+def seen_from(grid: SignedDistanceField, pose: Pose) -> Field:
+    """The grid as the core takes it for a robot at a pose."""
+    return Field(grid.values_m, grid.origin_m, float(grid.spacing_m), pose.R, pose.position_m)
+
 
 SAMPLES = 20_000  # configurations of the robot
 NEAR = 32  # of them, the nearest to a target, whose room is looked at

@@ -13,11 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.base.arrays import Array
-from ctrplan.base.units import MM_PER_M
-from ctrplan.planning.goals.goal_state import GoalState
-from ctrplan.planning.goals.tip_solver import TipSolver, TipTarget
-from ctrplan.planning.motion import MotionChecker
+from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.motion.checker import MotionChecker
+from ctrplan.scenario.tip_solver import GoalState, TipSolver, TipTarget
 
 STATION_MM = 6.0  # along the body between neighbours of a chain
 LOST_M = 3e-3  # a tip that can't be brought back any nearer ends its chain

@@ -16,14 +16,12 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from ctrplan.base.arrays import Array
-from ctrplan.base.units import MM_PER_M
-from ctrplan.planning.goals.goal_descent import Trail
-from ctrplan.planning.goals.goal_state import GoalState
-from ctrplan.planning.goals.tip_solver import TipSolver, TipTarget
-from ctrplan.planning.motion import DEFINITE_COLLISION_M, MotionChecker
+from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.base.long_work import ROOM_NS, counted_aside
+from ctrplan.motion.checker import DEFINITE_COLLISION_M, MotionChecker
+from ctrplan.planning.goals.goal_states import Trail
 from ctrplan.planning.search.insertion_chains import SKIPS, Roadmap
-from ctrplan.planning.search_clock import ROOM_NS, counted_aside
+from ctrplan.scenario.tip_solver import GoalState, TipSolver, TipTarget
 
 AT_ONCE = 2  # motions checked in parallel; the same everywhere, as it decides what is checked
 SURE = 0.3  # of its length is what a motion counts that is known to be valid, while any path will do

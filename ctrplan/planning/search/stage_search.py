@@ -12,23 +12,21 @@ from functools import cached_property
 import numpy as np
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.long_work import SearchClock, SearchOver
+from ctrplan.certificate.certificate import Certificate
+from ctrplan.certificate.certify import finished
+from ctrplan.certificate.closest import failure_with_place
+from ctrplan.certificate.uneven_friction import NEAR_LIMIT_M
+from ctrplan.certificate.walked_legs import WalkedLegs, walk_legs
 from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import NoAnswerError
-from ctrplan.planning.certificate.certify import finished
-from ctrplan.planning.certificate.failed_walk import failure_with_place
-from ctrplan.planning.certificate.uneven_friction import NEAR_LIMIT_M
-from ctrplan.planning.certificate.walked_legs import WalkedLegs, walk_legs
-from ctrplan.planning.certified import Certificate
+from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.finish.reorder import Reordered, as_given, least_error
-from ctrplan.planning.goals.goal_descent import descended
-from ctrplan.planning.goals.goal_state import GoalState
-from ctrplan.planning.goals.goal_states import distinct
-from ctrplan.planning.motion import MotionChecker
+from ctrplan.planning.goals.goal_states import descended, distinct
 from ctrplan.planning.search.insertion_chains import direct_roadmap, promising, retreat_roadmap
+from ctrplan.planning.search.ompl_set_up import SearchProblem
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
-from ctrplan.planning.search.search_problem import SearchProblem
-from ctrplan.planning.search_clock import SearchClock
-from ctrplan.planning.search_watch import SearchOver
+from ctrplan.scenario.tip_solver import GoalState
 
 FIRST_SHARE = ROADMAP_SHARE = 0.7  # of the time by which a first path, and the cheapest, of the roadmap is sought
 # Shares by which L-shaped motions are sampled that led to no path, and then simultaneous ones

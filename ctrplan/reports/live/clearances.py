@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.planning.certificate.allowances import POINT_SPACING_M, UNEVEN_FRICTION_M, mesh_allowance_m
-from ctrplan.planning.certificate.anatomy_distance import AnatomyDistance
-from ctrplan.planning.play import play_reach
+from ctrplan.certificate.anatomy_distance import AnatomyDistance
+from ctrplan.certificate.friction_states import POINT_SPACING_M, UNEVEN_FRICTION_M, mesh_allowance_m
+from ctrplan.motion.play import play_reach
 
 if TYPE_CHECKING:
-    from ctrplan.planning.scenario import Scenario
+    from ctrplan.scenario.scenario import Scenario
 
 STATES = {1: 9}  # of each pair, by the number of pairs; of more pairs the extremes and the middle
 FEWEST = 3

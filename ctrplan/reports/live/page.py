@@ -7,9 +7,9 @@ import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from ctrplan.reports import palette
-from ctrplan.reports.glossary import glossary, term
+from ctrplan.reports import looks
 from ctrplan.reports.html_page import FONT, KEY_STYLE, escaped, explained, script
+from ctrplan.reports.words import glossary, term
 
 if TYPE_CHECKING:
     from ctrplan.reports.live.state import LiveState
@@ -23,41 +23,41 @@ STYLE = f"""
 :root {{ color-scheme: light; }}
 * {{ box-sizing: border-box; }}
 body {{ margin: 0; height: 100vh; display: grid; grid-template-columns: 340px minmax(0, 1fr); background: #f4f6f8;
-  color: {palette.INK}; font: 15px/1.45 {FONT}; }}
+  color: {looks.INK}; font: 15px/1.45 {FONT}; }}
 aside {{ order: -1; padding: 20px 20px 28px; overflow-y: auto; background: #fff;
-  border-right: 1px solid {palette.GRID}; }}
+  border-right: 1px solid {looks.GRID}; }}
 h1 {{ font-size: 1.25rem; line-height: 1.25; margin: 0 0 14px; overflow-wrap: anywhere; }}
-.kicker {{ color: {palette.MUTED}; margin: 0; font-size: 0.85rem; }}
-#bound {{ font-size: 2.3rem; font-weight: 700; line-height: 1.1; color: {palette.BOUND};
+.kicker {{ color: {looks.MUTED}; margin: 0; font-size: 0.85rem; }}
+#bound {{ font-size: 2.3rem; font-weight: 700; line-height: 1.1; color: {looks.BOUND};
   font-variant-numeric: tabular-nums; }}
-#meter {{ height: 8px; border-radius: 4px; background: {palette.GRID}; margin: 8px 0 14px; overflow: hidden; }}
-#meter div {{ height: 100%; width: 0; border-radius: 4px; background: {palette.BOUND}; transition: width 80ms; }}
+#meter {{ height: 8px; border-radius: 4px; background: {looks.GRID}; margin: 8px 0 14px; overflow: hidden; }}
+#meter div {{ height: 100%; width: 0; border-radius: 4px; background: {looks.BOUND}; transition: width 80ms; }}
 #state {{ border-left: 5px solid; border-radius: 5px; padding: 8px 12px; margin: 0 0 14px; background: #f8fafb;
   font-weight: 600; min-height: 2.9em; }}
-.good {{ color: {palette.MET}; }} .bad {{ color: {palette.LIMIT}; }} .quiet {{ color: {palette.MUTED}; }}
-.caution {{ color: {palette.CAUTION}; font-weight: 600; }}
+.good {{ color: {looks.MET}; }} .bad {{ color: {looks.LIMIT}; }} .quiet {{ color: {looks.MUTED}; }}
+.caution {{ color: {looks.CAUTION}; font-weight: 600; }}
 label {{ display: grid; grid-template-columns: 1fr auto; margin: 0 0 10px; gap: 0 8px; align-items: baseline; }}
-label input[type=range] {{ grid-column: 1 / 3; width: 100%; accent-color: {palette.SERIES[0]}; margin: 2px 0; }}
-label input[type=number] {{ width: 92px; text-align: right; font: inherit; border: 1px solid {palette.GRID};
+label input[type=range] {{ grid-column: 1 / 3; width: 100%; accent-color: {looks.SERIES[0]}; margin: 2px 0; }}
+label input[type=number] {{ width: 92px; text-align: right; font: inherit; border: 1px solid {looks.GRID};
   border-radius: 4px; padding: 1px 4px; font-variant-numeric: tabular-nums; }}
 table {{ width: 100%; border-collapse: collapse; margin: 6px 0 14px; }}
-td {{ padding: 4px 0; border-bottom: 1px solid {palette.GRID}; }}
+td {{ padding: 4px 0; border-bottom: 1px solid {looks.GRID}; }}
 td + td {{ text-align: right; font-variant-numeric: tabular-nums; }}
 .row {{ display: flex; gap: 6px; align-items: center; flex-wrap: wrap; margin: 4px 0 12px; }}
 .row[hidden] {{ display: none; }} .row input[type=number] {{ width: 62px; font: inherit; padding: 2px 4px;
-  border: 1px solid {palette.GRID}; border-radius: 4px; }} #base input {{ width: 92px; }} #time {{ flex: 1; }}
+  border: 1px solid {looks.GRID}; border-radius: 4px; }} #base input {{ width: 92px; }} #time {{ flex: 1; }}
 button {{ font: inherit; padding: 5px 12px; border-radius: 6px; border: 1px solid #c9d1d8; background: #fff;
   cursor: pointer; }}
 button:hover {{ background: #eef2f5; }}
 pre {{ background: #f4f6f8; border-radius: 6px; padding: 10px 12px; overflow-x: auto; font-size: 0.8rem; }}
 {KEY_STYLE}
-abbr {{ text-decoration: underline dotted {palette.MUTED} 1px; text-underline-offset: 3px; cursor: help; }}
+abbr {{ text-decoration: underline dotted {looks.MUTED} 1px; text-underline-offset: 3px; cursor: help; }}
 details {{ margin-top: 14px; font-size: 0.9rem; }} summary {{ cursor: pointer; }} dt {{ font-weight: 600; }}
-dd {{ margin: 0 0 8px; color: {palette.MUTED}; }}
+dd {{ margin: 0 0 8px; color: {looks.MUTED}; }}
 #scene {{ width: 100%; height: 100vh; min-width: 0; }}
 @media (max-width: 800px) {{ body {{ display: block; height: auto; }}
   #scene {{ height: 48vh; position: sticky; top: 0; z-index: 1; background: #fff;
-    border-bottom: 1px solid {palette.GRID}; }}
+    border-bottom: 1px solid {looks.GRID}; }}
   aside {{ border: 0; padding-top: 12px; }} }}
 """
 BASE = ("x", "y", "z", "about x", "about y", "about z")

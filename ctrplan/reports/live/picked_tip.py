@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from ctrplan.base.arrays import Array
-from ctrplan.base.units import MM_PER_M
+from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.errors import InputError
-from ctrplan.planning.goals.branches import reach
-from ctrplan.planning.goals.tip_solver import TipTarget
+from ctrplan.planning.goals.reach import reach
 from ctrplan.reports.live.standing import Standing
+from ctrplan.scenario.tip_solver import TipTarget
 
 NEAR_M = 0.2e-3  # of the frictionless tip from what was picked
 STARTS = 60

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ctrplan.base.units import MM_PER_M
+from ctrplan.base.arrays import MM_PER_M
 from ctrplan.errors import InputError
-from ctrplan.planning.motion import MotionChecker, path_limits
+from ctrplan.motion.checker import MotionChecker, path_limits
 
 if TYPE_CHECKING:
-    from ctrplan.planning.scenario import Scenario
+    from ctrplan.scenario.scenario import Scenario
 
 FARTHEST = 1e4  # mm or deg of a move
 REMEMBERED = 4  # places

@@ -13,20 +13,19 @@ from ctrplan.base.arrays import Array
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
 from ctrplan.mechanics.shapes import Status
-from ctrplan.planning.plan_timing import Played, joints_at
-from ctrplan.planning.play import play_shift
-from ctrplan.reports import scene_looks as looks
-from ctrplan.reports.framing import view_box
+from ctrplan.motion.play import play_shift
+from ctrplan.plans.timing import Played, joints_at
+from ctrplan.reports import looks as looks
 from ctrplan.reports.live.clearances import clearances_mm
 from ctrplan.reports.live.picked_tip import picked_tip
 from ctrplan.reports.live.standing import Standings
-from ctrplan.reports.plan_words.worst_miss import WorstMiss
-from ctrplan.reports.pose import Pose, pose, stand
+from ctrplan.reports.looks import view_box
+from ctrplan.reports.plan_words import WorstMiss
+from ctrplan.reports.robot_surface import Pose, anatomy_surface, pose, stand
 from ctrplan.reports.scene_traces import anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces, xyz
-from ctrplan.reports.surface import anatomy_surface
 
 if TYPE_CHECKING:
-    from ctrplan.planning.scenario import Scenario
+    from ctrplan.scenario.scenario import Scenario
 
 UNLIMITED = (-180.0, 180.0)  # deg of the slider of a rotation without limits
 MOST = 1e5  # deg or mm: turns beyond have too few digits for an angle
@@ -71,7 +70,7 @@ class LiveState:
 
         scenario = self.scenario
         surfaces = [anatomy_surface(part) for part in scenario.anatomy]
-        still = [mesh_trace(stand(scenario), looks.PLATE.colour, 1.0, looks.PLATE.name)]
+        still = [mesh_trace(stand(scenario), looks.PLATE_LOOK.colour, 1.0, looks.PLATE_LOOK.name)]
         anatomy = anatomy_traces(scenario, surfaces)
         figure = go.Figure([*robot_traces(pose(scenario, scenario.start)), *still, *self._target(), *anatomy])
         reach = self._reach(surfaces)
@@ -87,8 +86,10 @@ class LiveState:
         traces = []
         for goal in goals:
             symbol = "diamond" if goal is self.scenario.goal else "diamond-open"
-            name = html.escape(goal.name) or (looks.GOAL.name if goal is self.scenario.goal else "target on the way")
-            marker = {"symbol": symbol, "size": 7, "color": looks.GOAL.colour}
+            name = html.escape(goal.name) or (
+                looks.GOAL_LOOK.name if goal is self.scenario.goal else "target on the way"
+            )
+            marker = {"symbol": symbol, "size": 7, "color": looks.GOAL_LOOK.colour}
             hover = f"{name}: a click moves the tip here<extra></extra>"
             shown = {
                 "mode": "markers",

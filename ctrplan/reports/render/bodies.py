@@ -8,11 +8,10 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.base.surface import Rod, capsule
-from ctrplan.reports import scene_looks as looks
-from ctrplan.reports.pose import Pose, stand
+from ctrplan.reports import looks as looks
+from ctrplan.reports.plan_scene import WrittenMotion
 from ctrplan.reports.render.body import Body
-from ctrplan.reports.surface import anatomy_surface
-from ctrplan.reports.written_motion import WrittenMotion
+from ctrplan.reports.robot_surface import Pose, anatomy_surface, stand
 
 TRIANGLES = 60_000  # of a part of the anatomy
 SIDES, ENVELOPE_SIDES = 24, 24
@@ -37,7 +36,7 @@ def moving_bodies(pose: Pose, motion: WrittenMotion, inside: bool) -> list[Body]
         for tube, rod in enumerate(pose.tubes)
         if rod.radius_m.any()
     ]
-    return [*tubes, Body(pose.envelope.surface(ENVELOPE_SIDES), rgb(looks.ENVELOPE.colour), 0.14, 0.6)]
+    return [*tubes, Body(pose.envelope.surface(ENVELOPE_SIDES), rgb(looks.ENVELOPE_LOOK.colour), 0.14, 0.6)]
 
 
 def rgb(colour: str) -> Array:
@@ -49,23 +48,23 @@ def _anatomy(motion: WrittenMotion, inside: bool) -> Iterator[Body]:
     for part in motion.scenario.anatomy:
         surface = anatomy_surface(part, TRIANGLES)
         if inside:
-            yield Body(surface, WALL if part.role == "inside" else rgb(looks.ANATOMY["avoid"].colour))
+            yield Body(surface, WALL if part.role == "inside" else rgb(looks.ANATOMY_LOOK["avoid"].colour))
         else:
-            yield Body(surface, rgb(looks.ANATOMY[part.role].colour), *GLASS[part.role])
+            yield Body(surface, rgb(looks.ANATOMY_LOOK[part.role].colour), *GLASS[part.role])
 
 
 def _marks(motion: WrittenMotion, inside: bool) -> Iterator[Body]:
     if inside:
         return
     length = _length(motion)
-    yield Body(stand(motion.scenario), rgb(looks.PLATE.colour))
+    yield Body(stand(motion.scenario), rgb(looks.PLATE_LOOK.colour))
     line = _beads(motion.tip_m, LINE_M)
     if len(line) > 1:
         tangent = np.gradient(line, axis=0)
         tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-12)
         yield Body(Rod(line, tangent, np.full(len(line), PATH_M * length)).surface(8), rgb(looks.TIP_PATH.colour))
     for point in motion.targets.values():
-        yield Body(capsule(point, point, MARK_M * length, 24), rgb(looks.GOAL.colour), 0.75, 1.0)
+        yield Body(capsule(point, point, MARK_M * length, 24), rgb(looks.GOAL_LOOK.colour), 0.75, 1.0)
 
 
 def _way_ahead(pose: Pose, motion: WrittenMotion) -> Iterator[Body]:
@@ -74,7 +73,7 @@ def _way_ahead(pose: Pose, motion: WrittenMotion) -> Iterator[Body]:
     beads = _beads(motion.tip_m, APART_M)
     passed = int(np.argmin(np.linalg.norm(beads - eye, axis=1)))
     marks = [(point, 0.6 * size, looks.TIP_PATH.colour) for point in beads[passed + 1 :]]
-    marks += [(point, 1.6 * size, looks.GOAL.colour) for point in motion.targets.values()]
+    marks += [(point, 1.6 * size, looks.GOAL_LOOK.colour) for point in motion.targets.values()]
     for point, radius, colour in marks:
         if np.linalg.norm(point - eye) > NEAREST_BEAD * radius:
             yield Body(capsule(point, point, radius, 24), rgb(colour))

@@ -11,16 +11,15 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ctrplan.reports import palette
-from ctrplan.reports import scene_looks as looks
-from ctrplan.reports.plan_words.numbers import millimetres
+from ctrplan.reports import looks
+from ctrplan.reports.plan_scene import WrittenMotion
 from ctrplan.reports.render.bodies import moving_bodies, rgb, still_bodies
 from ctrplan.reports.render.camera import Camera
 from ctrplan.reports.render.compass import draw_compass
 from ctrplan.reports.render.picture import Picture, Stage
 from ctrplan.reports.render.views import View, camera_of
 from ctrplan.reports.stated_error import stated_error_m
-from ctrplan.reports.written_motion import WrittenMotion
+from ctrplan.reports.words import millimetres
 
 SKY = np.stack([rgb("#FFFFFF"), rgb("#E4EAF0")])
 DARK = np.stack([rgb("#14090A"), rgb("#14090A")])
@@ -56,7 +55,7 @@ def _captions(motion: WrittenMotion) -> list[str]:
 def _labelled(picture: Picture, motion: WrittenMotion, caption: str, inside: bool, camera: Camera) -> Picture:
     image = Image.fromarray(picture)
     draw, size = ImageDraw.Draw(image), max(11, round(TEXT * image.height))
-    ink = "#F3ECEA" if inside else palette.INK
+    ink = "#F3ECEA" if inside else looks.INK
     margin = round(0.8 * size)
     halo: dict[str, Any] = {"stroke_width": max(1, size // 9), "stroke_fill": "#1D0F0F" if inside else "#F4F7F9"}
     draw.text((margin, margin), motion.scenario.name, fill=ink, font=_font(size, bold=True), **halo)
@@ -86,10 +85,10 @@ def _key(
     halo: dict[str, Any],
 ) -> None:
     """Names and colours, in the upper right corner."""
-    entries = [looks.TIP_PATH, looks.GOAL]
+    entries = [looks.TIP_PATH, looks.GOAL_LOOK]
     if not inside:
         tubes = [looks.tube_look(tube) for tube in range(motion.scenario.robot.n)]
-        entries = [*tubes, looks.ENVELOPE, *entries, *looks.anatomy_looks(motion.scenario)]
+        entries = [*tubes, looks.ENVELOPE_LOOK, *entries, *looks.anatomy_looks(motion.scenario)]
     font = _font(round(0.85 * size))
     for row, look in enumerate(entries):
         y = top + round(1.35 * size * row)
@@ -102,7 +101,7 @@ def write_caption(image: Image.Image, text: str) -> None:
     size = max(11, round(TEXT * image.height))
     place = (0.8 * size, image.height - 0.8 * size)
     halo: dict[str, Any] = {"stroke_width": max(1, size // 9), "stroke_fill": "#F4F7F9"}
-    ImageDraw.Draw(image).text(place, text, fill=palette.INK, font=_font(size), anchor="ls", **halo)
+    ImageDraw.Draw(image).text(place, text, fill=looks.INK, font=_font(size), anchor="ls", **halo)
 
 
 @cache

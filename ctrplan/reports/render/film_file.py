@@ -14,7 +14,7 @@ from PIL import Image
 
 from ctrplan.errors import CtrplanError, InputError
 from ctrplan.reports.render.picture import Picture
-from ctrplan.storage.atomic_write import write_atomically
+from ctrplan.storage.output_folder import write_atomically
 
 SUFFIXES = (".mp4", ".gif", ".png")
 REST_MS = 1200  # of a GIF at the goal, before it starts again

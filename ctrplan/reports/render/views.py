@@ -8,10 +8,10 @@ from typing import Literal, get_args
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.reports.framing import side_azimuth_rad
-from ctrplan.reports.pose import Pose
+from ctrplan.reports.looks import side_azimuth_rad
+from ctrplan.reports.plan_scene import WrittenMotion
 from ctrplan.reports.render.camera import Camera, look_at, looking_along, view_axes
-from ctrplan.reports.written_motion import WrittenMotion
+from ctrplan.reports.robot_surface import Pose
 
 View = Literal["side", "plate", "target", "inside"]
 VIEWS: tuple[str, ...] = get_args(View)

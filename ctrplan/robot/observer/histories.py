@@ -1,4 +1,5 @@
-"""The histories that an observer follows: begun in start states, moved on, joined by others, differentiated.
+"""The histories that an observer follows: begun in start states, moved on, weighted by measured tips, joined by
+others.
 
 Histories move on by the robot's own mechanics, in coarse steps as long as nothing is measured. With the first tip
 states between the corners join.
@@ -6,24 +7,188 @@ states between the corners join.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from ctrplan.base.arrays import Array
+from ctrplan.base.long_work import cores
 from ctrplan.errors import SolverError
+from ctrplan.mechanics.accuracy import HistoryOptions
 from ctrplan.mechanics.core import Mechanics
 from ctrplan.mechanics.history import History, HistoryPath, Start
-from ctrplan.mechanics.history_options import HistoryOptions
-from ctrplan.robot.observer.bank import Member, begun, moved
-from ctrplan.robot.observer.shared_work import SharedWork
-from ctrplan.robot.observer.slow_model import SlowModel
-from ctrplan.robot.observer.start_states import start_states
+from ctrplan.mechanics.shapes import Status
+from ctrplan.robot.observer.slow_states import Slow, SlowModel
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.accuracy import Accuracy
+
+SAME_M, SAME_RAD, SAME_PHI = 1e-6, 1e-4, 1e-3  # tips, tangents and friction of histories that have become one
+LEAST_WEIGHT = 1e-6  # below which a history is given up
+
+
+@dataclass(eq=False)
+class Member:
+    """A history, where it stands, and how well it agrees with what was measured."""
+
+    history: History
+    position_m: Array  # (3,)
+    tangent: Array  # (3,)
+    phi: Array  # (n - 1,)
+    slow: Slow  # offset and parameters, if this history is the true one
+    score: float  # logarithm of its probability, but for what all have in common
+    values: Array  # (P,) of the parameters that the history is simulated with, less those of the robot file
+    slopes: Array  # (3, P) derivatives of the tip by the parameters
+    slopes_at: Array  # (2 n + n - 1,) collars and friction they are of
+
+    @property
+    def expected_m(self) -> Array:
+        """(3,) where the tip would be measured."""
+        return self.position_m + self.slow.moved_m(self.slopes, self.values)
+
+
+def begun(history: History, values: Array, theta_b: Array, l_b: Array, slow: Slow, score: float) -> Member | None:
+    """A member at collars (n,) [rad], (n,) [m]; None without an equilibrium there."""
+    blank, no_slopes = np.zeros(3), np.zeros((3, len(values)))
+    return moved(Member(history, blank, blank, blank, slow, score, values, no_slopes, np.zeros(0)), theta_b, l_b)
+
+
+def moved(member: Member, theta_b: Array, l_b: Array) -> Member | None:
+    """The member after moving there; None where no equilibrium is found."""
+    path = followed(member.history, theta_b[None], l_b[None])
+    if path is None:
+        return None
+    member.position_m, member.tangent, member.phi = path.position_m[-1], path.tangent[-1], path.phi[-1]
+    return member
+
+
+def followed(history: History, theta_b: Array, l_b: Array) -> HistoryPath | None:
+    """The history along (K, n) [rad], (K, n) [m]; None where no equilibrium is found on the way."""
+    try:
+        path = history.follow(theta_b, l_b)
+    except SolverError:  # none to begin with
+        return None
+    return path if path.status[-1] < Status.FAILED else None
+
+
+def asked(history: History, theta_b: Array, l_b: Array) -> HistoryPath | None:
+    """As `followed`, of a history that stays where it is."""
+    here = history.save()
+    path = followed(history, theta_b, l_b)
+    history.restore(here)
+    return path
+
+
+def weights(members: list[Member]) -> Array:
+    """(H,) probabilities, of sum 1."""
+    score: Array = np.array([member.score for member in members])
+    share = np.exp(score - score.max())
+    total: Array = share / share.sum()
+    return total
+
+
+def tidied(members: list[Member]) -> list[Member]:
+    """Without those that nothing speaks for, and one for all that have become the same."""
+    share = weights(members)
+    kept: list[Member] = []
+    for k in np.argsort(-share, kind="stable").tolist():
+        member = members[k]
+        if share[k] < LEAST_WEIGHT:
+            continue
+        alike = next((other for other in kept if _are_one(member, other)), None)
+        if alike is None:
+            kept.append(member)
+        else:
+            alike.score = float(np.logaddexp(alike.score, member.score))
+    return kept
+
+
+def _are_one(a: Member, b: Member) -> bool:
+    return bool(
+        np.all(np.abs(a.position_m - b.position_m) < SAME_M)
+        and np.all(np.abs(a.tangent - b.tangent) < SAME_RAD)
+        and np.all(np.abs(a.phi - b.phi) < SAME_PHI)
+        and np.all(np.abs(a.expected_m - b.expected_m) < 2 * SAME_M)
+    )
+
+
+MOST_CORNERS = 32  # of five pairs; of more pairs as many are drawn
+LEAST_SPACING = 0.25  # of a state, which friction can be told apart by
+
+
+def start_states(pairs: int, members: int, rng: np.random.Generator) -> list[Array]:
+    """Shares (P,) of the Coulomb limit: released, every sign corner, and others of a grid, `members` of them or more.
+
+    With the corners of many pairs there are more. A single tube has one state.
+    """
+    if pairs == 0:
+        return [np.zeros(0)]
+    found = [np.zeros(pairs), *_corners(pairs, rng)]
+    levels = max(3, _levels_within(members, pairs))
+    between = [np.array(state) for state in itertools.islice(itertools.product(_grid(levels), repeat=pairs), 10_000)]
+    rng.shuffle(between)  # of a grid that is not used whole, any
+    taken = {tuple(state) for state in found}
+    for state in between:
+        if len(found) < members and tuple(state) not in taken:
+            found.append(state)
+    return found
+
+
+def states_nearby(phi: Array, count: int, spread: float, rng: np.random.Generator) -> list[Array]:
+    """`count` states (P,), half of them near phi (P,), the others anywhere."""
+    near = np.clip(phi + spread * rng.standard_normal((count, len(phi))), -1, 1)
+    anywhere = rng.uniform(-1, 1, (count, len(phi)))
+    return [near[k] if k % 2 == 0 else anywhere[k] for k in range(count)]
+
+
+def _corners(pairs: int, rng: np.random.Generator) -> list[Array]:
+    if 2**pairs <= MOST_CORNERS:
+        return [np.array(signs) for signs in itertools.product((1.0, -1.0), repeat=pairs)]
+    return list(np.unique(rng.choice([1.0, -1.0], (MOST_CORNERS, pairs)), axis=0))
+
+
+def _levels_within(members: int, pairs: int) -> int:
+    """Odd number of levels per pair whose grid has at most `members` states."""
+    levels = min(int((members + 1e-9) ** (1 / pairs)), round(2 / LEAST_SPACING) + 1)
+    return levels - (levels + 1) % 2
+
+
+def _grid(levels: int) -> list[float]:
+    return [float(level) + 0.0 for level in np.linspace(-1, 1, levels)]
+
+
+Item = TypeVar("Item")
+Done = TypeVar("Done")
+
+
+class SharedWork:
+    """Threads that live as long as their observer, for a step is too short to start some."""
+
+    def __init__(self) -> None:
+        """Without any until there is something to share."""
+        self._pool: ThreadPoolExecutor | None = None
+        self._threads = 0
+
+    def each(self, work: Callable[[Item], Done], items: Sequence[Item]) -> list[Done]:
+        """work(item) of every item, in order. Items are independent, so that threads change no answer."""
+        threads = cores()
+        if threads < 2 or len(items) < 2:
+            return [work(item) for item in items]
+        if self._pool is None or self._threads != threads:
+            self._pool, self._threads = ThreadPoolExecutor(threads, "observer"), threads
+        return list(self._pool.map(work, items))
+
+    def parts(self, count: int) -> list[slice]:
+        """`count` rows as one slice for each thread."""
+        shares = max(1, min(count, cores()))
+        ends = [count * k // shares for k in range(shares + 1)]
+        return [slice(*pair) for pair in zip(ends[:-1], ends[1:], strict=True)]
+
 
 RobotWith = Callable[[Mapping[str, float]], Mechanics]
 

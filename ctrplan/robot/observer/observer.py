@@ -19,22 +19,69 @@ from numpy.typing import ArrayLike
 from ctrplan.base.arguments import SEED, Choice, Made, Whole, checked
 from ctrplan.base.arrays import Array, numbers
 from ctrplan.errors import InputError, SolverError
+from ctrplan.measurement.sensor import SensorNoise
 from ctrplan.mechanics.core_arrays import joint_row, joint_rows
 from ctrplan.mechanics.history import HistoryPath
-from ctrplan.robot.observer.bank import Member, asked, tidied, weights
-from ctrplan.robot.observer.estimate import Observed, ParameterEstimate, TipEstimate, estimate
-from ctrplan.robot.observer.histories import Histories, RobotWith
-from ctrplan.robot.observer.slow_model import Slow, SlowModel, spread_m2
-from ctrplan.robot.observer.slow_offset import SlowOffset
-from ctrplan.robot.observer.slow_parameter import SlowParameter
-from ctrplan.robot.observer.start_states import states_nearby
-from ctrplan.robot.observer.state import ObservedHistory, ObserverState
-from ctrplan.robot.observer.surprise import Surprise
-from ctrplan.sensor.noise import SensorNoise
+from ctrplan.robot.observer.histories import Histories, Member, RobotWith, asked, states_nearby, tidied, weights
+from ctrplan.robot.observer.slow_states import Slow, SlowModel, SlowOffset, SlowParameter, spread_m2
+from ctrplan.robot.observer.state import (
+    Observed,
+    ObservedHistory,
+    ObserverState,
+    ParameterEstimate,
+    TipEstimate,
+    estimate,
+)
 
 if TYPE_CHECKING:
     from ctrplan.drive.drive import Drive
     from ctrplan.mechanics.accuracy import Accuracy
+
+GROSS = 4.0  # times the noise's variance, of a coordinate: beyond what chance does in one row of a hundred
+SURPRISE = 3.0  # times the noise's variance unexplained, from which other friction states are tried
+
+
+class Surprise:
+    """Variances [m^2] of a coordinate, of steps that forget; and the pauses between tries, which grow."""
+
+    def __init__(self, sigma_m: float, memory: int) -> None:
+        """sigma_m: noise of a coordinate; memory: steps, after which one counts for 1/e."""
+        self.noise_m2, self.unexplained_m2 = sigma_m**2, 0.0
+        self.left_m2 = 0.0  # by the last step, where it is gross
+        self._memory, self._kept = memory, 1 - 1 / memory
+        self._wait, self._pause = 0, 0  # steps until other friction states are tried again, and after that
+
+    @property
+    def beyond_m2(self) -> float:
+        """That a tip has besides what histories and slow errors spread, at least the noise of a row.
+
+        What the histories are too coarse for can't be told from that.
+        """
+        return max(self.unexplained_m2, self.left_m2, self.noise_m2)
+
+    def learn(self, surplus_m2: float) -> None:
+        """From squares by which a step's tip is off beyond what was expected, its noise included."""
+        beyond = surplus_m2 - self.noise_m2
+        self.unexplained_m2 = max(0.0, self._kept * self.unexplained_m2 + (1 - self._kept) * beyond)
+
+    def after(self, off_m: Array) -> None:
+        """What is left (3,) [m] once the step's tip has been weighed."""
+        left = float(off_m @ off_m) / 3
+        self.left_m2 = left if left > GROSS * self.noise_m2 else 0.0
+
+    def tries_others(self, besides: bool) -> bool:
+        """Whether others are to be tried in this step; `besides`: another reason for it.
+
+        Less and less often, where it is not friction that is missing.
+        """
+        if not (self.left_m2 or self.unexplained_m2 > SURPRISE * self.noise_m2 or besides):
+            self._pause = self._wait = 0
+            return False
+        if self._wait > 0:
+            self._wait -= 1
+            return False
+        self._wait, self._pause = self._pause, min(2 * self._pause + 1, self._memory)
+        return True
 
 
 MEMORY = 20  # steps after which a measured tip counts for 1/e

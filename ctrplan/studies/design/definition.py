@@ -1,4 +1,6 @@
-"""What a search of designs is: its space, its targets, and the files that travel with the tasks."""
+"""What a search of designs is: its space, its targets, the files that travel with the tasks, and the front of
+designs.
+"""
 
 from __future__ import annotations
 
@@ -6,23 +8,78 @@ import hashlib
 import json
 import os
 import pickle
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from ctrplan.base.arrays import Array
 from ctrplan.base.version import __version__
-from ctrplan.files.design_entries import DesignEntry
+from ctrplan.files.design_file import DesignEntry
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.planning.scenario import Scenario
+from ctrplan.scenario.scenario import Scenario
 from ctrplan.storage.toml_document import Document
-from ctrplan.studies.design.front import Looked
 from ctrplan.studies.design.space import Design, DesignSpace, toml
 from ctrplan.studies.study.kinds.target_set import TARGET_S
 from ctrplan.studies.study.points import target_points
 from ctrplan.studies.study.sources import Sources
 from ctrplan.studies.study.task import KEY_DIGITS, Job, Task
+from ctrplan.studies.target_set import cost, dominates
+
+Row = dict[str, Any]  # of the folder's rows.jsonl
+
+
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """A design and the row that came of it."""
+
+    design: Design
+    row: Row
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """What is known of it."""
+        numbers: dict[str, Any] = self.row["numbers"]
+        return numbers
+
+    @property
+    def is_done(self) -> bool:
+        """Whether it has all numbers: it was neither given up nor refused."""
+        return bool(self.row["status"] == "done")
+
+
+@dataclass(eq=False)
+class Archive:
+    """All designs in the order in which they were proposed."""
+
+    objectives: Sequence[str]
+    all: list[Looked] = field(default_factory=list)
+
+    def add(self, looked: Looked) -> None:
+        """One more."""
+        self.all.append(looked)
+
+    def values(self, looked: Looked) -> dict[str, float]:
+        """The objectives of a design that is done."""
+        return {name: float(looked.numbers[name]) for name in self.objectives}
+
+    @property
+    def front(self) -> list[Looked]:
+        """Designs that no other dominates, each once, the best by the first objective first."""
+        done = {looked.design.key: looked for looked in reversed(self.all) if looked.is_done}
+        known = [(looked, self.values(looked)) for looked in done.values()]
+        kept = [looked for looked, own in known if not any(dominates(other, own) for _, other in known)]
+        return sorted(kept, key=lambda looked: self._rank(looked))
+
+    def _rank(self, looked: Looked) -> tuple[float, ...]:
+        own = self.values(looked)
+        return (*(cost(name, own[name]) for name in self.objectives), float(looked.row["index"]))
+
+
+def judged(objectives: Iterable[str]) -> str:
+    """The error that local steps lead down: the robust one where it is asked for."""
+    return "robust_mm" if "robust_mm" in objectives else "error_mm"
 
 
 @dataclass(frozen=True, eq=False)

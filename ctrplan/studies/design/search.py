@@ -1,4 +1,10 @@
-"""Searching for designs: proposals a batch at a time, whatever is missing done by an engine, rows kept as they come.
+"""Searching for tube designs: proposals a batch at a time, steps down exact derivatives, plans with the best of the
+front.
+
+A step counts where the error at worst falls - that with tolerances, if it is an objective - and no target is lost.
+
+They end at the joints that a design was judged by: a plan to the tip alone weighs the way against the error at its end.
+Only where there is no way to these joints is one sought to the tip.
 
 What was proposed follows from the seed and from the rows alone. A search that was ended asks the same again, finds the
 answers in its folder, and goes on where there are none.
@@ -6,27 +12,230 @@ answers in its folder, and goes on where there are none.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
+import pickle
 import time
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Literal
 
-from ctrplan.planning.target_set.outlook import LESS_IS_BETTER
-from ctrplan.studies.design.confirm import confirm
-from ctrplan.studies.design.definition import Definition
-from ctrplan.studies.design.front import Archive, Looked, judged
-from ctrplan.studies.design.local_steps import descend
-from ctrplan.studies.design.sampler import Sampler, check_installed
-from ctrplan.studies.design.space import Design
+import numpy as np
+
+from ctrplan.base.arrays import Array
+from ctrplan.errors import InputError
+from ctrplan.studies.design.definition import Archive, Definition, Looked, judged
+from ctrplan.studies.design.space import Design, DesignSpace, name_of
+from ctrplan.studies.study.axes import goal_overrides
+from ctrplan.studies.study.definition import KEPT
 from ctrplan.studies.study.engine import Engine
-from ctrplan.studies.study.limited import unanswered
-from ctrplan.studies.study.lines import Lines
-from ctrplan.studies.study.run import Doing, Report, Where
-from ctrplan.studies.study.store import Store
+from ctrplan.studies.study.store import Lines, Store
+from ctrplan.studies.study.study import Doing, Report, Where
 from ctrplan.studies.study.table import write_table
-from ctrplan.studies.study.task import Task
+from ctrplan.studies.study.task import KEY_DIGITS, Task
+from ctrplan.studies.study.worker import unanswered
+from ctrplan.studies.target_set import LESS_IS_BETTER
+
+FIRST, LEAST = 0.1, 0.01  # shares of the ranges
+LONGER, SHORTER = 1.5, 0.4
+
+Look = Callable[[Sequence[Design]], Sequence[Looked]]
+
+
+@dataclass(eq=False)
+class Descent:
+    """Where one descent is."""
+
+    at: Looked
+    step: float = FIRST
+    tried: set[tuple[object, ...]] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        """Where it begins is known."""
+        self.tried.add(self.at.design.key)
+
+    def proposal(self, space: DesignSpace) -> Design | None:
+        """The next design, a step down that was not tried; None where there is no way down."""
+        down = downhill(space, self.at)
+        while self.step >= LEAST and down.any():
+            shares = np.clip(np.array(self.at.design.shares) + self.step * down, 0.0, 1.0)
+            found = space.design(shares.tolist())
+            if found.key not in self.tried and space.strain(found) <= space.entry.made.most_strain:
+                self.tried.add(found.key)
+                return found
+            self.step *= SHORTER
+        return None
+
+    def judge(self, looked: Looked, objective: str) -> None:
+        """Goes on from a design that is better, else tries a shorter step."""
+        if is_better(looked, self.at, objective):
+            self.at, self.step = looked, self.step * LONGER
+        else:
+            self.step *= SHORTER
+
+
+def descend(
+    space: DesignSpace, best: Sequence[Looked], steps: int, objectives: Sequence[str], look: Look
+) -> list[Looked]:
+    """So many steps from each design, all of them together; where each ends."""
+    objective = judged(objectives)
+    descents = [Descent(looked) for looked in best]
+    for _ in range(steps):
+        asked = [(descent, made) for descent in descents if (made := descent.proposal(space))]
+        if not asked:
+            break
+        for (descent, _), looked in zip(asked, look([made for _, made in asked]), strict=True):
+            descent.judge(looked, objective)
+    return [descent.at for descent in descents]
+
+
+def is_better(new: Looked, old: Looked, objective: str) -> bool:
+    """Whether the error is less and as many targets are reached."""
+    if not new.is_done:
+        return False
+    return bool(new.numbers[objective] < old.numbers[objective] and new.numbers["reach"] >= old.numbers["reach"])
+
+
+def downhill(space: DesignSpace, looked: Looked) -> Array:
+    """Direction in shares along which the error falls fastest, its largest part 1 or -1; zero where it can't fall.
+
+    Tubes stay what they are. What is at an end of its range does not move beyond it.
+    """
+    widths = {side.name: side.width for side, _, _ in space.sides(looked.design)}
+    by_share = np.zeros(len(looked.design.shares))
+    for k, parameter in enumerate(space.parameters, start=space.tubes):
+        slope = looked.numbers[f"slope.{name_of(parameter)}"] / widths[name_of(parameter)]
+        by_share[k] = slope * (parameter.high - parameter.low)
+    shares = np.array(looked.design.shares)
+    held = ((shares <= 0) & (by_share > 0)) | ((shares >= 1) & (by_share < 0))
+    down = np.where(held, 0.0, -by_share)
+    largest = np.abs(down).max(initial=0.0)
+    found: Array = down / largest if largest > 0 else down
+    return found
+
+
+EXTRA = "pip install 'ctrplan[design]'"
+JOURNAL = "optuna.journal"  # for Optuna's own tools: `optuna-dashboard optuna.journal`
+NAME = "design"
+
+
+def check_installed() -> None:
+    """Raises InputError without Optuna."""
+    if find_spec("optuna") is None:
+        raise InputError(f"a search of designs needs Optuna: {EXTRA}", key="design")
+
+
+class Sampler:
+    """A study of Optuna, whose trials are written into a folder as they are told."""
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        less_is_better: Sequence[bool],
+        kind: Literal["tpe", "nsga2", "random"],
+        seed: int,
+        folder: Path,
+    ) -> None:
+        """Begins anew: what a folder's rows answer is told again, which takes no time. Raises InputError."""
+        check_installed()
+        import optuna
+        from optuna.storages import JournalStorage
+        from optuna.storages.journal import JournalFileBackend
+
+        optuna.logging.set_verbosity(optuna.logging.ERROR)
+        self.optuna, self.names = optuna, list(names)
+        journal = folder / JOURNAL
+        journal.unlink(missing_ok=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            self.study = optuna.create_study(
+                study_name=NAME,
+                storage=JournalStorage(JournalFileBackend(os.fspath(journal))),
+                sampler=self._sampler(kind, seed),
+                directions=["minimize" if less else "maximize" for less in less_is_better],
+            )
+        self.space = {name: optuna.distributions.FloatDistribution(0.0, 1.0) for name in self.names}
+
+    def ask(self, count: int) -> list[tuple[Any, tuple[float, ...]]]:
+        """So many trials, each with its shares."""
+        found = []
+        for _ in range(count):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                trial = self.study.ask(self.space)
+            found.append((trial, tuple(trial.params[name] for name in self.names)))
+        return found
+
+    def tell(self, trial: Any, values: Sequence[float] | None) -> None:
+        """What came of a trial: its objectives, or that it was given up."""
+        if values is None:
+            self.study.tell(trial, state=self.optuna.trial.TrialState.PRUNED)
+        else:
+            self.study.tell(trial, list(values))
+
+    def _sampler(self, kind: str, seed: int) -> Any:
+        samplers = self.optuna.samplers
+        if kind == "tpe":
+            return samplers.TPESampler(seed=seed, constant_liar=True, multivariate=True)
+        return samplers.NSGAIISampler(seed=seed) if kind == "nsga2" else samplers.RandomSampler(seed=seed)
+
+
+PLANS = "plans"  # folder below that of the search, which load_study reads
+JOINTS, TIP = "joints", "tip"  # what a plan ends at
+
+
+def confirm(definition: Definition, best: Sequence[Looked], search: Store, engine: Engine, report: Report) -> None:
+    """Does those plans that are missing in the folder `plans`, and writes their table. Raises CtrplanError."""
+    store = Store(search.folder / PLANS)
+    store.open_for_work()
+    try:
+        job = replace(definition.job, task={"kind": "plan"}, keep=KEPT["all"])
+        name = {"name": f"{definition.name}, plans", "version": job.version}
+        store.write_definition({**name, "parts": [{"file": "..", "content": {}}]})
+        asked = [(k, one, goal) for k, one in enumerate(best, start=1) for goal in definition.goals(one)]
+        tasks = [_task(definition, k, *of) for k, of in enumerate(asked)]
+        _do(tasks, pickle.dumps(job), store, engine, report)
+        blocked = [of for task, of in zip(tasks, asked, strict=True) if _is_blocked(task, store)]
+        tips = [(number, looked, {**goal, JOINTS: None}) for number, looked, goal in blocked]
+        tasks += [_task(definition, len(tasks) + k, *of) for k, of in enumerate(tips)]
+        _do(tasks, pickle.dumps(job), store, engine, report)
+        write_table(store)
+    finally:
+        store.close()
+
+
+def _do(tasks: Sequence[Task], content: bytes, store: Store, engine: Engine, report: Report) -> None:
+    store.write_keys(task.key for task in tasks)
+    missing = [[task] for task in tasks if _status(task, store) in (None, "lost")]
+    for done, lines in enumerate(engine.rows(content, iter(missing), None), start=1):
+        store.add(lines)
+        report(Doing("plans", done, len(missing), None, engine.note))
+
+
+def _is_blocked(task: Task, store: Store) -> bool:
+    return task.inputs["to"] == JOINTS and _status(task, store) == "no answer"
+
+
+def _status(task: Task, store: Store) -> str | None:
+    """None where there is no row."""
+    key = bytes.fromhex(task.key)
+    return store.failed.get(key, "done") if key in store.offsets else None
+
+
+def _task(definition: Definition, index: int, number: int, looked: Looked, goal: Mapping[str, Any]) -> Task:
+    """The plan to one target with the design that is `number` on the front."""
+    given = {key: value for key, value in goal.items() if value is not None}
+    overrides = (*looked.row["overrides"], *goal_overrides(given))
+    text = json.dumps([definition.base, "plan", overrides, definition.entry.seed])
+    key = hashlib.sha256(text.encode()).hexdigest()[:KEY_DIGITS]
+    tip = {f"target_{axis}_mm": value for axis, value in zip("xyz", goal["tip_mm"], strict=True)}
+    inputs = {"design": number, **tip, "to": JOINTS if JOINTS in given else TIP}
+    return Task(index, key, inputs, overrides, {"seed": definition.entry.seed})
+
 
 SEARCH, LOCAL = "search", "local step"
 

@@ -11,18 +11,15 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from ctrplan.files.design_entries import DesignEntry
-from ctrplan.files.design_file import checked_design, read_design
+from ctrplan.files.design_file import DesignEntry, checked_design, read_design
 from ctrplan.files.robot_file import load_robot, write_robot
-from ctrplan.storage.atomic_write import write_atomically
+from ctrplan.storage.output_folder import write_atomically
 from ctrplan.storage.toml_document import Document
-from ctrplan.studies.design.confirm import PLANS
-from ctrplan.studies.design.definition import Definition, defined
-from ctrplan.studies.design.front import Archive, Looked
-from ctrplan.studies.design.search import search
+from ctrplan.studies.design.definition import Archive, Definition, Looked, defined
+from ctrplan.studies.design.search import PLANS, search
 from ctrplan.studies.study.axes import goal_overrides
-from ctrplan.studies.study.run import Report, Where, refuse_longer_than_a_week
 from ctrplan.studies.study.sources import ROBOT_PREFIX
+from ctrplan.studies.study.study import Report, Where, refuse_longer_than_a_week
 from ctrplan.studies.study.table import StudyTable, load_study
 
 FRONT, ROBOTS = "front.json", "robots"

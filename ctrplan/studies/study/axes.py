@@ -1,17 +1,28 @@
-"""What a study varies: axes of choices, of which every combination is a task. Long axes are never written out."""
+"""What a study varies: axes of choices made from its file, of which every combination is a task."""
 
 from __future__ import annotations
 
 import json
+import os
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ctrplan.base.arrays import Array
+from ctrplan.errors import InputError
+from ctrplan.files.study_file import DrawsEntry, StudyEntry, VaryEntry
+from ctrplan.storage.toml_document import Document, read_document
+from ctrplan.studies.study.points import base_poses, target_points
+from ctrplan.studies.study.sources import Sources, matching_files
+
+if TYPE_CHECKING:
+    from ctrplan.scenario.scenario import Scenario
 
 TASK_PREFIX = "task."
 CONFIGURATION = re.compile(r"(theta|l)_([0-9]+)")  # commanded joints of one tube: theta_2 in deg, l_2 in mm
@@ -185,3 +196,178 @@ def _toml(value: Any) -> str:
 def _inline(table: Mapping[str, Any]) -> str:
     """An inline table."""
     return "{" + ", ".join(f"{key} = {_toml(value)}" for key, value in table.items()) + "}"
+
+
+EXTRA = "pip install 'ctrplan[study]'"
+LEVELS = 4  # of Morris' grid
+
+
+def drawn(varied: Sequence[VaryEntry], draws: DrawsEntry) -> Array:
+    """(K, keys) in the units of the keys. Raises InputError without SALib for the two plans."""
+    if draws.method == "random":
+        share = np.random.default_rng(draws.seed).random((draws.count, len(varied)))
+        return np.column_stack([_quantile(vary, share[:, k]) for k, vary in enumerate(varied)])
+    check_salib(draws.method)
+    for vary in varied:
+        if draws.method == "morris" and vary.distribution in ("normal", "lognormal"):
+            rule = f"{vary.distribution} has no ends, which the levels of morris need: uniform or triangular"
+            raise InputError(rule, key=vary.key)
+    rows: Array
+    if draws.method == "sobol":
+        from SALib.sample import sobol
+
+        rows = sobol.sample(problem(varied), draws.count, calc_second_order=False, seed=draws.seed)
+    else:
+        from SALib.sample import morris
+
+        rows = morris.sample(problem(varied), draws.count, num_levels=LEVELS, seed=draws.seed)
+    return rows
+
+
+def problem(varied: Sequence[VaryEntry]) -> dict[str, Any]:
+    """What SALib calls the problem."""
+    kinds = {"uniform": "unif", "normal": "norm", "lognormal": "lognorm", "triangular": "triang"}
+    return {
+        "num_vars": len(varied),
+        "names": [vary.key for vary in varied],
+        "bounds": [_bounds(vary) for vary in varied],
+        "dists": [kinds[vary.distribution or ""] for vary in varied],
+    }
+
+
+def check_salib(method: str) -> None:
+    """Raises InputError without SALib."""
+    if find_spec("SALib") is None:
+        raise InputError(f"needs SALib: {EXTRA}", key="draws.method", value=method)
+
+
+def _bounds(vary: VaryEntry) -> list[float]:
+    """Parameters of a distribution as SALib takes them; a lognormal's mean and sigma are of the logarithm."""
+    if vary.distribution in ("normal", "lognormal"):
+        return [vary.mean or 0.0, vary.sigma or 1.0]
+    low, high = vary.low or 0.0, vary.high or 0.0
+    if vary.distribution == "uniform":
+        return [low, high]
+    return [low, high, ((vary.mode or 0.0) - low) / (high - low)]
+
+
+def _quantile(vary: VaryEntry, share: Array) -> Array:
+    """Values below which shares (K,) of a distribution lie."""
+    from scipy import stats
+
+    low, high = vary.low or 0.0, vary.high or 0.0
+    if vary.distribution == "uniform":
+        return np.asarray(low + (high - low) * share)
+    if vary.distribution == "triangular":
+        return np.asarray(stats.triang.ppf(share, ((vary.mode or 0.0) - low) / (high - low), low, high - low))
+    normal = np.asarray(stats.norm.ppf(share, vary.mean or 0.0, vary.sigma or 1.0))
+    return np.exp(normal) if vary.distribution == "lognormal" else normal
+
+
+ROBOT, SCENARIO = "robot", "scenario"
+POSE, OTHER_WAYS = ("position_mm", "quaternion_wxyz"), ("direction", "look_at", "roll_deg")  # of [base]
+GOAL_KEYS = ("tolerance_mm", "direction", "direction_tolerance_deg")
+
+
+def files_varied(entry: StudyEntry, document: Document) -> dict[str, list[Path]]:
+    """The files that each key with `files` goes through. Raises InputError."""
+    folder = os.path.dirname(document.file or "") or "."
+    return {
+        vary.key: matching_files(vary.files, folder, f"vary.{k + 1}.files", document.file)
+        for k, vary in enumerate(entry.vary)
+        if vary.files is not None
+    }
+
+
+def axes_of(
+    entry: StudyEntry,
+    document: Document,
+    sources: Sources,
+    files: dict[str, list[Path]],
+    scenario: Scenario | None,
+) -> list[Axis]:
+    """Files first, then bases and keys in the order of the file, draws, and targets, which run fastest.
+
+    scenario: for points of its anatomy. Raises InputError.
+    """
+    folder = Path(document.file or ".").parent
+    found: list[Axis] = [_files(vary, entry, sources, files[vary.key], folder) for vary in entry.vary if vary.files]
+    if entry.bases is not None:
+        found.append(BaseAxis(*base_poses(entry.bases, document), _beside_pose(entry, document, files)))
+    found += [KeyAxis(vary.key, _values(vary)) for vary in entry.vary if vary.values or vary.count]
+    if random := distributed(entry):
+        found.append(DrawAxis([vary.key for vary in random], drawn(random, entry.draws)))
+    if entry.targets is not None:
+        points = target_points(entry.targets, scenario, document, folder)
+        found.append(TargetAxis(points, _goal(entry), of_scenario=entry.scenario is not None))
+    return found
+
+
+def _beside_pose(
+    entry: StudyEntry, document: Document, files: Mapping[str, Sequence[Path]]
+) -> Mapping[str, Any] | None:
+    """What [base] of the scenario says besides a pose, if a quaternion does not go with the rest; else None."""
+    folder = Path(document.file or ".").parent
+    bases = [read_document(file).content.get("base") for file in files.get(SCENARIO, [folder / (entry.scenario or "")])]
+    tables = [base for base in bases if isinstance(base, dict)]
+    if not any(key in table for table in tables for key in OTHER_WAYS):
+        return None
+    beside = [{key: value for key, value in table.items() if key not in (*POSE, *OTHER_WAYS)} for table in tables]
+    if len(tables) < len(bases) or any(other != beside[0] for other in beside):
+        raise document.fault("needs scenarios whose [base] say the same but for the pose", "bases")
+    return beside[0]
+
+
+def distributed(entry: StudyEntry) -> list[VaryEntry]:
+    """The keys that have a distribution."""
+    return [vary for vary in entry.vary if vary.distribution is not None]
+
+
+def _values(vary: VaryEntry) -> Sequence[Any]:
+    if vary.values is not None:
+        return vary.values
+    return Range(vary.low or 0.0, vary.high or 0.0, vary.count or 1)
+
+
+def _files(vary: VaryEntry, entry: StudyEntry, sources: Sources, files: list[Path], folder: Path) -> FileAxis:
+    """The axis of a key whose value is a file: the start itself, a file of the task, or one that the start names."""
+    is_main = vary.key == (SCENARIO if entry.scenario is not None else ROBOT)
+    if is_main:
+        named = [sources.name(file) for file in files]
+    elif vary.key.startswith(TASK_PREFIX):
+        named = [os.path.relpath(file, folder) for file in files]
+    else:
+        if entry.scenario is None:
+            raise InputError("a robot's file names no other files", key="vary", value=vary.key)
+        named = [os.path.relpath(file, (folder / entry.scenario).parent) for file in files]
+    others = [other.key for other in entry.vary if other.files is None]
+    inner = [key.removeprefix("robot.") for key in others] if vary.key == ROBOT and not is_main else others
+    digests = [sources.digest(sources.name(file), _of_file(inner)) for file in files]
+    shown = _distinct_names(files)
+    return FileAxis(vary.key, list(zip(shown, named, digests, strict=True)), is_main=is_main)
+
+
+def _of_file(keys: Sequence[str]) -> list[str]:
+    from ctrplan.studies.study.axes import is_of_task
+
+    return [key for key in keys if not is_of_task(key)]
+
+
+def _distinct_names(files: Sequence[Path]) -> list[str]:
+    """File names, with as much of their folders as tells them apart."""
+    for parts in range(1, max(len(file.parts) for file in files) + 1):
+        names = ["/".join(file.parts[-parts:]) for file in files]
+        if len(set(names)) == len(names):
+            return names
+    return [str(file) for file in files]
+
+
+def _goal(entry: StudyEntry) -> dict[str, Any]:
+    targets = entry.targets
+    given = {key: getattr(targets, key) for key in GOAL_KEYS}
+    goal = {
+        key: list(value) if isinstance(value, tuple) else value for key, value in given.items() if value is not None
+    }
+    if "direction" in goal:
+        goal.setdefault("direction_tolerance_deg", 5.0)
+    return goal

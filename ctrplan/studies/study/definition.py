@@ -12,19 +12,16 @@ from typing import TYPE_CHECKING
 
 from ctrplan.base.version import __version__
 from ctrplan.errors import InputError
-from ctrplan.files.study_entries import StudyEntry, VaryEntry
+from ctrplan.files.study_file import StudyEntry, VaryEntry
 from ctrplan.storage.toml_document import Document
 from ctrplan.storage.toml_table import Table
-from ctrplan.studies.study.axes import CONFIGURATION, TASK_PREFIX, Axis
-from ctrplan.studies.study.loaded import Loaded
+from ctrplan.studies.study.axes import CONFIGURATION, TASK_PREFIX, Axis, axes_of, files_varied
 from ctrplan.studies.study.sources import Sources
-from ctrplan.studies.study.task import Job, TaskList
-from ctrplan.studies.study.task_kind import CATALOGUE, TaskKind, check_settings
-from ctrplan.studies.study.varied import axes_of, files_varied
+from ctrplan.studies.study.task import CATALOGUE, Job, Loaded, TaskKind, TaskList, check_settings
 
 if TYPE_CHECKING:
-    from ctrplan.planning.scenario import Scenario
     from ctrplan.robot.robot import Robot
+    from ctrplan.scenario.scenario import Scenario
 
 KEPT = {"none": (), "extremes": (), "all": ("plan.json", "trajectory.csv")}
 
@@ -79,7 +76,7 @@ class Definition:
 
 def defined(entry: StudyEntry, document: Document, allow_outside: bool) -> Definition:
     """The study of a file's entries. Raises InputError."""
-    from ctrplan.files.chosen_table import chosen
+    from ctrplan.storage.toml_table import chosen
 
     folder = Path(document.file or ".").parent
     kind = chosen(Table(document, ("task",)), "kind", CATALOGUE, TaskKind)

@@ -11,10 +11,9 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from typing import Any
 
 from ctrplan.errors import InputError
-from ctrplan.studies.child_process import ChildEnded
-from ctrplan.studies.study.limited import do_limited, unanswered
-from ctrplan.studies.study.lines import Lines
-from ctrplan.studies.study.worker import Chunk, VersionError, do_chunk, tasks_of
+from ctrplan.studies.child_process import ChildEnded, ChildExecutor
+from ctrplan.studies.study.store import Lines
+from ctrplan.studies.study.worker import Chunk, VersionError, do_chunk, do_limited, tasks_of, unanswered
 
 Chunks = Iterator[Chunk]
 AHEAD = 2  # chunks for each worker: one that it does, one that is there when it is done
@@ -96,3 +95,16 @@ def answer(future: Any, content: bytes, chunk: Chunk) -> Lines:
         words = " ".join(str(error).split()).rstrip(".")
         sentence = f"{words}." if isinstance(error, ChildEnded) else f"{type(error).__name__}: {words}."
         return Lines.of([unanswered(task, "lost", sentence) for task in tasks_of(content, chunk)])
+
+
+class PoolEngine(ExecutorEngine):
+    """As many processes as there are cores, or as are asked for."""
+
+    def __init__(self, workers: int | None = None) -> None:
+        """Starts nothing before there are tasks."""
+        executor = ChildExecutor(workers)
+        super().__init__(executor, executor.workers)
+
+    def __exit__(self, *error: object) -> None:
+        """Ends the processes."""
+        self.executor.__exit__(*error)  # type: ignore[arg-type]

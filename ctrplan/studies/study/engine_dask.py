@@ -9,20 +9,36 @@ import asyncio
 import json
 import logging
 import os
+import signal
+import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from functools import cached_property
+from types import ModuleType
 from typing import Any
 
-from ctrplan.base.cores import cores
+from ctrplan.base.long_work import cores
 from ctrplan.base.version import __version__
 from ctrplan.errors import CtrplanError, InputError
 from ctrplan.studies.study.engine import AHEAD, Chunks, Engine, answer
-from ctrplan.studies.study.limited import do_limited
-from ctrplan.studies.study.lines import Lines
-from ctrplan.studies.study.no_main import no_main_module
-from ctrplan.studies.study.worker import Chunk, check_version, do_chunk, prepare
+from ctrplan.studies.study.store import Lines
+from ctrplan.studies.study.worker import Chunk, check_version, do_chunk, do_limited, prepare
+
+
+@contextmanager
+def no_main_module() -> Iterator[None]:
+    """Meanwhile such processes import no main module, so that scripts need no guard of theirs.
+
+    They would run a script without `if __name__ == "__main__":` from its beginning, and the study in it once more.
+    """
+    own = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = own
+
 
 EXTRA = "pip install 'ctrplan[cluster]'"
 CONNECT_S = 5.0
@@ -97,7 +113,7 @@ class DaskEngine(Engine):
                 host="127.0.0.1",
                 dashboard_address="127.0.0.1:0",  # any port that is free
                 silence_logs=logging.CRITICAL,
-                preload=["ctrplan.studies.study.local_worker"],
+                preload=["ctrplan.studies.study.engine_dask"],
             )
         except (OSError, RuntimeError) as error:
             raise CtrplanError(f"no cluster could be started on this machine: {error}.") from error
@@ -203,3 +219,8 @@ def _shows_a_dashboard(link: str) -> bool:
             return b"needs bokeh" not in page.read(LONGEST_PAGE)
     except (URLError, OSError, ValueError):
         return False
+
+
+def dask_setup(worker: Any) -> None:
+    """Leaves Ctrl-C, which a terminal sends to all, to the process of the study: it ends the workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from ctrplan.errors import InputError
-from ctrplan.storage.file_bytes import file_bytes
-from ctrplan.storage.temporary import temporary
+from ctrplan.storage.csv_table import file_bytes
+from ctrplan.storage.output_folder import temporary
 from ctrplan.storage.toml_document import Document, read_document
 
 LARGEST_FILE_BYTES = 200_000_000
@@ -101,7 +101,7 @@ class _Keyed:
         return isinstance(other, _Keyed) and self.sources.key == other.sources.key
 
 
-_folders = ExitStack()  # what a killed process leaves, the next one removes: see `storage/temporary.py`
+_folders = ExitStack()  # what a killed process leaves, the next one removes: see `storage/output_folder.py`
 atexit.register(_folders.close)
 
 

@@ -1,4 +1,4 @@
-"""What a worker does with some tasks: rows, whatever happens. Runs wherever an engine sends it."""
+"""What a worker does with some tasks: rows, whatever happens, each within its time limit."""
 
 from __future__ import annotations
 
@@ -13,15 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from ctrplan.base.cores import one_core
+from ctrplan.base.long_work import one_core
 from ctrplan.base.version import __version__
 from ctrplan.errors import CtrplanError, InputError, NoAnswerError
 from ctrplan.storage.toml_document import Document
 from ctrplan.storage.toml_table import Table
-from ctrplan.studies.study.lines import Lines
-from ctrplan.studies.study.numbered import Numbered
-from ctrplan.studies.study.task import Job, Row, Status, Task
-from ctrplan.studies.study.task_kind import CATALOGUE, TaskKind
+from ctrplan.studies.child_process import ChildEnded, in_child
+from ctrplan.studies.study.store import Lines
+from ctrplan.studies.study.task import CATALOGUE, Job, Numbered, Row, Status, Task, TaskKind
 
 Chunk = Sequence[Task] | Numbered
 """Tasks that a worker gets at a time."""
@@ -74,7 +73,7 @@ def prepare(content: bytes) -> None:
     """Does what comes before a job's first task and is none of its time: slow imports, the files."""
     job = _job(content)
     if not (job.is_robot and job.task["kind"] == "bound"):  # which need nothing of planning
-        import ctrplan.files.bare_scenario  # noqa: F401
+        pass
     _ = job.sources.here
 
 
@@ -84,7 +83,7 @@ def kind_of(job: Job) -> TaskKind:
 
 
 def _read_kind(document: Document) -> TaskKind:
-    from ctrplan.files.chosen_table import chosen
+    from ctrplan.storage.toml_table import chosen
 
     return chosen(Table(document, ("task",)), "kind", CATALOGUE, TaskKind)
 
@@ -147,3 +146,22 @@ def _plain(value: Any) -> Any:
 def worker_name() -> str:
     """Machine and process."""
     return f"{socket.gethostname()}:{os.getpid()}"
+
+
+def do_limited(content: bytes, chunk: Chunk, limit_s: float) -> Lines:
+    """Rows of tasks, each of which may take `limit_s`; one that did not live to answer has a row that says so."""
+    rows: list[Row] = []
+    for task in tasks_of(content, chunk):
+        try:
+            in_child(prepare, content)
+            rows += in_child(do_tasks, content, [task], limit_s=limit_s)
+        except TimeoutError:
+            rows.append(unanswered(task, "timed out", f"took longer than the limit of {limit_s:g} s.", limit_s))
+        except ChildEnded as error:
+            rows.append(unanswered(task, "lost", f"{error}."))
+    return Lines.of(rows)
+
+
+def unanswered(task: Task, status: Status, sentence: str, elapsed_s: float = 0.0) -> Row:
+    """The row of a task that gave no answer."""
+    return Row(task.key, task.index, task.inputs, status, sentence, overrides=task.overrides, elapsed_s=elapsed_s)

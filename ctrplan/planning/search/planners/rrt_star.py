@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from ctrplan.planning.planner_settings import PlannerSettings, register
-from ctrplan.storage.number_ranges import Fraction, Length
+from ctrplan.scenario.scenario import PlannerSettings, register
+from ctrplan.storage.toml_document import Fraction, Length
 
 
 @register

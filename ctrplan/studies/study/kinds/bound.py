@@ -10,17 +10,16 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.mechanics.batch import rows_in_a_chunk
 from ctrplan.mechanics.shapes import Status
-from ctrplan.robot.nesting import nesting_violation
-from ctrplan.storage.number_ranges import Angle, Coordinate
+from ctrplan.mechanics.walk import rows_in_a_chunk
+from ctrplan.robot.robot import nesting_violation
+from ctrplan.storage.toml_document import Angle, Coordinate
 from ctrplan.studies.study.axes import CONFIGURATION
-from ctrplan.studies.study.loaded import Loaded
-from ctrplan.studies.study.task_kind import TaskKind, register, settled
+from ctrplan.studies.study.task import Loaded, TaskKind, register, settled
 
 if TYPE_CHECKING:
-    from ctrplan.planning.scenario import Scenario
     from ctrplan.robot.robot import Robot
+    from ctrplan.scenario.scenario import Scenario
     from ctrplan.studies.study.task import Job, Task
 
 CHUNK_S = 0.3  # of one core's time that `rows_in_a_chunk` rows take

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from ctrplan.studies.study.loaded import Loaded
-from ctrplan.studies.study.task_kind import TaskKind, register
+from ctrplan.studies.study.task import Loaded, TaskKind, register
 
 if TYPE_CHECKING:
-    from ctrplan.planning.scenario import Scenario
     from ctrplan.robot.robot import Robot
+    from ctrplan.scenario.scenario import Scenario
     from ctrplan.studies.study.task import Task
 
 DIAGNOSIS_S = 300.0

@@ -16,13 +16,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ctrplan.errors import CtrplanError, InputError
-from ctrplan.studies.study.loaded import Loaded
 from ctrplan.studies.study.table import FIRST, LAST, TIMING
-from ctrplan.studies.study.task_kind import TaskKind, register
+from ctrplan.studies.study.task import Loaded, TaskKind, register
 
 if TYPE_CHECKING:
-    from ctrplan.planning.scenario import Scenario
     from ctrplan.robot.robot import Robot
+    from ctrplan.scenario.scenario import Scenario
     from ctrplan.studies.study.task import Task
 
 NAMED = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")

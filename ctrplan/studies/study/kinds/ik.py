@@ -10,15 +10,14 @@ import numpy as np
 from msgspec import Meta
 
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.storage.number_ranges import Point, Tolerance, Vector
-from ctrplan.studies.study.loaded import Loaded
-from ctrplan.studies.study.task_kind import TaskKind, register
+from ctrplan.storage.toml_document import Point, Tolerance, Vector
+from ctrplan.studies.study.task import Loaded, TaskKind, register
 
 if TYPE_CHECKING:
-    from ctrplan.planning.goals.branches import Configuration
+    from ctrplan.planning.goals.reach import Configuration
     from ctrplan.planning.inverse_kinematics import InverseKinematics
-    from ctrplan.planning.scenario import Scenario
     from ctrplan.robot.robot import Robot
+    from ctrplan.scenario.scenario import Scenario
     from ctrplan.studies.study.task import Task
 
 MOST_STARTS = 100_000

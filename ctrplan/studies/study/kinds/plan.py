@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 from msgspec import Meta
 
-from ctrplan.studies.study.loaded import Loaded
-from ctrplan.studies.study.task_kind import TaskKind, register
+from ctrplan.studies.study.task import Loaded, TaskKind, register
 
 if TYPE_CHECKING:
-    from ctrplan.planning.plan import Plan
-    from ctrplan.planning.scenario import Scenario
+    from ctrplan.plans.plan import Plan
     from ctrplan.robot.robot import Robot
+    from ctrplan.scenario.scenario import Scenario
     from ctrplan.studies.study.task import Task
 
 CERTIFICATE_S = 6.0  # beside the search
@@ -76,7 +75,7 @@ def _numbers(found: Plan) -> Mapping[str, Any]:
 def _files(found: Plan, wanted: Sequence[str]) -> dict[str, bytes]:
     """What is asked for of the files of a plan's folder."""
     from ctrplan.files.trajectory_file import trajectory_formats, write_trajectory
-    from ctrplan.planning.plan_json import write_plan_json
+    from ctrplan.plans.plan_json import write_plan_json
 
     if not wanted:
         return {}

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 
 from ctrplan.errors import NoAnswerError
-from ctrplan.storage.number_ranges import Fraction
-from ctrplan.studies.study.loaded import Loaded
-from ctrplan.studies.study.task_kind import TaskKind, register
+from ctrplan.storage.toml_document import Fraction
+from ctrplan.studies.study.task import Loaded, TaskKind, register
 
 if TYPE_CHECKING:
-    from ctrplan.planning.scenario import Scenario
     from ctrplan.robot.robot import Robot
+    from ctrplan.scenario.scenario import Scenario
     from ctrplan.studies.simulate import Simulation
     from ctrplan.studies.study.task import Task
 

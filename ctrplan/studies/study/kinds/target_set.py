@@ -10,17 +10,16 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from ctrplan.errors import NoAnswerError
-from ctrplan.storage.number_ranges import Point, Tolerance, metres
+from ctrplan.storage.toml_document import Point, Tolerance, metres
 from ctrplan.studies.study.kinds.ik import MOST_STARTS
-from ctrplan.studies.study.loaded import Loaded
 from ctrplan.studies.study.sources import ROBOT_PREFIX
-from ctrplan.studies.study.task_kind import TaskKind, register
+from ctrplan.studies.study.task import Loaded, TaskKind, register
 
 if TYPE_CHECKING:
-    from ctrplan.planning.scenario import Goal, Scenario
-    from ctrplan.planning.target_set.bound_slopes import RobotPair
     from ctrplan.robot.robot import Robot
+    from ctrplan.scenario.scenario import Goal, Scenario
     from ctrplan.studies.study.task import Task
+    from ctrplan.studies.target_set import RobotPair
 
 TARGET_S = 0.4  # of one core
 
@@ -52,7 +51,7 @@ class TargetSetTask(TaskKind, frozen=True, kw_only=True):
         return TARGET_S * len(self.points_mm) * 2.0 ** (robot.n - 3) * (0.5 + self.starts / 80)
 
     def numbers(self, task: Task, loaded: Loaded) -> Mapping[str, Any]:
-        from ctrplan.planning.target_set.worth import Search, error_slopes_mm, robust_worth, set_worth  # slow to import
+        from ctrplan.studies.target_set import Search, error_slopes_mm, robust_worth, set_worth  # slow to import
 
         scenario, goals = loaded.place, self._goals()
         search = Search(self.starts, task.settings["seed"], self.unreached_mm, tuple(self.front))
@@ -81,7 +80,7 @@ class TargetSetTask(TaskKind, frozen=True, kw_only=True):
         return found
 
     def _goals(self) -> list[Goal]:
-        from ctrplan.planning.scenario import Goal
+        from ctrplan.scenario.scenario import Goal
 
         return [
             Goal(joints=None, tip_m=metres(point), tolerance_m=self.tolerance_mm * 1e-3) for point in self.points_mm
@@ -90,7 +89,7 @@ class TargetSetTask(TaskKind, frozen=True, kw_only=True):
 
 def _pair(side: SideEntry, scenario: Scenario, overrides: Sequence[str]) -> RobotPair:
     from ctrplan.files.robot_file import load_robot
-    from ctrplan.planning.target_set.bound_slopes import RobotPair
+    from ctrplan.studies.target_set import RobotPair
 
     def robot(changed: Sequence[str]) -> Robot:
         all_of_them = [

@@ -1,0 +1,133 @@
+"""A counter-example as a scene: files that `ctrplan view` and `ctrplan simulate` read, and the commands to do so."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from ctrplan.anatomy.parts import AnatomyPart
+from ctrplan.anatomy.shapes.mesh import Mesh
+from ctrplan.audit.case import Case, Finding
+from ctrplan.audit.verify import Verification
+from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.errors import InputError
+from ctrplan.files.joint_path_file import joint_columns
+from ctrplan.scenario.scenario import Scenario
+from ctrplan.storage.output_folder import write_results
+
+FILES = ("scenario.toml", "robot.toml", "joints.csv", "counterexample.json")
+
+
+def write_scene(folder: Path, verification: Verification, found: Finding) -> list[str]:
+    """Writes the scene of a finding into a folder, with the robot and the meshes; returns the commands that show it.
+
+    Raises InputError for anatomy of a kind that no file here describes, CtrplanError where the system refuses.
+    """
+    scenario = verification.plan.scenario
+    entries: list[dict[str, Any]] = []
+    meshes: dict[str, bytes] = {}
+    for number, part in enumerate(scenario.anatomy, start=1):
+        entry, mesh = _part(part, f"part_{number}.stl")
+        entries.append(entry)
+        meshes |= mesh
+    commands = _commands(folder, found)
+    results: dict[str, str | bytes] = {
+        "scenario.toml": tomli_w.dumps(_scenario(scenario, found, entries)),
+        "robot.toml": tomli_w.dumps(dict(scenario.robot.content)),
+        "joints.csv": _joints(verification, found),
+        "counterexample.json": json.dumps(_content(found, commands), indent=2) + "\n",
+        **meshes,
+    }
+    write_results(folder, results)
+    return commands
+
+
+def _commands(folder: Path, found: Finding) -> list[str]:
+    mesh = "search" if found.accuracy == "search" else "certificate"
+    start = ",".join(f"{phi:+.17g}" for phi in found.phi) if any(found.phi) else "released"
+    replay = f"-o {folder / 'replay'} --start={start} --accuracy {mesh}"
+    return [
+        f"ctrplan view {folder / 'scenario.toml'}",
+        f"ctrplan simulate {folder / 'robot.toml'} {folder / 'joints.csv'} {replay}",
+    ]
+
+
+def _scenario(scenario: Scenario, found: Finding, anatomy: list[dict[str, Any]]) -> dict[str, Any]:
+    """The robot where the claim breaks; the goal is to stay there."""
+    here = scenario.robot.drive.named(found.joints)
+    x, y, z, w = Rotation.from_matrix(scenario.base_R).as_quat().tolist()
+    return {
+        "name": f"{scenario.name}: {found.claim} broken",
+        "robot": "robot.toml",
+        "base": {"position_mm": _mm(scenario.base_position_m), "quaternion_wxyz": [w, x, y, z]},
+        "start": here,
+        "goal": {"joints": here},
+        "margins": {"stability": scenario.margins.stability, "max_strain": scenario.margins.max_strain},
+        "anatomy": anatomy,
+    }
+
+
+def _part(part: AnatomyPart, mesh_file: str) -> tuple[dict[str, Any], dict[str, bytes]]:
+    shape, given = part.shape, vars(part.shape)
+    kind = "mesh" if shape.kind == "volume" else shape.kind
+    entry: dict[str, Any] = {"kind": kind, "role": part.role, "margin_mm": part.margin_m * MM_PER_M}
+    if isinstance(shape, Mesh):
+        stream = io.BytesIO()
+        trimesh.Trimesh(given["vertices_m"], given["faces"], process=False).export(stream, file_type="stl")
+        return {**entry, "file": mesh_file, "unit": "m"}, {mesh_file: stream.getvalue()}
+    if shape.kind not in ("sphere", "capsule"):
+        raise InputError("is a kind of anatomy that a scene can't be written with", key="kind", value=shape.kind)
+    lengths = {name[:-2] + "_mm": _mm(value) for name, value in given.items()}
+    return entry | lengths, {}
+
+
+def _joints(verification: Verification, found: Finding) -> str:
+    """What the tubes are commanded to: before the start, then along the way until the claim breaks."""
+    plan, drive = verification.plan, verification.plan.scenario.robot.drive
+    rows = found.joints[None]
+    if found.before is not None:
+        way = Case.of(plan, found.accuracy).way
+        rows = np.vstack([found.before, way.until(found.place)])
+    theta, l = drive.commanded(rows)  # noqa: E741 (as in the equations)
+    if found.play and drive.play is not None:
+        n = plan.scenario.robot.n
+        theta, l = theta + drive.play[0] * found.play[:n], l + drive.play[1] * found.play[n:]  # noqa: E741
+    header = [name for names in joint_columns(plan.scenario.robot.n) for name in names]
+    lines = [",".join(header), *(",".join(map(repr, row)) for row in np.hstack([theta, l]).tolist())]
+    return "\n".join(lines) + "\n"
+
+
+def _content(found: Finding, commands: list[str]) -> dict[str, Any]:
+    return {
+        "claim": found.claim,
+        "stated": None if np.isnan(found.stated) else found.stated,
+        "found": found.value,
+        "leg": found.leg,
+        "time_s": found.time_s,
+        "joints": found.joints.tolist(),
+        "point_mm": _mm(found.point_m),
+        "tube": found.tube,
+        "friction_state": list(found.phi),
+        "joints_before": None if found.before is None else found.before.tolist(),
+        "play": list(found.play),
+        "accuracy": found.accuracy,
+        "commands": commands,
+    }
+
+
+def _mm(value: Array | float) -> Any:
+    return np.multiply(value, MM_PER_M).tolist()
+
+
+def outputs(scenario: Scenario) -> Iterator[str]:
+    """Names of the files of a scene."""
+    yield from FILES
+    yield from (f"part_{k}.stl" for k, part in enumerate(scenario.anatomy, start=1) if isinstance(part.shape, Mesh))

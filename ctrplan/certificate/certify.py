@@ -1,0 +1,205 @@
+"""The certificate: finished legs rechecked densely with the full model and exact distances to the anatomy."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.base.long_work import Progress
+from ctrplan.certificate.anatomy_distance import AnatomyDistance
+from ctrplan.certificate.certificate import Certificate, CertificateSamples, TargetReached
+from ctrplan.certificate.closest import closest_places
+from ctrplan.certificate.friction_states import BEYOND_BOUND_M
+from ctrplan.certificate.problems import frictionless_miss, goal_miss_m, line_error_m
+from ctrplan.certificate.walked_legs import WalkedLegs, walk_legs
+from ctrplan.certificate.walked_piece import Piece
+from ctrplan.mechanics.accuracy import Accuracy
+from ctrplan.mechanics.shapes import Shape
+from ctrplan.scenario.prediction import Prediction, predict, rows_to_simulate, start_states
+
+if TYPE_CHECKING:
+    from ctrplan.scenario.scenario import Scenario
+
+
+@dataclass(eq=False)
+class SimulatedBodies:
+    """Is shown shapes, from several threads, and keeps the least clearance."""
+
+    distance: AnatomyDistance
+    clearances_m: list[float] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> SimulatedBodies | None:
+        """None in free space."""
+        distance = AnatomyDistance.of(scenario)
+        return None if distance is None else cls(distance)
+
+    def __call__(self, shape: Shape) -> None:
+        """Looks at the stations of the innermost tube, with the radius of what is around it."""
+        ahead = shape.s_m >= 0
+        if ahead.any():
+            owner = np.zeros(int(ahead.sum()), dtype=np.intp)
+            found = self.distance.least(shape.centreline_m[ahead], shape.radius_m[ahead], owner, 1)
+            self.clearances_m.append(float(found[0]))
+
+    @property
+    def sentence(self) -> str:
+        """For the problems of a certificate; empty where all bodies keep clear, but for what meshes differ by."""
+        deep = -min(self.clearances_m, default=np.inf) - BEYOND_BOUND_M
+        if not deep > 0:
+            return ""
+        return f"A simulated robot comes {(deep + BEYOND_BOUND_M) * MM_PER_M:.2f} mm too close to the anatomy."
+
+
+class Arrival(Protocol):
+    """Says in sentences why the end of a certified path does not meet the goal; none if it does."""
+
+    def __call__(self, scenario: Scenario, samples: CertificateSamples, prediction: Prediction) -> list[str]:
+        """samples: of the whole path; prediction: tips from several friction states."""
+        ...
+
+
+def frictionless_arrives(scenario: Scenario, samples: CertificateSamples, prediction: Prediction) -> list[str]:
+    """Sentences if the frictionless tip misses the goal."""
+    return frictionless_miss(scenario, samples.tip_m)
+
+
+def certify(
+    scenario: Scenario,
+    corners: Array,
+    *,
+    accuracy: Accuracy = "search",
+    arrival: Arrival = frictionless_arrives,
+    progress: Progress | None = None,
+) -> Certificate:
+    """Walks the polyline `corners` (K, m) of actuated joints so that no body point moves more than 0.5 mm a sample.
+
+    Clearances are of every friction state, not of the corners alone (`friction_cube.py`): exact distances of body
+    points, less the outer radius, half the motion to the samples on both sides, the discretisation error, an allowance
+    for friction that differs along a contact, and what play of the drive may move the robot by. Nothing of the search's
+    field is used. Pieces that only the coarse mesh's allowance for its error would refuse are walked on the fine mesh.
+
+    What the motion's own simulation contradicts is refused: snaps, leaps of a shape, tips beyond the bound, shapes that
+    depend on the way there.
+
+    Friction errors are the bound, whatever the history; the same less what the friction law says translations released,
+    which the cost counts as the search does; and the prediction by simulated histories. `arrival` says what misses the
+    goal.
+    """
+    return finished(walk_legs(scenario, corners, accuracy=accuracy, progress=progress), arrival)
+
+
+def finished(
+    walk: WalkedLegs, arrival: Arrival = frictionless_arrives, progress: Progress | None = None
+) -> Certificate:
+    """The certificate of walked legs, histories simulated; walked again where not all clearance was asked for."""
+    scenario = walk.scenario
+    if np.isfinite(walk.spare_m):
+        walk = walk_legs(scenario, walk.corners, accuracy=walk.accuracy, progress=progress)
+    bodies = SimulatedBodies.of(scenario)
+    with ThreadPoolExecutor(1) as beside:  # of few histories one ends last
+        places = beside.submit(closest_places, scenario, walk.pieces, walk.samples)
+        prediction, samples = _predicted(scenario, walk.pieces, walk.samples, walk.accuracy, bodies)
+        closest = places.result()
+    problems = walk.problems + arrival(scenario, samples, prediction) + _contradictions(prediction, samples)
+    problems += [bodies.sentence] if bodies and bodies.sentence else []
+    return Certificate(
+        samples=samples,
+        valid=not problems,
+        problems=tuple(problems),
+        worst_bound_m=walk.bounds.worst_m,
+        goal_bound_m=walk.bounds.goal_m,
+        goal_bound_rad=float(samples.bound_rad[-1]),
+        goal_tip_error_m=goal_miss_m(scenario, samples.tip_m[-1]),
+        error_integral_mm=walk.integral_mm(samples.bound_m),
+        worst_predicted_m=float(samples.predicted_m.max()),
+        goal_predicted_m=float(samples.predicted_m[-1]),
+        released_integral_mm=walk.integral_mm(samples.released_m),
+        predicted_integral_mm=walk.integral_mm(samples.predicted_m),
+        goal_predicted_tip_m=prediction.end_middle_m,
+        goal_predicted_spread_m=prediction.end_spread_m,
+        snaps=prediction.snaps,
+        min_clearance_m=float(samples.clearance_m.min()),
+        min_stability=float(samples.stability.min()),
+        max_strain=float(samples.max_strain.max()),
+        length_mm=walk.length_mm,
+        stops=max(walk.legs - 1, 0),
+        cost_mm=walk.cost_mm,
+        spacing_m=float(samples.motion_m.max()),
+        worst_play_m=float(samples.play_m.max()),
+        goal_play_m=float(samples.play_m[-1]),
+        targets=(_target(walk, samples),),
+        start_friction=scenario.start_friction,
+        nominal=closest.nominal,
+        closest=closest.friction,
+        narrowest=closest.certified,
+        walk_again=partial(_walked_again, scenario, walk.corners, walk.accuracy, arrival),
+    )
+
+
+def _walked_again(
+    scenario: Scenario, corners: Array, first: Accuracy, arrival: Arrival, accuracy: Accuracy | None
+) -> Certificate:
+    return certify(scenario, corners, accuracy=accuracy or first, arrival=arrival)
+
+
+def _contradictions(prediction: Prediction, samples: CertificateSamples) -> list[str]:
+    """Sentences where the simulated histories leave what the walk promises."""
+    if not np.all(np.isfinite(prediction.tip_m)):
+        return ["A simulated robot finds no equilibrium to go on to."]
+    found = []
+    if prediction.snaps:
+        times = f"{prediction.snaps} times" if prediction.snaps > 1 else "once"
+        found.append(f"Simulated robots snap to another equilibrium {times}.")
+    beyond = samples.predicted_m - (samples.bound_m - samples.parameter_bound_m)  # of the file's robot
+    worst = int(np.argmax(beyond))
+    if beyond[worst] > BEYOND_BOUND_M:
+        where = f"On leg {samples.leg[worst] + 1}"
+        found.append(f"{where}: a simulated robot is {beyond[worst] * MM_PER_M:.2f} mm beyond the worst-case error.")
+    return found
+
+
+def _target(walk: WalkedLegs, samples: CertificateSamples) -> TargetReached:
+    scenario = walk.scenario
+    return TargetReached(
+        name=scenario.goal.name,
+        leg=int(samples.leg[-1]),
+        path_mm=float(samples.path_mm[-1]),
+        bound_m=walk.bounds.goal_m,
+        bound_rad=float(samples.bound_rad[-1]),
+        released_m=float(samples.released_m[-1]),
+        predicted_m=float(samples.predicted_m[-1]),
+        tip_error_m=goal_miss_m(scenario, samples.tip_m[-1]),
+        play_m=float(samples.play_m[-1]),
+        line_error_m=line_error_m(scenario, samples.tip_m),
+    )
+
+
+def _predicted(
+    scenario: Scenario,
+    pieces: list[Piece],
+    samples: CertificateSamples,
+    accuracy: Accuracy,
+    bodies: SimulatedBodies | None,
+) -> tuple[Prediction, CertificateSamples]:
+    """Simulated histories along the samples, and the samples with their errors; the bound where a simulation failed."""
+    robot = scenario.robot
+    rows = rows_to_simulate(robot, samples.joints, samples.leg)
+    prediction = predict(robot, samples.joints[rows], start_states(scenario), accuracy, bodies)
+    frictionless = samples.tip_m[rows]
+    finer = np.concatenate(
+        [np.full(len(p.samples.fraction) - (k > 0), p.accuracy != accuracy) for k, p in enumerate(pieces)]
+    )[rows]
+    if finer.any():  # compared on the mesh of the simulation, the other one would pass for friction
+        collars = robot.drive.collars(samples.joints[rows][finer])
+        without = np.zeros((int(finer.sum()), robot.n - 1))
+        frictionless[finer] = robot.mechanics.tips_with_friction(*collars, without, accuracy=accuracy).position_m
+    errors = prediction.errors(frictionless)
+    errors = np.where(np.isnan(errors), samples.bound_m[rows], errors)
+    along = np.interp(np.arange(len(samples.leg)), rows, errors)
+    return prediction, replace(samples, predicted_m=along)

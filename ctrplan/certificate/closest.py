@@ -1,0 +1,146 @@
+"""Where a robot comes closest to the anatomy, and the refusal that names the place.
+
+The narrowest samples of a path are solved on the certificate mesh, with points close together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.anatomy.parts import surface_distance
+from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.certificate.anatomy_distance import AnatomyDistance
+from ctrplan.certificate.certificate import CertificateSamples, Closest
+from ctrplan.certificate.friction_states import TIGHT_M, State, corner_states
+from ctrplan.certificate.walked_piece import Piece
+from ctrplan.motion.checker import TOO_CLOSE
+
+if TYPE_CHECKING:
+    from ctrplan.certificate.walked_legs import WalkedLegs
+    from ctrplan.mechanics.friction import FrictionStates
+    from ctrplan.scenario.scenario import Scenario
+
+NEAR_M = 0.5e-3  # of the least clearance: samples that may be the narrowest on a finer mesh
+MOST = 6  # of them solved
+POINT_M = 0.25e-3
+
+
+@dataclass(frozen=True)
+class ClosestPlaces:
+    """None in free space."""
+
+    nominal: Closest | None = None
+    friction: Closest | None = None
+    certified: Closest | None = None
+
+
+def closest_places(scenario: Scenario, pieces: Sequence[Piece], samples: CertificateSamples) -> ClosestPlaces:
+    """Of the frictionless robot, of the robot in all friction states that were found to be narrow, and where the least
+    clearance is certified, of samples that are certified alike the one that comes closest. None where a walk failed.
+    """
+    distance = AnatomyDistance.of(scenario)
+    if distance is None:
+        return ClosestPlaces()
+    nominal = _rows(np.concatenate([p.nominal_m[k > 0 :] for k, p in enumerate(pieces)]))
+    narrow = _rows(np.concatenate([_as_solved(scenario, p)[k > 0 :] for k, p in enumerate(pieces)]))
+    phi = np.concatenate([p.phi[k > 0 :] for k, p in enumerate(pieces)])
+    pairs = scenario.robot.n - 1
+    rest: list[State] = [(0.0,) * pairs]
+    at = cache(partial(_configuration, scenario, samples))
+    found = [_closest(distance, samples, k, at(k), rest) for k in nominal.tolist()]
+    corners = corner_states(pairs) if scenario.robot.friction.any() else []
+    certified = int(np.argmin(samples.clearance_m))
+    by_row = {
+        k: _closest(distance, samples, k, at(k), [*rest, *corners, tuple(phi[k].tolist())])
+        for k in dict.fromkeys([*narrow.tolist(), certified])
+    }
+    tied = [place for k, place in by_row.items() if samples.clearance_m[k] <= samples.clearance_m[certified] + TIGHT_M]
+    return ClosestPlaces(_least(found), _least([*by_row.values(), *found]), _least(tied))
+
+
+def _as_solved(scenario: Scenario, piece: Piece) -> Array:
+    """(K,) clearance of the frictionless and the corner shapes, nothing taken off: which samples are the narrowest.
+
+    What is taken off depends on the mesh, and cells are looked into only until they keep enough: neither may choose.
+    """
+    clearance: Array = piece.as_walked_m + piece.offset_m(scenario, piece.accuracy)
+    return clearance
+
+
+def _least(found: list[Closest | None]) -> Closest | None:
+    """Of those that were solved."""
+    return min(filter(None, found), key=lambda place: place.clearance_m, default=None)
+
+
+def _rows(clearance_m: Array) -> NDArray[np.intp]:
+    """Indices of the narrowest samples (K,)."""
+    near = np.flatnonzero(clearance_m <= np.nanmin(clearance_m) + NEAR_M)
+    return near[np.argsort(clearance_m[near], kind="stable")][:MOST]
+
+
+def _configuration(scenario: Scenario, samples: CertificateSamples, row: int) -> FrictionStates:
+    """Of a sample, on the certificate mesh."""
+    collars = scenario.robot.drive.collars(samples.joints[row])
+    return scenario.robot.mechanics.friction_states(*collars, accuracy="certificate")
+
+
+def _closest(
+    distance: AnatomyDistance, samples: CertificateSamples, row: int, at: FrictionStates, states: list[State]
+) -> Closest | None:
+    """Of a sample in friction states; None where none of them has an equilibrium."""
+    scenario, robot = distance.scenario, distance.scenario.robot
+    bodies = at.bodies(np.array(list(dict.fromkeys(states))), spacing_m=POINT_M)
+    if not bodies.solved.any():
+        return None
+    points, count = bodies.point_m[bodies.solved].reshape(-1, 3), len(bodies.radius_m)
+    near = distance.near(points, np.tile(bodies.radius_m, int(bodies.solved.sum())))
+    located = scenario.located(points[near])
+    radius = bodies.radius_m[near % count]
+    apart, part = _nearest_part(scenario, located, radius)
+    margins = np.array([one.margin_m for one in scenario.anatomy])
+    k = int(np.argmin(apart - margins[part]))
+    state = np.array(list(dict.fromkeys(states)))[bodies.solved][near[k] // count]
+    return Closest(
+        clearance_m=float(apart[k] - margins[part[k]]),
+        distance_m=float(apart[k]),
+        part=f"anatomy.{part[k] + 1} ({scenario.anatomy[part[k]].shape.name})",
+        tube=int(np.argmin([abs(tube.outer_diameter_m / 2 - radius[k]) for tube in robot.tubes])) + 1,
+        point_m=located[k],
+        leg=int(samples.leg[row]),
+        path_mm=float(samples.path_mm[row]),
+        joints=samples.joints[row],
+        phi=state,
+    )
+
+
+def _nearest_part(scenario: Scenario, located: Array, radius: Array) -> tuple[Array, NDArray[np.intp]]:
+    """(K,) distance of the surface of a tube from the part that leaves it least, and which; lumens are one room."""
+    parts = scenario.anatomy
+    sides = np.array([1.0 if part.role == "avoid" else -1.0 for part in parts])
+    distance = sides[:, None] * [surface_distance(part, located) for part in parts] - radius
+    beyond = distance - np.array([part.margin_m for part in parts])[:, None]
+    lumens = sides < 0
+    if lumens.any():
+        best = np.argmax(np.where(lumens[:, None], beyond, -np.inf), axis=0)
+        beyond[lumens[:, None] & (np.arange(len(parts))[:, None] != best)] = np.inf
+    nearest = np.argmin(beyond, axis=0)
+    return distance[nearest, np.arange(len(located))], nearest
+
+
+def failure_with_place(walk: WalkedLegs) -> str:
+    """The walk's failure; of a clearance also the part, and where the tube is (on its centreline, anatomy's frame)."""
+    failure = walk.failure
+    if TOO_CLOSE not in failure:
+        return failure
+    place = closest_places(walk.scenario, walk.pieces, walk.samples).certified
+    if place is None:
+        return failure
+    at = ", ".join(f"{x:.1f}" for x in place.point_m * MM_PER_M)
+    frame = f" in {walk.scenario.frame}" if walk.scenario.frame else ""
+    return f"{failure.rstrip('.')}; there tube {place.tube} is at [{at}] mm{frame}, nearest to {place.part}."

@@ -1,0 +1,420 @@
+"""What walked pieces keep in every friction state, not in the solved shapes alone.
+
+Bodies in friction states bend away from the multilinear interpolation of the sign corners' bodies. How they do changes
+slowly along a path and little with the mesh. A sample whose corners were solved takes it from the solved states of
+the samples on both sides; what that may be off by is taken off the clearance.
+
+Every few samples are solved in states of the cube, those between them are interpolated along the path
+(`states_between.py`). What that, or the mesh of the search, would refuse is solved itself on the certificate mesh.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Generator, Iterable, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from threading import Lock, RLock
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array, lengths
+from ctrplan.base.long_work import cores
+from ctrplan.certificate.anatomy_distance import AnatomyDistance
+from ctrplan.certificate.friction_cube import (
+    BEYOND,
+    DEPTH,
+    LEAST_DEPTH,
+    CubeAsked,
+    LeastOfStates,
+    Needed,
+    least_of_cubes,
+)
+from ctrplan.certificate.friction_states import (
+    BEND_CHANGE,
+    BEND_MESH,
+    BEND_SHARE,
+    BEND_SPREAD,
+    POINT_SPACING_M,
+    SAME_BRANCH_M,
+    TIGHT_M,
+    CornerShapes,
+    Solved,
+    State,
+    corner_states,
+    corner_weights,
+    mesh_allowance_m,
+)
+from ctrplan.certificate.walked_piece import Piece, least_of, shapes_of
+from ctrplan.mechanics.friction import Doubts, bodies_between
+from ctrplan.motion.checker import path_limits
+
+if TYPE_CHECKING:
+    from ctrplan.mechanics.accuracy import Accuracy
+    from ctrplan.mechanics.friction import FrictionStates
+    from ctrplan.mechanics.shapes import FrictionBodies
+    from ctrplan.scenario.scenario import Scenario
+
+
+@dataclass(eq=False)
+class SampleStates:
+    """A sample of a piece in its friction states, at an accuracy; compares what is solved with what was walked to.
+
+    Threads that look at the samples on either side may ask for its states at once.
+    """
+
+    scenario: Scenario
+    piece: Piece
+    sample: int
+    accuracy: Accuracy
+    apart_m: float = 0.0  # of bodies solved from scratch from those walked to, less what meshes differ by
+    _compared: bool = field(default=False, repr=False)
+    _solved: dict[State, Solved] = field(default_factory=dict, repr=False)
+    _start: FrictionStates | None = field(default=None, repr=False)  # of all states that are solved
+    _bends: dict[tuple[State, ...], Array] = field(default_factory=dict, repr=False)
+    _lock: RLock = field(default_factory=RLock, repr=False)  # so that nothing is solved twice
+
+    @property
+    def states(self) -> list[State]:
+        """phi = 0 and the sign corners, which were walked to."""
+        pairs = self.scenario.robot.n - 1
+        return [(0.0,) * pairs, *corner_states(pairs)]
+
+    @cached_property
+    def known(self) -> CornerShapes:
+        """What was walked to, on the certificate mesh solved once more."""
+        samples, k = self.piece.samples, self.sample
+        if self.accuracy == self.piece.accuracy:
+            bodies, radius = self.walked
+            return CornerShapes(bodies, samples.shape_stability[k], samples.shape_max_strain[k], radius)
+        if k in self.piece.finer:
+            return self.piece.finer[k]
+        with self._lock:
+            found = self.solve(self.states)
+            self._compare(found.point_m)
+        return CornerShapes(found.point_m, found.stability, found.max_strain, found.radius_m)
+
+    @cached_property
+    def walked(self) -> tuple[Array, Array]:
+        """Points (1 + C, N, 3) and outer radii (N,)."""
+        return shapes_of(self.scenario, self.piece.samples.bodies[self.sample])
+
+    def let_go(self) -> None:
+        """Of what further states would be solved from: it is found anew if they are asked for."""
+        with self._lock:
+            self._start = None
+
+    def solve(self, phi: Iterable[State]) -> FrictionBodies:
+        """Points (S, N, 3) are NaN where no equilibrium was found."""
+        if self._start is None:
+            at = self.piece.theta_b[self.sample], self.piece.l_b[self.sample]
+            self._start = self.scenario.robot.mechanics.friction_states(*at, accuracy=self.accuracy)
+        found = self._start.bodies(np.array(list(phi)), spacing_m=POINT_SPACING_M)
+        return (
+            found
+            if found.solved.all()
+            else replace(found, point_m=np.where(found.solved[:, None, None], found.point_m, np.nan))
+        )
+
+    def __call__(self, phi: Iterable[State]) -> list[Solved]:
+        """Without a body where no equilibrium was found on the branch that was walked to."""
+        asked = list(phi)
+        with self._lock:
+            if wanted := [state for state in asked if state not in self._solved]:
+                first = [] if self._compared else self.states
+                found = self.solve([*first, *wanted])
+                if first:
+                    self._compare(found.point_m[: len(first)])
+                rows = zip(found.point_m, found.stability.tolist(), found.max_strain.tolist(), strict=True)
+                solved = [Solved(*row) for row in rows]
+                self._solved |= dict(zip(wanted, solved[len(first) :], strict=True))
+        states = [self._solved[state] for state in asked]
+        if self.apart_m <= SAME_BRANCH_M:
+            return states
+        return [replace(one, body_m=np.full_like(one.body_m, np.nan)) for one in states]
+
+    def bend(self, states: Sequence[State]) -> Array:
+        """(S, N, 3) how far bodies of S states lie from the multilinear interpolation of the sign corners' bodies.
+
+        NaN where there is no equilibrium.
+        """
+        asked = tuple(states)
+        with self._lock:
+            if asked not in self._bends:
+                weights = corner_weights(np.array(asked))
+                straight = np.tensordot(weights, self.known.bodies_m[1:], axes=1)
+                self._bends[asked] = np.array([one.body_m for one in self(asked)]) - straight
+            return self._bends[asked]
+
+    @cached_property
+    def shares(self) -> Array:
+        """(N,) of the body's length, at its points."""
+        return shares_of_length(self.known.bodies_m[0])
+
+    def _compare(self, bodies: Array) -> None:
+        """Those of `states` with what was walked to: whole bodies on the same mesh, tips on another one."""
+        self._compared, walked = True, self.walked[0]
+        if bodies.shape == walked.shape and self.accuracy == self.piece.accuracy:
+            apart, allowed = lengths(bodies - walked), 0.0
+        else:
+            apart = lengths(bodies[:, -1] - walked[:, -1])
+            allowed = mesh_allowance_m(self.scenario.robot, self.piece.accuracy)
+        self.apart_m = max(0.0, float(np.nan_to_num(apart.max(), nan=np.inf)) - allowed)
+
+
+def shares_of_length(body_m: Array) -> Array:
+    """(N,) share of a body's length at its points (N, 3)."""
+    length = np.append(0.0, np.cumsum(lengths(np.diff(body_m, axis=0))))
+    share: Array = length / length[-1]
+    return share
+
+
+@dataclass(frozen=True, eq=False)
+class StatesBetween:
+    """Bodies by interpolation; stability and strain are those of the corners, multilinearly."""
+
+    shapes: CornerShapes  # solved of the sample
+    ends: tuple[SampleStates, SampleStates]  # on both sides
+    share: float  # of the way from the first to the second
+    is_finer: bool  # the sample's shapes are of a finer mesh than the ends
+
+    def __call__(self, phi: Iterable[State]) -> list[Solved]:
+        """Without a body where a sample beside this one has none."""
+        states = list(phi)
+        at, shapes = np.array(states), self.shapes
+        weights = corner_weights(at)
+        stability, strain = weights @ shapes.stability[1:], weights @ shapes.max_strain[1:]
+        first, last = ((end.shares, end.bend(states)) for end in self.ends)
+        doubts = Doubts(BEND_CHANGE, BEND_SHARE + (BEND_MESH if self.is_finer else 0.0), BEND_SPREAD, BEYOND)
+        bodies, doubt = bodies_between(shapes.bodies_m, at, first, last, self.share, doubts)
+        return [Solved(*row) for row in zip(bodies, stability.tolist(), strain.tolist(), doubt, strict=True)]
+
+
+# Cells of every few samples and of those near the anatomy are halved once, some of them twice: a fold in the corner of
+# a cell lasts for more than a few mm of motion.
+NEAR_M, LOOK_EVERY, CLOSE_EVERY, CLOSE_DEPTH = 3e-3, 4, 16, 2
+FIRST = 4  # narrowest samples
+AT_ONCE = 64  # efforts: of most samples there is little to compute of each
+NARROW_EFFORT = 3  # of a sample that has to be solved on the certificate mesh, in those of any other
+SPARE_M = 0.15e-3  # of a sample that may be interpolated: with less, what is taken off for that is too much
+ACCURACIES: tuple[Accuracy, ...] = ("search", "certificate")  # of friction states
+CLOSE_TUBES = 4  # of five tubes, cells halved twice have 881 corners and middles
+
+
+def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece], spare_m: float) -> list[Piece]:
+    """The pieces with clearance, stability and strain of every friction state.
+
+    Where no state is found to have less than the solved shapes of the whole path, the least clearance is that of those
+    shapes less TIGHT_M; no more than `spare_m` beyond the limit is asked for.
+    """
+    limits = path_limits(scenario)
+    if scenario.robot.n == 1 or not scenario.robot.friction.any():
+        return list(pieces)
+    solved, distance = least_of(pieces), AnatomyDistance.of(scenario)
+    enough = max(limits.clearance_m, min(solved - TIGHT_M, limits.clearance_m + spare_m))
+    limited = Needed(limits.clearance_m, limits.stability, limits.max_strain)
+    needed = replace(limited, clearance_m=enough)
+    looks = [_Look(scenario, piece, needed, limits.clearance_m, distance) for piece in pieces]
+    with ThreadPoolExecutor(cores()) as pool:
+        places = _narrowest(pieces)
+        first = list(pool.map(lambda place: looks[place[0]].least([place[1]])[0], places))
+        if any(not one.keeps(limited) for one in first):  # no other sample makes the path valid again
+            return [look.ended(_with(look.piece, *_of_piece(k, places, first))) for k, look in enumerate(looks)]
+        enough = max(limits.clearance_m, min([enough, *(one.clearance_m for one in first)]))
+        for look in looks:
+            look.needed = replace(needed, clearance_m=enough)
+        return _every_sample(pool, looks, limited)
+
+
+def _narrowest(pieces: Sequence[Piece]) -> list[tuple[int, int]]:
+    """Pieces and samples that come first: less than what they keep is not asked of any other sample."""
+    rows = sorted((float(c), p, k) for p, piece in enumerate(pieces) for k, c in enumerate(piece.clearance_m))
+    return [(piece, sample) for clearance, piece, sample in rows[:FIRST] if np.isfinite(clearance)]
+
+
+def _of_piece(
+    piece: int, places: Sequence[tuple[int, int]], found: Sequence[LeastOfStates]
+) -> tuple[list[int], list[LeastOfStates]]:
+    """Samples of one piece among `places`, and what was found there."""
+    rows = [(sample, one) for (p, sample), one in zip(places, found, strict=True) if p == piece]
+    return [sample for sample, _ in rows], [one for _, one in rows]
+
+
+def _every_sample(pool: Executor, looks: Sequence[_Look], limited: Needed) -> list[Piece]:
+    """The pieces with what all of their samples keep, up to the first batch of which a sample breaks a limit.
+
+    Pieces that take longest come first, in batches, so that no thread ends long before the others.
+    """
+    order = sorted(range(len(looks)), key=lambda k: looks[k].effort, reverse=True)
+    work = {k: [(batch, pool.submit(looks[k].kept, batch, limited)) for batch in looks[k].batches()] for k in order}
+    ended = dict[int, Piece]()
+    for k in order:
+        piece = looks[k].piece
+        for samples, future in work[k]:
+            found = future.result()
+            if found is None:  # and all after it
+                break
+            piece = _with(piece, samples, found)
+            if not all(one.keeps(limited) for one in found):
+                break
+        for _, future in work[k]:
+            future.result()
+        ended[k] = looks[k].ended(piece)
+    return [ended[k] for k in range(len(looks))]
+
+
+def _with(piece: Piece, samples: Sequence[int], found: Sequence[LeastOfStates]) -> Piece:
+    """The piece with what was found of all states of some of its samples."""
+    clearance, stability, strain = piece.clearance_m.copy(), piece.stability.copy(), piece.max_strain.copy()
+    phi = piece.phi.copy()
+    for k, one in zip(samples, found, strict=True):
+        if one.clearance_m < clearance[k]:
+            clearance[k], phi[k] = one.clearance_m, one.phi
+        stability[k] = min(stability[k], one.stability)
+        strain[k] = max(strain[k], one.max_strain)
+    return replace(piece, clearance_m=clearance, stability=stability, max_strain=strain, phi=phi)
+
+
+@dataclass(eq=False)
+class _Look:
+    """At a piece in all friction states; keeps those of its samples. Each thread looks at other samples."""
+
+    scenario: Scenario
+    piece: Piece
+    needed: Needed
+    limit_m: float  # of clearance: of less it need not be known how little
+    distance: AnatomyDistance | None
+    _states: dict[tuple[int, Accuracy], SampleStates] = field(default_factory=dict)
+    _found: dict[int, LeastOfStates] = field(default_factory=dict)
+    _broken: float = np.inf  # last sample of the first batch of which one breaks a limit
+    _lock: Lock = field(default_factory=Lock)
+
+    @property
+    def effort(self) -> int:
+        """About what a look at all samples takes."""
+        return int(self._efforts.sum())
+
+    @property
+    def _efforts(self) -> NDArray[np.int_]:
+        """(K,) of each sample: those that the mesh of the search does not clear take most."""
+        near = self.piece.as_walked_m < self.needed.clearance_m + NEAR_M
+        short = self.piece.as_walked_m < self.needed.clearance_m
+        efforts: NDArray[np.int_] = 1 + near.astype(int) + NARROW_EFFORT * short
+        return efforts
+
+    def batches(self) -> list[range]:
+        """All samples in runs of about AT_ONCE efforts, between samples that are solved themselves."""
+        efforts, firsts = np.append(0, np.cumsum(self._efforts)), [0]
+        for k in range(LOOK_EVERY, len(efforts) - 1, LOOK_EVERY):
+            if efforts[k] - efforts[firsts[-1]] >= AT_ONCE:
+                firsts.append(k)
+        return [range(*ends) for ends in itertools.pairwise([*firsts, len(efforts) - 1])]
+
+    def kept(self, samples: range, limited: Needed) -> list[LeastOfStates] | None:
+        """Of a batch; None if one before it breaks a limit, beyond which nothing is asked."""
+        if samples[0] > self._broken:
+            return None
+        found = self.least(samples)
+        if not all(one.keeps(limited) for one in found):
+            with self._lock:
+                self._broken = min(self._broken, samples[-1])
+        return found
+
+    def ended(self, piece: Piece) -> Piece:
+        """The piece, with how far bodies solved from scratch lay from those walked to; lets go of all bodies."""
+        is_whole = np.isinf(self._broken)  # else what lies behind the break depends on when threads came to it
+        known = [states for (k, _), states in self._states.items() if is_whole or k <= self._broken]
+        apart = max((states.apart_m for states in known), default=0.0)
+        self._states.clear()
+        return replace(piece, apart_m=apart, finer={})
+
+    def least(self, samples: Sequence[int]) -> list[LeastOfStates]:
+        """Of each sample; all allowances taken off the clearance."""
+        tries = {sample: self._tries(sample) for sample in samples if sample not in self._found}
+        while going := {sample: asked for sample, one in tries.items() if (asked := next(one, None))}:
+            for sample, found in zip(going, self._least(going), strict=True):
+                self._found[sample] = found
+                if found.keeps(self.needed):
+                    tries[sample].close()
+        for sample in samples:
+            for states in self._known_states(sample):
+                states.let_go()
+        return [self._found[sample] for sample in samples]
+
+    def _least(self, going: Mapping[int, _Try]) -> list[LeastOfStates]:
+        """What the tries find, one of each sample."""
+        found = least_of_cubes([self._cube(sample, one) for sample, one in going.items()], self.distance)
+        return [
+            replace(least, clearance_m=least.clearance_m - self._offset_m(sample, one))
+            for (sample, one), least in zip(going.items(), found, strict=True)
+        ]
+
+    def _tries(self, sample: int) -> Generator[_Try]:
+        """From the cheapest on; what the last says holds."""
+        own, is_walked_closely = self.piece.accuracy, self.piece.accuracy == "certificate"
+        if is_walked_closely or self.piece.as_walked_m[sample] >= self.needed.clearance_m:
+            depth = DEPTH if is_walked_closely else LEAST_DEPTH
+            if sample % LOOK_EVERY:
+                yield _Try(own, depth, is_between=True)
+            if is_walked_closely or not sample % LOOK_EVERY:
+                yield _Try(own, depth, is_last=is_walked_closely)
+                if is_walked_closely or not np.isfinite(self._found[sample].clearance_m):
+                    return
+        if self.piece.clearance_m[sample] >= self.needed.clearance_m + SPARE_M:
+            yield _Try("certificate", DEPTH, is_between=True)
+        yield _Try("certificate", DEPTH, is_last=True)
+
+    def _cube(self, sample: int, one: _Try) -> CubeAsked:
+        """Only what is solved for itself is looked at in all cells, whatever is found in some."""
+        states = self._of(sample, one.accuracy)
+        return CubeAsked(
+            states.known.solved,
+            states.known.radius_m,
+            self._between(sample, one.accuracy) if one.is_between else states,
+            replace(self.needed, clearance_m=self.needed.clearance_m + self._offset_m(sample, one)),
+            one.depth,
+            self._least_depth(sample),
+            is_attempt=one.is_between,
+            floor_m=self.limit_m + self._offset_m(sample, one) if one.is_last else np.inf,
+        )
+
+    def _offset_m(self, sample: int, one: _Try) -> float:
+        return float(self.piece.offset_m(self.scenario, one.accuracy)[sample])
+
+    def _between(self, sample: int, accuracy: Accuracy) -> StatesBetween:
+        first = sample - sample % LOOK_EVERY
+        last = min(first + LOOK_EVERY if sample > first else first, len(self.piece.l_b) - 1)
+        ends = self._of(first, self.piece.accuracy), self._of(last, self.piece.accuracy)
+        share = (sample - first) / max(last - first, 1)
+        return StatesBetween(self._of(sample, accuracy).known, ends, share, accuracy != self.piece.accuracy)
+
+    def _least_depth(self, sample: int) -> int:
+        """How often all cells of a sample are halved."""
+        if sample % CLOSE_EVERY == 0 and self.scenario.robot.n <= CLOSE_TUBES:
+            return CLOSE_DEPTH
+        is_near = self.piece.as_walked_m[sample] < self.needed.clearance_m + NEAR_M
+        return LEAST_DEPTH if is_near or sample % LOOK_EVERY == 0 else 0
+
+    def _known_states(self, sample: int) -> list[SampleStates]:
+        with self._lock:
+            return [states for key in ACCURACIES if (states := self._states.get((sample, key)))]
+
+    def _of(self, sample: int, accuracy: Accuracy) -> SampleStates:
+        key = sample, accuracy
+        with self._lock:
+            if key not in self._states:
+                self._states[key] = SampleStates(self.scenario, self.piece, sample, accuracy)
+            return self._states[key]
+
+
+@dataclass(frozen=True)
+class _Try:
+    """A way to look at a sample."""
+
+    accuracy: Accuracy
+    depth: int
+    is_between: bool = False  # by interpolation along the path
+    is_last: bool = False

@@ -1,0 +1,138 @@
+"""Friction states: points phi of the cube [-1, 1]^P, one number per pair of tubes; and allowances for what was
+measured.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ctrplan.base.arrays import Array
+from ctrplan.mechanics.accuracy import Accuracy
+
+if TYPE_CHECKING:
+    from ctrplan.robot.robot import Robot
+
+SPACING_M = 0.5e-3  # largest motion of a body point of any shape between samples
+POINT_SPACING_M = 1e-3  # between the points of a shape
+# Friction that differs along the contact of a pair: bodies of simulated histories were at most 0.05 mm beyond those of
+# all uniform states (1,632 histories, but for a fold, which is a snap).
+UNEVEN_FRICTION_M = 0.05e-3
+TIGHT_M = 0.1e-3  # how much less than the clearance of solved shapes is reported where nothing was found below it
+SAME_BRANCH_M = 0.5e-3  # between bodies of one friction state, walked to and solved from scratch
+# Of bodies that were not solved but interpolated along the path: shares of how much their bending away from the sign
+# corners changes over the samples, of that bending, and once more of it from one mesh to another.
+BEND_CHANGE, BEND_SHARE, BEND_MESH, BEND_SPREAD = 0.5, 0.05, 0.2, 0.03
+BEYOND_BOUND_M = 0.3e-3  # of a simulated tip: histories and bounds may be of different meshes
+
+# Of bodies, against the model of exact geometry: 0.27 mm at most on the search mesh, 0.17 on the certificate mesh, for
+# clearances between tubes below 0.1 mm. Wide ones add to it, for the model is of first order in them: 0.44 mm for each
+# mm of all pairs together at most (`benchmarks/mesh_allowance.py`).
+CERTIFICATE_MESH_M, SEARCH_MESH_M = 0.2e-3, 0.8e-3  # the latter on top of the former
+NARROW_M, FIRST_ORDER = 0.05e-3, 0.4
+# Of bounds, which are differences of tips on one mesh: 0.23 mm short at most on the search mesh, 0.007 on the
+# certificate mesh, and 0.08 for each mm of clearance.
+BOUND_CERTIFICATE_MESH_M, BOUND_SEARCH_MESH_M, BOUND_FIRST_ORDER = 0.02e-3, 0.3e-3, 0.1
+
+
+def mesh_allowance_m(robot: Robot, accuracy: Accuracy) -> float:
+    """How far [m] a body point may be from where the model of exact geometry has it."""
+    loose = NARROW_M + FIRST_ORDER * float(robot.clearance_m.sum())
+    return max(CERTIFICATE_MESH_M, loose) + (SEARCH_MESH_M if accuracy == "search" else 0.0)
+
+
+def bound_allowance_m(robot: Robot, accuracy: Accuracy) -> float:
+    """How much [m] a bound of the tip may be short of the one of exact geometry; 0 without friction."""
+    if not robot.friction.any():
+        return 0.0
+    loose = BOUND_FIRST_ORDER * float(robot.clearance_m.sum())
+    return BOUND_CERTIFICATE_MESH_M + loose + (BOUND_SEARCH_MESH_M if accuracy == "search" else 0.0)
+
+
+State = tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A robot in one friction state."""
+
+    body_m: Array  # (N, 3) NaN, all of it, where no equilibrium was found
+    stability: float
+    max_strain: float
+    doubt_m: Array | None = None  # (N,) what the body may be off by where it was not solved itself
+
+    @property
+    def has_body(self) -> bool:
+        """Whether an equilibrium was found."""
+        return math.isfinite(self.body_m[-1, 0])
+
+
+@dataclass(frozen=True, eq=False)
+class CornerShapes:
+    """A configuration without friction and in its sign corners, in the order of `corner_states`."""
+
+    bodies_m: Array  # (1 + C, N, 3)
+    stability: Array  # (1 + C,)
+    max_strain: Array  # (1 + C,)
+    radius_m: Array  # (N,) outer radii
+
+    @property
+    def pairs(self) -> int:
+        """Of tubes."""
+        return len(self.bodies_m).bit_length() - 1
+
+    @cached_property
+    def solved(self) -> dict[State, Solved]:
+        """By friction state."""
+        states = [(0.0,) * self.pairs, *corner_states(self.pairs)]
+        rows = zip(self.bodies_m, self.stability.tolist(), self.max_strain.tolist(), strict=True)
+        return {state: Solved(*row) for state, row in zip(states, rows, strict=True)}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A box of friction states, halved `depth` times from the cube."""
+
+    low: State
+    high: State
+    depth: int
+
+    @cached_property
+    def middle(self) -> State:
+        """Halfway between both ends."""
+        return tuple((a + b) / 2 for a, b in zip(self.low, self.high, strict=True))
+
+    @property
+    def corners(self) -> list[State]:
+        """The last pair fastest, low before high."""
+        return list(itertools.product(*zip(self.low, self.high, strict=True)))
+
+    def at(self, unit: Array) -> State:
+        """The state at shares (P,), 0 to 1, of the way from low to high."""
+        low, high = np.array(self.low), np.array(self.high)
+        return tuple((low + unit * (high - low)).tolist())
+
+    def halves(self) -> list[Cell]:
+        """Its 2^P parts."""
+        ends = list(zip(self.low, self.middle, self.high, strict=True))
+        parts = itertools.product(*(((a, m), (m, b)) for a, m, b in ends))
+        return [Cell(tuple(p[0] for p in part), tuple(p[1] for p in part), self.depth + 1) for part in parts]
+
+
+@cache
+def corner_states(pairs: int) -> Sequence[State]:
+    """Friction states of the sign corners in the order of `Bound.corners`."""
+    return tuple(itertools.product((1.0, -1.0), repeat=pairs))
+
+
+def corner_weights(phi: Array) -> Array:
+    """(S, 2^P) multilinear weights of the sign corners, in the order of `corner_states`, at states (S, P)."""
+    signs = np.array(corner_states(phi.shape[1]))
+    weights: Array = np.prod((1 + phi[:, None] * signs) / 2, axis=2)
+    return weights

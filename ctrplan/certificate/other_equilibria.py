@@ -1,0 +1,163 @@
+"""Whether the start of a motion, or a sign corner along it, has another equilibrium than the one that was walked to.
+
+Nobody knows what the robot did before a plan. Corners of friction are solved from the frictionless shape. Where a
+corner has a second equilibrium, far from it, an approach may end there and break the bound. Approaches are simulated:
+all pairs turned by APPROACH_DEG at once, from either side each, which loads friction fully.
+
+Corners of friction are solved from the frictionless shape. A robot may come to the same corner from another one, or by
+a turn, and stand elsewhere. Along the path each corner is solved from the shapes of all others. At the ends of legs it
+is also walked to from turns of all pairs.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.base.long_work import cores
+from ctrplan.certificate.friction_states import BEYOND_BOUND_M, SAME_BRANCH_M
+from ctrplan.certificate.walked_piece import Piece
+from ctrplan.errors import SolverError
+from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.walk import PathDensity
+from ctrplan.robot.robot import Robot
+
+if TYPE_CHECKING:
+    from ctrplan.scenario.scenario import Scenario
+
+APPROACH_DEG = 90.0  # of Section V of Ha et al. 2019
+
+_KNOWN: WeakKeyDictionary[Robot, dict[bytes, str]] = WeakKeyDictionary()
+
+
+def other_start(scenario: Scenario, joints: Array) -> str:
+    """A sentence about an approach to joints (m,) that ends beyond the bound there; empty if none does.
+
+    Where the scenario says what friction is like at its start, no approach comes before it. What an observer found says
+    nothing for the bound, which is that of every friction state.
+    """
+    robot = scenario.robot
+    if scenario.start_friction in ("released", "oscillated"):
+        return ""
+    known = _KNOWN.setdefault(robot, {})
+    key = joints.tobytes()
+    if key not in known:
+        known[key] = _other_start(robot, joints)
+    return known[key]
+
+
+def _other_start(robot: Robot, joints: Array) -> str:
+    theta_b, l_b = robot.drive.collars(joints)
+    bound = robot.mechanics.bound(theta_b, l_b)
+    if robot.n == 1 or not robot.friction.any() or not np.isfinite(bound.position_m):
+        return ""
+
+    def beyond(turns: Array) -> float:
+        from_side = theta_b - np.concatenate([[0.0], np.cumsum(turns)])
+        try:
+            path = robot.history().follow(np.array([from_side, theta_b]), np.array([l_b, l_b]))
+        except SolverError:  # there is no equilibrium to come from
+            return 0.0
+        away = float(np.linalg.norm(path.position_m[-1] - bound.frictionless.tip_m))
+        return float(np.nan_to_num(away - bound.position_m))
+
+    approaches = list(_approaches(robot.n - 1))
+    with ThreadPoolExecutor() as pool:
+        found = list(pool.map(beyond, approaches))
+    worst = int(np.argmax(found))
+    if found[worst] <= BEYOND_BOUND_M:
+        return ""
+    turned = ", ".join(f"{np.degrees(turn):+.0f}" for turn in approaches[worst])
+    away_mm = (found[worst] + bound.position_m) * MM_PER_M
+    return (
+        f"The start has another equilibrium: approached by relative turns of ({turned}) deg the tip stands "
+        f"{away_mm:.1f} mm from the frictionless one, beyond the bound of {bound.position_m * MM_PER_M:.2f} mm"
+    )
+
+
+def _approaches(pairs: int) -> Iterator[Array]:
+    """(P,) relative turns [rad] that end at the configuration, of all pairs."""
+    for signs in itertools.product((1.0, -1.0), repeat=pairs):
+        yield np.radians(APPROACH_DEG) * np.array(signs)
+
+
+EVERY_MM = 5.0  # of joint length
+# Of each pair. Of 1,000 random configurations of the three-tube robot walks from 30 deg found all six that any of 30,
+# 60 and 90 deg did; from 60 deg three, from 90 deg two.
+TURN_RAD = np.radians(30.0)
+COARSE = PathDensity(rotation_rad=0.26, translation_m=8e-3, motion_m=15e-3)
+
+
+@dataclass(frozen=True)
+class OtherEquilibrium:
+    """The farthest that was found."""
+
+    leg: int
+    apart_m: float  # of bodies of one corner
+    reached_by: str
+
+    @property
+    def sentence(self) -> str:
+        """For the problems of a certificate."""
+        return (
+            f"On leg {self.leg + 1}: another equilibrium exists for the same joints and friction, "
+            f"{self.apart_m * 1e3:.1f} mm away, reached {self.reached_by}."
+        )
+
+
+def other_equilibrium(robot: Robot, pieces: Sequence[Piece], lengths_mm: Sequence[float]) -> OtherEquilibrium | None:
+    """The farthest other equilibrium of a corner found along walked pieces, each of a joint length; None if none."""
+    if robot.n == 1 or not robot.friction.any():
+        return None
+
+    def look(item: tuple[int, Piece]) -> OtherEquilibrium:
+        number, piece = item
+        rows = _rows(piece, lengths_mm[number])
+        found = [OtherEquilibrium(piece.leg, _from_corners(robot, piece, k), "from another corner") for k in rows]
+        ends = [0] if number == 0 else []
+        if number + 1 == len(pieces) or pieces[number + 1].leg != piece.leg:
+            ends.append(len(piece.l_b) - 1)
+        found += [OtherEquilibrium(piece.leg, _from_turns(robot, piece, k), "by a turn") for k in dict.fromkeys(ends)]
+        return max(found, key=lambda other: other.apart_m)
+
+    with ThreadPoolExecutor(cores()) as pool:
+        farthest = max(pool.map(look, enumerate(pieces)), key=lambda other: other.apart_m)
+    return farthest if farthest.apart_m > SAME_BRANCH_M else None
+
+
+def _rows(piece: Piece, length_mm: float) -> list[int]:
+    """Samples of a piece about EVERY_MM apart, its end among them."""
+    count = max(1, int(np.ceil(length_mm / EVERY_MM)))
+    wanted = np.searchsorted(piece.samples.fraction, np.arange(1, count + 1) / count)
+    return [int(k) for k in np.unique(np.minimum(wanted, len(piece.l_b) - 1))]
+
+
+def _from_corners(robot: Robot, piece: Piece, sample: int) -> float:
+    apart = robot.mechanics.corners_apart(piece.theta_b[sample], piece.l_b[sample], accuracy=piece.accuracy)
+    return float(apart.max())
+
+
+def _from_turns(robot: Robot, piece: Piece, sample: int) -> float:
+    """[m] largest distance of a corner's tip that was walked to by a turn from that of the piece."""
+    theta_b, here = piece.theta_b[sample], piece.samples.corner_tip_m[sample]
+    tips = [
+        _walked_tips(robot, theta_b - np.append(0.0, np.cumsum(TURN_RAD * np.array(signs))), piece, sample)
+        for signs in itertools.product((1.0, -1.0), repeat=robot.n - 1)
+    ]
+    apart = (float(np.linalg.norm(there - here, axis=1).max()) for there in tips if there is not None)
+    return max(apart, default=0.0)
+
+
+def _walked_tips(robot: Robot, begin: Array, piece: Piece, sample: int) -> Array | None:
+    """(C, 3) tips of the corners, walked from base rotations `begin`; None where the robot snaps on the way."""
+    theta_b, l_b = np.array([begin, piece.theta_b[sample]]), np.array([piece.l_b[sample]] * 2)
+    found = robot.mechanics.check_path(theta_b, l_b, density=COARSE, accuracy=piece.accuracy)
+    arrived = found.fraction[-1] == 1 and found.status[-1] < Status.UNSTABLE
+    return found.corner_tip_m[-1] if arrived else None

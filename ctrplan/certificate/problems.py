@@ -1,0 +1,196 @@
+"""Why walked legs must not be certified, in sentences; bounds and distances from the goal as a certificate states
+them.
+
+Samples have the bounds of the mesh that they were walked on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.certificate.certificate import CertificateSamples
+from ctrplan.certificate.friction_states import SAME_BRANCH_M, SPACING_M, bound_allowance_m, mesh_allowance_m
+from ctrplan.certificate.walked_piece import Piece
+from ctrplan.drive.legs import distance_from_polyline
+from ctrplan.mechanics.accuracy import Accuracy
+from ctrplan.mechanics.walk import PathLimits
+from ctrplan.motion.checker import breach, path_limits, shares_in_words
+from ctrplan.robot.robot import Robot
+from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.tip_solver import target_in_robot_frame
+
+if TYPE_CHECKING:
+    from ctrplan.scenario.scenario import Scenario
+
+
+def goal_miss_m(scenario: Scenario, tip: Array) -> float:
+    """[m] of a tip (3,), robot's frame, from the goal's; 0 for joint goals."""
+    if scenario.goal.tip_m is None:
+        return 0.0
+    return float(np.linalg.norm(tip - target_in_robot_frame(scenario)))
+
+
+def line_error_m(scenario: Scenario, tip_m: Array) -> float | None:
+    """Largest distance of tips (K, 3), robot's frame, from the goal's line; None without a line."""
+    if scenario.goal.line_m is None:
+        return None
+    located = scenario.located(tip_m)
+    return float(distance_from_polyline(located, scenario.goal.line_m).max())
+
+
+def frictionless_miss(scenario: Scenario, tip_m: Array) -> list[str]:
+    """A sentence if the last of tips (K, 3) misses the goal."""
+    goal, miss = scenario.goal, goal_miss_m(scenario, tip_m[-1])
+    if goal.tip_m is None or miss <= goal.tolerance_m:
+        return []
+    miss_mm, tolerance_mm = miss * MM_PER_M, goal.tolerance_m * MM_PER_M
+    return [f"The frictionless tip ends {miss_mm:.2f} mm from the target, tolerance {tolerance_mm:g} mm."]
+
+
+MOST = 20  # samples solved on the certificate mesh
+
+
+@dataclass(frozen=True)
+class StatedBounds:
+    """Worst-case errors of the tip [m]."""
+
+    goal_m: float
+    worst_m: float
+
+
+def stated_bounds(robot: Robot, joints: Array, bound_m: Array, accuracies: Sequence[Accuracy]) -> StatedBounds:
+    """At the last and over all samples: joints (K, m), bounds (K,) of walks, the mesh of each."""
+    upper = bound_m + [bound_allowance_m(robot, accuracy) for accuracy in accuracies]
+    last, known = len(upper) - 1, dict[int, float]()
+
+    def closely(k: int) -> float:
+        if k not in known:  # with the one that is likely asked for next, on the other core
+            other = max((j for j in range(len(upper)) if j != k and j not in known), key=lambda j: upper[j], default=k)
+            rows = list(dict.fromkeys([k, other]))
+            known.update(zip(rows, _closely(robot, joints[rows], bound_m[rows], upper[rows]).tolist(), strict=True))
+        return known[k]
+
+    upper[last] = goal = closely(last)
+    for _ in range(MOST):
+        k = int(np.argmax(upper))
+        if not closely(k) < upper[k]:
+            break
+        upper[k] = closely(k)
+    return StatedBounds(goal, float(upper.max()))
+
+
+def _closely(robot: Robot, joints: Array, walked_m: Array, upper_m: Array) -> Array:
+    """(K,) bounds on the certificate mesh with its allowance, where it is the same equilibrium; else `upper_m`."""
+    found = robot.mechanics.bound_many(*robot.drive.collars(joints), accuracy="certificate").position_m
+    closely = found + bound_allowance_m(robot, "certificate")
+    is_same = (walked_m - bound_allowance_m(robot, "search") <= closely) & (closely <= upper_m)
+    return np.where(is_same, closely, upper_m)
+
+
+BRANCH_TOLERANCE_M = 0.2e-3  # between tips of a shape at the ends of neighbouring pieces, reached on two ways
+LEAP_M = 2 * SPACING_M  # a shape that moves farther between samples was not followed
+
+
+def problems_of_walk(scenario: Scenario, space: JointSpace, corners: Array, pieces: Sequence[Piece]) -> list[str]:
+    """What keeps shapes from being followed along the polyline `corners` (K, m)."""
+    found = []
+    if not space.allowed(corners):
+        found.append("A waypoint breaks a joint limit or the nesting of the tubes.")
+    for before, piece in zip([None, *pieces[:-1]], pieces, strict=True):
+        where = f"leg {piece.leg + 1}"
+        if piece.samples.fraction[-1] < 1 and len(pieces) > 1 or breach(piece.samples, PathLimits()):
+            found.append(f"On {where}: {breach(piece.samples, PathLimits()) or 'the walk did not reach its end'}.")
+        elif before is not None and _apart(scenario, before, piece) > BRANCH_TOLERANCE_M:
+            found.append(f"On {where}: the shape depends on the way there, several equilibria exist.")
+        if piece.apart_m > SAME_BRANCH_M:
+            found.append(f"On {where}: another equilibrium exists for the same joints and friction.")
+        if (leap := float(piece.samples.motion_m.max())) > LEAP_M:
+            found.append(
+                f"On {where}: a shape leaps by {leap * MM_PER_M:.1f} mm, its friction state loses its equilibrium."
+            )
+        if (low := float((piece.height_m - piece.offset_m(scenario, piece.accuracy)).min())) < 0:
+            found.append(
+                f"On {where}: a shape curls back to the front plate, {-low * MM_PER_M:.1f} mm too near or through it."
+            )
+    return found
+
+
+def problems_of_limits(
+    scenario: Scenario, pieces: Sequence[Piece], samples: CertificateSamples, bounds: Callable[[], StatedBounds]
+) -> list[str]:
+    """Which of the scenario's limits the samples of the pieces break; `bounds` are asked for where one is on them."""
+    limits = path_limits(scenario)
+    shares = _shares_of_clearance(scenario, pieces, limits)
+    if taken_m := float(samples.parameter_clearance_m[int(np.argmin(samples.clearance_m))]):
+        opening = shares.removesuffix(")") + "," if shares else " (of which"
+        shares = f"{opening} uncertain parameters and registration {taken_m * MM_PER_M:.2f})"
+    softer = _taken(samples.parameter_stability, int(np.argmin(samples.stability)))
+    strained = _taken(samples.parameter_strain, int(np.argmax(samples.max_strain)))
+    checks = [
+        (
+            samples.stability < limits.stability,
+            f"stability falls to {{:.3g}}, below the margin{softer}",
+            samples.stability.min(),
+        ),
+        (
+            samples.max_strain > limits.max_strain,
+            f"strain reaches {{:.4g}}, above the limit{strained}",
+            samples.max_strain.max(),
+        ),
+        (
+            samples.clearance_m < limits.clearance_m,
+            f"a shape that friction allows comes {{:.2f}} mm too close to the anatomy{shares}",
+            (limits.clearance_m - samples.clearance_m.min()) * MM_PER_M,
+        ),
+    ]
+    found = [
+        f"On leg {samples.leg[np.argmax(broken)] + 1}: {text.format(value)}."
+        for broken, text, value in checks
+        if broken.any()
+    ]
+    return found + _problems_of_goal(scenario, samples, bounds)
+
+
+def _taken(by_parameters: Array, sample: int) -> str:
+    taken = float(by_parameters[sample])
+    return f" (of which uncertain parameters {taken:.3g})" if taken else ""
+
+
+def _problems_of_goal(scenario: Scenario, samples: CertificateSamples, bounds: Callable[[], StatedBounds]) -> list[str]:
+    found, limit, on_line = [], scenario.cost.max_error_goal_m, line_error_m(scenario, samples.tip_m)
+    if limit is not None:
+        error_m, where = (bounds().goal_m, "at the goal") if on_line is None else (bounds().worst_m, "on the line")
+        if not error_m <= limit:
+            error_mm, limit_mm = error_m * MM_PER_M, limit * MM_PER_M
+            found.append(f"The worst-case error {where} is {error_mm:.2f} mm, above {limit_mm:g} mm.")
+    if on_line is not None and not on_line <= scenario.goal.tolerance_m:
+        off_mm, tolerance_mm = on_line * MM_PER_M, scenario.goal.tolerance_m * MM_PER_M
+        found.append(f"The frictionless tip leaves the line by {off_mm:.2f} mm, tolerance {tolerance_mm:g} mm.")
+    return found
+
+
+def _shares_of_clearance(scenario: Scenario, pieces: Sequence[Piece], limits: PathLimits) -> str:
+    """How much anatomy, friction and allowances make up the least clearance, as the end of a sentence."""
+    piece = min(pieces, key=lambda one: float(one.clearance_m.min()))
+    k = int(np.argmin(piece.clearance_m))
+    nominal, least = float(piece.nominal_m[k]), float(piece.clearance_m[k])
+    if not np.isfinite(nominal) or not np.isfinite(least):
+        return ""
+    offset = float(piece.offset_m(scenario, "certificate")[k])
+    friction, allowed = max(0.0, nominal - least - offset), offset + limits.clearance_m
+    return shares_in_words(nominal, friction, allowed)
+
+
+def _apart(scenario: Scenario, before: Piece, after: Piece) -> float:
+    """Largest distance [m] of tips of one shape, frictionless or corner, where two pieces meet.
+
+    Less what their meshes may differ by.
+    """
+    ends = [np.vstack([s.tip_m[k], *s.corner_tip_m[k][:, None]]) for s, k in ((before.samples, -1), (after.samples, 0))]
+    gap = float(np.linalg.norm(ends[0] - ends[1], axis=1).max())
+    return gap if before.accuracy == after.accuracy else gap - mesh_allowance_m(scenario.robot, "search")

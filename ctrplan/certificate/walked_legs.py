@@ -1,0 +1,184 @@
+"""Finished legs walked for a certificate: everything that it rests on but simulated histories."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.base.long_work import Progress
+from ctrplan.certificate.certificate import CertificateSamples
+from ctrplan.certificate.closely_solved import closely_solved
+from ctrplan.certificate.every_state import in_every_friction_state
+from ctrplan.certificate.friction_cube import refuse_many_tubes
+from ctrplan.certificate.friction_states import bound_allowance_m
+from ctrplan.certificate.other_equilibria import other_equilibrium, other_start
+from ctrplan.certificate.problems import (
+    StatedBounds,
+    frictionless_miss,
+    problems_of_limits,
+    problems_of_walk,
+    stated_bounds,
+)
+from ctrplan.certificate.uneven_friction import with_uneven_friction
+from ctrplan.certificate.walked_piece import Piece, joined_samples, looked_at_samples, walk_pieces
+from ctrplan.drive.legs import merge_legs
+from ctrplan.mechanics.accuracy import Accuracy
+from ctrplan.motion.checker import path_limits
+from ctrplan.scenario.joint_space import JointSpace
+from ctrplan.scenario.scenario import path_cost_mm
+from ctrplan.uncertainty.allowance import is_uncertain, parameter_allowance
+
+if TYPE_CHECKING:
+    from ctrplan.scenario.scenario import Scenario
+
+
+def with_parameters(
+    scenario: Scenario, pieces: Sequence[Piece], samples: CertificateSamples, bounds: StatedBounds
+) -> tuple[CertificateSamples, StatedBounds, list[str]]:
+    """Samples and bounds with what is uncertain in them, and sentences about the limits that this breaks.
+
+    The same ones and no sentence where nothing is uncertain.
+    """
+    allowed = parameter_allowance(scenario, samples.joints)
+    if not any(column.any() for column in allowed):
+        return samples, bounds, []
+    if not np.all(allowed.is_finite):
+        leg = samples.leg[int(np.argmin(allowed.is_finite))] + 1
+        return samples, bounds, [f"On leg {leg}: a robot within the stated intervals has no equilibrium."]
+    bound = allowed.bound_m
+    friction = np.minimum(bounds.worst_m, samples.bound_m + bound_allowance_m(scenario.robot, "search"))
+    wider = StatedBounds(bounds.goal_m + float(bound[-1]), float((friction + bound).max()))
+    found = replace(
+        samples,
+        bound_m=samples.bound_m + bound,
+        clearance_m=samples.clearance_m - allowed.clearance_m,
+        stability=samples.stability - allowed.stability,
+        max_strain=samples.max_strain + allowed.strain,
+        parameter_bound_m=bound,
+        parameter_clearance_m=allowed.clearance_m,
+        parameter_stability=allowed.stability,
+        parameter_strain=allowed.strain,
+    )
+    return found, wider, problems_of_limits(scenario, pieces, found, lambda: wider)
+
+
+Look = Callable[["Scenario", list[Piece]], list[Piece]]  # at pieces, more closely
+
+
+@dataclass(frozen=True, eq=False)
+class WalkedLegs:
+    """Legs walked for a certificate: what it rests on, before histories are simulated."""
+
+    scenario: Scenario
+    corners: Array  # (K, m)
+    accuracy: Accuracy
+    pieces: list[Piece]
+    samples: CertificateSamples
+    bounds: StatedBounds
+    problems: list[str]  # but whether the goal is met
+    spare_m: float = np.inf  # of clearance beyond what the scenario asks for: more than that is not looked for
+    walked: Sequence[Piece] = ()  # with all shapes, as walked; kept where the legs failed, for the next that are tried
+
+    @property
+    def failure(self) -> str:
+        """The first reason not to certify the legs, or that the frictionless tip misses the goal; empty if none."""
+        return next(iter(self.problems + frictionless_miss(self.scenario, self.samples.tip_m)), "")
+
+    @property
+    def broken_mm(self) -> Array:
+        """(B,) joint lengths from the start at which a limit of clearance, stability or strain is found broken."""
+        limits, samples = path_limits(self.scenario), self.samples
+        is_broken = (samples.clearance_m < limits.clearance_m) | (samples.stability < limits.stability)
+        is_broken |= samples.max_strain > limits.max_strain
+        broken: Array = samples.path_mm[is_broken]
+        return broken
+
+    @property
+    def length_mm(self) -> float:
+        """Joint length."""
+        return float(self.samples.path_mm[-1])
+
+    @property
+    def legs(self) -> int:
+        """Pieces driven without a stop."""
+        return len(merge_legs(self.corners)) - 1
+
+    @property
+    def cost_mm(self) -> float:
+        """By the scenario's weights."""
+        samples = self.samples
+        return path_cost_mm(
+            self.scenario.cost,
+            length_mm=self.length_mm,
+            legs=self.legs,
+            integral_mm=self.integral_mm(samples.released_m),
+            left_m=float(self.bounds.goal_m + samples.released_m[-1]),
+        )
+
+    def integral_mm(self, error_m: Array) -> float:
+        """Of an error [m] at every sample, (K,), along the path: 1 for 1 mm over 1 rad."""
+        return float(np.trapezoid(error_m * MM_PER_M, self.samples.path_mm)) / self.scenario.cost.mm_per_rad
+
+
+def walk_legs(
+    scenario: Scenario,
+    corners: Array,
+    *,
+    accuracy: Accuracy = "search",
+    spare_m: float = np.inf,
+    progress: Progress | None = None,
+    failed: WalkedLegs | None = None,
+) -> WalkedLegs:
+    """What decides whether the polyline `corners` (K, m) is valid, see `certify`.
+
+    How much clearance is left is told where it is less than `spare_m` beyond what the scenario asks for; of more it is
+    only known that it is more, which takes less time. What is refused already is not looked at more closely. Pieces of
+    legs that `failed` in the same scenario are not walked again. Raises InputError for too many tubes.
+    """
+    refuse_many_tubes(scenario.robot)
+    space = JointSpace.of(scenario)
+    known = failed.walked if failed and failed.scenario is scenario else ()
+    walked = pieces = walk_pieces(scenario, space, corners, accuracy, progress, known)
+    samples = joined_samples(scenario, space, corners, pieces)
+    asked_m = np.inf if is_uncertain(scenario) else spare_m  # what parameters take off has to be left
+    with ThreadPoolExecutor(1) as beside:  # a few bounds and a few narrow samples leave half of the machine idle each
+        stated = beside.submit(_bounds, scenario, samples, pieces)
+
+        def looked(look_closer: Look, pieces: list[Piece]) -> tuple[list[Piece], CertificateSamples, list[str]]:
+            pieces = look_closer(scenario, pieces)
+            found = problems_of_walk(scenario, space, corners, pieces)
+            closer = looked_at_samples(samples, pieces)
+            return pieces, closer, found + problems_of_limits(scenario, pieces, closer, stated.result)
+
+        problems = [f"{other}."] if (other := other_start(scenario, corners[0])) else []
+        problems += problems_of_walk(scenario, space, corners, pieces)
+        for look_closer in (closely_solved, in_every_friction_state):
+            if not problems:
+                pieces, samples, problems = looked(partial(look_closer, spare_m=asked_m), pieces)
+        if not problems:
+            equilibria = beside.submit(_other_equilibria, scenario, space, pieces)
+            pieces, samples, problems = looked(with_uneven_friction, pieces)
+            problems = problems or equilibria.result()
+        bounds = stated.result()
+    if not problems:
+        samples, bounds, problems = with_parameters(scenario, pieces, samples, bounds)
+    light = [piece.light() for piece in pieces]
+    kept = walked if problems else ()
+    return WalkedLegs(scenario, corners, accuracy, light, samples, bounds, problems, spare_m, kept)
+
+
+def _other_equilibria(scenario: Scenario, space: JointSpace, pieces: Sequence[Piece]) -> list[str]:
+    lengths_mm = [space.length_mm(piece.end - piece.start) for piece in pieces]
+    found = other_equilibrium(scenario.robot, pieces, lengths_mm)
+    return [found.sentence] if found else []
+
+
+def _bounds(scenario: Scenario, samples: CertificateSamples, pieces: list[Piece]) -> StatedBounds:
+    accuracies = [piece.accuracy for number, piece in enumerate(pieces) for _ in range(len(piece.l_b) - (number > 0))]
+    return stated_bounds(scenario.robot, samples.joints, samples.bound_m, accuracies)

@@ -1,1 +1,0 @@
-"""What was commanded and measured."""

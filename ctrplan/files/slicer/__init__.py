@@ -1,1 +1,0 @@
-"""Files of 3D Slicer: text and bytes of what it reads, made without it."""

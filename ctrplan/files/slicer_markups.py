@@ -1,0 +1,194 @@
+"""Points and lines that were placed in 3D Slicer, and the frame that its files are in.
+
+Slicer shows RAS and takes files for LPS unless they say otherwise; what is written here is in LPS and says so.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ctrplan.anatomy.patient_frame import FRAMES, Frame, signs
+from ctrplan.base.arguments import in_plain_digits
+from ctrplan.base.arrays import LONGEST_MM, MM_PER_M, Array
+from ctrplan.errors import InputError
+from ctrplan.storage.csv_table import file_bytes
+
+if TYPE_CHECKING:
+    from ctrplan.scenario.scenario import Scenario
+
+SPACE: Frame = "LPS"  # of all files
+
+
+SCENE = "scene.mrml"  # of a case folder: what 3D Slicer is to open
+
+
+def patient_frame(scenario: Scenario, given: str | None, key: str = "--frame") -> Frame:
+    """The frame of a scenario's anatomy: the one that its file says, or else the one given.
+
+    Raises InputError where nobody says one, since a guess could turn the patient around, and where two are said.
+    """
+    own = scenario.frame
+    if own is not None and given is not None and own != given:
+        raise InputError(f"contradicts the scenario, which says {own}", key=key, value=given)
+    for frame in FRAMES:
+        if (own or given) == frame:
+            return frame
+    rule = "must be RAS or LPS: which axes the anatomy's frame has in the patient can't be guessed"
+    raise InputError(rule, key=key, value=... if given is None else given)
+
+
+def to_lps(frame: Frame) -> Array:
+    """(3, 3) maps vectors of the anatomy's frame to LPS."""
+    return np.diag(signs(frame, SPACE))
+
+
+def lps_mm(points_m: Array, frame: Frame) -> Array:
+    """Points (..., 3) [m] of the anatomy's frame in LPS [mm]."""
+    turned: Array = points_m * signs(frame, SPACE) * MM_PER_M
+    return turned + 0.0  # no minus zero
+
+
+SUFFIXES = (".mrk.json", ".fcsv")
+LARGEST_FILE_BYTES = 20_000_000
+LINES, POINTS = ("Line", "Curve"), ("Fiducial",)
+MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3}
+FCSV_FRAMES: dict[str, Frame] = {"0": "RAS", "1": "LPS", "RAS": "RAS", "LPS": "LPS"}  # 4.10 and before wrote numbers
+FCSV_COLUMNS = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID"
+
+
+@dataclass(frozen=True, eq=False)
+class Markup:
+    """Points of a file in mm, in the frame that the file says; None where it says none. A line is gone along."""
+
+    file: str
+    points_mm: Array  # (K, 3)
+    labels: tuple[str, ...]  # of the points; empty texts where they have none
+    frame: Frame | None
+    is_line: bool
+
+    @property
+    def name(self) -> str:
+        """Of the file, without what says that it is one of markups."""
+        name = Path(self.file).name
+        return next((name[: -len(suffix)] for suffix in SUFFIXES if name.lower().endswith(suffix)), "")
+
+
+def is_markups(path: str | os.PathLike[str]) -> bool:
+    """Whether the name is that of a file of markups."""
+    return os.fspath(path).lower().endswith(SUFFIXES)
+
+
+def read_markups(path: str | os.PathLike[str]) -> list[Markup]:
+    """What a file holds. Raises InputError for points that are none, and for markups that are neither points nor lines.
+
+    The frame is what the file says; nothing is assumed where it says none.
+    """
+    file = os.fspath(path)
+    text = _text(file)
+    return [_from_fcsv(file, text)] if file.lower().endswith(".fcsv") else _from_json(file, text)
+
+
+def _text(file: str) -> str:
+    try:
+        return file_bytes(file, LARGEST_FILE_BYTES, "markups", "file of markups").decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"is not UTF-8 text (byte {error.start})", file=file) from None
+
+
+def _from_json(file: str, text: str) -> list[Markup]:
+    try:
+        markups = json.loads(text)["markups"]
+        found = [_markup(file, markup, f"markups.{k}") for k, markup in enumerate(markups, start=1)]
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"is no JSON ({error})", file=file) from None
+    except (KeyError, TypeError, AttributeError):
+        raise InputError('is no file of markups: a list "markups" of points or lines is needed', file=file) from None
+    if not found:
+        raise InputError("holds no markups", file=file)
+    return found
+
+
+def _markup(file: str, markup: dict[str, Any], key: str) -> Markup:
+    kind = markup.get("type")
+    if kind not in (*LINES, *POINTS):
+        rule = f"must be one of {', '.join((*POINTS, *LINES))}: nothing else says targets and entries"
+        raise InputError(rule, file=file, key=f"{key}.type", value=kind)
+    points = [point for point in markup.get("controlPoints", []) if point.get("positionStatus") != "undefined"]
+    rows = [_position(file, point.get("position"), f"{key}.controlPoints.{k}") for k, point in enumerate(points, 1)]
+    if not rows:
+        raise InputError("has no points", file=file, key=key)
+    labels = tuple(str(point.get("label", "")) for point in points)
+    scale = _mm_per_unit(file, markup.get("coordinateUnits", "mm"), key)
+    return Markup(file, np.array(rows) * scale, labels, _frame(file, markup, key), kind in LINES)
+
+
+def _frame(file: str, markup: dict[str, Any], key: str) -> Frame | None:
+    said = markup.get("coordinateSystem")
+    if said is None:
+        return None
+    for frame in FRAMES:
+        if said == frame:
+            return frame
+    raise InputError("must be RAS or LPS", file=file, key=f"{key}.coordinateSystem", value=said)
+
+
+def _mm_per_unit(file: str, said: Any, key: str) -> float:
+    unit = said[0] if isinstance(said, list) and said else said  # with its coding scheme beside it
+    if unit not in MM_PER_UNIT:
+        rule = f"must be one of {', '.join(MM_PER_UNIT)}"
+        raise InputError(rule, file=file, key=f"{key}.coordinateUnits", value=said)
+    return MM_PER_UNIT[unit]
+
+
+def _position(file: str, position: Any, key: str) -> list[float]:
+    is_list = isinstance(position, list) and len(position) == 3
+    if not is_list or not all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in position):
+        raise InputError("must have three numbers", file=file, key=f"{key}.position", value=position)
+    return _near(file, [float(x) for x in position], f"{key}.position")
+
+
+def _near(file: str, position: list[float], key: str) -> list[float]:
+    if not all(math.isfinite(x) and abs(x) <= LONGEST_MM for x in position):
+        raise InputError(f"must lie from {-LONGEST_MM:g} to {LONGEST_MM:g} mm", file=file, key=key, value=position)
+    return position
+
+
+def _from_fcsv(file: str, text: str) -> Markup:
+    said: Frame | None = None
+    columns, rows = FCSV_COLUMNS.split(","), list[list[str]]()
+    for line in text.splitlines():
+        name, _, value = (part.strip() for part in line.lstrip("# ").partition("="))
+        if not line.startswith("#"):
+            rows += [cells for cells in csv.reader([line]) if any(cell.strip() for cell in cells)]
+        elif name == "CoordinateSystem":
+            if value not in FCSV_FRAMES:
+                raise InputError("must be RAS or LPS", file=file, key=name, value=value)
+            said = FCSV_FRAMES[value]
+        elif name == "columns":
+            columns = [column.strip() for column in value.split(",")]
+    if not rows or not {"x", "y", "z"} <= set(columns):
+        raise InputError("holds no points" if not rows else "has no columns x, y and z", file=file)
+    points = np.array([_row(file, columns, cells, k) for k, cells in enumerate(rows, start=1)])
+    return Markup(file, points, tuple(_cell(columns, cells, "label") for cells in rows), said, is_line=False)
+
+
+def _row(file: str, columns: Sequence[str], cells: Sequence[str], number: int) -> list[float]:
+    texts = [_cell(columns, cells, axis) for axis in "xyz"]
+    found = [in_plain_digits(text) for text in texts]
+    if None in found:
+        raise InputError("must have three numbers", file=file, key=f"point {number}", value=", ".join(texts))
+    return _near(file, [float(x) for x in found if x is not None], f"point {number}")
+
+
+def _cell(columns: Sequence[str], cells: Sequence[str], name: str) -> str:
+    place = columns.index(name) if name in columns else len(cells)
+    return cells[place].strip() if place < len(cells) else ""

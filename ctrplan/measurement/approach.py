@@ -1,0 +1,168 @@
+"""How each measured pose was approached: directions, friction states, speeds, time at rest, and the waypoints that
+matter.
+
+The rule of Ha et al. 2019, Section V: a relative rotation of 90 degrees saturates friction in its direction, an
+oscillation of decreasing amplitude releases it. In between, a play operator: the state follows the relative rotation
+elastically over `BREAKAWAY_RAD` and slips beyond. For continuous motions a simulated history is better.
+
+Logs have many waypoints on one straight line of joints, and more while nothing moves. Between those that are kept all
+joints move together linearly, as ever.
+"""
+
+from __future__ import annotations
+
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array, read_only
+from ctrplan.measurement.measurements import SAME_ROTATION_RAD, SAME_TRANSLATION_M, Measurements
+
+RELEASING_SWINGS = 6  # that many, each smaller than the one before, are a decreasing oscillation
+BREAKAWAY_RAD = np.radians(30.0)  # relative rotation from released to slipping everywhere (docs/diagnosis.md)
+
+_DIRECTIONS: WeakKeyDictionary[Measurements, Array] = WeakKeyDictionary()  # fits ask hundreds of times
+_PLAIN_STATES: WeakKeyDictionary[Measurements, Array] = WeakKeyDictionary()
+
+
+def friction_state(data: Measurements, release_m: float = np.inf, breakaway_rad: float = BREAKAWAY_RAD) -> Array:
+    """(K, n - 1) circumferential share of the Coulomb limit at every pose, each run starting released.
+
+    A relative translation by `release_m` turns the friction axial and leaves 1/e of the circumferential share.
+    """
+    if np.isfinite(release_m) or breakaway_rad != BREAKAWAY_RAD:
+        return _followed(data, release_m, breakaway_rad)
+    if data not in _PLAIN_STATES:
+        _PLAIN_STATES[data] = read_only(_followed(data, release_m, breakaway_rad))
+    return _PLAIN_STATES[data]
+
+
+def _followed(data: Measurements, release_m: float, breakaway_rad: float) -> Array:
+    turns = np.diff(data.theta_commanded, axis=1)
+    slides = np.diff(data.l_commanded, axis=1)
+    state = np.zeros_like(turns)
+    for row in range(1, len(turns)):
+        if data.sequence[row] == data.sequence[row - 1]:
+            turn, slide = turns[row] - turns[row - 1], np.abs(slides[row] - slides[row - 1])
+            state[row] = _advanced(state[row - 1], turn / breakaway_rad, slide / release_m)
+    return state[data.rows]
+
+
+def _advanced(state: Array, turn: Array, slide: Array) -> Array:
+    """The state after turning and sliding at constant rates: d state = d turn - state d slide, inside [-1, 1]."""
+    decay = np.exp(-slide)
+    driven = np.where(slide > 1e-9, turn * -np.expm1(-slide) / np.maximum(slide, 1e-9), turn)
+    moved: Array = np.clip(state * decay + driven, -1.0, 1.0)
+    return moved
+
+
+def last_directions(data: Measurements) -> Array:
+    """(K, 2 n) sign of the last motion of each rotation, then of each translation.
+
+    0 where the run has not moved the actuator yet, and after an oscillation of decreasing amplitude, which leaves play
+    and elastic wind-up of a drive in the middle.
+    """
+    if data not in _DIRECTIONS:
+        _DIRECTIONS[data] = read_only(_last_directions(data))
+    return _DIRECTIONS[data]
+
+
+def _last_directions(data: Measurements) -> Array:
+    joints = np.hstack([data.theta_commanded, data.l_commanded])
+    still = np.repeat([SAME_ROTATION_RAD, SAME_TRANSLATION_M], data.n) / 10
+    directions = np.zeros((data.count, joints.shape[1]))
+    for run in np.unique(data.sequence[data.rows]).tolist():
+        waypoints, poses = np.flatnonzero(data.sequence == run), data.sequence[data.rows] == run
+        steps = np.diff(joints[waypoints], axis=0)
+        for j in range(joints.shape[1]):
+            after = _directions_along(steps[:, j], still[j])
+            directions[poses, j] = after[data.rows[poses] - waypoints[0]]
+    return directions
+
+
+def _directions_along(steps: Array, still: float) -> Array:
+    """(R,) direction of an actuator at each waypoint of a run with R - 1 steps."""
+    directions, swings = np.zeros(len(steps) + 1), [0.0]
+    for k, step in enumerate(steps.tolist(), start=1):
+        if abs(step) > still:
+            if step * swings[-1] > 0:
+                swings[-1] += step
+            else:
+                swings.append(step)
+        last = np.abs(swings[-RELEASING_SWINGS:])
+        released = len(swings) > RELEASING_SWINGS and bool(np.all(np.diff(last) < 0))
+        directions[k] = 0.0 if released else np.sign(swings[-1])
+    return directions
+
+
+def clock(data: Measurements) -> Array:
+    """(K,) [s] of the poses; a log without times counts its rows."""
+    found: Array = data.rows.astype(float) if data.time_s is None else data.time_s[data.rows]
+    return found
+
+
+def rest_began(data: Measurements) -> NDArray[np.int_]:
+    """(R,) the waypoint from which on no joint has moved."""
+    joints = np.hstack([data.theta_commanded, data.l_commanded])
+    limit = np.repeat([SAME_ROTATION_RAD, SAME_TRANSLATION_M], data.n)
+    moved = np.any(np.abs(np.diff(joints, axis=0)) > limit, axis=1) | (np.diff(data.sequence) != 0)
+    starts = np.concatenate([[True], moved])
+    began: NDArray[np.int_] = np.flatnonzero(starts)[np.cumsum(starts) - 1]
+    return began
+
+
+def time_at_rest_s(data: Measurements) -> Array:
+    """(K,) since the last joint moved; zeros without a clock."""
+    if data.time_s is None:
+        return np.zeros(data.count)
+    since: Array = (data.time_s - data.time_s[rest_began(data)])[data.rows]
+    return since
+
+
+def turning_speeds(data: Measurements) -> Array:
+    """(K, n - 1) [rad/s] at which the tubes of each pair turned against each other; zeros without a clock."""
+    speeds = np.zeros((len(data.sequence), data.n - 1))
+    if data.time_s is not None:
+        turns, times = np.diff(np.diff(data.theta_commanded, axis=1), axis=0), np.diff(data.time_s)
+        going = (times > 0) & (np.diff(data.sequence) == 0)
+        speeds[1:][going] = turns[going] / times[going, None]
+    return speeds[data.rows]
+
+
+def use_left(data: Measurements) -> Array:
+    """(K,) share of all turning of tubes against each other that is still to come: 1 at first, 0 at the end."""
+    turns = np.abs(np.diff(np.diff(data.theta_commanded, axis=1), axis=0)).sum(axis=1)
+    done = np.concatenate([[0.0], np.cumsum(turns)])
+    left: Array = 1 - done[data.rows] / max(done[-1], 1e-12)
+    return left
+
+
+STRAIGHT_RAD, STRAIGHT_M = np.radians(0.3), 0.1e-3  # off a straight line that friction does not feel: it needs 30 deg
+
+
+def needed_waypoints(theta: Array, l: Array, asked: NDArray[np.int_]) -> NDArray[np.int_]:  # noqa: E741
+    """Numbers, in order, of the waypoints of a run (R, n) without those that lie on lines between others.
+
+    Kept are the first, those `asked` for, and as many others as leave none farther off than 0.3 deg or 0.1 mm.
+    """
+    joints = np.hstack([theta / STRAIGHT_RAD, l / STRAIGHT_M])
+    kept = np.zeros(len(joints), bool)
+    kept[asked] = kept[0] = True
+    stretches = [*zip(np.flatnonzero(kept)[:-1].tolist(), np.flatnonzero(kept)[1:].tolist(), strict=True)]
+    while stretches:
+        a, b = stretches.pop()
+        if b - a > 1 and (far := _farthest(joints[a : b + 1])):
+            kept[a + far] = True
+            stretches += [(a, a + far), (a + far, b)]
+    return np.flatnonzero(kept)
+
+
+def _farthest(joints: Array) -> int:
+    """Of the points (M, d) between the first and the last that are off their line, the farthest; 0 if none is."""
+    start, along = joints[0], joints[-1] - joints[0]
+    length = float(along @ along)
+    places = np.clip((joints - start) @ along / length, 0.0, 1.0) if length > 0 else np.zeros(len(joints))
+    away = np.abs(joints - start - places[:, None] * along).max(axis=1)
+    far = int(away.argmax())
+    return far if away[far] > 1 else 0

@@ -1,0 +1,176 @@
+"""Measured data: commanded waypoints in the order visited, the poses measured at some of them, and which of these
+choose a model.
+
+Format: one row per joint waypoint, between rows all joints move together linearly. SI units, robot's base frame. A pose
+is that of the tip, or the position of a marker on the body; of one waypoint there may be several.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+
+SAME_ROTATION_RAD = 1e-3  # commanded joints that differ by less are the same configuration
+SAME_TRANSLATION_M = 1e-5
+STREAMED_SHARE = 0.5  # of the poses, measured on the way between two others: a log of a continuous motion
+MOST_ROWS = 20  # that a sentence lists
+LONGEST_LAG_S = 0.4  # two clocks that are further apart are no matter of a fit
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """R waypoints of n tubes, K of them measured; the arrays of poses have K rows, in the order of the waypoints."""
+
+    sequence: NDArray[np.int_]  # (R,) runs, each approached afresh
+    theta_commanded: Array  # (R, n) commanded base rotations, rad, not wrapped
+    l_commanded: Array  # (R, n) commanded base translations, m
+    rows: NDArray[np.int_]  # (K,) the measured waypoints
+    position_m: Array  # (K, 3) tip or marker; NaN for coordinates that were not seen, of markers alone
+    tangent: Array  # (K, 3) unit tip tangent; NaN where none was measured, one NaN: seen along that axis, `given`
+    time_s: Array | None = None  # (R,) clock of the whole experiment
+    is_stream: bool = False  # joints and poses logged together on a continuous motion, nothing settles
+    more: Mapping[str, Array] = field(default_factory=dict)  # other columns (R,), for localising only
+    file: str | None = None
+    sha256: str = ""
+    warnings: tuple[str, ...] = ()
+    frame: NDArray[np.int_] | None = None  # (R,) number, from 1, of the tracker's frame where it was set up anew
+    homing: NDArray[np.int_] | None = None  # (R,) number, from 1, of the drive's homing where it was homed anew
+    of_collars: bool = False  # whether joints are those of the collars, so that the drive's effects are in them
+    marker: NDArray[np.int_] | None = (
+        None  # (K,) number, from 1, of the robot's marker seen, 0: the tip; None: all tips
+    )
+    noise_ratio: Array | None = None  # (K,) noise of each position over that of a tip's, where they differ
+
+    @property
+    def n(self) -> int:
+        """Number of tubes."""
+        return int(self.theta_commanded.shape[1])
+
+    @property
+    def count(self) -> int:
+        """K, the number of poses."""
+        return len(self.rows)
+
+    @property
+    def frames(self) -> NDArray[np.int_]:
+        """(R,) number, from 1, of the tracker's frame at each waypoint."""
+        return np.ones(len(self.sequence), int) if self.frame is None else self.frame
+
+    @property
+    def homings(self) -> NDArray[np.int_]:
+        """(R,) number, from 1, of the drive's homing at each waypoint."""
+        return np.ones(len(self.sequence), int) if self.homing is None else self.homing
+
+    @cached_property
+    def seen_marker(self) -> NDArray[np.int_]:
+        """(K,) number, from 1, of the marker that each pose is of, 0 for the tip."""
+        return np.zeros(self.count, int) if self.marker is None else self.marker
+
+    @property
+    def over_tip(self) -> Array:
+        """(K, 1) noise of each position over that of a tip's."""
+        return np.ones((self.count, 1)) if self.noise_ratio is None else self.noise_ratio[:, None]
+
+    @property
+    def has_markers(self) -> bool:
+        """Whether any pose is that of a marker."""
+        return bool(self.seen_marker.any())
+
+    @cached_property
+    def run(self) -> NDArray[np.int_]:
+        """(K,) number of each pose's run; a marker's poses are a run of their own."""
+        labels = np.column_stack([self.sequence[self.rows], self.seen_marker])
+        number: NDArray[np.int_] = np.unique(labels, axis=0, return_inverse=True)[1].ravel()
+        return number
+
+    @cached_property
+    def given(self) -> NDArray[np.bool_]:
+        """(K, 5) which of a pose's five numbers were measured: three of the position, two of the tangent.
+
+        A tangent of two components is its direction in the plane of these two axes, as a camera sees it: one number.
+        """
+        components = np.isfinite(self.tangent).sum(axis=1)
+        seen = np.isfinite(self.position_m)
+        given: NDArray[np.bool_] = np.column_stack([seen, components >= 2, components == 3])
+        return given
+
+    @property
+    def has_tangents(self) -> bool:
+        """Whether any pose has more than a position."""
+        return bool(self.given[:, 3].any())
+
+    @cached_property
+    def configuration(self) -> NDArray[np.int_]:
+        """(K,) number of each pose's commanded configuration, whatever way it was approached."""
+        scale = np.repeat([SAME_ROTATION_RAD, SAME_TRANSLATION_M], self.n)
+        cells = np.round(np.hstack([self.theta_commanded, self.l_commanded])[self.rows] / scale).astype(np.int64)
+        _, first, number = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+        return np.asarray(np.argsort(np.argsort(first))[number.ravel()])  # in the order of appearance
+
+    def subset(self, poses: NDArray[np.int_] | NDArray[np.bool_]) -> Measurements:
+        """The same waypoints with some of the poses only, given by their numbers or a mask (K,)."""
+        there = [name for name in ("marker", "noise_ratio") if getattr(self, name) is not None]
+        return replace(self, **{name: getattr(self, name)[poses] for name in ("rows", "position_m", "tangent", *there)})
+
+    def of_tips(self) -> Measurements:
+        """The poses of the tip alone."""
+        return self.subset(self.seen_marker == 0) if self.has_markers else self
+
+    def rows_in_words(self, poses: NDArray[np.bool_]) -> str:
+        """Rows of the file, from 1, of some of the poses, mask (K,); the first twenty."""
+        rows = (self.rows[poses] + 1).tolist()
+        return ", ".join(map(str, rows[:MOST_ROWS])) + (" ..." if len(rows) > MOST_ROWS else "")
+
+
+def is_streamed(sequence: NDArray[np.int_], rows: NDArray[np.int_], joints: Array) -> bool:
+    """Whether poses were logged on a continuous motion of the joints (R, 2 n), rather than after settling.
+
+    Poses in the midst of a standstill say neither.
+    """
+    moves = np.abs(np.diff(joints, axis=0, prepend=joints[:1], append=joints[-1:])).max(axis=1) > 0
+    measured = np.zeros(len(sequence) + 2, bool)
+    measured[rows + 1] = True
+    run = np.concatenate([[-1], sequence, [-1]])
+    inside = measured[rows] & measured[rows + 2] & (run[rows] == run[rows + 1]) & (run[rows + 2] == run[rows + 1])
+    going = moves[rows] | moves[rows + 1]
+    return bool(going.any() and (inside & moves[rows] & moves[rows + 1])[going].mean() > STREAMED_SHARE)
+
+
+VAULT_SHARE = 0.25
+FOLDS = 6
+BLOCK_POSES = 10  # of a continuous motion: neighbours are not independent evidence
+SEED = 20190417  # the split depends on the data's order alone
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """Numbers of poses, and which fold of the cross-validation each of the selection belongs to."""
+
+    selection: NDArray[np.int_]  # (S,)
+    held_out_set: NDArray[np.int_]  # (V,)
+    fold: NDArray[np.int_]  # (S,)
+
+
+def groups(data: Measurements) -> NDArray[np.int_]:
+    """(K,) poses that stand or fall together: configurations, or blocks of a continuous motion."""
+    if data.is_stream:
+        return np.unique(data.rows, return_inverse=True)[1].ravel() // BLOCK_POSES
+    return data.configuration
+
+
+def split(data: Measurements, usable: NDArray[np.bool_]) -> Split:
+    """A quarter of the configurations for the held-out set, folds of whole configurations from the rest."""
+    group = groups(data)
+    numbers = np.random.default_rng(SEED).permutation(np.unique(group[usable]))
+    sealed = int(round(VAULT_SHARE * len(numbers)))
+    held_out = np.isin(group, numbers[:sealed]) & usable
+    selection = np.flatnonzero(usable & ~held_out)
+    order = {number: k % FOLDS for k, number in enumerate(numbers[sealed:].tolist())}
+    fold = np.array([order[number] for number in group[selection].tolist()])
+    return Split(selection, np.flatnonzero(held_out), fold)

@@ -1,0 +1,381 @@
+"""One motion, one call into the core: validity and cost of an edge, shared by whoever needs them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.anatomy.parts import exact_clearance
+from ctrplan.base.arguments import Choice, Made, Number, checked
+from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.base.long_work import ASKED_NS, LOOKED_UP_NS, ROOM_NS, SHAPE_NS, SearchWatch, WorkMeter, counted_aside
+from ctrplan.mechanics.friction import largest_deviation
+from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.walk import Field, PathDensity, PathLimits, PathSamples
+from ctrplan.motion.play import usual_play_shift
+from ctrplan.robot.friction_calibration import friction_law
+from ctrplan.scenario.anatomy_grid import anatomy_grid
+from ctrplan.scenario.joint_space import JointSpace, MotionStyle
+from ctrplan.scenario.scenario import path_cost_mm
+from ctrplan.uncertainty.allowance import usual_allowance_m
+
+if TYPE_CHECKING:
+    from ctrplan.motion.bound_table import BoundTable
+    from ctrplan.scenario.scenario import Scenario
+
+# What a certificate on the fine mesh takes off a clearance, half the motion between samples and the discretisation
+# error, and a little for what the search's coarse mesh usually differs.
+SEARCH_ROOM_M = 0.5e-3
+# Motions and states whose zero-clearance shapes have less room than this are not solved: none of 214 in three scenarios
+# was valid (`benchmarks/zero_clearance_rooms.py`).
+DEFINITE_COLLISION_M = -1e-3
+DOUBTFUL_M = 3e-3  # less room than that, and a motion is looked at where it has least, before it is walked
+JUMP, JUMP_M = 3.0, 5e-3  # times the steps of the tip beside, and more than that and the translation by
+SAMPLES, SEED = 8, 6  # configurations that say what a search has to allow for uncertain parameters
+FEW = 100  # shapes, which are not worth a thread
+DEFINITE_COLLISION = "a corner shape comes too close to the anatomy: so does the zero-clearance shape"
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What a motion is worth; an invalid one has the reason and infinite cost."""
+
+    valid: bool
+    reason: str
+    length_mm: float
+    error_integral_mm: float  # integral of the error over the joint length, per mm_per_rad of length
+    end_bound_m: float  # whatever the history
+    end_error_m: float  # less what the friction law says the motion released; fully loaded at its start
+    legs: int = 0  # the drive stops after each
+
+
+class MotionChecker:
+    """Checks and prices motions of a scenario; remembers every one it was asked about."""
+
+    @checked(
+        scenario=Made("Scenario"),
+        style=Choice(*get_args(MotionStyle)),
+        bound_table=Made("BoundTable"),
+        meter=Made("WorkMeter"),
+        reserve_m=Number(0.0, 1.0, "m"),
+    )
+    def __init__(
+        self,
+        scenario: Scenario,
+        style: MotionStyle = "rotations before translations",
+        bound_table: BoundTable | None = None,
+        meter: WorkMeter | None = None,
+        reserve_m: float = SEARCH_ROOM_M,
+    ) -> None:
+        """With a `bound_table` of the robot motions are looked up; where it has no answer they are solved.
+
+        `reserve_m` is kept beyond the margins, so that paths pass the certificate.
+        """
+        self.scenario = scenario
+        self.bound_table = bound_table
+        self.style = style
+        self.space = JointSpace.of(scenario)
+        self.mechanics = scenario.robot.mechanics
+        self.field = robot_field(scenario)
+        self.density = PathDensity(rotation_rad=0.26, translation_m=8e-3, motion_m=15e-3)
+        self.reserve_m = reserve_m
+        self.limits = search_limits(scenario, reserve_m)
+        self.calls = 0  # into the core
+        self.meter = meter or WorkMeter()  # counts what is solved and asked
+        self.watch = SearchWatch()  # asked before anything is solved
+        self.solved_ns = SHAPE_NS * (1 + 2 ** (scenario.robot.n - 1))
+        self._known: dict[bytes, Motion] = {}
+        self._ahead: dict[bytes, tuple[Motion, int]] = {}  # checked before they were asked for, and work [ns]
+        self._states: dict[bytes, tuple[Motion, PathSamples | None]] = {}
+
+    def motion(self, a: Array, b: Array) -> Motion:
+        """The motion from joint values a to b, (m,) each, in the checker's style."""
+        self.meter.add(ASKED_NS)
+        key = a.tobytes() + b.tobytes()
+        found = self._known.get(key)
+        if found is None:
+            if ahead := self._ahead.pop(key, None):
+                found, spent_ns = ahead
+                self.meter.add(spent_ns)
+            else:
+                found = self._motion(a, b)
+            self._known[key] = found
+        return found
+
+    def look_ahead(self, a: Array, b: Array) -> None:
+        """Checks a motion that is likely asked for next; it counts as work when it is."""
+        key = a.tobytes() + b.tobytes()
+        if key not in self._known and key not in self._ahead:
+            with counted_aside() as aside:
+                self._ahead[key] = self._motion(a, b), aside.spent_ns
+
+    def _motion(self, a: Array, b: Array) -> Motion:
+        corners = self.space.corners(a, b, self.style)
+        return self._refusal(corners) or self.along(corners)
+
+    def _refusal(self, corners: Array) -> Motion | None:
+        """Why a polyline (K, m) is not worth a walk; None if it is.
+
+        It collides where zero-clearance shapes have least room: by so much that their room tells, or as solved there.
+        """
+        if self.bound_table is not None or self.field is None or not self.space.allowed(corners):
+            return None
+        points = self._stations(corners)
+        rooms, _ = self._rooms_and_tips(*self.space.drive.collars(points))
+        narrowest = int(np.argmin(rooms))
+        if rooms[narrowest] < DEFINITE_COLLISION_M:
+            return invalid(DEFINITE_COLLISION)
+        if rooms[narrowest] >= DOUBTFUL_M:
+            return None
+        state, _ = self.probe(points[narrowest])
+        return None if state.valid else state
+
+    @property
+    def definite_collision_m(self) -> float:
+        """Less clearance than that of a zero-clearance shape, and the state is not worth a solve; -inf by lookup."""
+        return -np.inf if self.bound_table is not None else DEFINITE_COLLISION_M + self.limits.clearance_m
+
+    def is_definite_collision(self, q: Array) -> bool:
+        """Whether the zero-clearance shape at q (m,) collides by so much that the state is not worth a solve."""
+        return self.bound_table is None and self.space.allowed(q) and self.rooms([q[None]])[0] < DEFINITE_COLLISION_M
+
+    def with_reserve(self, reserve_m: float) -> MotionChecker:
+        """The same that keeps another reserve; it has checked nothing yet."""
+        return MotionChecker(self.scenario, self.style, self.bound_table, self.meter, reserve_m)
+
+    def state(self, q: Array) -> Motion:
+        """A single state as a motion of no length."""
+        if self.bound_table is not None:
+            return self.motion(q, q)
+        if q.tobytes() not in self._states and self.is_definite_collision(q):
+            return invalid(DEFINITE_COLLISION)
+        return self.probe(q)[0]
+
+    def probe(self, q: Array) -> tuple[Motion, PathSamples | None]:
+        """A single state, and what the core says of it; None where limits or nesting forbid it."""
+        self.meter.add(ASKED_NS)
+        key = q.tobytes()
+        found = self._states.get(key)
+        if found is None:
+            found = self._states[key] = self._probe(q[None, :])
+        return found
+
+    def _probe(self, q: Array) -> tuple[Motion, PathSamples | None]:
+        if not self.space.allowed(q):
+            return invalid(self.space.violation(q)), None
+        samples = self.walk(q, self.density, self.limits)
+        reason = breach(samples, self.limits)
+        bound = float(samples.position_m[-1])
+        return invalid(reason) if reason else Motion(True, "", 0.0, 0.0, bound, bound), samples
+
+    def forbid(self, a: Array, b: Array, reason: str) -> None:
+        """Remembers that the motion from a to b failed a stricter check."""
+        self._known[a.tobytes() + b.tobytes()] = invalid(reason)
+
+    def along(self, corners: Array) -> Motion:
+        """The polyline (K, m) of joint values."""
+        if not self.space.allowed(corners):
+            return invalid(self.space.violation(corners))
+        samples = self.look_up(corners)
+        reason = breach(samples, self.limits)
+        if reason:
+            return invalid(reason)
+        error = self.errors(corners, samples)
+        length, integral = self.price(corners, samples, error)
+        return Motion(True, "", length, integral, float(samples.position_m[-1]), float(error[-1]), count_legs(corners))
+
+    def walk(self, corners: Array, density: PathDensity, limits: PathLimits) -> PathSamples:
+        """The core's samples along a polyline."""
+        self.watch.ask()
+        theta_b, l_b = self.space.drive.collars(corners)
+        self.calls += 1
+        samples = self.mechanics.check_path(theta_b, l_b, self.field, density=density, limits=limits)
+        self.meter.add(self.solved_ns * int(samples.solves.sum()))
+        return samples
+
+    def look_up(self, corners: Array) -> PathSamples:
+        """As `walk`, by lookup where there is a bound field that allows the motion."""
+        if self.bound_table is not None:
+            theta_b, l_b = self.space.drive.collars(corners)
+            samples = self.bound_table.check_path(theta_b, l_b, self.field, density=self.density, limits=self.limits)
+            self.meter.add(LOOKED_UP_NS * len(samples.status))
+            # A field's bounds are too large by its margin: what it allows is allowed, what it refuses is solved.
+            if samples.status[-1] != Status.FAILED and not breach(samples, self.limits):
+                return samples
+        return self.walk(corners, self.density, self.limits)
+
+    def rooms(self, ways: list[Array]) -> Array:
+        """(E,) [m] smallest clearance of zero-clearance shapes on polylines (K, m) each, beyond what is required.
+
+        A cheap hint whether they are valid: friction and clearance between tubes move shapes by millimetres.
+        """
+        if self.field is None or not ways:
+            return np.full(len(ways), np.inf)
+        return self.look(ways)[0]
+
+    def look(self, ways: list[Array]) -> tuple[Array, NDArray[np.bool_]]:
+        """`rooms` of polylines, and (E,) whether the tips of their zero-clearance shapes jump on the way.
+
+        A jump is a cheap hint that the robot snaps there: past two stable shapes, the solution along the branch of
+        vanishing precurvature changes from one to the other.
+        """
+        points = [self._stations(way) for way in ways]
+        theta_b, l_b = self.space.drive.collars(np.concatenate(points))
+        rooms, tips = self._rooms_and_tips(theta_b, l_b)
+        firsts = np.cumsum([0, *map(len, points[:-1])])
+        ends = zip(np.split(tips, firsts[1:]), np.split(l_b, firsts[1:]), strict=True)
+        return np.minimum.reduceat(rooms, firsts), np.array([_jumps(*rows) for rows in ends])
+
+    def _rooms_and_tips(self, theta_b: Array, l_b: Array) -> tuple[Array, Array]:
+        """Of collars (K, n): clearances (K,) [m] of zero-clearance shapes beyond what is required, tips (K, 3) [m]."""
+        self.watch.ask()
+        self.meter.add(ROOM_NS * len(l_b))
+        threads = 0 if len(l_b) > FEW else 1
+        if self.field is None:
+            return np.full(len(l_b), np.inf), self.mechanics.tips(theta_b, l_b, threads=threads)[0]
+        rooms, tips = self.mechanics.zero_clearance_rooms(theta_b, l_b, self.field, threads=threads)
+        return rooms - self.limits.clearance_m, tips
+
+    def _stations(self, corners: Array) -> Array:
+        """(S, m) points on a polyline no farther apart than the density's steps."""
+        longest = np.where(self.space.drive.is_rotation, self.density.rotation_rad, self.density.translation_m)
+        found = [corners[:1]]
+        for a, b in zip(corners[:-1], corners[1:], strict=True):
+            count = max(1, int(np.ceil(np.abs((b - a) / longest).max())))
+            found += [a + np.arange(1, count)[:, None] / count * (b - a), b[None]]  # b itself, which may be known
+        return np.concatenate(found)
+
+    def errors(self, corners: Array, samples: PathSamples) -> Array:
+        """(K,) [m] friction errors on a walked polyline that starts fully loaded, by the robot's friction law.
+
+        Never more than the bound; equal to it as long as nothing was released.
+        """
+        theta_b, l_b = self.space.drive.collars(corners)
+        load, loads = np.ones(self.scenario.robot.n - 1), []
+        for leg in range(samples.segment[-1] + 1):
+            share = samples.fraction[samples.segment == leg]
+            ends = slice(leg, leg + 2) if len(corners) > 1 else [0, 0]
+            loads.append(friction_law(self.scenario.robot).load_left(load, theta_b[ends], l_b[ends], share))
+            load = loads[-1][-1] if len(share) else load
+        return released_error(samples, np.concatenate(loads))
+
+    def price(self, corners: Array, samples: PathSamples, error: Array) -> tuple[float, float]:
+        """Weighted joint length [mm] and the integral [mm] of errors (K,) [m] of a walked polyline."""
+        if len(corners) == 1:
+            return 0.0, 0.0
+        lengths = np.array([self.space.length_mm(d) for d in np.diff(corners, axis=0)])
+        travelled = (
+            np.concatenate([[0.0], np.cumsum(lengths)])[samples.segment] + samples.fraction * lengths[samples.segment]
+        )
+        integral = np.trapezoid(error * MM_PER_M, travelled) / self.scenario.cost.mm_per_rad
+        return float(lengths.sum()), float(integral)
+
+    def cost_mm(self, motion: Motion, *, ends_at_goal: bool) -> float:
+        """Weighted cost of a motion; at the goal it pays for the worst case there and for what it left loaded."""
+        return path_cost_mm(
+            self.scenario.cost,
+            length_mm=motion.length_mm,
+            legs=motion.legs,
+            integral_mm=motion.error_integral_mm,
+            left_m=motion.end_bound_m + motion.end_error_m if ends_at_goal else 0.0,
+        )
+
+
+def count_legs(corners: Array) -> int:
+    """Legs of a polyline (K, m) that go anywhere."""
+    return int(np.any(np.diff(corners, axis=0), axis=1).sum())
+
+
+def invalid(reason: str) -> Motion:
+    """A motion that must not be made."""
+    return Motion(False, reason, np.inf, np.inf, np.inf, np.inf)
+
+
+def released_error(samples: PathSamples, load: Array) -> Array:
+    """(K,) [m] friction error at samples with every pair loaded up to load (K, n - 1); never above the bound."""
+    if not samples.corner_tip_m.size:  # looked up, without a share of each pair
+        highest: Array = samples.position_m * load.max(axis=1, initial=0.0)
+        return highest
+    return np.fmin(largest_deviation(samples.corner_tip_m, samples.tip_m, load), samples.position_m)
+
+
+def path_limits(scenario: Scenario) -> PathLimits:
+    """Margins as limits; the anatomy's own margins are in the field, what calibration left unexplained comes on top."""
+    strain = min([scenario.margins.max_strain, *(tube.max_strain for tube in scenario.robot.tubes)])
+    return PathLimits(scenario.margins.stability, strain, scenario.robot.model_error_m)
+
+
+def search_limits(scenario: Scenario, reserve_m: float = SEARCH_ROOM_M) -> PathLimits:
+    """Likewise for the search, which keeps a little more clearance so that its paths pass the certificate."""
+    limits = path_limits(scenario)
+    space = JointSpace.of(scenario)
+    room = reserve_m + usual_play_shift(scenario.robot, space)
+    room += usual_allowance_m(scenario, lambda: space.sample(np.random.default_rng(SEED), SAMPLES))
+    return replace(limits, clearance_m=limits.clearance_m + room)
+
+
+def breach(samples: PathSamples, limits: PathLimits) -> str:
+    """Which limit the last sample breaks, in words; empty if none."""
+    if samples.status[-1] == Status.FAILED:
+        return "the mechanics solver failed"
+    if samples.status[-1] == Status.UNSTABLE:
+        return "elastically unstable, the robot would snap"
+    if samples.stability[-1] < limits.stability:
+        return f"stability {samples.stability[-1]:.3g} is below the margin {limits.stability:g}"
+    if samples.max_strain[-1] > limits.max_strain:
+        return f"strain {100 * samples.max_strain[-1]:.2f} % is above {100 * limits.max_strain:g} %"
+    if samples.clearance_m[-1] < limits.clearance_m:
+        short = (limits.clearance_m - samples.clearance_m[-1]) * MM_PER_M
+        return f"a corner shape comes {short:.2f} mm too close to the anatomy"
+    return ""
+
+
+def robot_field(scenario: Scenario) -> Field | None:
+    """The scenario's anatomy as a grid for the core; None in free space."""
+    grid = anatomy_grid(scenario)
+    if grid is None:
+        return None
+    return Field(grid.values_m, grid.origin_m, float(grid.spacing_m), scenario.base_R, scenario.base_position_m)
+
+
+def _jumps(tips: Array, l_b: Array) -> bool:
+    """Whether a step between tips (S, 3) [m] is much longer than those beside it and than l_b (S, n) [m] moves."""
+    steps = np.linalg.norm(np.diff(tips, axis=0), axis=1)
+    if len(steps) < 2:
+        return False
+    around = np.maximum(np.append(0.0, steps[:-1]), np.append(steps[1:], 0.0))
+    driven = np.abs(np.diff(l_b, axis=0)).max(axis=1)
+    return bool(np.any(steps > JUMP * around + driven + JUMP_M))
+
+
+TOO_CLOSE = "too close to the anatomy"  # how the sentences end that this is about
+
+
+def shares_in_words(nominal_m: float, friction_m: float, allowed_m: float) -> str:
+    """In brackets, with a space before them."""
+    return (
+        f" (the frictionless one is {nominal_m * MM_PER_M:.2f} mm beyond the margins, friction takes "
+        f"{friction_m * MM_PER_M:.2f}, allowances {allowed_m * MM_PER_M:.2f})"
+    )
+
+
+def with_shares(checker: MotionChecker, joints: Array, reason: str, clearance_m: float) -> str:
+    """`reason` with the shares where it is about clearance, `clearance_m` being that of all shapes at joints (m,)."""
+    nominal_m = _frictionless_clearance(checker, joints) if reason.endswith(TOO_CLOSE) else np.nan
+    if not np.isfinite(nominal_m):
+        return reason
+    return reason + shares_in_words(nominal_m, max(0.0, nominal_m - clearance_m), checker.limits.clearance_m)
+
+
+def _frictionless_clearance(checker: MotionChecker, joints: Array) -> float:
+    """[m] beyond the margins; not a number where the model has no solution."""
+    scenario = checker.scenario
+    robot = scenario.robot
+    bodies = robot.mechanics.friction_bodies(*robot.drive.collars(joints), np.zeros((1, robot.n - 1)))
+    if not bodies.solved[0]:
+        return float("nan")
+    located = scenario.located(bodies.point_m[0])
+    return float((exact_clearance(scenario.anatomy, located) - bodies.radius_m).min(initial=np.inf))

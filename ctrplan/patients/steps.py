@@ -1,0 +1,417 @@
+"""The steps of a case: scenario, bases, placed scenario, plan, scene of 3D Slicer; each makes files from those
+before.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ctrplan.anatomy.images.image_file import images_kept
+from ctrplan.anatomy.patient_frame import Frame
+from ctrplan.anatomy.shape import Role
+from ctrplan.base.arrays import MM_PER_M, Array, shortest_rotation
+from ctrplan.errors import InputError, NoAnswerError
+from ctrplan.files.placed_scenario import content_at
+from ctrplan.files.plan_file import load_plan
+from ctrplan.files.robot_file import load_robot
+from ctrplan.files.slicer_markups import SCENE, patient_frame
+from ctrplan.files.trajectory_file import trajectory_formats
+from ctrplan.patients.bases_table import bases_text, read_bases
+from ctrplan.patients.draft import (
+    aimed_at,
+    base_at,
+    draft,
+    drafted,
+    from_folder,
+    middles,
+    refuse_entry_without_room,
+    refuse_targets_without_room,
+    shape_of,
+    sheath,
+    start_values,
+    with_motion_margins,
+)
+from ctrplan.patients.points import Named, case_frame, places_of
+from ctrplan.patients.structures import Structure, chosen, found_in
+from ctrplan.patients.work import (
+    BASES,
+    ENTRIES,
+    PLACED,
+    PLAN,
+    ROBOT,
+    SCENARIO,
+    SLICER,
+    Record,
+    Step,
+    Work,
+    patch_radius_m,
+    raw_files,
+    stamp_of,
+)
+from ctrplan.planning.placing.base_pose import BasePose
+from ctrplan.planning.placing.place import Placement, place
+from ctrplan.planning.planner import plan
+from ctrplan.planning.search.stage_search import Progress
+from ctrplan.plans.plan import Plan
+from ctrplan.reports.plan_words import worst_miss
+from ctrplan.scenario.bare_scenario import drawn_back
+from ctrplan.scenario.scenario import Scenario
+from ctrplan.storage.csv_table import CsvTable
+from ctrplan.storage.output_folder import output_folder, write_atomically, write_results
+from ctrplan.storage.toml_document import Document, read_document, toml_text
+
+DEFAULT_ROBOT = "three_tube_insertion.toml"
+UNIT = "mm"
+ENTRY_COLUMNS = "x_mm,y_mm,z_mm,look_x_mm,look_y_mm,look_z_mm"
+
+
+class ScenarioStep(Step):
+    """Reads everything once and refuses what can't be planned with."""
+
+    name = "scenario"
+    files = (SCENARIO, ROBOT, ENTRIES)
+
+    def made_from(self, work: Work) -> object:
+        asked = work.request
+        said = asked.part(
+            "inputs",
+            "targets",
+            "entries",
+            "frame",
+            "file_frame",
+            "unit",
+            "repair",
+            "series",
+            "lumens",
+            "avoids",
+            "ignored",
+            "phases",
+            "motion_margin_mm",
+        )
+        said |= asked.part("robot", "margin_mm", "surface_error_mm", "tolerance_mm", "sheath_mm")
+        stamps = [stamp_of(Path(name)) for name in asked.inputs or ()] + [stamp_of(robot_file(asked.robot))]
+        return [said, stamps]
+
+    def make(self, work: Work) -> str:
+        asked = work.request
+        if not asked.inputs:
+            raise InputError("are needed: images, meshes and files of markups, or folders of them", key="FILES")
+        robot_text = _text(robot_file(asked.robot))
+        with images_kept():
+            task = _task(work)
+            content, scenario = _drafted(work, task)
+        refuse_targets_without_room(scenario)
+        for entry in task.entries:
+            refuse_entry_without_room(scenario, entry.points_mm[0] / 1e3, patch_radius_m(asked))
+        for warning in scenario.warnings:
+            work.note(warning)
+        write_atomically(work.file(ROBOT), robot_text)
+        write_atomically(work.file(ENTRIES), _more(task.entries, task.targets))
+        write_atomically(work.file(SCENARIO), _with_head(content))
+        robot = load_robot(work.file(ROBOT))
+        work.keep(SCENARIO, replace(scenario, robot=robot, sha256=Document(content).sha256))
+        return task.sentence
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """What the files and options say."""
+
+    frame: Frame
+    structures: Sequence[tuple[Structure, Role]]
+    targets: Sequence[Named]
+    entries: Sequence[Named]
+
+    @property
+    def sentence(self) -> str:
+        roles = [f"{one.name} ({'inside' if role == 'inside' else 'avoid'})" for one, role in self.structures]
+        counts = f"{_counted(len(self.targets), 'target')}, {_counted(len(self.entries), 'entry')}"
+        return f"{', '.join(roles)}; {counts}, in {self.frame}"
+
+
+def _task(work: Work) -> _Task:
+    """Structures with their roles, targets and entries; what was recognised is told. Raises InputError."""
+    asked = work.request
+    found = found_in(asked.inputs or (), asked.unit or UNIT, work.folder, asked.series, asked.phases or ())
+    lumens, avoids, ignored = asked.lumens or (), asked.avoids or (), asked.ignored or ()
+    aimed = aimed_at(found, asked.targets, (*lumens, *avoids, *ignored))
+    for sentence in found.notes:
+        work.note(sentence)
+    structures, told = chosen(found, lumens, avoids, ignored, tuple(aimed.values()))
+    frame = case_frame(asked.frame, [*(asked.targets or ()), *(asked.entries or ())])
+    points, more = middles(aimed, frame, lambda one: shape_of(work, one, frame))
+    for sentence in (*told, *more):
+        work.note(sentence)
+    targets = places_of("--target", asked.targets, [*found.markups, *points], frame, asked.file_frame)
+    entries = places_of("--entry", asked.entries, found.markups, frame, asked.file_frame)
+    return _Task(frame, structures, targets, entries)
+
+
+def _drafted(work: Work, task: _Task) -> tuple[dict[str, Any], Scenario]:
+    """The scenario, as the content of its file and read."""
+    asked, structures = work.request, [one for one, _ in task.structures]
+    robot = load_robot(robot_file(asked.robot))
+    start = start_values(robot.drive, drawn_back(robot))
+    content = draft(asked, work.folder, task.frame, task.structures, task.targets, start)
+    content["base"] = base_at(task.entries[0], task.targets)
+    beside = from_folder(work.folder, robot_file(asked.robot))
+    scenario = with_motion_margins(work, drafted(work, content, beside, structures), content)
+    if asked.sheath_mm is not None:
+        sheaths = _sheaths(scenario, task.entries, task.targets, asked.sheath_mm)
+        content["anatomy"] += sheaths
+        alone = drafted(work, {**content, "anatomy": sheaths}, beside, ())  # images are not read again
+        scenario = replace(scenario, anatomy=scenario.anatomy + alone.anatomy)
+    return content, scenario
+
+
+def robot_file(said: str | None) -> Path:
+    """The robot's file as said, or that of the robot which cases are planned with where none is."""
+    return Path(said) if said else Path(str(files("ctrplan.patients") / "robots" / DEFAULT_ROBOT))
+
+
+def _text(robot: Path) -> str:
+    load_robot(robot)  # refuses what is none
+    return robot.read_text(encoding="utf-8-sig")
+
+
+def _sheaths(
+    scenario: Scenario, entries: Sequence[Named], targets: Sequence[Named], radius_mm: float
+) -> list[dict[str, Any]]:
+    looks = [base_at(entry, targets)["look_at"] for entry in entries]
+    return [
+        sheath(scenario, entry.points_mm[0] / 1e3, np.divide(look, 1e3), radius_mm)
+        for entry, look in zip(entries, looks, strict=True)
+    ]
+
+
+def _more(entries: Sequence[Named], targets: Sequence[Named]) -> str:
+    """Entries besides the first, which is the scenario's base."""
+    rows = [base_at(entry, targets) for entry in entries[1:]]
+    lines = [",".join(map(repr, [*row["position_mm"], *row["look_at"]])) for row in rows]
+    return "\n".join([ENTRY_COLUMNS, *lines]) + "\n"
+
+
+def _with_head(content: dict[str, Any]) -> str:
+    head = (
+        "# Made by `ctrplan case`. Edit it and run `ctrplan case -o` on this folder again: what follows is made anew."
+    )
+    return f"{head}\n{toml_text(content)}"
+
+
+def _counted(count: int, thing: str) -> str:
+    return (
+        f"1 {thing}" if count == 1 else f"{count} {thing.removesuffix('y') + 'ie' if thing.endswith('y') else thing}s"
+    )
+
+
+CONE_DEG, CANDIDATES = 20.0, 128
+
+
+class BasesStep(Step):
+    """`ctrplan.place` from each entry."""
+
+    name = "bases"
+    files = (BASES,)
+
+    def made_from(self, work: Work) -> object:
+        said = work.request.part("radius_mm", "cone_deg", "candidates", "seed")
+        return [said, work.state(SCENARIO, ROBOT, ENTRIES), raw_files(work.scenario(SCENARIO))]
+
+    def make(self, work: Work) -> str:
+        found, reasons, tried = list[BasePose](), list[str](), 0
+        for scenario in self._entries(work):
+            try:
+                placement = self._placed(work, scenario)
+                tried += placement.drawn
+                found += [pose for pose in placement.poses if pose.reached]
+                reasons += [] if placement.poses[0].reached else [placement.sentence.rstrip(".")]
+            except NoAnswerError as error:
+                reasons.append(str(error).partition(": ")[2].rstrip(".") or str(error))
+        if not found:
+            place_mm = ", ".join(f"{x:.4g}" for x in work.scenario(SCENARIO).base_position_m * MM_PER_M)
+            rule = f"nothing is reached from the entry [{place_mm}] mm: {reasons[0]}"
+            raise NoAnswerError(f"{work.file(SCENARIO)}: {rule}. Another entry, --cone-deg or --radius-mm may help.")
+        ranked = sorted(found, key=lambda pose: pose.rank)
+        write_atomically(work.file(BASES), bases_text(ranked))
+        best = ranked[0]
+        error_mm = max(target.worst_m for target in best.targets if target.best) * MM_PER_M
+        reached = f"{best.reached} of {len(best.targets)} targets"
+        return f"{len(ranked)} poses of {tried} tried; the best reaches {reached}, {error_mm:.2f} mm off at worst"
+
+    def _placed(self, work: Work, scenario: Scenario) -> Placement:
+        asked = work.request
+        placement = place(
+            scenario,
+            aim_m=scenario.base_position_m + scenario.base_R[:, 2] * _away(scenario),
+            radius_m=patch_radius_m(asked),
+            cone_rad=math.radians(CONE_DEG if asked.cone_deg is None else asked.cone_deg),
+            candidates=asked.candidates or CANDIDATES,
+            seed=asked.seed or 0,
+            progress=work.progress,
+            interrupted=work.stop,
+        )
+        if work.stop.is_set():
+            raise KeyboardInterrupt
+        return placement
+
+    def _entries(self, work: Work) -> list[Scenario]:
+        """The scenario with its robot at each entry."""
+        own = work.scenario(SCENARIO)
+        file = work.file(ENTRIES)
+        lines = file.read_text().strip().splitlines() if file.exists() else []
+        if len(lines) < 2:
+            return [own]
+        table = CsvTable(str(file), "table of entries")
+        for name in ENTRY_COLUMNS.split(","):
+            if name not in table.header:
+                raise table.fault("is missing in the header", column=name)
+        rows = np.column_stack([table.numbers(name) for name in ENTRY_COLUMNS.split(",")]) / MM_PER_M
+        return [own, *(_standing(own, row, table, k) for k, row in enumerate(rows))]
+
+
+def _standing(scenario: Scenario, row: Array, table: CsvTable, k: int) -> Scenario:
+    if not np.any(row[3:] - row[:3]) or not np.abs(row).max() < 10:
+        raise table.fault("must be two places near each other", k)
+    turned = shortest_rotation(row[3:] - row[:3])
+    return replace(scenario, base_position_m=row[:3], base_R=turned, sha256="")
+
+
+def _away(scenario: Scenario) -> float:
+    """How far the targets are [m], at least a mm."""
+    tips = [goal.tip_m for goal in scenario.targets if goal.tip_m is not None]
+    if not tips:
+        raise InputError("says nothing of a place: a tip is needed", file=scenario.path, key="goal")
+    return max(1e-3, float(np.linalg.norm(np.mean(tips, axis=0) - scenario.base_position_m)))
+
+
+class PlacedStep(Step):
+    """The first row of the table; the plan tries the next ones where that has none."""
+
+    name = "placed"
+    files = (PLACED,)
+
+    def made_from(self, work: Work) -> object:
+        return work.state(SCENARIO, BASES)
+
+    def make(self, work: Work, number: int = 1) -> str:
+        rows = read_bases(work.file(BASES))
+        if number > len(rows):
+            raise InputError(f"has {len(rows)} poses", file=work.file(BASES), key="row", value=number)
+        pose = rows[number - 1].pose
+        content = content_at(read_document(work.file(SCENARIO)).content, pose)
+        head = f"# Row {number} of {BASES}, by `ctrplan case`. Edit it, and the next run plans from here."
+        write_atomically(work.file(PLACED), f"{head}\n{toml_text(content)}")
+        kept = replace(
+            work.scenario(SCENARIO),
+            base_position_m=pose.position_m,
+            base_R=pose.R,
+            path=str(work.file(PLACED)),
+            sha256=Document(content).sha256,
+        )
+        work.keep(PLACED, kept)
+        position = ", ".join(f"{x:.1f}" for x in pose.position_m * MM_PER_M)
+        way = ", ".join(f"{x:.3f}" for x in pose.direction)
+        return f"row {number} of {BASES}: at [{position}] mm, looking along [{way}]"
+
+
+TRIES = 3  # base poses that are planned from
+
+
+class PlanStep(Step):
+    """Plans from the base pose that was chosen, and from the next ones of the table where it has no plan."""
+
+    name = "plan"
+    files = ()
+    results = (f"{PLAN}/plan.json", f"{PLAN}/report.html")
+
+    def made_from(self, work: Work) -> object:
+        said = work.request.part("seed", "time_s", "bases")
+        return [said, work.state(PLACED, ROBOT), raw_files(work.scenario(PLACED))]
+
+    def make(self, work: Work) -> str:
+        from ctrplan.reports.plan_folder import FORMATS, plan_outputs, save_plan  # pictures take a second to import
+
+        output_folder(str(work.file(PLAN)), plan_outputs(trajectory_formats(FORMATS)))
+        first = _row(work.record)
+        made = self._planned(work)
+        save_plan(made, work.file(PLAN))
+        work.plan = made
+        row = _row(work.record)
+        return _sentence(made) if row == first else f"from row {row} of {BASES}: {_sentence(made)}"
+
+    def _planned(self, work: Work) -> Plan:
+        asked, record = work.request, work.record
+        rows = 1 if record.edited("placed") else len(read_bases(work.file(BASES)))
+        number = _row(record)
+        last = min(rows, number - 1 + (TRIES if asked.bases is None else asked.bases))
+
+        def report(told: Progress) -> None:
+            work.progress(told.stage, told.fraction)
+
+        while True:
+            try:
+                return plan(
+                    work.scenario(PLACED),
+                    seed=asked.seed or 0,
+                    time_s=asked.time_s,
+                    progress=report,
+                    interrupted=work.stop,
+                )
+            except NoAnswerError as error:
+                if number >= last or work.stop.is_set():
+                    raise
+                work.note(f"no plan from row {number} of {BASES}: {error}")
+            number += 1
+            step = PlacedStep()
+            record.begin(step.name)
+            sentence = step.make(work, number)
+            work.end(step, sentence, number)
+
+
+def _row(record: Record) -> int:
+    """Of the table of bases, the one that stands in placed.toml."""
+    return record.steps["placed"].chosen if "placed" in record.steps else 1
+
+
+def _sentence(made: Plan) -> str:
+    """Whether it is certified, where the tip ends at worst, and how near the robot comes."""
+    certificate = made.certificate
+    miss = worst_miss(made)
+    parts = [f"{'certified' if certificate.valid else 'NOT certified'}, {len(made.legs)} legs"]
+    parts += [miss.sentence.rstrip(".")] if miss else []
+    if math.isfinite(certificate.min_clearance_m):
+        parts.append(f"clearance {certificate.min_clearance_m * MM_PER_M:.2f} mm beyond the margins")
+    return "; ".join(parts)
+
+
+STEPS = 40  # poses of the motion
+
+
+class SlicerStep(Step):
+    """As `ctrplan export --to slicer` does."""
+
+    name = "slicer"
+    files = ()
+    results = (f"{SLICER}/{SCENE}",)
+
+    def made_from(self, work: Work) -> object:
+        return work.state(f"{PLAN}/plan.json", f"{PLAN}/trajectory.csv")
+
+    def make(self, work: Work) -> str:
+        from ctrplan.reports.plan_scene import written_motion
+        from ctrplan.reports.slicer_case import case_files  # surfaces take a second to import
+
+        folder = output_folder(str(work.file(SLICER)), [SCENE])
+        written = load_plan(work.file(f"{PLAN}/plan.json"), work.scenario(PLACED))
+        motion = written_motion(written, STEPS, lambda share: work.progress("solving", share))
+        said = work.request.frame if written.scenario.frame is None else None  # of a scenario that people wrote
+        files = case_files(motion, patient_frame(written.scenario, said))
+        write_results(folder, files)
+        return f"{len(files)} files for 3D Slicer, {len(motion.path)} poses"

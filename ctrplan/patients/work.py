@@ -1,0 +1,227 @@
+"""What the steps of a case share: the request, the record of what was made from what, the folder."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar
+
+from ctrplan.base.arrays import MM_PER_M
+from ctrplan.base.long_work import StageProgress
+from ctrplan.errors import InputError
+from ctrplan.files.scenario_file import load_scenario
+from ctrplan.plans.plan import Plan
+from ctrplan.scenario.scenario import Scenario
+from ctrplan.storage.csv_table import file_bytes
+from ctrplan.storage.output_folder import write_atomically
+
+RADIUS_MM = 4.0  # of the patch of base poses, where none is said
+Place = tuple[float, float, float] | str  # mm in the case's frame; or a file of markups, a label in one, a structure
+
+
+@dataclass(frozen=True)
+class Request:
+    """None where nothing is said. Lengths in mm, angles in deg, as in the files that a case writes."""
+
+    inputs: tuple[str, ...] | None = None  # files and folders
+    targets: tuple[Place, ...] | None = None
+    entries: tuple[Place, ...] | None = None
+    frame: str | None = None  # of the case, in which numbers are said
+    file_frame: str | None = None  # of files that do not say theirs
+    unit: str | None = None  # of meshes
+    series: str | None = None  # UID, of a DICOM folder with several
+    repair: str | None = None  # of their openings: holes, caps or off
+    lumens: tuple[str, ...] | None = None
+    avoids: tuple[str, ...] | None = None
+    ignored: tuple[str, ...] | None = None
+    phases: tuple[tuple[str, ...], ...] | None = None  # files of one structure each
+    motion_margin_mm: float | None = None  # for places between phases
+    robot: str | None = None
+    margin_mm: float | None = None
+    surface_error_mm: float | None = None
+    tolerance_mm: float | None = None
+    sheath_mm: float | None = None
+    radius_mm: float | None = None
+    cone_deg: float | None = None
+    candidates: int | None = None
+    bases: int | None = None
+    seed: int | None = None
+    time_s: float | None = None
+
+    def over(self, earlier: Request) -> Request:
+        """What is said here, and what the earlier run said of the rest; named inputs begin a new case."""
+        if self.inputs is not None:
+            return self
+        said = {name: value for name, value in vars(self).items() if value is not None}
+        return dataclasses.replace(earlier, **said)
+
+    def part(self, *names: str) -> dict[str, Any]:
+        """Some of it, by name."""
+        return {name: getattr(self, name) for name in names}
+
+    @classmethod
+    def of(cls, content: Mapping[str, Any]) -> Request:
+        """As JSON had it."""
+        known = {field.name for field in dataclasses.fields(cls)}
+        return cls(**{name: _tuples(value) for name, value in content.items() if name in known})
+
+
+def patch_radius_m(request: Request) -> float:
+    """[m] around an entry in which base poses are looked for."""
+    return (RADIUS_MM if request.radius_mm is None else request.radius_mm) / MM_PER_M
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+
+
+FILE = "case.json"
+LARGEST_FILE_BYTES = 5_000_000
+
+
+@dataclass
+class Made:
+    """One step's result: the key of what it was made from, and the hash of each file as it was written."""
+
+    key: str = ""
+    files: dict[str, str] = field(default_factory=dict)
+    sentence: str = ""
+    pending: bool = False  # begun, and perhaps killed
+    chosen: int = 1  # row of bases.csv
+
+
+class Record:
+    """The file in a case's folder."""
+
+    def __init__(self, folder: Path) -> None:
+        """Reads it where it is there. Raises InputError for a file that is none of a case."""
+        self.folder, self.request, self.steps = folder, Request(), dict[str, Made]()
+        self.is_new = not (folder / FILE).exists()
+        if self.is_new:
+            return
+        text = file_bytes(str(folder / FILE), LARGEST_FILE_BYTES, "JSON", "record of a case")
+        try:
+            content = json.loads(text)
+            self.request = Request.of(content["request"])
+            self.steps = {name: Made(**made) for name, made in content["steps"].items()}
+        except (ValueError, KeyError, TypeError, AttributeError):
+            raise InputError("is no record of a case: remove it to begin anew", file=folder / FILE) from None
+
+    def write(self) -> None:
+        """Writes the file, whole."""
+        request = {name: value for name, value in vars(self.request).items() if value is not None}
+        steps = {name: vars(made) for name, made in self.steps.items()}
+        write_atomically(self.folder / FILE, json.dumps({"request": request, "steps": steps}, indent=1) + "\n")
+
+    def edited(self, name: str) -> list[str]:
+        """Files of a step that are not as it wrote them."""
+        made = self.steps.get(name, Made())
+        if made.pending:
+            return []
+        return [file for file, digest in made.files.items() if digest_of(self.folder / file) != digest]
+
+    def begin(self, name: str) -> None:
+        """Notes that a step's files are about to be written: what a kill leaves is nobody's edit."""
+        self.steps[name] = Made(pending=True)
+        self.write()
+
+    def end(self, name: str, key: str, files: Mapping[str, str], sentence: str, chosen: int = 1) -> None:
+        """Notes that they are there."""
+        self.steps[name] = Made(key, dict(files), sentence, chosen=chosen)
+        self.write()
+
+
+def digest_of(path: Path) -> str:
+    """Hash of a file's bytes; empty where there is none."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return ""
+
+
+def key_of(*parts: Any) -> str:
+    """One hash of what JSON can say."""
+    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def stamp_of(path: Path) -> list[Any]:
+    """What changes when a file does that is too large to be hashed each time; of folders what their files say."""
+    if path.is_dir():
+        return [stamp_of(each) for each in sorted(path.iterdir()) if each.is_file()]
+    try:
+        told = path.stat()
+        return [str(path.resolve()), told.st_size, told.st_mtime_ns]
+    except OSError:
+        return [str(path), 0, 0]
+
+
+SCENARIO, BASES, PLACED, ENTRIES, ROBOT = "scenario.toml", "bases.csv", "placed.toml", "more_entries.csv", "robot.toml"
+PLAN, SLICER = "plan", "slicer"
+
+
+@dataclass
+class Work:
+    """One run on a case."""
+
+    folder: Path
+    request: Request
+    record: Record
+    stop: threading.Event
+    progress: StageProgress
+    note: Callable[[str], object]  # told a warning or what was recognised
+    plan: Plan | None = None
+    read: dict[str, Scenario] = field(default_factory=dict)
+
+    def file(self, name: str) -> Path:
+        """A file of the case."""
+        return self.folder / name
+
+    def scenario(self, name: str) -> Scenario:
+        """That of a file of the case, which is read once; files that it names may lie anywhere."""
+        digest = digest_of(self.file(name))
+        if digest not in self.read:
+            self.read[digest] = load_scenario(self.file(name), allow_outside=True)
+        return self.read[digest]
+
+    def keep(self, name: str, scenario: Scenario) -> None:
+        """Notes what reading a file of the case would give."""
+        self.read[digest_of(self.file(name))] = scenario
+
+    def end(self, step: Step, sentence: str, chosen: int = 1) -> None:
+        """Notes that a step's files are there, and what they were made from."""
+        there = [name for name in (*step.files, *step.results) if self.file(name).exists()]
+        digests = {name: digest_of(self.file(name)) for name in there}
+        self.record.end(step.name, key_of(step.made_from(self)), digests, sentence, chosen)
+
+    def state(self, *names: str) -> list[object]:
+        """What changes when files of the case do, and images and meshes that scenarios name."""
+        return [digest_of(self.file(name)) for name in names]
+
+
+class Step(ABC):
+    """A step of a case."""
+
+    name: ClassVar[str]
+    files: ClassVar[tuple[str, ...]]  # that it writes and people may edit, in the case's folder
+    results: ClassVar[tuple[str, ...]] = ()  # that it writes and nobody is expected to edit
+
+    @abstractmethod
+    def made_from(self, work: Work) -> object:
+        """What its files depend on, for a hash."""
+
+    @abstractmethod
+    def make(self, work: Work) -> str:
+        """Writes its files; returns what came of it in a sentence. Raises CtrplanError, with no file half written."""
+
+
+def raw_files(scenario: Scenario) -> list[object]:
+    """Stamps of images and meshes."""
+    shapes = [shape for part in scenario.anatomy for shape in getattr(part.shape, "shapes", (part.shape,))]
+    files = {str(file) for shape in shapes if (file := getattr(shape, "file", None))}
+    return [stamp_of(Path(file)) for file in sorted(files)]

@@ -1,1 +1,0 @@
-"""The dense recheck of a finished path, and the simulated histories along it."""

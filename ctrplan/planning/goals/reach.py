@@ -1,0 +1,319 @@
+"""Configurations that reach a tip target, with bound, stability and clearance, sorted into branches.
+
+A branch is a connected piece of all configurations that reach the target: one of its own for each solution where the
+drive has just enough joints, a curve or more where it has joints to spare.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.base.long_work import cores
+from ctrplan.mechanics.friction import corner_signs
+from ctrplan.mechanics.shapes import Status, Tips
+from ctrplan.mechanics.walk import PathSamples
+from ctrplan.motion.checker import MotionChecker
+from ctrplan.scenario.tip_solver import (
+    DAMPING,
+    LONGEST_STEP_M,
+    M_PER_RAD,
+    TOLERANCE_SHARE,
+    TipSolver,
+    TipTarget,
+    angle_to,
+)
+
+
+def tips_by_joints(checker: MotionChecker, q: Array, phi: Array) -> Tips:
+    """Tips at joint values q (K, m) in friction states phi (K, n - 1), with derivatives (K, 3, m) by rad or m.
+
+    A joint at a limit of the tubes' nesting has no derivative and counts as fixed.
+    """
+    drive, n = checker.space.drive, checker.mechanics.n
+    names = [f"theta_b.{i + 1}" for i in range(n)] + [f"l_b.{i + 1}" for i in range(n)]
+    tips = checker.mechanics.tips_with_friction(*drive.collars(q), phi, parameters=names)
+    moves = drive.collars_by_joints(q)
+    by_joints = (np.nan_to_num(slope) @ moves for slope in (tips.position_by, tips.tangent_by))
+    return replace(tips, position_by=next(by_joints), tangent_by=next(by_joints))
+
+
+@dataclass(frozen=True, eq=False)
+class BoundSlopes:
+    """How the bound and the frictionless tip of K configurations change with the joints."""
+
+    bound_by: Array  # (K, m) [m per rad or m] of the corner whose tip is farthest from the frictionless one
+    tip_m: Array  # (K, 3) frictionless, robot's frame
+    tip_by: Array  # (K, 3, m)
+
+
+def bound_slopes(checker: MotionChecker, q: Array) -> BoundSlopes:
+    """Derivatives of the bound on the tip's position at q (K, m), zero where a solve failed."""
+    pairs = checker.mechanics.n - 1
+    states = np.vstack([np.zeros(pairs), corner_signs(pairs)])
+    tips = tips_by_joints(checker, np.repeat(q, len(states), axis=0), np.tile(states, (len(q), 1)))
+    checker.meter.add(checker.solved_ns * len(q))
+    position = tips.position_m.reshape(len(q), len(states), 3)
+    by = tips.position_by.reshape(len(q), len(states), 3, -1)
+    away = np.nan_to_num(position[:, 1:] - position[:, :1])
+    size = np.linalg.norm(away, axis=2)
+    rows, farthest = np.arange(len(q)), np.argmax(size, axis=1)
+    unit = away[rows, farthest] / np.maximum(size[rows, farthest], 1e-12)[:, None]
+    bound_by = np.einsum("ki,kij->kj", unit, by[rows, 1 + farthest] - by[:, 0])
+    return BoundSlopes(bound_by, position[:, 0], by[:, 0])
+
+
+SAMPLES = 1500  # random configurations whose tips are looked at
+STARTS = 300  # of them, the nearest ones after a common rotation: solves
+DISTINCT_MM = 5.0  # of joint length between configurations
+MOST_REFINED = 80
+ROOM_ENOUGH_M = 5e-3  # more than friction makes of most shapes
+CLEARANCE_STEPS = 3  # on the frictionless clearance model
+GAP_M = 6e-3  # more than clearance moves a tip: within it of the target, refining on the clearance model pays
+TURN_RAD = 0.1  # likewise of the tangent
+REFINED_SHARE = 0.2  # of the tolerance
+LINK_MM = 30.0  # of joint length between neighbours in a branch
+SAME_SHARE = 0.35  # of their distance that the middle of two neighbours may lie off their branch
+
+
+@dataclass(frozen=True, eq=False)
+class Configuration:
+    """Joint values at a target, and what they are worth with clearance and friction."""
+
+    joints: Array  # (m,)
+    tip_m: Array  # (3,) frictionless, robot's frame
+    tangent: Array  # (3,)
+    tip_error_m: float
+    turned_rad: float  # of the tangent from the direction asked for
+    bound_m: float
+    bound_rad: float
+    stability: float
+    max_strain: float
+    clearance_m: float  # of all shapes beyond the anatomy's margins; inf in free space
+    reason: str  # why it is not valid; empty if it is
+
+    @property
+    def valid(self) -> bool:
+        """Whether it keeps all limits and margins."""
+        return not self.reason
+
+
+@dataclass(frozen=True, eq=False)
+class Reach:
+    """What is known about reaching a target."""
+
+    configurations: tuple[Configuration, ...]  # within the tolerances, lowest bound first
+    nearest: Configuration  # the frictionless tip that came closest, whatever else it does
+    tolerance_m: float
+    direction_tolerance_rad: float
+    solver: TipSolver
+    target: TipTarget
+
+    def branches(self) -> NDArray[np.int_]:
+        """(K,) number of each configuration's branch, counted from 0 in the order of their best bounds."""
+        return _branches(self.solver, self.target, np.array([c.joints for c in self.configurations]))
+
+
+def reach(
+    checker: MotionChecker,
+    target: TipTarget,
+    tolerance_m: float,
+    rng: np.random.Generator,
+    starts: int = STARTS,
+    *,
+    least_room_m: float = -np.inf,
+) -> Reach:
+    """Distinct configurations whose frictionless tip is within `tolerance_m` of the target, from random starts.
+
+    Where the zero-clearance shapes of some keep `least_room_m` to the anatomy, the others are not looked at.
+    """
+    solver = TipSolver(checker.space, checker.mechanics)
+    begin, aim = _starts(solver, target, rng, starts), target
+    q = solver.solve(aim, begin)
+    if not q.reached(replace(target, direction_tolerance_rad=target.direction_tolerance_rad + TURN_RAD), GAP_M).any():
+        aim = TipTarget(target.tip_m)  # the direction can't be had there: how near does the position come?
+        q = solver.solve(aim, begin)
+    order = np.argsort(q.error_m)
+    near = order[q.error_m[order] <= tolerance_m + GAP_M]
+    near = _by_room(checker, q.joints, near, least_room_m) if len(near) else order[:1]
+    chosen = distinct_rows(checker, q.joints, near)[:MOST_REFINED]
+    joints = refined(checker, aim, q.joints[chosen], tolerance_m)
+    _probed(checker, joints)
+    found = [configuration(checker, target, joint) for joint in joints]
+    nearest = min(found, key=lambda c: c.tip_error_m)
+    reached = [c for c in found if c.tip_error_m <= tolerance_m and c.turned_rad <= target.direction_tolerance_rad]
+    reached.sort(key=lambda c: c.bound_m)
+    kept = distinct_rows(checker, np.array([c.joints for c in reached]), np.arange(len(reached)))
+    return Reach(tuple(reached[k] for k in kept), nearest, tolerance_m, target.direction_tolerance_rad, solver, target)
+
+
+def _starts(solver: TipSolver, target: TipTarget, rng: np.random.Generator, count: int) -> Array:
+    """The `count` of many random configurations whose tips come nearest when all tubes may turn together."""
+    q = solver.space.sample(rng, max(SAMPLES, 2 * count))
+    tip, tangent = solver.tips(q)
+    goal = np.broadcast_to(target.tip_m, tip.shape)
+    if solver.common_rotation is None:
+        miss = np.linalg.norm(goal - tip, axis=1)
+    else:
+        miss = np.hypot(np.hypot(goal[:, 0], goal[:, 1]) - np.hypot(tip[:, 0], tip[:, 1]), goal[:, 2] - tip[:, 2])
+    miss[np.isnan(miss)] = np.inf
+    return q[np.argsort(miss)[:count]]
+
+
+def _by_room(checker: MotionChecker, q: Array, rows: NDArray[np.int_], least_m: float) -> NDArray[np.int_]:
+    """Those rows of q (K, m) whose zero-clearance shapes keep `least_m` to the anatomy, or all if none does.
+
+    Most room first; none counts as more than ROOM_ENOUGH_M.
+    """
+    if checker.field is None:
+        return rows
+    rooms = checker.mechanics.zero_clearance_rooms(*checker.space.drive.collars(q[rows]), checker.field)[0]
+    kept = rooms >= least_m
+    rows, rooms = (rows[kept], rooms[kept]) if kept.any() else (rows, rooms)
+    return rows[np.argsort(-np.minimum(rooms, ROOM_ENOUGH_M), kind="stable")]
+
+
+def distinct_rows(checker: MotionChecker, q: Array, order: NDArray[np.int_]) -> NDArray[np.int_]:
+    """Those of `order` that are not within DISTINCT_MM of one before them."""
+    kept: list[int] = []
+    for k in order.tolist():
+        if not kept or _apart_mm(checker, q[kept], q[k]).min() > DISTINCT_MM:
+            kept.append(k)
+    return np.array(kept, dtype=int)
+
+
+def _apart_mm(checker: MotionChecker, a: Array, b: Array) -> Array:
+    """(K,) Euclidean weighted joint distances of a (K, m) from b (m,)."""
+    apart: Array = np.linalg.norm(checker.space.difference(a, b) * checker.space.weights_mm, axis=1)
+    return apart
+
+
+def refined(checker: MotionChecker, target: TipTarget, q: Array, tolerance_m: float) -> Array:
+    """Damped Newton steps on the frictionless tip with clearance, by exact derivatives; the best place of each.
+
+    Derivatives are renewed where a step like the one before would not do. Where steps lead is probed, which the
+    configuration there needs in any case.
+    """
+    best, todo, aim_m = q.copy(), np.arange(len(q)), REFINED_SHARE * tolerance_m
+    miss, slope = _miss_by_joints(checker, target, q)
+    for _ in range(CLEARANCE_STEPS):
+        before = np.linalg.norm(miss, axis=1)
+        far = before > aim_m
+        todo, miss, slope, before = todo[far], miss[far], slope[far], before[far]
+        if not len(todo):
+            break
+        moved = _stepped(checker, best[todo], miss, slope)
+        miss = _probed_miss(checker, target, moved)
+        error = np.linalg.norm(miss, axis=1)
+        better = error < before
+        best[todo[better]] = moved[better]
+        todo, miss, slope, share = todo[better], miss[better], slope[better], (error / before)[better]
+        falls_short = (error[better] > aim_m) & (share * error[better] > aim_m)
+        if falls_short.any():
+            _, slope[falls_short] = _miss_by_joints(checker, target, best[todo[falls_short]])
+    return best
+
+
+def _miss_by_joints(checker: MotionChecker, target: TipTarget, q: Array) -> tuple[Array, Array]:
+    """What `_miss` tells of the frictionless tip at q (K, m), and its derivatives by joints (K, 6, m), of the tip.
+
+    NaN where the solve failed; a joint at a limit of the tubes' nesting has no derivative and counts as fixed.
+    """
+    tips = tips_by_joints(checker, q, np.zeros((len(q), checker.mechanics.n - 1)))
+    miss, weight = _miss(target, tips.position_m, tips.tangent)
+    miss[tips.status == Status.FAILED] = np.nan
+    return miss, np.concatenate([tips.position_by, weight[:, None, None] * tips.tangent_by], axis=1)
+
+
+def _probed_miss(checker: MotionChecker, target: TipTarget, q: Array) -> Array:
+    """What `_miss` tells of the frictionless tip at q (K, m); NaN where the solve failed."""
+    found = _probed(checker, q)
+    tips, tangents = np.array([s.tip_m[-1] for s in found]), np.array([s.tip_tangent[-1] for s in found])
+    miss, _ = _miss(target, tips, tangents)
+    miss[[samples.status[-1] == Status.FAILED for samples in found]] = np.nan
+    return miss
+
+
+def _miss(target: TipTarget, tip_m: Array, tangent: Array) -> tuple[Array, Array]:
+    """(K, 6) [m] of tips and of their directions beyond the tolerance, and what a direction weighs (K,) [m per rad]."""
+    miss = np.zeros((len(tip_m), 6))
+    miss[:, :3] = target.tip_m - tip_m
+    if target.direction is None:
+        return miss, np.zeros(len(tip_m))
+    turned = np.maximum(angle_to(tangent, target.direction), 1e-12)
+    weight = M_PER_RAD * np.maximum(0.0, 1 - TOLERANCE_SHARE * target.direction_tolerance_rad / turned)
+    miss[:, 3:] = weight[:, None] * (target.direction - tangent)
+    return miss, weight
+
+
+def _stepped(checker: MotionChecker, q: Array, miss: Array, slope: Array) -> Array:
+    """q (K, m) after a least-squares step, not longer than LONGEST_STEP_M of weighted joint length."""
+    weights = checker.space.weights_mm / MM_PER_M
+    scaled = slope / weights
+    gram = scaled @ np.swapaxes(scaled, 1, 2) + DAMPING * np.eye(6)
+    step = np.einsum("kij,ki->kj", scaled, np.linalg.solve(gram, np.nan_to_num(miss)[:, :, None])[:, :, 0])
+    step *= np.minimum(1.0, LONGEST_STEP_M / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12))
+    return checker.space.projected(q + step / weights, fallback=q)
+
+
+def _probed(checker: MotionChecker, q: Array) -> list[PathSamples]:
+    """What the core says of configurations q (K, m), which the checker remembers."""
+
+    def probe(joints: Array) -> PathSamples:
+        _, samples = checker.probe(joints)
+        assert samples is not None, "the solver keeps limits and nesting"
+        return samples
+
+    with ThreadPoolExecutor(cores()) as pool:
+        return list(pool.map(probe, q))
+
+
+def configuration(checker: MotionChecker, target: TipTarget, joints: Array) -> Configuration:
+    """Joint values (m,) and what they are worth at a target."""
+    motion, samples = checker.probe(joints)
+    assert samples is not None, "the solver keeps limits and nesting"
+    tip, tangent = samples.tip_m[-1], samples.tip_tangent[-1]
+    failed = samples.status[-1] == Status.FAILED
+    return Configuration(
+        joints=joints,
+        tip_m=tip,
+        tangent=tangent,
+        tip_error_m=np.inf if failed else float(np.linalg.norm(tip - target.tip_m)),
+        turned_rad=float(angle_to(tangent[None], target.direction)[0]),
+        bound_m=float(samples.position_m[-1]),
+        bound_rad=float(samples.tangent_rad[-1]),
+        stability=float(samples.stability[-1]),
+        max_strain=float(samples.max_strain[-1]),
+        clearance_m=float(samples.clearance_m[-1]) if checker.field else np.inf,
+        reason=motion.reason,
+    )
+
+
+def _branches(solver: TipSolver, target: TipTarget, q: Array) -> NDArray[np.int_]:
+    """Neighbours are linked when the configuration in their middle can be put back onto the target nearby."""
+    if len(q) < 2:
+        return np.zeros(len(q), dtype=int)
+    space = solver.space
+    delta = space.difference(q[:, None], q[None])
+    apart = np.linalg.norm(delta * space.weights_mm, axis=2)
+    a, b = np.nonzero(np.triu(apart < LINK_MM, 1))
+    middle = q[a] + delta[a, b] / 2
+    allowed = space.allowed_rows(middle)
+    a, b, middle = a[allowed], b[allowed], middle[allowed]
+    linked = np.zeros(len(a), dtype=bool)
+    if len(a):
+        # each pair's own zero-clearance tips, which differ a little where the clearance tip is on the target
+        tips = np.stack([solver.tips(q[a])[0], solver.tips(q[b])[0]]).mean(axis=0)
+        back = solver.solve(TipTarget(tips), middle, 5, turned=False)
+        off = np.linalg.norm(space.difference(middle, back.joints) * space.weights_mm, axis=1)
+        linked = (back.error_m < 0.5e-3) & (off <= SAME_SHARE * apart[a, b] + 1.0)
+    graph = coo_array((np.ones(linked.sum()), (a[linked], b[linked])), shape=(len(q), len(q)))
+    label = connected_components(graph, directed=False)[1]
+    _, first, inverse = np.unique(label, return_index=True, return_inverse=True)
+    return np.asarray(np.argsort(np.argsort(first))[inverse])

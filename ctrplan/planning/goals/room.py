@@ -1,0 +1,179 @@
+"""Whether the anatomy leaves room for what a scenario requires, said in words before any search begins."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ctrplan.anatomy.parts import AnatomyPart, surface_distance
+from ctrplan.base.arrays import MM_PER_M, Array
+from ctrplan.errors import InputError, NoAnswerError
+from ctrplan.motion.checker import MotionChecker
+from ctrplan.scenario.anatomy_grid import anatomy_grid
+
+if TYPE_CHECKING:
+    from ctrplan.scenario.scenario import Scenario
+
+
+def refuse_blocked_target(checker: MotionChecker) -> None:
+    """Raises NoAnswerError for a tip target in a structure, outside the lumen, or nearer to a wall than allowed."""
+    scenario = checker.scenario
+    target, tolerance = scenario.goal.tip_m, scenario.goal.tolerance_m
+    if target is None:
+        return
+    needed = scenario.robot.tubes[-1].outer_diameter_m / 2 + scenario.robot.model_error_m
+    sentence = blocked(scenario, target, needed, tolerance)
+    if sentence:
+        raise NoAnswerError(f"{scenario.path or scenario.name}: {scenario.goal.place}: {sentence}.")
+
+
+def blocked(scenario: Scenario, point: Array, needed_m: float, tolerance_m: float) -> str:
+    """Why a body of radius `needed_m` can't come within `tolerance_m` of a point (3,); empty if it can."""
+    for k, part in enumerate(scenario.anatomy):
+        if part.role == "avoid":
+            outside = float(surface_distance(part, point[None])[0])
+            if outside - part.margin_m - needed_m < -tolerance_m:
+                return _inside(scenario, k, outside) if outside < 0 else _too_near(scenario, k, outside, needed_m)
+    lumens = [k for k, part in enumerate(scenario.anatomy) if part.role == "inside"]
+    if lumens:
+        room = {k: -float(surface_distance(scenario.anatomy[k], point[None])[0]) for k in lumens}
+        k = max(room, key=lambda k: room[k] - scenario.anatomy[k].margin_m)
+        if room[k] - scenario.anatomy[k].margin_m - needed_m < -tolerance_m:
+            return _outside(scenario, k, -room[k]) if room[k] < 0 else _too_near(scenario, k, room[k], needed_m)
+    return ""
+
+
+def start_room(checker: MotionChecker) -> float:
+    """Clearance [m] that a scenario's start leaves beyond the margins and the play, whatever the checker's reserve."""
+    _, samples = checker.probe(checker.scenario.start)
+    if samples is None:
+        return 0.0
+    return float(samples.clearance_m[-1]) - (checker.limits.clearance_m - checker.reserve_m)
+
+
+def start_trouble(checker: MotionChecker) -> str:
+    """Where the start leaves the lumen or enters a structure, in words; empty where neither is the trouble."""
+    scenario = checker.scenario
+    if not scenario.anatomy or not checker.space.allowed(scenario.start):
+        return ""
+    located, radius = _body(checker, scenario.start)
+    lumens = [(k, part) for k, part in enumerate(scenario.anatomy) if part.role == "inside"]
+    if lumens:
+        depth = np.max([-surface_distance(part, located) for _, part in lumens], axis=0)
+        worst = int(np.argmin(depth - radius))
+        if depth[worst] < radius[worst]:
+            out_mm, where = (radius - depth)[worst] * MM_PER_M, _at(located[worst])
+            return f"the robot leaves {_lumens(scenario, lumens)} by {out_mm:.2f} mm at {where}"
+    for k, part in enumerate(scenario.anatomy):
+        outside = surface_distance(part, located) - radius
+        worst = int(np.argmin(outside))
+        if part.role == "avoid" and outside[worst] < 0:
+            deep_mm, where = -outside[worst] * MM_PER_M, _at(located[worst])
+            return f"the robot cuts {deep_mm:.2f} mm into {called(scenario, k)} at {where}"
+    return _margin_trouble(scenario, located, radius)
+
+
+def tightest_place(checker: MotionChecker, joints: Array) -> str:
+    """Where the frictionless body of joints (m,) has least room beyond the margins, in words; empty in free space."""
+    if not checker.scenario.anatomy:
+        return ""
+    located, radius = _body(checker, joints)
+    k, worst, _, _ = _tightest(checker.scenario, located, radius)
+    return f"{called(checker.scenario, k)} at {_at(located[worst])}"
+
+
+def _body(checker: MotionChecker, joints: Array) -> tuple[Array, Array]:
+    """Points (N, 3) [m] of the frictionless centreline in the anatomy's frame, radii (N,)."""
+    points, radius = checker.mechanics.body(*checker.space.drive.collars(joints))
+    return checker.scenario.located(points[0]), radius
+
+
+def _margin_trouble(scenario: Scenario, located: Array, radius: Array) -> str:
+    """The margin that the body, points (N, 3) in the anatomy's frame and radii (N,), breaks most."""
+    k, worst, room, beyond = _tightest(scenario, located, radius)
+    if beyond >= scenario.robot.model_error_m:
+        return ""
+    margin_mm, where = scenario.anatomy[k].margin_m * MM_PER_M, _at(located[worst])
+    near = f"the robot is {room * MM_PER_M:.2f} mm from {called(scenario, k)} at {where}"
+    return f"{near}, less than margin_mm = {margin_mm:g}"
+
+
+def _tightest(scenario: Scenario, located: Array, radius: Array) -> tuple[int, int, float, float]:
+    """The part and the point of a body with least room beyond margins; room [m] there, and beyond the margin."""
+    sides = np.array([1.0 if part.role == "avoid" else -1.0 for part in scenario.anatomy])
+    margins = np.array([part.margin_m for part in scenario.anatomy])
+    rooms = sides[:, None] * [surface_distance(part, located) for part in scenario.anatomy] - radius
+    beyond = rooms - margins[:, None]
+    lumens = sides < 0
+    if lumens.any():  # one of them is enough, at each point another
+        best = np.argmax(np.where(lumens[:, None], beyond, -np.inf), axis=0)
+        beyond[lumens[:, None] & (np.arange(len(sides))[:, None] != best)] = np.inf
+    k, worst = np.unravel_index(np.argmin(beyond), beyond.shape)
+    return int(k), int(worst), float(rooms[k, worst]), float(beyond[k, worst])
+
+
+def refuse_impossible_margins(scenario: Scenario) -> None:
+    """Raises InputError where margins leave no room for even the innermost tube anywhere."""
+    grid = anatomy_grid(scenario)
+    if grid is None:
+        return
+    needed = scenario.robot.tubes[-1].outer_diameter_m / 2 + scenario.robot.model_error_m
+    most = float(grid.values_m.max()) + grid.spacing_m  # a grid may miss the very best place by less than a step
+    if most < needed:
+        rule = (
+            f"leave no room for the innermost tube anywhere: it needs {needed * MM_PER_M:.2f} mm, beyond the margins "
+            f"there are {max(most, 0.0) * MM_PER_M:.2f} mm at best"
+        )
+        margins = ", ".join(f"{part.margin_m * MM_PER_M:g}" for part in scenario.anatomy)
+        raise InputError(rule, file=scenario.path, key=f"anatomy margin_mm = [{margins}]")
+
+
+def called(scenario: Scenario, k: int) -> str:
+    """Part k (from 0) as a reader of the scenario file knows it."""
+    return f"anatomy.{k + 1} ({scenario.anatomy[k].shape.name})"
+
+
+def _inside(scenario: Scenario, k: int, outside_m: float) -> str:
+    return f"lies {-outside_m * MM_PER_M:.2f} mm inside {called(scenario, k)}, which is to be avoided"
+
+
+def _outside(scenario: Scenario, k: int, outside_m: float) -> str:
+    return f"lies {outside_m * MM_PER_M:.2f} mm outside {called(scenario, k)}, which the robot stays within"
+
+
+def _too_near(scenario: Scenario, k: int, distance_m: float, needed_m: float) -> str:
+    own, margin, robot = distance_m * MM_PER_M, scenario.anatomy[k].margin_m * MM_PER_M, needed_m * MM_PER_M
+    return (
+        f"is {own:.2f} mm from the surface of {called(scenario, k)}, nearer than its margin_mm = {margin:g} and the "
+        f"robot's own {robot:.2f} mm allow"
+    )
+
+
+def _lumens(scenario: Scenario, lumens: list[tuple[int, AnatomyPart]]) -> str:
+    return called(scenario, lumens[0][0]) if len(lumens) == 1 else "all lumens"
+
+
+def _at(point_m: Array) -> str:
+    return f"{[round(float(x), 1) for x in point_m * MM_PER_M]} mm"
+
+
+def refuse_blocked_fixtures(scenario: Scenario) -> None:
+    """Raises NoAnswerError where a fixture is nearer to the anatomy than margins allow."""
+    if trouble := fixture_trouble(scenario):
+        raise NoAnswerError(f"{scenario.path or scenario.name}: {trouble}.")
+
+
+def fixture_trouble(scenario: Scenario) -> str:
+    """The fixture that breaks its margins most, in words; empty where all keep them."""
+    found = [
+        (*fixture.clearance(scenario.anatomy, scenario.base_position_m, scenario.base_R), k, fixture.name)
+        for k, fixture in enumerate(scenario.fixtures, 1)
+    ]
+    clearance, place, k, name = min(found, key=lambda one: one[0], default=(np.inf, np.zeros(3), 0, ""))
+    if clearance >= 0:
+        return ""
+    at = [round(float(x), 1) for x in place * MM_PER_M]
+    return (
+        f"fixture.{k} ({name}): is {-clearance * MM_PER_M:.2f} mm nearer to the anatomy than margins allow, at {at} mm"
+    )

@@ -1,1 +1,0 @@
-"""Poses over OpenIGTLink, which 3D Slicer and other programs of the operating room listen to."""

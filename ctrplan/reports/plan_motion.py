@@ -1,0 +1,367 @@
+"""The first thing to see in report.html: the robot in motion, and what friction makes of it at each moment."""
+
+from __future__ import annotations
+
+import html
+import json
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from ctrplan.base.arrays import Array
+from ctrplan.base.surface import Surface, capsule
+from ctrplan.plans.timing import place_time_s, sample_time_s
+from ctrplan.reports import looks
+from ctrplan.reports.curves import CURSOR
+from ctrplan.reports.html_page import Markup, lines, plot, script, section, table, tag
+from ctrplan.reports.looks import side_azimuth_rad, view_box
+from ctrplan.reports.plan_scene import PlanScene, goal_tip, tip_path
+from ctrplan.reports.plan_words import START_FRICTION, ClearanceRow, Kind, clearance_rows, point_words
+from ctrplan.reports.robot_surface import anatomy_surface, stand, swept_surface, thinned
+from ctrplan.reports.scene_traces import (
+    SIDES,
+    TILT,
+    anatomy_traces,
+    lay_out,
+    mesh_trace,
+    moved_traces,
+    robot_traces,
+    xyz,
+)
+from ctrplan.reports.words import digits, millimetres, term
+
+if TYPE_CHECKING:
+    from ctrplan.plans.plan import Plan
+    from ctrplan.plans.planned_motion import ComparedWay
+    from ctrplan.reports.plan_scene import NarrowestPose
+
+WAY_NAMES = {
+    "as given": "as the search found it",
+    "as driven": "this plan",
+    "straight line": "all joints at once, as without a look at friction",
+    "translations first": "translations before rotations",
+}
+LIMITATION = (
+    "All end at the joint values of this plan, so that the worst case at the goal is the same. A planner that knows no "
+    "friction might choose others; that is not compared."
+)
+
+
+def other_ways(plan: Plan) -> Markup:
+    """Ways to the goal by their predicted error there, this plan first; nothing where none was compared."""
+    ways = sorted(plan.reorder.alternatives, key=lambda way: way.name != "as driven")
+    if not ways:
+        return Markup()
+    head = ("Same goal, driven", term("predicted friction error", "Predicted error there"))
+    rows = ((_name(way), _left(way)) for way in ways)
+    return tag("div", table(head, rows), tag("p", LIMITATION, kind="quiet small"), kind="ways")
+
+
+def ways_table(plan: Plan) -> Markup:
+    """The same with lengths and what stands against each."""
+    rows = (
+        (_name(way), _left(way), f"{digits(way.length_mm)} mm", way.problem or "valid")
+        for way in plan.reorder.alternatives
+    )
+    return table(("Way to the goal", "Predicted friction error there", "Joint length", "Validity"), rows)
+
+
+def _name(way: ComparedWay) -> Markup | str:
+    name = WAY_NAMES.get(way.name, way.name)
+    return tag("b", name) if way.name == "as driven" else name
+
+
+def _left(way: ComparedWay) -> Markup | str:
+    left = millimetres(way.goal_predicted_m) if math.isfinite(way.goal_predicted_m) else "no way"
+    return tag("span", f"{left}, not valid", kind="bad") if way.problem else left
+
+
+def looking_places(scene: PlanScene) -> dict[str, Any]:
+    """Points in mm and unit vectors, anatomy's frame."""
+    scenario = scene.plan.scenario
+    points = np.concatenate([step.envelope.centreline_m for step in scene.path])
+    azimuth = side_azimuth_rad(points)
+    side = np.array([np.cos(TILT) * np.cos(azimuth), np.cos(TILT) * np.sin(azimuth), np.sin(TILT)])
+    return {
+        "overview": dict(zip("xyz", side.tolist(), strict=True)),
+        "side": side.tolist(),
+        "base": _mm(scenario.base_position_m),
+        "axis": scenario.base_R[:, 2].tolist(),
+        "goal": _mm(goal_tip(scene.plan)),
+        "tips": [_mm(step.tip_m) for step in scene.path],
+        "along": [np.round(step.tubes[-1].tangent[-1], 4).tolist() for step in scene.path],
+        **_closest(scene, side),
+    }
+
+
+def _closest(scene: PlanScene, side: Array) -> dict[str, Any]:
+    """Across the gap where the robot comes closest, and the frame at which it does; nothing in free space."""
+    if scene.narrowest is None:
+        return {}
+    gap = scene.narrowest.gap_m
+    along = (gap[1] - gap[0]) / max(float(np.linalg.norm(gap[1] - gap[0])), 1e-12)
+    beside = side - (side @ along) * along
+    times = [step.time_s for step in scene.path]
+    at = int(np.argmin(np.abs(np.array(times) - place_time_s(scene.plan, scene.narrowest.place))))
+    return {
+        "closest": _mm(gap.mean(axis=0)),
+        "closest_side": (beside / max(float(np.linalg.norm(beside)), 1e-12)).tolist(),
+        "closest_frame": at,
+    }
+
+
+def _mm(point_m: Array) -> list[float]:
+    found: list[float] = np.round(point_m * 1e3, 3).tolist()
+    return found
+
+
+NAMES: dict[Kind, str] = {
+    "nominal": "clearance without friction",
+    "closest": "clearance in the worst friction state",
+    "narrowest": "certified clearance",
+}
+NO_BREAK = "\u00a0"
+WITHIN = 0.95  # of its radius: hidden where the moving robot is
+LABEL_M = 6e-3  # beyond the wall
+FAR_MM = 10.0  # clearances beyond look alike
+NAME = f"{looks.NARROW_BODY.name}: red 0, blue {FAR_MM:g} mm"  # a colour bar would cover the robot in small windows
+SCALE = [[share, colour] for share, colour in zip((0.0, 0.3, 1.0), looks.CLEARANCES, strict=True)]
+
+
+def narrowest_traces(pose: NarrowestPose) -> list[Any]:
+    """The body coloured by its clearance, and the gap at its narrowest with its number."""
+    return [_body(pose), *_gap(pose)]
+
+
+def _body(pose: NarrowestPose) -> Any:
+    slim = replace(pose.body, radius_m=WITHIN * pose.body.radius_m)
+    trace = mesh_trace(slim.surface(SIDES), looks.NARROW_BODY.colour, 1.0, NAME)
+    clearance_mm = np.concatenate([np.repeat(pose.clearance_m, SIDES), pose.clearance_m[[0, -1]]]) * 1e3
+    trace.update(intensity=clearance_mm.astype(np.float32), colorscale=SCALE, cmin=0.0, cmax=FAR_MM, showscale=False)
+    trace.update(hoverinfo=None, hovertemplate="clearance %{intensity:.2f} mm<extra></extra>")
+    return trace
+
+
+def _gap(pose: NarrowestPose) -> list[Any]:
+    """Across the free room, and its number beyond the wall, where the robot does not cover it."""
+    colour, number = looks.NARROWEST.colour, millimetres(pose.place.clearance_m)
+    name = f"{looks.NARROWEST.name}: {number} beyond the margin"
+    across = pose.gap_m[1] - pose.gap_m[0]
+    beside = pose.gap_m[1] + LABEL_M * across / max(float(np.linalg.norm(across)), 1e-12)
+    drawn = {"mode": "lines+markers", "line": {"color": colour, "width": 5}, "marker": {"color": colour, "size": 4}}
+    hover = f"clearance {number} beyond the margin, in the worst friction state<extra></extra>"
+    label = {"text": [f"<b>{number}</b>"], "textfont": {"color": colour, "size": 14}, "textposition": "middle right"}
+    return [
+        go.Scatter3d(**xyz(pose.gap_m), **drawn, name=name, hovertemplate=hover),
+        go.Scatter3d(**xyz(beside[None]), mode="text", hoverinfo="skip", **label, name=name, showlegend=False),
+    ]
+
+
+def clearance_section(plan: Plan) -> Markup:
+    """Three numbers with their places, and what is assumed of friction before the start; nothing in free space."""
+    rows = clearance_rows(plan)
+    if not rows:
+        return Markup()
+    header = ("Clearance beyond the margins", "", "Where, in the anatomy's frame", "When")
+    start = f"Friction before the start: {START_FRICTION[plan.certificate.start_friction]}."
+    return section("How near it comes to the anatomy", table(header, map(_cells, rows)), tag("p", start, kind="quiet"))
+
+
+def _cells(row: ClearanceRow) -> tuple[Markup | str, ...]:
+    where = (f"tube {row.place.tube} to {row.place.part}", point_words(row.place.point_m))
+    state = "no friction" if row.kind == "nominal" else f"friction {row.friction}"
+    return (
+        term(NAMES[row.kind]),
+        tag("b", millimetres(row.clearance_m).replace(" ", NO_BREAK)),
+        lines(where),
+        lines(text.replace(" ", NO_BREAK) for text in (row.when, state)),
+    )
+
+
+SWEPT_OPACITY, SWEPT_TRIANGLES = 0.10, 15_000
+BOUND_SCALE = [[0.0, "#2F6FB0"], [0.5, "#B07AA1"], [1.0, looks.TIP_PATH.colour]]
+
+
+def scene_figure(scene: PlanScene) -> go.Figure:
+    """A plotly figure of the start with a frame per pose; frames are called by their time in s."""
+    plan, path = scene.plan, scene.path
+    names = [f"{step.time_s:.3f}" for step in path]
+    moving = robot_traces(scene.start)
+    anatomy = [anatomy_surface(part) for part in plan.scenario.anatomy]
+    swept = mesh_trace(
+        thinned(swept_surface(path), SWEPT_TRIANGLES),
+        looks.ENVELOPE_LOOK.colour,
+        SWEPT_OPACITY,
+        "space the envelope sweeps",
+    ).update(meta={"cut": True})
+    figure = go.Figure([*moving, *_still(scene, anatomy), swept])
+    figure.frames = [
+        go.Frame(data=moved_traces(step), traces=list(range(len(moving))), name=name)
+        for step, name in zip(path, names, strict=True)
+    ]
+    points = np.concatenate([step.envelope.surface(4).vertices_m for step in path] + [goal_tip(plan)[None]])
+    solid = np.concatenate([np.empty((0, 3)), *(s.vertices_m for s in anatomy)])
+    lay_out(figure, *view_box(points, solid), points, plan.scenario.frame)
+    return figure
+
+
+def _still(scene: PlanScene, anatomy: list[Surface]) -> list[Any]:
+    plan, scenario = scene.plan, scene.plan.scenario
+    slim = [replace(rod, radius_m=0.9 * rod.radius_m) for rod in scene.goal.tubes]  # hidden where the moving robot is
+    ghost = [
+        mesh_trace(rod.surface(SIDES), looks.AT_GOAL.colour, 1.0, looks.AT_GOAL.name, shown=i == 0)
+        for i, rod in enumerate(slim)
+    ]
+    disc = mesh_trace(stand(scenario), looks.PLATE_LOOK.colour, 1.0, looks.PLATE_LOOK.name)
+    narrow = narrowest_traces(scene.narrowest) if scene.narrowest else []
+    return [*ghost, disc, _tip_path(plan), *_goal(plan), *narrow, *anatomy_traces(scenario, anatomy)]
+
+
+def _tip_path(plan: Plan) -> Any:
+    bound_mm = (plan.certificate.samples.bound_m * 1e3).astype(np.float32)
+    bar = {
+        "title": {"text": f"{looks.TIP_PATH.name}:<br>worst case (mm)", "font": {"size": 11}},
+        "thickness": 10,
+        "len": 0.42,
+        "x": 1.0,
+        "xanchor": "right",
+        "y": 0.24,
+        "tickfont": {"size": 11},
+    }
+    scale = {"colorscale": BOUND_SCALE, "cmin": 0, "cmax": max(float(np.nanmax(bound_mm)), 1e-6), "colorbar": bar}
+    return go.Scatter3d(
+        **xyz(tip_path(plan)),
+        mode="lines",
+        line={"color": bound_mm, "width": 6, **scale},
+        showlegend=False,
+        customdata=bound_mm,
+        hovertemplate="worst-case friction error %{customdata:.2f} mm<extra></extra>",
+    )
+
+
+def _goal(plan: Plan) -> list[Any]:
+    goal, tip_m = plan.scenario.goal, goal_tip(plan)
+    way = [goal.tip_m for goal in plan.scenario.via if goal.tip_m is not None]
+    marker = {"symbol": "diamond", "size": 6, "color": looks.GOAL_LOOK.colour}
+    hover = {"hovertemplate": "goal<extra></extra>"}
+    traces = [go.Scatter3d(**xyz(tip_m[None]), mode="markers", marker=marker, name=looks.GOAL_LOOK.name, **hover)]
+    if way:
+        hollow = marker | {"symbol": "diamond-open"}
+        hover_way = {"hovertemplate": "target on the way<extra></extra>"}
+        traces.append(
+            go.Scatter3d(**xyz(np.array(way)), mode="markers", marker=hollow, name="targets on the way", **hover_way)
+        )
+    if goal.line_m is not None:
+        line = {"color": looks.GOAL_LOOK.colour, "width": 5, "dash": "dot"}
+        traces.append(
+            go.Scatter3d(**xyz(goal.line_m), mode="lines", line=line, name="line to follow", hoverinfo="skip")
+        )
+    if goal.tip_m is not None:
+        name = f"goal tolerance {html.escape(millimetres(goal.tolerance_m))}"
+        traces.append(mesh_trace(capsule(tip_m, tip_m, goal.tolerance_m, 20), looks.GOAL_LOOK.colour, 0.25, name))
+    if goal.direction is not None:
+        arrow = np.stack([tip_m - 0.015 * goal.direction, tip_m])
+        line = {"color": looks.GOAL_LOOK.colour, "width": 4}
+        traces.append(go.Scatter3d(**xyz(arrow), mode="lines", line=line, name="goal direction", hoverinfo="skip"))
+    return traces
+
+
+SCRIPTS = ("fit_camera.js", "scene_key.js", "plan_page/player.js", "plan_page/looking.js")
+CURVES = ("margins", "joints")  # where the time is marked
+SHORTEST_FRAME_MS, LONGEST_FRAME_MS = 60, 200  # a motion plays in real time where that is neither jerky nor dull
+HINT = "Drag to turn, scroll to zoom; a click on a name hides a part. The time is marked on the curves below."
+
+
+def motion_section(scene: PlanScene) -> Markup:
+    """Scene and player, figures of the moment, and what other ways to the same goal would leave."""
+    code = "".join(map(script, SCRIPTS)) + _starting(scene)
+    figure = scene_figure(scene)
+    drawn = plot(figure, "scene", with_library=True, script=code, kind="plot scene")
+    left = tag("div", drawn, _controls(scene), Markup('<div id="looking" class="looking"></div><div id="key"></div>'))
+    right = tag("div", _figures(scene), other_ways(scene.plan), kind="beside")
+    hint = tag("p", HINT + _thinned(scene, figure), kind="quiet hint")
+    return section("The motion", tag("div", left, right, kind="motion"), hint)
+
+
+def moments(scene: PlanScene) -> dict[str, list[str]]:
+    """Texts for each pose of the path, by the id of the element that shows them."""
+    samples = scene.plan.certificate.samples
+    times, at = sample_time_s(scene.plan), np.array([step.time_s for step in scene.path])
+    columns = {"bound": samples.bound_m, "predicted": samples.predicted_m, "clearance": samples.clearance_m}
+    return {f"now_{name}": [_length(value) for value in _then(times, column, at)] for name, column in columns.items()}
+
+
+def _then(times: Array, column: Array, at: Array) -> list[float]:
+    """A column of the certificate at other times; infinite where all of it is."""
+    return np.interp(at, times, column).tolist() if np.isfinite(column).all() else [float(column[0])] * len(at)
+
+
+def _length(value_m: float) -> str:
+    return "free space" if value_m == np.inf else millimetres(value_m)
+
+
+def _controls(scene: PlanScene) -> Markup:
+    last = len(scene.path) - 1
+    if not last:
+        return Markup()
+    return Markup(
+        '<div class="player"><button id="play" type="button">▶ Play</button>'
+        f'<input id="time" type="range" min="0" max="{last}" value="0" step="1" aria-label="time">'
+        f'<output id="now">{scene.start.time_s:.1f} s</output></div>'
+    )
+
+
+def _figures(scene: PlanScene) -> Markup:
+    """Of the first frame; the player changes them."""
+    first = {name: values[0] for name, values in moments(scene).items()}
+    rows = (
+        ("now_bound", term("worst-case friction error", "worst-case friction error now"), "large bound"),
+        ("now_predicted", term("predicted friction error", "predicted friction error now"), "large"),
+        ("now_clearance", term("clearance", "clearance beyond the margins now"), "large"),
+    )
+    return tag(
+        "div",
+        *(
+            tag("div", Markup(f'<b id="{name}" class="{kind}">{first[name]}</b>'), tag("span", label))
+            for name, label, kind in rows
+        ),
+        kind="moment",
+    )
+
+
+def _thinned(scene: PlanScene, figure: Any) -> str:
+    """What is drawn of a fine mesh; distances are those of all its triangles."""
+    whole = sum(len(part.shape.surface().faces) for part in scene.plan.scenario.anatomy)
+    drawn = sum(len(trace.i) for trace in figure.data if trace.meta and "wall" in trace.meta)
+    if drawn == whole:
+        return ""
+    return f" The anatomy is drawn in {drawn:,} of its {whole:,} triangles; distances are to all of them."
+
+
+def _starting(scene: PlanScene) -> str:
+    """What runs once the scene and all of the page stand."""
+    calls = ["addKey(plot, document.getElementById('key'))", "keepFitted(plot)"]
+    calls.append(f"addLooking(plot, {json.dumps(looking_places(scene))})")
+    if len(scene.path) > 1:
+        calls.append(f"addPlayer(plot, {json.dumps(_motion(scene))})")
+    body = f"const plot = document.getElementById('scene'); {'; '.join(calls)};"
+    return (
+        f"\nfunction start() {{ {body} }}\n"
+        "if (document.readyState === 'loading') document.addEventListener('DOMContentLoaded', start); else start();\n"
+    )
+
+
+def _motion(scene: PlanScene) -> dict[str, Any]:
+    """What player.js needs to know."""
+    path, duration_s = scene.path, scene.plan.trajectory.duration_s
+    return {
+        "frames": [f"{step.time_s:.3f}" for step in path],
+        "time_s": [step.time_s for step in path],
+        "figures": moments(scene),
+        "curves": CURVES,
+        "cursor": CURSOR,
+        "step_ms": float(np.clip(1e3 * duration_s / (len(path) - 1), SHORTEST_FRAME_MS, LONGEST_FRAME_MS)),
+    }

@@ -1,1 +1,0 @@
-"""plan.png, simulation.png, sweep.png."""

@@ -1,0 +1,174 @@
+"""report.html of inverse kinematics: every configuration that reaches a point, drawn and in a table, the safest
+first.
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+import plotly.graph_objects as go
+
+from ctrplan.base.arrays import Array
+from ctrplan.base.version import __version__
+from ctrplan.errors import SolverError
+from ctrplan.planning.goals.reach import Configuration, Reach
+from ctrplan.reports import looks
+from ctrplan.reports.html_page import Markup, facts, page, plot, script, section, table, tag
+from ctrplan.reports.looks import view_box
+from ctrplan.reports.robot_surface import Pose, anatomy_surface, pose, stand
+from ctrplan.reports.scene_traces import anatomy_traces, lay_out, mesh_trace, xyz
+from ctrplan.reports.words import degrees, digits, glossary, millimetres, term
+from ctrplan.scenario.scenario import Scenario
+
+MOST_DRAWN = len(looks.SERIES)  # branches, which have a colour each
+SIDES = 10
+
+
+@dataclass(frozen=True, eq=False)
+class ReachScene:
+    """What was found, and what is drawn of it."""
+
+    scenario: Scenario
+    configurations: tuple[Configuration, ...]  # lowest bound first
+    branches: tuple[int, ...]  # of each, from 0
+    target_m: Array  # (3,) anatomy's frame
+    poses: tuple[tuple[int, Pose], ...]  # branch, and the robot in its first configuration
+
+
+def reach_scene(scenario: Scenario, found: Reach, branches: list[int]) -> ReachScene:
+    """Solves a bound for each branch that is drawn."""
+    poses = []
+    for branch in range(min(MOST_DRAWN, len(set(branches)))):
+        with suppress(SolverError):
+            poses.append((branch, pose(scenario, found.configurations[branches.index(branch)].joints)))
+    target = scenario.located(np.asarray(found.target.tip_m))
+    return ReachScene(scenario, found.configurations, tuple(branches), target, tuple(poses))
+
+
+def reach_figure(scene: ReachScene) -> go.Figure:
+    """All these robots at once, each in its branch's colour with its envelope."""
+    surfaces = [anatomy_surface(part) for part in scene.scenario.anatomy]
+    traces = [mesh_trace(stand(scene.scenario), looks.PLATE_LOOK.colour, 1.0, looks.PLATE_LOOK.name)]
+    for branch, shown in scene.poses:
+        colour, name = looks.SERIES[branch], f"branch {branch + 1}"
+        for tube, rod in enumerate(shown.tubes):
+            traces.append(mesh_trace(rod.surface(SIDES), colour, 1.0, name, shown=tube == 0))
+        traces.append(mesh_trace(shown.envelope.surface(SIDES), colour, 0.15, name, shown=False))
+    marker = {"symbol": "diamond", "size": 6, "color": looks.GOAL_LOOK.colour}
+    point = go.Scatter3d(**xyz(scene.target_m[None]), mode="markers", marker=marker, name="the point asked for")
+    figure = go.Figure([*traces, point, *anatomy_traces(scene.scenario, surfaces)])
+    robots = [shown.envelope.surface(4).vertices_m for _, shown in scene.poses]
+    points = np.concatenate([*robots, scene.target_m[None], scene.scenario.located(np.zeros((1, 3)))])
+    solid = np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface in surfaces)])
+    lay_out(figure, *view_box(points, solid), points, scene.scenario.frame)
+    return figure
+
+
+WORDS = ("branch", "worst-case friction error", "clearance", "stability", "envelope of friction")
+START = """
+const begin = () => {
+  const plot = document.getElementById('scene');
+  addKey(plot, document.getElementById('key'));
+  keepFitted(plot);
+};
+if (document.readyState === 'loading') document.addEventListener('DOMContentLoaded', begin); else begin();
+"""
+
+
+def reach_report_html(scene: ReachScene) -> str:
+    """The content of report.html; there must be a configuration."""
+    scenario, best = scene.scenario, _best(scene)
+    return page(
+        f"Ways to a point - {scenario.name}",
+        tag("p", f"Inverse kinematics of {scenario.robot.name}", kind="kicker"),
+        tag("h1", _headline(scene)),
+        tag("p", _sentence(scene), kind=f"verdict {'good' if any(c.valid for c in scene.configurations) else 'bad'}"),
+        _tiles(best),
+        _drawn(scene),
+        section("All of them, lowest worst-case error first", _table(scene), glossary(*WORDS)),
+        section("Where this comes from", _provenance(scene)),
+    )
+
+
+def _best(scene: ReachScene) -> Configuration:
+    """With the lowest worst case, of the valid ones if there are any."""
+    return next((c for c in scene.configurations if c.valid), scene.configurations[0])
+
+
+def _headline(scene: ReachScene) -> str:
+    count, branches = len(scene.configurations), len(set(scene.branches))
+    ways = "1 configuration" if count == 1 else f"{count} configurations"
+    return f"{ways} in {branches} {'branch' if branches == 1 else 'branches'}"
+
+
+def _sentence(scene: ReachScene) -> str:
+    x, y, z = (scene.target_m * 1e3).tolist()
+    valid, best = sum(c.valid for c in scene.configurations), _best(scene)
+    kept = f"{valid} of them keep all limits and margins" if valid else "none of them keeps all limits and margins"
+    return (
+        f"The tip without friction reaches ({x:.1f}, {y:.1f}, {z:.1f}) mm; {kept}. In the best of these friction "
+        f"can take it up to {millimetres(best.bound_m)} away."
+    )
+
+
+def _tiles(best: Configuration) -> Markup:
+    shown = [
+        (millimetres(best.bound_m), term("worst-case friction error", "smallest worst-case friction error")),
+        (millimetres(best.tip_error_m), "tip without friction from the point, there"),
+        (_clearance(best), term("clearance", "clearance beyond margins, there")),
+        (digits(best.stability), term("stability", "stability, there")),
+    ]
+    return tag("div", *(tag("div", tag("b", v), tag("span", n), kind="tile") for v, n in shown), kind="tiles")
+
+
+def _drawn(scene: ReachScene) -> Markup:
+    code = script("fit_camera.js") + script("scene_key.js") + START
+    figure = plot(reach_figure(scene), "scene", with_library=True, script=code, kind="plot scene")
+    hint = "The first configuration of each branch with its envelope of friction. Drag to turn, scroll to zoom."
+    if len(set(scene.branches)) > MOST_DRAWN:
+        hint += f" The {MOST_DRAWN} branches with the smallest worst case are drawn."
+    return section("In space", figure, Markup('<div id="key"></div>'), tag("p", hint, kind="quiet hint"))
+
+
+def _table(scene: ReachScene) -> Markup:
+    joints = scene.scenario.robot.drive.joints
+    head = (
+        term("branch", "Branch"), *(f"{joint.name} ({joint.unit})" for joint in joints),
+        term("worst-case friction error", "Worst case"), "Direction", term("stability", "Stability"),
+        term("clearance", "Clearance"), "Tip error", "",
+    )  # fmt: skip
+    pairs = zip(scene.configurations, scene.branches, strict=True)
+    return table(head, (_row(scene, c, branch) for c, branch in pairs))
+
+
+def _row(scene: ReachScene, c: Configuration, branch: int) -> tuple[str, ...]:
+    joints = zip(c.joints.tolist(), scene.scenario.robot.drive.joints, strict=True)
+    colour = looks.SERIES[branch] if branch < MOST_DRAWN else looks.MUTED
+    return (
+        Markup(f'<b style="color: {colour}">{branch + 1}</b>'),
+        *(f"{value / joint.si_per_unit:.2f}" for value, joint in joints),
+        millimetres(c.bound_m),
+        degrees(c.bound_rad),
+        digits(c.stability),
+        _clearance(c),
+        millimetres(c.tip_error_m),
+        tag("span", f"not valid: {c.reason}", kind="bad") if c.reason else tag("span", "valid", kind="good"),
+    )
+
+
+def _clearance(c: Configuration) -> str:
+    return "free space" if math.isinf(c.clearance_m) else millimetres(c.clearance_m)
+
+
+def _provenance(scene: ReachScene) -> Markup:
+    scenario, robot = scene.scenario, scene.scenario.robot
+    return facts(
+        [
+            ("File", f"{scenario.name}, {scenario.path or robot.path or 'not from a file'}"),
+            ("SHA-256 of the robot", tag("code", robot.sha256)),
+            ("ctrplan", __version__),
+        ]
+    )

@@ -1,0 +1,258 @@
+"""The robot at one place and the space that it sweeps, as triangle surfaces in the anatomy's frame.
+
+A tube is shown from the front plate to its tip; its part behind the plate is the drive's business.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import igl
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicHermiteSpline
+from scipy.spatial import cKDTree
+
+from ctrplan.anatomy.surface_file import collapsed
+from ctrplan.base.arrays import Array
+from ctrplan.base.surface import Rod, Surface
+from ctrplan.errors import SolverError
+
+if TYPE_CHECKING:
+    from ctrplan.anatomy.parts import AnatomyPart
+    from ctrplan.mechanics.shapes import Bound, TubeShape
+    from ctrplan.scenario.scenario import Scenario
+
+
+def anatomy_surface(part: AnatomyPart, triangles: int = 12_000) -> Surface:
+    """The surface of a part in no more than `triangles`; coarser ones as they are."""
+    return thinned(part.shape.surface(), triangles)
+
+
+def thinned(surface: Surface, triangles: int) -> Surface:
+    """The surface in no more than `triangles`: to look at, not to measure.
+
+    Edges collapse where the package for that is there, which keeps thin vessels whole; then vertices merge in cells of
+    a grid.
+    """
+    if len(surface.faces) > triangles and (fewer := collapsed(surface.vertices_m, surface.faces, triangles)):
+        surface = Surface(*fewer)
+    cell = float(np.sqrt(2 * _area(surface) / triangles))
+    while len(surface.faces) > triangles:
+        surface = _merged(surface, cell)
+        cell *= 1.2
+    return surface
+
+
+def _area(surface: Surface) -> float:
+    a, b, c = np.moveaxis(surface.vertices_m[surface.faces], 1, 0)
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+
+def _merged(surface: Surface, cell_m: float) -> Surface:
+    """Every vertex at the mean of its cell, triangles that collapse left out."""
+    cells = np.floor(surface.vertices_m / cell_m).astype(np.int64)
+    _, label, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    label = label.reshape(-1)  # numpy 2.0 returns it as a column
+    mean = np.stack([np.bincount(label, column) / count for column in surface.vertices_m.T], axis=1)
+    faces = label[surface.faces]
+    distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    return Surface(mean, faces[distinct])
+
+
+STATIONS = 40
+STEP_M = 1e-5  # over which the outline drops from one tube's radius to the next one's
+PLATE_THICKNESS_M = 0.8e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """The robot at one place of its path, anatomy's frame; S stations per line, the same for every pose."""
+
+    time_s: float
+    tubes: tuple[Rod, ...]  # frictionless, outermost first
+    envelope: Rod  # the outline with everything friction, as bounded, and the model error may add
+    corners_m: Array  # (2**(n - 1), S, 3) innermost centreline of the corner shapes
+    bound_m: float
+    ends_R: Array  # (n, 3, 3) frames of the tubes where they end, third column along the tube
+
+    @property
+    def tip_m(self) -> Array:
+        """(3,) tip without friction."""
+        tip: Array = self.tubes[-1].centreline_m[-1]
+        return tip
+
+
+def pose(scenario: Scenario, joints: ArrayLike, time_s: float = 0.0) -> Pose:
+    """The robot at commanded joints (m,) [rad, m]; solves one bound. Raises SolverError where there is no solution."""
+    bound = scenario.robot.mechanics.bound(*scenario.robot.drive.collars(joints))
+    if not np.isfinite(bound.position_m):
+        raise SolverError("The model has no solution at these joints.")
+    return _posed(scenario, bound, time_s)
+
+
+def _posed(scenario: Scenario, bound: Bound, time_s: float) -> Pose:
+    robot, tubes = scenario.robot, bound.frictionless.tubes
+    radii = [tube.outer_diameter_m / 2 for tube in robot.tubes]
+    rods = [_rod(tube, _stations(tube), radius) for tube, radius in zip(tubes, radii, strict=True)]
+    return Pose(
+        time_s,
+        tuple(_in_anatomy(scenario, rod) for rod in rods),
+        _in_anatomy(scenario, _envelope(bound, radii, robot.model_error_m)),
+        np.array([scenario.located(_line(c.tubes[-1], _stations(c.tubes[-1]))[0]) for c in bound.corners]),
+        bound.position_m,
+        scenario.base_R @ np.array([tube.frames[-1] for tube in tubes]),
+    )
+
+
+def plate(scenario: Scenario) -> Rod:
+    """The front plate, a disc that ends where the robot begins."""
+    z = np.array([[0, 0, -PLATE_THICKNESS_M], [0, 0, 0]])
+    radius = 4 * max(tube.outer_diameter_m for tube in scenario.robot.tubes) / 2
+    return _in_anatomy(scenario, Rod(z, np.tile([0.0, 0.0, 1.0], (2, 1)), np.full(2, radius)))
+
+
+def stand(scenario: Scenario) -> Surface:
+    """The front plate and the fixtures at it."""
+    surfaces = [plate(scenario).surface(32), *(fixture.shape.surface() for fixture in scenario.fixtures)]
+    vertices = [surfaces[0].vertices_m, *(scenario.located(surface.vertices_m) for surface in surfaces[1:])]
+    before = np.cumsum([0, *map(len, vertices[:-1])])
+    faces = [surface.faces + count for surface, count in zip(surfaces, before, strict=True)]
+    return Surface(np.concatenate(vertices), np.concatenate(faces))
+
+
+def _in_anatomy(scenario: Scenario, rod: Rod) -> Rod:
+    return Rod(scenario.located(rod.centreline_m), rod.tangent @ scenario.base_R.T, rod.radius_m)
+
+
+def _stations(tube: TubeShape) -> Array:
+    """Arc lengths (S,) from the plate to the tip; all at the tip of a tube that is behind the plate."""
+    return np.linspace(min(0.0, tube.s_m[-1]), tube.s_m[-1], STATIONS)
+
+
+def _rod(tube: TubeShape, s_m: Array, radius_m: float) -> Rod:
+    return Rod(*_line(tube, s_m), np.full(len(s_m), radius_m if tube.s_m[-1] > 0 else 0.0))
+
+
+def _line(tube: TubeShape, s_m: Array) -> tuple[Array, Array]:
+    """Points and unit tangents (S, 3), (S, 3) of a tube at s_m."""
+    line = CubicHermiteSpline(tube.s_m, tube.centreline_m, tube.frames[:, :, 2])
+    tangent = line(s_m, 1)
+    return line(s_m), tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
+
+
+def _envelope(bound: Bound, radii_m: list[float], model_error_m: float) -> Rod:
+    """The outline of all tubes, thicker by the deviation of its station; a ring at each side of a tube's end."""
+    shape = bound.frictionless
+    end = max(float(shape.s_m[-1]), 0.0)
+    tube_ends = np.array([tube.s_m[-1] for tube in shape.tubes])
+    steps = np.concatenate([tube_ends[:-1], tube_ends[:-1] + STEP_M]).clip(0.0, end)
+    s_m = np.sort(np.concatenate([np.linspace(0.0, end, STATIONS), steps]))
+    reaches: NDArray[np.bool_] = s_m[:, None] <= tube_ends + STEP_M / 2
+    outline = np.where(reaches, radii_m, 0.0).max(axis=1)
+    deviation = np.interp(s_m, shape.s_m, bound.envelope_m)
+    return Rod(*_line(shape.tubes[-1], np.minimum(s_m, shape.s_m[-1])), outline + deviation + model_error_m)
+
+
+WIDTH, STANDS_OUT = 0.018, 1.35  # share of the robot's length, and of the outermost radius
+
+
+def tube_surface(pose: Pose, tube: int, sides: int) -> Surface:
+    """The tube with the ring at its end, which has no size where the tube can be seen; 0 the outermost."""
+    rod, ring = pose.tubes[tube].surface(sides), end_ring(pose, tube).surface(sides)
+    return Surface(
+        np.concatenate([rod.vertices_m, ring.vertices_m]),
+        np.concatenate([rod.faces, ring.faces + len(rod.vertices_m)]),
+    )
+
+
+def end_ring(pose: Pose, tube: int) -> Rod:
+    """Rings of tubes that end at the same place stand behind each other, the outer one's first."""
+    lengths = [_arc_lengths(rod.centreline_m)[-1] for rod in pose.tubes]
+    width, rod = WIDTH * max(lengths), pose.tubes[tube]
+    hidden = tube > 0 and lengths[tube] < max(lengths[:tube]) + width and rod.radius_m[0] > 0
+    place = sum(abs(length - lengths[tube]) < width for length in lengths[:tube])
+    s_m, last = _arc_lengths(rod.centreline_m), lengths[tube] - place * width
+    ends = np.clip([last - width, last], 0.0, None)
+    line = np.stack([np.interp(ends, s_m, column) for column in rod.centreline_m.T], axis=1)
+    tangent = np.repeat(rod.tangent[-1:], 2, axis=0)
+    radius = STANDS_OUT * max(other.radius_m.max() for other in pose.tubes) if hidden else 0.0
+    return Rod(line, tangent, np.full(2, radius))
+
+
+def _arc_lengths(line_m: Array) -> Array:
+    """(S,) along the line, 0 at its beginning."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line_m, axis=0), axis=1))])
+
+
+NODES = 400_000
+FINEST_M = 1.0e-3
+THINNEST_CELLS = 0.9  # a thinner rod could slip between the nodes of the grid
+STRIDE, FAR_CELLS = 4, 8
+SPACING_CELLS = 0.5  # of the spheres that stand for a rod, or thin ones would be beads on a string
+
+
+def swept_surface(poses: Sequence[Pose]) -> Surface:
+    """The union of all poses' envelopes, each a row of spheres along its centreline.
+
+    Which sphere a point is deepest in, or nearest to, is asked by its power |x - c|^2 - r^2: that is the nearest
+    neighbour among the points (c, sqrt(R^2 - r^2)) in four dimensions, R being the largest radius.
+    """
+    rods = [pose.envelope for pose in poses]
+    largest = max(float(rod.radius_m.max()) for rod in rods)
+    centres = np.concatenate([rod.centreline_m for rod in rods])
+    lower, upper = centres.min(axis=0) - largest - FINEST_M, centres.max(axis=0) + largest + FINEST_M
+    cell = max(FINEST_M, float(np.cbrt((upper - lower).prod() / NODES)))
+    nodes, counts = _grid(lower - cell, upper + cell, cell)
+    centres, radii = _spheres(rods, cell)
+    values = _depths(nodes, counts, centres, radii, cell)
+    vertices, faces, *_ = igl.marching_cubes(values, nodes, *counts, 0.0)
+    return Surface(
+        np.asarray(vertices, dtype=np.float64).reshape(-1, 3), np.asarray(faces, dtype=np.int64).reshape(-1, 3)
+    )
+
+
+def _depths(nodes: Array, counts: tuple[int, int, int], centres: Array, radii: Array, cell: float) -> Array:
+    """(K,) distance [m] from the union of spheres, negative within; of nodes far from its surface the sign alone.
+
+    Every fourth node along each axis is asked first. Where it is farther from the surface than from a node, that node
+    is on the same side. Outside, the fourth dimension tells a distance that no sphere, however large, comes below.
+    """
+    largest, far = float(radii.max()), FAR_CELLS * cell
+    tree = cKDTree(np.column_stack([centres, np.sqrt(largest**2 - radii**2)]))
+
+    def depths(places: Array) -> tuple[Array, Array]:
+        lifted, which = tree.query(np.pad(places, ((0, 0), (0, 1))), distance_upper_bound=largest + far)
+        found, near = np.full(len(places), far), which < len(centres)
+        found[near] = np.linalg.norm(places[near] - centres[which[near]], axis=1) - radii[which[near]]
+        return found, np.where(found > 0, np.minimum(lifted - largest, far), found)
+
+    places = np.unravel_index(np.arange(len(nodes)), counts, order="F")
+    some = np.flatnonzero(np.all([place % STRIDE == 0 for place in places], axis=0))
+    asked = np.empty(tuple((count - 1) // STRIDE + 1 for count in counts))
+    asked[tuple(place[some] // STRIDE for place in places)] = depths(nodes[some])[1]
+    beside = ((place + STRIDE // 2) // STRIDE for place in places)
+    values: Array = asked[tuple(np.minimum(row, size - 1) for row, size in zip(beside, asked.shape, strict=True))]
+    close = np.abs(values) < (np.sqrt(3) * (STRIDE - 1) + 1) * cell
+    values[close] = depths(nodes[close])[0]
+    return values
+
+
+def _spheres(rods: Sequence[Rod], cell: float) -> tuple[Array, Array]:
+    """Centres (K, 3) and radii (K,) along the rods, none thinner than the grid can hold."""
+    found = []
+    for rod in rods:
+        s_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(rod.centreline_m, axis=0), axis=1))])
+        at = np.linspace(0.0, s_m[-1], int(s_m[-1] / (SPACING_CELLS * cell)) + 2)
+        found.append(np.column_stack([np.interp(at, s_m, row) for row in (*rod.centreline_m.T, rod.radius_m)]))
+    rows = np.concatenate(found)
+    return rows[:, :3], np.maximum(rows[:, 3], THINNEST_CELLS * cell)
+
+
+def _grid(lower: Array, upper: Array, cell: float) -> tuple[Array, tuple[int, int, int]]:
+    """Nodes (K, 3), x running fastest, and their numbers along each axis."""
+    axes = [np.arange(a, b + cell, cell) for a, b in zip(lower, upper, strict=True)]
+    z, y, x = np.meshgrid(*axes[::-1], indexing="ij")
+    return np.stack([x, y, z], axis=-1).reshape(-1, 3), (len(axes[0]), len(axes[1]), len(axes[2]))

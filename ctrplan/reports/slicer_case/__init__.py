@@ -1,1 +1,0 @@
-"""A plan as a folder that 3D Slicer opens."""

@@ -1,1 +1,0 @@
-"""Poses of the tip and what a tracker makes of them."""

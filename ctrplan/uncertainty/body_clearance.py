@@ -1,0 +1,274 @@
+"""Bodies in every corner of friction, and how near to the anatomy uncertain parameters and the base may displace
+them.
+
+Both are differenced with the bodies, at one end of every axis of the box (`body_spread.py`).
+
+The core differentiates tips, not bodies. Bodies are differenced: solved at the middle of the intervals and at one end
+of each axis of the box. The other end is taken to lie opposite; the worst combination is solved by whoever asks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrplan.base.arrays import Array
+from ctrplan.mechanics.shapes import FrictionBodies
+from ctrplan.scenario.anatomy_grid import anatomy_grid
+from ctrplan.uncertainty.parameters import UncertainParameters
+from ctrplan.uncertainty.tip_slopes import friction_states, held_collars
+from ctrplan.uncertainty.worst_case import BaseBall, Farthest, OffsetBox, Sides, farthest, reach_m, rough_reach_m
+
+if TYPE_CHECKING:
+    from ctrplan.scenario.scenario import Scenario
+
+Solve = Callable[[Array], Array]  # (P,) away from the values -> (S,); NaN without an equilibrium
+
+
+@dataclass(frozen=True, eq=False)
+class MarginSpread:
+    """A number of S friction states; the larger the better. NaN where there is no equilibrium."""
+
+    value: Array  # (S,)
+    middle: Array  # (S,) change at the middle of the intervals
+    sides: Array  # (S, A) further change at the end of each axis of the box
+
+    def lost(self, parameters: UncertainParameters, solve: Solve) -> float:
+        """How much the least may fall within the intervals: to first order, and what the worst combination, solved,
+        differs by. inf where some robot has no equilibrium.
+        """
+        if not parameters.count:
+            return 0.0
+        if np.isnan(self.value).any() or np.isnan(self.middle).any() or np.isnan(self.sides).any():
+            return np.inf
+        least = self.value + self.middle - np.abs(self.sides).sum(axis=1)
+        state, box = int(np.argmin(least)), OffsetBox.of(parameters)
+        solved = float(solve(box.middle - box.axes @ np.sign(self.sides[state]))[state])
+        beyond = np.nan_to_num(abs(solved - least[state]), nan=np.inf)
+        return max(float(self.value.min() - least[state] + beyond), 0.0)
+
+
+SPACING_M = 1e-3  # between the points of a body
+
+
+@dataclass(frozen=True, eq=False)
+class BodySpread:
+    """One configuration in S friction states, N points from the plate to the tip."""
+
+    point_m: Array  # (S, N, 3) robot frame
+    radius_m: Array  # (N,)
+    middle_m: Array  # (S, N, 3) displacement at the middle of the intervals
+    sides_m: Array  # (S, N, 3, A) further displacement at the end of each axis of the box
+    stability: MarginSpread
+    spared_strain: MarginSpread  # strains, negative
+
+    def sides(self) -> Sides:
+        """Of all S N points, one state after the other."""
+        states, count, _, axes = self.sides_m.shape
+        return Sides(self.middle_m.reshape(-1, 3), self.sides_m.reshape(states * count, 3, axes))
+
+
+def body_spread(parameters: UncertainParameters, theta: Array, l: Array) -> BodySpread:  # noqa: E741
+    """At commanded collars theta (n,) [rad], l (n,) [m]. NaN where there is no equilibrium."""
+    box = OffsetBox.of(parameters)
+    here = solved_bodies(parameters, np.zeros(parameters.count), theta, l)
+    middle = solved_bodies(parameters, box.middle, theta, l) if box.middle.any() else here
+    ends = [solved_bodies(parameters, box.middle + axis, theta, l) for axis in box.axes.T]
+    pattern = here.point_m
+    inner = alike(middle.point_m, pattern)
+    displaced = [alike(end.point_m, pattern) - inner for end in ends]
+    sides = np.stack(displaced, axis=3) if ends else np.zeros((*pattern.shape, 0))
+    return BodySpread(
+        pattern,
+        here.radius_m,
+        inner - pattern,
+        sides,
+        _spread(here.stability, middle.stability, [end.stability for end in ends]),
+        _spread(-here.max_strain, -middle.max_strain, [-end.max_strain for end in ends]),
+    )
+
+
+def solved_bodies(parameters: UncertainParameters, offset: Array, theta: Array, l: Array) -> FrictionBodies:  # noqa: E741
+    """Bodies [m] in S friction states with parameters (P,) away from their values; NaN where a solve failed."""
+    robot = parameters.robot_at(offset)
+    theta_b, l_b = held_collars(parameters, robot, theta[None], l[None])
+    found = robot.mechanics.friction_bodies(theta_b[0], l_b[0], friction_states(robot), spacing_m=SPACING_M)
+    lost = ~found.solved
+    return replace(
+        found,
+        point_m=np.where(lost[:, None, None], np.nan, found.point_m),
+        stability=np.where(lost, np.nan, found.stability),
+        max_strain=np.where(lost, np.nan, found.max_strain),
+    )
+
+
+def body_at(parameters: UncertainParameters, offset: Array, theta: Array, l: Array) -> tuple[Array, Array]:  # noqa: E741
+    """(S, N, 3) of these bodies [m], and outer radii (N,) [m]."""
+    found = solved_bodies(parameters, offset, theta, l)
+    return found.point_m, found.radius_m
+
+
+def _spread(here: Array, middle: Array, ends: list[Array]) -> MarginSpread:
+    sides = np.stack(ends, axis=1) - middle[:, None] if ends else np.zeros((len(here), 0))
+    return MarginSpread(here, middle - here, sides)
+
+
+def alike(bodies: Array, pattern: Array) -> Array:
+    """(S, N, 3) as many points on bodies (S, M, 3) as `pattern` has, at the same shares of the length."""
+    if bodies.shape == pattern.shape:
+        return bodies
+    count = pattern.shape[1]
+    if bodies.shape[1] == 0:
+        return np.zeros_like(pattern)
+    at = np.linspace(0.0, bodies.shape[1] - 1.0, count)
+    low = np.minimum(at.astype(int), max(bodies.shape[1] - 2, 0))
+    share = (at - low)[:, None]
+    found: Array = bodies[:, low] * (1 - share) + bodies[:, np.minimum(low + 1, bodies.shape[1] - 1)] * share
+    return found
+
+
+NEAR_M = 1e-3  # beside what may be narrowest: friction states between the corners are not looked at here
+GRADIENT_STEP_M = 0.5e-3  # of the distance to the anatomy, differenced
+
+
+@dataclass(frozen=True, eq=False)
+class BodyClearance:
+    """B = S N points of the bodies in S friction states, one state after the other; frames are the robot's."""
+
+    scenario: Scenario
+    parameters: UncertainParameters
+    theta: Array  # (n,) commanded
+    l: Array  # (n,)  # noqa: E741 (as in the equations)
+    spread: BodySpread
+    clearance_m: Array  # (B,) beyond the margins, outer radius taken off, by the anatomy's grid
+
+    @classmethod
+    def of(cls, scenario: Scenario, parameters: UncertainParameters, joints: Array) -> BodyClearance:
+        """At joints (m,). Without an anatomy clearances are infinite."""
+        theta, l = scenario.robot.drive.commanded(joints)  # noqa: E741 (as in the equations)
+        spread = body_spread(parameters, theta, l)
+        points = spread.point_m.reshape(-1, 3)
+        radius = np.tile(spread.radius_m, len(spread.point_m))
+        return cls(scenario, parameters, theta, l, spread, _distance(scenario, points) - radius)
+
+    @property
+    def point_m(self) -> Array:
+        """(B, 3)."""
+        return self.spread.point_m.reshape(-1, 3)
+
+    @cached_property
+    def sides(self) -> Sides:
+        """Of all points."""
+        return self.spread.sides()
+
+    @cached_property
+    def base(self) -> BaseBall:
+        """The scenario's registration."""
+        registration = self.scenario.registration
+        return BaseBall.of(registration.position_sigma_m, registration.rotation_sigma_rad)
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether some body has no equilibrium within the intervals."""
+        return bool(np.isnan(self.spread.sides_m).any() or np.isnan(self.spread.middle_m).any())
+
+    @cached_property
+    def reach_m(self) -> Array:
+        """(B,) how far each point may be displaced, to first order; no less where that can't matter."""
+        found = rough_reach_m(self.sides, self.base, self.point_m)
+        rows = self.clearance_m - found - NEAR_M <= self.least_m
+        moved = Sides(self.sides.middle[rows], self.sides.sides[rows])
+        found[rows] = reach_m(moved, self.base, self.point_m[rows])
+        return found
+
+    @property
+    def least_m(self) -> float:
+        """The smallest clearance without errors."""
+        return float(self.clearance_m.min(initial=np.inf))
+
+    @cached_property
+    def near(self) -> NDArray[np.int_]:
+        """Points that may come to be the narrowest."""
+        return np.flatnonzero(self.clearance_m - self.reach_m - NEAR_M <= self.least_m)
+
+    @cached_property
+    def most_displaced(self) -> int:
+        """Of the points near the anatomy, the one that may move farthest."""
+        return int(self.near[np.argmax(self.reach_m[self.near])])
+
+    @cached_property
+    def worst(self) -> Farthest:
+        """How that point is displaced farthest."""
+        row = [self.most_displaced]
+        moved = Sides(self.sides.middle[row], self.sides.sides[row])
+        return farthest(np.zeros((1, 3)), moved, self.base, self.point_m[row])
+
+    @property
+    def worst_offset(self) -> Array:
+        """(P,) of the parameters there."""
+        box = OffsetBox.of(self.parameters)
+        found: Array = box.middle + box.axes @ self.worst.signs[0]
+        return found
+
+    @cached_property
+    def beyond_first_order_m(self) -> float:
+        """Largest difference [m] of points near the anatomy from first order, solved at the worst combination."""
+        if not self.parameters.count:
+            return 0.0
+        solved = alike(body_at(self.parameters, self.worst_offset, self.theta, self.l)[0], self.spread.point_m)
+        linear = self.point_m + self.sides.middle + self.sides.sides @ self.worst.signs[0]
+        apart = np.linalg.norm(solved.reshape(-1, 3) - linear, axis=1)[self.near]
+        return float(np.nan_to_num(apart, nan=np.inf).max(initial=0.0))
+
+    @cached_property
+    def margins_lost(self) -> tuple[float, float]:
+        """What parameters may take off the stability and add to the strain, of all friction states looked at."""
+
+        def solved(offset: Array) -> FrictionBodies:
+            return solved_bodies(self.parameters, offset, self.theta, self.l)
+
+        stability = self.spread.stability.lost(self.parameters, lambda offset: solved(offset).stability)
+        return stability, self.spread.spared_strain.lost(self.parameters, lambda offset: -solved(offset).max_strain)
+
+    @property
+    def allowance_m(self) -> float:
+        """What errors may take off the clearance; inf where a body within the intervals has no equilibrium."""
+        if self.is_lost:
+            return np.inf
+        if not len(self.clearance_m) or not np.isfinite(self.least_m):
+            return 0.0
+        return float(self.reach_m[self.near].max()) + self.beyond_first_order_m
+
+    def clearance_at(self, points_m: Array, rows: NDArray[np.int_]) -> Array:
+        """(R,) of some of the points, were they elsewhere, (R, 3)."""
+        found: Array = _distance(self.scenario, points_m) - self._radius_m[rows]
+        return found
+
+    @property
+    def _radius_m(self) -> Array:
+        return np.tile(self.spread.radius_m, len(self.spread.point_m))
+
+    def normals(self, rows: NDArray[np.int_]) -> Array:
+        """(R, 3) gradients of the clearance at some points, robot frame."""
+        shifts = GRADIENT_STEP_M * np.eye(3)
+        ends = [[_distance(self.scenario, self.point_m[rows] + side * shift) for side in (1, -1)] for shift in shifts]
+        found: Array = np.array([(up - down) / (2 * GRADIENT_STEP_M) for up, down in ends]).T
+        return found
+
+    def slopes(self, rows: NDArray[np.int_]) -> Array:
+        """(R, 3, P) of some points by the parameters."""
+        by: Array = self.sides.sides[rows] @ np.linalg.pinv(OffsetBox.of(self.parameters).axes)
+        return by
+
+
+def _distance(scenario: Scenario, points_m: Array) -> Array:
+    """(B,) [m] of points in the robot's frame beyond the anatomy's margins."""
+    grid = anatomy_grid(scenario)
+    if grid is None:
+        return np.full(len(points_m), np.inf)
+    return grid.sample(scenario.located(points_m))
