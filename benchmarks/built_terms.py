@@ -43,9 +43,9 @@ from hidden_effects.noise import add_noise
 from hidden_effects.score import wilson
 
 from ctrplan.calibration.estimates import distances
+from ctrplan.diagnosis import built_term as limits
 from ctrplan.diagnosis.adequacy import noise_floor
-from ctrplan.diagnosis.building import built as limits
-from ctrplan.diagnosis.building.built import refusals, tried
+from ctrplan.diagnosis.built_term import refusals, tried
 from ctrplan.diagnosis.partial import Partly, partly
 from ctrplan.diagnosis.usable_poses import usable_poses
 from ctrplan.diagnosis.workbench import Scored, candidates

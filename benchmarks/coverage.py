@@ -34,15 +34,14 @@ from ctrplan.files.scenario_file import scenario_from_dict
 from ctrplan.mechanics.history import History
 from ctrplan.planning import Plan
 from ctrplan.robot.robot import Robot, StatedIntervals
-from ctrplan.scenario.anatomy_grid import anatomy_grid
 from ctrplan.scenario.prediction import rows_to_simulate, start_states
-from ctrplan.scenario.scenario import Scenario
+from ctrplan.scenario.scenario import Scenario, anatomy_grid
 from ctrplan.storage.toml_document import read_document
-from ctrplan.uncertainty.chance import Draws, wilson
 from ctrplan.uncertainty.drawn_poses import DrawnPoses, DrivenPath, SimulatedPoses
 from ctrplan.uncertainty.parameters import uncertain_parameters
 from ctrplan.uncertainty.target import Aim
 from ctrplan.uncertainty.tip_slopes import held_collars
+from ctrplan.uncertainty.worst_case import Draws, wilson
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENARIOS = ["ribs", "vessel", "heart_chamber", "airway", "deploy"]

@@ -18,8 +18,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 import ctrplan
-from ctrplan.planning.placing.place import CONE_RAD, RADIUS_M, Placement, _patch
-from ctrplan.planning.placing.screen import Screen, Worth
+from ctrplan.planning.base_screen import Screen, Worth
+from ctrplan.planning.place import CONE_RAD, RADIUS_M, Placement, _patch
 from ctrplan.reports import looks
 
 ROOT = Path(__file__).resolve().parent.parent

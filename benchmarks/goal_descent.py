@@ -20,8 +20,8 @@ from planning import in_turn, paired
 from planning_queries import Query, queries
 
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.goals.goal_states import descended, goal_states
-from ctrplan.planning.goals.reach import reach
+from ctrplan.planning.goal_states import descended, goal_states
+from ctrplan.planning.reach import reach
 from ctrplan.scenario.tip_solver import GoalState, tip_target
 
 LONG_SEEDS = (1, 2, 3)

@@ -30,8 +30,8 @@ import ctrplan
 from ctrplan.base.arrays import Array
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.robot.named_numbers import with_values
-from ctrplan.robot.observer.slow_states import SlowOffset, SlowParameter
 from ctrplan.robot.robot import Robot
+from ctrplan.robot.slow_states import SlowOffset, SlowParameter
 from ctrplan.studies.follow import Following, follow
 
 ORACLES = Path(__file__).resolve().parents[1] / "tests" / "oracles"

@@ -37,7 +37,7 @@ from hidden_effects.score import wilson
 from hidden_effects.world import believed
 
 from ctrplan.diagnosis.adequacy import noise_floor
-from ctrplan.diagnosis.building.built import build
+from ctrplan.diagnosis.built_term import build
 from ctrplan.diagnosis.partial import partly
 from ctrplan.diagnosis.usable_poses import usable_poses
 from ctrplan.diagnosis.workbench import candidates

@@ -28,7 +28,7 @@ from ctrplan.drive.trajectory import time_parameterise, verify_limits
 from ctrplan.errors import CtrplanError
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning import Plan
-from ctrplan.planning.goals.goal_states import goal_states
+from ctrplan.planning.goal_states import goal_states
 
 BLIND = ["cost.error_along=0", "cost.error_goal=0"]
 AWARE = ["cost.error_along=10", "cost.error_goal=100"]  # ten times the defaults: errors matter most here

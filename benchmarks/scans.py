@@ -86,7 +86,7 @@ def _errors(folder: Path, spacing: tuple[float, ...], radius: float, grey: bool,
 
 def sides(folder: Path) -> None:
     """Of labels 1 mm wide, axes along the patient's; by how many voxels the smoothing's kernel is wide."""
-    from ctrplan.anatomy.images import structure
+    from ctrplan.anatomy import structure
 
     ranges = ((0, 5), (5, 10), (10, 20), (20, 35), (35, 55))
     print(

@@ -13,7 +13,7 @@ from own_cache import use_own_cache
 
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.goals.goal_states import goal_states
+from ctrplan.planning.goal_states import goal_states
 from ctrplan.planning.search.insertion_chains import promising, retreat_roadmap
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
 

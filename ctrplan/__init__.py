@@ -27,13 +27,13 @@ if TYPE_CHECKING:
     from ctrplan.mechanics.shapes import Bound, Bounds, Shape, Status
     from ctrplan.patients.case import Case
     from ctrplan.patients.case import case as case
-    from ctrplan.planning.finish.reorder import reorder as reorder
+    from ctrplan.planning.base_pose import BasePose
     from ctrplan.planning.inverse_kinematics import InverseKinematics
     from ctrplan.planning.inverse_kinematics import inverse_kinematics as inverse_kinematics
-    from ctrplan.planning.placing.base_pose import BasePose
-    from ctrplan.planning.placing.place import Placement
-    from ctrplan.planning.placing.place import place as place
+    from ctrplan.planning.place import Placement
+    from ctrplan.planning.place import place as place
     from ctrplan.planning.planner import plan as plan
+    from ctrplan.planning.reorder import reorder as reorder
     from ctrplan.plans.plan import Plan
     from ctrplan.plans.uncertainty import plan_uncertainty as plan_uncertainty
     from ctrplan.robot.robot import Robot
@@ -76,9 +76,9 @@ _HOMES = {
     "reorder": "planning",
     "InverseKinematics": "planning.inverse_kinematics",
     "inverse_kinematics": "planning.inverse_kinematics",
-    "BasePose": "planning.placing.base_pose",
-    "Placement": "planning.placing.place",
-    "place": "planning.placing.place",
+    "BasePose": "planning.base_pose",
+    "Placement": "planning.place",
+    "place": "planning.place",
     "plan_many": "studies.plan_many",
     "Study": "studies.study.study",
     "TubeDesign": "studies.design.tube_design",

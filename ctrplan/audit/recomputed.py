@@ -23,13 +23,11 @@ from ctrplan.drive.trajectory import PERIOD_S, time_parameterise
 from ctrplan.errors import CtrplanError
 from ctrplan.files.plan_file import WrittenPlan
 from ctrplan.files.robot_file import robot_from_dict
-from ctrplan.planning.finish.compensate import predicted_arrives
-from ctrplan.planning.finish.oscillate_at_goal import settled_again
-from ctrplan.planning.goals.goal_states import nearest_turn
-from ctrplan.plans.plan import Plan
-from ctrplan.plans.plan_json import plan_to_json
-from ctrplan.plans.planned_motion import Leg, ReorderReport, leg_kind
-from ctrplan.plans.timing import follow_the_leader_m
+from ctrplan.planning.compensate import predicted_arrives
+from ctrplan.planning.goal_states import nearest_turn
+from ctrplan.planning.oscillate import settled_again
+from ctrplan.plans.plan import Plan, plan_to_json
+from ctrplan.plans.planned_motion import Leg, ReorderReport, follow_the_leader_m, leg_kind
 from ctrplan.robot.robot import Robot
 
 # Of plan.json, what follows from scenario and legs; None where a hand-made plan says nothing.

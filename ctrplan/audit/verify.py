@@ -9,9 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from ctrplan.audit.case import Case, Finding
-from ctrplan.audit.history_search import HistoryHunt
+from ctrplan.audit.counterexamples import HistoryHunt, StateHunt
 from ctrplan.audit.recomputed import recomputed_differences, robots_at_ends
-from ctrplan.audit.state_search import StateHunt
 from ctrplan.base.arguments import EVENT, PROGRESS, SEED, Choice, Number, Whole, checked
 from ctrplan.base.long_work import StageProgress, interrupt_event
 from ctrplan.certificate.certificate import Difference

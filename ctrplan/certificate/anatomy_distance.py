@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ctrplan.anatomy.parts import exact_clearance_of_many
 from ctrplan.base.arrays import Array
 from ctrplan.certificate.friction_states import POINT_SPACING_M
-from ctrplan.scenario.anatomy_grid import anatomy_grid
+from ctrplan.scenario.scenario import anatomy_grid
 
 if TYPE_CHECKING:
     from ctrplan.anatomy.clearance_grid import SignedDistanceField

@@ -13,7 +13,6 @@ import numpy as np
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import Progress
 from ctrplan.certificate.certificate import CertificateSamples
-from ctrplan.certificate.closely_solved import closely_solved
 from ctrplan.certificate.every_state import in_every_friction_state
 from ctrplan.certificate.friction_cube import refuse_many_tubes
 from ctrplan.certificate.friction_states import bound_allowance_m
@@ -26,13 +25,13 @@ from ctrplan.certificate.problems import (
     stated_bounds,
 )
 from ctrplan.certificate.uneven_friction import with_uneven_friction
-from ctrplan.certificate.walked_piece import Piece, joined_samples, looked_at_samples, walk_pieces
+from ctrplan.certificate.walked_piece import Piece, closely_solved, joined_samples, looked_at_samples, walk_pieces
 from ctrplan.drive.legs import merge_legs
 from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.motion.checker import path_limits
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.scenario import path_cost_mm
-from ctrplan.uncertainty.allowance import is_uncertain, parameter_allowance
+from ctrplan.uncertainty.body_clearance import is_uncertain, parameter_allowance
 
 if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario

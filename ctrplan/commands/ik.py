@@ -17,7 +17,7 @@ from ctrplan.storage.output_folder import output_folder, write_results
 
 if TYPE_CHECKING:
     from ctrplan.base.arrays import Array
-    from ctrplan.planning.goals.reach import Configuration, Reach
+    from ctrplan.planning.reach import Configuration, Reach
     from ctrplan.scenario.scenario import Scenario
 
 DIRECTION_TOLERANCE_DEG = 5.0

@@ -19,8 +19,8 @@ from ctrplan.errors import InputError, NoAnswerError
 
 if TYPE_CHECKING:
     from ctrplan.base.arrays import Array
-    from ctrplan.planning.placing.base_pose import BasePose
-    from ctrplan.planning.placing.place import Placement
+    from ctrplan.planning.base_pose import BasePose
+    from ctrplan.planning.place import Placement
     from ctrplan.scenario.scenario import Scenario
 
 PATIENCE_S = 1.0  # before a progress bar shows up
@@ -78,7 +78,7 @@ def run_place(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError, NoAnswerError where no pose reaches a target."""
     with interrupt_event() as interrupted:  # imports take a second
         from ctrplan.files.scenario_file import load_scenario
-        from ctrplan.planning.placing.place import place
+        from ctrplan.planning.place import place
 
         scenario = load_scenario(arguments.scenario, arguments.overrides, allow_outside=arguments.allow_outside)
         file = _output(arguments)

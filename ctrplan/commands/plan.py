@@ -80,7 +80,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
         from ctrplan.pipeline.installed import plan_range_notes
         from ctrplan.planning import plan
         from ctrplan.planning.table_worth import helpful_table
-        from ctrplan.reports.plan_folder import plan_outputs
+        from ctrplan.reports.plan_page import plan_outputs
 
         scenario = load_scenario(arguments.scenario, arguments.overrides, allow_outside=arguments.allow_outside)
         formats = trajectory_formats(arguments.formats)
@@ -113,7 +113,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
 
 
 def _summary(folder: Path, plan: Plan, formats: Sequence[TrajectoryFormat]) -> str:
-    from ctrplan.reports.plan_folder import plan_outputs
+    from ctrplan.reports.plan_page import plan_outputs
 
     name, duration_s, stops = plan.scenario.name, plan.trajectory.duration_s, plan.certificate.stops
     legs, halts = _counted(len(plan.legs), "leg"), _counted(stops, "stop")
@@ -191,7 +191,7 @@ def _misses(plan: Plan) -> dict[str, str]:
 
 def _extras(plan: Plan) -> dict[str, str]:
     """Lines about what was asked for beyond the path."""
-    from ctrplan.plans.timing import settling_duration_s
+    from ctrplan.plans.planned_motion import settling_duration_s
 
     lines, settling, compensation = dict[str, str](), plan.certificate.settling, plan.compensation
     if plan.certificate.worst_play_m:

@@ -18,7 +18,7 @@ from ctrplan.storage.output_folder import output_folder, write_results
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.history import Start
-    from ctrplan.robot.observer.slow_states import SlowParameter
+    from ctrplan.robot.slow_states import SlowParameter
     from ctrplan.studies.follow import Following
     from ctrplan.studies.simulate import Simulation
 
@@ -39,7 +39,7 @@ def run_simulate_measured(arguments: argparse.Namespace) -> int:
     with interrupt_event() as interrupted:
         from ctrplan.files.measurement_file import load_measurements
         from ctrplan.files.robot_file import load_robot
-        from ctrplan.robot.observer.slow_states import SlowOffset
+        from ctrplan.robot.slow_states import SlowOffset
         from ctrplan.studies.follow import follow
 
         robot = load_robot(arguments.robot, arguments.overrides)
@@ -66,7 +66,7 @@ def run_simulate_measured(arguments: argparse.Namespace) -> int:
 
 def _slow(text: str) -> SlowParameter:
     """NAME=SIGMA."""
-    from ctrplan.robot.observer.slow_states import SlowParameter
+    from ctrplan.robot.slow_states import SlowParameter
 
     name, _, sigma = text.partition("=")
     value = in_plain_digits(sigma)

@@ -7,9 +7,14 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.long_work import INTERRUPTED
-from ctrplan.commands.options import add_allow_outside_option, add_set_option
+from ctrplan.commands.options import (
+    StageTeller,
+    add_allow_outside_option,
+    add_set_option,
+    add_worker_options,
+    chosen_workers,
+)
 from ctrplan.commands.terminal import ProgressBar
-from ctrplan.commands.worker_options import StageTeller, add_worker_options, chosen_workers
 from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from ctrplan.base.long_work import StageProgress
 from ctrplan.calibration.fit_warnings import gross_outliers, too_many
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.adequacy import ignored, remains, rescaled_noise
-from ctrplan.diagnosis.building.built import Built, build
+from ctrplan.diagnosis.built_term import Built, build
 from ctrplan.diagnosis.partial import Partly, partly
 from ctrplan.diagnosis.selection import Selector, Step
 from ctrplan.diagnosis.smooth_evidence import remaining_error

@@ -13,7 +13,7 @@ from ctrplan.calibration.estimates import Errors, estimates
 from ctrplan.calibration.residuals import Noise
 from ctrplan.calibration.robot_content import calibrated_content, model_error_m
 from ctrplan.diagnosis.adequacy import ChiSquare
-from ctrplan.diagnosis.building.built import Built
+from ctrplan.diagnosis.built_term import Built
 from ctrplan.diagnosis.correlated_bench import FRAMES
 from ctrplan.diagnosis.gap import Gap
 from ctrplan.diagnosis.localise import Place

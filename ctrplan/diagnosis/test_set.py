@@ -13,7 +13,7 @@ from ctrplan.calibration.residuals import Residuals
 from ctrplan.calibration.robot_content import within_file
 from ctrplan.diagnosis.adequacy import Adequacy, held_out_probability, ignored, remains
 from ctrplan.diagnosis.answer import Answer
-from ctrplan.diagnosis.building.built import LEAST_SHARE_ASIDE, MOST_WORSE, Built, worse_in
+from ctrplan.diagnosis.built_term import LEAST_SHARE_ASIDE, MOST_WORSE, Built, worse_in
 from ctrplan.diagnosis.gap import Gap, contradiction, open_held_out_set
 from ctrplan.diagnosis.localise import Place, localise
 from ctrplan.diagnosis.partial import Partly, concluded, left_by_names

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.files.mapping_file import Source, sources
-from ctrplan.measurement.joined import joined_paths
-from ctrplan.measurement.joint_path import JointPath, jumps, looks_wrapped, unwrapped
+from ctrplan.measurement.joint_path import JointPath, joined_paths, jumps, looks_wrapped, unwrapped
 from ctrplan.robot.robot import Robot, nesting_violation
 from ctrplan.storage.csv_table import CsvTable
 

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.files.joint_path_file import joint_path
 from ctrplan.files.mapping_file import POSITION, TANGENT, Source, sources
-from ctrplan.measurement.joined import joined_measurements
+from ctrplan.measurement.joint_path import joined_measurements
 from ctrplan.measurement.measurements import Measurements, is_streamed
 from ctrplan.pipeline.chain import Chain
-from ctrplan.pipeline.registration import registered
+from ctrplan.pipeline.tip_table import registered
 from ctrplan.robot.robot import Robot
 from ctrplan.storage.csv_table import CsvTable
 

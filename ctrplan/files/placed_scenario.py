@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ctrplan.base.arrays import MM_PER_M
-from ctrplan.planning.placing.base_pose import DIGITS, MM_DIGITS, BasePose, Pose
+from ctrplan.planning.base_pose import DIGITS, MM_DIGITS, BasePose, Pose
 from ctrplan.storage.toml_document import Document, toml_text
 
 TURNS = ("quaternion_wxyz", "direction", "look_at", "roll_deg")

@@ -18,8 +18,7 @@ from ctrplan.certificate.certificate import Closest
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.plans.plan import Plan
-from ctrplan.plans.plan_json import SCHEMA_VERSION, SI_UNITS, plan_to_json
+from ctrplan.plans.plan import SCHEMA_VERSION, SI_UNITS, Plan, plan_to_json
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.storage.csv_table import CsvTable, file_bytes, file_name
 from ctrplan.storage.toml_document import Document

@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from scipy.spatial.transform import Rotation
 
-from ctrplan.anatomy.images.image_file import images_kept
+from ctrplan.anatomy.image_file import images_kept
 from ctrplan.base.arrays import MOST_TURNS_DEG, Array, read_only, shortest_rotation, unit
 from ctrplan.drive.drive import Joint
 from ctrplan.files.robot_file import load_robot, robot_from_dict

@@ -1,4 +1,4 @@
-"""Typed face of the mechanics core: shapes, friction states, bounds. The only importer of the compiled module.
+"""Typed face of the mechanics core: shapes, friction states, bounds, also for whoever moves a robot step by step.
 
 Models and conventions: docs/model.md. Joint arrays are outermost tube first; SI units; the world frame stands at the
 front plate, z along insertion, s = 0 at the plate.
@@ -7,6 +7,7 @@ front plate, z along insertion, s = 0 at the plate.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -36,7 +37,7 @@ from ctrplan.mechanics.core_arrays import (
     worst,
 )
 from ctrplan.mechanics.friction import SPACING, FrictionStates
-from ctrplan.mechanics.shapes import Bound, Bounds, FrictionBodies, Shape, Tips, input_errors
+from ctrplan.mechanics.shapes import Bound, Bounds, FrictionBodies, Shape, Status, Tips, input_errors
 from ctrplan.mechanics.tube import RANGES, SECTION_RANGES, Loads, nests
 from ctrplan.mechanics.walk import (
     Field,
@@ -54,7 +55,6 @@ if TYPE_CHECKING:
 
     from ctrplan.mechanics.accuracy import HistoryOptions
     from ctrplan.mechanics.tube import Tube
-
 
 MOST_THREADS = 1024
 TIPS_AT_ONCE = 1 << 16  # whose copies in the core take little memory, and no time to give up
@@ -261,7 +261,7 @@ class Mechanics:
 
     @checked(accuracy=ACCURACY)
     def core_walker(self, accuracy: Accuracy) -> _model.Walker:
-        """The compiled part of `ctrplan.mechanics.walker.Walker`."""
+        """The compiled part of `ctrplan.mechanics.core.Walker`."""
         with input_errors():
             return _model.Walker(self._model, accuracy)
 
@@ -365,3 +365,56 @@ def kernel_name() -> str:
 def _require_ranges(place: str, of: object, ranges: Mapping[str, Number]) -> None:
     for name, kind in ranges.items():
         require(f"{place}.{name}", getattr(of, name), kind)
+
+
+@dataclass(frozen=True, eq=False)
+class BoundStep:
+    """The bound where a walker stands. NaN where a solve FAILED."""
+
+    position_m: float  # of the tip
+    tangent_rad: float
+    stability: float
+    max_strain: float
+    residual: float  # largest of all shapes
+    status: Status  # never MULTIPLE: other solutions are not looked for
+    tip_m: Array  # (3,) frictionless
+    tip_tangent: Array  # (3,)
+    started_cold: bool  # not from the last solution: the branch is that of continuation from no precurvature
+    solves: int  # configurations on the way, this one among them
+
+
+class Walker:
+    """A robot that stands somewhere and is moved on. Made by `Robot.walker`.
+
+    Warm steps stay on the branch that the path is on, which need not be that of `Robot.bound`. One thread at a time.
+    """
+
+    def __init__(self, core: _model.Walker, n: int) -> None:
+        """core: what `Mechanics.core_walker` made, of n tubes."""
+        self._core, self._n = core, n
+
+    def bound(self, theta_b: ArrayLike, l_b: ArrayLike) -> BoundStep:
+        """The bound at collars (n,) [rad], (n,) [m], from where the walker stands, in steps of 0.1 rad or 3 mm at most.
+
+        Ctrl-C on the way leaves it nowhere: the next step starts cold. Raises InputError.
+        """
+        with input_errors():
+            found = self._core.step(joint_row(theta_b, self._n), joint_row(l_b, self._n))
+        position_m, tangent_rad, stability, max_strain, residual, status, tip, tangent, cold, solves = found
+        return BoundStep(
+            position_m=position_m,
+            tangent_rad=tangent_rad,
+            stability=stability,
+            max_strain=max_strain,
+            residual=residual,
+            status=Status(status),
+            tip_m=np.array(tip),
+            tip_tangent=np.array(tangent),
+            started_cold=cold,
+            solves=solves,
+        )
+
+    def shapes(self) -> Bound:
+        """The shapes of the last step. Raises InputError before the first one."""
+        with input_errors():
+            return solved_bound(self._core.shapes())

@@ -17,10 +17,9 @@ from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import Field, PathDensity, PathLimits, PathSamples
 from ctrplan.motion.play import usual_play_shift
 from ctrplan.robot.friction_calibration import friction_law
-from ctrplan.scenario.anatomy_grid import anatomy_grid
 from ctrplan.scenario.joint_space import JointSpace, MotionStyle
-from ctrplan.scenario.scenario import path_cost_mm
-from ctrplan.uncertainty.allowance import usual_allowance_m
+from ctrplan.scenario.scenario import anatomy_grid, path_cost_mm
+from ctrplan.uncertainty.body_clearance import usual_allowance_m
 
 if TYPE_CHECKING:
     from ctrplan.motion.bound_table import BoundTable

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from ctrplan.anatomy.images.header import read_header
-from ctrplan.anatomy.images.image import ImageRefusal
-from ctrplan.anatomy.images.image_file import is_image
+from ctrplan.anatomy.image import ImageRefusal
+from ctrplan.anatomy.image_file import is_image
+from ctrplan.anatomy.image_header import read_header
 from ctrplan.anatomy.mesh_file import stated_frame
 from ctrplan.anatomy.mesh_repair import MeshDefectError
 from ctrplan.anatomy.parts import AnatomyPart, combined_clearance, exact_clearance, surface_distance
@@ -29,7 +29,7 @@ from ctrplan.files.slicer_markups import Markup
 from ctrplan.patients.points import WORDS, Named, is_point, says
 from ctrplan.patients.structures import Found, Structure, between_phases_mm, matching, with_margin
 from ctrplan.patients.work import SCENARIO, Place, Request, Work
-from ctrplan.planning.goals.room import blocked
+from ctrplan.planning.room import blocked
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.storage.toml_document import Document
 from ctrplan.storage.toml_table import Table

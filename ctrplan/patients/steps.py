@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ctrplan.anatomy.images.image_file import images_kept
+from ctrplan.anatomy.image_file import images_kept
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import Role
 from ctrplan.base.arrays import MM_PER_M, Array, shortest_rotation
@@ -23,7 +23,6 @@ from ctrplan.files.plan_file import load_plan
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.slicer_markups import SCENE, patient_frame
 from ctrplan.files.trajectory_file import trajectory_formats
-from ctrplan.patients.bases_table import bases_text, read_bases
 from ctrplan.patients.draft import (
     aimed_at,
     base_at,
@@ -51,12 +50,14 @@ from ctrplan.patients.work import (
     Record,
     Step,
     Work,
+    bases_text,
     patch_radius_m,
     raw_files,
+    read_bases,
     stamp_of,
 )
-from ctrplan.planning.placing.base_pose import BasePose
-from ctrplan.planning.placing.place import Placement, place
+from ctrplan.planning.base_pose import BasePose
+from ctrplan.planning.place import Placement, place
 from ctrplan.planning.planner import plan
 from ctrplan.planning.search.stage_search import Progress
 from ctrplan.plans.plan import Plan
@@ -336,7 +337,7 @@ class PlanStep(Step):
         return [said, work.state(PLACED, ROBOT), raw_files(work.scenario(PLACED))]
 
     def make(self, work: Work) -> str:
-        from ctrplan.reports.plan_folder import FORMATS, plan_outputs, save_plan  # pictures take a second to import
+        from ctrplan.reports.plan_page import FORMATS, plan_outputs, save_plan  # pictures take a second to import
 
         output_folder(str(work.file(PLAN)), plan_outputs(trajectory_formats(FORMATS)))
         first = _row(work.record)

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from ctrplan.certificate.certificate import Certificate, CertificateSamples
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.finish.reorder import reorder
 from ctrplan.planning.planner import plan
+from ctrplan.planning.reorder import reorder
 from ctrplan.planning.search.ompl_set_up import BoundObjective, MotionValidity, StateReader, Validity, state_space
 from ctrplan.plans.plan import Plan
 from ctrplan.plans.planned_motion import Leg, ReorderReport

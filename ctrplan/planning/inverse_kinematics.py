@@ -14,7 +14,7 @@ from ctrplan.base.arguments import SEED, Number, Whole, checked, require
 from ctrplan.base.arrays import LONGEST_MM, numbers
 from ctrplan.errors import InputError
 from ctrplan.motion.checker import MotionChecker, path_limits
-from ctrplan.planning.goals.reach import Configuration, Reach, reach
+from ctrplan.planning.reach import Configuration, Reach, reach
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.bare_scenario import bare_scenario
 from ctrplan.scenario.scenario import Scenario

@@ -24,12 +24,12 @@ from ctrplan.certificate.walked_legs import WalkedLegs, walk_legs
 from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.motion.checker import MotionChecker, with_shares
-from ctrplan.planning.finish.compensate import compensate
-from ctrplan.planning.finish.oscillate_at_goal import settle
-from ctrplan.planning.finish.reorder import Reordered, as_given, assemble
-from ctrplan.planning.goals.goal_states import goal_states, is_at_goal, nearest_turn, turn_notes
-from ctrplan.planning.goals.line import follow_line, line_beginnings
-from ctrplan.planning.goals.room import refuse_blocked_fixtures, refuse_impossible_margins, start_room, start_trouble
+from ctrplan.planning.compensate import compensate
+from ctrplan.planning.goal_states import goal_states, is_at_goal, nearest_turn, turn_notes
+from ctrplan.planning.line import follow_line, line_beginnings
+from ctrplan.planning.oscillate import settle
+from ctrplan.planning.reorder import Reordered, as_given, assemble
+from ctrplan.planning.room import refuse_blocked_fixtures, refuse_impossible_margins, start_room, start_trouble
 from ctrplan.planning.search.stage_search import Candidate, Progress, Report, StageSearch
 from ctrplan.plans.plan import ENDED_BY_TIME, Plan
 from ctrplan.plans.planned_motion import Compensation
@@ -39,7 +39,7 @@ from ctrplan.scenario.tip_solver import GoalState
 
 if TYPE_CHECKING:
     from ctrplan.motion.bound_table import BoundTable
-    from ctrplan.robot.observer.state import ObserverState
+    from ctrplan.robot.observer_state import ObserverState
     from ctrplan.scenario.scenario import Scenario
 
 

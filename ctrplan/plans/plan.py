@@ -1,18 +1,166 @@
-"""The plan: a planned motion that writes and rechecks itself. Its parts can be imported from here too."""
+"""The plan: a planned motion that writes and rechecks itself, and its plan.json. The schema is
+docs/plan.schema.json.
+"""
 
 from __future__ import annotations
 
 import importlib
+import json
+import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from ctrplan.base.arrays import Array
+from ctrplan.base.version import __version__
 from ctrplan.certificate.certificate import Closest, Recheck, path_differences
-from ctrplan.plans.plan_json import plan_to_json
-from ctrplan.plans.planned_motion import PlannedMotion
-from ctrplan.plans.timing import place_time_s
+from ctrplan.drive.drive import Drive
+from ctrplan.plans.planned_motion import PlannedMotion, place_time_s, settling_duration_s
+from ctrplan.storage.output_folder import write_atomically
+
+if TYPE_CHECKING:
+    from ctrplan.plans.planned_motion import Leg
+    from ctrplan.scenario.scenario import Goal, Scenario
+
+SCHEMA_VERSION = 3  # rises when a key changes its meaning or goes
+SI_UNITS = {"deg": "rad", "mm": "m"}
+
+
+def plan_to_json(plan: PlannedMotion) -> dict[str, Any]:
+    """The content of plan.json; numbers that are not finite (clearance in free space) become None.
+
+    Keys are those of the API, SI unless they say otherwise; joint values of goal and legs are in SI and in deg or mm.
+    """
+    scenario, robot, drive = plan.scenario, plan.scenario.robot, plan.scenario.robot.drive
+    content = {
+        "schema_version": SCHEMA_VERSION,
+        "ctrplan_version": __version__,
+        "scenario": {"name": scenario.name, "path": scenario.path, "sha256": scenario.sha256},
+        "robot": {"name": robot.name, "path": robot.path, "sha256": robot.sha256},
+        "seed": plan.seed,
+        "planner": plan.planner,
+        "style": plan.style,
+        "search_time_s": plan.search_time_s,
+        "first_found_s": plan.first_found_s,
+        "first_certified_s": plan.first_certified_s,
+        "search_ended_by": plan.ended_by,
+        "interrupted": plan.interrupted,
+        "base": {"position_m": scenario.base_position_m, "R": scenario.base_R},
+        "goal": _goal(scenario, scenario.goal),
+        "via": [_goal(scenario, goal) for goal in scenario.via],
+        "margins": asdict(scenario.margins),
+        "cost": asdict(scenario.cost),
+        "joints": [{"name": joint.name, "kind": joint.kind, "unit": joint.unit} for joint in drive.joints],
+        "legs": [_leg(leg, drive) for leg in plan.legs],
+        "certificate": _certificate(plan),
+        "follow_the_leader_m": plan.follow_the_leader_m,
+        "settling": _settling(plan),
+        "uncertainty": None if plan.uncertainty is None else plan.uncertainty.to_json(),
+        "compensation": _compensation(plan),
+        "reorder": asdict(plan.reorder),
+        "trajectory": _trajectory(plan),
+        "notes": plan.notes,
+        "warnings": scenario.warnings,
+    }
+    plain: dict[str, Any] = _plain(content)
+    return plain
+
+
+def write_plan_json(path: str | os.PathLike[str], plan: PlannedMotion) -> None:
+    """Write plan.json as UTF-8, a line per key, whole or not at all; as `write_atomically`."""
+    content = plan_to_json(plan).items()
+    rows = (f"  {json.dumps(key)}: {json.dumps(value, ensure_ascii=False, allow_nan=False)}" for key, value in content)
+    write_atomically(path, "{\n" + ",\n".join(rows) + "\n}\n")
+
+
+def _goal(scenario: Scenario, goal: Goal) -> dict[str, Any]:
+    joints = None if goal.joints is None else _joint_values(goal.joints, scenario.robot.drive)
+    return {
+        "name": goal.name,
+        "joints": joints,
+        "tip_m": goal.tip_m,
+        "tolerance_m": goal.tolerance_m,
+        "direction": goal.direction,
+        "direction_tolerance_rad": goal.direction_tolerance_rad,
+        "line_m": goal.line_m,
+    }
+
+
+def _leg(leg: Leg, drive: Drive) -> dict[str, Any]:
+    return {"kind": leg.kind, "start": _joint_values(leg.start, drive), "end": _joint_values(leg.end, drive)}
+
+
+def _joint_values(q: Array, drive: Drive) -> dict[str, dict[str, float]]:
+    """Values by joint name, for example {"rotate inner": {"deg": 90.0, "rad": 1.5707963267948966}}."""
+    return {
+        joint.name: {joint.unit: float(value) / joint.si_per_unit, SI_UNITS[joint.unit]: float(value)}
+        for joint, value in zip(drive.joints, q, strict=True)
+    }
+
+
+def _certificate(plan: PlannedMotion) -> dict[str, Any]:
+    """The summary, and the samples as columns of equal length."""
+    certificate = plan.certificate
+    names = [entry.name for entry in fields(certificate) if entry.name not in ("samples", "settling", "walk_again")]
+    columns = {entry.name: getattr(certificate.samples, entry.name) for entry in fields(certificate.samples)}
+    summary = {name: getattr(certificate, name) for name in names}
+    places = {name: _place(plan, getattr(certificate, name)) for name in ("nominal", "closest", "narrowest")}
+    targets = [asdict(target) for target in certificate.targets]
+    return {**summary, **places, "targets": targets, "samples": columns}
+
+
+def _place(plan: PlannedMotion, place: Closest | None) -> dict[str, Any] | None:
+    """Where the robot comes closest, and when; None in free space."""
+    return None if place is None else {**asdict(place), "time_s": place_time_s(plan, place)}
+
+
+def _settling(plan: PlannedMotion) -> dict[str, Any] | None:
+    """The oscillation that ends the plan, if there is one."""
+    settling = plan.certificate.settling
+    if settling is None:
+        return None
+    turn = settling.amplitude_rad * settling.turns
+    content = {entry.name: getattr(settling, entry.name) for entry in fields(settling) if entry.name != "turns"}
+    first_turn = _joint_values(turn, plan.scenario.robot.drive)
+    return {**content, "first_turn": first_turn, "duration_s": settling_duration_s(plan)}
+
+
+def _compensation(plan: PlannedMotion) -> dict[str, Any] | None:
+    """What the joints were moved by for the predicted tip to arrive, if that was asked for."""
+    if plan.compensation is None:
+        return None
+    content = {entry.name: getattr(plan.compensation, entry.name) for entry in fields(plan.compensation)}
+    return {**content, "correction": _joint_values(plan.compensation.correction, plan.scenario.robot.drive)}
+
+
+def _trajectory(plan: PlannedMotion) -> dict[str, Any]:
+    trajectory = plan.trajectory
+    period = trajectory.time_s[1] - trajectory.time_s[0] if len(trajectory.time_s) > 2 else None
+    return {
+        "duration_s": trajectory.duration_s,
+        "stops": trajectory.stops,
+        "period_s": period,
+        "samples": len(trajectory.time_s),
+        "leg_end_s": trajectory.leg_end_s,
+    }
+
+
+def _plain(value: Any) -> Any:
+    """`value` in the types of JSON; not a number and infinity become None."""
+    if isinstance(value, dict):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, (np.ndarray, np.generic)):
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value
+
 
 ENDED_BY_TIME = "The search was ended by the clock: with the same seed, another machine may find another path."
 
@@ -39,7 +187,7 @@ class Plan(PlannedMotion):
 
         All of them or none; the folder is made if need be, and returned. Raises CtrplanError where the system refuses.
         """
-        writer = importlib.import_module("ctrplan.reports.plan_folder")  # by name: it knows plans, they don't know it
+        writer = importlib.import_module("ctrplan.reports.plan_page")  # by name: it knows plans, they don't know it
         written: Path = writer.save_plan(self, folder, formats)
         return written
 

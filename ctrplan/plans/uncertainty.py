@@ -14,12 +14,12 @@ from ctrplan.errors import InputError
 from ctrplan.motion.play import play_turn
 from ctrplan.plans.planned_motion import PlannedMotion
 from ctrplan.scenario.scenario import Scenario
-from ctrplan.uncertainty.chance import Draws
 from ctrplan.uncertainty.drawn_poses import DrawnPoses, DrivenPath, SimulatedPoses
 from ctrplan.uncertainty.parameters import uncertain_parameters
 from ctrplan.uncertainty.result import Uncertainty, closest_approach, intervals
 from ctrplan.uncertainty.target import Stop, end_stop
 from ctrplan.uncertainty.target_miss import goal_miss, judged, tour_miss
+from ctrplan.uncertainty.worst_case import Draws
 
 if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Goal

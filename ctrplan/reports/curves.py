@@ -15,7 +15,7 @@ from plotly.subplots import make_subplots
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.drive.drive import UNITS, Kind
 from ctrplan.motion.checker import path_limits
-from ctrplan.plans.timing import leg_end_s, sample_time_s
+from ctrplan.plans.planned_motion import leg_end_s, sample_time_s
 from ctrplan.reports import looks
 from ctrplan.reports.html_page import FONT
 from ctrplan.reports.words import millimetres

@@ -13,7 +13,7 @@ import plotly.graph_objects as go
 
 from ctrplan.base.arrays import Array
 from ctrplan.base.surface import Surface, capsule
-from ctrplan.plans.timing import place_time_s, sample_time_s
+from ctrplan.plans.planned_motion import place_time_s, sample_time_s
 from ctrplan.reports import looks
 from ctrplan.reports.curves import CURSOR
 from ctrplan.reports.html_page import Markup, lines, plot, script, section, table, tag

@@ -1,15 +1,18 @@
-"""report.html: a plan for people to look at, to question and to keep."""
+"""report.html: a plan for people to look at, to question and to keep; the folder of a plan."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ctrplan.base.version import __version__
-from ctrplan.plans.timing import leg_end_s
+from ctrplan.files.trajectory_file import TrajectoryFormat, trajectory_formats, write_trajectory
+from ctrplan.plans.plan import Plan, write_plan_json
+from ctrplan.plans.planned_motion import leg_end_s
 from ctrplan.reports.curves import (
     direction_panel,
     error_panel,
@@ -21,6 +24,8 @@ from ctrplan.reports.curves import (
 )
 from ctrplan.reports.html_page import Markup, escaped, facts, lines, page, plot, section, table, tag
 from ctrplan.reports.plan_motion import clearance_section, motion_section, ways_table
+from ctrplan.reports.plan_picture import write_plan_png
+from ctrplan.reports.plan_scene import plan_scene
 from ctrplan.reports.plan_words import (
     MEANING,
     CertificateRow,
@@ -32,13 +37,12 @@ from ctrplan.reports.plan_words import (
 )
 from ctrplan.reports.uncertainty_words import stated_in_words, uncertainty_rows
 from ctrplan.reports.words import degrees, digits, glossary, millimetres, term
-from ctrplan.storage.output_folder import write_atomically
+from ctrplan.storage.output_folder import output_folder, write_atomically, written_together
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
     from ctrplan.base.arrays import Array
-    from ctrplan.plans.plan import Plan
     from ctrplan.reports.plan_scene import PlanScene
     from ctrplan.uncertainty.result import GoalMiss, ParameterInterval
     from ctrplan.uncertainty.worst_case import Contributor, TurnContributor
@@ -297,3 +301,25 @@ def _joints(plan: Plan) -> Markup:
 
 def _counted(count: int, thing: str) -> str:
     return f"{count} {thing}{'' if count == 1 else 's'}"
+
+
+FORMATS = ("csv", "ros2")  # of the trajectory, where nothing else is asked for
+
+
+def plan_outputs(formats: Sequence[TrajectoryFormat]) -> list[str]:
+    """The names of the files."""
+    return ["plan.json", *(chosen.file_name for chosen in formats), "report.html", "plan.png"]
+
+
+def save_plan(plan: Plan, folder: str | os.PathLike[str], formats: Sequence[str] = FORMATS) -> Path:
+    """Writes them as `ctrplan plan` does; returns the folder, which is made if need be. Raises CtrplanError."""
+    chosen = trajectory_formats(formats)
+    outputs = plan_outputs(chosen)
+    place = output_folder(os.fspath(folder), outputs)
+    scene = plan_scene(plan)  # writers solve nothing
+    with written_together(place, outputs) as made:
+        write_plan_json(made / "plan.json", plan)
+        write_trajectory(made, plan.trajectory, chosen)
+        write_plan_png(made / "plan.png", scene)
+        write_plan_report(made / "report.html", scene)
+    return place

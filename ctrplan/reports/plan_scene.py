@@ -15,7 +15,7 @@ from ctrplan.base.surface import Rod
 from ctrplan.errors import SolverError
 from ctrplan.files.plan_file import WrittenPlan
 from ctrplan.mechanics.shapes import Status
-from ctrplan.plans.timing import Played, joints_at
+from ctrplan.plans.planned_motion import Played, joints_at
 from ctrplan.reports.robot_surface import Pose, pose
 from ctrplan.scenario.scenario import Scenario
 

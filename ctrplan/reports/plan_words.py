@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from ctrplan.motion.checker import path_limits
-from ctrplan.plans.timing import place_time_s, sample_time_s, settling_duration_s
+from ctrplan.plans.planned_motion import place_time_s, sample_time_s, settling_duration_s
 from ctrplan.reports import looks
 from ctrplan.reports.words import degrees, digits, millimetres
 

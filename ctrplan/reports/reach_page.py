@@ -14,7 +14,7 @@ import plotly.graph_objects as go
 from ctrplan.base.arrays import Array
 from ctrplan.base.version import __version__
 from ctrplan.errors import SolverError
-from ctrplan.planning.goals.reach import Configuration, Reach
+from ctrplan.planning.reach import Configuration, Reach
 from ctrplan.reports import looks
 from ctrplan.reports.html_page import Markup, facts, page, plot, script, section, table, tag
 from ctrplan.reports.looks import view_box

@@ -12,7 +12,7 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.certificate.friction_states import bound_allowance_m
-from ctrplan.plans.timing import joints_at
+from ctrplan.plans.planned_motion import joints_at
 
 if TYPE_CHECKING:
     from ctrplan.reports.plan_scene import WrittenMotion

@@ -10,8 +10,8 @@ from ctrplan.reports.words import digits, millimetres
 
 if TYPE_CHECKING:
     from ctrplan.plans.plan import Plan
-    from ctrplan.uncertainty.chance import Chance
     from ctrplan.uncertainty.result import GoalMiss, Uncertainty
+    from ctrplan.uncertainty.worst_case import Chance
 
 Rows = dict[str, str]  # what -> how much
 

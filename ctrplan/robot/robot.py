@@ -21,12 +21,11 @@ if TYPE_CHECKING:
 
     from ctrplan.base.long_work import Progress
     from ctrplan.mechanics.accuracy import Accuracy, HistoryOptions
-    from ctrplan.mechanics.core import Mechanics
+    from ctrplan.mechanics.core import Mechanics, Walker
     from ctrplan.mechanics.history import History, Start
     from ctrplan.mechanics.shapes import Bound, Bounds, Shape
-    from ctrplan.mechanics.walker import Walker
-    from ctrplan.robot.observer.observer import Observer
-    from ctrplan.robot.observer.slow_states import SlowOffset, SlowParameter
+    from ctrplan.robot.observer import Observer
+    from ctrplan.robot.slow_states import SlowOffset, SlowParameter
 
 # Keys of a robot file whose numbers may have an interval -> their names and SI values of their units.
 # `curvature_per_m` is the magnitude of a section's precurvature, whose direction stays.
@@ -210,7 +209,7 @@ class Robot:
 
     def walker(self, *, accuracy: Accuracy = "search") -> Walker:
         """Bounds along a path of the collars, step by step, each from the one before. See `Walker`."""
-        from ctrplan.mechanics.walker import Walker
+        from ctrplan.mechanics.core import Walker
 
         return Walker(self.mechanics.core_walker(accuracy), self.n)
 
@@ -239,8 +238,8 @@ class Robot:
         the robot that are estimated besides. members: friction states that are followed, more where there are more
         corners. Raises InputError.
         """
-        from ctrplan.robot.observer.observer import Observer
-        from ctrplan.robot.observer.slow_states import SlowOffset, robot_with, values_of_slow
+        from ctrplan.robot.observer import Observer
+        from ctrplan.robot.slow_states import SlowOffset, robot_with, values_of_slow
 
         known = self.measurement if noise is None else noise
         if known is None:

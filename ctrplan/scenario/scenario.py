@@ -1,4 +1,5 @@
-"""Scenario: a robot, where it stands, where it starts, where it shall go and past what; margins, costs and planner.
+"""Scenario: a robot, where it stands, where it starts, where it shall go and past what; margins, costs, planner,
+clearance grid.
 
 A planner is one file below planning/search/planners/: its name, its settings with their limits, and how OMPL's planner
 is made of them. It must grow forwards only, or check every motion in the direction in which it will be driven: an
@@ -10,10 +11,13 @@ from __future__ import annotations
 from abc import abstractmethod
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from msgspec import Meta, Struct
 
+from ctrplan.anatomy.anatomy_field import anatomy_field, shared_spacing_m
+from ctrplan.anatomy.clearance_grid import SignedDistanceField, field_bounds
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.catalogue import AbstractStruct, Catalogue
 from ctrplan.errors import InputError
@@ -22,7 +26,7 @@ from ctrplan.robot.robot import Robot
 if TYPE_CHECKING:
     from ctrplan.anatomy.fixture import Fixture
     from ctrplan.anatomy.parts import AnatomyPart
-    from ctrplan.robot.observer.state import ObserverState
+    from ctrplan.robot.observer_state import ObserverState
 
 
 class PlannerSettings(Struct, metaclass=AbstractStruct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -187,3 +191,32 @@ class Scenario:
         """
         state.check(self.robot.mechanics, *self.robot.drive.collars(self.start))
         return replace(self, start_friction="observed", start_state=state)
+
+
+MOST_GRIDS = 4  # kept in memory for one robot, of different bases or anatomies
+_GRIDS: WeakKeyDictionary[Robot, dict[bytes, SignedDistanceField]] = WeakKeyDictionary()
+
+
+def anatomy_grid(scenario: Scenario) -> SignedDistanceField | None:
+    """The scenario's anatomy as a signed-distance field around the robot's reach, built once; None in free space."""
+    if not scenario.anatomy:
+        return None
+    grids = _GRIDS.setdefault(scenario.robot, {})
+    place = np.append(scenario.base_R.ravel(), scenario.base_position_m)
+    key = (
+        place.tobytes() + np.array([id(part) for part in scenario.anatomy]).tobytes()
+    )  # the grid keeps its parts alive
+    if key not in grids:
+        reach = max(tube.length_m for tube in scenario.robot.tubes) + scenario.robot.tubes[0].outer_diameter_m
+        lower, upper = field_bounds(scenario.anatomy, reach, scenario.base_position_m, scenario.base_R)
+        while len(grids) >= MOST_GRIDS:
+            del grids[next(iter(grids))]
+        grids[key] = anatomy_field(
+            scenario.anatomy,
+            lower,
+            upper,
+            shared_spacing_m(scenario.anatomy, reach),
+            base_position_m=scenario.base_position_m,
+            reach_m=reach,
+        )
+    return grids[key]

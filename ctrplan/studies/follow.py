@@ -26,9 +26,9 @@ from ctrplan.measurement.sensor import Poses, SensorNoise, frames_along
 from ctrplan.mechanics.history import HistoryPath
 from ctrplan.mechanics.shapes import Status
 from ctrplan.pipeline.chain import Chain
-from ctrplan.robot.observer.slow_states import SlowOffset, SlowParameter
-from ctrplan.robot.observer.state import Observed
+from ctrplan.robot.observer_state import Observed
 from ctrplan.robot.robot import Robot
+from ctrplan.robot.slow_states import SlowOffset, SlowParameter
 from ctrplan.studies.simulate import across_tips
 
 AXES = ("x", "y", "z")

@@ -22,8 +22,8 @@ from ctrplan.errors import NoAnswerError
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import PathDensity
 from ctrplan.motion.checker import MotionChecker, path_limits
-from ctrplan.planning.goals.goal_states import RANK, descended
-from ctrplan.planning.goals.reach import Configuration, configuration, reach, refined
+from ctrplan.planning.goal_states import RANK, descended
+from ctrplan.planning.reach import Configuration, configuration, reach, refined
 from ctrplan.robot.named_numbers import value_of, with_values
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.scenario import Goal, Scenario

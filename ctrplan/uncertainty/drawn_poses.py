@@ -24,12 +24,12 @@ from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import cores
 from ctrplan.errors import SolverError
 from ctrplan.mechanics.history import History
-from ctrplan.robot.observer.state import ObservedHistory
+from ctrplan.robot.observer_state import ObservedHistory
 from ctrplan.scenario.prediction import predict, rows_to_simulate, start_states
-from ctrplan.uncertainty.chance import SOLVED, Draws
 from ctrplan.uncertainty.parameters import UncertainParameters
 from ctrplan.uncertainty.target import Aim, Misses
 from ctrplan.uncertainty.tip_slopes import TipSlopes, held_collars, poses_at, tip_slopes
+from ctrplan.uncertainty.worst_case import SOLVED, Draws
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.history import Start

@@ -12,15 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.uncertainty.allowance import bodies_at, looked_at
-from ctrplan.uncertainty.body_clearance import BodyClearance, alike, body_at
-from ctrplan.uncertainty.chance import DISTRIBUTION, DRAWS, SOLVED, Chance, Draws, chance
+from ctrplan.uncertainty.body_clearance import BodyClearance, alike, bodies_at, body_at, looked_at
 from ctrplan.uncertainty.parameters import UncertainParameters
 from ctrplan.uncertainty.worst_case import (
+    DISTRIBUTION,
+    DRAWS,
     SECOND_ORDER,
+    SOLVED,
     UNEXPLAINED,
+    Chance,
     Contributor,
+    Draws,
     TurnContributor,
+    chance,
     ranked,
     sentence,
     shares,

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.uncertainty.chance import Chance, chance
 from ctrplan.uncertainty.drawn_poses import DrawnPoses, SimulatedPoses
 from ctrplan.uncertainty.result import GoalMiss, TourMiss, TurnMiss
 from ctrplan.uncertainty.target import POSITION, TANGENT, Aim, Misses, Stop, TipVector, WorstCase, quantile95
@@ -21,6 +20,8 @@ from ctrplan.uncertainty.worst_case import (
     PLAY,
     UNEXPLAINED,
     BaseBall,
+    Chance,
+    chance,
     ranked,
     ranked_turns,
     sentence,

@@ -18,8 +18,8 @@ import ctrplan
 from ctrplan.anatomy.clearance_grid import content_key
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.motion.checker import MotionChecker, path_limits
-from ctrplan.planning.goals.goal_states import descended
-from ctrplan.planning.goals.reach import Configuration
+from ctrplan.planning.goal_states import descended
+from ctrplan.planning.reach import Configuration
 from ctrplan.scenario.scenario import Goal
 from ctrplan.scenario.tip_solver import GoalState
 

@@ -11,8 +11,8 @@ import SimpleITK
 from phantoms import AXES, CENTRE, OBLIQUE, capsule, distance_mm, image, near_points, part_of, torus, written
 from scipy.spatial.transform import Rotation
 
-from ctrplan.anatomy.images import structure
-from ctrplan.anatomy.images.structure import Structure
+from ctrplan.anatomy import structure
+from ctrplan.anatomy.structure import Structure
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.7, 0.7, 1.4)])

@@ -20,7 +20,7 @@ from ctrplan.cli import main
 from ctrplan.commands.terminal import ProgressBar
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.files.trajectory_file import trajectory_formats, write_trajectory
-from ctrplan.plans.plan_json import write_plan_json
+from ctrplan.plans.plan import write_plan_json
 
 JOINTS = ("rotate outer", "rotate middle", "rotate inner", "translate inner")
 GOAL = [0, 8, 12, -77]

@@ -17,15 +17,15 @@ from measured_data import SIGMA_M, measured, pair_robot, waypoints
 from ctrplan.calibration.residuals import Noise
 from ctrplan.cli import main
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, partial, test_set
+from ctrplan.diagnosis import built_term as built
 from ctrplan.diagnosis.adequacy import noise_floor
-from ctrplan.diagnosis.building import built
-from ctrplan.diagnosis.building.built import refusals
-from ctrplan.diagnosis.building.dictionary import Piece, pieces
-from ctrplan.diagnosis.building.term_search import _with_piece, built_term, wide
+from ctrplan.diagnosis.built_term import refusals
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.partial import partly
 from ctrplan.diagnosis.partial_search import PartialSelector
 from ctrplan.diagnosis.sentences import effect_lines, verdict_sentence
+from ctrplan.diagnosis.term_dictionary import Piece, pieces
+from ctrplan.diagnosis.term_search import _with_piece, built_term, wide
 from ctrplan.diagnosis.usable_poses import usable_poses
 from ctrplan.diagnosis.workbench import Scored, candidates, values_by_name
 from ctrplan.effects.learned import parts

@@ -22,8 +22,8 @@ from ctrplan.diagnosis.block_evidence import (
     telling_odds,
 )
 from ctrplan.diagnosis.block_evidence import _shift as shift
-from ctrplan.diagnosis.building.term_search import built_term
 from ctrplan.diagnosis.cross_validation import Linear
+from ctrplan.diagnosis.term_search import built_term
 from ctrplan.effects.learned.inputs import Range, Target
 from ctrplan.effects.learned.learned import named
 

@@ -11,10 +11,10 @@ from measured_data import SIGMA_M, measured, pair_robot, waypoints
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import Noise
-from ctrplan.diagnosis.building.dictionary import Piece, pieces
-from ctrplan.diagnosis.building.term_search import Wide, grown, reach, wide
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.partial_search import PartialSelector
+from ctrplan.diagnosis.term_dictionary import Piece, pieces
+from ctrplan.diagnosis.term_search import Wide, grown, reach, wide
 from ctrplan.diagnosis.workbench import Scored, candidates
 from ctrplan.effects.effect import CATALOGUE
 

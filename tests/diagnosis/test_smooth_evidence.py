@@ -15,10 +15,10 @@ from ctrplan.calibration.discrepancy import Linearised, Spectrum, block_of, shar
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE, smooth_evidence
 from ctrplan.diagnosis import partial as rules
-from ctrplan.diagnosis.building.term_search import built_term
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.partial_search import PartialSelector
 from ctrplan.diagnosis.smooth_evidence import Gain, SmoothEvidence
+from ctrplan.diagnosis.term_search import built_term
 from ctrplan.diagnosis.usable_poses import block_split, blocks
 from ctrplan.diagnosis.verdict import Finding
 from ctrplan.diagnosis.workbench import candidates

@@ -75,7 +75,7 @@ def test_a_planner_is_one_file(tmp_path: Path) -> None:
 import numpy as np
 import ctrplan
 from ctrplan.planning import MotionChecker
-from ctrplan.planning.goals.goal_states import goal_states
+from ctrplan.planning.goal_states import goal_states
 from ctrplan.planning.search.ompl_set_up import SearchProblem
 
 scenario = ctrplan.load_scenario("first.toml", ["planner.name=RRT", "planner.goal_bias=0.3"])

@@ -12,7 +12,7 @@ from places import SCENARIOS
 import ctrplan
 from ctrplan.errors import InputError
 from ctrplan.files.trajectory_file import trajectory_formats, write_trajectory
-from ctrplan.plans.plan_json import write_plan_json
+from ctrplan.plans.plan import write_plan_json
 
 FREE = str(SCENARIOS / "pair_free.toml")
 QUICK = ["planner.time_s=0.05", "robot.model_error_mm=0.5"]

@@ -18,11 +18,10 @@ import tomli_w
 import ctrplan
 from ctrplan.anatomy import clearance_grid
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.patients.bases_table import read_bases
 from ctrplan.patients.case import Case, case
-from ctrplan.patients.work import BASES, PLACED, SCENARIO
-from ctrplan.planning.placing import screen as screening
-from ctrplan.reports import plan_folder
+from ctrplan.patients.work import BASES, PLACED, SCENARIO, read_bases
+from ctrplan.planning import base_screen as screening
+from ctrplan.reports import plan_page
 from ctrplan.storage.toml_document import read_document
 
 TARGET = phantom.ENTRY + phantoms.OBLIQUE @ (33.4, -25.7, 166.3)  # near where the robot begins
@@ -37,7 +36,7 @@ def coarse() -> Any:
         patch.setattr(screening, "SAMPLES", 1500)
         patch.setattr(clearance_grid, "MAX_DEFAULT_NODES", 5e4)
         for page in ("write_plan_png", "write_plan_report"):
-            patch.setattr(plan_folder, page, lambda path, _: path.write_text("a page"))
+            patch.setattr(plan_page, page, lambda path, _: path.write_text("a page"))
         yield
 
 
@@ -163,7 +162,7 @@ def test_the_row_that_a_plan_was_found_from_is_said(folder: Path, monkeypatch: p
 
     monkeypatch.setattr("ctrplan.patients.steps.plan", plan)
     monkeypatch.setattr("ctrplan.patients.steps._sentence", lambda made: "certified")
-    monkeypatch.setattr(plan_folder, "save_plan", lambda made, folder: None)
+    monkeypatch.setattr(plan_page, "save_plan", lambda made, folder: None)
     case(folder, from_step="placed", until="plan", bases=2)
     record = json.loads((folder / "case.json").read_text())
     assert record["steps"]["plan"]["sentence"] == "from row 2 of bases.csv: certified"

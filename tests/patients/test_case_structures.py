@@ -13,7 +13,7 @@ import SimpleITK
 import trimesh
 
 import ctrplan
-from ctrplan.anatomy.images import image_file
+from ctrplan.anatomy import image_file
 from ctrplan.anatomy.phases import Phases
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.anatomy.shapes.volume import Volume

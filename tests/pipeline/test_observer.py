@@ -10,10 +10,10 @@ from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot
 from ctrplan.mechanics.history import HistoryPath
-from ctrplan.robot.observer.histories import start_states
-from ctrplan.robot.observer.observer import Observer
-from ctrplan.robot.observer.slow_states import SlowOffset, SlowParameter
+from ctrplan.robot.observer import Observer
+from ctrplan.robot.observer_histories import start_states
 from ctrplan.robot.robot import Robot
+from ctrplan.robot.slow_states import SlowOffset, SlowParameter
 
 PAIR, THREE = load_robot(ROBOTS / "table_5_pair.toml"), load_robot(ROBOTS / "three_tube.toml")
 STARTS = {2: (0.4,), 3: (0.4, -0.7)}  # on no grid that a bank begins with

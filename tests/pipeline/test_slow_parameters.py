@@ -11,7 +11,7 @@ from ctrplan.errors import InputError
 from ctrplan.files.robot_file import load_robot
 from ctrplan.mechanics.core import Mechanics
 from ctrplan.robot.named_numbers import with_values
-from ctrplan.robot.observer.slow_states import SlowModel, SlowOffset, SlowParameter
+from ctrplan.robot.slow_states import SlowModel, SlowOffset, SlowParameter
 
 PAIR = load_robot(ROBOTS / "table_5_pair.toml")
 FRICTION = "contact.1.friction_coefficient"

@@ -15,7 +15,7 @@ from places import SCENARIOS
 from ctrplan.cli import main
 from ctrplan.files.scenario_file import scenario_from_dict
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.goals.room import start_trouble
+from ctrplan.planning.room import start_trouble
 from ctrplan.plans.plan import Plan
 from ctrplan.reports.plan_page import plan_report_html
 from ctrplan.reports.plan_picture import plan_figure
@@ -111,7 +111,7 @@ def drawn(plan: Plan) -> Iterator[None]:
     scene = plan_scene(plan)
     figure, page = plan_figure(scene), plan_report_html(scene)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ctrplan.reports.plan_folder.plan_scene", lambda _: scene)
+        patch.setattr("ctrplan.reports.plan_page.plan_scene", lambda _: scene)
         patch.setattr("ctrplan.reports.plan_picture.plan_figure", lambda _: figure)
         patch.setattr("ctrplan.reports.plan_page.plan_report_html", lambda _: page)
         yield
@@ -151,7 +151,7 @@ def test_folder_nobody_may_write_into_is_refused_before_planning(capsys: pytest.
 def test_nearest_point_is_where_the_sentence_says() -> None:
     """Beyond the longest robot straight ahead: nothing is nearer than what is reported, by brute force."""
     from ctrplan.files.scenario_file import load_robot_or_scenario
-    from ctrplan.planning.goals.reach import reach
+    from ctrplan.planning.reach import reach
     from ctrplan.scenario.tip_solver import TipTarget
 
     scenario = load_robot_or_scenario(SCENARIOS / "robots" / "three_tube.toml")

@@ -15,11 +15,10 @@ from scipy.interpolate import CubicHermiteSpline
 from ctrplan.anatomy.parts import surface_distance
 from ctrplan.certificate.certificate import Certificate, Closest, joined_certificates
 from ctrplan.certificate.certify import certify
-from ctrplan.certificate.closely_solved import closely_solved
 from ctrplan.certificate.friction_states import TIGHT_M
-from ctrplan.certificate.walked_piece import least_of, walk_pieces
+from ctrplan.certificate.walked_piece import closely_solved, least_of, walk_pieces
 from ctrplan.plans.plan import Plan
-from ctrplan.plans.timing import joints_at
+from ctrplan.plans.planned_motion import joints_at
 from ctrplan.scenario.joint_space import JointSpace
 
 KINDS = ("nominal", "closest", "narrowest")

@@ -8,8 +8,8 @@ from places import SCENARIOS
 
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.goals.goal_states import descended, goal_states
-from ctrplan.planning.goals.reach import bound_slopes
+from ctrplan.planning.goal_states import descended, goal_states
+from ctrplan.planning.reach import bound_slopes
 from ctrplan.scenario.tip_solver import GoalState
 
 STEEP = "goal={tip_mm=[16.1, -30.3, 144.9], tolerance_mm=1.0}"  # where descent pays

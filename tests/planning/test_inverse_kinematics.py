@@ -15,7 +15,7 @@ from ctrplan.errors import NoAnswerError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_file import load_robot_or_scenario
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.goals.reach import reach
+from ctrplan.planning.reach import reach
 from ctrplan.reports.live.state import LiveState
 from ctrplan.scenario.bare_scenario import bare_scenario
 from ctrplan.scenario.joint_space import JointSpace

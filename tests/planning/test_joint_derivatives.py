@@ -13,8 +13,8 @@ from ctrplan.base.arrays import Array
 from ctrplan.effects.effect import CATALOGUE
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.finish.compensate import tip_jacobian
-from ctrplan.planning.goals.reach import bound_slopes, tips_by_joints
+from ctrplan.planning.compensate import tip_jacobian
+from ctrplan.planning.reach import bound_slopes, tips_by_joints
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.bare_scenario import bare_scenario
 from ctrplan.scenario.joint_space import JointSpace

@@ -10,7 +10,7 @@ from places import SCENARIOS
 
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import DOUBTFUL_M, MotionChecker
-from ctrplan.planning.goals.goal_states import goal_states
+from ctrplan.planning.goal_states import goal_states
 
 
 @pytest.mark.parametrize("name", ["sinus", "airway"])

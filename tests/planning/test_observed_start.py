@@ -17,8 +17,8 @@ from ctrplan.files.plan_file import load_plan
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.files.trajectory_file import trajectory_formats, write_trajectory
-from ctrplan.plans.plan_json import write_plan_json
-from ctrplan.robot.observer.state import ObserverState
+from ctrplan.plans.plan import write_plan_json
+from ctrplan.robot.observer_state import ObserverState
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.prediction import predict
 from ctrplan.scenario.scenario import Scenario

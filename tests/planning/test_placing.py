@@ -20,10 +20,10 @@ from scipy.spatial.transform import Rotation
 import ctrplan
 from ctrplan.cli import main
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.planning.placing import screen as screening
-from ctrplan.planning.placing.base_pose import BasePose, Patch, Pose, base_pose, placed
-from ctrplan.planning.placing.place import Placement, place
-from ctrplan.planning.placing.screen import Screen, Worth
+from ctrplan.planning import base_screen as screening
+from ctrplan.planning.base_pose import BasePose, Patch, Pose, base_pose, placed
+from ctrplan.planning.base_screen import Screen, Worth
+from ctrplan.planning.place import Placement, place
 
 PAIR = ROBOTS / "table_5_pair.toml"
 WAY = {"rotate outer": 20.0, "rotate inner": 140.0, "translate inner": 10.0}  # there and back

@@ -13,8 +13,7 @@ import pytest
 from jsonschema import Draft202012Validator
 from places import ROOT
 
-from ctrplan.plans.plan import Plan
-from ctrplan.plans.plan_json import plan_to_json, write_plan_json
+from ctrplan.plans.plan import Plan, plan_to_json, write_plan_json
 
 SCHEMA = json.loads((ROOT / "docs" / "plan.schema.json").read_text(encoding="utf-8"))
 PAIR_WAYPOINTS_DEG = [[0, 0], [60, -120]]

@@ -26,10 +26,9 @@ from ctrplan.motion.checker import search_limits
 from ctrplan.plans.plan import Plan
 from ctrplan.reports.plan_page import uncertainty_section
 from ctrplan.scenario.scenario import Goal, Registration, Scenario
-from ctrplan.uncertainty.allowance import bodies_at, parameter_allowance
-from ctrplan.uncertainty.body_clearance import alike, body_at, solved_bodies
-from ctrplan.uncertainty.chance import wilson
+from ctrplan.uncertainty.body_clearance import alike, bodies_at, body_at, parameter_allowance, solved_bodies
 from ctrplan.uncertainty.parameters import uncertain_parameters
+from ctrplan.uncertainty.worst_case import wilson
 
 INTERVALS = [
     "robot.uncertainty.ci95.tube.3.section.2.curvature_per_m=[17.9, 18.5]",

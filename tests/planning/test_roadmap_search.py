@@ -17,12 +17,12 @@ from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.walk import PathSamples
 from ctrplan.motion.bound_table import BoundTable
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.goals.goal_states import descended, goal_states
+from ctrplan.planning.goal_states import descended, goal_states
 from ctrplan.planning.search.insertion_chains import Roadmap
 from ctrplan.planning.search.ompl_set_up import SearchProblem
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
 from ctrplan.planning.search.stage_search import StageSearch
-from ctrplan.scenario.anatomy_grid import anatomy_grid
+from ctrplan.scenario.scenario import anatomy_grid
 
 
 @pytest.fixture(scope="module")

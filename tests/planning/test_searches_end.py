@@ -20,7 +20,7 @@ from ctrplan.base.long_work import CHEAP_QUESTIONS, LEAST_REAL_S, SearchClock, S
 from ctrplan.errors import NoAnswerError
 from ctrplan.files.scenario_file import load_scenario, scenario_from_dict
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.goals.goal_states import goal_states, is_at_goal, nearest_turn
+from ctrplan.planning.goal_states import goal_states, is_at_goal, nearest_turn
 from ctrplan.planning.search.ompl_set_up import SearchProblem
 from ctrplan.planning.search.stage_search import StageSearch
 from ctrplan.scenario.joint_space import JointSpace

@@ -22,20 +22,18 @@ from ctrplan.drive.legs import distance_from_polyline
 from ctrplan.files.plan_folder import _made
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.play import play_turn
-from ctrplan.plans.plan import Plan
-from ctrplan.plans.plan_json import _plain
+from ctrplan.plans.plan import Plan, _plain
 from ctrplan.reports.plan_page import uncertainty_section
 from ctrplan.reports.uncertainty_words import uncertainty_rows
 from ctrplan.scenario.prediction import start_states
 from ctrplan.scenario.scenario import Goal, Registration, Scenario
-from ctrplan.uncertainty.chance import Chance, Draws, chance, wilson
 from ctrplan.uncertainty.drawn_poses import BeyondFirstOrder, DrawnPoses
 from ctrplan.uncertainty.parameters import uncertain_parameters
 from ctrplan.uncertainty.result import Uncertainty
 from ctrplan.uncertainty.target import Aim, end_stop
 from ctrplan.uncertainty.target_miss import judged
 from ctrplan.uncertainty.tip_slopes import poses_at
-from ctrplan.uncertainty.worst_case import CHI95
+from ctrplan.uncertainty.worst_case import CHI95, Chance, Draws, chance, wilson
 
 SCHEMA = json.loads((ROOT / "docs" / "plan.schema.json").read_text(encoding="utf-8"))
 CURVED = [

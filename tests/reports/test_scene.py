@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.plans.plan import Plan
-from ctrplan.plans.timing import joints_at, leg_end_s, sample_time_s
+from ctrplan.plans.planned_motion import joints_at, leg_end_s, sample_time_s
 from ctrplan.reports.looks import view_box
 from ctrplan.reports.plan_motion import scene_figure
 from ctrplan.reports.plan_scene import goal_tip, plan_scene, tip_path

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from counted_calls import count_calls
 
-from ctrplan.plans.plan import Plan
-from ctrplan.plans.plan_json import write_plan_json
+from ctrplan.plans.plan import Plan, write_plan_json
 from ctrplan.reports.plan_page import write_plan_report
 from ctrplan.reports.plan_picture import write_plan_png
 from ctrplan.reports.plan_scene import FRAMES, PlanScene, plan_scene

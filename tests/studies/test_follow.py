@@ -14,8 +14,8 @@ from ctrplan.cli import main
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot
 from ctrplan.pipeline.chain import Chain
-from ctrplan.robot.observer.slow_states import SlowParameter
 from ctrplan.robot.robot import Robot
+from ctrplan.robot.slow_states import SlowParameter
 from ctrplan.studies.follow import follow, followed_csv
 
 PAIR = str(ROBOTS / "table_5_pair.toml")

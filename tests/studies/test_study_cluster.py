@@ -21,10 +21,10 @@ from places import ROBOTS
 from ctrplan.cli import main
 from ctrplan.errors import InputError
 from ctrplan.studies.study import engine_dask
+from ctrplan.studies.study.engine import VersionError, do_tasks
 from ctrplan.studies.study.study import Doing, Study
 from ctrplan.studies.study.table import load_study
 from ctrplan.studies.study.task import Job
-from ctrplan.studies.study.worker import VersionError, do_tasks
 
 distributed = pytest.importorskip("distributed")
 

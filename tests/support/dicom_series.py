@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import SimpleITK
 
-from ctrplan.anatomy.images.image_file import kept_locale
+from ctrplan.anatomy.image_file import kept_locale
 
 
 @kept_locale()

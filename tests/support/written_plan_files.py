@@ -10,7 +10,7 @@ from places import SCENARIOS
 
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.files.trajectory_file import trajectory_formats, write_trajectory
-from ctrplan.plans.plan_json import write_plan_json
+from ctrplan.plans.plan import write_plan_json
 
 JOINTS = ("rotate outer", "rotate middle", "rotate inner", "translate inner")
 GOAL = [0.0, 5.0, 10.0, -3.0]

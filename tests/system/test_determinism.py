@@ -18,7 +18,7 @@ from ctrplan.cli import main
 from ctrplan.files.robot_file import load_robot
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.core import kernel_name
-from ctrplan.plans.plan_json import plan_to_json
+from ctrplan.plans.plan import plan_to_json
 
 BOUNDS = """
 import json, sys

@@ -12,7 +12,7 @@ from places import ROOT
 import ctrplan
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.goals.goal_states import goal_states
+from ctrplan.planning.goal_states import goal_states
 from ctrplan.planning.search.insertion_chains import retreat_roadmap
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
 

@@ -9,11 +9,11 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from ctrplan.anatomy.images.image import Image, ImageRefusal
-from ctrplan.anatomy.images.structure import Choice, Structure, has_thin_parts, structure
+from ctrplan.anatomy.image import Image, ImageRefusal
 from ctrplan.anatomy.patient_frame import Frame, to_scenario
 from ctrplan.anatomy.shape import PartEntry, register
 from ctrplan.anatomy.shapes.mesh import Mesh
+from ctrplan.anatomy.structure import Choice, Structure, has_thin_parts, structure
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.storage.toml_document import Component, Distance
 from ctrplan.storage.toml_table import Table
@@ -76,7 +76,7 @@ class VolumeEntry(PartEntry):
 
 def volume(image: Image, choice: Choice, file: str, surface_error_mm: float | None = None) -> Volume:
     """The surface of what is chosen of an image. Raises ImageRefusal where that is nothing."""
-    from ctrplan.anatomy.images.structure import level_surface  # slow to import
+    from ctrplan.anatomy.structure import level_surface  # slow to import
     from ctrplan.anatomy.surface_file import thinned, thinning_note
 
     found = structure(image, choice)
@@ -93,7 +93,7 @@ def volume(image: Image, choice: Choice, file: str, surface_error_mm: float | No
 
 def _voxels_off(found: Structure) -> float:
     """What a surface may be off by in widest voxels."""
-    from ctrplan.anatomy.images.structure import GREY_ERROR, LABEL_ERROR, THIN_ERROR
+    from ctrplan.anatomy.structure import GREY_ERROR, LABEL_ERROR, THIN_ERROR
 
     if found.above is not None:
         return GREY_ERROR
@@ -101,8 +101,8 @@ def _voxels_off(found: Structure) -> float:
 
 
 def _read(path: Path, series: str | None) -> Image:
-    from ctrplan.anatomy.images.dicom import read_series  # with SimpleITK, which few scenarios need
-    from ctrplan.anatomy.images.image_file import SUFFIXES, image_of, is_image
+    from ctrplan.anatomy.dicom import read_series  # with SimpleITK, which few scenarios need
+    from ctrplan.anatomy.image_file import SUFFIXES, image_of, is_image
 
     if path.is_dir() or path.suffix.lower() == ".dcm":
         return read_series(path if path.is_dir() else path.parent, series)

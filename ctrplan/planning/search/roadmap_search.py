@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import dijkstra
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import ROOM_NS, counted_aside
 from ctrplan.motion.checker import DEFINITE_COLLISION_M, MotionChecker
-from ctrplan.planning.goals.goal_states import Trail
+from ctrplan.planning.goal_states import Trail
 from ctrplan.planning.search.insertion_chains import SKIPS, Roadmap
 from ctrplan.scenario.tip_solver import GoalState, TipSolver, TipTarget
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.errors import InputError
-from ctrplan.planning.goals.reach import reach
+from ctrplan.planning.reach import reach
 from ctrplan.reports.live.standing import Standing
 from ctrplan.scenario.tip_solver import TipTarget
 

@@ -14,7 +14,7 @@ from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
 from ctrplan.mechanics.shapes import Status
 from ctrplan.motion.play import play_shift
-from ctrplan.plans.timing import Played, joints_at
+from ctrplan.plans.planned_motion import Played, joints_at
 from ctrplan.reports import looks as looks
 from ctrplan.reports.live.clearances import clearances_mm
 from ctrplan.reports.live.picked_tip import picked_tip

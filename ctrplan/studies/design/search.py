@@ -32,12 +32,11 @@ from ctrplan.studies.design.definition import Archive, Definition, Looked, judge
 from ctrplan.studies.design.space import Design, DesignSpace, name_of
 from ctrplan.studies.study.axes import goal_overrides
 from ctrplan.studies.study.definition import KEPT
-from ctrplan.studies.study.engine import Engine
+from ctrplan.studies.study.engine import Engine, unanswered
 from ctrplan.studies.study.store import Lines, Store
 from ctrplan.studies.study.study import Doing, Report, Where
 from ctrplan.studies.study.table import write_table
 from ctrplan.studies.study.task import KEY_DIGITS, Task
-from ctrplan.studies.study.worker import unanswered
 from ctrplan.studies.target_set import LESS_IS_BETTER
 
 FIRST, LEAST = 0.1, 0.01  # shares of the ranges

@@ -1,19 +1,177 @@
-"""Where tasks are done: an engine is given chunks of tasks, and gives their rows back as they come.
+"""Where the tasks of a study are done: an engine is given chunks of tasks, its workers give rows back, whatever
+happens.
 
 Only so many chunks are handed out at a time that nobody waits, so that memory does not grow with the study.
 """
 
 from __future__ import annotations
 
+import math
+import os
+import pickle
+import socket
+import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from functools import lru_cache
 from typing import Any
 
-from ctrplan.errors import InputError
-from ctrplan.studies.child_process import ChildEnded, ChildExecutor
+import numpy as np
+
+from ctrplan.base.long_work import one_core
+from ctrplan.base.version import __version__
+from ctrplan.errors import CtrplanError, InputError, NoAnswerError
+from ctrplan.storage.toml_document import Document
+from ctrplan.storage.toml_table import Table
+from ctrplan.studies.child_process import ChildEnded, ChildExecutor, in_child
 from ctrplan.studies.study.store import Lines
-from ctrplan.studies.study.worker import Chunk, VersionError, do_chunk, do_limited, tasks_of, unanswered
+from ctrplan.studies.study.task import CATALOGUE, Job, Numbered, Row, Status, Task, TaskKind
+
+Chunk = Sequence[Task] | Numbered
+"""Tasks that a worker gets at a time."""
+
+
+class VersionError(InputError):
+    """A worker has another version of the package than whoever sent it tasks."""
+
+
+def check_version(theirs: str, worker: str = "") -> None:
+    """Raises VersionError, with both, unless this process has the version of whoever sends tasks."""
+    if theirs != __version__:
+        where = worker or worker_name()
+        raise VersionError(
+            f"the worker {where} has ctrplan {__version__}, the study is run by {theirs}: install the same"
+        )
+
+
+def do_chunk(content: bytes, chunk: Chunk) -> Lines:
+    """The rows of a chunk of a job's tasks, as `do_tasks` has them."""
+    check_version(_job(content).version)
+    return Lines.of(do_tasks(content, tasks_of(content, chunk)))
+
+
+def tasks_of(content: bytes, chunk: Chunk) -> Sequence[Task]:
+    """The tasks of a chunk, also where only their numbers were sent."""
+    if not isinstance(chunk, Numbered):
+        return chunk
+    tasks = _job(content).tasks
+    assert tasks is not None
+    return chunk.of(tasks)
+
+
+def do_tasks(content: bytes, tasks: Sequence[Task]) -> list[Row]:
+    """The rows of tasks of a job, on one thread. Raises VersionError; all else that goes wrong stands in the rows."""
+    job = _job(content)
+    check_version(job.version)
+    kind = _kind(content)
+    prepare(content)
+    rows, where, begun = [], worker_name(), (time.process_time(), time.monotonic())
+    with one_core():
+        for task, result in kind.rows(tasks, job):
+            ended = (time.process_time(), time.monotonic())
+            rows.append(_row(job, task, result, where, (ended[0] - begun[0], ended[1] - begun[1])))
+            begun = ended
+    return rows
+
+
+def prepare(content: bytes) -> None:
+    """Does what comes before a job's first task and is none of its time: slow imports, the files."""
+    job = _job(content)
+    if not (job.is_robot and job.task["kind"] == "bound"):  # which need nothing of planning
+        pass
+    _ = job.sources.here
+
+
+def kind_of(job: Job) -> TaskKind:
+    """What is done with every task. Raises InputError."""
+    return _read_kind(Document.of({"task": dict(job.task)}, "study"))
+
+
+def _read_kind(document: Document) -> TaskKind:
+    from ctrplan.storage.toml_table import chosen
+
+    return chosen(Table(document, ("task",)), "kind", CATALOGUE, TaskKind)
+
+
+@lru_cache(maxsize=4)
+def _job(content: bytes) -> Job:
+    job: Job = pickle.loads(content)
+    return job
+
+
+@lru_cache(maxsize=4)
+def _kind(content: bytes) -> TaskKind:
+    return kind_of(_job(content))
+
+
+def _row(job: Job, task: Task, result: Mapping[str, Any] | Exception, where: str, took_s: tuple[float, float]) -> Row:
+    status: Status = "done"
+    reason = ""
+    numbers: Mapping[str, Any] = {}
+    if isinstance(result, Exception):
+        status, reason = _status(result), _sentence(result, job)
+        numbers = getattr(result, "numbers", {})
+    else:
+        numbers = result
+    return Row(
+        key=task.key,
+        index=task.index,
+        inputs=task.inputs,
+        status=status,
+        reason=reason,
+        numbers={name: _plain(value) for name, value in numbers.items() if not job.numbers or name in job.numbers},
+        seconds=took_s[0],
+        elapsed_s=took_s[1],
+        worker=where,
+        overrides=task.overrides,
+        files={name: job.sources.named(data) for name, data in getattr(result, "files", {}).items()},
+    )
+
+
+def _status(error: Exception) -> Status:
+    if isinstance(error, NoAnswerError):
+        return "no answer"
+    return "refused" if isinstance(error, InputError) else "failed"
+
+
+def _sentence(error: Exception, job: Job) -> str:
+    """What went wrong, about the files as they are called where the study was begun."""
+    if isinstance(error, CtrplanError):
+        return job.sources.said(str(error))
+    if isinstance(error, MemoryError):
+        return "there is not enough memory for this."
+    return job.sources.said(f"{type(error).__name__}: {' '.join(str(error).split())}")
+
+
+def _plain(value: Any) -> Any:
+    plain = value.item() if isinstance(value, np.generic) else value
+    return plain if not isinstance(plain, float) or math.isfinite(plain) or math.isinf(plain) else math.nan
+
+
+def worker_name() -> str:
+    """Machine and process."""
+    return f"{socket.gethostname()}:{os.getpid()}"
+
+
+def do_limited(content: bytes, chunk: Chunk, limit_s: float) -> Lines:
+    """Rows of tasks, each of which may take `limit_s`; one that did not live to answer has a row that says so."""
+    rows: list[Row] = []
+    for task in tasks_of(content, chunk):
+        try:
+            in_child(prepare, content)
+            rows += in_child(do_tasks, content, [task], limit_s=limit_s)
+        except TimeoutError:
+            rows.append(unanswered(task, "timed out", f"took longer than the limit of {limit_s:g} s.", limit_s))
+        except ChildEnded as error:
+            rows.append(unanswered(task, "lost", f"{error}."))
+    return Lines.of(rows)
+
+
+def unanswered(task: Task, status: Status, sentence: str, elapsed_s: float = 0.0) -> Row:
+    """The row of a task that gave no answer."""
+    return Row(task.key, task.index, task.inputs, status, sentence, overrides=task.overrides, elapsed_s=elapsed_s)
+
 
 Chunks = Iterator[Chunk]
 AHEAD = 2  # chunks for each worker: one that it does, one that is there when it is done

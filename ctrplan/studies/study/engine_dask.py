@@ -21,9 +21,18 @@ from typing import Any
 from ctrplan.base.long_work import cores
 from ctrplan.base.version import __version__
 from ctrplan.errors import CtrplanError, InputError
-from ctrplan.studies.study.engine import AHEAD, Chunks, Engine, answer
+from ctrplan.studies.study.engine import (
+    AHEAD,
+    Chunk,
+    Chunks,
+    Engine,
+    answer,
+    check_version,
+    do_chunk,
+    do_limited,
+    prepare,
+)
 from ctrplan.studies.study.store import Lines
-from ctrplan.studies.study.worker import Chunk, check_version, do_chunk, do_limited, prepare
 
 
 @contextmanager
@@ -121,7 +130,7 @@ class DaskEngine(Engine):
 
     def _check_versions(self) -> None:
         """Raises VersionError for a worker that is there; those that join later say it with their first task."""
-        from ctrplan.studies.study.worker import VersionError
+        from ctrplan.studies.study.engine import VersionError
 
         try:
             self.client.run(check_version, __version__)

@@ -14,8 +14,8 @@ from ctrplan.storage.toml_document import Point, Tolerance, Vector
 from ctrplan.studies.study.task import Loaded, TaskKind, register
 
 if TYPE_CHECKING:
-    from ctrplan.planning.goals.reach import Configuration
     from ctrplan.planning.inverse_kinematics import InverseKinematics
+    from ctrplan.planning.reach import Configuration
     from ctrplan.robot.robot import Robot
     from ctrplan.scenario.scenario import Scenario
     from ctrplan.studies.study.task import Task

@@ -75,7 +75,7 @@ def _numbers(found: Plan) -> Mapping[str, Any]:
 def _files(found: Plan, wanted: Sequence[str]) -> dict[str, bytes]:
     """What is asked for of the files of a plan's folder."""
     from ctrplan.files.trajectory_file import trajectory_formats, write_trajectory
-    from ctrplan.plans.plan_json import write_plan_json
+    from ctrplan.plans.plan import write_plan_json
 
     if not wanted:
         return {}

@@ -20,10 +20,10 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import residuals
 from ctrplan.diagnosis.block_evidence import mean_square
-from ctrplan.diagnosis.building.dictionary import Piece
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.cross_validation import Linear, held_out_residuals, null_thresholds
 from ctrplan.diagnosis.partial_search import is_built
+from ctrplan.diagnosis.term_dictionary import Piece
 from ctrplan.diagnosis.workbench import Scored, certainty, values_by_name
 from ctrplan.effects.learned import parts
 from ctrplan.effects.learned.inputs import Range, Situation, Target, values

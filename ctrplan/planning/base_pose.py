@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from ctrplan.base.arrays import MM_PER_M, Array, shortest_rotation, unit
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.goals.reach import Configuration, reach
-from ctrplan.planning.goals.room import start_trouble, tightest_place
+from ctrplan.planning.reach import Configuration, reach
+from ctrplan.planning.room import start_trouble, tightest_place
 from ctrplan.scenario.tip_solver import tip_target
 
 if TYPE_CHECKING:

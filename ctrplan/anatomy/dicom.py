@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ctrplan.anatomy.images.header import Header
-from ctrplan.anatomy.images.image import Image, ImageRefusal
-from ctrplan.anatomy.images.image_file import check_bytes, checked, kept_locale, quiet, reason, simpleitk
+from ctrplan.anatomy.image import Image, ImageRefusal
+from ctrplan.anatomy.image_file import check_bytes, checked, kept_locale, quiet, reason, simpleitk
+from ctrplan.anatomy.image_header import Header
 from ctrplan.base.arrays import Array
 
 POSITION, ORIENTATION, SPACING = "0020|0032", "0020|0037", "0028|0030"

@@ -20,8 +20,7 @@ from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.motion.checker import Motion, MotionChecker
 from ctrplan.pipeline.installed import plan_range_notes
 from ctrplan.plans.plan import Plan
-from ctrplan.plans.planned_motion import ComparedWay, Compensation, Leg, ReorderReport, leg_kind
-from ctrplan.plans.timing import follow_the_leader_m
+from ctrplan.plans.planned_motion import ComparedWay, Compensation, Leg, ReorderReport, follow_the_leader_m, leg_kind
 from ctrplan.scenario.joint_space import MotionStyle
 from ctrplan.scenario.prediction import TIP_TOLERANCE_M, goal_error, start_states
 from ctrplan.scenario.scenario import path_cost_mm

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from ctrplan.anatomy.images.image import Image, ImageRefusal, listed
+from ctrplan.anatomy.image import Image, ImageRefusal, listed
 from ctrplan.base.arrays import Array
 
 PAD = 2  # voxels around what is chosen, outside it

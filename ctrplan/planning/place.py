@@ -16,8 +16,8 @@ from ctrplan.base.arguments import EVENT, PROGRESS, SEED, Made, Number, Whole, c
 from ctrplan.base.arrays import LONGEST_MM, numbers
 from ctrplan.base.long_work import StageProgress, interrupt_event
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.planning.placing.base_pose import BasePose, Patch, Pose, base_pose, middle_of, placed
-from ctrplan.planning.placing.screen import Screen, Worth
+from ctrplan.planning.base_pose import BasePose, Patch, Pose, base_pose, middle_of, placed
+from ctrplan.planning.base_screen import Screen, Worth
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.tip_solver import TipSolver
 

@@ -10,7 +10,7 @@ from ctrplan.anatomy.parts import AnatomyPart, surface_distance
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.scenario.anatomy_grid import anatomy_grid
+from ctrplan.scenario.scenario import anatomy_grid
 
 if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario

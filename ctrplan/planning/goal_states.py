@@ -21,8 +21,8 @@ from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.long_work import ROOM_NS, SearchOver, cores
 from ctrplan.errors import NoAnswerError
 from ctrplan.motion.checker import MotionChecker, with_shares
-from ctrplan.planning.goals.reach import Configuration, Reach, bound_slopes, configuration, distinct_rows, reach
-from ctrplan.planning.goals.room import refuse_blocked_target
+from ctrplan.planning.reach import Configuration, Reach, bound_slopes, configuration, distinct_rows, reach
+from ctrplan.planning.room import refuse_blocked_target
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.tip_solver import GoalState, TipSolver, TipTarget, target_in_robot_frame, tip_target
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ctrplan.anatomy.images.image import ImageRefusal
+from ctrplan.anatomy.image import ImageRefusal
 from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.base.arrays import Array
 

@@ -20,7 +20,7 @@ from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.base.arrays import Array
 from ctrplan.mechanics.walk import Field
 from ctrplan.motion.checker import DEFINITE_COLLISION_M, breach, search_limits
-from ctrplan.planning.placing.base_pose import Patch, Pose
+from ctrplan.planning.base_pose import Patch, Pose
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.scenario.tip_solver import TipSolver, TipTarget, angle_to

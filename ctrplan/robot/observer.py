@@ -22,9 +22,8 @@ from ctrplan.errors import InputError, SolverError
 from ctrplan.measurement.sensor import SensorNoise
 from ctrplan.mechanics.core_arrays import joint_row, joint_rows
 from ctrplan.mechanics.history import HistoryPath
-from ctrplan.robot.observer.histories import Histories, Member, RobotWith, asked, states_nearby, tidied, weights
-from ctrplan.robot.observer.slow_states import Slow, SlowModel, SlowOffset, SlowParameter, spread_m2
-from ctrplan.robot.observer.state import (
+from ctrplan.robot.observer_histories import Histories, Member, RobotWith, asked, states_nearby, tidied, weights
+from ctrplan.robot.observer_state import (
     Observed,
     ObservedHistory,
     ObserverState,
@@ -32,6 +31,7 @@ from ctrplan.robot.observer.state import (
     TipEstimate,
     estimate,
 )
+from ctrplan.robot.slow_states import Slow, SlowModel, SlowOffset, SlowParameter, spread_m2
 
 if TYPE_CHECKING:
     from ctrplan.drive.drive import Drive

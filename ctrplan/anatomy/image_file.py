@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrplan.anatomy.images.header import Header, check_gzip, first_bytes, read_header
-from ctrplan.anatomy.images.image import Image, ImageRefusal, UnfitImageRefusal, segments_of
+from ctrplan.anatomy.image import Image, ImageRefusal, UnfitImageRefusal, segments_of
+from ctrplan.anatomy.image_header import Header, check_gzip, first_bytes, read_header
 from ctrplan.anatomy.patient_frame import TURNED
 from ctrplan.base.arrays import Array
 
@@ -272,7 +272,7 @@ def images_kept() -> Iterator[None]:
 
 def image_of(path: Path) -> Image:
     """The image of a file, read where it is not kept. Raises ImageRefusal."""
-    from ctrplan.anatomy.images.image_file import read_image  # readers, which few scenarios need
+    from ctrplan.anatomy.image_file import read_image  # readers, which few scenarios need
 
     images = _KEPT.get()
     if images is None:

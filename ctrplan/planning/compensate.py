@@ -12,7 +12,7 @@ from ctrplan.base.long_work import Progress, part_of
 from ctrplan.certificate.certificate import Certificate, CertificateSamples
 from ctrplan.certificate.certify import certify
 from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.finish.oscillate_at_goal import settled_again
+from ctrplan.planning.oscillate import settled_again
 from ctrplan.plans.planned_motion import Compensation
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.prediction import Prediction, predict_end, predict_from, start_states

@@ -20,14 +20,14 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.estimates import estimates
 from ctrplan.calibration.fit_warnings import strained
 from ctrplan.diagnosis.block_evidence import SAYS_SOMETHING, mean_square, summed
-from ctrplan.diagnosis.building.dictionary import pieces
-from ctrplan.diagnosis.building.term_search import Round, Tried, grown
 from ctrplan.diagnosis.correlated_bench import FRAME_MOVES, CorrelatedBench
 from ctrplan.diagnosis.partial import Partly, concluded, most_probable_alone, rest_beside
 from ctrplan.diagnosis.partial_search import PartialSelector, is_built
 from ctrplan.diagnosis.remainder import Rest
 from ctrplan.diagnosis.selection import Selection, Step
 from ctrplan.diagnosis.smooth_evidence import SmoothEvidence
+from ctrplan.diagnosis.term_dictionary import pieces
+from ctrplan.diagnosis.term_search import Round, Tried, grown
 from ctrplan.diagnosis.workbench import Scored, certainty
 from ctrplan.effects.learned.learned import Learned
 from ctrplan.measurement.measurements import Measurements

@@ -23,7 +23,7 @@ from ctrplan.mechanics.accuracy import HistoryOptions
 from ctrplan.mechanics.core import Mechanics
 from ctrplan.mechanics.history import History, HistoryPath, Start
 from ctrplan.mechanics.shapes import Status
-from ctrplan.robot.observer.slow_states import Slow, SlowModel
+from ctrplan.robot.slow_states import Slow, SlowModel
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.accuracy import Accuracy

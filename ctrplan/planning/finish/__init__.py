@@ -1,1 +1,0 @@
-"""What happens to a path that was found: order, oscillation, compensation."""

@@ -1,1 +1,0 @@
-"""Configurations that reach a target, and what they are worth."""
