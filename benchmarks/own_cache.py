@@ -1,4 +1,4 @@
-"""A cache of the benchmarks' own: what a user has tabulated, a bound field above all, would change what is planned."""
+"""A cache of the benchmarks' own: what a user has kept would change how long things take."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ PlanMaker = Callable[..., Plan]
 
 @pytest.fixture(scope="session", autouse=True)
 def cache_of_this_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """What the user has tabulated, a bound field above all, would change what is planned."""
+    """Grids and friction laws that the user has kept would change how long things take."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CTRPLAN_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
         yield

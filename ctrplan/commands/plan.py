@@ -66,7 +66,7 @@ def add_parser(commands: Any) -> None:
         help=f"formats of the trajectory (default: {' '.join(FORMATS)})",
     )
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
-    parser.add_argument("--no-field", action="store_true", help="solve every bound, although `ctrplan field` was run")
+    parser.add_argument("--no-field", action="store_true", help=argparse.SUPPRESS)  # has no meaning since 0.2
     add_allow_outside_option(parser)
     add_set_option(parser, "the scenario's key, or the robot's after robot.", "robot.tube.2.poisson_ratio=0.28")
     parser.set_defaults(run=run_plan)
@@ -79,7 +79,6 @@ def run_plan(arguments: argparse.Namespace) -> int:
         from ctrplan.files.trajectory_file import left_over, trajectory_formats
         from ctrplan.pipeline.installed import plan_range_notes
         from ctrplan.planning import plan
-        from ctrplan.planning.table_worth import helpful_table
         from ctrplan.reports.plan_page import plan_outputs
 
         scenario = load_scenario(arguments.scenario, arguments.overrides, allow_outside=arguments.allow_outside)
@@ -89,9 +88,6 @@ def run_plan(arguments: argparse.Namespace) -> int:
             print(f"ctrplan: warning: {warning}", file=sys.stderr)
         if interrupted.is_set():
             raise KeyboardInterrupt
-        table, told = (None, "") if arguments.no_field else helpful_table(scenario)
-        if told:
-            print(f"ctrplan: {told}", file=sys.stderr)
         terminal = sys.stderr is not None and sys.stderr.isatty()
         with ProgressBar(quiet=arguments.quiet or not terminal) as bar:
             result = plan(
@@ -100,7 +96,6 @@ def run_plan(arguments: argparse.Namespace) -> int:
                 time_s=arguments.time,
                 progress=bar.update,
                 interrupted=interrupted,
-                bound_table=table,
                 compensated=arguments.compensate,
             )
         result.save(folder, arguments.formats)

@@ -21,7 +21,6 @@ from ctrplan.commands import (
     design,
     diagnose,
     export,
-    field,
     ik,
     place,
     plan,
@@ -87,11 +86,13 @@ COMMANDS = (
     simulate,
     study,
     design,
-    field,
     calibrate,
     diagnose,
     view,
 )
+
+
+GONE = {"field": "is no command any more: the search solves every bound, which takes about a millisecond"}
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
@@ -101,6 +102,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="backslashreplace")  # a name the terminal can't show must not end the program
     is_shown = _standard_streams_are_open()
     try:
+        _refuse_gone(sys.argv[1:] if arguments is None else arguments)
         parsed = parser().parse_args(arguments)
         code = int(parsed.run(parsed))
         if not is_shown:
@@ -154,3 +156,9 @@ def parser() -> CommandLine:
     for command in COMMANDS:
         command.add_parser(commands)
     return program
+
+
+def _refuse_gone(arguments: Sequence[str]) -> None:
+    """Raises InputError for a command of an earlier version, with what is there in its place."""
+    if arguments and arguments[0] in GONE:
+        raise InputError(GONE[arguments[0]], key="COMMAND", value=arguments[0])

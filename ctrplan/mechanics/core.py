@@ -252,13 +252,6 @@ class Mechanics:
             found = self._model.tips_with_friction(thetas, ls, states, given, accuracy, core_threads(threads), progress)
         return promised(Tips(**found))
 
-    def core_lookup(
-        self, axes: Sequence[tuple[int, bool, float, float, int]], values: NDArray[np.float32], margin_m: float
-    ) -> _model.FieldLookup:
-        """The compiled lookup that `ctrplan.mechanics.bound_lookup.FieldLookup` asks."""
-        with input_errors():
-            return self._model.field_lookup(list(axes), np.ascontiguousarray(values), margin_m)
-
     @checked(accuracy=ACCURACY)
     def core_walker(self, accuracy: Accuracy) -> _model.Walker:
         """The compiled part of `ctrplan.mechanics.core.Walker`."""
@@ -294,13 +287,6 @@ class Mechanics:
             theta, length = joint_rows(theta_b, l_b, self.n)
             found = self._model.check_path(theta, length, core_grid(field), *until, accuracy, bodies)
         return promised(PathSamples(**found))
-
-    @checked(threads=THREADS)
-    def field_entries(self, theta_b: ArrayLike, l_b: ArrayLike, *, threads: int = 0) -> Array:
-        """(K, FieldLookup.NUMBERS) what a grid of bounds stores of K configurations, (K, n), (K, n)."""
-        thetas, ls = self._configurations(theta_b, l_b)
-        with input_errors():
-            return np.asarray(self._model.field_entries(thetas, ls, core_threads(threads)))
 
     @checked(accuracy=ACCURACY)
     def body(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.base.arguments import Choice, Made, Number, checked
 from ctrplan.base.arrays import MM_PER_M, Array
-from ctrplan.base.long_work import ASKED_NS, LOOKED_UP_NS, ROOM_NS, SHAPE_NS, SearchWatch, WorkMeter, counted_aside
+from ctrplan.base.long_work import ASKED_NS, ROOM_NS, SHAPE_NS, SearchWatch, WorkMeter, counted_aside
 from ctrplan.mechanics.friction import largest_deviation
 from ctrplan.mechanics.shapes import Status
 from ctrplan.mechanics.walk import Field, PathDensity, PathLimits, PathSamples
@@ -22,7 +22,6 @@ from ctrplan.scenario.scenario import anatomy_grid, path_cost_mm
 from ctrplan.uncertainty.body_clearance import usual_allowance_m
 
 if TYPE_CHECKING:
-    from ctrplan.motion.bound_table import BoundTable
     from ctrplan.scenario.scenario import Scenario
 
 # What a certificate on the fine mesh takes off a clearance, half the motion between samples and the discretisation
@@ -57,7 +56,6 @@ class MotionChecker:
     @checked(
         scenario=Made("Scenario"),
         style=Choice(*get_args(MotionStyle)),
-        bound_table=Made("BoundTable"),
         meter=Made("WorkMeter"),
         reserve_m=Number(0.0, 1.0, "m"),
     )
@@ -65,16 +63,11 @@ class MotionChecker:
         self,
         scenario: Scenario,
         style: MotionStyle = "rotations before translations",
-        bound_table: BoundTable | None = None,
         meter: WorkMeter | None = None,
         reserve_m: float = SEARCH_ROOM_M,
     ) -> None:
-        """With a `bound_table` of the robot motions are looked up; where it has no answer they are solved.
-
-        `reserve_m` is kept beyond the margins, so that paths pass the certificate.
-        """
+        """`reserve_m` is kept beyond the margins, so that paths pass the certificate."""
         self.scenario = scenario
-        self.bound_table = bound_table
         self.style = style
         self.space = JointSpace.of(scenario)
         self.mechanics = scenario.robot.mechanics
@@ -120,7 +113,7 @@ class MotionChecker:
 
         It collides where zero-clearance shapes have least room: by so much that their room tells, or as solved there.
         """
-        if self.bound_table is not None or self.field is None or not self.space.allowed(corners):
+        if self.field is None or not self.space.allowed(corners):
             return None
         points = self._stations(corners)
         rooms, _ = self._rooms_and_tips(*self.space.drive.collars(points))
@@ -134,21 +127,19 @@ class MotionChecker:
 
     @property
     def definite_collision_m(self) -> float:
-        """Less clearance than that of a zero-clearance shape, and the state is not worth a solve; -inf by lookup."""
-        return -np.inf if self.bound_table is not None else DEFINITE_COLLISION_M + self.limits.clearance_m
+        """Less clearance than that of a zero-clearance shape, and the state is not worth a solve."""
+        return DEFINITE_COLLISION_M + self.limits.clearance_m
 
     def is_definite_collision(self, q: Array) -> bool:
         """Whether the zero-clearance shape at q (m,) collides by so much that the state is not worth a solve."""
-        return self.bound_table is None and self.space.allowed(q) and self.rooms([q[None]])[0] < DEFINITE_COLLISION_M
+        return self.space.allowed(q) and self.rooms([q[None]])[0] < DEFINITE_COLLISION_M
 
     def with_reserve(self, reserve_m: float) -> MotionChecker:
         """The same that keeps another reserve; it has checked nothing yet."""
-        return MotionChecker(self.scenario, self.style, self.bound_table, self.meter, reserve_m)
+        return MotionChecker(self.scenario, self.style, self.meter, reserve_m)
 
     def state(self, q: Array) -> Motion:
         """A single state as a motion of no length."""
-        if self.bound_table is not None:
-            return self.motion(q, q)
         if q.tobytes() not in self._states and self.is_definite_collision(q):
             return invalid(DEFINITE_COLLISION)
         return self.probe(q)[0]
@@ -178,7 +169,7 @@ class MotionChecker:
         """The polyline (K, m) of joint values."""
         if not self.space.allowed(corners):
             return invalid(self.space.violation(corners))
-        samples = self.look_up(corners)
+        samples = self.walk(corners, self.density, self.limits)
         reason = breach(samples, self.limits)
         if reason:
             return invalid(reason)
@@ -194,17 +185,6 @@ class MotionChecker:
         samples = self.mechanics.check_path(theta_b, l_b, self.field, density=density, limits=limits)
         self.meter.add(self.solved_ns * int(samples.solves.sum()))
         return samples
-
-    def look_up(self, corners: Array) -> PathSamples:
-        """As `walk`, by lookup where there is a bound field that allows the motion."""
-        if self.bound_table is not None:
-            theta_b, l_b = self.space.drive.collars(corners)
-            samples = self.bound_table.check_path(theta_b, l_b, self.field, density=self.density, limits=self.limits)
-            self.meter.add(LOOKED_UP_NS * len(samples.status))
-            # A field's bounds are too large by its margin: what it allows is allowed, what it refuses is solved.
-            if samples.status[-1] != Status.FAILED and not breach(samples, self.limits):
-                return samples
-        return self.walk(corners, self.density, self.limits)
 
     def rooms(self, ways: list[Array]) -> Array:
         """(E,) [m] smallest clearance of zero-clearance shapes on polylines (K, m) each, beyond what is required.

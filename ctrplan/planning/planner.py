@@ -38,7 +38,6 @@ from ctrplan.robot.friction_calibration import friction_law
 from ctrplan.scenario.tip_solver import GoalState
 
 if TYPE_CHECKING:
-    from ctrplan.motion.bound_table import BoundTable
     from ctrplan.robot.observer_state import ObserverState
     from ctrplan.scenario.scenario import Scenario
 
@@ -49,7 +48,6 @@ if TYPE_CHECKING:
     time_s=SEARCH_TIME,
     progress=PROGRESS,
     interrupted=EVENT,
-    bound_table=Made("BoundTable"),
     compensated=Flag(),
     start_state=Made("ObserverState"),
 )
@@ -60,16 +58,15 @@ def plan(
     time_s: float | None = None,
     progress: Report | None = None,
     interrupted: threading.Event | None = None,
-    bound_table: BoundTable | None = None,
     compensated: bool = False,
     start_state: ObserverState | None = None,
 ) -> Plan:
     """A certified plan from the scenario's start to its goal.
 
-    With the robot's `bound_table` the search looks bounds up instead of solving; certificates never do. With the
-    scenario's planner.settle = "oscillate" the plan ends with an oscillation that releases friction; `compensated`
-    moves the joints at its end so that the predicted tip arrives, not the frictionless one. With a `start_state` of
-    `Robot.observer` predictions start from what was observed; bounds and clearances stay those of every friction state.
+    With the scenario's planner.settle = "oscillate" the plan ends with an oscillation that releases friction.
+    `compensated` moves the joints at its end so that the predicted tip arrives, not the frictionless one. With a
+    `start_state` of `Robot.observer` predictions start from what was observed; bounds and clearances stay those of
+    every friction state.
 
     The first path found is certified at once, better ones are sought until `time_s` is up. Without it, the search ends
     after the work that takes about the scenario's planner.time_s, and the same seed gives the same plan anywhere.
@@ -95,12 +92,10 @@ def plan(
     friction_law(scenario.robot)  # calibrated before the search's time begins, if it is not known yet
     with interrupt_event(interrupted) as interrupted, ThreadPoolExecutor(1) as beside:
         approaches = cache(partial(beside.submit, other_start, scenario, scenario.start))
-        asked = _Asked(seed, began, budget, budget, time_s is not None, report, interrupted, bound_table, approaches)
+        asked = _Asked(seed, began, budget, budget, time_s is not None, report, interrupted, approaches)
         first, stages, ended_by = _anytime_stages(scenario, asked)
         finish = _finish(scenario, stages[-1][1], compensated, report)
     notes: tuple[str, ...] = (*scenario.warnings, *((ENDED_BY_TIME,) if ended_by == "time" else ()))
-    if bound_table is not None:
-        notes += (f"Searched with the robot's bound field {bound_table.key}.",)
     paths = [best.result for _, best in stages]
     notes += turn_notes(scenario, [path.after[-1] for path in paths])
     if any(path.on_line for path in paths):
@@ -136,7 +131,6 @@ class _Asked:
     timed: bool
     report: Report
     interrupted: threading.Event
-    bound_table: BoundTable | None
     approaches: Callable[[], Future[str]]  # to the start, begun when first asked for
     before: float = 0.0  # s, of `whole`, spent on other searches
 
@@ -186,7 +180,7 @@ def _stages(
     share = asked.budget / max(1, sum(goal.line_m is None for goal in targets))  # lines to follow take none
     for k, goal in enumerate(targets):
         stage = replace(scenario.stage_from(start), goal=nearest_turn(scenario, start, goal))
-        checker = MotionChecker(stage, bound_table=asked.bound_table)
+        checker = MotionChecker(stage)
         if goal.line_m is not None:
             refuse_start()
             found.append(_along_line(checker, asked.began))

@@ -6,7 +6,6 @@
 void bind_equilibrium(nanobind::module_& m);
 void bind_robot(nanobind::module_& m);
 void bind_walk(nanobind::module_& m);
-void bind_bound_lookup(nanobind::module_& m);
 void bind_history(nanobind::module_& m);
 void bind_shape(nanobind::module_& m);
 void bind_model(nanobind::module_& m);

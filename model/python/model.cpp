@@ -5,7 +5,6 @@
 #include <tuple>
 
 #include "bindings.hpp"
-#include "bound_lookup.hpp"
 #include "bounds.hpp"
 #include "configurations.hpp"
 #include "history.hpp"
@@ -94,11 +93,6 @@ nb::dict check_path(Model& model, Matrix theta, Matrix l, const Grid* grid, cons
     return to_python(unlocked([&] { return model.check_path(corners, accuracy(level), field_of(grid), density, limits, shapes); }), shapes);
 }
 
-nb::object field_entries(Model& model, Matrix theta, Matrix l, int threads) {
-    const std::vector<ctr::Configuration> all = valid_configurations(model.robot(), theta, l);
-    return to_python(unlocked([&] { return model.field_entries(all, threads); }));
-}
-
 // Points (shapes, N, 3) and outer radii (N).
 nb::tuple body(Model& model, Vector theta, Vector l, const std::string& level) {
     const ctr::Configuration q = valid_configuration(model.robot(), theta, l);
@@ -110,10 +104,6 @@ nb::tuple body(Model& model, Vector theta, Vector l, const std::string& level) {
 nb::object corners_apart(Model& model, Vector theta, Vector l, const std::string& level) {
     const ctr::Configuration q = valid_configuration(model.robot(), theta, l);
     return array(unlocked([&] { return model.corners_apart(q, accuracy(level)); }));
-}
-
-std::unique_ptr<FieldLookup> field_lookup(const Model& model, const FieldLookup::Axes& axes, FieldLookup::Values values, double margin) {
-    return std::make_unique<FieldLookup>(model.robot(), axes, values, margin);
 }
 
 std::unique_ptr<PathHistory> history(const Model& model, const std::string& level, double breakaway, double rotation, double translation,
@@ -132,8 +122,6 @@ void bind_model(nb::module_& m) {
         .def("bound_many", &bound_many, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "accuracy"_a, "threads"_a)
         .def("tips", &tips, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "threads"_a, "progress"_a.none())
         .def("clearances", &clearances, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "field"_a.none(), "step"_a, "threads"_a)
-        .def("field_entries", &field_entries, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "threads"_a)
-        .def("field_lookup", &field_lookup, "axes"_a, "values"_a.noconvert(), "margin"_a)
         .def("history", &history, "accuracy"_a, "breakaway"_a, "rotation"_a, "translation"_a, "state_change"_a)
         .def("number_names", [](const Model& model) { return ctr::number_names(model.robot()); })
         .def("tips_with_friction", &tips_with_friction, "theta_b"_a.noconvert(), "l_b"_a.noconvert(), "phi"_a.noconvert(), "directions"_a,

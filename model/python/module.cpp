@@ -17,7 +17,6 @@ NB_MODULE(_model, m) {
     bind_walk(m);
     bind_equilibrium(m);
     bind_shape(m);
-    bind_bound_lookup(m);
     bind_history(m);
     bind_model(m);
     bind_walker(m);

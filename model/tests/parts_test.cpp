@@ -10,7 +10,6 @@
 #include <vector>
 
 #include "ctr/bound.hpp"
-#include "ctr/bound_field.hpp"
 #include "ctr/walk.hpp"
 #include "ctr/history.hpp"
 #include "ctr/sensitivities.hpp"
@@ -291,51 +290,6 @@ void check_edges(int seed, const Case& made) {
     for (std::size_t k = 0; k + 1 < ended.size(); ++k) expect(ended[k].clearance >= limits.clearance, "edge: a limit ends a walk at once", seed);
 }
 
-// The bound of a pair on a grid: entries at grid points, periodic, turned with the robot, invalid beyond the grid; motions by
-// look-up end at the same tips as by solves.
-void check_field(int seed) {
-    std::mt19937 random(seed);
-    const Case made = tests::random_case(random, 2);
-    const double far = made.q.l[1], near = 0.5 * (made.q.l[0] - 5e-3 + far);
-    if (!(near > far)) return;
-    const double turn = 2 * M_PI;
-    const std::vector<ctr::FieldAxis> axes{{1, true, -M_PI, turn / 12, 12}, {1, false, far, (near - far) / 2, 3}};
-    std::vector<ctr::FieldEntry> entries;
-    ctr::BoundSolver solver(made.robot);
-    ctr::Configuration q = made.q;
-    q.theta[0] = 0;
-    for (int i = 0; i < axes[0].count; ++i)
-        for (int j = 0; j < axes[1].count; ++j) {
-            q.theta[1] = axes[0].lower + i * axes[0].step;
-            q.l[1] = axes[1].lower + j * axes[1].step;
-            entries.push_back(ctr::field_entry(solver, q, ctr::Accuracy::search()));
-        }
-    entries.shrink_to_fit();
-    const double margin = 1e-4;
-    const ctr::BoundField field(made.robot, axes, reinterpret_cast<const float*>(entries.data()), margin);
-    for (int i = 0; i < axes[0].count; ++i)
-        for (int j = 0; j < axes[1].count; ++j) {
-            const ctr::FieldEntry& entry = entries[i * axes[1].count + j];
-            q.theta[0] = i % 3;
-            q.theta[1] = q.theta[0] + axes[0].lower + i * axes[0].step + turn * (i % 2);
-            q.l[1] = axes[1].lower + j * axes[1].step;
-            if (!field.sample(q).valid) continue;  // or a grid point beside it
-            const ctr::PathSample found = field.check_path({q, q}, {}, {}, {}).at(0);
-            expect(std::fabs(found.position_bound - entry.position - margin) < 1e-7, "field: entries and the margin at grid points", seed);
-            const float* tip = entry.point[ctr::kStations - 1];
-            expect(distance(turned({tip[0], tip[1], tip[2]}, q.theta[0]), found.tip) < 1e-7, "field: turned with the robot", seed);
-        }
-    ctr::Configuration start = q, end = q;
-    start.l[1] = far, end.l[1] = near;
-    end.theta[1] += 1;
-    const std::vector<ctr::PathSample> samples = field.check_path({start, end, start}, {}, {}, {});
-    expect(!samples.empty(), "field: the first configuration is a sample", seed);
-    end.l[1] = near + 0.1 * (near - far);
-    expect(!field.sample(end).valid, "field: beyond the grid nothing is said", seed);
-    end.l[1] = far - 0.1 * (near - far);
-    expect(!field.sample(end).valid, "field: nor before it", seed);
-}
-
 }  // namespace
 
 int main(int count, char** arguments) {
@@ -351,7 +305,6 @@ int main(int count, char** arguments) {
         check_history(seed, made);
         check_edges(seed, made);
         check_exact(seed, made);
-        if (seed % 5 == 0) check_field(seed);
         progress.advance();
     }
     if (robots >= 15) {  // fewer say nothing about how many there are

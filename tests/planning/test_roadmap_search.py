@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +13,6 @@ from places import SCENARIOS
 from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import SearchClock, WorkMeter
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.mechanics.walk import PathSamples
-from ctrplan.motion.bound_table import BoundTable
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.goal_states import descended, goal_states
 from ctrplan.planning.search.insertion_chains import Roadmap
@@ -221,23 +218,6 @@ def test_counted_time_is_work_alone() -> None:
     assert clock.now() == 0 and not clock.is_past(1.5)
     meter.add(2 * 10**9)
     assert clock.now() == pytest.approx(2.0) and clock.is_past(1.5) and clock.ran_out and clock.name == "count"
-
-
-def test_what_a_bound_field_refuses_is_solved(vessel: MotionChecker) -> None:
-    class Refusing(BoundTable):
-        """A table whose margin is too large for this scenario."""
-
-        def __init__(self) -> None:
-            """Holds nothing."""
-
-        def check_path(self, theta_b: Array, l_b: Array, *_: object, **limits: Any) -> PathSamples:
-            samples = vessel.walk(np.array([vessel.scenario.start]), vessel.density, vessel.limits)
-            return replace(samples, clearance_m=np.full(1, limits["limits"].clearance_m - 1e-3))
-
-    looked_up = MotionChecker(vessel.scenario, bound_table=Refusing())
-    asked, solved = looked_up.state(vessel.scenario.start), vessel.state(vessel.scenario.start)
-    assert asked.valid
-    assert asked.end_bound_m == pytest.approx(solved.end_bound_m, abs=1e-9)
 
 
 def test_a_search_without_a_valid_goal_ends_at_once(vessel: MotionChecker) -> None:

@@ -20,20 +20,19 @@ PAIR = str(SCENARIOS / "robots" / "table_1_pair.toml")
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Output of all three commands, a folder each."""
+    """Output of both commands, a folder each."""
     folder = tmp_path_factory.mktemp("pages")
     (folder / "robot.toml").write_text(tomli_w.dumps(dict(ROBOT.content)))
     write_csv(folder / "data.csv", measured(ROBOT, waypoints(ROBOT, 12)))
     wanted = ["--parameters", "tube.2.poisson_ratio"]
     data = [str(folder / "robot.toml"), str(folder / "data.csv")]
     assert main(["calibrate", *data, "-o", str(folder / "calibrate"), *wanted]) == 0
-    assert main(["field", PAIR, "-o", str(folder / "field"), "--quiet"]) == 0
     point = ["--tip-mm", "51", "2", "168", "--tolerance-mm", "1", "--starts", "60"]
     assert main(["ik", str(SCENARIOS / "vessel.toml"), *point, "-o", str(folder / "ik"), "--json"]) == 0
     return folder
 
 
-@pytest.mark.parametrize("command", ["calibrate", "field", "ik"])
+@pytest.mark.parametrize("command", ["calibrate", "ik"])
 def test_page_stands_alone(folder: Path, command: str) -> None:
     content = (folder / command / "report.html").read_text()
     assert "* plotly.js v" in library(content) and "default-src 'none'" in content
@@ -53,7 +52,7 @@ def test_nothing_is_written_where_the_point_is_out_of_reach(tmp_path: Path) -> N
 
 
 @pytest.mark.skipif(chromium() is None, reason="no Chromium on this machine")
-@pytest.mark.parametrize("command", ["calibrate", "field", "ik"])
+@pytest.mark.parametrize("command", ["calibrate", "ik"])
 def test_page_fits_a_phone(folder: Path, command: str, tmp_path: Path) -> None:
     with Browser(tmp_path / "profile") as browser:
         browser.send("Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=1, mobile=True)

@@ -136,7 +136,12 @@ def test_what_a_failed_solve_leaves_is_json_all_the_same(capsys: pytest.CaptureF
         (["bound", ROBOT, "--theta-deg", "0", "0", "0", "--l-mm", "0", "-17", "-20"], 2, ["--l-mm", "17 mm apart"]),
         (["plan", ""], 2, ["'': does not exist"]),
         (["plan", ROBOT], 2, [ROBOT, "tube: is a key of robot files"]),
-        (["field", str(SCENARIOS / "ribs.toml")], 2, ["ribs.toml: robot = 'robots/three_tube.toml'", "of scenarios"]),
+        (
+            ["diagnose", str(SCENARIOS / "ribs.toml"), "x.csv"],
+            2,
+            ["ribs.toml: robot = 'robots/three_tube.toml'", "of scenarios"],
+        ),
+        (["field", "robot.toml"], 2, ["field", "solves every bound"]),
         (["view", str(SCENARIOS / "ribs.toml"), "--set", "tube.2.poisson_ratio=0"], 2, ["robot.tube after --set"]),
         (["calibrate", ROBOT, "x.csv", "--seed", "-1"], 2, ["--seed = -1", "must be a whole number from 0"]),
         (["calibrate", ROBOT, "x.csv", "--held-out", "1"], 2, ["--held-out = 1.0", "must be a number from 0 to 0.99"]),

@@ -122,7 +122,7 @@ def test_largest_mesh_error_is_below_what_the_certificate_takes_off() -> None:
 
 
 def test_readme_shows_commands() -> None:
-    assert {line.split()[1] for line in commands()} >= {"plan", "view", "field", "ik", "bound", "simulate"}
+    assert {line.split()[1] for line in commands()} >= {"plan", "view", "ik", "bound", "simulate"}
 
 
 @pytest.mark.parametrize("command", commands())

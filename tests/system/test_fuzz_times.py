@@ -7,7 +7,6 @@ Whatever else is on the terminal than an answer or one sentence is a fault too: 
 
 from __future__ import annotations
 
-import math
 import re
 import time
 import warnings
@@ -24,10 +23,8 @@ from places import SCENARIOS
 
 from ctrplan.base.arrays import Array
 from ctrplan.cli import main
-from ctrplan.errors import CtrplanError
 from ctrplan.files.robot_file import load_robot, write_robot
 from ctrplan.files.scenario_file import load_robot_or_scenario
-from ctrplan.motion.bound_table import choose_axes
 from ctrplan.reports.live.state import LiveState
 from ctrplan.robot.robot import Robot
 
@@ -39,12 +36,11 @@ STATED = {
 STARTS, STEPS, ROWS, POSES, FITTED = 50, 5, 2, 3, 12
 NOISE = {"measurement": {"position_sigma_mm": 0.5, "tangent_sigma_deg": 0.5}}
 MOST_TUBES = {
-    "field": 3,
     "calibrate": 4,
     "diagnose": 4,
 }  # of others six; larger grids are refused
 MANY = {"diagnose": 10}  # a minute each
-SEEDS = {"ik": 2, "bound --sweep": 2, "simulate": 1, "field": 2, "calibrate": 1, "diagnose": 0, "view": 2}
+SEEDS = {"ik": 2, "bound --sweep": 2, "simulate": 1, "calibrate": 1, "diagnose": 0, "view": 2}
 
 
 def joints(robot: Robot, random: np.random.Generator) -> tuple[Array, Array]:
@@ -81,14 +77,6 @@ def simulate(file: Path, robot: Robot, random: np.random.Generator) -> float:
     return ROWS
 
 
-def field(file: Path, robot: Robot, random: np.random.Generator) -> float:
-    told("field", str(file), "--quiet")
-    try:
-        return float(math.prod(axis.count for axis in choose_axes(robot)))
-    except CtrplanError:
-        return 0.0  # too large for a grid
-
-
 def fit(command: str) -> Callable[[Path, Robot, np.random.Generator], float]:
     """Measurements that no robot made: poses anywhere."""
 
@@ -120,7 +108,6 @@ COMMANDS = {
     "ik": ik,
     "bound --sweep": sweep,
     "simulate": simulate,
-    "field": field,
     "calibrate": fit("calibrate"),
     "diagnose": fit("diagnose"),
     "view": view,

@@ -33,7 +33,6 @@ COMMANDS = {
     ],
     "ik": ["ik", str(SCENARIOS / "robots" / "three_tube.toml"), "--tip-mm", "34", "-47", "200"],
     "simulate": ["simulate", PAIR, "path.csv", "-o", "simulate"],
-    "field": ["field", str(SCENARIOS / "robots" / "table_1_pair.toml")],
     "plan": ["plan", SCENARIO, "--set", "planner.time_s=0.2", "-o", "plan"],
     "calibrate": ["calibrate", "robot.toml", "data.csv", "-o", "calibrate", "--parameters", "tube.2.poisson_ratio"],
     "diagnose": ["diagnose", "robot.toml", "data.csv", "-o", "diagnose"],

@@ -25,8 +25,9 @@ from ctrplan.cli import main
 from ctrplan.diagnosis import diagnose
 from ctrplan.files.measurement_file import load_measurements
 from ctrplan.files.robot_file import load_robot, write_robot
-from ctrplan.motion.bound_table import known_table, tabulated_bounds
+from ctrplan.files.scenario_file import load_scenario
 from ctrplan.robot.friction_calibration import friction_law
+from ctrplan.scenario.scenario import anatomy_grid
 from ctrplan.storage.output_folder import written_together
 
 THREE = str(SCENARIOS / "robots" / "three_tube.toml")
@@ -34,7 +35,6 @@ PAIR = str(SCENARIOS / "robots" / "table_1_pair.toml")
 OUTPUTS = {
     "plan": {"SHA256SUMS", "plan.json", "plan.png", "report.html", "trajectory.csv", "trajectory.yaml"},
     "diagnose": {"SHA256SUMS", "diagnosis.json", "report.html", "robot.toml"},
-    "field": set[str](),
 }
 PATIENCE_S = 120  # on a busy machine; a process that ignores Ctrl-C would take far longer
 
@@ -54,15 +54,13 @@ def commands(measurements: tuple[str, str]) -> dict[str, list[str]]:
     return {
         "plan": ["plan", str(SCENARIOS / "pair_free.toml"), "--time", "60"],
         "diagnose": ["diagnose", *measurements],
-        "field": ["field", THREE],
     }
 
 
 def started(arguments: list[str], folder: Path, cache: Path | None = None) -> subprocess.Popen[str]:
     """The command in a process of its own, writing into folder / out."""
-    output = [] if arguments[0] == "field" else ["-o", str(folder / "out")]
     return subprocess.Popen(
-        [sys.executable, "-c", INTERRUPTIBLE, *arguments, *output],
+        [sys.executable, "-c", INTERRUPTIBLE, *arguments, "-o", str(folder / "out")],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         cwd=folder,
@@ -92,7 +90,7 @@ def readable(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
 
 
-@pytest.mark.parametrize("command", ["plan", "diagnose", "field"])
+@pytest.mark.parametrize("command", ["plan", "diagnose"])
 def test_ctrl_c_at_any_moment_ends_with_130_and_whole_files(
     command: str, commands: dict[str, list[str]], tmp_path: Path
 ) -> None:
@@ -262,22 +260,22 @@ def test_results_that_can_not_be_printed_are_reported() -> None:
 def test_two_processes_share_a_cache(tmp_path: Path) -> None:
     for attempt in range(repetitions(1)):
         cache = tmp_path / f"cache {attempt}"
-        pair = [started(["field", PAIR], tmp_path, cache) for _ in range(2)]
+        vessel = ["plan", str(SCENARIOS / "vessel.toml"), "--time", "1", "--quiet"]
+        pair = [started(vessel, folder, cache) for folder in (tmp_path / "a", tmp_path / "b") if not folder.mkdir()]
         told = [process.communicate(timeout=PATIENCE_S) for process in pair]
         assert [process.returncode for process in pair] == [0, 0], told
         assert all(not err for _, err in told)
-        (kept,) = (cache / "fields").iterdir()
-        assert kept.suffix == ".grid"
+        kept = [path for path in cache.rglob("*") if path.is_file()]
+        assert kept and not [path for path in kept if path.name.startswith(".")]
 
 
 @pytest.mark.parametrize("damage", ["truncated", "flipped", "empty", "folder"])
-def test_a_damaged_bound_field_is_rebuilt_with_a_note(
+def test_a_damaged_clearance_grid_is_rebuilt_with_a_note(
     damage: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setenv("CTRPLAN_CACHE_DIR", str(tmp_path))
-    robot = load_robot(PAIR)
-    first = tabulated_bounds(robot)
-    (stored,) = (tmp_path / "fields").iterdir()
+    first = anatomy_grid(load_scenario(SCENARIOS / "vessel.toml"))
+    (stored,) = (path for path in tmp_path.rglob("*.grid") if path.is_file())
     content = bytearray(stored.read_bytes())
     if damage == "truncated":
         content = content[: len(content) // 2]
@@ -289,12 +287,12 @@ def test_a_damaged_bound_field_is_rebuilt_with_a_note(
     if damage == "folder":
         stored.unlink()
         stored.mkdir()
-    again = tabulated_bounds(robot)
+    again = anatomy_grid(load_scenario(SCENARIOS / "vessel.toml"))
     assert first is not None and again is not None
     np.testing.assert_array_equal(first.values, again.values)
     if damage != "folder":
         assert "damaged and will be rebuilt" in caplog.text
-        assert known_table(robot) is not None
+        assert stored.is_file()
 
 
 @pytest.mark.parametrize("damage", ["digit", "truncated", "list", "number", "nan"])

@@ -232,9 +232,7 @@ class StageSearch:
             if not problem.solve(stop, only_first=self.best is None):
                 if self.best or is_fallback:
                     break
-                checker = MotionChecker(
-                    checker.scenario, "simultaneous", checker.bound_table, checker.meter, checker.reserve_m
-                )
+                checker = MotionChecker(checker.scenario, "simultaneous", checker.meter, checker.reserve_m)
                 continue
             if self.best is None:
                 if failed := self._certified(checker, problem.corners(), name):

@@ -5,7 +5,6 @@
 #include <memory>
 #include <vector>
 
-#include "ctr/bound_field.hpp"
 #include "ctr/robot.hpp"
 #include "ctr/sensitivities.hpp"
 #include "ctr/shape.hpp"
@@ -94,7 +93,6 @@ class Model {
     // phi: [row][pair], outermost pair first. Rows of one configuration that follow each other share their mesh.
     FrictionTipRows friction_tips(const std::vector<Configuration>& all, const double* phi, const std::vector<Direction>& directions,
                                   const Accuracy& accuracy, int threads) const;
-    std::vector<FieldEntry> field_entries(const std::vector<Configuration>& all, int threads);
 
   private:
     Robot robot_;

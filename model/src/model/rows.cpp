@@ -117,11 +117,4 @@ FrictionTipRows Model::friction_tips(const std::vector<Configuration>& all, cons
     return out;
 }
 
-std::vector<FieldEntry> Model::field_entries(const std::vector<Configuration>& all, int threads) {
-    require_all_corners(robot_);
-    std::vector<FieldEntry> out(all.size());
-    solvers_->parallel(all.size(), threads, [&](BoundSolver& solver, std::size_t k) { out[k] = field_entry(solver, all[k], Accuracy::search()); });
-    return out;
-}
-
 }  // namespace ctr
