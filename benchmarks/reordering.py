@@ -24,7 +24,7 @@ import ctrplan
 from ctrplan.errors import CtrplanError
 from ctrplan.planning import MotionChecker, Plan
 from ctrplan.planning.oscillate import AMPLITUDES_DEG, oscillation, turnings
-from ctrplan.planning.reorder import translations_first
+from ctrplan.planning.reordering import translations_first
 from ctrplan.scenario.prediction import goal_error, start_states
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -5,9 +5,9 @@ Names are loaded on first use, so that `import ctrplan` costs nothing that a scr
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from ctrplan.base.lazy_names import lazy_names
 from ctrplan.base.version import __version__ as __version__
 
 if TYPE_CHECKING:
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from ctrplan.audit.verify import Verification
     from ctrplan.audit.verify import verify as verify
     from ctrplan.calibration.calibrate import Calibration, calibrate
-    from ctrplan.diagnosis.diagnose import diagnose as diagnose
     from ctrplan.diagnosis.result import Diagnosis
+    from ctrplan.diagnosis.workflow import diagnose as diagnose
     from ctrplan.errors import CtrplanError, InputError, NoAnswerError
     from ctrplan.files.measurement_file import load_measurements
     from ctrplan.files.plan_file import WrittenPlan, load_plan
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from ctrplan.planning.place import Placement
     from ctrplan.planning.place import place as place
     from ctrplan.planning.planner import plan as plan
-    from ctrplan.planning.reorder import reorder as reorder
+    from ctrplan.planning.reordering import reorder as reorder
     from ctrplan.plans.plan import Plan
     from ctrplan.plans.uncertainty import plan_uncertainty as plan_uncertainty
     from ctrplan.robot.robot import Robot
@@ -52,7 +52,7 @@ _HOMES = {
     "Case": "patients.case",
     "case": "patients.case",
     "Measurements": "measurement.measurements",
-    "diagnose": "diagnosis.diagnose",
+    "diagnose": "diagnosis.workflow",
     "load_measurements": "files.measurement_file",
     "Bound": "mechanics.shapes",
     "Bounds": "mechanics.shapes",
@@ -71,9 +71,9 @@ _HOMES = {
     "WrittenPlan": "files.plan_file",
     "Verification": "audit.verify",
     "verify": "audit.verify",
-    "Plan": "planning",
-    "plan": "planning",
-    "reorder": "planning",
+    "Plan": "plans.plan",
+    "plan": "planning.planner",
+    "reorder": "planning.reordering",
     "InverseKinematics": "planning.inverse_kinematics",
     "inverse_kinematics": "planning.inverse_kinematics",
     "BasePose": "planning.base_pose",
@@ -134,14 +134,7 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    if name == "planning":
-        return importlib.import_module("ctrplan.planning")
-    if name not in _HOMES:
-        raise AttributeError(f"module 'ctrplan' has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"ctrplan.{_HOMES[name]}"), name)
-    globals()[name] = value
-    return value
+__getattr__ = lazy_names(__name__, _HOMES)
 
 
 def __dir__() -> list[str]:

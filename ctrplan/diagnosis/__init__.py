@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from ctrplan.base.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from ctrplan.diagnosis.diagnose import diagnose as diagnose
     from ctrplan.diagnosis.result import Diagnosis
+    from ctrplan.diagnosis.workflow import diagnose as diagnose
     from ctrplan.effects.effect import CATALOGUE, Effect, Parameter, register
 
 _HOMES = {
@@ -15,15 +16,8 @@ _HOMES = {
     "Diagnosis": "diagnosis.result",
     "Effect": "effects.effect",
     "Parameter": "effects.effect",
-    "diagnose": "diagnosis.diagnose",
+    "diagnose": "diagnosis.workflow",
     "register": "effects.effect",
 }
 __all__ = ["CATALOGUE", "Diagnosis", "Effect", "Parameter", "diagnose", "register"]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module 'ctrplan.diagnosis' has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"ctrplan.{_HOMES[name]}"), name)
-    globals()[name] = value
-    return value
+__getattr__ = lazy_names(__name__, _HOMES)

@@ -6,15 +6,44 @@ For an OMPL set-up of one's own: `state_space`, `Validity`, `MotionValidity` and
 
 from __future__ import annotations
 
-from ctrplan.certificate.certificate import Certificate, CertificateSamples
-from ctrplan.motion.checker import MotionChecker
-from ctrplan.planning.planner import plan
-from ctrplan.planning.reorder import reorder
-from ctrplan.planning.search.ompl_set_up import BoundObjective, MotionValidity, StateReader, Validity, state_space
-from ctrplan.plans.plan import Plan
-from ctrplan.plans.planned_motion import Leg, ReorderReport
-from ctrplan.scenario.joint_space import JointSpace, l_shaped
+from typing import TYPE_CHECKING
 
+from ctrplan.base.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from ctrplan.certificate.certificate import Certificate as Certificate
+    from ctrplan.certificate.certificate import CertificateSamples as CertificateSamples
+    from ctrplan.motion.checker import MotionChecker as MotionChecker
+    from ctrplan.planning.planner import plan as plan
+    from ctrplan.planning.reordering import reorder as reorder
+    from ctrplan.planning.search.ompl_set_up import BoundObjective as BoundObjective
+    from ctrplan.planning.search.ompl_set_up import MotionValidity as MotionValidity
+    from ctrplan.planning.search.ompl_set_up import StateReader as StateReader
+    from ctrplan.planning.search.ompl_set_up import Validity as Validity
+    from ctrplan.planning.search.ompl_set_up import state_space as state_space
+    from ctrplan.plans.plan import Plan as Plan
+    from ctrplan.plans.planned_motion import Leg as Leg
+    from ctrplan.plans.planned_motion import ReorderReport as ReorderReport
+    from ctrplan.scenario.joint_space import JointSpace as JointSpace
+    from ctrplan.scenario.joint_space import l_shaped as l_shaped
+
+_HOMES = {
+    "BoundObjective": "planning.search.ompl_set_up",
+    "Certificate": "certificate.certificate",
+    "CertificateSamples": "certificate.certificate",
+    "JointSpace": "scenario.joint_space",
+    "Leg": "plans.planned_motion",
+    "MotionChecker": "motion.checker",
+    "MotionValidity": "planning.search.ompl_set_up",
+    "Plan": "plans.plan",
+    "ReorderReport": "plans.planned_motion",
+    "StateReader": "planning.search.ompl_set_up",
+    "Validity": "planning.search.ompl_set_up",
+    "l_shaped": "scenario.joint_space",
+    "plan": "planning.planner",
+    "reorder": "planning.reordering",
+    "state_space": "planning.search.ompl_set_up",
+}
 __all__ = [
     "BoundObjective",
     "Certificate",
@@ -32,3 +61,4 @@ __all__ = [
     "reorder",
     "state_space",
 ]
+__getattr__ = lazy_names(__name__, _HOMES)

@@ -28,7 +28,7 @@ from ctrplan.planning.compensate import compensate
 from ctrplan.planning.goal_states import goal_states, is_at_goal, nearest_turn, turn_notes
 from ctrplan.planning.line import follow_line, line_beginnings
 from ctrplan.planning.oscillate import settle
-from ctrplan.planning.reorder import Reordered, as_given, assemble
+from ctrplan.planning.reordering import Reordered, as_given, assemble
 from ctrplan.planning.room import refuse_blocked_fixtures, refuse_impossible_margins, start_room, start_trouble
 from ctrplan.planning.search.stage_search import Candidate, Progress, Report, StageSearch
 from ctrplan.plans.plan import ENDED_BY_TIME, Plan

@@ -1,4 +1,4 @@
-"""The workflow end to end on small data: nothing missing, one effect, look-alikes, something outside the catalogue."""
+"""The diagnose end to end on small data: nothing missing, one effect, look-alikes, something outside the catalogue."""
 
 from __future__ import annotations
 

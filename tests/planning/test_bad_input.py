@@ -136,7 +136,7 @@ def test_trouble_while_writing_leaves_nothing_behind(
         real(descriptor)
 
     monkeypatch.setattr(os, "fsync", fsync)
-    monkeypatch.setattr("ctrplan.plans.plan", lambda *_, **__: plan)
+    monkeypatch.setattr("ctrplan.planning.plan", lambda *_, **__: plan)
     code, sentence = refusal(capsys, "plan", str(SCENARIOS / "pair_free.toml"), "-o", str(out))
     assert code == 1 and os.strerror(fault) in sentence and "Traceback" not in sentence
     assert [path.name for path in out.iterdir()] == ["plan.json"]

@@ -14,7 +14,7 @@ from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.compensate import compensate, corrected
 from ctrplan.planning.oscillate import SHAPE, oscillation, settle, turnings
-from ctrplan.planning.reorder import as_given, assemble, held_back, least_error, translations_first
+from ctrplan.planning.reordering import as_given, assemble, held_back, least_error, translations_first
 from ctrplan.plans.plan import Plan
 from ctrplan.scenario.prediction import predict, predict_end, predict_from, start_states
 from ctrplan.scenario.scenario import Scenario

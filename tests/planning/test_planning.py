@@ -26,7 +26,7 @@ from ctrplan.files.scenario_file import load_scenario
 from ctrplan.mechanics.shapes import Status
 from ctrplan.motion.checker import Motion, MotionChecker, invalid
 from ctrplan.planning.goal_states import goal_states
-from ctrplan.planning.reorder import as_given, assemble, rotations_first
+from ctrplan.planning.reordering import as_given, assemble, rotations_first
 from ctrplan.planning.search.ompl_set_up import MotionValidity, StateReader, Validity, state_space
 from ctrplan.planning.search.stage_search import Progress
 from ctrplan.scenario.joint_space import JointSpace
@@ -264,7 +264,7 @@ def test_simultaneous_motion_is_a_named_fallback(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(MotionChecker, "motion", refuse_l_shapes)
     # the package exports a function of the module's name
     monkeypatch.setattr(
-        sys.modules["ctrplan.planning.reorder"], "_pieces", lambda checker, corners, i, j: [corners[i : j + 1]]
+        sys.modules["ctrplan.planning.reordering"], "_pieces", lambda checker, corners, i, j: [corners[i : j + 1]]
     )
     plan = ctrplan.plan(scenario("pair_free", "planner.time_s=1"), seed=0)
     assert plan.style == "simultaneous" and any("simultaneously" in note for note in plan.notes)

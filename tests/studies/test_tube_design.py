@@ -265,7 +265,7 @@ def test_where_no_way_to_the_joints_is_found_one_to_the_tip_is_sought(
     def blocked(scenario: ctrplan.Scenario, **_: Any) -> None:
         raise NoAnswerError("to joints" if scenario.goal.joints is not None else "to a tip")
 
-    monkeypatch.setattr("ctrplan.plans.plan", blocked)
+    monkeypatch.setattr("ctrplan.planning.plan", blocked)
     store, engine = Store(found.folder), ExecutorEngine(Here(most=3), 1)
     with pytest.raises(KeyboardInterrupt):  # and what was not done then is done afterwards
         confirm(found.search, found.front[:1], store, engine, lambda _: None)

@@ -23,7 +23,7 @@ def test_unknown_names_are_refused() -> None:
 
 def test_functions_are_not_hidden_by_the_modules_of_their_name() -> None:
     assert callable(ctrplan.plan) and callable(ctrplan.reorder)
-    assert callable(ctrplan.plans.plan) and callable(ctrplan.planning.reorder)
+    assert callable(ctrplan.planning.plan) and callable(ctrplan.planning.reorder)
     assert isinstance(ctrplan.planning.BoundObjective, type)
 
 

@@ -22,7 +22,7 @@ from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import NoAnswerError
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.goal_states import descended, distinct
-from ctrplan.planning.reorder import Reordered, as_given, least_error
+from ctrplan.planning.reordering import Reordered, as_given, least_error
 from ctrplan.planning.search.insertion_chains import direct_roadmap, promising, retreat_roadmap
 from ctrplan.planning.search.ompl_set_up import SearchProblem
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
