@@ -6,18 +6,17 @@ import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-import igl
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 Indices = NDArray[np.int64]
 
@@ -62,6 +61,11 @@ def refuse_open(vertices: Array, faces: Indices) -> None:
 
 def merged(vertices: Array, faces: Indices) -> tuple[Array, Indices]:
     """The mesh with coinciding vertices merged, and, if that leaves it open, those within WELD_M; maybe still open."""
+    import igl  # slow to import
+    from scipy.sparse import coo_matrix  # slow to import
+    from scipy.sparse.csgraph import connected_components  # slow to import
+    from scipy.spatial import cKDTree  # slow to import
+
     vertices, faces = _without_strays(vertices, faces)  # whose coordinates may be NaN
     unique, _, index = igl.remove_duplicate_vertices(vertices, 0.0)
     exact = np.asarray(unique), _distinct(np.asarray(index)[faces])
@@ -146,6 +150,8 @@ def turned_outward(vertices: Array, faces: Indices) -> Indices:
 
 def _bodies(faces: Indices) -> Indices:
     """Body (F,) of each triangle: closed patches where bodies touch along an edge, else what shares vertices."""
+    import igl  # slow to import
+
     patch = np.asarray(igl.orientable_patches(faces))
     return patch if _are_closed(faces, patch) else np.asarray(igl.vertex_components(faces))[faces[:, 0]]
 
@@ -158,6 +164,8 @@ def _are_closed(faces: Indices, patch: Indices) -> bool:
 
 def _refuse_inside_out(vertices: Array, faces: Indices) -> None:
     """Raises MeshRefusal where patches that share walls and are closed together only do not bound one solid."""
+    import igl  # slow to import
+
     patch = np.asarray(igl.orientable_patches(faces))
     if _are_closed(faces, patch):
         return
@@ -181,6 +189,8 @@ def _each(patch: Indices) -> Iterator[NDArray[np.bool_]]:
 
 def _consistent(vertices: Array, faces: Indices) -> tuple[Indices, Indices]:
     """Winding made consistent within each patch, following the larger part of the patch's area in the file."""
+    import igl  # slow to import
+
     oriented, patch = (np.asarray(a) for a in igl.bfs_orient(faces))
     corners = vertices[faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
@@ -216,6 +226,8 @@ def _outermost_outward(vertices: Array, faces: Indices, body: Indices) -> Indice
 
 def _bodies_within(vertices: Array, faces: Indices, body: Indices) -> NDArray[np.bool_]:
     """(B, B) matrix: entry (a, b) tells that body b lies within body a."""
+    import igl  # slow to import
+
     count = int(body.max()) + 1
     members = np.split(np.argsort(body, kind="stable"), np.cumsum(np.bincount(body))[:-1])
     corners = [vertices[faces[rows]].reshape(-1, 3) for rows in members]
@@ -280,6 +292,8 @@ class Opening:
 
 def closed(vertices: Array, faces: Indices, repair: Repair) -> tuple[Indices, tuple[str, ...]]:
     """Triangles (F, 3) without openings, and notes of what was closed. Raises MeshRefusal for what can't be."""
+    from scipy.spatial import cKDTree  # slow to import
+
     if repair == "off" or not len(odd_edges(faces)):
         return faces, ()
     patches, notes, tree = [], [], cKDTree(vertices)

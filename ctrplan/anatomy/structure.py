@@ -11,10 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import igl
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 from ctrplan.anatomy.image import Image, ImageRefusal, listed
 from ctrplan.base.arrays import Array
@@ -179,6 +177,8 @@ def level_surface(chosen: Structure) -> tuple[Array, Indices]:
 
 def _heights(chosen: Structure, planes: slice) -> Grid:
     """How far inside the voxels of some planes are, positive inside; only the sign and ratios have a meaning."""
+    from scipy.ndimage import gaussian_filter  # slow to import
+
     inside = chosen.inside[planes]
     if chosen.above is not None:
         values = chosen.above[planes]
@@ -208,6 +208,8 @@ def _laplacian(values: Grid) -> Grid:
 
 def _marched(heights: Grid) -> tuple[Array, Indices]:
     """Surface of a slab (nz, ny, nx); only cells that it goes through are handed to marching cubes."""
+    import igl  # slow to import
+
     inside = (heights > 0).view(np.int8)
     sums = inside[:-1] + inside[1:]
     sums = sums[:, :-1] + sums[:, 1:]

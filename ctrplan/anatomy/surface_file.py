@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import igl
 import numpy as np
 
 from ctrplan.anatomy.mesh_file import read_triangles, stated_frame
@@ -81,6 +80,8 @@ def _simplify() -> Any:
 
 def _error_m(vertices: Array, faces: Indices, thin: Array, triangles: Indices) -> float:
     """How far a surface lies from its thinned one, bounded, and points of the thinned one from it, the larger."""
+    import igl  # slow to import
+
     tree = igl.AABB()
     tree.init(thin, triangles)
     error = 0.0
@@ -137,6 +138,8 @@ def _to_sides_m(points: Array, starts: Array, sides: Array) -> Array:
 
 def _back_m(vertices: Array, faces: Indices, points: Array) -> float:
     """How far points (K, 3) of the thinned surface lie from the surface; slab by slab, since its tree is large."""
+    import igl  # slow to import
+
     axis = int(np.ptp(vertices, axis=0).argmax())
     middle = vertices[faces[:, 0], axis]
     bounds = np.quantile(middle, np.linspace(0, 1, SLABS + 1))

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from ctrplan.errors import InputError
 
@@ -73,6 +72,8 @@ def unit(vector: ArrayLike) -> Array:
 
 def shortest_rotation(direction: ArrayLike) -> Array:
     """(3, 3) the rotation by the smallest angle that takes z to a direction (3,); for -z about x."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
     aim = unit(direction)
     axis = np.cross(Z, aim)
     sine = float(np.linalg.norm(axis))

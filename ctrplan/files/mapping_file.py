@@ -13,11 +13,10 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from msgspec import Meta, Struct
-from scipy.spatial.transform import Rotation
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
@@ -25,6 +24,9 @@ from ctrplan.robot.robot import Robot
 from ctrplan.storage.csv_table import CsvTable, file_name
 from ctrplan.storage.toml_document import Angle, Coordinate, Document, Name, Point, read_document
 from ctrplan.storage.toml_table import file_inside
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 MOST_RUNS = 200
 
@@ -261,6 +263,8 @@ class MappedTable(CsvTable):
         return tuple(known[name].columns[k] for k, _ in there)
 
     def _rotation(self, frame: FrameEntry) -> Rotation:
+        from scipy.spatial.transform import Rotation  # slow to import
+
         w, x, y, z = frame.quaternion_wxyz
         if not abs(math.hypot(w, x, y, z) - 1) <= QUATERNION_TOLERANCE:
             rule = f"must have norm 1 within {QUATERNION_TOLERANCE}"

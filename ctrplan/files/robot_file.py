@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import tomli_w
 from msgspec import Meta, Struct
 
 from ctrplan.base.arrays import Array, read_only
@@ -374,5 +373,7 @@ def _clearance_warnings(robot: Robot, document: Document) -> Iterator[str]:
 
 def write_robot(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:
     """Writes a robot file, whole or not at all, after checking that it can be read again."""
+    import tomli_w  # only to write
+
     robot_from_dict(content, file=os.fspath(path))
     write_atomically(path, tomli_w.dumps(content))

@@ -11,7 +11,6 @@ from typing import Annotated, Any, Literal, cast, get_args
 
 import numpy as np
 from msgspec import Meta, Struct
-from scipy.spatial.transform import Rotation
 
 from ctrplan.anatomy.image_file import images_kept
 from ctrplan.base.arrays import MOST_TURNS_DEG, Array, read_only, shortest_rotation, unit
@@ -146,6 +145,8 @@ WAYS = ("quaternion_wxyz", "direction", "look_at")
 
 def base_rotation(base: BaseEntry, document: Document) -> Array:
     """(3, 3) from the robot's frame to the anatomy's. Raises InputError for two ways of saying it, and none."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
     given = [way for way in WAYS if getattr(base, way) is not None]
     if len(given) > 1:
         raise document.fault(f"must have only one of {', '.join(WAYS)}, has {' and '.join(given)}", "base")
@@ -158,6 +159,8 @@ def base_rotation(base: BaseEntry, document: Document) -> Array:
 
 
 def _turned(wxyz: tuple[float, float, float, float], document: Document) -> Array:
+    from scipy.spatial.transform import Rotation  # slow to import
+
     w, x, y, z = wxyz
     norm = math.hypot(w, x, y, z)
     if not abs(norm - 1) <= QUATERNION_TOLERANCE:

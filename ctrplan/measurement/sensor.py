@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ctrplan.base.arguments import Choice, Number, Whole, checked
 from ctrplan.base.arrays import Array
@@ -22,6 +21,8 @@ class Poses:
 
 def rotation(vector: Array) -> Array:
     """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad]."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
     matrix: Array = Rotation.from_rotvec(np.array(vector)).as_matrix()
     return matrix
 

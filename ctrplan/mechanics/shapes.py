@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from ctrplan import _model
 from ctrplan.base.arrays import Array
@@ -234,6 +233,8 @@ def points_on_tubes(tubes: Sequence[TubeShape], s_m: Sequence[float] | Array) ->
 
 def _between(p: Array, R: Array, p_next: Array, R_next: Array, h: Array, x: Array) -> tuple[Array, Array]:
     """Points (N, 3) and unit tangents (N, 3) at shares x (N,) of elements of length h (N,) between two stations."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
     back = R.transpose(0, 2, 1)
     w, share = Rotation.from_matrix(back @ R_next).as_rotvec(), x[:, None]
     v = np.linalg.solve(_swept(w), np.einsum("nij,nj->ni", back, p_next - p)[:, :, None])[:, :, 0]

@@ -19,11 +19,11 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
+from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from ctrplan.base.arrays import Array, read_only
 from ctrplan.base.long_work import cores
@@ -34,6 +34,9 @@ from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.mechanics.shapes import Shape, Status, points_on_tubes
 from ctrplan.mechanics.tube import Loads, Tube, is_in_order, moved_to_nest
 from ctrplan.robot.robot import Robot
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 NESTED_M = 1e-8  # collars and tips out of order by less do not matter
 SAME = 1e-12  # configurations that differ by less are solved once
@@ -270,6 +273,8 @@ def _collars(robot: Robot, data: Measurements) -> tuple[Array, Array]:
 
 def _motion(measured: Array, model: Array, name: str, file: str | None) -> tuple[Rotation, Array, float]:
     """Turn and shift [m] that bring measured positions (K, 3) to those of the model, and the rms [m] that is left."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
     kept = np.arange(len(measured))
     for _ in range(ROUNDS):
         middle, aim = measured[kept].mean(axis=0), model[kept].mean(axis=0)

@@ -11,13 +11,16 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from ctrplan.base.arrays import Array
 from ctrplan.effects.learned.inputs import AXES, Range, Ranges, Situation, Target, exists, held, unit, values
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 TIMES = "_times_"
 BUMP_WIDTH = 0.7
@@ -132,6 +135,8 @@ def _knot(factor: Factor, at: Situation, ranges: Ranges) -> Array:
 @cache
 def _cardinal(count: int) -> CubicSpline:
     """Natural cubic splines over -1 to 1, each 1 at one of `count` knots and 0 at the others."""
+    from scipy.interpolate import CubicSpline  # slow to import
+
     return CubicSpline(np.linspace(-1, 1, count), np.eye(count), bc_type="natural")
 
 
