@@ -183,8 +183,8 @@ def by_cause(listed: list[Row]) -> str:
     groups: dict[tuple[object, object], list[tuple[float, float]]] = {}
     for robot, _, _, cause, deviation, bound_mm, _ in listed:
         groups.setdefault((robot, cause), []).append((float(str(deviation)), float(str(bound_mm))))
-    rows = [
-        (robot, cause, len(values), *(f"{min(column):.2f} to {max(column):.2f}" for column in zip(*values, strict=True)))
-        for (robot, cause), values in groups.items()
-    ]
+    rows = []
+    for (robot, cause), values in groups.items():
+        ranges = (f"{min(column):.2f} to {max(column):.2f}" for column in zip(*values, strict=True))
+        rows.append((robot, cause, len(values), *ranges))
     return table(("robot", "cause", "violations", "deviation, mm", "bound, mm"), rows)

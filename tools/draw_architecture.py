@@ -166,7 +166,7 @@ def draw_arrow(axes: Axes, start: Part, end: Part, by_name: dict[str, Part], lan
         x = x1 + width1 / 2 if width1 < width0 else x0 + width0 / 2
         axes.annotate("", (x, y1 + HEIGHT), (x, y0), arrowprops=head)
         return
-    apart = 0.35 * (lane_x - WIDTH)  # lines to different lanes do not lie on each other
+    apart = min(0.35 * (lane_x - WIDTH), 0.28)  # lines to different lanes do not lie on each other
     if width0 < WIDTH:  # out of the lower side, through the gap below the row
         leave = [(x0 + 0.7 * width0, y0), (x0 + 0.7 * width0, y0 + apart - 0.3), (lane_x, y0 + apart - 0.3)]
     else:
