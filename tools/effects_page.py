@@ -18,8 +18,8 @@ An effect is something that a real robot has and the ideal model lacks. Each one
     commanded joint path -> clock -> drive -> mechanics -> sensor -> measured pose
 
 A table `[effects.NAME]` of a robot file switches it on, with the parameters below. Every parameter has the unit that
-its name ends with. What is left out does nothing. Priors and ranges are those of the three-tube robot of Table II. A
-*prior* is the standard deviation of what is plausible.
+its name ends with, and vanishes at 0 unless another value is given. Priors (the standard deviation of what is plausible)
+and ranges are those of the three-tube robot of Table II. The *experiment* separates an effect from those that look like it.
 
 A robot file with effects is the same robot to every command. What an effect does there:
 
@@ -103,7 +103,7 @@ def _section(effect: Effect) -> str:
         "equation": effect.equation,
         "signature": effect.signature,
         "looks like": ", ".join(effect.look_alikes) or "none",
-        "what separates it": effect.experiment,
+        "experiment": effect.experiment,
     }
     if effect.needs:
         facts["needs"] = effect.needs
@@ -115,13 +115,14 @@ def _parameters(effect: Effect) -> list[str]:
     """A line for each group of parameters with the same prior, neutral value and range."""
     groups: dict[str, list[str]] = {}
     for p in effect.parameters(load_robot(ROBOT)):
-        numbers = f"prior {p.prior:g}, vanishes at {p.neutral:g}, range {_limit(p.lower)} to {_limit(p.upper)}"
+        neutral = f", vanishes at {p.neutral:g}" if p.neutral else ""
+        numbers = f"prior {p.prior:g}{neutral}, range {_limit(p.lower)} to {_limit(p.upper)}"
         groups.setdefault(numbers, []).append(f"`{p.name}`")
     return [f"- *parameters* {_some(names)}: {numbers}" for numbers, names in groups.items()]
 
 
 def _some(names: list[str]) -> str:
-    shown = names if len(names) <= 6 else [*names[:4], f"... ({len(names)} in all)"]
+    shown = names if len(names) <= 6 else [*names[:2], f"... {names[-1]} ({len(names)} in all)"]
     return ", ".join(shown)
 
 
