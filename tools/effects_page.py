@@ -18,8 +18,8 @@ An effect is something that a real robot has and the ideal model lacks. Each one
     commanded joint path -> clock -> drive -> mechanics -> sensor -> measured pose
 
 A table `[effects.NAME]` of a robot file switches it on, with the parameters below. Every parameter has the unit that
-its name ends with, and vanishes at 0 unless another value is given. Priors (the standard deviation of what is plausible)
-and ranges are those of the three-tube robot of Table II. The *experiment* separates an effect from those that look like it.
+its name ends with, and vanishes at 0 unless another value is given. Priors (the standard deviation of what is
+plausible) and ranges are those of the three-tube robot of Table II. The *experiment* separates look-alikes.
 
 A robot file with effects is the same robot to every command. What an effect does there:
 
@@ -112,13 +112,13 @@ def _section(effect: Effect) -> str:
 
 
 def _parameters(effect: Effect) -> list[str]:
-    """A line for each group of parameters with the same prior, neutral value and range."""
+    """The parameters, those with the same prior, neutral value and range together."""
     groups: dict[str, list[str]] = {}
     for p in effect.parameters(load_robot(ROBOT)):
         neutral = f", vanishes at {p.neutral:g}" if p.neutral else ""
         numbers = f"prior {p.prior:g}{neutral}, range {_limit(p.lower)} to {_limit(p.upper)}"
         groups.setdefault(numbers, []).append(f"`{p.name}`")
-    return [f"- *parameters* {_some(names)}: {numbers}" for numbers, names in groups.items()]
+    return ["- *parameters* " + "; ".join(f"{_some(names)}: {numbers}" for numbers, names in groups.items())]
 
 
 def _some(names: list[str]) -> str:
