@@ -74,10 +74,10 @@ curved parts of tubes I and I + 1) [mm], `load_I` (friction state of a pair), `s
 tip's `x, y, z` [mm] and `tx, ty, tz`, and columns of the data. `formula`, `may_be`, `stage` and `acts_on` are
 comments.
 
-Outside its range an input is held at the edge, and every command says so in one sentence. Terms of the drive act in
-bounds, shapes and plans. Those of the mechanics act in fits and margins: the largest tilt times the robot's length,
-and `largest_mm`, the farthest that a tip of the data was moved, are added to `model_error_mm`. Those of the sensor act
-on what is measured. A column that is not given is taken at the middle of its range.
+Outside its range an input is held at the edge, and every command says so. Terms of the drive act in bounds, shapes and
+plans. Those of the mechanics act in fits and margins: the largest tilt times the robot's length, and `largest_mm`, the
+farthest that a tip of the data was moved, are added to `model_error_mm`. Those of the sensor act on what is measured.
+A column that is not given is taken at the middle of its range.
 """
 
 
