@@ -36,7 +36,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "fig_14": fig_14,
     "fig_17": fig_17,
 }
-FIGURE_ONLY = ("fig_4_5", "fig_8", "fig_9", "fig_11_12", "fig_13", "fig_14", "fig_17")  # printed; the page has their figures
+# Printed only: the page has their figures.
+FIGURE_ONLY = ("fig_4_5", "fig_8", "fig_9", "fig_11_12", "fig_13", "fig_14", "fig_17")
 
 
 def main() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 
 from ctrplan.diagnosis import CATALOGUE, Effect
@@ -118,7 +119,8 @@ def _parameters(effect: Effect) -> list[str]:
         neutral = f", vanishes at {p.neutral:g}" if p.neutral else ""
         numbers = f"prior {p.prior:g}{neutral}, range {_limit(p.lower)} to {_limit(p.upper)}"
         groups.setdefault(numbers, []).append(f"`{p.name}`")
-    return ["- *parameters* " + "; ".join(f"{_some(names)}: {numbers}" for numbers, names in groups.items())]
+    line = "- *parameters* " + "; ".join(f"{_some(names)}: {numbers}" for numbers, names in groups.items())
+    return textwrap.wrap(line, 120, subsequent_indent="  ", break_on_hyphens=False)
 
 
 def _some(names: list[str]) -> str:
