@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,7 +51,7 @@ def layers() -> list[list[str]]:
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     contracts = settings["tool"]["importlinter"]["contracts"]
     (contract,) = (contract for contract in contracts if contract["type"] == "layers")
-    return [[name.strip() for name in layer.split("|")] for layer in contract["layers"]]
+    return [[name.strip(" ()") for name in re.split(r"[|:]", layer)] for layer in contract["layers"]]
 
 
 def parts() -> dict[str, Part]:
@@ -66,8 +67,11 @@ def part(name: str, layer: int, names: set[str]) -> Part:
     files = sorted(folder.rglob("*.py")) if folder.is_dir() else [folder.with_suffix(".py")]
     texts = [file.read_text(encoding="utf-8") for file in files]
     trees = [ast.parse(text) for text in texts]
-    first = next(tree for file, tree in zip(files, trees, strict=True) if file.parent == folder or len(files) == 1)
-    heading = (ast.get_docstring(first) or "").split("\n\n")[0]
+    heads = (folder / "__init__.py", folder.with_suffix(".py"))
+    heading = next(
+        (ast.get_docstring(tree) or "" for file, tree in zip(files, trees, strict=True) if file in heads), ""
+    )
+    heading = heading.split("\n\n")[0]
     sentence = " ".join(heading.split()).partition(". ")[0].rstrip(".")
     imported = {target for tree in trees for target in targets(tree)} & names - {name}
     return Part(name, layer, len(files), sum(len(text.splitlines()) for text in texts), sentence, frozenset(imported))
@@ -166,7 +170,7 @@ def draw_arrow(axes: Axes, start: Part, end: Part, by_name: dict[str, Part], lan
         x = x1 + width1 / 2 if width1 < width0 else x0 + width0 / 2
         axes.annotate("", (x, y1 + HEIGHT), (x, y0), arrowprops=head)
         return
-    apart = min(0.35 * (lane_x - WIDTH), 0.28)  # lines to different lanes do not lie on each other
+    apart = min(0.3 * (lane_x - WIDTH), 0.24)  # lines to different lanes do not lie on each other
     if width0 < WIDTH:  # out of the lower side, through the gap below the row
         leave = [(x0 + 0.7 * width0, y0), (x0 + 0.7 * width0, y0 + apart - 0.3), (lane_x, y0 + apart - 0.3)]
     else:

@@ -34,12 +34,13 @@ def test_page_and_picture_are_those_that_the_script_makes(tool: ModuleType, tmp_
 
 
 def test_every_package_is_in_the_picture(tool: ModuleType) -> None:
-    """With the direction of every import downwards, and an arrow or a chain of arrows for each."""
+    """Each says what it is, imports lead downwards, and there is an arrow or a chain of arrows for each import."""
     found = {entry.stem for entry in (ROOT / "ctrplan").iterdir() if (entry / "__init__.py").exists()}
     parts = tool.parts()
     assert found <= set(parts)
     arrows = tool.arrows(parts)
     for name, entry in parts.items():
+        assert entry.sentence, name
         assert all(parts[target].layer > entry.layer for target in entry.imports), name
         assert entry.imports <= reached(name, arrows)
     assert len(arrows) < sum(len(entry.imports) for entry in parts.values()) / 2
