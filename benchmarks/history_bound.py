@@ -169,10 +169,23 @@ def tell(rows: list[Row], listed: list[Row], write: bool) -> None:
             "where their own branch has a bound", "causes of the rest", "without a bound")  # fmt: skip
     present("bound", table(head, rows), write)
     head = ("robot", "history", "sample", "cause", "deviation, mm", "bound, mm", "walked there")
-    present("violations", table(head, listed), write)
+    print(table(head, listed))
+    present("violations", by_cause(listed), write)
     kinds = Counter(
         "missed" if "missed" in str(row[-1]) else "within" if "mm" in str(row[-1]) else "snaps" for row in listed
     )
     labels = ("the robot snaps without friction too", "within the bound walked there", "neither")
     rows = [(label, kinds[kind]) for label, kind in zip(labels, ("snaps", "within", "missed"), strict=True)]
     present("walked", table(("a walk along the path says", "violations"), rows), write)
+
+
+def by_cause(listed: list[Row]) -> str:
+    """A table with a row per robot and cause: how many violations, and from which to which value."""
+    groups: dict[tuple[object, object], list[tuple[float, float]]] = {}
+    for robot, _, _, cause, deviation, bound_mm, _ in listed:
+        groups.setdefault((robot, cause), []).append((float(str(deviation)), float(str(bound_mm))))
+    rows = []
+    for (robot, cause), values in groups.items():
+        ranges = (f"{min(column):.2f} to {max(column):.2f}" for column in zip(*values, strict=True))
+        rows.append((robot, cause, len(values), *ranges))
+    return table(("robot", "cause", "violations", "deviation, mm", "bound, mm"), rows)

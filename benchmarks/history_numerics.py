@@ -126,7 +126,7 @@ def speed(write: bool) -> None:
             grown_kB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kB
             rows.append((label, kind, STEPS, f"{taken_s:.2f} s", f"{grown_kB} kB"))
     head = ("robot", "path", "steps", "CPU time", "growth of memory over 4,000 more")
-    present("speed", table(head, rows), write)
+    present("speed", table(head, rows), write=False)  # printed only
 
 
 def fine_path(robot: Robot, kind: str) -> tuple[Array, Array]:

@@ -103,4 +103,4 @@ def release(write: bool) -> None:
     axes[0, 0].legend(frameon=False, fontsize=9)
     draw("release", figure, write)
     head = ("configuration", "corner", "10 deg", "30 deg", "45 deg", "90 deg", "left after 0.5 mm", "2 mm", "10 mm")
-    present("release", table(head, rows), write)
+    present("release", table(head, rows), write=False)  # printed only

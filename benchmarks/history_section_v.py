@@ -193,4 +193,4 @@ def loop(write: bool) -> None:
     axes[0, 0].legend(frameon=False)
     draw("fig_1", figure, write)
     head = ("base angle", "tip angle, turning +", "turning -", "frictionless", "between the two tips")
-    present("loop", table(head, rows), write)
+    present("loop", table(head, rows), write=False)  # printed only

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 
 from ctrplan.diagnosis import CATALOGUE, Effect
@@ -18,25 +19,22 @@ An effect is something that a real robot has and the ideal model lacks. Each one
     commanded joint path -> clock -> drive -> mechanics -> sensor -> measured pose
 
 A table `[effects.NAME]` of a robot file switches it on, with the parameters below. Every parameter has the unit that
-its name ends with. What is left out does nothing. Priors and ranges are those of the three-tube robot of Table II. A
-*prior* is the standard deviation of what is plausible.
+its name ends with, and vanishes at 0 unless another value is given. Priors (the standard deviation of what is
+plausible) and ranges are those of the three-tube robot of Table II. The *experiment* separates look-alikes.
 
-A robot file with effects is the same robot to every command. Effects of drive and mechanics act in `ctrplan bound`,
-`ik`, `view`, `plan`, `simulate` and in sweeps. Those of clock and sensor move no tube at rest: `ctrplan simulate`
-writes what would be measured (`measured_x_m` ...) beside where the tip is.
+A robot file with effects is the same robot to every command. What an effect does there:
 
-Backlash depends on the way. `ctrplan simulate` follows it along its path. `ctrplan bound` and plans say how far it
-may move the robot, and plans take that off every clearance.
+| effects | bounds, shapes, `ik`, `view`, sweeps, plans | `ctrplan simulate`, fits |
+|---|---|---|
+| drive, mechanics | act | act |
+| clock, sensor | move no tube | act on what is measured (`measured_x_m` ...) |
+| `backlash` | stated as play; plans take it off every clearance | followed along the path |
+| `plate_clearance`, `plate_compliance`, `bent_base` | add the largest turn times the length to `model_error_mm` | act |
+| `friction_speed`, `relaxation`, `precurvature_loss` | full friction, tubes as at the last pose | act in fits |
+| `homing_shift` | none: the robot stands as after the first homing | acts on logs |
 
-Effects that turn the front plate (`plate_clearance`, `plate_compliance`, `bent_base`) act in fits and on what
-`simulate` writes as measured. Bounds and shapes stand on a plate that keeps still; the largest turn times the robot's
-length is added to `model_error_mm`. Effects of speed, rest and use (`friction_speed`, `relaxation`,
-`precurvature_loss`) act in fits: a shape at rest is that of full friction and of the tubes as they were at the last
-pose. Bounds hold for less. Zeros of later homings (`homing_shift`) act on logs alone: any other robot stands as after
-the first.
-
-This page is made by `python tools/effects_page.py` from the files under `ctrplan/effects/`. How to write another
-effect: [diagnosis](diagnosis.md#a-new-effect).
+`python tools/effects_page.py` makes this page from the catalogue. How to write another effect:
+[diagnosis](diagnosis.md#a-new-effect).
 """
 
 BUILT = """\
@@ -74,14 +72,13 @@ that part. A part is a product, joined by `_times_`, of
 
 Inputs are `theta_I` [deg], `turn_I` (tube I against the one around it) [deg], `l_I` [mm], `overlap_I` (of the
 curved parts of tubes I and I + 1) [mm], `load_I` (friction state of a pair), `speed_I` [deg/s], `rest` [s], the
-tip's `x, y, z` [mm] and `tx, ty, tz`, and columns of the data. `formula`, `may_be`, `stage` and `acts_on` are for
-people, nothing reads them.
+tip's `x, y, z` [mm] and `tx, ty, tz`, and columns of the data. `formula`, `may_be`, `stage` and `acts_on` are
+comments.
 
-Each input is held at the edge of its range outside, and `bound`, `ik`, `simulate`, sweeps and plans say in one
-sentence where that happens. Terms of the drive act wherever the robot is asked: bounds, shapes, plans. Those of the
-mechanics act in fits and margins: the largest tilt times the robot's length, and `largest_mm`, the farthest that a
-tip of the data was moved, are added to `model_error_mm`. Those of the sensor act on what is measured. A column that
-nobody gives is taken at the middle of its range.
+Outside its range an input is held at the edge, and every command says so. Terms of the drive act in bounds, shapes and
+plans. Those of the mechanics act in fits and margins: the largest tilt times the robot's length, and `largest_mm`, the
+farthest that a tip of the data was moved, are added to `model_error_mm`. Those of the sensor act on what is measured.
+A column that is not given is taken at the middle of its range.
 """
 
 
@@ -103,22 +100,32 @@ def _built() -> str:
 
 
 def _section(effect: Effect) -> str:
-    rows = [
-        f"| `{p.name}` | {p.prior:g} | {p.neutral:g} | {_limit(p.lower)} to {_limit(p.upper)} |"
-        for p in effect.parameters(load_robot(ROBOT))
-    ]
-    shown = rows if len(rows) <= 9 else [*rows[:4], f"| ... {len(rows)} in all | | | |"]
-    table = ["| parameter | prior | vanishes at | range |", "|---|---|---|---|", *shown]
     facts = {
         "equation": effect.equation,
         "signature": effect.signature,
         "looks like": ", ".join(effect.look_alikes) or "none",
-        "what separates it": effect.experiment,
+        "experiment": effect.experiment,
     }
     if effect.needs:
         facts["needs"] = effect.needs
-    items = "\n".join(f"- *{name}* {text}" for name, text in facts.items())
-    return f"### {effect.name}\n\n{items}\n\n" + "\n".join(table) + "\n"
+    items = [f"- *{name}* {text}" for name, text in facts.items()]
+    return "\n".join([f"### {effect.name}\n", *items, *_parameters(effect)]) + "\n"
+
+
+def _parameters(effect: Effect) -> list[str]:
+    """The parameters, those with the same prior, neutral value and range together."""
+    groups: dict[str, list[str]] = {}
+    for p in effect.parameters(load_robot(ROBOT)):
+        neutral = f", vanishes at {p.neutral:g}" if p.neutral else ""
+        numbers = f"prior {p.prior:g}{neutral}, range {_limit(p.lower)} to {_limit(p.upper)}"
+        groups.setdefault(numbers, []).append(f"`{p.name}`")
+    line = "- *parameters* " + "; ".join(f"{_some(names)}: {numbers}" for numbers, names in groups.items())
+    return textwrap.wrap(line, 120, subsequent_indent="  ", break_on_hyphens=False)
+
+
+def _some(names: list[str]) -> str:
+    shown = names if len(names) <= 6 else [*names[:2], f"... {names[-1]} ({len(names)} in all)"]
+    return ", ".join(shown)
 
 
 def _limit(value: float) -> str:

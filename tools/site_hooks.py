@@ -73,7 +73,7 @@ def links_of(markdown: str, folder: Path, moved: str = "") -> str:
 
 
 def is_page(target: Path) -> bool:
-    return (target.suffix == ".png" or target.name.partition("#")[0].endswith(".md")) and (
+    return (target.suffix in (".png", ".svg") or target.name.partition("#")[0].endswith(".md")) and (
         ROOT / "docs"
     ) in target.resolve().parents
 

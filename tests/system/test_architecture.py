@@ -1,0 +1,52 @@
+"""The page about the architecture lists the packages of today, and its picture can be drawn from their imports."""
+
+from __future__ import annotations
+
+import importlib
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from places import ROOT
+
+PAGE = ROOT / "docs" / "architecture.md"
+
+
+@pytest.fixture
+def tool(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    return importlib.import_module("draw_architecture")
+
+
+def test_page_and_picture_are_those_that_the_script_makes(tool: ModuleType, tmp_path: Path) -> None:
+    """The table to the letter; in the picture every package, whose sizes change with every edit."""
+    page, image = tmp_path / "architecture.md", tmp_path / "architecture.svg"
+    shutil.copy(PAGE, page)
+    script = [sys.executable, str(ROOT / "tools" / "draw_architecture.py"), "--page", str(page), "--image", str(image)]
+    subprocess.run(script, check=True, cwd=tmp_path)
+    assert page.read_text(encoding="utf-8") == PAGE.read_text(encoding="utf-8"), "run tools/draw_architecture.py"
+    shipped = (ROOT / "docs" / "images" / "architecture.svg").read_text(encoding="utf-8")
+    for name in tool.parts():
+        assert all(f">{name}</text>" in picture for picture in (image.read_text(encoding="utf-8"), shipped)), name
+
+
+def test_every_package_is_in_the_picture(tool: ModuleType) -> None:
+    """Each says what it is, imports lead downwards, and there is an arrow or a chain of arrows for each import."""
+    found = {entry.stem for entry in (ROOT / "ctrplan").iterdir() if (entry / "__init__.py").exists()}
+    parts = tool.parts()
+    assert found <= set(parts)
+    arrows = tool.arrows(parts)
+    for name, entry in parts.items():
+        assert entry.sentence, name
+        assert all(parts[target].layer > entry.layer for target in entry.imports), name
+        assert entry.imports <= reached(name, arrows)
+    assert len(arrows) < sum(len(entry.imports) for entry in parts.values()) / 2
+
+
+def reached(name: str, arrows: list[tuple[str, str]]) -> set[str]:
+    """What a chain of arrows leads to."""
+    below = {target for start, target in arrows if start == name}
+    return below.union(*(reached(target, arrows) for target in below))
