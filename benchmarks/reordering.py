@@ -23,8 +23,8 @@ from page_table import put_into_page
 import ctrplan
 from ctrplan.errors import CtrplanError
 from ctrplan.planning import MotionChecker, Plan
-from ctrplan.planning.certificate.prediction import goal_error, start_states
-from ctrplan.planning.finish.oscillate_at_goal import AMPLITUDES_DEG, oscillation, turnings
+from ctrplan.planning.oscillate import AMPLITUDES_DEG, oscillation, turnings
+from ctrplan.scenario.prediction import goal_error, start_states
 
 ROOT = Path(__file__).resolve().parents[1]
 BEGIN, END = "<!-- reordering table -->\n", "<!-- end of reordering table -->"
