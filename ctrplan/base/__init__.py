@@ -1,1 +1,4 @@
-"""What every room uses and that knows none of them."""
+"""What every package uses and that knows none of them.
+
+Arrays and units, arguments of public functions, catalogues, surfaces of triangles, work that takes long.
+"""

@@ -1,3 +1,4 @@
-"""The dense recheck of a finished path, and the simulated histories along it."""
+"""The certificate of a path: a dense recheck with the full model, for every friction state.
 
-from __future__ import annotations
+docs/certificate.md says what is proven, what is measured and what is allowed for.
+"""

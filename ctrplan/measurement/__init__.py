@@ -1,3 +1,4 @@
-"""What was commanded and measured: joint paths, poses of the tip, sensors, and how each pose was approached."""
+"""What was commanded and measured: joint paths, poses of the tip, sensors, and how each pose was approached.
 
-from __future__ import annotations
+Rows are in the order visited; positions are metres in the robot's frame.
+"""

@@ -1,3 +1,4 @@
-"""A patient's case: from scans and points to a certified plan, step by step, each step's result a file to be edited."""
+"""A patient's case: from scans and points to a certified plan, step by step, each step's result a file to be edited.
 
-from __future__ import annotations
+`ctrplan.case` is the public function; docs/case.md shows the files.
+"""

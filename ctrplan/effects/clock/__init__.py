@@ -1,1 +1,4 @@
-"""Effects of the clock: which instant a pose belongs to."""
+"""Effects of the clock: which instant a pose belongs to.
+
+They act first in the chain, on the joints that were commanded.
+"""

@@ -1,1 +1,4 @@
-"""Terms that a diagnosis built from measurements: [effects.learned_NAME] of a robot file. They name no cause."""
+"""Terms that a diagnosis built from measurements: [effects.learned_NAME] of a robot file. They name no cause.
+
+A term acts on a stage, by parts that depend on inputs within the ranges of the data.
+"""

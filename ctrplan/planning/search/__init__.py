@@ -1,1 +1,4 @@
-"""The search for a path. The only room that imports OMPL."""
+"""The search for a path, by OMPL's planners and by a roadmap.
+
+The only package that imports OMPL.
+"""

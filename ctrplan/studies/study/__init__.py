@@ -1,1 +1,4 @@
-"""Studies: thousands of independent tasks over one robot or scenario, on this machine or a cluster."""
+"""Studies: thousands of independent tasks over one robot or scenario, on this machine or a cluster.
+
+`ctrplan.Study` is the public class; docs/studies.md has the file's keys.
+"""
