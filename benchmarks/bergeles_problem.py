@@ -31,7 +31,7 @@ import ctrplan
 from ctrplan.base.long_work import one_core
 from ctrplan.scenario.scenario import Goal
 from ctrplan.storage.toml_document import read_document
-from ctrplan.studies.target_set import Search, SetWorth, set_worth
+from ctrplan.studies.target_set import Search, SetValue, set_value
 
 ROOT = Path(__file__).resolve().parent.parent
 SCENARIOS = ROOT / "scenarios"
@@ -80,7 +80,7 @@ def way_in(base: dict[str, Any]) -> dict[str, Any]:
     return {"kind": "capsule", "from_mm": ends[0], "to_mm": ends[1], "radius_mm": HOLE_RADIUS_MM, "role": "inside"}
 
 
-def print_worth(name: str, worth: SetWorth) -> None:
+def print_worth(name: str, worth: SetValue) -> None:
     within = np.mean(worth.errors_mm <= TOLERANCE_MM)
     print(
         f"{name}: {len(worth.reached)} of {len(worth.targets)} reached, {within:.0%} within {TOLERANCE_MM:g} mm, "
@@ -100,7 +100,7 @@ def main() -> None:
     goals = [Goal(None, point * 1e-3, TOLERANCE_MM * 1e-3) for point in search.points_mm]
     with one_core():
         shipped = ctrplan.load_scenario(asked.out / "scenario.toml")
-        print_worth("shipped tubes", set_worth(shipped, goals, Search(starts=search.entry.starts)))
+        print_worth("shipped tubes", set_value(shipped, goals, Search(starts=search.entry.starts)))
     found = search.run(asked.out / "designs", workers=1)
     for looked in found.front[:3]:
         shown = {

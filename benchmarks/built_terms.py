@@ -46,7 +46,7 @@ from ctrplan.calibration.estimates import distances
 from ctrplan.diagnosis import built_term as limits
 from ctrplan.diagnosis.adequacy import noise_floor
 from ctrplan.diagnosis.built_term import refusals, tried
-from ctrplan.diagnosis.partial import Partly, partly
+from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, diagnose_partially
 from ctrplan.diagnosis.usable_poses import usable_poses
 from ctrplan.diagnosis.workbench import Scored, candidates
 from ctrplan.files.measurement_file import load_measurements
@@ -194,7 +194,7 @@ def asked(folder: Path) -> dict[str, Any]:
     data = load_measurements(folder / "measurements.csv", robot)
     began = time.process_time()
     noise, usable = noise_floor(robot, data)[0], usable_poses(robot, data)
-    found = partly(robot, data, usable, noise, candidates(robot, data), lambda _: None)
+    found = diagnose_partially(robot, data, usable, noise, candidates(robot, data), lambda _: None)
     halfway = time.process_time()
     bench, aside = found.bench, data.subset(found.split.held_out_set)
     result: dict[str, Any] = {"named": names(found), "seconds": [round(halfway - began, 1)]}
@@ -217,7 +217,7 @@ def asked(folder: Path) -> dict[str, Any]:
     return result | {"built": True, "refused": refused, "terms": terms, **evidence}
 
 
-def names(found: Partly) -> list[list[str]]:
+def names(found: PartialDiagnosis) -> list[list[str]]:
     """Parts that hold, each with what does as well in its place."""
     return [[f.term.name, *(a.term.name for a in f.alternatives)] for f in found.judgement.findings]
 

@@ -39,8 +39,8 @@ from ctrplan.scenario.scenario import Scenario, anatomy_grid
 from ctrplan.storage.toml_document import read_document
 from ctrplan.uncertainty.drawn_poses import DrawnPoses, DrivenPath, SimulatedPoses
 from ctrplan.uncertainty.parameters import uncertain_parameters
-from ctrplan.uncertainty.target import Aim
-from ctrplan.uncertainty.tip_slopes import held_collars
+from ctrplan.uncertainty.target import TargetPose
+from ctrplan.uncertainty.tip_slopes import clamped_collars
 from ctrplan.uncertainty.worst_case import Draws, wilson
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -124,7 +124,7 @@ class Trial:
         scenario = self.plan.scenario
         parameters = uncertain_parameters(scenario.robot)
         robot = parameters.robot_at(self.draws.offset[k])
-        theta_b, l_b = held_collars(parameters, robot, *scenario.robot.drive.commanded(self.joints))
+        theta_b, l_b = clamped_collars(parameters, robot, *scenario.robot.drive.commanded(self.joints))
         history = History(robot.mechanics, start_states(scenario)[int(self.start[k])])
         try:
             before = max(self.closest, 1)
@@ -175,7 +175,7 @@ def modelled(driven: Trial) -> Array:
     path = DrivenPath(samples.joints, samples.leg, np.array([len(samples.leg) - 1]))
     simulated = SimulatedPoses.of(scenario, parameters, path, own.offset, drawn.solved)
     others, starts = replace(drawn, draws=driven.draws), replace(simulated, start=driven.start)
-    aim = Aim.of(scenario, scenario.goal, drawn.slopes.tip_m[0, 0])
+    aim = TargetPose.of(scenario, scenario.goal, drawn.slopes.tip_m[0, 0])
     return others.by_history(aim, np.array([0]), driven.draws, starts)[0].off_m
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 import ctrplan
-from ctrplan.planning.base_screen import Screen, Worth
+from ctrplan.planning.base_screen import PoseScore, Screen
 from ctrplan.planning.place import CONE_RAD, RADIUS_M, Placement, _patch
 from ctrplan.reports import looks
 
@@ -26,7 +26,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PICTURE = ROOT / "docs" / "images" / "entry.png"
 
 
-def looked_at(scenario: ctrplan.Scenario, count: int) -> list[Worth]:
+def looked_at(scenario: ctrplan.Scenario, count: int) -> list[PoseScore]:
     """The candidates of `ctrplan place`, those too that seem to reach nothing."""
     patch = _patch(scenario, None, None, RADIUS_M, CONE_RAD)
     screen, found = Screen(scenario, patch, np.random.default_rng(0)), []
@@ -49,7 +49,7 @@ def print_best(name: str, found: Placement, took_s: float) -> None:
         )
 
 
-def draw(axes: Axes, name: str, worths: list[Worth], found: Placement) -> None:
+def draw(axes: Axes, name: str, worths: list[PoseScore], found: Placement) -> None:
     """Where candidates look, and what they seem to be worth; a ring around what was confirmed."""
     look = np.degrees(np.arcsin(np.array([worth.pose.direction[:2] for worth in worths])))
     tolerance_mm = max(target.goal.tolerance_m for target in found.own.targets) * 1e3

@@ -38,7 +38,7 @@ from hidden_effects.world import believed
 
 from ctrplan.diagnosis.adequacy import noise_floor
 from ctrplan.diagnosis.built_term import build
-from ctrplan.diagnosis.partial import partly
+from ctrplan.diagnosis.partial_diagnosis import diagnose_partially
 from ctrplan.diagnosis.usable_poses import usable_poses
 from ctrplan.diagnosis.workbench import candidates
 from ctrplan.files.measurement_file import load_measurements
@@ -150,7 +150,7 @@ def ask(folder: Path) -> None:
         data = load_measurements(path.with_name("measurements.csv"), robot)
         began = time.perf_counter()
         noise, usable = noise_floor(robot, data)[0], usable_poses(robot, data)
-        found = partly(robot, data, usable, noise, candidates(robot, data), lambda _: None)
+        found = diagnose_partially(robot, data, usable, noise, candidates(robot, data), lambda _: None)
         if built := build(found, lambda _: None):
             found = built.partly
         names = [[f.term.name, *(a.term.name for a in f.alternatives)] for f in found.judgement.findings]

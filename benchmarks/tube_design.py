@@ -33,7 +33,7 @@ import ctrplan
 from ctrplan.base.long_work import one_core
 from ctrplan.reports import looks
 from ctrplan.scenario.scenario import Goal
-from ctrplan.studies.target_set import Search, SetWorth, set_worth
+from ctrplan.studies.target_set import Search, SetValue, set_value
 
 ROOT = Path(__file__).resolve().parent.parent
 FILE = ROOT / "scenarios" / "studies" / "design_ventricle.toml"
@@ -48,8 +48,8 @@ class Judged:
     """A robot, looked at with friction and without."""
 
     name: str
-    rubbing: SetWorth
-    frictionless: SetWorth
+    rubbing: SetValue
+    frictionless: SetValue
     overrides: tuple[str, ...]
 
 
@@ -84,8 +84,8 @@ def judge(name: str, search: ctrplan.TubeDesign, overrides: Sequence[str]) -> Ju
     asked = Search(STARTS, search.entry.seed, search.entry.unreached_mm)
     file = ROOT / "scenarios" / "ventricle.toml"
     with one_core():
-        rubbing = set_worth(ctrplan.load_scenario(file, own), goals, asked)
-        bare = set_worth(ctrplan.load_scenario(file, [*own, *(f"{key}=0" for key in FRICTION)]), goals, asked)
+        rubbing = set_value(ctrplan.load_scenario(file, own), goals, asked)
+        bare = set_value(ctrplan.load_scenario(file, [*own, *(f"{key}=0" for key in FRICTION)]), goals, asked)
     return Judged(name, rubbing, bare, own)
 
 

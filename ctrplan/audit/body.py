@@ -26,23 +26,23 @@ SPACING_M = 0.5e-3  # between points
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class BodyPoints:
     """N points along the robot, from the plate to the tip, robot frame."""
 
     point_m: Array  # (N, 3)
     radius_m: Array  # (N,) outer radius of the tube there
     tube: NDArray[np.int_]  # (N,) its number, from 1
 
-    def around(self, index: int, count: int = 10) -> Body:
+    def around(self, index: int, count: int = 10) -> BodyPoints:
         """`count` times as many points, on the chords from the point before to the one after."""
         ends = range(max(index - 1, 0), min(index + 2, len(self.tube)))
         share = np.linspace(0, len(ends) - 1, count * (len(ends) - 1) + 1)
         points = np.stack([np.interp(share, range(len(ends)), column) for column in self.point_m[ends].T], axis=1)
         radius = np.interp(share, range(len(ends)), self.radius_m[ends])
-        return Body(points, radius, np.full(len(share), self.tube[index]))
+        return BodyPoints(points, radius, np.full(len(share), self.tube[index]))
 
 
-def body_of(robot: Robot, shape: Shape) -> Body:
+def body_of(robot: Robot, shape: Shape) -> BodyPoints:
     """The body of a shape: cubic curves through the stations of each tube, along its tangents."""
     points, radii, numbers, begin = [], [], [], 0.0
     for number, (tube, solved) in enumerate(zip(robot.tubes, shape.tubes, strict=True), start=1):
@@ -54,7 +54,7 @@ def body_of(robot: Robot, shape: Shape) -> Body:
         radii.append(np.full(len(s), tube.outer_diameter_m / 2))
         numbers.append(np.full(len(s), number))
         begin = end
-    return Body(np.concatenate(points), np.concatenate(radii), np.concatenate(numbers))
+    return BodyPoints(np.concatenate(points), np.concatenate(radii), np.concatenate(numbers))
 
 
 def _curve(tube: TubeShape, s: Array) -> Array:
@@ -108,7 +108,7 @@ def _signed(shape: Part) -> Signed:
     if shape.kind == "capsule":
         return lambda points: _from_segment(points, given["from_m"], given["to_m"]) - given["radius_m"]
     if isinstance(shape, Mesh) and shape.kind != "surface":  # which has no inside
-        return _MeshDistance(given["vertices_m"], given["faces"])
+        return _RawMeshDistance(given["vertices_m"], given["faces"])
     return shape.distance
 
 
@@ -125,7 +125,7 @@ def _from_segment(points: Array, a: Array, b: Array) -> Array:
     return apart
 
 
-class _MeshDistance:
+class _RawMeshDistance:
     def __init__(self, vertices_m: Array, faces: Array) -> None:
         import igl
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ctrplan.audit.case import Case, Finding
+from ctrplan.audit.audited_plan import AuditedPlan, WorstFigure
 from ctrplan.base.arrays import Array
 from ctrplan.errors import CtrplanError, SolverError
 from ctrplan.mechanics.accuracy import Accuracy
@@ -55,7 +55,7 @@ class Scores:
 class StateHunt:
     """Rounds over places; the sequence of what is looked at depends on the seed alone."""
 
-    def __init__(self, case: Case, seed: int) -> None:
+    def __init__(self, case: AuditedPlan, seed: int) -> None:
         """case: what is judged."""
         self.case = case
         self.rng = np.random.default_rng([seed, 1])
@@ -150,7 +150,7 @@ class StateHunt:
         descend(score, begin, state, FINE_STEPS)
 
 
-def worse(found: Finding) -> float:
+def worse(found: WorstFigure) -> float:
     """A figure as a score: larger is worse, also where nothing is claimed."""
     return -found.value if found.claim == "clearance" else found.excess
 
@@ -199,7 +199,7 @@ class Before:
 class HistoryHunt:
     """Simulated histories one by one; their sequence depends on the seed and on what was found."""
 
-    def __init__(self, case: Case, seed: int) -> None:
+    def __init__(self, case: AuditedPlan, seed: int) -> None:
         """case: what is judged."""
         self.case = case
         self.rng = np.random.default_rng([seed, 2])
@@ -225,7 +225,7 @@ class HistoryHunt:
                     self._note(self._driven(before, worst.place, self.mesh, looks=(worst.place,)))
                 yield
 
-    def _note(self, found: list[Finding]) -> None:
+    def _note(self, found: list[WorstFigure]) -> None:
         """What counts: on the judge's mesh; predictions on the coarse one, where certificates make them."""
         self.case.note([f for f in found if f.accuracy == ("search" if f.claim == "predicted" else self.mesh)])
 
@@ -268,7 +268,7 @@ class HistoryHunt:
             return 1.0
         return (1.0, tight.place, float(self.rng.random() ** 2))[self.number % 3]
 
-    def _driven(self, before: Before, end: float, mesh: Accuracy, looks: tuple[float, ...] = ()) -> list[Finding]:
+    def _driven(self, before: Before, end: float, mesh: Accuracy, looks: tuple[float, ...] = ()) -> list[WorstFigure]:
         """Findings along the way until `end`."""
         case = self.case
         tight = case.worst.get("clearance")
@@ -293,9 +293,9 @@ class HistoryHunt:
 
     def _followed(
         self, history: History, before: Before, places: Array, seen: set[float], mesh: Accuracy
-    ) -> list[Finding]:
+    ) -> list[WorstFigure]:
         case, begin = self.case, 0
-        found: list[Finding] = []
+        found: list[WorstFigure] = []
         joints = np.array([case.way.joints_at(place) for place in places])
         theta, l = case.robot.drive.collars(joints)  # noqa: E741 (as in the equations)
         self._count(joints, mesh)
@@ -314,7 +314,7 @@ class HistoryHunt:
             begin = k + 1
         return found
 
-    def _tips(self, tips: Array, off: Array, places: Array, before: Before) -> list[Finding]:
+    def _tips(self, tips: Array, off: Array, places: Array, before: Before) -> list[WorstFigure]:
         """The worst against the bound, and against the certificate's own prediction where it simulated the same."""
         case, claims = self.case, ["bound", "worst bound", *([] if len(before.joints) else ["predicted"])]
         found = []

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.mesh import Mesh
-from ctrplan.audit.case import Case, Finding
+from ctrplan.audit.audited_plan import AuditedPlan, WorstFigure
 from ctrplan.audit.verify import Verification
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.errors import InputError
@@ -26,7 +26,7 @@ from ctrplan.storage.output_folder import write_results
 FILES = ("scenario.toml", "robot.toml", "joints.csv", "counterexample.json")
 
 
-def write_scene(folder: Path, verification: Verification, found: Finding) -> list[str]:
+def write_scene(folder: Path, verification: Verification, found: WorstFigure) -> list[str]:
     """Writes the scene of a finding into a folder, with the robot and the meshes; returns the commands that show it.
 
     Raises InputError for anatomy of a kind that no file here describes, CtrplanError where the system refuses.
@@ -50,7 +50,7 @@ def write_scene(folder: Path, verification: Verification, found: Finding) -> lis
     return commands
 
 
-def _commands(folder: Path, found: Finding) -> list[str]:
+def _commands(folder: Path, found: WorstFigure) -> list[str]:
     mesh = "search" if found.accuracy == "search" else "certificate"
     start = ",".join(f"{phi:+.17g}" for phi in found.phi) if any(found.phi) else "released"
     replay = f"-o {folder / 'replay'} --start={start} --accuracy {mesh}"
@@ -60,7 +60,7 @@ def _commands(folder: Path, found: Finding) -> list[str]:
     ]
 
 
-def _scenario(scenario: Scenario, found: Finding, anatomy: list[dict[str, Any]]) -> dict[str, Any]:
+def _scenario(scenario: Scenario, found: WorstFigure, anatomy: list[dict[str, Any]]) -> dict[str, Any]:
     """The robot where the claim breaks; the goal is to stay there."""
     here = scenario.robot.drive.named(found.joints)
     x, y, z, w = Rotation.from_matrix(scenario.base_R).as_quat().tolist()
@@ -89,12 +89,12 @@ def _part(part: AnatomyPart, mesh_file: str) -> tuple[dict[str, Any], dict[str, 
     return entry | lengths, {}
 
 
-def _joints(verification: Verification, found: Finding) -> str:
+def _joints(verification: Verification, found: WorstFigure) -> str:
     """What the tubes are commanded to: before the start, then along the way until the claim breaks."""
     plan, drive = verification.plan, verification.plan.scenario.robot.drive
     rows = found.joints[None]
     if found.before is not None:
-        way = Case.of(plan, found.accuracy).way
+        way = AuditedPlan.of(plan, found.accuracy).way
         rows = np.vstack([found.before, way.until(found.place)])
     theta, l = drive.commanded(rows)  # noqa: E741 (as in the equations)
     if found.play and drive.play is not None:
@@ -105,7 +105,7 @@ def _joints(verification: Verification, found: Finding) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _content(found: Finding, commands: list[str]) -> dict[str, Any]:
+def _content(found: WorstFigure, commands: list[str]) -> dict[str, Any]:
     return {
         "claim": found.claim,
         "stated": None if np.isnan(found.stated) else found.stated,

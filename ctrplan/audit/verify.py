@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from ctrplan.audit.case import Case, Finding
+from ctrplan.audit.audited_plan import AuditedPlan, WorstFigure
 from ctrplan.audit.counterexamples import HistoryHunt, StateHunt
 from ctrplan.audit.recomputed import recomputed_differences, robots_at_ends
 from ctrplan.base.arguments import EVENT, PROGRESS, SEED, Choice, Number, Whole, checked
@@ -28,8 +28,8 @@ class Verification:
     """What the judge found."""
 
     plan: WrittenPlan
-    worst: tuple[Finding, ...]  # of every claim, by its name
-    beside: tuple[tuple[str, Finding], ...]  # with a parameter at an end of its interval, not claimed
+    worst: tuple[WorstFigure, ...]  # of every claim, by its name
+    beside: tuple[tuple[str, WorstFigure], ...]  # with a parameter at an end of its interval, not claimed
     differences: tuple[Difference, ...]  # figures that do not come out again
     refusal: str  # why the plan is not valid: its own word, or what walking the legs again says; empty if it is
     work: int  # units spent
@@ -37,7 +37,7 @@ class Verification:
     interrupted: bool = False
 
     @property
-    def broken(self) -> tuple[Finding, ...]:
+    def broken(self) -> tuple[WorstFigure, ...]:
         """Claims that are broken, the worst findings of each."""
         return tuple(found for found in self.worst if found.is_broken)
 
@@ -47,7 +47,7 @@ class Verification:
         return not (self.broken or self.differences or self.refusal)
 
     @property
-    def counterexample(self) -> Finding | None:
+    def counterexample(self) -> WorstFigure | None:
         """The broken claim that says most: a clearance before all else."""
         order = ("clearance", "worst bound", "bound", "stability", "strain", "predicted")
         return min(self.broken, key=lambda found: order.index(found.claim), default=None)
@@ -84,7 +84,7 @@ def verify(
         written = load_plan(written, scenario)
     told = progress or (lambda *_: None)
     with interrupt_event(interrupted) as stop:
-        case = Case.of(written, accuracy)
+        case = AuditedPlan.of(written, accuracy)
         differences, refusal = _recomputed(written, lambda share: told("recomputing", share))
         histories = HistoryHunt(case, seed)
         _hunt(case, StateHunt(case, seed), histories, _Budget(case, work, time_s, stop, told))
@@ -107,7 +107,7 @@ def _recomputed(plan: WrittenPlan, progress: object) -> tuple[tuple[Difference, 
 class _Budget:
     """Work or time, whichever was given."""
 
-    case: Case
+    case: AuditedPlan
     work: int
     time_s: float | None
     stop: threading.Event
@@ -122,7 +122,7 @@ class _Budget:
         return share >= 1 or self.stop.is_set()
 
 
-def _hunt(case: Case, states: StateHunt, histories: HistoryHunt, budget: _Budget) -> None:
+def _hunt(case: AuditedPlan, states: StateHunt, histories: HistoryHunt, budget: _Budget) -> None:
     """Rounds of both, half of the work each; a robot of one tube has no friction states to come from."""
     spent: dict[StateHunt | HistoryHunt, int] = {states: 0, histories: 0}
     hunts: Sequence[StateHunt | HistoryHunt] = (states, histories) if case.pairs else (states,)
@@ -138,9 +138,9 @@ def _hunt(case: Case, states: StateHunt, histories: HistoryHunt, budget: _Budget
             return
 
 
-def _at_interval_ends(case: Case, worst: Sequence[Finding]) -> tuple[tuple[str, Finding], ...]:
+def _at_interval_ends(case: AuditedPlan, worst: Sequence[WorstFigure]) -> tuple[tuple[str, WorstFigure], ...]:
     """The worst of each claim where a parameter is at an end of its interval, at the places found."""
-    beside: dict[str, tuple[str, Finding]] = {}
+    beside: dict[str, tuple[str, WorstFigure]] = {}
     for name, robot in robots_at_ends(case.robot):
         other = replace(case, robot=robot, worst={}, work=0)
         for found in worst:

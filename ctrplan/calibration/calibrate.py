@@ -182,7 +182,7 @@ def calibrate(
             raise InputError("is named twice", key=name)
     noise = weighed_by(robot, measurements, weighting)
     group = groups(measurements)
-    aside = _aside(group, held_out, seed)
+    aside = _split_off(group, held_out, seed)
     terms = chosen_terms(robot, names, priors or {}, bounds or {})
     more = chosen_terms(robot, second_pass, priors or {}, bounds or {}) if second_pass else []
 
@@ -208,7 +208,7 @@ def _without_outliers(
         wrong |= more
 
 
-def _aside(group: NDArray[np.int_], share: float, seed: int) -> NDArray[np.bool_]:
+def _split_off(group: NDArray[np.int_], share: float, seed: int) -> NDArray[np.bool_]:
     if not 0 <= share < 1:
         raise InputError("must be from 0 to below 1", key="held_out", value=share)
     numbers = np.random.default_rng(seed).permutation(np.unique(group))
@@ -239,14 +239,14 @@ def _fitted(chain: ParametricChain, noise: Noise, starts: int, seed: int, first:
 def _second(first: Fit, terms: Sequence[Term]) -> Fit:
     """The second pass: what the first found is held by priors that leave it no room."""
     held = tuple(
-        Term(t.effect, tuple(_held(p, v / p.si) for p, v in zip(t.parameters, first.p[s], strict=True)))
+        Term(t.effect, tuple(_test_set(p, v / p.si) for p, v in zip(t.parameters, first.p[s], strict=True)))
         for t, s in zip(first.chain.terms, first.chain.slices(), strict=True)
     )
     chain = ParametricChain(first.chain.robot, first.chain.data, [*held, *terms])
     return _fitted(chain, first.noise, 1, 0)
 
 
-def _held(parameter: Parameter, value: float) -> Parameter:
+def _test_set(parameter: Parameter, value: float) -> Parameter:
     tight = 1e-6 * parameter.prior
     return Parameter(
         parameter.name, tight, neutral=value, lower=parameter.lower, upper=parameter.upper, si=parameter.si

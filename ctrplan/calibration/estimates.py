@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.least_squares import Fit
 from ctrplan.measurement.measurements import Measurements
-from ctrplan.pipeline.term import Prediction, Term
+from ctrplan.pipeline.term import SensorPrediction, Term
 
 CI95 = 1.959964  # standard deviations
 DIGITS = 6
@@ -109,7 +109,7 @@ class Errors:
     poses: int
 
 
-def distances(prediction: Prediction, data: Measurements) -> Array:
+def distances(prediction: SensorPrediction, data: Measurements) -> Array:
     """(K,) distance [m] of measured from predicted points; from the base where the prediction is not finite.
 
     Of a marker seen along an axis it is the distance in the plane across.

@@ -21,7 +21,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import Discrepancy
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
-from ctrplan.pipeline.term import Prediction
+from ctrplan.pipeline.term import SensorPrediction
 from ctrplan.robot.robot import Robot
 
 PER_POSE = 5
@@ -81,7 +81,7 @@ def robust_square(norm: Array) -> Array:
 
 
 def residuals(
-    data: Measurements, prediction: Prediction, noise: Noise, group: Sequence[int] | NDArray[np.int_]
+    data: Measurements, prediction: SensorPrediction, noise: Noise, group: Sequence[int] | NDArray[np.int_]
 ) -> Residuals:
     """Residuals of all poses; `group` (K,) numbers the configurations."""
     given = data.given

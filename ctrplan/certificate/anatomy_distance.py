@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 PARTS = 4  # of the body around a point
 
 
-def beside(clearance_m: Array, half_m: float) -> Array:
+def clearance_of_segments(clearance_m: Array, half_m: float) -> Array:
     """Lower bound of the clearance within `half_m` of points with clearances (K,), their radius not taken off."""
     far = np.maximum(clearance_m, half_m)
     return np.where(clearance_m > half_m, np.sqrt(far**2 - half_m**2), clearance_m - half_m)
@@ -88,14 +88,14 @@ class AnatomyDistance:
         rough = self.grid.sample(located)
         doubt = self._doubt(rough)
         ceiling = self._ceilings(located, rough - radius_m, radius_m, owner, count)
-        near = np.flatnonzero(beside(rough - doubt, HALF_M) - radius_m <= ceiling[owner])
+        near = np.flatnonzero(clearance_of_segments(rough - doubt, HALF_M) - radius_m <= ceiling[owner])
         at_points = exact_clearance_of_many(self.scenario.anatomy, located[near])
         least = np.full(count, np.inf)
         np.minimum.at(least, owner[near], at_points - radius_m[near])
-        open_ = near[beside(at_points, HALF_M) - radius_m[near] < least[owner[near]]]
+        open_ = near[clearance_of_segments(at_points, HALF_M) - radius_m[near] < least[owner[near]]]
         begins = np.append(True, np.any(np.diff(located, axis=0) ** 2 > POINT_SPACING_M**2, axis=1))
         pieces = exact_clearance_of_many(self.scenario.anatomy, around(located, open_, begins))
-        values = beside(pieces, HALF_M / PARTS) - np.tile(radius_m[open_], PARTS)
+        values = clearance_of_segments(pieces, HALF_M / PARTS) - np.tile(radius_m[open_], PARTS)
         np.minimum.at(least, np.tile(owner[open_], PARTS), values)
         return least
 

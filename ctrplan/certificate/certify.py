@@ -20,7 +20,7 @@ from ctrplan.certificate.walked_legs import WalkedLegs, walk_legs
 from ctrplan.certificate.walked_piece import Piece
 from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.mechanics.shapes import Shape
-from ctrplan.scenario.prediction import Prediction, predict, rows_to_simulate, start_states
+from ctrplan.scenario.prediction import PathPrediction, predict, rows_to_simulate, start_states
 
 if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario
@@ -59,12 +59,12 @@ class SimulatedBodies:
 class Arrival(Protocol):
     """Says in sentences why the end of a certified path does not meet the goal; none if it does."""
 
-    def __call__(self, scenario: Scenario, samples: CertificateSamples, prediction: Prediction) -> list[str]:
+    def __call__(self, scenario: Scenario, samples: CertificateSamples, prediction: PathPrediction) -> list[str]:
         """samples: of the whole path; prediction: tips from several friction states."""
         ...
 
 
-def frictionless_arrives(scenario: Scenario, samples: CertificateSamples, prediction: Prediction) -> list[str]:
+def frictionless_arrives(scenario: Scenario, samples: CertificateSamples, prediction: PathPrediction) -> list[str]:
     """Sentences if the frictionless tip misses the goal."""
     return frictionless_miss(scenario, samples.tip_m)
 
@@ -148,7 +148,7 @@ def _walked_again(
     return certify(scenario, corners, accuracy=accuracy or first, arrival=arrival)
 
 
-def _contradictions(prediction: Prediction, samples: CertificateSamples) -> list[str]:
+def _contradictions(prediction: PathPrediction, samples: CertificateSamples) -> list[str]:
     """Sentences where the simulated histories leave what the walk promises."""
     if not np.all(np.isfinite(prediction.tip_m)):
         return ["A simulated robot finds no equilibrium to go on to."]
@@ -186,7 +186,7 @@ def _predicted(
     samples: CertificateSamples,
     accuracy: Accuracy,
     bodies: SimulatedBodies | None,
-) -> tuple[Prediction, CertificateSamples]:
+) -> tuple[PathPrediction, CertificateSamples]:
     """Simulated histories along the samples, and the samples with their errors; the bound where a simulation failed."""
     robot = scenario.robot
     rows = rows_to_simulate(robot, samples.joints, samples.leg)

@@ -28,10 +28,10 @@ from ctrplan.certificate.friction_cube import (
     BEYOND,
     DEPTH,
     LEAST_DEPTH,
-    CubeAsked,
-    LeastOfStates,
+    CubeQuery,
     Needed,
-    least_of_cubes,
+    StateMinima,
+    minima_of_cubes,
 )
 from ctrplan.certificate.friction_states import (
     BEND_CHANGE,
@@ -48,7 +48,7 @@ from ctrplan.certificate.friction_states import (
     corner_weights,
     mesh_allowance_m,
 )
-from ctrplan.certificate.walked_piece import Piece, least_of, shapes_of
+from ctrplan.certificate.walked_piece import Piece, narrowest_of, shapes_of
 from ctrplan.mechanics.friction import Doubts, bodies_between
 from ctrplan.motion.checker import path_limits
 
@@ -213,11 +213,11 @@ def in_every_friction_state(scenario: Scenario, pieces: Sequence[Piece], spare_m
     limits = path_limits(scenario)
     if scenario.robot.n == 1 or not scenario.robot.friction.any():
         return list(pieces)
-    solved, distance = least_of(pieces), AnatomyDistance.of(scenario)
+    solved, distance = narrowest_of(pieces), AnatomyDistance.of(scenario)
     enough = max(limits.clearance_m, min(solved - TIGHT_M, limits.clearance_m + spare_m))
     limited = Needed(limits.clearance_m, limits.stability, limits.max_strain)
     needed = replace(limited, clearance_m=enough)
-    looks = [_Look(scenario, piece, needed, limits.clearance_m, distance) for piece in pieces]
+    looks = [_PieceView(scenario, piece, needed, limits.clearance_m, distance) for piece in pieces]
     with ThreadPoolExecutor(cores()) as pool:
         places = _narrowest(pieces)
         first = list(pool.map(lambda place: looks[place[0]].least([place[1]])[0], places))
@@ -236,14 +236,14 @@ def _narrowest(pieces: Sequence[Piece]) -> list[tuple[int, int]]:
 
 
 def _of_piece(
-    piece: int, places: Sequence[tuple[int, int]], found: Sequence[LeastOfStates]
-) -> tuple[list[int], list[LeastOfStates]]:
+    piece: int, places: Sequence[tuple[int, int]], found: Sequence[StateMinima]
+) -> tuple[list[int], list[StateMinima]]:
     """Samples of one piece among `places`, and what was found there."""
     rows = [(sample, one) for (p, sample), one in zip(places, found, strict=True) if p == piece]
     return [sample for sample, _ in rows], [one for _, one in rows]
 
 
-def _every_sample(pool: Executor, looks: Sequence[_Look], limited: Needed) -> list[Piece]:
+def _every_sample(pool: Executor, looks: Sequence[_PieceView], limited: Needed) -> list[Piece]:
     """The pieces with what all of their samples keep, up to the first batch of which a sample breaks a limit.
 
     Pieces that take longest come first, in batches, so that no thread ends long before the others.
@@ -266,7 +266,7 @@ def _every_sample(pool: Executor, looks: Sequence[_Look], limited: Needed) -> li
     return [ended[k] for k in range(len(looks))]
 
 
-def _with(piece: Piece, samples: Sequence[int], found: Sequence[LeastOfStates]) -> Piece:
+def _with(piece: Piece, samples: Sequence[int], found: Sequence[StateMinima]) -> Piece:
     """The piece with what was found of all states of some of its samples."""
     clearance, stability, strain = piece.clearance_m.copy(), piece.stability.copy(), piece.max_strain.copy()
     phi = piece.phi.copy()
@@ -279,7 +279,7 @@ def _with(piece: Piece, samples: Sequence[int], found: Sequence[LeastOfStates]) 
 
 
 @dataclass(eq=False)
-class _Look:
+class _PieceView:
     """At a piece in all friction states; keeps those of its samples. Each thread looks at other samples."""
 
     scenario: Scenario
@@ -288,7 +288,7 @@ class _Look:
     limit_m: float  # of clearance: of less it need not be known how little
     distance: AnatomyDistance | None
     _states: dict[tuple[int, Accuracy], SampleStates] = field(default_factory=dict)
-    _found: dict[int, LeastOfStates] = field(default_factory=dict)
+    _found: dict[int, StateMinima] = field(default_factory=dict)
     _broken: float = np.inf  # last sample of the first batch of which one breaks a limit
     _lock: Lock = field(default_factory=Lock)
 
@@ -313,7 +313,7 @@ class _Look:
                 firsts.append(k)
         return [range(*ends) for ends in itertools.pairwise([*firsts, len(efforts) - 1])]
 
-    def kept(self, samples: range, limited: Needed) -> list[LeastOfStates] | None:
+    def kept(self, samples: range, limited: Needed) -> list[StateMinima] | None:
         """Of a batch; None if one before it breaks a limit, beyond which nothing is asked."""
         if samples[0] > self._broken:
             return None
@@ -331,7 +331,7 @@ class _Look:
         self._states.clear()
         return replace(piece, apart_m=apart, finer={})
 
-    def least(self, samples: Sequence[int]) -> list[LeastOfStates]:
+    def least(self, samples: Sequence[int]) -> list[StateMinima]:
         """Of each sample; all allowances taken off the clearance."""
         tries = {sample: self._tries(sample) for sample in samples if sample not in self._found}
         while going := {sample: asked for sample, one in tries.items() if (asked := next(one, None))}:
@@ -344,9 +344,9 @@ class _Look:
                 states.let_go()
         return [self._found[sample] for sample in samples]
 
-    def _least(self, going: Mapping[int, _Try]) -> list[LeastOfStates]:
+    def _least(self, going: Mapping[int, _Try]) -> list[StateMinima]:
         """What the tries find, one of each sample."""
-        found = least_of_cubes([self._cube(sample, one) for sample, one in going.items()], self.distance)
+        found = minima_of_cubes([self._cube(sample, one) for sample, one in going.items()], self.distance)
         return [
             replace(least, clearance_m=least.clearance_m - self._offset_m(sample, one))
             for (sample, one), least in zip(going.items(), found, strict=True)
@@ -367,10 +367,10 @@ class _Look:
             yield _Try("certificate", DEPTH, is_between=True)
         yield _Try("certificate", DEPTH, is_last=True)
 
-    def _cube(self, sample: int, one: _Try) -> CubeAsked:
+    def _cube(self, sample: int, one: _Try) -> CubeQuery:
         """Only what is solved for itself is looked at in all cells, whatever is found in some."""
         states = self._of(sample, one.accuracy)
-        return CubeAsked(
+        return CubeQuery(
             states.known.solved,
             states.known.radius_m,
             self._between(sample, one.accuracy) if one.is_between else states,

@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.certificate.anatomy_distance import PARTS, beside
+from ctrplan.certificate.anatomy_distance import PARTS, clearance_of_segments
 from ctrplan.certificate.friction_states import POINT_SPACING_M, Cell, Solved, State
 from ctrplan.errors import InputError
-from ctrplan.mechanics.friction import Distance, cell_bodies, cell_spread, least_of_points
+from ctrplan.mechanics.friction import Distance, cell_bodies, cell_spread, nearest_points
 from ctrplan.robot.robot import Robot
 
 
@@ -39,7 +39,7 @@ class Needed:
 
 
 @dataclass(frozen=True, eq=False)
-class LeastOfStates:
+class StateMinima:
     """What is known of all states: if it is what was asked for, none has less; else what one may have."""
 
     clearance_m: float  # -inf where a state has no equilibrium
@@ -49,10 +49,10 @@ class LeastOfStates:
     point_m: Array  # (3,) the body's point there, robot frame
     solves: int  # states solved besides those that were known
 
-    def with_less_of(self, other: LeastOfStates) -> LeastOfStates:
+    def with_less_of(self, other: StateMinima) -> StateMinima:
         """The worse of both in each respect."""
         nearer = other if other.clearance_m < self.clearance_m else self
-        return LeastOfStates(
+        return StateMinima(
             nearer.clearance_m,
             min(self.stability, other.stability),
             max(self.max_strain, other.max_strain),
@@ -105,7 +105,7 @@ def cell_clearances(
     error = ERROR_FACTOR * apart
     away = reach + error + middles[..., 3]
     asked = (enough_m[:, None] + away + HALF_M).ravel()
-    far = beside(distance(middles[..., :3].reshape(-1, 3), asked), HALF_M).reshape(count, points)
+    far = clearance_of_segments(distance(middles[..., :3].reshape(-1, 3), asked), HALF_M).reshape(count, points)
     bound = far - away  # clearance is 1-Lipschitz
     rest = np.where(bound >= enough_m[:, None], bound, np.inf)
     spare = (bound - enough_m[:, None]).ravel()
@@ -144,10 +144,10 @@ def _closest(
     if not len(near):
         return {}
     points = bodies.shape[2]
-    rough = least_of_points(bodies, near, error, enough_m, distance, parts=1, half_m=HALF_M, halvings=HALVINGS)
+    rough = nearest_points(bodies, near, error, enough_m, distance, parts=1, half_m=HALF_M, halvings=HALVINGS)
     is_rough = rough[0] >= enough_m[near // points]
     narrow = near[~is_rough]
-    closer = least_of_points(bodies, narrow, error, enough_m, distance, parts=PARTS, half_m=PIECE_M, halvings=HALVINGS)
+    closer = nearest_points(bodies, narrow, error, enough_m, distance, parts=PARTS, half_m=PIECE_M, halvings=HALVINGS)
     lower, unit, place = (np.concatenate([a[is_rough], b]) for a, b in zip(rough, closer, strict=True))
     owner = np.concatenate([near[is_rough], np.tile(narrow, PARTS)]) // points
     order = np.lexsort((lower, owner))
@@ -157,7 +157,7 @@ def _closest(
 
 
 @dataclass(frozen=True, eq=False)
-class CellAsked:
+class CellQuery:
     """A cell with its robots."""
 
     cell: Cell
@@ -172,20 +172,20 @@ class CellAsked:
         return all(one.has_body for one in self.solved)
 
 
-def least_of_cells(asked: Sequence[CellAsked], distance: Distance | None) -> list[LeastOfStates]:
+def cell_minima(asked: Sequence[CellQuery], distance: Distance | None) -> list[StateMinima]:
     """Of L cells; clearance is inf where it was not asked for, or without a `distance`."""
     stability = -_most(np.array([[-one.stability for one in cell.solved] for cell in asked]))
     strain = _most(np.array([[one.max_strain for one in cell.solved] for cell in asked]))
     numbers = zip(stability.tolist(), strain.tolist(), strict=True)
     return [
-        LeastOfStates(clear.clearance_m, *of_cell, clear.phi, clear.point_m, 0)
+        StateMinima(clear.clearance_m, *of_cell, clear.phi, clear.point_m, 0)
         if clear
-        else LeastOfStates(-np.inf, -np.inf, np.inf, cell.cell.middle, np.full(3, np.nan), 0)
+        else StateMinima(-np.inf, -np.inf, np.inf, cell.cell.middle, np.full(3, np.nan), 0)
         for cell, clear, of_cell in zip(asked, _clearances(asked, distance), numbers, strict=True)
     ]
 
 
-def _clearances(asked: Sequence[CellAsked], distance: Distance | None) -> list[CellClearance | None]:
+def _clearances(asked: Sequence[CellQuery], distance: Distance | None) -> list[CellClearance | None]:
     """Of every cell, None where one of its states has no body."""
     found: list[CellClearance | None] = [
         CellClearance(np.inf, one.cell.middle, one.solved[-1].body_m[-1]) if one.has_bodies else None for one in asked
@@ -201,7 +201,7 @@ def _clearances(asked: Sequence[CellAsked], distance: Distance | None) -> list[C
     return found
 
 
-def _bodies(asked: Sequence[CellAsked]) -> Array:
+def _bodies(asked: Sequence[CellQuery]) -> Array:
     """(L, 2^P + 1, N, 4) bodies and the radii around them that they may fill, as long as the longest.
 
     What is too short stands at its tip for the rest, where it is already.
@@ -236,7 +236,7 @@ def refuse_many_tubes(robot: Robot) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class CubeAsked:
+class CubeQuery:
     """Whether every state of a configuration keeps what is needed."""
 
     known: dict[State, Solved]  # phi = 0 and every sign corner
@@ -249,12 +249,12 @@ class CubeAsked:
     floor_m: float = np.inf  # where less clearance than needed is left: how little of it is still asked for
 
 
-def least_of_cube(asked: CubeAsked, distance: Distance | None) -> LeastOfStates:
+def cube_minima(asked: CubeQuery, distance: Distance | None) -> StateMinima:
     """Of one configuration; see `least_of_cubes`."""
-    return least_of_cubes([asked], distance)[0]
+    return minima_of_cubes([asked], distance)[0]
 
 
-def least_of_cubes(asked: Sequence[CubeAsked], distance: Distance | None) -> list[LeastOfStates]:
+def minima_of_cubes(asked: Sequence[CubeQuery], distance: Distance | None) -> list[StateMinima]:
     """What is known of every state of each configuration once its cells were halved until they keep what is needed.
 
     Where they do not keep the clearance that is needed, what they have was found at some state, and another one may
@@ -264,7 +264,7 @@ def least_of_cubes(asked: Sequence[CubeAsked], distance: Distance | None) -> lis
     cubes = [_Cube(one) for one in asked]
     while open_ := [cube for cube in cubes if cube.cells]:
         cells = [cell for cube in open_ for cell in cube.cells_asked()]
-        found = iter(least_of_cells(cells, distance))
+        found = iter(cell_minima(cells, distance))
         for cube in open_:
             cube.go_on([next(found) for _ in cube.cells])
     return [cube.least for cube in cubes]
@@ -274,8 +274,8 @@ def least_of_cubes(asked: Sequence[CubeAsked], distance: Distance | None) -> lis
 class _Cube:
     """The states of one configuration, and the cells of it that have to be looked at next, all of one depth."""
 
-    asked: CubeAsked
-    least: LeastOfStates = field(init=False)
+    asked: CubeQuery
+    least: StateMinima = field(init=False)
     cells: list[Cell] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -285,10 +285,10 @@ class _Cube:
 
     def _begin(self) -> None:
         pairs = len(next(iter(self.solved)))
-        self.least = LeastOfStates(np.inf, np.inf, -np.inf, (0.0,) * pairs, np.zeros(3), self._solves)
+        self.least = StateMinima(np.inf, np.inf, -np.inf, (0.0,) * pairs, np.zeros(3), self._solves)
         self.cells = [Cell((-1.0,) * pairs, (1.0,) * pairs, 0)]
 
-    def cells_asked(self) -> list[CellAsked]:
+    def cells_asked(self) -> list[CellQuery]:
         """The cells with their states, solved if they were not known."""
         states = [[*cell.corners, cell.middle] for cell in self.cells]
         wanted = list(dict.fromkeys(state for of_cell in states for state in of_cell if state not in self.solved))
@@ -297,7 +297,7 @@ class _Cube:
             self._solves += len(wanted)
         is_looked_at = self.cells[0].depth >= self.asked.least_depth  # else it is halved anyway
         return [
-            CellAsked(
+            CellQuery(
                 cell,
                 [self.solved[state] for state in of_cell],
                 self.asked.radius_m,
@@ -307,7 +307,7 @@ class _Cube:
             for cell, of_cell in zip(self.cells, states, strict=True)
         ]
 
-    def go_on(self, found: Sequence[LeastOfStates]) -> None:
+    def go_on(self, found: Sequence[StateMinima]) -> None:
         """Halves the cells that do not keep what is needed, and takes over what is known of the others."""
         halved = list[Cell]()
         for cell, of_cell in zip(self.cells, found, strict=True):

@@ -25,7 +25,7 @@ from ctrplan.certificate.problems import (
     stated_bounds,
 )
 from ctrplan.certificate.uneven_friction import with_uneven_friction
-from ctrplan.certificate.walked_piece import Piece, closely_solved, joined_samples, looked_at_samples, walk_pieces
+from ctrplan.certificate.walked_piece import Piece, checked_samples, closely_solved, joined_samples, walk_pieces
 from ctrplan.drive.legs import merge_legs
 from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.motion.checker import path_limits
@@ -152,7 +152,7 @@ def walk_legs(
         def looked(look_closer: Look, pieces: list[Piece]) -> tuple[list[Piece], CertificateSamples, list[str]]:
             pieces = look_closer(scenario, pieces)
             found = problems_of_walk(scenario, space, corners, pieces)
-            closer = looked_at_samples(samples, pieces)
+            closer = checked_samples(samples, pieces)
             return pieces, closer, found + problems_of_limits(scenario, pieces, closer, stated.result)
 
         problems = [f"{other}."] if (other := other_start(scenario, corners[0])) else []

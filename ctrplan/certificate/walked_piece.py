@@ -190,7 +190,7 @@ def shapes_of(scenario: Scenario, body: Array) -> tuple[Array, Array]:
     return shapes[:, :, :3], shapes[0, :, 3]
 
 
-def least_of(pieces: Sequence[Piece]) -> float:
+def narrowest_of(pieces: Sequence[Piece]) -> float:
     """Smallest clearance of pieces [m]."""
     return min(float(piece.clearance_m.min()) for piece in pieces)
 
@@ -231,7 +231,7 @@ def joined_samples(scenario: Scenario, space: JointSpace, corners: Array, pieces
     return CertificateSamples(**{name: np.concatenate(parts) for name, parts in columns.items()})
 
 
-def looked_at_samples(samples: CertificateSamples, pieces: list[Piece]) -> CertificateSamples:
+def checked_samples(samples: CertificateSamples, pieces: list[Piece]) -> CertificateSamples:
     """The table with what a closer look at the pieces found to be left."""
 
     def column(name: str) -> Array:

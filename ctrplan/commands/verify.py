@@ -14,7 +14,7 @@ from ctrplan.commands.terminal import ProgressBar
 from ctrplan.storage.output_folder import output_folder
 
 if TYPE_CHECKING:
-    from ctrplan.audit.case import Finding
+    from ctrplan.audit.audited_plan import WorstFigure
     from ctrplan.audit.verify import Verification
 
 DEFAULT_FOLDER = "counterexample"
@@ -124,7 +124,7 @@ def _report(result: Verification) -> Iterator[str]:
         yield f"  simulated robots snapped {result.snaps} times"
 
 
-def _line(found: Finding) -> str:
+def _line(found: WorstFigure) -> str:
     factor, unit = UNITS.get(found.claim, (1e3, " mm"))
     stated = "nothing" if found.stated != found.stated else f"{factor * found.stated:.2f}{unit}"
     broken = "BROKEN: " if found.is_broken else ""

@@ -17,8 +17,8 @@ from scipy.stats import chi2, f
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.fit_warnings import OUTLIER, excused
+from ctrplan.calibration.observed_noise import LEAST_SPARE, ObservedNoise, observed_noises, repeats
 from ctrplan.calibration.residuals import NO_TANGENT_SIGMA, PAPER, PER_POSE, Noise, Residuals, information_inverse
-from ctrplan.calibration.shown_noise import LEAST_SPARE, ShownNoise, repeats, shown_noises
 from ctrplan.diagnosis.cross_validation import Linear
 from ctrplan.diagnosis.workbench import Scored, Workbench, linear
 from ctrplan.errors import InputError
@@ -164,7 +164,7 @@ def tail_weight(norm: Array, given: Array) -> float:
     return float(np.var(square) / np.mean(square) ** 2 / np.mean(2 / given))
 
 
-def held_out_probability(held_out_set: ChiSquare, left: ChiSquare, residuals: Residuals, *, estimated: bool) -> float:
+def left_out_probability(held_out_set: ChiSquare, left: ChiSquare, residuals: Residuals, *, estimated: bool) -> float:
     """Probability of a held-out set as far off as this, given what is `left` of the selection, whose residuals follow.
 
     Where the noise is an estimate from the selection it is F instead of chi-square. Tails heavier than Gaussian make
@@ -198,7 +198,7 @@ def noise_floor(robot: Robot, data: Measurements) -> tuple[Noise, str]:
 
     Of data without tangents the noise of tangents is of no matter.
     """
-    stated, shown = robot.measurement, list(shown_noises(data))
+    stated, shown = robot.measurement, list(observed_noises(data))
     if stated is None and not shown:
         rule = (
             "is missing: state position_sigma_mm and tangent_sigma_deg, or measure at least "
@@ -223,14 +223,14 @@ def _too_little(data: Measurements) -> str:
     return f"these data have {len(kind) - len(np.unique(kind))}"
 
 
-def _of_data(shown: Sequence[ShownNoise], has_tangents: bool) -> tuple[Noise, str]:
+def _of_data(shown: Sequence[ObservedNoise], has_tangents: bool) -> tuple[Noise, str]:
     """The largest that the data show."""
     found = Noise(max(one.noise.position_m for one in shown), max(one.noise.tangent_rad for one in shown))
     by = " and ".join(one.by for one in shown)
     return found, f"The robot file states no noise; {by} say {_words(found, has_tangents)}."
 
 
-def _enlarged(stated: Noise, shown: Sequence[ShownNoise], has_tangents: bool) -> tuple[Noise, str]:
+def _enlarged(stated: Noise, shown: Sequence[ObservedNoise], has_tangents: bool) -> tuple[Noise, str]:
     """The stated noise, or what data show where it is clearly more."""
     found, by = stated, list[str]()
     for one in shown:

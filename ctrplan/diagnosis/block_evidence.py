@@ -11,8 +11,8 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.diagnosis.correlated_bench import FRAMES, CorrelatedBench
-from ctrplan.diagnosis.cross_validation import Linear, held_out_residuals
-from ctrplan.diagnosis.workbench import Panel, Scored, Workbench, certainty, linear
+from ctrplan.diagnosis.cross_validation import Linear, left_out_residuals
+from ctrplan.diagnosis.workbench import Linearisation, Scored, Workbench, certainty, linear
 from ctrplan.pipeline.term import Term
 
 LEAST_Z = 4.0  # standard errors over blocks that the gain of an effect must exceed zero by
@@ -122,9 +122,9 @@ def acts_by_motion(t: Term) -> bool:
 class Sides:
     """A set with an effect and without it, each linearised where it fits, and all that is fitted there."""
 
-    panel: Panel
+    panel: Linearisation
     among: Sequence[Term]
-    gone: Panel
+    gone: Linearisation
     rest: Sequence[Term]
 
 
@@ -192,7 +192,7 @@ def summed(gains: Array) -> tuple[float, float]:
     return float(gains.sum()), float(np.sqrt(len(gains)) * gains.std(ddof=1))
 
 
-def _shift(panel: Panel, among: Sequence[Term], t: Term, other: Term) -> float:
+def _shift(panel: Linearisation, among: Sequence[Term], t: Term, other: Term) -> float:
     """How far the parameters of `t` move when `other` is added, in standard errors beside it, root mean square.
 
     What is hard to tell from `t` moves it by chance, for its errors are larger then.
@@ -205,7 +205,7 @@ def _shift(panel: Panel, among: Sequence[Term], t: Term, other: Term) -> float:
     return float(np.sqrt(max(distance, 0.0) / len(moved)))
 
 
-def _places(panel: Panel, terms: Sequence[Term], t: Term) -> list[int]:
+def _places(panel: Linearisation, terms: Sequence[Term], t: Term) -> list[int]:
     wanted = {(term.name, q.name) for term in terms for q in term.parameters}
     kept = [key for key in panel.keys if key in wanted]
     return [k for k, (name, _) in enumerate(kept) if name == t.name]
@@ -236,7 +236,7 @@ class Part:
 
 def part_of(bench: CorrelatedBench, base: Scored, chosen: Scored, found: Evidence) -> Part:
     """Of an effect in a set, where `base` is calibrated without effects and without free frames."""
-    whole = held_out_residuals(linear(base.fit), bench.fold)[:, :3] * bench.plain.position_m * bench.data.over_tip
+    whole = left_out_residuals(linear(base.fit), bench.fold)[:, :3] * bench.plain.position_m * bench.data.over_tip
     before, after = rms(whole), rms(bench.left_out_m(chosen))
     gap = float(np.sqrt(max(before**2 - bench.plain.floor_m**2, 0.0)))
     none = bench.scored([])

@@ -21,10 +21,10 @@ from ctrplan.calibration.estimates import estimates
 from ctrplan.calibration.fit_warnings import strained
 from ctrplan.diagnosis.block_evidence import SAYS_SOMETHING, mean_square, summed
 from ctrplan.diagnosis.correlated_bench import FRAME_MOVES, CorrelatedBench
-from ctrplan.diagnosis.partial import Partly, concluded, most_probable_alone, rest_beside
+from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, concluded, most_probable_alone, remainder_beside
 from ctrplan.diagnosis.partial_search import PartialSelector, is_built
-from ctrplan.diagnosis.remainder import Rest
-from ctrplan.diagnosis.selection import Selection, Step
+from ctrplan.diagnosis.remainder import Remainder
+from ctrplan.diagnosis.selection import Selection, SelectionStep
 from ctrplan.diagnosis.smooth_evidence import SmoothEvidence
 from ctrplan.diagnosis.term_dictionary import pieces
 from ctrplan.diagnosis.term_search import Round, Tried, grown
@@ -49,14 +49,14 @@ class Built:
 
     scored: Scored  # named and built
     named: Scored  # without the built ones
-    partly: Partly  # what holds of the catalogue beside the built ones, and what the catalogue leaves
+    partly: PartialDiagnosis  # what holds of the catalogue beside the built ones, and what the catalogue leaves
     rounds: tuple[Round, ...]
     gain: float
     error: float  # standard error over blocks
     z: float
     winning: float  # share of the blocks that say something
     share: float  # of the rest's squares
-    rest: Rest  # what remains beside the built ones as well
+    rest: Remainder  # what remains beside the built ones as well
     odds: float  # logarithm, of the terms beside an error as smooth as is probable
     evidence: float  # logarithm of that of the whole set there
     is_shown: bool = False  # whether a less probable set passes, so that there is more than a smooth error
@@ -74,7 +74,7 @@ class Built:
         return self.gain < TIMES_CHANCE * self.rounds[0].smooth_chance or self.odds < LEAST_EVIDENCE
 
     @property
-    def path(self) -> tuple[Step, ...]:
+    def path(self) -> tuple[SelectionStep, ...]:
         """The rounds, as steps of a search."""
         return tuple(_step(one) for one in self.rounds)
 
@@ -101,7 +101,7 @@ class Built:
         }
 
 
-def built_of(found: Partly, rounds: Sequence[Round]) -> Built:
+def built_of(found: PartialDiagnosis, rounds: Sequence[Round]) -> Built:
     """What a search ended with, with its evidence."""
     bench, scored = found.bench, found.chosen
     plain = bench.scored([t for t in scored.terms if not is_built(t)], scored.fit)  # beside what is left now
@@ -110,7 +110,7 @@ def built_of(found: Partly, rounds: Sequence[Round]) -> Built:
     winning = float((telling > 0).mean()) if len(telling) else 0.0
     before, after = mean_square(bench.left_out_m(plain)), mean_square(bench.left_out_m(scored))
     share = (before - after) / max(before - bench.plain.floor_m**2, 1e-12)
-    rest = rest_beside(bench, scored, bench.plain)
+    rest = remainder_beside(bench, scored, bench.plain)
     probable = SmoothEvidence(bench, scored).highest()
     odds = probable - SmoothEvidence(bench, plain).highest()
     return Built(
@@ -157,11 +157,11 @@ def _rms(error: Array) -> float:
     return float(np.sqrt(np.mean(error**2)))
 
 
-def _step(one: Round) -> Step:
+def _step(one: Round) -> SelectionStep:
     best: Tried = one.tried[0]
     shown = best if one.taken is None else next(tried for tried in one.tried if tried.piece == one.taken)
     name, parts = shown.piece.on.effect_name, shown.piece.parts
-    return Step("build", name, parts, round(shown.gain, 2), 0.0, round(one.chance, 2), one.taken is not None)
+    return SelectionStep("build", name, parts, round(shown.gain, 2), 0.0, round(one.chance, 2), one.taken is not None)
 
 
 def _term_json(t: Term, found: Scored) -> dict[str, Any]:
@@ -179,7 +179,7 @@ LEAST_LIKE_SMOOTH = 20.0  # logarithm of evidence, if they move positions no fur
 WORTH = 0.5  # of the noise: what remains has to be larger for a term to be sought
 
 
-def build(found: Partly, tell: Callable[[str], None]) -> Built | None:
+def build(found: PartialDiagnosis, tell: Callable[[str], None]) -> Built | None:
     """A term of what remains beside the effects that hold; None where nothing passes."""
     built = tried(found, tell)
     if built is None:
@@ -191,7 +191,7 @@ def build(found: Partly, tell: Callable[[str], None]) -> Built | None:
     return built
 
 
-def tried(found: Partly, tell: Callable[[str], None]) -> Built | None:
+def tried(found: PartialDiagnosis, tell: Callable[[str], None]) -> Built | None:
     """What a search for a term ends with, before it is asked whether it holds."""
     bench = found.bench
     if found.is_noise or found.rest.rms_m < WORTH * bench.plain.floor_m:
@@ -210,7 +210,7 @@ def tried(found: Partly, tell: Callable[[str], None]) -> Built | None:
     return built
 
 
-def _instead_of_names(found: Partly, beside: Built | None, tell: Callable[[str], None]) -> Built | None:
+def _instead_of_names(found: PartialDiagnosis, beside: Built | None, tell: Callable[[str], None]) -> Built | None:
     """Of a continuous motion: a term that names stand for, sought beside nothing, where blocks left out are nearer so.
 
     It is where a name has a parameter that is not plausible: friction at the plate was called play in the drive and a
@@ -229,7 +229,7 @@ def _instead_of_names(found: Partly, beside: Built | None, tell: Callable[[str],
     return beside
 
 
-def _of_smaller_pieces(found: Partly, tell: Callable[[str], None]) -> Built | None:
+def _of_smaller_pieces(found: PartialDiagnosis, tell: Callable[[str], None]) -> Built | None:
     """What passes of pieces that need not beat smooth surrogates: where something is known, also beside the term."""
     bench = found.bench
     begun = bench.corrected(bench.scored(found.chosen.terms, found.chosen.fit))
@@ -238,7 +238,7 @@ def _of_smaller_pieces(found: Partly, tell: Callable[[str], None]) -> Built | No
     return built if passes else None
 
 
-def _without_faint(found: Partly, built: Built, tell: Callable[[str], None]) -> Built:
+def _without_faint(found: PartialDiagnosis, built: Built, tell: Callable[[str], None]) -> Built:
     """Asked again without names that a smooth error looks like, that gain little and move little, if there are any.
 
     They may stay while terms are built: beside shifted headings an offset went from 7 to 32.
@@ -258,12 +258,12 @@ def _without_faint(found: Partly, built: Built, tell: Callable[[str], None]) -> 
     return replace(built_of(again, built.rounds), is_shown=built.is_shown)
 
 
-def _named(found: Partly, built: Built | None) -> set[str]:
+def _named(found: PartialDiagnosis, built: Built | None) -> set[str]:
     """Names that a term was sought beside, or that hold beside it."""
     return {*found.chosen.names} if built is None else {*found.chosen.names, *built.named.names}
 
 
-def _better(found: Partly, one: Built | None, other: Built | None) -> Built | None:
+def _better(found: PartialDiagnosis, one: Built | None, other: Built | None) -> Built | None:
     """The more probable of those that pass.
 
     Where one passes, something is there that a smooth error does not explain, and what is more probable as a whole is
@@ -278,7 +278,9 @@ def _better(found: Partly, one: Built | None, other: Built | None) -> Built | No
     return next((built for built in more if not refusals(found.bench, built)), best)
 
 
-def _settled(found: Partly, named: Scored, tell: Callable[[str], None], smooth_counts: bool = True) -> Built | None:
+def _settled(
+    found: PartialDiagnosis, named: Scored, tell: Callable[[str], None], smooth_counts: bool = True
+) -> Built | None:
     """Built beside a set, and once more where other names act beside the term: pieces may have stood for them.
 
     The new one is taken where it passes, and the old one does not or is less probable.
@@ -303,7 +305,7 @@ def _settled(found: Partly, named: Scored, tell: Callable[[str], None], smooth_c
 
 
 def _tried_beside(
-    found: Partly, named: Scored, tell: Callable[[str], None], smooth_counts: bool = True
+    found: PartialDiagnosis, named: Scored, tell: Callable[[str], None], smooth_counts: bool = True
 ) -> Built | None:
     """Beside a set: of the effects that hold, or with such besides as may hold beside a term.
 
@@ -311,7 +313,7 @@ def _tried_beside(
     end, and what it has there may take the place of some.
     """
     bench = found.bench
-    path = list[Step]()
+    path = list[SelectionStep]()
 
     def with_names(here: Scored) -> Scored:
         if not bench.data.is_stream:
@@ -331,7 +333,7 @@ def _tried_beside(
     return built_of(again, rounds)
 
 
-def _selector(found: Partly, here: Scored, tell: Callable[[str], None]) -> PartialSelector:
+def _selector(found: PartialDiagnosis, here: Scored, tell: Callable[[str], None]) -> PartialSelector:
     return PartialSelector(found.bench, found.known, tell, here)
 
 

@@ -39,7 +39,7 @@ MOST_POSES = 400  # of a continuous motion that are compared
 
 
 @dataclass(frozen=True)
-class Confirmed:
+class ConfirmedEffect:
     """One effect on the new runs: the log-likelihood it gains over a model calibrated without it, and errors."""
 
     name: str
@@ -61,7 +61,7 @@ class Confirmation:
     calibrated: Errors  # without any effect, and in the frame that the robot file has
     before: Errors  # the same in frames found anew
     after: Errors  # with all effects
-    effects: tuple[Confirmed, ...]
+    effects: tuple[ConfirmedEffect, ...]
 
     @property
     def sentence(self) -> str:
@@ -144,13 +144,13 @@ class _Predicted:
     counted: NDArray[np.bool_]  # (K,) with a solution
 
 
-def _confirmed(t: Term, whole: _Predicted, rest: _Predicted, block: NDArray[np.int_]) -> Confirmed:
+def _confirmed(t: Term, whole: _Predicted, rest: _Predicted, block: NDArray[np.int_]) -> ConfirmedEffect:
     counted = whole.counted & rest.counted
     number = np.unique(block[counted], return_inverse=True)[1].ravel()
     gains: Array = np.asarray(np.bincount(number, weights=(rest.loss - whole.loss)[counted] / 2), dtype=np.float64)
     z = certainty(gains) if gains.sum() > 0 else -certainty(-gains)
     verdict = "confirmed" if z > CONFIRMED else "contradicted" if z < CONTRADICTED else "not confirmed"
-    return Confirmed(t.name, *summed(gains), z, summary(rest.distance_m[counted], block[counted]), verdict)
+    return ConfirmedEffect(t.name, *summed(gains), z, summary(rest.distance_m[counted], block[counted]), verdict)
 
 
 def _noise(found: Diagnosis) -> Noise:

@@ -31,7 +31,7 @@ from ctrplan.calibration.fit_warnings import PHYSICAL_POISSON
 from ctrplan.calibration.least_squares import Fit, fit, fit_at
 from ctrplan.calibration.residuals import Noise, compared
 from ctrplan.diagnosis import correlated_bench, remainder
-from ctrplan.diagnosis.cross_validation import DRAWS, Linear, held_out_residuals, nested_null_scores, predictive_loss
+from ctrplan.diagnosis.cross_validation import DRAWS, Linear, left_out_residuals, nested_null_scores, predictive_loss
 from ctrplan.diagnosis.remainder import JointMemory, SmoothError, joint_memory
 from ctrplan.diagnosis.workbench import Scored, Workbench, linear
 from ctrplan.effects.effect import CATALOGUE
@@ -199,7 +199,7 @@ class CorrelatedBench(Workbench):
             mine = [t.name in names for t in chain.terms for _ in t.parameters]
             system = system.without(np.array(mine)).refitted()
         sigma_m = alike.noise.position_m * self.data.over_tip
-        errors: Array = held_out_residuals(system, self.fold)[:, :3] * sigma_m
+        errors: Array = left_out_residuals(system, self.fold)[:, :3] * sigma_m
         return errors
 
     def _alike(self, scored: Scored) -> Fit:

@@ -79,7 +79,7 @@ class Linear:
         return J.T @ (w[:, None] * J) + np.diag(self.precision), J.T @ (w * self.r.ravel())
 
 
-def held_out_residuals(fit: Linear, fold: NDArray[np.int_]) -> Array:
+def left_out_residuals(fit: Linear, fold: NDArray[np.int_]) -> Array:
     """(K, 5) every pose's residual when its fold (K,) had not been fitted."""
     H, _ = fit._system()
     left = np.empty_like(fit.r)
@@ -101,9 +101,9 @@ def steps_without(fit: Linear, fold: NDArray[np.int_]) -> dict[int, Array]:
     return steps
 
 
-def held_out_loss(fit: Linear, fold: NDArray[np.int_]) -> Array:
+def cross_validation_loss(fit: Linear, fold: NDArray[np.int_]) -> Array:
     """(K,) robust square of every pose's residual when its fold (K,) had not been fitted."""
-    return robust_square(np.linalg.norm(held_out_residuals(fit, fold), axis=1))
+    return robust_square(np.linalg.norm(left_out_residuals(fit, fold), axis=1))
 
 
 def null_scores(fit: Linear, fold: NDArray[np.int_], noise: Array) -> Array:

@@ -22,7 +22,7 @@ from ctrplan.diagnosis.verdict import Verdict
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.followed_runs import friction_correction
 from ctrplan.pipeline.parametric_chain import ParametricChain
-from ctrplan.pipeline.term import Prediction
+from ctrplan.pipeline.term import SensorPrediction
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,9 +43,7 @@ class Gap:
     outlying: NDArray[np.bool_]  # likewise: too far off for noise while few are, left out of every figure
 
 
-def open_held_out_set(
-    before: Fit, after: Fit, held_out_set: Measurements, group: NDArray[np.int_], noise: Noise
-) -> Gap:
+def open_test_set(before: Fit, after: Fit, held_out_set: Measurements, group: NDArray[np.int_], noise: Noise) -> Gap:
     """Predicts the held-out set's poses with fits that have not seen them; where one has no solution, none is asked.
 
     Few poses too far off for noise are in no figure: what chi-squares leave out, errors leave out as well.
@@ -110,7 +108,9 @@ def _regions(held_out_set: Measurements) -> dict[str, NDArray[np.bool_]]:
     return {word: third == k for k, word in enumerate(words) if np.any(third == k)}
 
 
-def _residuals(prediction: Prediction, held_out_set: Measurements, group: NDArray[np.int_], noise: Noise) -> Residuals:
+def _residuals(
+    prediction: SensorPrediction, held_out_set: Measurements, group: NDArray[np.int_], noise: Noise
+) -> Residuals:
     whitening: Sequence[int] | NDArray[np.int_] = np.arange(len(group)) if held_out_set.is_stream else group
     return residuals(held_out_set, prediction, noise, whitening)
 
@@ -130,7 +130,7 @@ def times_noise(rms_m: float, floor_m: float) -> float:
     return rms_m / math.hypot(floor_m, math.sqrt(3) * MODEL_POSITION_M)
 
 
-def largest_rest(tails: float) -> float:
+def largest_remainder(tails: float) -> float:
     """Of the noise, whose squares vary `tails` times as much as Gaussian ones: so much less certain is their mean."""
     return math.sqrt(1 + (LARGEST_REST**2 - 1) * math.sqrt(tails))
 
@@ -148,7 +148,7 @@ def contradiction(verdict: Verdict, gap: Gap, place: Place) -> str:
     if verdict in ("partial", "unexplained"):
         return ""
     is_complete = verdict == "no_missing_effect"
-    largest = LARGEST_REST if is_complete else largest_rest(gap.tails)
+    largest = LARGEST_REST if is_complete else largest_remainder(gap.tails)
     shown = {"the poses kept aside": (gap.after.rms_m, math.hypot(gap.floor_m, gap.spread_m), largest)}
     if is_complete:
         shown["the poses that were fitted"] = place.rms_m, gap.floor_m, LARGEST_REST

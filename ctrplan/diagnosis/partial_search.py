@@ -21,10 +21,10 @@ from ctrplan.diagnosis.block_evidence import (
 )
 from ctrplan.diagnosis.correlated_bench import FRAME_MOVES, FRAMES, CorrelatedBench, SmoothBench
 from ctrplan.diagnosis.cross_validation import Linear, null_threshold, null_thresholds
-from ctrplan.diagnosis.selection import Report, Selection, Selector, Step, step
+from ctrplan.diagnosis.selection import Report, Selection, SelectionStep, Selector, step
 from ctrplan.diagnosis.smooth_evidence import SmoothEvidence, best_of_each, rivals_of
 from ctrplan.diagnosis.verdict import CLOSE, CLOSE_ERRORS, MOST_RIVALS, Alternative, Finding, is_close
-from ctrplan.diagnosis.workbench import Candidates, Panel, Scored, Screened, certainty, linear
+from ctrplan.diagnosis.workbench import Candidates, Linearisation, Scored, Screened, certainty, linear
 from ctrplan.effects.learned.learned import Learned, learned, named
 from ctrplan.pipeline.term import Term
 
@@ -55,7 +55,7 @@ class PartialSelector(Selector):
             pass
         return self.found
 
-    def chance(self, chosen: Scored, panel: Panel, among: Sequence[Term]) -> float:
+    def chance(self, chosen: Scored, panel: Linearisation, among: Sequence[Term]) -> float:
         """Gain of the best candidate beside a set that surrogates of its residual exceed in 2 % of draws.
 
         To first order, as the evidence is; `among` is all that is fitted.
@@ -156,18 +156,18 @@ TRIED = 3  # effects that are fitted in the place of one that holds
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class SupportedSet:
     """A set all of whose effects hold, with the evidence for them and for what was dropped on the way."""
 
     chosen: Scored
     sides: dict[str, Sides]  # by the name of each effect that holds
     found: tuple[Evidence, ...]
     doubted: tuple[Evidence, ...]
-    dropped: tuple[Step, ...]
+    dropped: tuple[SelectionStep, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class NamedSet:
     """A set all of whose effects are told, as findings with what may stand for them."""
 
     chosen: Scored
@@ -175,21 +175,21 @@ class Asked:
     findings: tuple[Finding, ...]
     compared: tuple[Alternative, ...]  # all that was tried in the place of some effect
     doubted: tuple[Evidence, ...]
-    path: tuple[Step, ...]
+    path: tuple[SelectionStep, ...]
 
 
-def asked(selector: PartialSelector, chosen: Scored) -> Asked:
+def named_set(selector: PartialSelector, chosen: Scored) -> NamedSet:
     """What holds of a set, without what too many others may stand for."""
-    found = held(selector, chosen)
+    found = supported_set(selector, chosen)
     tried = [(e, *finding(selector, found, e)) for e in found.found]
     kept = [(e, f) for e, f, _ in tried if len(f.alternatives) <= MOST_RIVALS]
     compared = tuple(a for _, _, others in tried for a in others)
-    return Asked(
+    return NamedSet(
         found.chosen, tuple(e for e, _ in kept), tuple(f for _, f in kept), compared, found.doubted, found.dropped
     )
 
 
-def asked_evidence(selector: PartialSelector, chosen: Scored, terms: Sequence[Term]) -> tuple[Evidence, ...]:
+def evidence_for(selector: PartialSelector, chosen: Scored, terms: Sequence[Term]) -> tuple[Evidence, ...]:
     """On blocks left out, for some effects of a set."""
     if not terms:
         return ()
@@ -198,7 +198,7 @@ def asked_evidence(selector: PartialSelector, chosen: Scored, terms: Sequence[Te
     return tuple(evidence(bench, _sides(selector, chosen, panel, among, t), t, chance) for t in terms)
 
 
-def _panel(selector: PartialSelector, chosen: Scored) -> tuple[Panel, float, list[Term]]:
+def _panel(selector: PartialSelector, chosen: Scored) -> tuple[Linearisation, float, list[Term]]:
     """Of a set and its competitors, with what is chance there and all that is fitted."""
     bench = selector.partial_bench
     among = [*bench.basis(chosen.terms), *chosen.terms]
@@ -207,12 +207,12 @@ def _panel(selector: PartialSelector, chosen: Scored) -> tuple[Panel, float, lis
     return panel, selector.chance(chosen, panel, among), among
 
 
-def held(selector: PartialSelector, chosen: Scored) -> Held:
+def supported_set(selector: PartialSelector, chosen: Scored) -> SupportedSet:
     """The set without what does not hold, the least certain dropped first and the rest asked again.
 
     Built terms stay: whether they hold is asked elsewhere.
     """
-    bench, doubted, dropped = selector.partial_bench, list[Evidence](), list[Step]()
+    bench, doubted, dropped = selector.partial_bench, list[Evidence](), list[SelectionStep]()
     while True:
         selector.tell(f"asking what holds of {', '.join(chosen.names)}" if chosen.terms else "asking what holds")
         panel, chance, among = _panel(selector, chosen)
@@ -225,10 +225,12 @@ def held(selector: PartialSelector, chosen: Scored) -> Held:
         failing = [e for e in told if e not in holding and e.term in chosen.terms]
         if not failing:
             found = tuple(e for e in holding if _is_name(selector, chosen, sides[e.term.name], e))
-            return Held(chosen, sides, found, tuple(doubted), tuple(dropped))
+            return SupportedSet(chosen, sides, found, tuple(doubted), tuple(dropped))
         worst = min(failing, key=lambda e: e.z)
         doubted.append(worst)
-        dropped.append(Step("drop", worst.term.name, (), round(worst.gain, 2), round(worst.error, 2), 0.0, True))
+        dropped.append(
+            SelectionStep("drop", worst.term.name, (), round(worst.gain, 2), round(worst.error, 2), 0.0, True)
+        )
         chosen = bench.corrected(bench.scored([t for t in chosen.terms if t is not worst.term], chosen.fit))
 
 
@@ -254,7 +256,7 @@ def _beside_smooth_errors(selector: PartialSelector, chosen: Scored, told: Seque
     return found
 
 
-def finding(selector: PartialSelector, found: Held, e: Evidence) -> tuple[Finding, list[Alternative]]:
+def finding(selector: PartialSelector, found: SupportedSet, e: Evidence) -> tuple[Finding, list[Alternative]]:
     """An effect that holds with what may stand for it, refitted in its place; and all that was tried there.
 
     That is what does as well, and what leaves it little beside itself.
@@ -283,7 +285,7 @@ def with_zero(bench: CorrelatedBench, t: Term) -> Term:
     return Term(effect, effect.parameters_of())
 
 
-def _sides(selector: PartialSelector, chosen: Scored, panel: Panel, among: Sequence[Term], t: Term) -> Sides:
+def _sides(selector: PartialSelector, chosen: Scored, panel: Linearisation, among: Sequence[Term], t: Term) -> Sides:
     """Without an effect the set is fitted again; a frame, which is in every fit, is taken out to first order.
 
     So is every effect of a continuous motion, where fits without friction leave what a lag takes: on a public run of

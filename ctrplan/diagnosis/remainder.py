@@ -44,7 +44,7 @@ QUARTERS = 4.0  # of the experiment that count as much as a radian each
 
 
 @dataclass(frozen=True)
-class Rest:
+class Remainder:
     """What nothing in the catalogue explains. Shares are of its variance, the noise's taken out."""
 
     rms_m: float  # of the distance, noise taken out

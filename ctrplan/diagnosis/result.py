@@ -18,9 +18,9 @@ from ctrplan.diagnosis.correlated_bench import FRAMES
 from ctrplan.diagnosis.gap import Gap
 from ctrplan.diagnosis.localise import Place
 from ctrplan.diagnosis.next_experiment import Proposal
-from ctrplan.diagnosis.partial import Partly
-from ctrplan.diagnosis.remainder import Rest
-from ctrplan.diagnosis.selection import Step
+from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis
+from ctrplan.diagnosis.remainder import Remainder
+from ctrplan.diagnosis.selection import SelectionStep
 from ctrplan.diagnosis.verdict import Judgement, Verdict
 from ctrplan.diagnosis.workbench import Scored
 from ctrplan.effects.learned.learned import Learned
@@ -31,7 +31,7 @@ from ctrplan.robot.robot import Robot
 SCHEMA_VERSION = 1
 
 
-class Confirmed(Protocol):
+class ConfirmationResult(Protocol):
     """What other runs say of a diagnosis, `confirmation.py`."""
 
     @property
@@ -54,7 +54,7 @@ class Diagnosis:
     place: Place
     next_experiment: str
     proposals: tuple[Proposal, ...]
-    path: tuple[Step, ...]
+    path: tuple[SelectionStep, ...]
     not_testable: Mapping[str, str]
     without: tuple[str, ...]  # effects that were left out of the catalogue
     notes: tuple[str, ...]
@@ -65,12 +65,12 @@ class Diagnosis:
     outlier_rows: tuple[int, ...]  # rows of the file, from 1
     interrupted: bool
     time_s: float
-    partly: Partly | None = None  # what remains beside the effects, where that is the verdict
+    partly: PartialDiagnosis | None = None  # what remains beside the effects, where that is the verdict
     built: Built | None = None  # a term of what the effects leave; of `chosen` too, and no cause
     named_gap: Gap | None = None  # the gap without the built term, where there is one
     memory: float | None = None  # of what remains, s or rows of a continuous motion, whatever the verdict
     framed_gap: Gap | None = None  # the gap with free frames alone, where something remains
-    confirmations: tuple[Confirmed, ...] = ()  # on other runs, asked once
+    confirmations: tuple[ConfirmationResult, ...] = ()  # on other runs, asked once
 
     @property
     def listed(self) -> tuple[Term, ...]:
@@ -84,7 +84,7 @@ class Diagnosis:
         return calibrated_content(self.chosen.fit, effects, self.data, self.model_error_m)
 
     @property
-    def rest(self) -> Rest | None:
+    def rest(self) -> Remainder | None:
         """What remains in the end, beside what is named and built; None where it was not asked."""
         return self.built.rest if self.built else self.partly.rest if self.partly else None
 

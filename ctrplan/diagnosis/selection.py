@@ -23,7 +23,7 @@ Report = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Step:
+class SelectionStep:
     """One comparison of the path: gain in held-out log-likelihood, its standard error, what chance can give."""
 
     action: str  # "add", "drop", "swap", "stop"
@@ -40,7 +40,7 @@ class Selection:
     """The chosen set and how it was found."""
 
     chosen: Scored
-    path: list[Step] = field(default_factory=list)
+    path: list[SelectionStep] = field(default_factory=list)
     threshold: float = 0.0
 
 
@@ -196,9 +196,9 @@ def _best_of_each(tried: Sequence[Scored]) -> list[Scored]:
 
 def step(
     action: str, t: Term, gain: float, error: float, threshold: float, taken: bool, beside: Term | None = None
-) -> Step:
+) -> SelectionStep:
     """Of the path: what was done with an effect, or with two."""
     terms = [t] if beside is None else [beside, t]
     names = tuple(parameter.name for term in terms for parameter in term.parameters)
     effect = " and ".join(term.name for term in terms)
-    return Step(action, effect, names, round(gain, 2), round(error, 2), round(threshold, 2), taken)
+    return SelectionStep(action, effect, names, round(gain, 2), round(error, 2), round(threshold, 2), taken)

@@ -29,7 +29,7 @@ PLACE = re.compile(r"(slope|square)_[xyz](_times_slope_[xyz])?")  # polynomials 
 
 
 @dataclass(frozen=True)
-class Piece:
+class TermPiece:
     """Parts that enter together, of one target: a wave's sine and cosine, the knots of a spline."""
 
     on: Target
@@ -41,7 +41,7 @@ class Piece:
         return tuple(name for part in self.parts for name in named(self.on, part))
 
 
-def pieces(robot: Robot, data: Measurements, named: Sequence[Term] = ()) -> list[Piece]:
+def pieces(robot: Robot, data: Measurements, named: Sequence[Term] = ()) -> list[TermPiece]:
     """All that data can tell apart from nothing, but what an effect among `named` is: that has a name, and is asked."""
     moved = _Moved(robot, data)
     drive = [] if data.of_collars else _drive(moved)  # collars have the drive's terms in them
@@ -49,7 +49,7 @@ def pieces(robot: Robot, data: Measurements, named: Sequence[Term] = ()) -> list
     return [piece for piece in (*drive, *_mechanics(moved), *_sensor(moved)) if _as_named(piece) not in names]
 
 
-def _as_named(piece: Piece) -> tuple[str, str] | None:
+def _as_named(piece: TermPiece) -> tuple[str, str] | None:
     """Effect of the catalogue, and a parameter of it, that acts as a piece does."""
     kind, i = piece.on.kind_name, piece.on.tube
     if kind == "sensor" and all(PLACE.fullmatch(part) for part in piece.parts):
@@ -98,34 +98,34 @@ def _smooth(names: list[str]) -> Iterator[tuple[str, ...]]:
         yield _spline(name)
 
 
-def _drive(moved: _Moved) -> Iterator[Piece]:
+def _drive(moved: _Moved) -> Iterator[TermPiece]:
     angles = [f"theta_{j}" for j in moved.turning]
     for i in moved.turning:
         on = Target("theta", i)
         for angle in angles:
             highest = OWN_WAVES if angle == f"theta_{i}" else OTHER_WAVES
-            yield from (Piece(on, _wave(k, angle)) for k in range(1, highest + 1))
-            yield Piece(on, (f"slope_{angle}",))
-        yield from (Piece(on, _wave(k, f"turn_{j}")) for j in moved.pairs for k in range(1, OTHER_WAVES + 1))
-        yield from (Piece(on, parts) for parts in _smooth([f"l_{j}" for j in moved.sliding]))
-        yield Piece(on, ("constant",))
+            yield from (TermPiece(on, _wave(k, angle)) for k in range(1, highest + 1))
+            yield TermPiece(on, (f"slope_{angle}",))
+        yield from (TermPiece(on, _wave(k, f"turn_{j}")) for j in moved.pairs for k in range(1, OTHER_WAVES + 1))
+        yield from (TermPiece(on, parts) for parts in _smooth([f"l_{j}" for j in moved.sliding]))
+        yield TermPiece(on, ("constant",))
         if i in moved.both_ways:
             yield from _of_way(Target("theta", i, of_way=True), f"sign_theta_{i}", moved)
     for i in moved.sliding:
         on = Target("l", i)
-        yield from (Piece(on, _wave(k, angle)) for angle in angles for k in (1, 2))
-        yield from (Piece(on, parts) for parts in _smooth([f"l_{j}" for j in moved.sliding]))
-        yield Piece(on, ("constant",))
+        yield from (TermPiece(on, _wave(k, angle)) for angle in angles for k in (1, 2))
+        yield from (TermPiece(on, parts) for parts in _smooth([f"l_{j}" for j in moved.sliding]))
+        yield TermPiece(on, ("constant",))
         if moved.data.n + i in moved.both_ways:
             yield from _of_way(Target("l", i, of_way=True), f"sign_l_{i}", moved)
 
 
-def _of_way(on: Target, sign: str, moved: _Moved) -> Iterator[Piece]:
-    yield Piece(on, (sign,))
-    yield from (Piece(on, (sign, f"slope_l_{j}_times_{sign}")) for j in moved.sliding)
+def _of_way(on: Target, sign: str, moved: _Moved) -> Iterator[TermPiece]:
+    yield TermPiece(on, (sign,))
+    yield from (TermPiece(on, (sign, f"slope_l_{j}_times_{sign}")) for j in moved.sliding)
 
 
-def _mechanics(moved: _Moved) -> Iterator[Piece]:
+def _mechanics(moved: _Moved) -> Iterator[TermPiece]:
     n = moved.data.n
     overlaps = [f"overlap_{i}" for i in range(1, n) if moved.sliding]
     loads = [f"load_{i - 1}" for i in moved.pairs]
@@ -134,12 +134,12 @@ def _mechanics(moved: _Moved) -> Iterator[Piece]:
         kinds = ("curvature", "bend") if any(s.curvature_per_m for s in tube.sections) else ()
         for kind in (*kinds, *(("stiffness",) if i > 1 else ())):
             on = Target(kind, i)
-            yield from (Piece(on, parts) for parts in _smooth(smooth))
-            yield from (Piece(on, (f"slope_{name}",)) for name in (*overlaps, *loads, *moved.rest))
-            yield from (Piece(on, _wave(k, f"turn_{j}")) for j in moved.pairs for k in (1, 2))
+            yield from (TermPiece(on, parts) for parts in _smooth(smooth))
+            yield from (TermPiece(on, (f"slope_{name}",)) for name in (*overlaps, *loads, *moved.rest))
+            yield from (TermPiece(on, _wave(k, f"turn_{j}")) for j in moved.pairs for k in (1, 2))
     plate = Target("plate")
-    yield from (Piece(plate, parts) for parts in _smooth([f"l_{j}" for j in moved.sliding]))
-    yield from (Piece(plate, _wave(1, f"theta_{j}")) for j in moved.turning)
+    yield from (TermPiece(plate, parts) for parts in _smooth([f"l_{j}" for j in moved.sliding]))
+    yield from (TermPiece(plate, _wave(1, f"theta_{j}")) for j in moved.turning)
 
 
 def _bumps(position_m: Array, count: int) -> Iterator[str]:
@@ -158,19 +158,19 @@ def _products(names: tuple[str, ...]) -> Iterator[str]:
     return (f"slope_{a}_times_slope_{b}" for a, b in combinations(names, 2))
 
 
-def _sensor(moved: _Moved) -> Iterator[Piece]:
+def _sensor(moved: _Moved) -> Iterator[TermPiece]:
     on = Target("sensor")
     tip, heading = ("x", "y", "z"), ("tx", "ty", "tz") if moved.data.has_tangents else ()
-    yield Piece(on, tuple(f"slope_{name}" for name in tip))
+    yield TermPiece(on, tuple(f"slope_{name}" for name in tip))
     for group in (tip, heading):
-        yield from (Piece(on, (f"slope_{name}",)) for name in group)
-        yield from (Piece(on, (f"square_{name}", f"slope_{name}")) for name in group)
-        yield from (Piece(on, (product,)) for product in _products(group))
+        yield from (TermPiece(on, (f"slope_{name}",)) for name in group)
+        yield from (TermPiece(on, (f"square_{name}", f"slope_{name}")) for name in group)
+        yield from (TermPiece(on, (product,)) for product in _products(group))
     if heading:
-        yield Piece(on, ("square_tx", "square_ty", "slope_tx_times_slope_ty"))
-        yield Piece(on, tuple(f"slope_{name}" for name in heading))
-    yield Piece(on, tuple(f"square_{name}" for name in tip) + tuple(_products(tip)))
-    yield Piece(on, _spline("z"))
-    yield from (Piece(on, (bump,)) for count in BUMPS for bump in _bumps(moved.data.position_m, count))
-    yield from (Piece(on, parts) for parts in _smooth(moved.columns))
-    yield from (Piece(on, (f"slope_{name}",)) for name in moved.rest)
+        yield TermPiece(on, ("square_tx", "square_ty", "slope_tx_times_slope_ty"))
+        yield TermPiece(on, tuple(f"slope_{name}" for name in heading))
+    yield TermPiece(on, tuple(f"square_{name}" for name in tip) + tuple(_products(tip)))
+    yield TermPiece(on, _spline("z"))
+    yield from (TermPiece(on, (bump,)) for count in BUMPS for bump in _bumps(moved.data.position_m, count))
+    yield from (TermPiece(on, parts) for parts in _smooth(moved.columns))
+    yield from (TermPiece(on, (f"slope_{name}",)) for name in moved.rest)

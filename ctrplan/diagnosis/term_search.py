@@ -21,40 +21,40 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import residuals
 from ctrplan.diagnosis.block_evidence import mean_square
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
-from ctrplan.diagnosis.cross_validation import Linear, held_out_residuals, null_thresholds
+from ctrplan.diagnosis.cross_validation import Linear, left_out_residuals, null_thresholds
 from ctrplan.diagnosis.partial_search import is_built
-from ctrplan.diagnosis.term_dictionary import Piece
+from ctrplan.diagnosis.term_dictionary import TermPiece
 from ctrplan.diagnosis.workbench import Scored, certainty, values_by_name
 from ctrplan.effects.learned import parts
-from ctrplan.effects.learned.inputs import Range, Situation, Target, values
+from ctrplan.effects.learned.inputs import InputRange, Situation, Target, values
 from ctrplan.effects.learned.learned import Learned, learned, named, split_name
 from ctrplan.effects.learned.parts import Part
 from ctrplan.measurement.approach import last_directions
 from ctrplan.measurement.sensor import Poses, frames_along
 from ctrplan.pipeline.parametric_chain import ParametricChain
-from ctrplan.pipeline.term import Prediction, Term
+from ctrplan.pipeline.term import SensorPrediction, Term
 
 
 @dataclass(frozen=True, eq=False)
-class Wide:
+class WideLinearisation:
     """A fit's own columns, first, and those of pieces."""
 
     whole: Linear
     alike: Linear  # of the same columns, where every pose counts alike
     own: int
-    places: dict[Piece, list[int]]
-    ranges: dict[Piece, dict[str, Range]]
+    places: dict[TermPiece, list[int]]
+    ranges: dict[TermPiece, dict[str, InputRange]]
 
     def here(self) -> Linear:
         """Of the fit's own columns."""
         return self.whole.columns(list(range(self.own)))
 
-    def beside(self, piece: Piece) -> Linear:
+    def beside(self, piece: TermPiece) -> Linear:
         """With a piece besides."""
         return self.whole.columns([*range(self.own), *self.places[piece]])
 
 
-def wide(bench: CorrelatedBench, here: Scored, pieces: Sequence[Piece]) -> Wide:
+def wide_linearisation(bench: CorrelatedBench, here: Scored, pieces: Sequence[TermPiece]) -> WideLinearisation:
     """Of a fit and pieces that vanish there."""
     probed = _probed(bench, here, list(dict.fromkeys(replace(piece.on, of_way=False) for piece in pieces)))
     shapes = [_shapes(piece, probed, bench.robot.n) for piece in pieces]
@@ -69,7 +69,7 @@ def wide(bench: CorrelatedBench, here: Scored, pieces: Sequence[Piece]) -> Wide:
     beside, alike = (
         residuals(bench.data, full, noise, bench.whitening_group) for noise in (bench.noise, bench.noise_alike)
     )
-    return Wide(
+    return WideLinearisation(
         Linear(beside.r, beside.J, here.fit.residuals.weight, 1 / prior**2, offset, beside.given),
         Linear(alike.r, alike.J, alike.weight, 1 / prior**2, offset, alike.given),
         probed.own,
@@ -85,7 +85,7 @@ class _Probed:
     chain: ParametricChain
     p: Array
     own: int  # parameters of the fit itself
-    predicted: Prediction
+    predicted: SensorPrediction
     starts: dict[Target, int]  # where the columns of each target begin
 
     @cached_property
@@ -111,7 +111,7 @@ def _probed(bench: CorrelatedBench, here: Scored, targets: Sequence[Target]) -> 
     return _Probed(chain, p, own, chain.predict(p), dict(zip(targets, starts, strict=True)))
 
 
-def _shapes(piece: Piece, probed: _Probed, n: int) -> tuple[Array, dict[str, Range]]:
+def _shapes(piece: TermPiece, probed: _Probed, n: int) -> tuple[Array, dict[str, InputRange]]:
     """(K, 6, S) poses by the coefficients of a piece, and the ranges of its inputs."""
     at, start = probed.situations[_stage(piece.on)], probed.starts[replace(piece.on, of_way=False)]
     ranges, columns, by = _ranges(piece, at, n), list[Array](), probed.by
@@ -138,7 +138,7 @@ def _stage(on: Target) -> str:
     return "plate" if on.kind_name == "plate" else on.kind.stage
 
 
-def _situations(chain: ParametricChain, p: Array, predicted: Prediction) -> dict[str, Situation]:
+def _situations(chain: ParametricChain, p: Array, predicted: SensorPrediction) -> dict[str, Situation]:
     """What the terms of each stage know of the poses."""
     data, collars = chain.data, chain.collars(p)
     joints = data.theta_commanded[data.rows], data.l_commanded[data.rows]
@@ -153,17 +153,17 @@ def _situations(chain: ParametricChain, p: Array, predicted: Prediction) -> dict
     }
 
 
-def _ranges(piece: Piece, at: Situation, n: int) -> dict[str, Range]:
+def _ranges(piece: TermPiece, at: Situation, n: int) -> dict[str, InputRange]:
     found = {}
     for name in piece.names:
         for one in parts.inputs(_split(name, piece.on, n)[1]):
             seen = values(one, at)
             assert seen is not None
-            found[one] = Range(float(seen.min()), float(seen.max()))
+            found[one] = InputRange(float(seen.min()), float(seen.max()))
     return found
 
 
-def reach(bench: CorrelatedBench, table: Wide, known: Sequence[Piece], most: int) -> float:
+def reach(bench: CorrelatedBench, table: WideLinearisation, known: Sequence[TermPiece], most: int) -> float:
     """Share of the squares beyond noise that the `most` best pieces close of blocks left out; all poses count alike.
 
     Each piece is the one that closes most beside those before it.
@@ -181,11 +181,11 @@ def reach(bench: CorrelatedBench, table: Wide, known: Sequence[Piece], most: int
     return (left[0] - left[-1]) / max(rest, 1e-12)
 
 
-def _left(bench: CorrelatedBench, table: Wide, columns: list[int]) -> float:
+def _left(bench: CorrelatedBench, table: WideLinearisation, columns: list[int]) -> float:
     """Mean square [m^2] of positions on blocks left out, with some of the columns fitted."""
     system = table.alike.columns(columns).refitted()
     sigma_m = bench.noise_alike.position_m * bench.data.over_tip
-    return mean_square(held_out_residuals(system, bench.fold)[:, :3] * sigma_m)
+    return mean_square(left_out_residuals(system, bench.fold)[:, :3] * sigma_m)
 
 
 MOST_PIECES = 4
@@ -201,7 +201,7 @@ TRIED = 4  # pieces that are refitted for good in each round
 class Tried:
     """A piece of a round: gain in held-out log-likelihood, to first order."""
 
-    piece: Piece
+    piece: TermPiece
     gain: float
     certainty: float
 
@@ -213,13 +213,13 @@ class Round:
     tried: tuple[Tried, ...]
     chance: float
     smooth_chance: float  # the same on surrogates that are as smooth in the joints as what remains
-    taken: Piece | None
+    taken: TermPiece | None
 
 
 def grown(
     bench: CorrelatedBench,
     chosen: Scored,
-    known: Sequence[Piece],
+    known: Sequence[TermPiece],
     tell: Callable[[str], None],
     with_names: Callable[[Scored], Scored],
     least: float,
@@ -234,7 +234,7 @@ def grown(
     known = [piece for piece in known if piece.on.effect_name not in bench.robot.effects]
     while len(rounds) < MOST_PIECES:
         tell("building a term beside " + (", ".join(here.names) or "the calibrated robot"))
-        table = wide(bench, here, known)
+        table = wide_linearisation(bench, here, known)
         if not rounds and reach(bench, table, known, MOST_PIECES) < least:
             break
         taken, there = _round(bench, here, table, known, bool(rounds), smooth_counts)
@@ -247,7 +247,12 @@ def grown(
 
 
 def _round(
-    bench: CorrelatedBench, here: Scored, table: Wide, known: Sequence[Piece], is_more: bool, smooth_counts: bool
+    bench: CorrelatedBench,
+    here: Scored,
+    table: WideLinearisation,
+    known: Sequence[TermPiece],
+    is_more: bool,
+    smooth_counts: bool,
 ) -> tuple[Round, Scored | None]:
     """is_more: whether a piece was taken before."""
     tried = _tried(bench, table, known)
@@ -258,12 +263,12 @@ def _round(
     if is_more:
         needed = TIMES_CHANCE * max(chance, smooth) if smooth_counts else chance
     worth = [one for one in tried if one.gain > needed and one.certainty > CERTAIN]
-    best: tuple[Piece, Scored] | None = None
+    best: tuple[TermPiece, Scored] | None = None
     for one in sorted(worth[:TRIED], key=lambda one: (len(one.piece.names), known.index(one.piece))):
         there = bench.scored(_with_piece(here.terms, one.piece, table.ranges[one.piece], bench), here.fit)
         if best is None or there.score > best[1].score + WORTH_MORE:  # the simplest of those that do as well
             best = one.piece, there
-    if best is None or not _is_worth(bench, here, best[1], needed):
+    if best is None or not _pays_off(bench, here, best[1], needed):
         return Round(tuple(tried), chance, smooth, None), None
     return Round(tuple(tried), chance, smooth, best[0]), bench.corrected(best[1])
 
@@ -279,7 +284,7 @@ def _needed(bench: CorrelatedBench, here: Scored, least: float, known: Scored) -
     return here
 
 
-def _tried(bench: CorrelatedBench, table: Wide, known: Sequence[Piece]) -> list[Tried]:
+def _tried(bench: CorrelatedBench, table: WideLinearisation, known: Sequence[TermPiece]) -> list[Tried]:
     plain = bench.loss(table.here().refitted())
     found = []
     for piece in known:
@@ -288,7 +293,7 @@ def _tried(bench: CorrelatedBench, table: Wide, known: Sequence[Piece]) -> list[
     return sorted(found, key=lambda one: -one.gain)
 
 
-def _is_worth(bench: CorrelatedBench, here: Scored, there: Scored, needed: float) -> bool:
+def _pays_off(bench: CorrelatedBench, here: Scored, there: Scored, needed: float) -> bool:
     """Whether a refitted piece holds, and closes enough of what remains."""
     gain, _ = bench.difference(there, here)
     before, after = mean_square(bench.left_out_m(here)), mean_square(bench.left_out_m(there))
@@ -296,7 +301,9 @@ def _is_worth(bench: CorrelatedBench, here: Scored, there: Scored, needed: float
     return gain > needed and before - after > LEAST_SHARE * rest
 
 
-def _with_piece(terms: Sequence[Term], piece: Piece, ranges: dict[str, Range], bench: CorrelatedBench) -> list[Term]:
+def _with_piece(
+    terms: Sequence[Term], piece: TermPiece, ranges: dict[str, InputRange], bench: CorrelatedBench
+) -> list[Term]:
     """The terms with a piece in the built term of its target."""
     old = next((t for t in terms if t.name == piece.on.effect_name), None)
     names, spans = list[str](), dict(ranges)
@@ -307,7 +314,7 @@ def _with_piece(terms: Sequence[Term], piece: Piece, ranges: dict[str, Range], b
     return [*(t for t in terms if t is not old), built_term(piece.on, names, spans, bench.robot.n)]
 
 
-def _zero(piece: Piece) -> list[str]:
+def _zero(piece: TermPiece) -> list[str]:
     """The constant that goes with a slope whose zero is arbitrary: else that would be a wrong zero of a joint.
 
     A slope of the drive, and of a precurvature across its plane, which turns a tube as a joint does.
@@ -317,7 +324,7 @@ def _zero(piece: Piece) -> list[str]:
     return named(piece.on, "constant") if is_slope and is_of_turn else []
 
 
-def built_term(on: Target, names: Sequence[str], ranges: dict[str, Range], n: int) -> Term:
+def built_term(on: Target, names: Sequence[str], ranges: dict[str, InputRange], n: int) -> Term:
     """With all its parameters at work."""
     effect = learned(on, names, ranges, n)
     return Term(effect, effect.parameters_of())

@@ -11,12 +11,12 @@ from ctrplan.calibration.estimates import distances
 from ctrplan.calibration.fit_warnings import excused, symptoms
 from ctrplan.calibration.residuals import Residuals
 from ctrplan.calibration.robot_content import within_file
-from ctrplan.diagnosis.adequacy import Adequacy, held_out_probability, ignored, remains
-from ctrplan.diagnosis.answer import Answer
+from ctrplan.diagnosis.adequacy import Adequacy, ignored, left_out_probability, remains
 from ctrplan.diagnosis.built_term import LEAST_SHARE_ASIDE, MOST_WORSE, Built, worse_in
-from ctrplan.diagnosis.gap import Gap, contradiction, open_held_out_set
+from ctrplan.diagnosis.conclusion import Conclusion
+from ctrplan.diagnosis.gap import Gap, contradiction, open_test_set
 from ctrplan.diagnosis.localise import Place, localise
-from ctrplan.diagnosis.partial import Partly, concluded, left_by_names
+from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, concluded, left_by_names
 from ctrplan.diagnosis.partial_search import PartialSelector, is_built
 from ctrplan.diagnosis.selection import Report, Selection
 from ctrplan.diagnosis.verdict import Judgement, specific
@@ -36,12 +36,12 @@ class Opened:
     gap: Gap
     place: Place
     notes: tuple[str, ...]
-    answer: Answer  # that it is of: without a built term where that failed
+    answer: Conclusion  # that it is of: without a built term where that failed
     named_gap: Gap | None = None  # without the built term, where there is one
     framed_gap: Gap | None = None  # with free frames alone, where something remains
 
 
-def opened(answer: Answer, data: Measurements, tell: Report = lambda _: None) -> Opened:
+def opened(answer: Conclusion, data: Measurements, tell: Report = lambda _: None) -> Opened:
     """What the poses kept aside say of an answer; a built term that makes any region worse is taken back.
 
     Names that hold beside it stay: they and the term have passed all that is asked before. What is told by its odds
@@ -67,14 +67,14 @@ def _harmful(asked: Opened, data: Measurements) -> list[Term]:
     found = []
     for t in alone:
         rest = part.bench.scored([other for other in asked.answer.chosen.terms if other.key != t.key])
-        fit = _beside_a_rest(part, rest).fit
-        gap = open_held_out_set(asked.answer.base.fit, fit, aside, group, asked.answer.noise)
+        fit = _beside_a_remainder(part, rest).fit
+        gap = open_test_set(asked.answer.base.fit, fit, aside, group, asked.answer.noise)
         if MOST_WORSE * gap.after.rms_m < asked.gap.after.rms_m:
             found.append(t)
     return found
 
 
-def _without(answer: Answer, harmful: Sequence[Term], tell: Report) -> Answer:
+def _without(answer: Conclusion, harmful: Sequence[Term], tell: Report) -> Conclusion:
     """What holds of the answer without some effects. Nothing is sought in their place: it was less probable."""
     assert answer.partly is not None
     part, gone = answer.partly, {t.key for t in harmful}
@@ -88,15 +88,15 @@ def _without(answer: Answer, harmful: Sequence[Term], tell: Report) -> Answer:
     return replace(answer, chosen=again.chosen, judgement=again.judgement, partly=again, built=None, path=path)
 
 
-def _framed(answer: Answer, data: Measurements) -> Gap:
+def _framed(answer: Conclusion, data: Measurements) -> Gap:
     """What frames alone do for the poses kept aside."""
     assert answer.partly is not None
     bench, kept = answer.partly.bench, answer.split.held_out_set
     frames = bench.handed_over(bench.scored([]))
-    return open_held_out_set(answer.base.fit, frames.fit, data.subset(kept), answer.group[kept], answer.noise)
+    return open_test_set(answer.base.fit, frames.fit, data.subset(kept), answer.group[kept], answer.noise)
 
 
-def _with_or_without_built(answer: Answer, data: Measurements) -> Opened:
+def _with_or_without_built(answer: Conclusion, data: Measurements) -> Opened:
     if answer.built is None or answer.otherwise is None:
         return _opened(answer, data)
     found, without = _opened(answer, data), _opened(_only_named(answer, answer.built), data)
@@ -106,7 +106,7 @@ def _with_or_without_built(answer: Answer, data: Measurements) -> Opened:
     return replace(found, named_gap=without.gap)
 
 
-def _only_named(answer: Answer, built: Built) -> Answer:
+def _only_named(answer: Conclusion, built: Built) -> Conclusion:
     return replace(answer, chosen=built.named, built=None)
 
 
@@ -124,18 +124,18 @@ def _worse(found: Gap, without: Gap, aside: Measurements) -> str:
     return worse_in(aside.subset(both), errors[0], errors[1])
 
 
-def _opened(answer: Answer, data: Measurements) -> Opened:
+def _opened(answer: Conclusion, data: Measurements) -> Opened:
     kept = answer.split.held_out_set
     if answer.partly:
-        answer = replace(answer, chosen=_beside_a_rest(answer.partly, answer.chosen))
+        answer = replace(answer, chosen=_beside_a_remainder(answer.partly, answer.chosen))
     aside, group = data.subset(kept), answer.group[kept]
-    gap = open_held_out_set(answer.base.fit, answer.chosen.fit, aside, group, answer.noise)
+    gap = open_test_set(answer.base.fit, answer.chosen.fit, aside, group, answer.noise)
     place = _place(answer, gap)
-    judgement, notes = _after_held_out_set(answer, gap, place)
+    judgement, notes = _after_test_set(answer, gap, place)
     written = _written(answer, judgement)
     if written is not answer.chosen:  # errors are of the model that is handed over
         judgement = replace(judgement, adequacy=_left(answer, written))
-        gap = open_held_out_set(answer.base.fit, written.fit, aside, group, answer.noise)
+        gap = open_test_set(answer.base.fit, written.fit, aside, group, answer.noise)
         if doubt := contradiction(judgement.verdict, gap, place):
             judgement, notes = replace(judgement, verdict="unexplained"), [*notes, doubt]
     settled = answer.chosen if answer.partly else answer.bench.sized(answer.chosen)
@@ -144,7 +144,7 @@ def _opened(answer: Answer, data: Measurements) -> Opened:
     return Opened(judgement, written, gap, place, (*notes, *told), answer)
 
 
-def _after_held_out_set(answer: Answer, gap: Gap, place: Place) -> tuple[Judgement, list[str]]:
+def _after_test_set(answer: Conclusion, gap: Gap, place: Place) -> tuple[Judgement, list[str]]:
     """A verdict that the held-out set or any figure contradicts is taken back.
 
     Noise that had to be enlarged may have taken in a misfit: no allowance is made for it.
@@ -155,7 +155,7 @@ def _after_held_out_set(answer: Answer, gap: Gap, place: Place) -> tuple[Judgeme
     if judgement.verdict in ("partial", "unexplained"):
         return judgement, []
     left = judgement.adequacy.total
-    p = held_out_probability(gap.chi_square, left, _solved(answer.chosen), estimated=answer.is_rescaled)
+    p = left_out_probability(gap.chi_square, left, _solved(answer.chosen), estimated=answer.is_rescaled)
     if p > HELD_OUT_REJECTED and not doubt:
         return judgement, []
     kept = specific(answer.bench, answer.chosen, judgement.findings, judgement.adequacy)
@@ -169,7 +169,7 @@ def _solved(scored: Scored) -> Residuals:
     return Residuals(parts.r[kept], parts.J[kept], parts.weight[kept], parts.raw_norm[kept], parts.given[kept])
 
 
-def _written(answer: Answer, judgement: Judgement) -> Scored:
+def _written(answer: Conclusion, judgement: Judgement) -> Scored:
     """The model with the effects of the verdict alone, as large as the data say, in numbers a robot file may have."""
     bench, chosen = answer.bench, answer.chosen
     built = answer.built.terms if answer.built else ()
@@ -178,23 +178,23 @@ def _written(answer: Answer, judgement: Judgement) -> Scored:
     if answer.partly and len(kept) == len(chosen.terms):
         return chosen
     if answer.partly:
-        return _beside_a_rest(answer.partly, answer.partly.bench.scored(kept, chosen.fit))
+        return _beside_a_remainder(answer.partly, answer.partly.bench.scored(kept, chosen.fit))
     scored = bench.sized(chosen if len(kept) == len(chosen.terms) else bench.scored(kept, chosen.fit))
     inside = within_file(scored.fit)
     return scored if inside is scored.fit else replace(scored, fit=inside)
 
 
-def _left(answer: Answer, written: Scored) -> Adequacy:
+def _left(answer: Conclusion, written: Scored) -> Adequacy:
     """Whether noise alone is left beside the effects of the verdict."""
     return left_by_names(answer.partly.bench, written) if answer.partly else remains(answer.bench, written)
 
 
-def _beside_a_rest(found: Partly, scored: Scored) -> Scored:
+def _beside_a_remainder(found: PartialDiagnosis, scored: Scored) -> Scored:
     """A set as it is handed over where something remains."""
     return found.bench.handed_over(found.bench.sized(scored))
 
 
-def _place(answer: Answer, gap: Gap) -> Place:
+def _place(answer: Conclusion, gap: Gap) -> Place:
     base = answer.base
     fit, kept = base.fit, ~ignored(base)
     error = distances(fit.chain.predict(fit.p, derivatives=False), fit.chain.data)

@@ -15,7 +15,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.least_squares import Fit, fit, fit_at
 from ctrplan.calibration.parameters import ABSOLUTE_STIFFNESS, BaseParameters
 from ctrplan.calibration.residuals import UNSOUND, Noise, residuals, robust_square
-from ctrplan.diagnosis.cross_validation import Linear, held_out_loss, null_scores, white
+from ctrplan.diagnosis.cross_validation import Linear, cross_validation_loss, null_scores, white
 from ctrplan.effects.effect import CATALOGUE, Effect
 from ctrplan.errors import InputError
 from ctrplan.measurement.measurements import Measurements
@@ -113,7 +113,7 @@ class Screened:
 
 
 @dataclass(frozen=True, eq=False)
-class Panel:
+class Linearisation:
     """A linearisation in the parameters of many effects, (effect, parameter), of which any set can be asked."""
 
     keys: tuple[tuple[str, str], ...]
@@ -125,11 +125,11 @@ class Panel:
         wanted = {(t.name, q.name) for t in terms for q in t.parameters}
         return self.whole.columns([k for k, key in enumerate(self.keys) if key in wanted])
 
-    def without(self, gone: Term) -> Panel:
+    def without(self, gone: Term) -> Linearisation:
         """With one of its effects taken back to where it does nothing, and none of its parameters."""
         mine: NDArray[np.bool_] = np.array([name == gone.name for name, _ in self.keys])
         keys = tuple(key for key, gone in zip(self.keys, mine, strict=True) if not gone)
-        return Panel(keys, self.whole.without(mine), self.variants)
+        return Linearisation(keys, self.whole.without(mine), self.variants)
 
     def others(self, among: Sequence[Term]) -> list[Term]:
         """Variants of effects that are not among the terms."""
@@ -172,7 +172,7 @@ class Workbench:
 
     def loss(self, system: Linear) -> Array:
         """(K,) of poses whose fold had not been fitted."""
-        return held_out_loss(system, self.fold)
+        return cross_validation_loss(system, self.fold)
 
     def null_scores(self, systems: Sequence[Linear], noise: Array) -> list[Array]:
         """(D,) of each system: minus half the loss of draws (5 K, D) after a fit of the same parameters."""
@@ -300,7 +300,7 @@ class Workbench:
             screened.append(Screened(other, columns, self.loss(columns)))
         return sorted(screened, key=lambda s: -s.score)
 
-    def panel(self, here: Scored, others: Sequence[Term]) -> Panel:
+    def panel(self, here: Scored, others: Sequence[Term]) -> Linearisation:
         """A fit linearised in its own parameters and those of other variants, which vanish there."""
         merged = _merged([*here.terms, *others], self.robot)
         chain = self.chain([*self.basis(merged), *merged])
@@ -311,7 +311,7 @@ class Workbench:
         found = residuals(self.data, chain.predict(p), self.noise, self.whitening_group)
         weight = here.fit.residuals.weight
         whole = Linear(found.r, found.J, weight, 1 / chain.prior**2, p - chain.neutral, found.given)
-        return Panel(tuple(keys), whole, tuple(others))
+        return Linearisation(tuple(keys), whole, tuple(others))
 
     def _tried_out(
         self, here: Scored, other: Term, completed: Callable[[Sequence[Term], Term], Sequence[Term]]

@@ -14,7 +14,7 @@ from ctrplan.base.arguments import EVENT, PROGRESS, Made, Texts, checked
 from ctrplan.base.long_work import StageProgress
 from ctrplan.calibration.fit_warnings import excused, outlier_sentences, unsolved_sentence
 from ctrplan.diagnosis.adequacy import ignored, noise_floor
-from ctrplan.diagnosis.answer import HELD_OUT_SHARE, Answer, Teller, answer
+from ctrplan.diagnosis.conclusion import HELD_OUT_SHARE, Conclusion, Teller, conclude
 from ctrplan.diagnosis.next_experiment import next_experiment
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.test_set import Opened, opened
@@ -48,7 +48,7 @@ def diagnose(
     usable = usable_poses(robot, data)
     checked_split(data, usable)  # before anything is asked
     known = candidates(robot, data, allowed)
-    found = answer(robot, data, usable, noise, known, teller)
+    found = conclude(robot, data, usable, noise, known, teller)
 
     def tell(step: str) -> None:
         if progress:
@@ -99,7 +99,7 @@ def diagnose(
     )
 
 
-def _memory(found: Answer) -> float | None:
+def _memory(found: Conclusion) -> float | None:
     """Of what remains of the model that is handed over."""
     if found.built:
         return found.built.rest.memory
@@ -115,7 +115,7 @@ class _Marked:
     left_out: NDArray[np.bool_]
 
 
-def _marked(found: Answer, asked: Opened, data: Measurements) -> _Marked:
+def _marked(found: Conclusion, asked: Opened, data: Measurements) -> _Marked:
     parts, base, written = found.split, found.base, asked.written
     outlying, (unsolved, left_out) = found.wrong.copy(), np.zeros((2, data.count), bool)
     outlying[parts.selection] = ignored(written) & ~excused(written.failed)

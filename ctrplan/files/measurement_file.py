@@ -23,7 +23,7 @@ AXES = "xyz"
 
 
 @dataclass(frozen=True, eq=False)
-class SeenMarker:
+class MarkerColumns:
     """A marker of the robot where a table has it."""
 
     number: int  # from 1
@@ -33,7 +33,7 @@ class SeenMarker:
     notes: tuple[str, ...]
 
 
-def seen_markers(table: CsvTable, robot: Robot, *, is_registered: bool) -> list[SeenMarker]:
+def marker_columns(table: CsvTable, robot: Robot, *, is_registered: bool) -> list[MarkerColumns]:
     """Those markers that the table has two or three columns of. Raises InputError for one column, and half a row."""
     found = []
     for number, marker in enumerate(robot.markers, start=1):
@@ -54,12 +54,12 @@ def seen_markers(table: CsvTable, robot: Robot, *, is_registered: bool) -> list[
         rows = np.flatnonzero(given.all(axis=1))
         along = "" if all(there) else AXES[there.index(False)]
         notes = (f"{table.file}: there is no {marker.name}_{along}_m: it is taken for seen along {along}.",)
-        found.append(SeenMarker(number, marker.columns, position[rows], rows, notes if along else ()))
+        found.append(MarkerColumns(number, marker.columns, position[rows], rows, notes if along else ()))
     return found
 
 
 def with_markers(
-    position: Array, tangent: Array, rows: NDArray[np.int_], seen: Sequence[SeenMarker]
+    position: Array, tangent: Array, rows: NDArray[np.int_], seen: Sequence[MarkerColumns]
 ) -> tuple[Array, Array, NDArray[np.int_], NDArray[np.int_]]:
     """Positions (K, 3), tangents (K, 3), rows (K,) and marker numbers (K,): tips first, then marker after marker."""
     numbers = [np.zeros(len(rows), int), *(np.full(len(point.rows), point.number) for point in seen)]
@@ -106,7 +106,7 @@ def load_measurements(path: str | os.PathLike[str], robot: Robot) -> Measurement
 def _measurements(source: Source, robot: Robot) -> Measurements:
     """One table's."""
     table = source.table
-    seen = seen_markers(table, robot, is_registered=source.is_registered)
+    seen = marker_columns(table, robot, is_registered=source.is_registered)
     bare = bool(seen) and not any(name in table.header for name in (*POSITION, *TANGENT))  # of markers alone
     known = (*TANGENT, *(name for point in seen for name in point.columns))
     joints = joint_path(source, robot, needed=("sequence", *(() if bare else POSITION)), known=known)
@@ -127,14 +127,14 @@ def _measurements(source: Source, robot: Robot) -> Measurements:
         more=joints.more,
         file=table.file,
         sha256=table.sha256,
-        warnings=(*joints.notes, *_seen(table), *(note for point in seen for note in point.notes)),
+        warnings=(*joints.notes, *_marker_poses(table), *(note for point in seen for note in point.notes)),
         of_collars=joints.of_collars,
         marker=marker if seen else None,
         noise_ratio=noise_ratio(robot, marker),
     )
 
 
-def _poses(table: CsvTable, markers: Sequence[SeenMarker]) -> tuple[Array, Array, NDArray[np.int_]]:
+def _poses(table: CsvTable, markers: Sequence[MarkerColumns]) -> tuple[Array, Array, NDArray[np.int_]]:
     """Positions (K, 3) [m], tangents (K, 3) with NaN for what was not measured, and the rows (K,) they stand in."""
     seen = [name for name in TANGENT if name in table.header]
     if len(seen) == 1:
@@ -205,7 +205,7 @@ def _still_joints(theta_b: Array, l_b: Array, file: str) -> list[str]:
     return still
 
 
-def _seen(table: CsvTable) -> list[str]:
+def _marker_poses(table: CsvTable) -> list[str]:
     """A sentence about tangents that have two components, which may be meant so or be a lost column."""
     missing = [name for name in TANGENT if name not in table.header]
     if len(missing) != 1:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ctrplan.base.arrays import MM_PER_M
-from ctrplan.planning.base_pose import DIGITS, MM_DIGITS, BasePose, Pose
+from ctrplan.planning.base_pose import DIGITS, MM_DIGITS, BaseFrame, BasePose
 from ctrplan.storage.toml_document import Document, toml_text
 
 TURNS = ("quaternion_wxyz", "direction", "look_at", "roll_deg")
@@ -26,7 +26,7 @@ def placed_scenario(document: Document, pose: BasePose, file: Path) -> str:
     return f"# Base pose proposed by `ctrplan place`; it looks along [{direction}].\n{toml_text(content)}"
 
 
-def content_at(content: dict[str, Any], pose: BasePose | Pose) -> dict[str, Any]:
+def content_at(content: dict[str, Any], pose: BasePose | BaseFrame) -> dict[str, Any]:
     """A scenario's content with its robot at a pose, and with what was said of how well the base is known."""
     base = {**_pose(pose), **_without_turns(content.get("base", {}))}
     return {**copy.deepcopy(content), "base": base}
@@ -38,8 +38,8 @@ def names_files_outside(document: Document, file: Path) -> bool:
     return any(not (here / table[key]).resolve().is_relative_to(inside) for table, key in _files(document.content))
 
 
-def _pose(pose: BasePose | Pose) -> dict[str, Any]:
-    quaternion = Pose(pose.position_m, pose.R).quaternion_wxyz
+def _pose(pose: BasePose | BaseFrame) -> dict[str, Any]:
+    quaternion = BaseFrame(pose.position_m, pose.R).quaternion_wxyz
     position_mm = np.round(pose.position_m * MM_PER_M, MM_DIGITS) + 0.0  # no -0
     return {"position_mm": position_mm.tolist(), "quaternion_wxyz": (np.round(quaternion, DIGITS) + 0.0).tolist()}
 

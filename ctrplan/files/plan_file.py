@@ -33,7 +33,7 @@ class SourceEntry(Struct):
     path: str | None = None
 
 
-class JointEntry(Struct):
+class PlanJointEntry(Struct):
     """A joint of the drive."""
 
     name: str
@@ -115,7 +115,7 @@ class PlanEntry(Struct):
     ctrplan_version: str
     scenario: SourceEntry
     robot: SourceEntry
-    joints: list[JointEntry]
+    joints: list[PlanJointEntry]
     legs: Annotated[list[LegEntry], Meta(min_length=1)]
     certificate: CertificateEntry
     trajectory: TrajectoryEntry

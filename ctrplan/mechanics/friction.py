@@ -177,7 +177,7 @@ def cell_spread(bodies_m: Array, beyond: int) -> tuple[Array, Array]:
     return np.asarray(off), np.asarray(reach)
 
 
-def least_of_points(
+def nearest_points(
     bodies_m: Array,
     points: NDArray[np.intp],
     error_m: Array,

@@ -62,7 +62,7 @@ from ctrplan.planning.planner import plan
 from ctrplan.planning.search.stage_search import Progress
 from ctrplan.plans.plan import Plan
 from ctrplan.reports.plan_words import worst_miss
-from ctrplan.scenario.bare_scenario import drawn_back
+from ctrplan.scenario.bare_scenario import retracted
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.storage.csv_table import CsvTable
 from ctrplan.storage.output_folder import output_folder, write_atomically, write_results
@@ -159,7 +159,7 @@ def _drafted(work: Work, task: _Task) -> tuple[dict[str, Any], Scenario]:
     """The scenario, as the content of its file and read."""
     asked, structures = work.request, [one for one, _ in task.structures]
     robot = load_robot(robot_file(asked.robot))
-    start = start_values(robot.drive, drawn_back(robot))
+    start = start_values(robot.drive, retracted(robot))
     content = draft(asked, work.folder, task.frame, task.structures, task.targets, start)
     content["base"] = base_at(task.entries[0], task.targets)
     beside = from_folder(work.folder, robot_file(asked.robot))

@@ -22,7 +22,7 @@ from ctrplan.base.arrays import LONGEST_MM, MM_PER_M
 from ctrplan.base.long_work import StageProgress
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
-from ctrplan.planning.base_pose import DIGITS, MM_DIGITS, BasePose, Pose, as_written
+from ctrplan.planning.base_pose import DIGITS, MM_DIGITS, BaseFrame, BasePose, as_written
 from ctrplan.plans.plan import Plan
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.storage.csv_table import CsvTable, file_bytes
@@ -244,7 +244,7 @@ class Row:
     """A base pose of the table."""
 
     number: int  # from 1
-    pose: Pose
+    pose: BaseFrame
 
 
 def bases_text(poses: Sequence[BasePose]) -> str:
@@ -253,7 +253,7 @@ def bases_text(poses: Sequence[BasePose]) -> str:
     table = csv.writer(stream, lineterminator="\n")
     table.writerow([*POSITION, *TURN, *TOLD])
     for pose in poses:
-        written = Pose(pose.position_m, pose.R)
+        written = BaseFrame(pose.position_m, pose.R)
         position = np.round(pose.position_m * MM_PER_M, MM_DIGITS) + 0.0
         turn = np.round(written.quaternion_wxyz, DIGITS) + 0.0
         table.writerow([*map(repr, position.tolist()), *map(repr, turn.tolist()), *_told(pose)])
@@ -274,7 +274,7 @@ def read_bases(file: Path) -> list[Row]:
         if not abs(np.linalg.norm(turn[k]) - 1) <= NORM_TOLERANCE:
             raise table.fault(f"must have norm 1 within {NORM_TOLERANCE}", k, "qw, qx, qy, qz")
     return [
-        Row(k + 1, as_written(Pose(position[k] / MM_PER_M, Rotation.from_quat(np.roll(turn[k], -1)).as_matrix())))
+        Row(k + 1, as_written(BaseFrame(position[k] / MM_PER_M, Rotation.from_quat(np.roll(turn[k], -1)).as_matrix())))
         for k in range(len(position))
     ]
 

@@ -27,7 +27,7 @@ from ctrplan.measurement.sensor import Poses, frames_along
 from ctrplan.pipeline.chain import Acting, Chain, taken_along
 from ctrplan.pipeline.installed import with_chain
 from ctrplan.pipeline.stage_columns import StageColumns, unit
-from ctrplan.pipeline.term import Prediction, Term, TermValues
+from ctrplan.pipeline.term import SensorPrediction, Term, TermValues
 from ctrplan.pipeline.tip_table import TipTable, on_body, point_table, remembered_tip_x
 from ctrplan.robot.named_numbers import value_of, with_values
 from ctrplan.robot.robot import Robot
@@ -185,7 +185,7 @@ class ParametricChain(TermValues):
             return self.followed_phi * chain.friction_share(self.data)
         return friction_state(self.data, chain.release_m) * chain.friction_share(self.data)
 
-    def predict(self, p: Array, *, derivatives: bool = True) -> Prediction:
+    def predict(self, p: Array, *, derivatives: bool = True) -> SensorPrediction:
         """Poses at parameters (P,), in the order of the terms."""
         chain = self.at(p)
         robot, collars, phi = (
@@ -207,7 +207,7 @@ class ParametricChain(TermValues):
             asked.of_tips(table, collars, by)
             self._of_markers(p, coarse_m, by)
             asked.of_what_is_seen(poses, collars, seen, by)
-        return Prediction(seen.position, seen.frame[:, :, 2], table.sound, table.failed, by[:, :3], by[:, 3:])
+        return SensorPrediction(seen.position, seen.frame[:, :, 2], table.sound, table.failed, by[:, :3], by[:, 3:])
 
     def before_sensor(self, p: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Where the measured points (K, 3) [m] are at parameters (P,), before plate and sensor, on the coarse mesh.

@@ -16,7 +16,7 @@ from ctrplan.robot.robot import Robot
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
+class SensorPrediction:
     """What the sensor should read at K poses, and derivatives by the P parameters of all terms."""
 
     position_m: Array  # (K, 3)
@@ -26,9 +26,9 @@ class Prediction:
     position_by: Array  # (K, 3, P)
     tangent_by: Array  # (K, 3, P)
 
-    def subset(self, poses: NDArray[np.bool_]) -> Prediction:
+    def subset(self, poses: NDArray[np.bool_]) -> SensorPrediction:
         """Some of the poses only, given by a mask (K,)."""
-        return Prediction(*(getattr(self, name)[poses] for name in Prediction.__dataclass_fields__))
+        return SensorPrediction(*(getattr(self, name)[poses] for name in SensorPrediction.__dataclass_fields__))
 
 
 @dataclass(frozen=True, eq=False)

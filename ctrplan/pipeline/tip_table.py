@@ -64,7 +64,7 @@ def tip_table(
     phi = phi * _rubbing(robot, names)
     rows = np.hstack([theta_b, inside, phi])
     first, back = distinct(rows)
-    table = _solved(_Asked.of(robot, rows[first], names, accuracy))
+    table = _solved(_TipRequest.of(robot, rows[first], names, accuracy))
     found = TipTable(*(getattr(table, key)[back] for key in TipTable.__dataclass_fields__))
     return replace(found, sound=found.sound & sound)
 
@@ -88,7 +88,7 @@ def nested(robot: Robot, l_b: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _TipRequest:
     """What decides on a table: the numbers of the mechanics, and rows (D, 3 n - 1) of collars and friction states."""
 
     tubes: tuple[Tube, ...]
@@ -100,13 +100,13 @@ class _Asked:
     robot: Robot = field(compare=False)
 
     @classmethod
-    def of(cls, robot: Robot, rows: Array, names: Sequence[str], accuracy: Accuracy) -> _Asked:
+    def of(cls, robot: Robot, rows: Array, names: Sequence[str], accuracy: Accuracy) -> _TipRequest:
         pairs = np.hstack([robot.clearance_m, robot.friction[:, 1]]).tobytes()
         return cls(robot.tubes, robot.loads, pairs, rows.tobytes(), tuple(names), accuracy, robot)
 
 
 @lru_cache(MOST_REMEMBERED)
-def _solved(asked: _Asked) -> TipTable:
+def _solved(asked: _TipRequest) -> TipTable:
     n = asked.robot.n
     theta_b, l_b, phi = np.split(np.frombuffer(asked.rows).reshape(-1, 3 * n - 1), [n, 2 * n], axis=1)
     tips = asked.robot.mechanics.tips_with_friction(theta_b, l_b, phi, parameters=asked.names, accuracy=asked.accuracy)
@@ -121,7 +121,7 @@ MOST = 4  # of the same poses, elsewhere
 
 
 @dataclass(frozen=True, eq=False)
-class _Found:
+class _TipResult:
     tangent: Array  # (K, 3)
     collars: Collars
     phi: Array  # (K, n - 1)
@@ -137,7 +137,7 @@ class _Found:
         )
 
 
-_FOUND: WeakKeyDictionary[Measurements, list[_Found]] = WeakKeyDictionary()
+_FOUND: WeakKeyDictionary[Measurements, list[_TipResult]] = WeakKeyDictionary()
 
 
 def remembered_tip_x(data: Measurements, robot: Robot, collars: Collars, phi: Array, tangent: Array) -> Array:
@@ -148,7 +148,7 @@ def remembered_tip_x(data: Measurements, robot: Robot, collars: Collars, phi: Ar
             return found.x
     rows = zip(collars.theta, nested(robot, collars.l), phi, strict=True)
     x = read_only(np.array([robot.solve(*row).tubes[-1].frames[-1, :, 0] for row in rows]))
-    known.insert(0, _Found(tangent, collars, phi, x))
+    known.insert(0, _TipResult(tangent, collars, phi, x))
     del known[MOST:]
     return x
 

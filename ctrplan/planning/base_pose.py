@@ -28,7 +28,7 @@ STEPS = 1.1127756842787055 ** -np.arange(1.0, 7.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class BaseFrame:
     """The robot's frame in the anatomy's."""
 
     position_m: Array  # (3,)
@@ -61,13 +61,13 @@ class Patch:
     upright: Array  # (3, 3) base rotation from which others are the shortest turn
     rolls: bool  # whether tubes can't all turn together, so that it matters how the base is rolled
 
-    def poses(self, seed: int) -> Iterator[Pose]:
+    def poses(self, seed: int) -> Iterator[BaseFrame]:
         """Endless, spread evenly, the same for the same seed."""
         shift = np.random.default_rng(seed).random(len(STEPS))
         for k in count():
             yield self._pose(*np.mod(shift + k * STEPS, 1.0).tolist())
 
-    def _pose(self, out: float, around: float, tilt: float, side: float, along: float, roll: float) -> Pose:
+    def _pose(self, out: float, around: float, tilt: float, side: float, along: float, roll: float) -> BaseFrame:
         """From six numbers in [0, 1): place on the disc, direction in the cone, place along the opening, roll."""
         position = self.center_m.copy()
         if self.along_m is not None:
@@ -77,20 +77,20 @@ class Patch:
         cosine = 1 - tilt * (1 - math.cos(self.cone_rad))  # all directions of the cone alike
         leaning = np.append(math.sqrt(max(0.0, 1 - cosine**2)) * _on_circle(side), cosine)
         way = shortest_rotation(_way(self.aim_m - position, self.upright))
-        turned = looking(self.upright, way @ leaning)
+        turned = turned_towards(self.upright, way @ leaning)
         if self.rolls:
             turned = turned @ Rotation.from_euler("z", 2 * math.pi * roll).as_matrix()
-        return as_written(Pose(position, turned))
+        return as_written(BaseFrame(position, turned))
 
 
-def as_written(pose: Pose) -> Pose:
+def as_written(pose: BaseFrame) -> BaseFrame:
     """The pose in as many digits as a file is given, so that reading it back gives the same."""
     quaternion = np.roll(np.round(pose.quaternion_wxyz, DIGITS), -1)
     position_mm = np.round(pose.position_m * MM_PER_M, MM_DIGITS)
-    return Pose(np.multiply(position_mm, 1e-3), np.asarray(Rotation.from_quat(quaternion).as_matrix()))
+    return BaseFrame(np.multiply(position_mm, 1e-3), np.asarray(Rotation.from_quat(quaternion).as_matrix()))
 
 
-def looking(upright: Array, direction: Array) -> Array:
+def turned_towards(upright: Array, direction: Array) -> Array:
     """(3, 3) the base rotation `upright` after the shortest turn of its z axis to a direction (3,)."""
     return np.asarray(upright @ shortest_rotation(upright.T @ direction))
 
@@ -193,7 +193,7 @@ class BasePose:
         return (bool(self.start_reason), bool(self.plan_reason), -self.reached, self.share, -self.clearance_m)
 
 
-def placed(scenario: Scenario, pose: Pose) -> Scenario:
+def placed(scenario: Scenario, pose: BaseFrame) -> Scenario:
     """The scenario with its robot standing at a pose: no longer that of its file."""
     return replace(scenario, base_position_m=pose.position_m, base_R=pose.R, sha256="")
 

@@ -20,7 +20,7 @@ from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.base.arrays import Array
 from ctrplan.mechanics.walk import Field
 from ctrplan.motion.checker import DEFINITE_COLLISION_M, breach, search_limits
-from ctrplan.planning.base_pose import Patch, Pose
+from ctrplan.planning.base_pose import BaseFrame, Patch
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.scenario.tip_solver import TipSolver, TipTarget, angle_to
@@ -51,7 +51,7 @@ def _around(scenario: Scenario, middle_m: Array, far_m: float) -> tuple[Array, A
     return np.min([lower for lower, _ in halves], axis=0), np.max([upper for _, upper in halves], axis=0)
 
 
-def seen_from(grid: SignedDistanceField, pose: Pose) -> Field:
+def grid_from(grid: SignedDistanceField, pose: BaseFrame) -> Field:
     """The grid as the core takes it for a robot at a pose."""
     return Field(grid.values_m, grid.origin_m, float(grid.spacing_m), pose.R, pose.position_m)
 
@@ -66,10 +66,10 @@ TURN_RAD = 0.2  # likewise of its tangent, with friction
 
 
 @dataclass(frozen=True, eq=False)
-class Worth:
+class PoseScore:
     """What a pose seems to be worth."""
 
-    pose: Pose
+    pose: BaseFrame
     likely: int  # targets reached with room for the friction error
     reached: int  # targets reached within their tolerance, without definite collision
     possible: int  # targets reached without definite collision, or nearly
@@ -113,7 +113,7 @@ class Screen:
         """The anatomy as all poses see it; built when the first of them could reach a target."""
         return patch_field(self.scenario, self.patch)
 
-    def is_clear(self, pose: Pose) -> bool:
+    def is_clear(self, pose: BaseFrame) -> bool:
         """Whether tubes can leave the plate there, some target is within reach, and the start is valid."""
         robot = self.scenario.robot
         if exact_clearance(self.scenario.anatomy, pose.position_m[None])[0] < robot.tubes[-1].outer_diameter_m / 2:
@@ -121,7 +121,7 @@ class Screen:
         away, _ = self.tips.query(self._reduced(pose.into_robot(self.wanted_m)))
         return bool(np.any(away < NEAR_M)) and self._may_start(pose)
 
-    def _may_start(self, pose: Pose) -> bool:
+    def _may_start(self, pose: BaseFrame) -> bool:
         """Whether the start keeps all limits there, in every corner."""
         start = self.scenario.start[None]
         if self._rooms(pose, start)[0] < DEFINITE_COLLISION_M:
@@ -129,10 +129,10 @@ class Screen:
         if self.grid is None:
             return True
         collars = self.solver.space.drive.collars(start)
-        samples = self.solver.mechanics.check_path(*collars, seen_from(self.grid, pose), limits=self.limits)
+        samples = self.solver.mechanics.check_path(*collars, grid_from(self.grid, pose), limits=self.limits)
         return not breach(samples, self.limits)
 
-    def look(self, poses: Sequence[Pose]) -> list[Worth]:
+    def look(self, poses: Sequence[BaseFrame]) -> list[PoseScore]:
         """What several poses, at least one, seem to be worth."""
         tried = self._attempts(poses)
         found = self.solver.solve(TipTarget(tried.goal), tried.q, STEPS, turned=False)
@@ -146,7 +146,7 @@ class Screen:
             for pose, rows in _each(poses, tried)
         ]
 
-    def _attempts(self, poses: Sequence[Pose]) -> _Attempts:
+    def _attempts(self, poses: Sequence[BaseFrame]) -> _Attempts:
         """For every pose and target the samples near it that have most room."""
         goal = np.concatenate([pose.into_robot(self.wanted_m) for pose in poses])
         _, near = self.tips.query(self._reduced(goal), k=min(NEAR, len(self.q)))
@@ -161,19 +161,19 @@ class Screen:
         target = np.tile(np.repeat(np.arange(len(self.targets)), each), len(poses))
         return _Attempts(pose[rows], target[rows], goals[rows], q[rows])
 
-    def _rooms_of(self, poses: Sequence[Pose], pose: NDArray[np.int_], q: Array) -> Array:
+    def _rooms_of(self, poses: Sequence[BaseFrame], pose: NDArray[np.int_], q: Array) -> Array:
         """(K,) [m] as `_rooms`, each row from its own pose; rows of one pose follow each other."""
         return np.concatenate([self._rooms(each, q[pose == k]) for k, each in enumerate(poses)])
 
-    def _rooms(self, pose: Pose, q: Array) -> Array:
+    def _rooms(self, pose: BaseFrame, q: Array) -> Array:
         """(K,) [m] that zero-clearance shapes leave beyond margins and the model's error."""
         if self.grid is None:
             return np.full(len(q), np.inf)
-        field = seen_from(self.grid, pose)
+        field = grid_from(self.grid, pose)
         found = self.solver.mechanics.zero_clearance_rooms(*self.solver.space.drive.collars(q), field)[0]
         return np.asarray(found - self.limits.clearance_m)
 
-    def _looks_right(self, poses: Sequence[Pose], tried: _Attempts, tangent: Array) -> NDArray[np.bool_]:
+    def _looks_right(self, poses: Sequence[BaseFrame], tried: _Attempts, tangent: Array) -> NDArray[np.bool_]:
         """(K,) whether tips point about where their targets ask them to."""
         right = np.ones(len(tangent), dtype=bool)
         for k, goal in enumerate(self.targets):
@@ -194,8 +194,8 @@ class Screen:
         return bound
 
     def _worth(
-        self, pose: Pose, target: NDArray[np.int_], bound: Array, room: Array, reaches: NDArray[np.bool_]
-    ) -> Worth:
+        self, pose: BaseFrame, target: NDArray[np.int_], bound: Array, room: Array, reaches: NDArray[np.bool_]
+    ) -> PoseScore:
         likely, reached, shares, rooms = 0, 0, [0.0], [np.inf]
         for k, tolerance in enumerate(self.tolerance_m):
             rows = np.flatnonzero((target == k) & np.isfinite(bound))
@@ -208,7 +208,7 @@ class Screen:
                 likely += bool(reaches[best] and room[best] >= bound[best])
                 shares.append(bound[best] / tolerance)
                 rooms.append(room[best] - bound[best])
-        return Worth(pose, likely, reached, len(rooms) - 1, max(shares), min(rooms))
+        return PoseScore(pose, likely, reached, len(rooms) - 1, max(shares), min(rooms))
 
     def _reduced(self, points: Array) -> Array:
         """Points (K, 3) of the robot's frame without what turning all tubes together changes."""
@@ -217,6 +217,6 @@ class Screen:
         return np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
 
 
-def _each(poses: Sequence[Pose], tried: _Attempts) -> list[tuple[Pose, NDArray[np.int_]]]:
+def _each(poses: Sequence[BaseFrame], tried: _Attempts) -> list[tuple[BaseFrame, NDArray[np.int_]]]:
     """Every pose with its rows."""
     return [(pose, np.flatnonzero(tried.pose == k)) for k, pose in enumerate(poses)]

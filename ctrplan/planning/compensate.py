@@ -15,7 +15,7 @@ from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.oscillate import settled_again
 from ctrplan.plans.planned_motion import Compensation
 from ctrplan.robot.robot import Robot
-from ctrplan.scenario.prediction import Prediction, predict_end, predict_from, start_states
+from ctrplan.scenario.prediction import PathPrediction, predict_end, predict_from, start_states
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.scenario.tip_solver import target_in_robot_frame
 
@@ -74,7 +74,7 @@ def corrected(corners: Array, legs: int, is_rotation: NDArray[np.bool_], delta: 
     return moved
 
 
-def predicted_arrives(scenario: Scenario, samples: CertificateSamples, prediction: Prediction) -> list[str]:
+def predicted_arrives(scenario: Scenario, samples: CertificateSamples, prediction: PathPrediction) -> list[str]:
     """Sentences if a predicted tip misses the goal, or the target is outside the worst-case envelope."""
     target, tolerance, found = target_in_robot_frame(scenario), scenario.goal.tolerance_m, []
     error = float(np.linalg.norm(prediction.tip_m[:, -1] - target, axis=1).max())

@@ -16,8 +16,8 @@ from ctrplan.base.arguments import EVENT, PROGRESS, SEED, Made, Number, Whole, c
 from ctrplan.base.arrays import LONGEST_MM, numbers
 from ctrplan.base.long_work import StageProgress, interrupt_event
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.planning.base_pose import BasePose, Patch, Pose, base_pose, middle_of, placed
-from ctrplan.planning.base_screen import Screen, Worth
+from ctrplan.planning.base_pose import BaseFrame, BasePose, Patch, base_pose, middle_of, placed
+from ctrplan.planning.base_screen import PoseScore, Screen
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.tip_solver import TipSolver
 
@@ -151,17 +151,17 @@ class _Search:
         self.scenario, self.patch, self.seed, self.report, self.stop = scenario, patch, seed, report, stop
         self.drawn = self.clear = 0
 
-    def promising(self, count: int) -> list[Worth]:
+    def promising(self, count: int) -> list[PoseScore]:
         """Of `count` candidates those that seem to reach a target, best first."""
         screen = Screen(self.scenario, self.patch, np.random.default_rng(self.seed))
-        found: list[Worth] = []
+        found: list[PoseScore] = []
         poses = self._clear_poses(screen, count)
         while batch := list(islice(poses, AT_ONCE)):
             found += [worth for worth in screen.look(batch) if worth.possible]
             self.report("poses", min(1.0, self.clear / count))
         return sorted(found, key=lambda worth: worth.rank)
 
-    def _clear_poses(self, screen: Screen, count: int) -> Iterator[Pose]:
+    def _clear_poses(self, screen: Screen, count: int) -> Iterator[BaseFrame]:
         for pose in islice(self.patch.poses(self.seed), DRAWN * count):
             if self.clear == count or self.stop.is_set():
                 return
@@ -170,7 +170,7 @@ class _Search:
                 self.clear += 1
                 yield pose
 
-    def confirmed(self, worths: Sequence[Worth]) -> list[BasePose]:
+    def confirmed(self, worths: Sequence[PoseScore]) -> list[BasePose]:
         """Inverse kinematics from each of the best."""
         found = []
         for k, worth in enumerate(worths):

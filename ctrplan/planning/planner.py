@@ -92,7 +92,7 @@ def plan(
     friction_law(scenario.robot)  # calibrated before the search's time begins, if it is not known yet
     with interrupt_event(interrupted) as interrupted, ThreadPoolExecutor(1) as beside:
         approaches = cache(partial(beside.submit, other_start, scenario, scenario.start))
-        asked = _Asked(seed, began, budget, budget, time_s is not None, report, interrupted, approaches)
+        asked = _PlanRequest(seed, began, budget, budget, time_s is not None, report, interrupted, approaches)
         first, stages, ended_by = _anytime_stages(scenario, asked)
         finish = _finish(scenario, stages[-1][1], compensated, report)
     notes: tuple[str, ...] = (*scenario.warnings, *((ENDED_BY_TIME,) if ended_by == "time" else ()))
@@ -121,7 +121,7 @@ def plan(
 
 
 @dataclass(frozen=True, eq=False)
-class _Asked:
+class _PlanRequest:
     """What planning was asked for beside the scenario."""
 
     seed: int
@@ -143,7 +143,7 @@ class _Asked:
 Stages = list[tuple[Candidate, Candidate]]
 
 
-def _anytime_stages(scenario: Scenario, asked: _Asked) -> tuple[Candidate, Stages, SearchEnd]:
+def _anytime_stages(scenario: Scenario, asked: _PlanRequest) -> tuple[Candidate, Stages, SearchEnd]:
     """The candidate that first completed the way to all targets, the way to be driven, and what ended the search.
 
     Of several targets the way to all is completed with the first path to each before any is improved, in what that left
@@ -167,7 +167,7 @@ def _anytime_stages(scenario: Scenario, asked: _Asked) -> tuple[Candidate, Stage
 
 
 def _stages(
-    scenario: Scenario, asked: _Asked, run: Callable[[StageSearch], tuple[Candidate, Candidate]]
+    scenario: Scenario, asked: _PlanRequest, run: Callable[[StageSearch], tuple[Candidate, Candidate]]
 ) -> tuple[Stages, SearchEnd, float]:
     """The first and the best certified path to each target, from where the one before ended; what ended it; its time.
 
@@ -232,7 +232,7 @@ def _along_line(checker: MotionChecker, began: float) -> tuple[Candidate, Candid
         raise NoAnswerError(f"{scenario.path or scenario.name}: {key}: {why.rstrip('.')}.")
     motion = checker.along(corners)
     result = Reordered(corners, corners, motion, motion, "simultaneous", on_line=True)
-    return _found(checker, result, walk, found_s, began, "line")
+    return _first_certified(checker, result, walk, found_s, began, "line")
 
 
 def _without_motion(checker: MotionChecker, began: float) -> tuple[Candidate, Candidate]:
@@ -243,10 +243,10 @@ def _without_motion(checker: MotionChecker, began: float) -> tuple[Candidate, Ca
     if walk.failure:
         where = f"{scenario.path or scenario.name}: {scenario.goal.table}"
         raise NoAnswerError(f"{where}: is the start, which fails: {failure_with_place(walk)}")
-    return _found(checker, as_given(checker, corners), walk, found_s, began, "start")
+    return _first_certified(checker, as_given(checker, corners), walk, found_s, began, "start")
 
 
-def _found(
+def _first_certified(
     checker: MotionChecker, result: Reordered, walk: WalkedLegs, found_s: float, began: float, found_by: str
 ) -> tuple[Candidate, Candidate]:
     """A certified way that no search was needed for, as the first and the best."""

@@ -32,7 +32,7 @@ HELD_BACK_M = (2e-3, 5e-3, 10e-3)  # of a translation, driven after the last rot
 RELEASED_M = 10e-3  # of translation after which nothing more is gained (Section V-B)
 
 
-def held_back(checker: MotionChecker, corners: Array) -> list[Array]:
+def with_translation_last(checker: MotionChecker, corners: Array) -> list[Array]:
     """The path (K, m) with some translation moved behind its last rotation, so that the last leg releases friction.
 
     A translation before that rotation stops short or goes too far by a little; where there is none, the tubes retreat
@@ -134,7 +134,7 @@ def reorder(path: ArrayLike, scenario: Scenario, *, period_s: float = 0.01) -> P
         rule = "has several targets; give the path of one, with the goal alone, at a time"
         raise InputError(rule, file=scenario.path, key="target")
     checker = MotionChecker(scenario)
-    result = least_error(checker, merge_legs(corners))
+    result = least_error_order(checker, merge_legs(corners))
     if not result.motion_before.valid:
         raise NoAnswerError(f"{scenario.path or scenario.name}: path: not valid: {result.motion_before.reason}.")
     certificate = certify(scenario, result.after)
@@ -142,7 +142,7 @@ def reorder(path: ArrayLike, scenario: Scenario, *, period_s: float = 0.01) -> P
     return assemble(scenario, [result], certificate, planner="given path", seed=0, time_s=elapsed, period_s=period_s)
 
 
-def least_error(checker: MotionChecker, corners: Array) -> Reordered:
+def least_error_order(checker: MotionChecker, corners: Array) -> Reordered:
     """The order of a path (K, m) that leaves the smallest predicted friction error at the goal, by simulated history.
 
     Candidates are the path itself, rotations before translations (`rotations_first`), and both with some translation
@@ -156,7 +156,7 @@ def least_error(checker: MotionChecker, corners: Array) -> Reordered:
     robot, ways, starts = checker.scenario.robot, [corners], start_states(checker.scenario)
     if not np.array_equal(given.after, corners):
         ways.append(given.after)
-    others = [way for base in tuple(ways) for way in held_back(checker, base)]
+    others = [way for base in tuple(ways) for way in with_translation_last(checker, base)]
     motions = [checker.along(way) for way in others]
     ranked = [k for k in np.argsort([_way_cost(checker, motion) for motion in motions]) if motions[k].valid]
     ways += [others[k] for k in ranked[:MOST_SIMULATED]]
@@ -189,7 +189,7 @@ def rotations_first(checker: MotionChecker, corners: Array) -> Reordered:
     before = checker.along(corners)
     given = Reordered(corners, corners, before, before, _style(checker, corners))
     steps = [
-        _Step(i, j, piece, _least_mm(checker, piece))
+        _Step(i, j, piece, _lower_bound_mm(checker, piece))
         for j in range(1, len(corners))
         for i in range(max(0, j - LONGEST_SKIP), j)
         for piece in _pieces(checker, corners, i, j)
@@ -240,7 +240,7 @@ def _cheapest(steps: list[_Step], count: int) -> list[_Step]:
     return chosen[::-1]
 
 
-def _least_mm(checker: MotionChecker, piece: Array) -> float:
+def _lower_bound_mm(checker: MotionChecker, piece: Array) -> float:
     length = sum(checker.space.length_mm(delta) for delta in np.diff(piece, axis=0))
     return checker.scenario.cost.path * length + checker.scenario.cost.stop * (len(piece) - 1)
 

@@ -65,7 +65,9 @@ def plan_uncertainty(of: PlannedMotion | Scenario, joints: ArrayLike | None = No
     if isinstance(of, PlannedMotion):
         if joints is not None:
             raise InputError("goes with a scenario, a plan has its own", key="joints")
-        return _found(of.scenario, _Motion(of.certificate.samples.joints, plan_stops(of), of.certificate.samples.leg))
+        return _uncertainty(
+            of.scenario, _Motion(of.certificate.samples.joints, plan_stops(of), of.certificate.samples.leg)
+        )
     if not isinstance(of, Scenario):
         raise InputError("must be a Plan or a Scenario", key="of", value=of)
     if joints is None:
@@ -73,7 +75,7 @@ def plan_uncertainty(of: PlannedMotion | Scenario, joints: ArrayLike | None = No
     q, count = np.atleast_2d(numbers(joints, "joints")), len(of.robot.drive.joints)
     if q.ndim != 2 or q.shape[1] != count or not len(q) or not np.all(np.isfinite(q)):
         raise InputError(f"must be finite and have shape ({count},) or (K, {count}), not {q.shape}", key="joints")
-    return _found(of, _Motion(q, (end_stop(of.goal, len(q) - 1),), None))
+    return _uncertainty(of, _Motion(q, (end_stop(of.goal, len(q) - 1),), None))
 
 
 def stated_uncertainty(plan: PlannedMotion) -> Uncertainty | None:
@@ -92,7 +94,7 @@ class _Motion:
     leg: NDArray[np.int_] | None  # (K,) of a plan, whose histories are simulated
 
 
-def _found(scenario: Scenario, motion: _Motion) -> Uncertainty:
+def _uncertainty(scenario: Scenario, motion: _Motion) -> Uncertainty:
     parameters, registration = uncertain_parameters(scenario.robot), scenario.registration
     draws = Draws.of(parameters, registration, scenario.robot.model_error_m)
     rows = np.concatenate([stop.samples for stop in motion.stops])

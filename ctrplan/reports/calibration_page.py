@@ -34,7 +34,7 @@ def calibration_report_html(found: Calibration) -> str:
         section("Remarks", tag("ul", *(tag("li", note) for note in found.notes))) if found.notes else Markup(),
         section("Errors of the tip, before and after", plot(errors_figure(found), "errors", with_library=True)),
         section("Parameters", _parameter_table(found)),
-        _least_known(found),
+        _worst_known(found),
         section("What this means", tag("p", MEANING), glossary(*WORDS)),
         section("Where this comes from", _provenance(found)),
     )
@@ -106,7 +106,7 @@ def _parameter_table(found: Calibration) -> Markup:
     return table(("Parameter", "Value", term("95 % interval"), ""), rows)
 
 
-def _least_known(found: Calibration) -> Markup:
+def _worst_known(found: Calibration) -> Markup:
     """Combinations of parameters, least known first."""
     rows = (
         (" ".join(f"{share:+.2f} {name}" for name, share in c.parameters.items()), f"{100 * c.posterior_share:.0f} %")

@@ -13,7 +13,7 @@ from ctrplan.base.version import __version__
 from ctrplan.calibration.estimates import Errors, estimates
 from ctrplan.diagnosis.block_evidence import Closing
 from ctrplan.diagnosis.correlated_bench import FRAMES
-from ctrplan.diagnosis.partial import Partly
+from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.diagnosis.sentences import built_lines, headline, verdict_sentence
 from ctrplan.effects.learned.inputs import unit
@@ -82,7 +82,7 @@ def _log_odds(odds: float) -> str:
     return f"{odds:.0f}" if np.isfinite(odds) else "not asked"
 
 
-def share_table(partly: Partly) -> Markup:
+def share_table(partly: PartialDiagnosis) -> Markup:
     """Each effect that holds: what it closes of the gap, alone and last, and how sure that is.
 
     With its odds where these were asked for: not of frames of poses at rest, nor of names beside a built term.
@@ -133,7 +133,7 @@ def built_part(found: Diagnosis) -> list[Markup]:
     return parts
 
 
-def rest_lines(found: Diagnosis) -> list[Markup]:
+def remainder_lines(found: Diagnosis) -> list[Markup]:
     """What remains: size, memory, what it is fixed to, where; and what was found and does not hold."""
     if (rest := found.rest) is None:
         return []
@@ -328,7 +328,7 @@ def diagnosis_report_html(found: Diagnosis, errors: SelectionErrors) -> str:
         section("Before and after, on poses that nothing had seen", plot(gap_figure(found), "gap"), gap_table(found)),
         section("What to measure next", tag("p", found.next_experiment), proposal_table(found)),
         section("What was tried", plot(path_figure(found), "path") if found.path else Markup(), step_table(found)),
-        section("What remains", *rest_lines(found), remaining_table(found)),
+        section("What remains", *remainder_lines(found), remaining_table(found)),
         section("Not testable with these data", _list(f"{n}: {why}" for n, why in found.not_testable.items())),
         section("Remarks", _list(found.notes)) if found.notes else Markup(),
         section("Calibrated parameters", calibration_table(found)),

@@ -14,7 +14,7 @@ from ctrplan.anatomy.patient_frame import Frame, signs
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.errors import InputError
 from ctrplan.measurement.sensor import frames_along
-from ctrplan.reports.robot_surface import Pose
+from ctrplan.reports.robot_surface import RobotPose
 from ctrplan.studies.simulate import Simulation
 
 ROBOT_FRAME: Frame = "LPS"  # what the robot's own frame is taken for, as in the files of `ctrplan export`
@@ -31,7 +31,7 @@ def pyigtl() -> ModuleType:
     return module
 
 
-def pose_messages(pose: Pose, frame: Frame) -> list[bytes]:
+def pose_messages(pose: RobotPose, frame: Frame) -> list[bytes]:
     """TRANSFORM tip, tube_1, ... of the tubes' ends, third axis along them; POINT centreline_1, ... and tip_point."""
     packed = []
     for number, (rod, R) in enumerate(zip(pose.tubes, pose.ends_R, strict=True), start=1):

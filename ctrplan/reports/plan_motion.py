@@ -79,7 +79,7 @@ def _left(way: ComparedWay) -> Markup | str:
     return tag("span", f"{left}, not valid", kind="bad") if way.problem else left
 
 
-def looking_places(scene: PlanScene) -> dict[str, Any]:
+def camera_places(scene: PlanScene) -> dict[str, Any]:
     """Points in mm and unit vectors, anatomy's frame."""
     scenario = scene.plan.scenario
     points = np.concatenate([step.envelope.centreline_m for step in scene.path])
@@ -344,7 +344,7 @@ def _thinned(scene: PlanScene, figure: Any) -> str:
 def _starting(scene: PlanScene) -> str:
     """What runs once the scene and all of the page stand."""
     calls = ["addKey(plot, document.getElementById('key'))", "keepFitted(plot)"]
-    calls.append(f"addLooking(plot, {json.dumps(looking_places(scene))})")
+    calls.append(f"addLooking(plot, {json.dumps(camera_places(scene))})")
     if len(scene.path) > 1:
         calls.append(f"addPlayer(plot, {json.dumps(_motion(scene))})")
     body = f"const plot = document.getElementById('scene'); {'; '.join(calls)};"

@@ -35,7 +35,7 @@ from ctrplan.reports.curves import (
 from ctrplan.reports.looks import side_azimuth_rad, view_box
 from ctrplan.reports.plan_scene import goal_tip, tip_path
 from ctrplan.reports.plan_words import COLOURS, standing, verdict
-from ctrplan.reports.robot_surface import Pose, anatomy_surface, end_ring, stand
+from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, end_ring, stand
 from ctrplan.reports.words import millimetres
 from ctrplan.storage.output_folder import write_atomically
 
@@ -170,7 +170,7 @@ def draw_scene(ax: Axes3D, scene: PlanScene) -> None:
     _scene_legend(ax, scene)
 
 
-def _points(pose: Pose) -> Array:
+def _points(pose: RobotPose) -> Array:
     return np.concatenate([pose.envelope.surface(8).vertices_m, *(rod.centreline_m for rod in pose.tubes)])
 
 
@@ -198,7 +198,7 @@ def _draw_surface(ax: Axes3D, surface: Surface, colour: str, alpha: float, zorde
     )
 
 
-def _draw_robot(ax: Axes3D, pose: Pose, zorder: int, colours: list[str]) -> None:
+def _draw_robot(ax: Axes3D, pose: RobotPose, zorder: int, colours: list[str]) -> None:
     """Tubes as lines of their own width, inner ones first: what an outer tube covers is not seen."""
     scale = _points_per_mm(ax)
     for tube in reversed(range(len(pose.tubes))):

@@ -16,7 +16,7 @@ from ctrplan.errors import SolverError
 from ctrplan.files.plan_file import WrittenPlan
 from ctrplan.mechanics.shapes import Status
 from ctrplan.plans.planned_motion import Played, joints_at
-from ctrplan.reports.robot_surface import Pose, pose
+from ctrplan.reports.robot_surface import RobotPose, pose
 from ctrplan.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 def poses_along(
     scenario: Scenario, trajectory: Played, frames: int, progress: Progress | None = None
-) -> tuple[Pose, ...]:
+) -> tuple[RobotPose, ...]:
     """`frames` poses of a trajectory, both ends included; one if it takes no time.
 
     Solves the model at each. Left out are poses where the model has none: a plan that is not certified may have some.
@@ -90,7 +90,7 @@ class WrittenMotion:
     """A plan that was read, with the poses of its robot, anatomy's frame."""
 
     plan: WrittenPlan
-    path: tuple[Pose, ...]  # at equal steps of the time, both ends included
+    path: tuple[RobotPose, ...]  # at equal steps of the time, both ends included
     tip_m: Array  # (K, 3) without friction, at the places that were certified
     narrowest: NarrowestPose | None  # in free space
 
@@ -150,16 +150,16 @@ class PlanScene:
     """A plan with the poses of its robot: all that writers need, so that none of them solves the model."""
 
     plan: Plan
-    path: tuple[Pose, ...]  # at equal steps of the trajectory's time, both ends included; one if it takes no time
+    path: tuple[RobotPose, ...]  # at equal steps of the trajectory's time, both ends included; one if it takes no time
     narrowest: NarrowestPose | None = None  # in free space
 
     @property
-    def start(self) -> Pose:
+    def start(self) -> RobotPose:
         """Where the trajectory begins."""
         return self.path[0]
 
     @property
-    def goal(self) -> Pose:
+    def goal(self) -> RobotPose:
         """Where the trajectory ends."""
         return self.path[-1]
 

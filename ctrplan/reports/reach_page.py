@@ -18,7 +18,7 @@ from ctrplan.planning.reach import Configuration, Reach
 from ctrplan.reports import looks
 from ctrplan.reports.html_page import Markup, facts, page, plot, script, section, table, tag
 from ctrplan.reports.looks import view_box
-from ctrplan.reports.robot_surface import Pose, anatomy_surface, pose, stand
+from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, pose, stand
 from ctrplan.reports.scene_traces import anatomy_traces, lay_out, mesh_trace, xyz
 from ctrplan.reports.words import degrees, digits, glossary, millimetres, term
 from ctrplan.scenario.scenario import Scenario
@@ -35,7 +35,7 @@ class ReachScene:
     configurations: tuple[Configuration, ...]  # lowest bound first
     branches: tuple[int, ...]  # of each, from 0
     target_m: Array  # (3,) anatomy's frame
-    poses: tuple[tuple[int, Pose], ...]  # branch, and the robot in its first configuration
+    poses: tuple[tuple[int, RobotPose], ...]  # branch, and the robot in its first configuration
 
 
 def reach_scene(scenario: Scenario, found: Reach, branches: list[int]) -> ReachScene:

@@ -68,7 +68,7 @@ PLATE_THICKNESS_M = 0.8e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class RobotPose:
     """The robot at one place of its path, anatomy's frame; S stations per line, the same for every pose."""
 
     time_s: float
@@ -85,7 +85,7 @@ class Pose:
         return tip
 
 
-def pose(scenario: Scenario, joints: ArrayLike, time_s: float = 0.0) -> Pose:
+def pose(scenario: Scenario, joints: ArrayLike, time_s: float = 0.0) -> RobotPose:
     """The robot at commanded joints (m,) [rad, m]; solves one bound. Raises SolverError where there is no solution."""
     bound = scenario.robot.mechanics.bound(*scenario.robot.drive.collars(joints))
     if not np.isfinite(bound.position_m):
@@ -93,11 +93,11 @@ def pose(scenario: Scenario, joints: ArrayLike, time_s: float = 0.0) -> Pose:
     return _posed(scenario, bound, time_s)
 
 
-def _posed(scenario: Scenario, bound: Bound, time_s: float) -> Pose:
+def _posed(scenario: Scenario, bound: Bound, time_s: float) -> RobotPose:
     robot, tubes = scenario.robot, bound.frictionless.tubes
     radii = [tube.outer_diameter_m / 2 for tube in robot.tubes]
     rods = [_rod(tube, _stations(tube), radius) for tube, radius in zip(tubes, radii, strict=True)]
-    return Pose(
+    return RobotPose(
         time_s,
         tuple(_in_anatomy(scenario, rod) for rod in rods),
         _in_anatomy(scenario, _envelope(bound, radii, robot.model_error_m)),
@@ -159,7 +159,7 @@ def _envelope(bound: Bound, radii_m: list[float], model_error_m: float) -> Rod:
 WIDTH, STANDS_OUT = 0.018, 1.35  # share of the robot's length, and of the outermost radius
 
 
-def tube_surface(pose: Pose, tube: int, sides: int) -> Surface:
+def tube_surface(pose: RobotPose, tube: int, sides: int) -> Surface:
     """The tube with the ring at its end, which has no size where the tube can be seen; 0 the outermost."""
     rod, ring = pose.tubes[tube].surface(sides), end_ring(pose, tube).surface(sides)
     return Surface(
@@ -168,7 +168,7 @@ def tube_surface(pose: Pose, tube: int, sides: int) -> Surface:
     )
 
 
-def end_ring(pose: Pose, tube: int) -> Rod:
+def end_ring(pose: RobotPose, tube: int) -> Rod:
     """Rings of tubes that end at the same place stand behind each other, the outer one's first."""
     lengths = [_arc_lengths(rod.centreline_m)[-1] for rod in pose.tubes]
     width, rod = WIDTH * max(lengths), pose.tubes[tube]
@@ -194,7 +194,7 @@ STRIDE, FAR_CELLS = 4, 8
 SPACING_CELLS = 0.5  # of the spheres that stand for a rod, or thin ones would be beads on a string
 
 
-def swept_surface(poses: Sequence[Pose]) -> Surface:
+def swept_surface(poses: Sequence[RobotPose]) -> Surface:
     """The union of all poses' envelopes, each a row of spheres along its centreline.
 
     Which sphere a point is deepest in, or nearest to, is asked by its power |x - c|^2 - r^2: that is the nearest

@@ -13,7 +13,7 @@ from ctrplan.base.surface import Surface
 from ctrplan.reports import looks
 from ctrplan.reports.html_page import FONT
 from ctrplan.reports.looks import side_azimuth_rad
-from ctrplan.reports.robot_surface import Pose, tube_surface
+from ctrplan.reports.robot_surface import RobotPose, tube_surface
 
 if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario
@@ -24,7 +24,7 @@ TILT = np.radians(16)
 LIGHT = {"ambient": 0.75, "diffuse": 0.5, "specular": 0.15, "roughness": 0.7}
 
 
-def robot_traces(pose: Pose) -> list[Any]:
+def robot_traces(pose: RobotPose) -> list[Any]:
     """The traces that move; their faces stay, and only their vertices come with the frames."""
     tubes = [
         mesh_trace(tube_surface(pose, i, SIDES), looks.tube_look(i).colour, 1.0, looks.tube_look(i).name)
@@ -43,14 +43,14 @@ def robot_traces(pose: Pose) -> list[Any]:
     return [*tubes, envelope, corners]
 
 
-def moved_traces(pose: Pose) -> list[Any]:
+def moved_traces(pose: RobotPose) -> list[Any]:
     """What of `robot_traces` changes with the pose."""
     tubes = [tube_surface(pose, i, SIDES) for i in range(len(pose.tubes))]
     surfaces = [*tubes, pose.envelope.surface(ENVELOPE_SIDES)]
     return [*(go.Mesh3d(**xyz(surface.vertices_m)) for surface in surfaces), go.Scatter3d(**_corner_lines(pose))]
 
 
-def _corner_lines(pose: Pose) -> dict[str, Any]:
+def _corner_lines(pose: RobotPose) -> dict[str, Any]:
     """All corner shapes as one line with gaps."""
     gap = np.full((len(pose.corners_m), 1, 3), np.nan)
     return xyz(np.concatenate([pose.corners_m, gap], axis=1).reshape(-1, 3))

@@ -19,7 +19,7 @@ from ctrplan.reports.scene_traces import anatomy_traces, lay_out, xyz
 from ctrplan.reports.study_tables import Quantity
 from ctrplan.reports.words import digits
 from ctrplan.studies.study.analysis import Sensitivity, sensitivity
-from ctrplan.studies.study.definition import Definition
+from ctrplan.studies.study.study_definition import StudyDefinition
 from ctrplan.studies.study.table import StudyTable
 
 MOST_POINTS = 20_000
@@ -187,7 +187,7 @@ BEYOND = (
 
 
 def sensitivity_section(
-    study: Definition, rows: StudyTable, judged: Quantity | None, library: list[bool]
+    study: StudyDefinition, rows: StudyTable, judged: Quantity | None, library: list[bool]
 ) -> list[Markup]:
     """Nothing where nothing was drawn for it."""
     if judged is None or study.entry.draws.method == "random" or find_spec("SALib") is None:

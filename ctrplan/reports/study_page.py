@@ -33,7 +33,7 @@ from ctrplan.reports.study_tables import (
 from ctrplan.reports.words import digits
 from ctrplan.storage.output_folder import write_atomically
 from ctrplan.studies.study.analysis import judged_by
-from ctrplan.studies.study.definition import Definition
+from ctrplan.studies.study.study_definition import StudyDefinition
 from ctrplan.studies.study.table import StudyTable
 
 COLUMNS = (*(f"base_{axis}_mm" for axis in "xyz"), *(f"base_q{axis}" for axis in "wxyz"))
@@ -124,13 +124,13 @@ SEVERAL = (
 )
 
 
-def write_study_report(study: Definition, table: StudyTable) -> None:
+def write_study_report(study: StudyDefinition, table: StudyTable) -> None:
     """Writes it into the study's folder. Raises CtrplanError where the system refuses."""
     assert table.folder is not None
     write_atomically(table.folder / "report.html", study_report_html(study, table))
 
 
-def study_report_html(study: Definition, table: StudyTable) -> str:
+def study_report_html(study: StudyDefinition, table: StudyTable) -> str:
     """The content of report.html."""
     shown = quantities(study, table)
     judged = next((quantity for quantity in shown if quantity.column == judged_by(study)), None)
@@ -154,7 +154,7 @@ def study_report_html(study: Definition, table: StudyTable) -> str:
     )
 
 
-def _verdict(study: Definition, table: StudyTable) -> str:
+def _verdict(study: StudyDefinition, table: StudyTable) -> str:
     count, done = len(table), int(table.done.sum())
     sentence = f"{done:,} of {count:,} tasks have an answer."
     if "within_tolerance" in table.columns:
@@ -184,7 +184,7 @@ def _tiles(table: StudyTable, judged: Quantity | None) -> Markup:
     return tag("div", *(tag("div", tag("b", v), tag("span", n), kind="tile") for v, n in shown), kind="tiles")
 
 
-def _maps(study: Definition, table: StudyTable, shown: list[Quantity], library: list[bool]) -> list[Markup]:
+def _maps(study: StudyDefinition, table: StudyTable, shown: list[Quantity], library: list[bool]) -> list[Markup]:
     found = []
     for where, title, name in MAPS:
         places = Places.of(table, where)
@@ -200,7 +200,7 @@ def _maps(study: Definition, table: StudyTable, shown: list[Quantity], library: 
     return found
 
 
-def _tables(study: Definition, table: StudyTable, judged: Quantity | None) -> list[Markup]:
+def _tables(study: StudyDefinition, table: StudyTable, judged: Quantity | None) -> list[Markup]:
     found = [section(f"By {name}", content) for name, content in along_axes(study, table, judged)]
     if judged is not None:
         if (poses := poses_table(table, judged)) is not None:
@@ -225,7 +225,7 @@ def _failures(table: StudyTable) -> Markup:
     return section("Tasks without an answer", of_reasons(table))
 
 
-def _provenance(study: Definition, table: StudyTable) -> Markup:
+def _provenance(study: StudyDefinition, table: StudyTable) -> Markup:
     main = study.entry.scenario or study.entry.robot or ""
     seconds = sum(value or 0.0 for value in table.columns["seconds"])
     workers = len(set(table.columns["worker"]))

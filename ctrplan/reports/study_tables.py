@@ -15,8 +15,8 @@ from ctrplan.base.arrays import Array
 from ctrplan.reports.html_page import Markup, escaped, facts, table, tag
 from ctrplan.reports.words import digits
 from ctrplan.studies.study.analysis import extremes, judged_by
-from ctrplan.studies.study.definition import Definition
 from ctrplan.studies.study.store import PLANS
+from ctrplan.studies.study.study_definition import StudyDefinition
 from ctrplan.studies.study.table import FIRST, LAST, TIMING, StudyTable
 
 
@@ -57,13 +57,13 @@ KNOWN = (
 UNITS = {"mm": "mm", "deg": "deg", "s": "s"}
 
 
-def inputs_of(study: Definition, table: StudyTable) -> list[str]:
+def inputs_of(study: StudyDefinition, table: StudyTable) -> list[str]:
     """Columns of what is varied, in the table's order."""
     names = {name for axis in study.axes for name in axis.at(0).inputs}
     return [name for name in table.columns if name in names]
 
 
-def quantities(study: Definition, table: StudyTable) -> list[Quantity]:
+def quantities(study: StudyDefinition, table: StudyTable) -> list[Quantity]:
     """Numbers of the table that are not all alike, and what rows are judged by, which is first."""
     outside = {*FIRST, *LAST, *TIMING, *inputs_of(study, table)}
     known = {quantity.column: quantity for quantity in KNOWN}
@@ -104,7 +104,7 @@ MOST_REASONS = 8
 _NUMBER = re.compile(r"-?\d[\d.,]*(e-?\d+)?")
 
 
-def along_axes(study: Definition, rows: StudyTable, judged: Quantity | None) -> list[tuple[str, Markup]]:
+def along_axes(study: StudyDefinition, rows: StudyTable, judged: Quantity | None) -> list[tuple[str, Markup]]:
     """For each input with a few values: its tasks, what became of them, and what they are judged by."""
     found = []
     for name in inputs_of(study, rows):
@@ -173,7 +173,7 @@ def of_reasons(rows: StudyTable) -> Markup:
     return table(["Tasks", "", "For example"], lines)
 
 
-def of_extremes(study: Definition, rows: StudyTable, judged: Quantity) -> Markup:
+def of_extremes(study: StudyDefinition, rows: StudyTable, judged: Quantity) -> Markup:
     """The best and the worst row, with their plans."""
     every = list(rows.rows())
     found = extremes(every, judged.column)
@@ -186,7 +186,7 @@ def of_extremes(study: Definition, rows: StudyTable, judged: Quantity) -> Markup
     return Markup("".join(parts))
 
 
-def _case(study: Definition, rows: StudyTable, row: dict[str, Any]) -> Markup:
+def _case(study: StudyDefinition, rows: StudyTable, row: dict[str, Any]) -> Markup:
     pairs = [(name, _shown(row[name])) for name in inputs_of(study, rows) if row.get(name) is not None]
     place = Path(PLANS) / f"{row['index']:06d}"
     kept = (rows.folder or Path()) / place
@@ -199,7 +199,7 @@ def _case(study: Definition, rows: StudyTable, row: dict[str, Any]) -> Markup:
     return facts(pairs)
 
 
-def _command(study: Definition, row: dict[str, Any]) -> str:
+def _command(study: StudyDefinition, row: dict[str, Any]) -> str:
     """The command line that does the same as a plan's row."""
     import json
 

@@ -13,7 +13,7 @@ from ctrplan.mechanics.tube import Contact, Loads, Tube, TubeSection
 MAGNITUDE = "curvature_per_m"  # of a section's precurvature, whose direction stays
 
 
-class Numbered(Protocol):
+class HasNumbers(Protocol):
     """What has the numbers of a robot; a `Robot`, which may ask for them itself."""
 
     @property
@@ -37,10 +37,10 @@ class Numbered(Protocol):
         """(n - 1, 2) lowest and highest coefficient of each pair."""
 
 
-R = TypeVar("R", bound=Numbered)
+R = TypeVar("R", bound=HasNumbers)
 
 
-def value_of(robot: Numbered, name: str) -> float:
+def value_of(robot: HasNumbers, name: str) -> float:
     """The number behind a name, SI. Raises InputError for a name the robot does not have."""
     steps = name.split(".")
     try:
@@ -71,7 +71,7 @@ def with_values(robot: R, values: Mapping[str, float]) -> R:
     return made
 
 
-def _read(robot: Numbered, steps: list[str]) -> Any:
+def _read(robot: HasNumbers, steps: list[str]) -> Any:
     kind, place, *rest = steps
     if kind == "loads":
         return getattr(robot.loads, place)[_index(rest[0])]

@@ -22,7 +22,7 @@ from ctrplan.errors import InputError, SolverError
 from ctrplan.measurement.sensor import SensorNoise
 from ctrplan.mechanics.core_arrays import joint_row, joint_rows
 from ctrplan.mechanics.history import HistoryPath
-from ctrplan.robot.observer_histories import Histories, Member, RobotWith, asked, states_nearby, tidied, weights
+from ctrplan.robot.observer_histories import Histories, Member, RobotWith, probed, states_nearby, tidied, weights
 from ctrplan.robot.observer_state import (
     Observed,
     ObservedHistory,
@@ -170,7 +170,7 @@ class Observer:
         given = (numbers(theta_commanded, "theta_commanded"), numbers(l_commanded, "l_commanded"))
         theta_b, l_b = joint_rows(*self._drive.reached(*map(np.atleast_2d, given)), self._bank.mechanics.n)
         found = []
-        paths = self._bank.threads.each(lambda member: asked(member.history, theta_b, l_b), self._bank.members)
+        paths = self._bank.threads.each(lambda member: probed(member.history, theta_b, l_b), self._bank.members)
         for member, path, share in zip(self._bank.members, paths, weights(self._bank.members), strict=True):
             if path is not None:
                 moved_m, variance = self._ahead(member, path, theta_b, l_b)

@@ -76,7 +76,7 @@ def followed(history: History, theta_b: Array, l_b: Array) -> HistoryPath | None
     return path if path.status[-1] < Status.FAILED else None
 
 
-def asked(history: History, theta_b: Array, l_b: Array) -> HistoryPath | None:
+def probed(history: History, theta_b: Array, l_b: Array) -> HistoryPath | None:
     """As `followed`, of a history that stays where it is."""
     here = history.save()
     path = followed(history, theta_b, l_b)

@@ -19,7 +19,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.mechanics.core import Mechanics
 from ctrplan.mechanics.tube import SOFTEST_NM2
-from ctrplan.robot.named_numbers import Numbered, value_of, with_values
+from ctrplan.robot.named_numbers import HasNumbers, value_of, with_values
 
 
 @checked(sigma_m=Number(0, 1, "m"), memory_steps=Number(1, math.inf))
@@ -62,7 +62,7 @@ class SlowParameter:
 LEAST = {"friction_coefficient": 0.0, "clearance_m": 1e-6, "length_m": 1e-3, "bending_stiffness_Nm2": SOFTEST_NM2}
 
 
-class Followable(Numbered, Protocol):
+class Followable(HasNumbers, Protocol):
     """A robot with its mechanics."""
 
     @property

@@ -42,7 +42,7 @@ TURNS_RAD = (0.0, math.pi / 2, math.pi, -math.pi / 2)
 MOST_JOINTS = 6  # whose turns are tried in all combinations
 
 
-def drawn_back(robot: Robot) -> Array:
+def retracted(robot: Robot) -> Array:
     """(m,) joint values: every translation at the end that draws tubes back, rotations where stability is greatest.
 
     Raises InputError where there is none within limits that nests and is stable: then the start has to be said.

@@ -50,7 +50,7 @@ class _End:
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
+class PathPrediction:
     """Simulated tips at K configurations from each of S start states, released and every corner."""
 
     tip_m: Array  # (S, K, 3); NaN after no equilibrium was found
@@ -104,7 +104,7 @@ def predict(
     starts: Sequence[Start | ObservedHistory],
     accuracy: Accuracy = "search",
     look: Look | None = None,
-) -> Prediction:
+) -> PathPrediction:
     """The histories along configurations (K, m) of actuated joints, from start states.
 
     `look` is shown the shape of each simulated robot every LOOK_EVERY configurations, from several threads.
@@ -115,14 +115,14 @@ def predict(
 
 def predict_end(
     robot: Robot, joints: Array, starts: Sequence[Start | ObservedHistory]
-) -> tuple[Prediction, list[HistoryState]]:
+) -> tuple[PathPrediction, list[HistoryState]]:
     """As `predict`, and the states at the end, to go on from."""
     histories = [_begun(robot, start) for start in starts]
     prediction = _follow(robot, histories, joints)
     return prediction, _saved(histories)
 
 
-def predict_from(robot: Robot, states: Sequence[HistoryState], joints: Array) -> Prediction:
+def predict_from(robot: Robot, states: Sequence[HistoryState], joints: Array) -> PathPrediction:
     """As `predict`, from states at the first row of joints (K, m), one for each start."""
     return _follow(robot, _restored(robot, states), joints)
 
@@ -190,7 +190,7 @@ def rows_to_simulate(robot: Robot, joints: Array, leg: NDArray[np.int_]) -> NDAr
     return np.flatnonzero(wanted)
 
 
-def _follow(robot: Robot, histories: list[History], joints: Array, look: Look | None = None) -> Prediction:
+def _follow(robot: Robot, histories: list[History], joints: Array, look: Look | None = None) -> PathPrediction:
     """Tips of the histories along joints (K, m).
 
     Rotation wipes out where they came from: those that have become the same are followed once from there on, and stand
@@ -212,7 +212,7 @@ def _follow(robot: Robot, histories: list[History], joints: Array, look: Look | 
                 ends.append(end)
                 for k in alike if same else ():
                     histories[k] = apart[same[0]]
-    return Prediction(poses[..., :3], poses[..., 3:], snaps)
+    return PathPrediction(poses[..., :3], poses[..., 3:], snaps)
 
 
 def _block(theta_b: Array, l_b: Array, look: Look | None, history: History) -> tuple[Array, int, Array]:

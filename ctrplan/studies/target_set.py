@@ -100,7 +100,7 @@ NEAR_M = 15e-3  # a target with no such tip within this is out of reach
 
 
 @dataclass(frozen=True, eq=False)
-class TargetWorth:
+class TargetValue:
     """A target that is reached."""
 
     joints: Array  # (m,)
@@ -114,20 +114,20 @@ class TargetWorth:
         return self.tip_error_m + self.bound_m
 
 
-def target_worth(scenario: Scenario, starts: int, seed: int) -> TargetWorth | None:
+def target_value(scenario: Scenario, starts: int, seed: int) -> TargetValue | None:
     """Of the scenario's goal, a tip position; None where no configuration was found from `starts` random ones."""
     checker, target = target_checker(scenario), tip_target(scenario)
     rng = np.random.default_rng(seed)
     ways = reach(checker, target, scenario.goal.tolerance_m, rng, starts).configurations
-    best = _least(checker, target, [way for way in ways if way.valid])
+    best = _lowest_error(checker, target, [way for way in ways if way.valid])
     if best is None:
         return None
     trails = descended(checker, [GoalState(best.joints, best.bound_m, best.tip_error_m)])
     states = [configuration(checker, target, state.joints) for trail in trails for state in trail[1:]]
-    return _worth(_least(checker, target, [best, *states]) or best)
+    return _value(_lowest_error(checker, target, [best, *states]) or best)
 
 
-def _least(checker: MotionChecker, target: TipTarget, ways: Sequence[Configuration]) -> Configuration | None:
+def _lowest_error(checker: MotionChecker, target: TipTarget, ways: Sequence[Configuration]) -> Configuration | None:
     """The valid way that friction harms least, of the best ones and of those that lead their tips onto the target.
 
     Ways are found within the target's tolerance, which is no error of the robot's.
@@ -144,7 +144,7 @@ def _error_m(way: Configuration) -> float:
     return way.tip_error_m + way.bound_m
 
 
-def worth_beside(scenario: Scenario, near: TargetWorth) -> TargetWorth | None:
+def value_nearby(scenario: Scenario, near: TargetValue) -> TargetValue | None:
     """Of the same target for a robot that differs a little: the tip is led back from the joints of `near`.
 
     None where that leads to no valid configuration.
@@ -155,7 +155,7 @@ def worth_beside(scenario: Scenario, near: TargetWorth) -> TargetWorth | None:
         return None
     joints = refined(checker, target, begin, min(FINE_M, scenario.goal.tolerance_m))[0]
     found = configuration(checker, target, joints)
-    return _worth(found) if found.valid and found.tip_error_m <= scenario.goal.tolerance_m else None
+    return _value(found) if found.valid and found.tip_error_m <= scenario.goal.tolerance_m else None
 
 
 def target_checker(scenario: Scenario) -> MotionChecker:
@@ -165,25 +165,25 @@ def target_checker(scenario: Scenario) -> MotionChecker:
     return checker
 
 
-def within_reach(scenario: Scenario, goals: Sequence[Goal], seed: int) -> list[bool]:
+def reachable(scenario: Scenario, goals: Sequence[Goal], seed: int) -> list[bool]:
     """Which goals have a zero-clearance tip somewhere near, whatever collides: a cheap bound on what is reached."""
     checker = target_checker(scenario)
     solver = TipSolver(checker.space, checker.mechanics)
     tips = solver.tips(checker.space.sample(np.random.default_rng(seed), SAMPLES))[0]
-    own = np.array([tip_target(aimed(scenario, goal)).tip_m for goal in goals])
+    own = np.array([tip_target(with_target(scenario, goal)).tip_m for goal in goals])
     if solver.common_rotation is not None:  # turning all tubes together brings the tip around
         tips, own = (np.column_stack([np.hypot(p[:, 0], p[:, 1]), p[:, 2]]) for p in (tips, own))
     tips = tips[~np.isnan(tips).any(axis=1)]
     return [bool(len(tips)) and bool(np.linalg.norm(tips - goal, axis=1).min() < NEAR_M) for goal in own]
 
 
-def aimed(scenario: Scenario, goal: Goal) -> Scenario:
+def with_target(scenario: Scenario, goal: Goal) -> Scenario:
     """The scenario with one goal."""
     return replace(scenario, goal=goal, via=())
 
 
-def _worth(way: Configuration) -> TargetWorth:
-    return TargetWorth(way.joints, way.tip_error_m, way.bound_m, way.clearance_m)
+def _value(way: Configuration) -> TargetValue:
+    return TargetValue(way.joints, way.tip_error_m, way.bound_m, way.clearance_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,15 +275,15 @@ class Search:
 
 
 @dataclass(frozen=True, eq=False)
-class SetWorth:
+class SetValue:
     """T targets and what a robot makes of them; None where one is not reached."""
 
-    targets: tuple[TargetWorth | None, ...]
+    targets: tuple[TargetValue | None, ...]
     unreached_mm: float
     stability: float  # least along the motions to the targets that are reached; -inf where none is
 
     @property
-    def reached(self) -> list[TargetWorth]:
+    def reached(self) -> list[TargetValue]:
         """Those that are."""
         return [target for target in self.targets if target is not None]
 
@@ -309,18 +309,18 @@ class SetWorth:
         return min((target.clearance_m * MM_PER_M for target in self.reached), default=-math.inf)
 
 
-def set_worth(scenario: Scenario, goals: Sequence[Goal], search: Search) -> SetWorth:
+def set_value(scenario: Scenario, goals: Sequence[Goal], search: Search) -> SetValue:
     """Target by target, cheap ones first. Raises Pruned as soon as a design of the front is better in any case."""
     outlook, reached = Outlook(len(goals), search.unreached_mm), 0
-    possible = within_reach(scenario, goals, search.seed)
+    possible = reachable(scenario, goals, search.seed)
     for _ in range(possible.count(False)):
         outlook = outlook.with_target(None)
-    found: list[TargetWorth | None] = [None] * len(goals)
+    found: list[TargetValue | None] = [None] * len(goals)
     for k in np.flatnonzero(possible).tolist():
         if outlook.is_hopeless(reached, search.front):
             break
-        there = aimed(scenario, goals[k])
-        target = found[k] = target_worth(there, search.starts, search.seed + k)
+        there = with_target(scenario, goals[k])
+        target = found[k] = target_value(there, search.starts, search.seed + k)
         if target is None:
             outlook = outlook.with_target(None)
             continue
@@ -330,10 +330,10 @@ def set_worth(scenario: Scenario, goals: Sequence[Goal], search: Search) -> SetW
     if outlook.is_hopeless(reached, search.front):
         looked = len(outlook.errors_mm)
         raise Pruned(f"a design of the front is better, as {looked} of {len(goals)} targets show already.")
-    return SetWorth(tuple(found), search.unreached_mm, outlook.stability if reached else -math.inf)
+    return SetValue(tuple(found), search.unreached_mm, outlook.stability if reached else -math.inf)
 
 
-def error_slopes_mm(scenario: Scenario, goals: Sequence[Goal], worth: SetWorth, pairs: Sequence[RobotPair]) -> Array:
+def error_slopes_mm(scenario: Scenario, goals: Sequence[Goal], worth: SetValue, pairs: Sequence[RobotPair]) -> Array:
     """(P,) [mm] by which `worth.error_mm` grows for half the difference of each pair, to first order.
 
     Targets that are not reached, and those that count as such, stay what they are.
@@ -341,7 +341,7 @@ def error_slopes_mm(scenario: Scenario, goals: Sequence[Goal], worth: SetWorth, 
     total = np.zeros(len(pairs))
     for goal, target in zip(goals, worth.targets, strict=True):
         if target is not None and target.error_m * MM_PER_M < worth.unreached_mm:
-            total += bound_by(target_checker(aimed(scenario, goal)), target.joints, pairs)
+            total += bound_by(target_checker(with_target(scenario, goal)), target.joints, pairs)
     slopes: Array = total * MM_PER_M / len(goals)
     return slopes
 
@@ -355,10 +355,10 @@ class Robust:
     reach: float  # of the same targets, at the worst corner of the tolerances
 
 
-def robust_worth(
+def robust_value(
     scenario: Scenario,
     goals: Sequence[Goal],
-    worth: SetWorth,
+    worth: SetValue,
     slopes_mm: Array,
     pairs: Sequence[RobotPair],
     search: Search,
@@ -370,12 +370,12 @@ def robust_worth(
     linear_mm = worth.error_mm + float(np.abs(slopes_mm).sum())
     made = replace(scenario, robot=robot_at(scenario.robot, pairs, np.where(slopes_mm >= 0, 1.0, -1.0)))
     beside = tuple(
-        None if target is None else _remade(aimed(made, goal), target, search, k)
+        None if target is None else _remade(with_target(made, goal), target, search, k)
         for k, (goal, target) in enumerate(zip(goals, worth.targets, strict=True))
     )
     there = replace(worth, targets=beside)
     return Robust(max(linear_mm, there.error_mm), linear_mm, there.reach)
 
 
-def _remade(scenario: Scenario, target: TargetWorth, search: Search, k: int) -> TargetWorth | None:
-    return worth_beside(scenario, target) or target_worth(scenario, search.starts, search.seed + k)
+def _remade(scenario: Scenario, target: TargetValue, search: Search, k: int) -> TargetValue | None:
+    return value_nearby(scenario, target) or target_value(scenario, search.starts, search.seed + k)

@@ -26,8 +26,22 @@ from ctrplan.base.long_work import cores
 from ctrplan.mechanics.shapes import FrictionBodies
 from ctrplan.scenario.scenario import anatomy_grid
 from ctrplan.uncertainty.parameters import UncertainParameters, uncertain_parameters
-from ctrplan.uncertainty.tip_slopes import friction_bound_m, friction_states, held_collars, tip_slopes, worst_bound_m
-from ctrplan.uncertainty.worst_case import BaseBall, Farthest, OffsetBox, Sides, farthest, reach_m, rough_reach_m
+from ctrplan.uncertainty.tip_slopes import (
+    clamped_collars,
+    friction_bound_m,
+    friction_states,
+    tip_slopes,
+    worst_bound_m,
+)
+from ctrplan.uncertainty.worst_case import (
+    BaseBall,
+    Farthest,
+    IntervalSides,
+    OffsetBox,
+    farthest,
+    reach_m,
+    rough_reach_m,
+)
 
 if TYPE_CHECKING:
     from ctrplan.robot.robot import Robot
@@ -73,10 +87,10 @@ class BodySpread:
     stability: MarginSpread
     spared_strain: MarginSpread  # strains, negative
 
-    def sides(self) -> Sides:
+    def sides(self) -> IntervalSides:
         """Of all S N points, one state after the other."""
         states, count, _, axes = self.sides_m.shape
-        return Sides(self.middle_m.reshape(-1, 3), self.sides_m.reshape(states * count, 3, axes))
+        return IntervalSides(self.middle_m.reshape(-1, 3), self.sides_m.reshape(states * count, 3, axes))
 
 
 def body_spread(parameters: UncertainParameters, theta: Array, l: Array) -> BodySpread:  # noqa: E741
@@ -102,7 +116,7 @@ def body_spread(parameters: UncertainParameters, theta: Array, l: Array) -> Body
 def solved_bodies(parameters: UncertainParameters, offset: Array, theta: Array, l: Array) -> FrictionBodies:  # noqa: E741
     """Bodies [m] in S friction states with parameters (P,) away from their values; NaN where a solve failed."""
     robot = parameters.robot_at(offset)
-    theta_b, l_b = held_collars(parameters, robot, theta[None], l[None])
+    theta_b, l_b = clamped_collars(parameters, robot, theta[None], l[None])
     found = robot.mechanics.friction_bodies(theta_b[0], l_b[0], friction_states(robot), spacing_m=SPACING_M)
     lost = ~found.solved
     return replace(
@@ -168,7 +182,7 @@ class BodyClearance:
         return self.spread.point_m.reshape(-1, 3)
 
     @cached_property
-    def sides(self) -> Sides:
+    def sides(self) -> IntervalSides:
         """Of all points."""
         return self.spread.sides()
 
@@ -188,7 +202,7 @@ class BodyClearance:
         """(B,) how far each point may be displaced, to first order; no less where that can't matter."""
         found = rough_reach_m(self.sides, self.base, self.point_m)
         rows = self.clearance_m - found - NEAR_M <= self.least_m
-        moved = Sides(self.sides.middle[rows], self.sides.sides[rows])
+        moved = IntervalSides(self.sides.middle[rows], self.sides.sides[rows])
         found[rows] = reach_m(moved, self.base, self.point_m[rows])
         return found
 
@@ -211,7 +225,7 @@ class BodyClearance:
     def worst(self) -> Farthest:
         """How that point is displaced farthest."""
         row = [self.most_displaced]
-        moved = Sides(self.sides.middle[row], self.sides.sides[row])
+        moved = IntervalSides(self.sides.middle[row], self.sides.sides[row])
         return farthest(np.zeros((1, 3)), moved, self.base, self.point_m[row])
 
     @property
@@ -309,7 +323,7 @@ def parameter_allowance(scenario: Scenario, joints: Array) -> ParameterAllowance
     parameters, nothing = uncertain_parameters(scenario.robot), np.zeros(len(joints))
     if not is_uncertain(scenario):
         return ParameterAllowance(nothing, nothing, nothing, nothing)
-    rows = looked_at(len(joints))
+    rows = allowance_samples(len(joints))
     bound = _between(rows, _bounds(parameters, joints[rows]), len(joints)) if parameters.count else nothing
     bodies = bodies_at(scenario, parameters, joints[rows])
     taken = np.array([(body.allowance_m, *body.margins_lost) for body in bodies])
@@ -332,7 +346,7 @@ def usual_allowance_m(scenario: Scenario, sample: Callable[[], Array]) -> float:
     return known[scenario.registration]
 
 
-def looked_at(count: int) -> NDArray[np.int_]:
+def allowance_samples(count: int) -> NDArray[np.int_]:
     """Samples of `count`, spread evenly, the first and the last among them."""
     return np.unique(np.linspace(0, count - 1, min(count, ROWS)).round().astype(int))
 

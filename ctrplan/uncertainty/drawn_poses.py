@@ -27,8 +27,8 @@ from ctrplan.mechanics.history import History
 from ctrplan.robot.observer_state import ObservedHistory
 from ctrplan.scenario.prediction import predict, rows_to_simulate, start_states
 from ctrplan.uncertainty.parameters import UncertainParameters
-from ctrplan.uncertainty.target import Aim, Misses
-from ctrplan.uncertainty.tip_slopes import TipSlopes, held_collars, poses_at, tip_slopes
+from ctrplan.uncertainty.target import Misses, TargetPose
+from ctrplan.uncertainty.tip_slopes import TipSlopes, clamped_collars, poses_at, tip_slopes
 from ctrplan.uncertainty.worst_case import SOLVED, Draws
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ class SimulatedPoses:
 
         def driven(k: int) -> Array:
             robot = parameters.robot_at(offsets[k])
-            return _driven(robot, starts[start[k]], *held_collars(parameters, robot, *commanded), rows)
+            return _driven(robot, starts[start[k]], *clamped_collars(parameters, robot, *commanded), rows)
 
         beyond = np.empty((0, len(rows), 6))
         with ThreadPoolExecutor(cores()) as pool:
@@ -197,7 +197,7 @@ class DrawnPoses:
         beyond = BeyondFirstOrder.of(offsets / parameters.sigma, solved - linear)
         return cls(parameters, theta, l, slopes, draws, beyond)
 
-    def any_friction(self, aim: Aim, places: NDArray[np.int_], draws: Draws) -> tuple[Misses, Misses]:
+    def any_friction(self, aim: TargetPose, places: NDArray[np.int_], draws: Draws) -> tuple[Misses, Misses]:
         """In the worst friction state of all places: of all draws, and of those that were solved.
 
         `places` are those of one target, its end last; `draws` has the same robots.
@@ -211,7 +211,7 @@ class DrawnPoses:
         return Misses.worst(found), Misses.worst(own)
 
     def by_history(
-        self, aim: Aim, places: NDArray[np.int_], draws: Draws, simulated: SimulatedPoses
+        self, aim: TargetPose, places: NDArray[np.int_], draws: Draws, simulated: SimulatedPoses
     ) -> tuple[Misses, Misses]:
         """With friction as simulated, likewise."""
         found, own = list[Misses](), list[Misses]()
@@ -246,7 +246,7 @@ def _ends(places: NDArray[np.int_]) -> Iterator[tuple[int, bool]]:
         yield w, w == places[-1]
 
 
-def _judged(aim: Aim, pose: Array, at: Array, draws: Draws, is_end: bool) -> Misses:
+def _judged(aim: TargetPose, pose: Array, at: Array, draws: Draws, is_end: bool) -> Misses:
     """Poses (M, 6) of the first M draws before base and unexplained errors, which move the tip about a pose at (6,)."""
     count = len(pose)
     off = aim.off_m(pose[:, :3] + draws.rigid(at[:3])[:count], is_end)

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Aim:
+class TargetPose:
     """A tip position with a tolerance, possibly with a direction, and with a line that leads to it."""
 
     tip_m: Array  # (3,)
@@ -43,7 +43,7 @@ class Aim:
     line_m: Array | None = None  # (L, 3) corners, the last one tip_m
 
     @classmethod
-    def of(cls, scenario: Scenario, goal: Goal, frictionless_m: Array) -> Aim:
+    def of(cls, scenario: Scenario, goal: Goal, frictionless_m: Array) -> TargetPose:
         """Of a goal; of one in joint values the frictionless tip (3,) there."""
         if goal.tip_m is None:
             return cls(frictionless_m, None)
@@ -93,13 +93,13 @@ class Misses:
         """The largest of several places or states, robot by robot."""
         return cls(np.max([f.off_m for f in found], axis=0), np.max([f.turned_rad for f in found], axis=0))
 
-    def missed(self, aim: Aim) -> NDArray[np.bool_]:
+    def missed(self, aim: TargetPose) -> NDArray[np.bool_]:
         """(M,) off by more than the tolerance, or turned by more than that of the direction; none without one."""
         if aim.tolerance_m is None:
             return np.zeros(len(self.off_m), bool)
         return np.asarray(~(self.off_m <= aim.tolerance_m) | self.turned_away(aim))
 
-    def turned_away(self, aim: Aim) -> NDArray[np.bool_]:
+    def turned_away(self, aim: TargetPose) -> NDArray[np.bool_]:
         """(M,) turned by more than the tolerance of the direction."""
         if aim.direction_tolerance_rad is None:
             return np.zeros(len(self.off_m), bool)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ctrplan.base.arrays import Array
 from ctrplan.uncertainty.drawn_poses import DrawnPoses, SimulatedPoses
 from ctrplan.uncertainty.result import GoalMiss, TourMiss, TurnMiss
-from ctrplan.uncertainty.target import POSITION, TANGENT, Aim, Misses, Stop, TipVector, WorstCase, quantile95
+from ctrplan.uncertainty.target import POSITION, TANGENT, Misses, Stop, TargetPose, TipVector, WorstCase, quantile95
 from ctrplan.uncertainty.tip_slopes import TipSlopes
 from ctrplan.uncertainty.worst_case import (
     OFF,
@@ -44,7 +44,7 @@ class Judged:
         """With play of the drive."""
         return cls(*(replace(m, off_m=m.off_m + stop.play_m, turned_rad=m.turned_rad + stop.play_rad) for m in found))
 
-    def missed(self, aim: Aim) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    def missed(self, aim: TargetPose) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Position or direction."""
         return self.all.missed(aim), self.solved.missed(aim)
 
@@ -53,7 +53,7 @@ class Judged:
 class StopJudged:
     """What a target asks for, and how drawn robots meet it."""
 
-    aim: Aim
+    aim: TargetPose
     any_friction: Judged
     by_history: Judged | None
 
@@ -63,7 +63,7 @@ def judged(
 ) -> StopJudged:
     """The misses at a target, the `number`-th before the last: unexplained errors are those of another pose."""
     draws = drawn.draws.elsewhere(number) if number else drawn.draws
-    aim = Aim.of(scenario, stop.goal, drawn.slopes.tip_m[stop.places[-1], 0])
+    aim = TargetPose.of(scenario, stop.goal, drawn.slopes.tip_m[stop.places[-1], 0])
     any_friction = Judged.of(drawn.any_friction(aim, stop.places, draws), stop)
     if simulated is None:
         return StopJudged(aim, any_friction, None)
@@ -114,7 +114,7 @@ def _turn(scenario: Scenario, drawn: DrawnPoses, stop: Stop, found: StopJudged) 
     )
 
 
-def _worst_off(scenario: Scenario, drawn: DrawnPoses, stop: Stop, aim: Aim) -> tuple[WorstCase, int]:
+def _worst_off(scenario: Scenario, drawn: DrawnPoses, stop: Stop, aim: TargetPose) -> tuple[WorstCase, int]:
     """The worst of a target's places, and which that is."""
     registration = scenario.registration
     base = BaseBall.of(registration.position_sigma_m, registration.rotation_sigma_rad)

@@ -53,12 +53,12 @@ def friction_states(robot: Robot) -> Array:
     return np.array([(0.0,) * pairs, *(itertools.product((1.0, -1.0), repeat=pairs) if pairs else ())])
 
 
-def held_collars(parameters: UncertainParameters, robot: Robot, theta: Array, l: Array) -> tuple[Array, Array]:  # noqa: E741
+def clamped_collars(parameters: UncertainParameters, robot: Robot, theta: Array, l: Array) -> tuple[Array, Array]:  # noqa: E741
     """(K, n) [rad], (K, n) [m] where the drive of `robot`, the parameters' at an offset, holds collars that nest.
 
     They are commanded to theta, l (K, n). Play that is wider than stated counts as a displacement to one side.
     """
-    held = _held(robot, theta, l) - _play(parameters.robot)
+    held = _clamped(robot, theta, l) - _play(parameters.robot)
     return held[:, : robot.n], nested(robot, held[:, robot.n :])
 
 
@@ -74,7 +74,7 @@ def poses_at(parameters: UncertainParameters, offset: Array, theta: Array, l: Ar
     """(K, S, 6) as `tips_at`, with the tangents after the tips."""
     robot = parameters.robot_at(offset)
     states = friction_states(robot)
-    theta_b, l_b = (np.repeat(part, len(states), axis=0) for part in held_collars(parameters, robot, theta, l))
+    theta_b, l_b = (np.repeat(part, len(states), axis=0) for part in clamped_collars(parameters, robot, theta, l))
     found = robot.mechanics.tips_with_friction(theta_b, l_b, np.tile(states, (len(theta), 1)))
     return _pose(found).reshape(len(theta), len(states), 6)
 
@@ -87,7 +87,7 @@ def tip_slopes(parameters: UncertainParameters, theta: Array, l: Array) -> TipSl
     moved: NDArray[np.bool_] = np.any(joints_by, axis=(0, 2))
     joints = [f"{kind}.{i + 1}" for kind in ("theta_b", "l_b") for i in range(robot.n)]
     asked = [*names, *itertools.compress(joints, moved.tolist())]
-    theta_b, l_b = (np.repeat(part, len(states), axis=0) for part in held_collars(parameters, robot, theta, l))
+    theta_b, l_b = (np.repeat(part, len(states), axis=0) for part in clamped_collars(parameters, robot, theta, l))
     phi = np.tile(states, (len(theta), 1))
     found = robot.mechanics.tips_with_friction(theta_b, l_b, phi, parameters=tuple(asked))
     shape = (len(theta), len(states), 6)
@@ -150,13 +150,13 @@ def _collars_by(parameters: UncertainParameters, theta: Array, l: Array) -> Arra
     columns = []
     for j in range(parameters.count):
         up, down, width = _beside(parameters, j)
-        columns.append((_held(up, theta, l) - _held(down, theta, l)) / width)
+        columns.append((_clamped(up, theta, l) - _clamped(down, theta, l)) / width)
     shape = (parameters.count, len(theta), 2 * parameters.robot.n)
     found: Array = np.array(columns).reshape(shape).transpose(1, 2, 0)
     return found
 
 
-def _held(robot: Robot, theta: Array, l: Array) -> Array:  # noqa: E741
+def _clamped(robot: Robot, theta: Array, l: Array) -> Array:  # noqa: E741
     return np.hstack(robot.drive.reached(theta, l)) + _play(robot)
 
 

@@ -45,13 +45,13 @@ class OffsetBox:
             axes[np.ix_(rows, rows)] = half[rows, None] * vectors * np.sqrt(np.maximum(values, 0.0))
         return cls(middle, axes[:, axes.any(axis=0)])
 
-    def displaced(self, by: Array) -> Sides:
+    def displaced(self, by: Array) -> IntervalSides:
         """Of points with slopes (B, 3, P)."""
-        return Sides(by @ self.middle, by @ self.axes)
+        return IntervalSides(by @ self.middle, by @ self.axes)
 
 
 @dataclass(frozen=True, eq=False)
-class Sides:
+class IntervalSides:
     """Displacements of B points: middle + sides s, every s in [-1, 1]."""
 
     middle: Array  # (B, 3)
@@ -83,7 +83,7 @@ class Farthest:
     signs: Array  # (B, A) of the box's axes there
 
 
-def farthest(a: Array, moved: Sides, base: BaseBall = KNOWN_BASE, lever_m: Array | None = None) -> Farthest:
+def farthest(a: Array, moved: IntervalSides, base: BaseBall = KNOWN_BASE, lever_m: Array | None = None) -> Farthest:
     """Of B displacements that are a (B, 3) [m] without errors; levers (B, 3) from the base's origin to the points."""
     middle, sides = a + moved.middle, moved.sides
     arms = np.zeros_like(a) if lever_m is None else lever_m
@@ -102,7 +102,7 @@ def farthest(a: Array, moved: Sides, base: BaseBall = KNOWN_BASE, lever_m: Array
     return Farthest(np.maximum(length[rows, best], 0.0), direction, signs)
 
 
-def reach_m(moved: Sides, base: BaseBall = KNOWN_BASE, lever_m: Array | None = None) -> Array:
+def reach_m(moved: IntervalSides, base: BaseBall = KNOWN_BASE, lever_m: Array | None = None) -> Array:
     """(B,) [m] no point is displaced farther: the support along directions that cover a sphere, over the gaps' cosine.
 
     Levers (B, 3). At most 1 % above `farthest` where the middle is zero, without a search; grows with every interval.
@@ -116,7 +116,7 @@ def reach_m(moved: Sides, base: BaseBall = KNOWN_BASE, lever_m: Array | None = N
     return found
 
 
-def rough_reach_m(moved: Sides, base: BaseBall, lever_m: Array) -> Array:
+def rough_reach_m(moved: IntervalSides, base: BaseBall, lever_m: Array) -> Array:
     """(B,) [m] never less than `reach_m` but for the gaps' cosine: everything added up. Levers (B, 3)."""
     sides = np.linalg.norm(moved.sides, axis=1).sum(axis=1) + np.linalg.norm(moved.middle, axis=1)
     found: Array = sides + base.shift_m + base.rotation_rad * np.linalg.norm(lever_m, axis=1)

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.shapes.capsule import Capsule
 from ctrplan.anatomy.shapes.sphere import Sphere
-from ctrplan.audit.case import ALLOWED
+from ctrplan.audit.audited_plan import ALLOWED
 from ctrplan.audit.recomputed import robots_at_ends
 from ctrplan.audit.scene import write_scene
 from ctrplan.audit.verify import Verification, verify

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from measured_data import SIGMA_M, pair_robot
 
-from ctrplan.calibration.shown_noise import shown_noises
+from ctrplan.calibration.observed_noise import observed_noises
 from ctrplan.diagnosis.adequacy import noise_floor
 from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
@@ -41,21 +41,21 @@ def log(sigma_m: float, *, speed: float = 1.0, stops: bool = False, seed: int = 
 
 @pytest.mark.parametrize("sigma_m", [2e-5, 2e-4, 1e-3])
 def test_differences_of_a_log_show_its_noise(sigma_m: float) -> None:
-    (found,) = shown_noises(log(sigma_m))
+    (found,) = observed_noises(log(sigma_m))
     assert found.noise.position_m == pytest.approx(sigma_m, rel=0.15)
     assert found.noise.tangent_rad == pytest.approx(SIGMA_RAD, rel=0.15)
     assert "third differences" in found.by
 
 
 def test_standstills_and_differences_agree() -> None:
-    still, differences = shown_noises(log(2e-4, stops=True))
+    still, differences = observed_noises(log(2e-4, stops=True))
     assert "standstills" in still.by
     assert still.noise.position_m == pytest.approx(2e-4, rel=0.15)
     assert still.noise.position_m == pytest.approx(differences.noise.position_m, rel=0.25)
 
 
 def test_what_a_motion_leaves_of_differences_shrinks_with_its_cube() -> None:
-    fast, slow = (next(iter(shown_noises(log(0.0, speed=s)))).noise.position_m for s in (2.0, 1.0))
+    fast, slow = (next(iter(observed_noises(log(0.0, speed=s)))).noise.position_m for s in (2.0, 1.0))
     assert slow < fast / 8 * 1.5 and slow < 1e-5
 
 

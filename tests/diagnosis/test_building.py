@@ -16,20 +16,20 @@ from measured_data import SIGMA_M, measured, pair_robot, waypoints
 
 from ctrplan.calibration.residuals import Noise
 from ctrplan.cli import main
-from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, partial, test_set
+from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, partial_diagnosis, test_set
 from ctrplan.diagnosis import built_term as built
 from ctrplan.diagnosis.adequacy import noise_floor
 from ctrplan.diagnosis.built_term import refusals
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
-from ctrplan.diagnosis.partial import partly
+from ctrplan.diagnosis.partial_diagnosis import diagnose_partially
 from ctrplan.diagnosis.partial_search import PartialSelector
 from ctrplan.diagnosis.sentences import effect_lines, verdict_sentence
-from ctrplan.diagnosis.term_dictionary import Piece, pieces
-from ctrplan.diagnosis.term_search import _with_piece, built_term, wide
+from ctrplan.diagnosis.term_dictionary import TermPiece, pieces
+from ctrplan.diagnosis.term_search import _with_piece, built_term, wide_linearisation
 from ctrplan.diagnosis.usable_poses import usable_poses
 from ctrplan.diagnosis.workbench import Scored, candidates, values_by_name
 from ctrplan.effects.learned import parts
-from ctrplan.effects.learned.inputs import Range, Target
+from ctrplan.effects.learned.inputs import InputRange, Target
 from ctrplan.effects.learned.learned import named
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.measurement.measurements import Measurements
@@ -92,7 +92,7 @@ def test_the_robot_that_is_handed_over_turns_as_the_true_one() -> None:
 def test_what_the_catalogue_has_is_named_beside_a_built_term_that_had_hidden_it() -> None:
     data, quick = rippled(OFFSET), {name: CATALOGUE[name] for name in ("sensor_offset", "tip_load")}
     noise, usable = noise_floor(ROBOT, data)[0], usable_poses(ROBOT, data)
-    before = partly(ROBOT, data, usable, noise, candidates(ROBOT, data, quick), lambda _: None)
+    before = diagnose_partially(ROBOT, data, usable, noise, candidates(ROBOT, data, quick), lambda _: None)
     assert not before.judgement.findings
     after = diagnose(ROBOT, data, catalogue=quick)
     assert after.verdict == "partial" and [t.name for t in after.listed] == ["sensor_offset"]
@@ -108,11 +108,11 @@ def test_no_name_stays_that_blocks_left_out_speak_against(monkeypatch: pytest.Mo
     data = rippled()
     noise, usable = noise_floor(ROBOT, data)[0], usable_poses(ROBOT, data)
     known = candidates(ROBOT, data, {"backlash": CATALOGUE["backlash"]})
-    part = partly(ROBOT, data, usable, noise, known, lambda _: None)
+    part = diagnose_partially(ROBOT, data, usable, noise, known, lambda _: None)
     term = built.tried(part, lambda _: None)
     assert term is not None
-    monkeypatch.setattr(partial, "LEAST_ODDS", -100.0)  # so that anything is a name at first
-    asked = partial.named_beside(PartialSelector(part.bench, known, lambda _: None), term.scored)
+    monkeypatch.setattr(partial_diagnosis, "LEAST_ODDS", -100.0)  # so that anything is a name at first
+    asked = partial_diagnosis.effects_beside_built_term(PartialSelector(part.bench, known, lambda _: None), term.scored)
     assert [(step.action, step.taken) for step in asked.path] == [("add", True), ("drop", True)]
     assert asked.path[1].gain <= 0 and not asked.findings and asked.chosen.names == ("learned_theta_2",)
 
@@ -131,7 +131,7 @@ def test_a_term_is_sought_beside_the_most_probable_effect_as_well(monkeypatch: p
     data = rippled({"joint_scale": {"theta_2": 0.25}})
     noise, usable = noise_floor(ROBOT, data)[0], usable_poses(ROBOT, data)
     known = candidates(ROBOT, data, {"joint_scale": CATALOGUE["joint_scale"]})
-    before = partly(ROBOT, data, usable, noise, known, lambda _: None)
+    before = diagnose_partially(ROBOT, data, usable, noise, known, lambda _: None)
     unnamed = replace(before, chosen=before.bench.corrected(before.bench.scored([])))
     found = built.tried(unnamed, lambda _: None)
     assert found is not None and not refusals(before.bench, found)
@@ -143,7 +143,7 @@ def test_a_search_that_builds_nothing_leaves_the_discrepancy_beside_what_holds(m
     beside, corrected = list[tuple[str, ...]](), CorrelatedBench.corrected
     data, known = rippled({"joint_scale": {"theta_2": 0.25}}), {"joint_scale": CATALOGUE["joint_scale"]}
     noise, usable = noise_floor(ROBOT, data)[0], usable_poses(ROBOT, data)
-    before = partly(ROBOT, data, usable, noise, candidates(ROBOT, data, known), lambda _: None)
+    before = diagnose_partially(ROBOT, data, usable, noise, candidates(ROBOT, data, known), lambda _: None)
     unnamed = replace(before, chosen=before.bench.corrected(before.bench.scored([])))
 
     def noted(bench: CorrelatedBench, scored: Scored) -> Scored:
@@ -223,8 +223,8 @@ def test_a_piece_acts_as_the_effect_that_is_made_of_it() -> None:
     here = bench.scored([])
     known = [piece for piece in pieces(ROBOT, bench.data) if not piece.on.of_way]
     some = [next(p for p in known if p.on.kind_name == kind) for kind in ("theta", "l", "bend", "stiffness", "plate")]
-    some.append(Piece(known[-1].on, ("slope_z",)))
-    table = wide(bench, here, some)
+    some.append(TermPiece(known[-1].on, ("slope_z",)))
+    table = wide_linearisation(bench, here, some)
     for piece in some:
         term = built_term(piece.on, piece.names, table.ranges[piece], ROBOT.n)
         panel = bench.panel(here, [term])
@@ -248,7 +248,7 @@ def test_pieces_that_an_effect_of_the_catalogue_is_are_left_to_it() -> None:
     }  # fmt: skip
     bench = CorrelatedBench(ROBOT, data, Noise(SIGMA_M, 1e-3), alone, alone)
     here = bench.scored([])
-    table, theirs = wide(bench, here, gone), bench.panel(here, known)
+    table, theirs = wide_linearisation(bench, here, gone), bench.panel(here, known)
     own = [k for k, (name, _) in enumerate(theirs.keys) if name in few]
     columns = theirs.whole.J[:, :, own].reshape(-1, len(own))
     for piece in gone:  # to first order the effect does what the piece does
@@ -263,9 +263,9 @@ def test_pieces_that_an_effect_of_the_catalogue_is_are_left_to_it() -> None:
 def test_a_slope_of_what_turns_a_tube_takes_its_arbitrary_zero_with_it(kind: str, turns: bool) -> None:
     """Else a screw that was taken for a bend by the translation would leave a wrong zero of a joint."""
     on = Target(kind, 2)
-    spans, bench = {"l_2": Range(-0.1, 0.0), "turn_2": Range(-3.0, 3.0)}, SimpleNamespace(robot=ROBOT)
+    spans, bench = {"l_2": InputRange(-0.1, 0.0), "turn_2": InputRange(-3.0, 3.0)}, SimpleNamespace(robot=ROBOT)
     slope, wave = (
-        _with_piece([], Piece(on, part), spans, bench)  # type: ignore[arg-type]
+        _with_piece([], TermPiece(on, part), spans, bench)  # type: ignore[arg-type]
         for part in (("slope_l_2",), ("sin_2_turn_2",))
     )
     constant = named(on, "constant")

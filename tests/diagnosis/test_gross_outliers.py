@@ -17,7 +17,7 @@ from ctrplan.calibration.fit_warnings import LEAST, far_from_all
 from ctrplan.calibration.residuals import MODEL_POSITION_M
 from ctrplan.calibration.robot_content import CHI95
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
-from ctrplan.diagnosis.gap import LARGEST_REST, largest_rest, times_noise
+from ctrplan.diagnosis.gap import LARGEST_REST, largest_remainder, times_noise
 from ctrplan.diagnosis.sentences import verdict_sentence
 from ctrplan.measurement.measurements import Measurements
 
@@ -59,7 +59,7 @@ def assert_no_greener_than_its_figures(found: Diagnosis) -> None:
         return
     floor_mm = math.hypot(content["gap"]["noise_floor_mm"], math.sqrt(3) * MODEL_POSITION_M * 1e3)
     is_complete = found.verdict == "no_missing_effect"
-    largest = LARGEST_REST if is_complete else largest_rest(found.gap.tails)
+    largest = LARGEST_REST if is_complete else largest_remainder(found.gap.tails)
     allowed_mm = largest * math.hypot(floor_mm, content["gap"]["parameters_leave_open_mm"])
     if content["gap"]["after_rms_mm"] > LARGEST_REST * floor_mm and found.verdict in ("named", "ambiguous"):
         assert "Poses kept aside are" in verdict_sentence(found)

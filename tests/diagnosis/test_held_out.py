@@ -10,11 +10,11 @@ from scipy.stats import multivariate_normal
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import PER_POSE, Noise, Residuals
-from ctrplan.diagnosis.adequacy import ChiSquare, adequacy, held_out_probability, outliers, rescaled_noise
+from ctrplan.diagnosis.adequacy import ChiSquare, adequacy, left_out_probability, outliers, rescaled_noise
 from ctrplan.diagnosis.cross_validation import (
     Linear,
-    held_out_loss,
-    held_out_residuals,
+    cross_validation_loss,
+    left_out_residuals,
     nested_null_scores,
     null_scores,
     null_threshold,
@@ -37,7 +37,7 @@ def problem(parameters: int, seed: int, r: Array | None = None) -> Linear:
 
 def test_leaving_a_fold_out_is_the_refit_without_it() -> None:
     fit = problem(4, 0).refitted()
-    loss = held_out_loss(fit, FOLD)
+    loss = cross_validation_loss(fit, FOLD)
     for fold in range(6):
         inside = fold == FOLD
         J, r = fit.J.reshape(-1, 4), fit.r.ravel()
@@ -49,7 +49,7 @@ def test_leaving_a_fold_out_is_the_refit_without_it() -> None:
 
 def test_parameters_without_a_fold_leave_the_residuals_that_it_has_without_it() -> None:
     fit = problem(4, 5).refitted()
-    steps, left = steps_without(fit, FOLD), held_out_residuals(fit, FOLD)
+    steps, left = steps_without(fit, FOLD), left_out_residuals(fit, FOLD)
     assert sorted(steps) == sorted(set(FOLD.tolist()))
     for number, step in steps.items():
         inside = number == FOLD
@@ -68,7 +68,7 @@ def test_null_scores_are_the_scores_of_pure_noise() -> None:
     scores = null_scores(fit, FOLD, noise)
     for draw, score in zip(noise.T, scores, strict=True):
         alone = problem(3, 2, draw.reshape(POSES, PER_POSE)).refitted()
-        robust = held_out_loss(alone, FOLD).sum()
+        robust = cross_validation_loss(alone, FOLD).sum()
         assert -score * 2 == pytest.approx(robust, rel=2e-3)  # but for poses beyond the robust limit
 
 
@@ -123,7 +123,7 @@ def test_a_block_that_stands_apart_is_no_surprise_where_its_prediction_is_vague(
         r = rng.standard_normal((POSES, PER_POSE))
         fit = Linear(r, J, np.ones(POSES), np.full(2, 0.01), np.zeros(2), np.ones((POSES, 5), bool)).refitted()
         none = Linear(r, np.zeros_like(J), fit.weight, fit.precision, np.zeros(2), fit.given)
-        squares.append((held_out_loss(none, FOLD) - held_out_loss(fit, FOLD))[GROUP == 0].sum())
+        squares.append((cross_validation_loss(none, FOLD) - cross_validation_loss(fit, FOLD))[GROUP == 0].sum())
         densities.append((predictive_loss(none, FOLD, GROUP) - predictive_loss(fit, FOLD, GROUP))[GROUP == 0].sum())
     assert np.std(densities) < 0.2 * np.std(squares)
 
@@ -192,7 +192,7 @@ def test_a_vault_like_the_selection_agrees_with_it_whatever_the_tails(
         parts.r[:, 0] = norm
         left = ChiSquare(left.value / size, 300.0)
         chances = [
-            held_out_probability(ChiSquare(factor * held_out_set / size, 100.0), left, parts, estimated=estimated)
+            left_out_probability(ChiSquare(factor * held_out_set / size, 100.0), left, parts, estimated=estimated)
             for factor in (1.0, 6.25)
         ]
         alarms, missed = alarms + (chances[0] < 0.01), missed + (chances[1] > 0.01)

@@ -24,7 +24,7 @@ from ctrplan.diagnosis.block_evidence import (
 from ctrplan.diagnosis.block_evidence import _shift as shift
 from ctrplan.diagnosis.cross_validation import Linear
 from ctrplan.diagnosis.term_search import built_term
-from ctrplan.effects.learned.inputs import Range, Target
+from ctrplan.effects.learned.inputs import InputRange, Target
 from ctrplan.effects.learned.learned import named
 
 
@@ -141,7 +141,7 @@ def test_a_frame_is_compared_with_the_constant_of_a_built_term_whose_zero_is_arb
 ) -> None:
     on, bench = Target(kind, tube), SimpleNamespace(robot=SimpleNamespace(n=2))
     slope = named(on, "slope_l_2")
-    term = built_term(on, slope, {"l_2": Range(-0.1, 0.0)}, 2)
+    term = built_term(on, slope, {"l_2": InputRange(-0.1, 0.0)}, 2)
     names = [parameter.name for parameter in partial_search.with_zero(bench, term).parameters]  # type: ignore[arg-type]
     assert names == slope + (named(on, "constant") if is_arbitrary else [])
     twice = partial_search.with_zero(bench, partial_search.with_zero(bench, term))  # type: ignore[arg-type]
@@ -173,7 +173,7 @@ def shift_beside(likeness: float, size: float, count: int) -> Array:
         r = (5 * mine + size * its + rng.standard_normal(100)).reshape(20, 5)
         J = np.stack([mine, its], axis=1).reshape(20, 5, 2)
         whole = Linear(r, J, np.ones(20), np.full(2, 1e-6), np.zeros(2), np.ones((20, 5), bool))
-        panel = workbench.Panel((("one", "x"), ("other", "x")), whole, ())
+        panel = workbench.Linearisation((("one", "x"), ("other", "x")), whole, ())
         found.append(shift(panel, [one], one, other))  # type: ignore[arg-type, list-item]
     return np.array(found)
 

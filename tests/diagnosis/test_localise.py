@@ -9,7 +9,7 @@ import pytest
 from measured_data import pair_robot, waypoints
 
 from ctrplan.base.arrays import Array
-from ctrplan.diagnosis.answer import HELD_OUT_SHARE, Teller
+from ctrplan.diagnosis.conclusion import HELD_OUT_SHARE, Teller
 from ctrplan.diagnosis.localise import localise, quantities
 from ctrplan.measurement.measurements import Measurements
 

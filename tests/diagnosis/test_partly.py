@@ -15,12 +15,12 @@ from measured_data import measured, pair_robot, waypoints, write_csv
 from ctrplan.cli import main
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, selection
 from ctrplan.diagnosis.adequacy import noise_floor, remains
-from ctrplan.diagnosis.answer import Answer
 from ctrplan.diagnosis.block_evidence import Closing
+from ctrplan.diagnosis.conclusion import Conclusion
 from ctrplan.diagnosis.confirmation import confirm
 from ctrplan.diagnosis.correlated_bench import frames
 from ctrplan.diagnosis.next_experiment import next_experiment
-from ctrplan.diagnosis.partial import Partly, partly
+from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, diagnose_partially
 from ctrplan.diagnosis.sentences import effect_lines
 from ctrplan.diagnosis.test_set import opened
 from ctrplan.diagnosis.usable_poses import usable_poses
@@ -87,9 +87,9 @@ def test_an_effect_that_is_taken_back_leaves_figures_over_the_noise_alone() -> N
     assert left.total.ratio > part.judgement.adequacy.total.ratio > 3  # less is explained than with the effect
 
 
-def answer_of(part: Partly) -> Answer:
+def answer_of(part: PartialDiagnosis) -> Conclusion:
     nothing_wrong = np.zeros(PLAN.count, bool)
-    return Answer(
+    return Conclusion(
         part.bench, (), part.chosen, part.base, part.judgement, part.split, part.block, part.bench.plain, False,
         nothing_wrong, (), partly=part,
     )  # fmt: skip
@@ -104,7 +104,9 @@ def test_what_follows_any_smooth_error_is_not_named_beside_one() -> None:
     """On a pair the place of the tip gives the joints away: a distortion by place is any smooth error of the joints."""
     data = beside_a_rest({}, waypoints(ROBOT, 32, seed=3))
     known = candidates(ROBOT, data, {name: CATALOGUE[name] for name in ("sensor_distortion", "sensor_offset")})
-    found = partly(ROBOT, data, usable_poses(ROBOT, data), noise_floor(ROBOT, data)[0], known, lambda _: None)
+    found = diagnose_partially(
+        ROBOT, data, usable_poses(ROBOT, data), noise_floor(ROBOT, data)[0], known, lambda _: None
+    )
     assert not found.judgement.findings and not any(step.taken for step in found.path)
 
 

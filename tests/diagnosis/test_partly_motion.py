@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import decay
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose
-from ctrplan.diagnosis.answer import Answer
+from ctrplan.diagnosis.conclusion import Conclusion
 from ctrplan.diagnosis.test_set import opened
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.reports.diagnosis_figures import selection_errors
@@ -106,7 +106,7 @@ def test_what_odds_alone_tell_is_taken_back_where_poses_kept_aside_are_nearer_wi
     assert part is not None
     position, tangent, aside = found.data.position_m.copy(), found.data.tangent.copy(), part.split.held_out_set
     position[aside], tangent[aside] = against.position_m[aside], against.tangent[aside]
-    answer = Answer(
+    answer = Conclusion(
         part.bench, (), part.chosen, part.base, part.judgement, part.split, part.block, part.bench.plain, False,
         np.zeros(COUNT, bool), (), partly=part,
     )  # fmt: skip

@@ -12,7 +12,7 @@ from measured_data import measured, pair_robot, waypoints
 from ctrplan.calibration.fit_warnings import is_strained, strained, symptoms
 from ctrplan.diagnosis import CATALOGUE, diagnose
 from ctrplan.diagnosis.adequacy import noise_floor
-from ctrplan.diagnosis.gap import LARGEST_REST, contradiction, largest_rest
+from ctrplan.diagnosis.gap import LARGEST_REST, contradiction, largest_remainder
 from ctrplan.diagnosis.selection import Selector
 from ctrplan.diagnosis.sentences import verdict_sentence
 from ctrplan.diagnosis.verdict import judge
@@ -101,6 +101,8 @@ def test_what_parameters_leave_open_is_no_contradiction_and_is_told() -> None:
     assert contradiction("named", tailed, found.place) == ""
     assert "heavy tails" in verdict_sentence(replace(found, gap=tailed))
     assert contradiction("no_missing_effect", tailed, found.place) != ""
-    assert largest_rest(1.0) == pytest.approx(LARGEST_REST) and largest_rest(4.0) == pytest.approx(np.sqrt(3.5))
+    assert largest_remainder(1.0) == pytest.approx(LARGEST_REST) and largest_remainder(4.0) == pytest.approx(
+        np.sqrt(3.5)
+    )
     nothing = contradiction("no_missing_effect", open_, replace(found.place, rms_m=off))
     assert "poses that were fitted" in nothing  # nothing is left open there

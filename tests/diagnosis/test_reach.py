@@ -13,8 +13,8 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.partial_search import PartialSelector
-from ctrplan.diagnosis.term_dictionary import Piece, pieces
-from ctrplan.diagnosis.term_search import Wide, grown, reach, wide
+from ctrplan.diagnosis.term_dictionary import TermPiece, pieces
+from ctrplan.diagnosis.term_search import WideLinearisation, grown, reach, wide_linearisation
 from ctrplan.diagnosis.workbench import Scored, candidates
 from ctrplan.effects.effect import CATALOGUE
 
@@ -39,12 +39,12 @@ def traded_m() -> Array:
 
 
 @cache
-def by_place() -> tuple[CorrelatedBench, Scored, Wide, tuple[Piece, ...]]:
+def by_place() -> tuple[CorrelatedBench, Scored, WideLinearisation, tuple[TermPiece, ...]]:
     """An error in proportion to how far the tip is to the side, which pieces of the sensor have the form of."""
     bench = bench_with(0.1 * DATA.position_m[:, :1] * np.array([[0.0, 0.0, 1.0]]))
     here = bench.begun()
     known = tuple(pieces(ROBOT, bench.data))
-    return bench, here, wide(bench, here, known), known
+    return bench, here, wide_linearisation(bench, here, known), known
 
 
 def test_more_pieces_never_reach_less_and_none_nothing() -> None:
@@ -58,7 +58,7 @@ def test_chance_is_out_of_reach_and_what_pieces_have_the_form_of_is_not() -> Non
     traded = bench_with(traded_m())
     here = traded.begun()
     others = pieces(ROBOT, traded.data)
-    assert reach(traded, wide(traded, here, others), others, 4) < 0.5 < reach(bench, table, known, 4)
+    assert reach(traded, wide_linearisation(traded, here, others), others, 4) < 0.5 < reach(bench, table, known, 4)
 
 
 def test_a_search_out_of_reach_fits_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ from ctrplan.calibration.discrepancy import Linearised
 from ctrplan.calibration.residuals import Noise, compared, residuals
 from ctrplan.diagnosis.remainder import SmoothError, at_rest, of_motion
 from ctrplan.measurement.measurements import Measurements
-from ctrplan.pipeline.term import Prediction
+from ctrplan.pipeline.term import SensorPrediction
 
 ROBOT, COUNT = pair_robot(), 9
 RNG = np.random.default_rng(4)
@@ -51,7 +51,7 @@ def test_a_small_rotation_of_the_tracker_is_the_same_number_about_the_axes_of_ev
     turn = 1e-4 * np.array([0.7, -1.1, 0.4])
     data = logged(Rotation.from_rotvec(turn).apply(TANGENT))
     sound, none = np.ones(COUNT, bool), np.zeros((COUNT, 3, 0))
-    predicted = Prediction(np.zeros((COUNT, 3)), TANGENT, sound, ~sound, none, none)
+    predicted = SensorPrediction(np.zeros((COUNT, 3)), TANGENT, sound, ~sound, none, none)
     found = residuals(data, predicted, Noise(1.0, 1.0), np.arange(COUNT))
     assert found.r[:, 3:] == pytest.approx(axes_of(data) @ turn, abs=1e-8)
 

@@ -14,7 +14,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import Linearised, Spectrum, block_of, shared
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis import CATALOGUE, smooth_evidence
-from ctrplan.diagnosis import partial as rules
+from ctrplan.diagnosis import partial_diagnosis as rules
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
 from ctrplan.diagnosis.partial_search import PartialSelector
 from ctrplan.diagnosis.smooth_evidence import Gain, SmoothEvidence
@@ -22,7 +22,7 @@ from ctrplan.diagnosis.term_search import built_term
 from ctrplan.diagnosis.usable_poses import block_split, blocks
 from ctrplan.diagnosis.verdict import Finding
 from ctrplan.diagnosis.workbench import candidates
-from ctrplan.effects.learned.inputs import Range, Target
+from ctrplan.effects.learned.inputs import InputRange, Target
 from ctrplan.measurement.measurements import Measurements
 
 ROBOT = pair_robot()
@@ -31,7 +31,7 @@ QUICK = {name: CATALOGUE[name] for name in ("sensor_offset", "joint_scale", "tip
 OFFSET = {"sensor_offset": {"offset_x_mm": 2.0, "offset_y_mm": -1.5}}
 FRAME = {"base_misalignment": {"shift_x_mm": 4.0, "rotation_y_deg": -3.0}}
 RIPPLE = built_term(
-    Target("theta", 2), ["sin_3_theta_2_deg", "cos_3_theta_2_deg"], {"theta_2": Range(-180.0, 180.0)}, ROBOT.n
+    Target("theta", 2), ["sin_3_theta_2_deg", "cos_3_theta_2_deg"], {"theta_2": InputRange(-180.0, 180.0)}, ROBOT.n
 )
 
 

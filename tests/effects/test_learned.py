@@ -9,7 +9,7 @@ import pytest
 from measured_data import pair_robot, waypoints
 
 from ctrplan.drive.legs import Collars
-from ctrplan.effects.learned.inputs import Range, Situation, Target
+from ctrplan.effects.learned.inputs import InputRange, Situation, Target
 from ctrplan.effects.learned.learned import LearnedSensor, effect_of, learned, named
 from ctrplan.errors import InputError
 from ctrplan.measurement.sensor import Poses
@@ -58,7 +58,7 @@ def test_leaving_a_range_is_said_in_one_sentence_and_only_then() -> None:
 
 
 def test_splines_are_one_at_their_knots_and_reproduce_lines() -> None:
-    span, at = {"l_2": Range(-30.0, -10.0)}, np.linspace(-0.03, -0.01, 31)
+    span, at = {"l_2": InputRange(-30.0, -10.0)}, np.linspace(-0.03, -0.01, 31)
     joints = Situation(np.zeros((31, 2)), np.column_stack([0 * at, at]))
     on, names = Target("theta", 2), [f"knot_{k}_of_4_l_2_deg" for k in (1, 2, 3, 4)]
     spline, line = learned(on, names, span, 2), learned(on, ["slope_l_2_deg"], span, 2)
@@ -98,7 +98,7 @@ def test_play_covers_a_term_that_depends_on_the_way() -> None:
 
 def test_a_sensor_reads_further_by_the_term_and_as_before_where_nobody_knows_its_input() -> None:
     on = Target("sensor")
-    effect = learned(on, named(on, "slope_temperature_C"), {"temperature_C": Range(18.0, 24.0)}, 2)
+    effect = learned(on, named(on, "slope_temperature_C"), {"temperature_C": InputRange(18.0, 24.0)}, 2)
     assert isinstance(effect, LearnedSensor) and not effect.missing_columns(None, {})
     data = waypoints(pair_robot(), 2)
     poses = Poses(np.zeros((data.count, 3)), np.tile(np.eye(3), (data.count, 1, 1)))

@@ -9,7 +9,7 @@ import pytest
 
 import ctrplan._model as core
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.friction import Doubts, bodies_between, cell_bodies, cell_spread, least_of_points
+from ctrplan.mechanics.friction import Doubts, bodies_between, cell_bodies, cell_spread, nearest_points
 
 HALVINGS, HALF_M = 9, 0.5e-3
 
@@ -60,7 +60,7 @@ def test_no_state_of_a_cell_has_less_than_is_said(pairs: int, enough_mm: float) 
     asked = np.arange(cells * points)
     unit = np.array(list(itertools.product(np.linspace(0, 1, 15), repeat=pairs)))
     given = {"parts": 1, "half_m": HALF_M, "halvings": HALVINGS}
-    least, where, place = least_of_points(bodies, asked, error, np.full(cells, enough_mm * 1e-3), from_ball, **given)
+    least, where, place = nearest_points(bodies, asked, error, np.full(cells, enough_mm * 1e-3), from_ball, **given)
     for k in asked:
         corners = bodies[k // points, :-1, k % points]
         states = at_states(corners, unit)
@@ -82,7 +82,7 @@ def test_parts_stand_between_a_point_and_those_beside_it() -> None:
         return needed_m + 1.0
 
     none = np.zeros((1, 3))
-    least_of_points(bodies, np.array([1]), none, np.zeros(1), distance, parts=4, half_m=HALF_M / 4, halvings=HALVINGS)
+    nearest_points(bodies, np.array([1]), none, np.zeros(1), distance, parts=4, half_m=HALF_M / 4, halvings=HALVINGS)
     assert len(told) == 1  # far away: nothing is halved
     before, own, after = bodies[0, :-1, :, :3].mean(axis=0)
     expected = [own + share * (other - own) for other in (before, after) for share in (0.125, 0.375)]
@@ -99,8 +99,8 @@ def test_what_is_asked_for_is_what_has_to_be_exact() -> None:
         exact = from_ball(points_m)
         return np.where(exact < needed_m, exact, needed_m)
 
-    exact = least_of_points(bodies, asked, error, enough, from_ball, **given)[0]
-    lower = least_of_points(bodies, asked, error, enough, rough, **given)[0]
+    exact = nearest_points(bodies, asked, error, enough, from_ball, **given)[0]
+    lower = nearest_points(bodies, asked, error, enough, rough, **given)[0]
     np.testing.assert_array_equal(exact >= enough[0], lower >= enough[0])
     assert np.all(lower <= exact + 1e-15)
     np.testing.assert_array_equal(lower[exact < enough[0]], exact[exact < enough[0]])

@@ -26,7 +26,7 @@ from ctrplan.patients.case import NAMES, case
 from ctrplan.patients.steps import robot_file
 from ctrplan.patients.structures import by_name
 from ctrplan.patients.work import SCENARIO
-from ctrplan.scenario.bare_scenario import drawn_back
+from ctrplan.scenario.bare_scenario import retracted
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.storage.toml_document import read_document, toml_text
 
@@ -127,7 +127,7 @@ def test_the_robot_of_cases_is_the_shipped_one_and_begins_drawn_back() -> None:
     shipped = phantom.ROBOT.with_name("three_tube_insertion.toml")
     assert robot_file(None).read_bytes() == shipped.read_bytes()
     robot = ctrplan.load_robot(shipped)
-    joints = drawn_back(robot)
+    joints = retracted(robot)
     back = [k for k, joint in enumerate(robot.drive.joints) if joint.unit == "mm"]
     np.testing.assert_allclose(joints[back], robot.drive.lower[back])
     _, l_b = robot.drive.collars(joints)

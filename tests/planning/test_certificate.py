@@ -13,9 +13,9 @@ from places import ROBOTS
 
 import ctrplan
 from ctrplan.base.arrays import Array
-from ctrplan.certificate.anatomy_distance import PARTS, around, beside
+from ctrplan.certificate.anatomy_distance import PARTS, around, clearance_of_segments
 from ctrplan.certificate.certify import SimulatedBodies, certify
-from ctrplan.certificate.friction_cube import CubeAsked, Needed, least_of_cube
+from ctrplan.certificate.friction_cube import CubeQuery, Needed, cube_minima
 from ctrplan.certificate.friction_states import (
     POINT_SPACING_M,
     SAME_BRANCH_M,
@@ -83,7 +83,7 @@ def test_pieces_of_a_body_cover_it() -> None:
             apart = np.linalg.norm(pieces - (a + share * (b - a)), axis=2).min()
             assert apart <= half + 1e-12
     clearance = np.linspace(-1e-3, 5e-3, 50)
-    low = beside(clearance, 0.5e-3)
+    low = clearance_of_segments(clearance, 0.5e-3)
     assert np.all(low < clearance) and np.all(np.diff(low) > 0) and np.all(low >= clearance - 0.5e-3 - 1e-12)
 
 
@@ -105,7 +105,7 @@ def test_the_least_stability_and_the_largest_strain_between_the_corners_are_foun
         least, most = min(one.stability for one in grid), max(one.max_strain for one in grid)
         for needed in (Needed(0.0, 0.4, 0.06), Needed(0.0, 0.55, 0.045)):
             known = dict(zip(states, solved(states), strict=True))
-            found = least_of_cube(CubeAsked(known, np.zeros(5), solved, needed), None)
+            found = cube_minima(CubeQuery(known, np.zeros(5), solved, needed), None)
             assert found.stability < needed.stability or least >= needed.stability
             assert found.max_strain > needed.max_strain or most <= needed.max_strain
             if needed.stability == 0.4:  # enough is not refused

@@ -16,7 +16,7 @@ from ctrplan.anatomy.parts import surface_distance
 from ctrplan.certificate.certificate import Certificate, Closest, joined_certificates
 from ctrplan.certificate.certify import certify
 from ctrplan.certificate.friction_states import TIGHT_M
-from ctrplan.certificate.walked_piece import closely_solved, least_of, walk_pieces
+from ctrplan.certificate.walked_piece import closely_solved, narrowest_of, walk_pieces
 from ctrplan.plans.plan import Plan
 from ctrplan.plans.planned_motion import joints_at
 from ctrplan.scenario.joint_space import JointSpace
@@ -182,4 +182,4 @@ def test_where_a_path_is_narrow_everywhere_both_meshes_leave_the_same(make_plan:
         walk_pieces(scenario, JointSpace.of(scenario), legs, accuracy, None) for accuracy in ("search", "certificate")
     )
     assert sum(len(piece.l_b) for piece in coarse) > 64
-    assert abs(least_of(closely_solved(scenario, coarse, np.inf)) - least_of(fine)) < TIGHT_M / 2
+    assert abs(narrowest_of(closely_solved(scenario, coarse, np.inf)) - narrowest_of(fine)) < TIGHT_M / 2

@@ -11,8 +11,8 @@ from places import SCENARIOS
 
 from ctrplan.base.arrays import Array
 from ctrplan.certificate import every_state
-from ctrplan.certificate.every_state import LOOK_EVERY, SampleStates, _Look, in_every_friction_state
-from ctrplan.certificate.friction_cube import LeastOfStates, Needed
+from ctrplan.certificate.every_state import LOOK_EVERY, SampleStates, _PieceView, in_every_friction_state
+from ctrplan.certificate.friction_cube import Needed, StateMinima
 from ctrplan.certificate.problems import problems_of_walk
 from ctrplan.certificate.walked_piece import Piece, walk_pieces
 from ctrplan.files.scenario_file import load_scenario
@@ -56,12 +56,12 @@ def test_what_is_kept_does_not_depend_on_which_thread_comes_first(
         least_stability[piece, sample] = -1.0
     delays = np.random.default_rng(1)
 
-    def least(self: _Look, samples: Sequence[int]) -> list[LeastOfStates]:
+    def least(self: _PieceView, samples: Sequence[int]) -> list[StateMinima]:
         time.sleep(float(delays.uniform(0, 0.02)))
         k = number[id(self.piece.samples)]
-        return [LeastOfStates(1.0, least_stability[k, s], 0.01, (0.0, 0.0), np.zeros(3), 0) for s in samples]
+        return [StateMinima(1.0, least_stability[k, s], 0.01, (0.0, 0.0), np.zeros(3), 0) for s in samples]
 
-    monkeypatch.setattr(_Look, "least", least)
+    monkeypatch.setattr(_PieceView, "least", least)
     monkeypatch.setattr(every_state, "_narrowest", lambda pieces: [])
     found = []
     for threads in (1, 4, 4):
@@ -84,6 +84,6 @@ def test_batches_hold_every_sample_once_and_begin_where_states_are_solved() -> N
     limits = path_limits(scenario)
     for clearance_m in (-1.0, float(np.median(pieces[0].as_walked_m)), 1.0):
         needed = Needed(clearance_m, limits.stability, limits.max_strain)
-        batches = _Look(scenario, pieces[0], needed, limits.clearance_m, None).batches()
+        batches = _PieceView(scenario, pieces[0], needed, limits.clearance_m, None).batches()
         assert [sample for batch in batches for sample in batch] == list(range(len(pieces[0].clearance_m)))
         assert all(batch[0] % LOOK_EVERY == 0 for batch in batches)

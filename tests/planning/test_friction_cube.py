@@ -13,7 +13,7 @@ from places import ROBOTS
 import ctrplan
 from ctrplan.base.arrays import Array
 from ctrplan.certificate.certify import _contradictions, certify, finished
-from ctrplan.certificate.friction_cube import LESS_M, CubeAsked, Needed, cell_clearances, least_of_cube, least_of_cubes
+from ctrplan.certificate.friction_cube import LESS_M, CubeQuery, Needed, cell_clearances, cube_minima, minima_of_cubes
 from ctrplan.certificate.friction_states import UNEVEN_FRICTION_M, Cell, Solved, State, corner_states, mesh_allowance_m
 from ctrplan.certificate.other_equilibria import other_start
 from ctrplan.certificate.walked_legs import walk_legs
@@ -21,7 +21,7 @@ from ctrplan.certificate.walked_piece import walk_pieces
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.files.scenario_file import scenario_from_dict
 from ctrplan.scenario.joint_space import JointSpace
-from ctrplan.scenario.prediction import Prediction
+from ctrplan.scenario.prediction import PathPrediction
 from ctrplan.scenario.scenario import Scenario
 
 ROBOT = ctrplan.load_robot(ROBOTS / "three_tube.toml")
@@ -64,13 +64,13 @@ def test_what_is_enough_is_so_for_every_state_and_little_is_refused(seed: int) -
     states = [(0.0, 0.0), *corner_states(2)]
     for enough in (true - 5e-3, true - 1e-3, true + 1e-3):
         known = dict(zip(states, solved(states), strict=True))
-        found = least_of_cube(CubeAsked(known, radius, solved, Needed(enough)), spheres)
+        found = cube_minima(CubeQuery(known, radius, solved, Needed(enough)), spheres)
         assert found.clearance_m < enough or true >= found.clearance_m - 1e-9
         assert found.clearance_m >= enough or true < enough + 0.6e-3
     for more in (0.3e-3, 1e-3, 3e-3):  # more than there is is asked for: what is said is still a lower bound
         known = dict(zip(states, solved(states), strict=True))
-        asked = CubeAsked(known, radius, solved, Needed(true + more), floor_m=-0.1)
-        assert true - 0.6e-3 - 2 * LESS_M <= least_of_cube(asked, spheres).clearance_m <= true + 1e-9
+        asked = CubeQuery(known, radius, solved, Needed(true + more), floor_m=-0.1)
+        assert true - 0.6e-3 - 2 * LESS_M <= cube_minima(asked, spheres).clearance_m <= true + 1e-9
 
 
 def test_a_state_without_an_equilibrium_is_no_clearance_at_all() -> None:
@@ -78,8 +78,8 @@ def test_a_state_without_an_equilibrium_is_no_clearance_at_all() -> None:
     known = dict(zip(states, solved(states), strict=True))
     near = Spheres(curled(np.array([[0.5, 0.5]]))[:, -1], 1e-3)
     nowhere = Solved(np.full((60, 3), np.nan), np.nan, np.nan)
-    asked = CubeAsked(known, np.full(60, 1e-3), lambda phi: [nowhere] * len(phi), Needed(0.0))
-    assert least_of_cube(asked, near).clearance_m == -np.inf
+    asked = CubeQuery(known, np.full(60, 1e-3), lambda phi: [nowhere] * len(phi), Needed(0.0))
+    assert cube_minima(asked, near).clearance_m == -np.inf
 
 
 def test_configurations_that_are_looked_at_together_are_found_as_alone() -> None:
@@ -88,16 +88,16 @@ def test_configurations_that_are_looked_at_together_are_found_as_alone() -> None
     spheres = Spheres(rng.uniform([-0.02, -0.02, 0.03], [0.02, 0.02, 0.1], (6, 3)), 2e-3)
     states = [(0.0, 0.0), *corner_states(2)]
 
-    def shorter(count: int) -> CubeAsked:
+    def shorter(count: int) -> CubeQuery:
         def cut(phi: Sequence[State]) -> list[Solved]:
             return [replace(one, body_m=one.body_m[:count]) for one in solved(phi)]
 
         known = dict(zip(states, cut(states), strict=True))
-        return CubeAsked(known, np.full(count, 1e-3), cut, Needed(float(rng.uniform(-4e-3, 4e-3))))
+        return CubeQuery(known, np.full(count, 1e-3), cut, Needed(float(rng.uniform(-4e-3, 4e-3))))
 
     asked = [shorter(int(count)) for count in rng.integers(20, 60, 12)]
-    for one, found in zip(asked, least_of_cubes(asked, spheres), strict=True):
-        alone = least_of_cube(one, spheres)
+    for one, found in zip(asked, minima_of_cubes(asked, spheres), strict=True):
+        alone = cube_minima(one, spheres)
         assert (found.clearance_m, found.phi, found.solves) == (alone.clearance_m, alone.phi, alone.solves)
 
 
@@ -229,7 +229,7 @@ def test_a_simulated_robot_beyond_its_bound_is_a_contradiction_wherever_it_is(sa
     case = with_sphere(joints(0, 0, 0, -28.8), (0.0, 60.0, 100.0), 1.0)
     samples = certify(case, np.array([joints(0, 0, 0, -28.8), joints(0, 0, 20, -28.8)])).samples
     still = np.zeros((1, len(samples.leg), 3))
-    calm = Prediction(still, still, 0)
+    calm = PathPrediction(still, still, 0)
     assert _contradictions(calm, samples) == []
     predicted = samples.bound_m.copy()
     predicted[sample] += 5e-3

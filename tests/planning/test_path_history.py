@@ -14,7 +14,13 @@ from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.compensate import compensate, corrected
 from ctrplan.planning.oscillate import SHAPE, oscillation, settle, turnings
-from ctrplan.planning.reordering import as_given, assemble, held_back, least_error, translations_first
+from ctrplan.planning.reordering import (
+    as_given,
+    assemble,
+    least_error_order,
+    translations_first,
+    with_translation_last,
+)
 from ctrplan.plans.plan import Plan
 from ctrplan.scenario.prediction import predict, predict_end, predict_from, start_states
 from ctrplan.scenario.scenario import Scenario
@@ -81,14 +87,14 @@ def test_search_pays_the_bound_until_a_translation_releases_it(checker: MotionCh
 
 def test_rotation_alone_is_driven_from_a_retreat(checker: MotionChecker) -> None:
     path = np.array([GOAL - [0, 2.0, 0], GOAL])
-    ways = held_back(checker, path)
+    ways = with_translation_last(checker, path)
     assert ways and all(np.array_equal(way[0], path[0]) and np.array_equal(way[-1], path[-1]) for way in ways)
-    assert held_back(checker, TURN_FIRST) == []  # ends with a long translation anyway
-    result = least_error(checker, path)
+    assert with_translation_last(checker, TURN_FIRST) == []  # ends with a long translation anyway
+    result = least_error_order(checker, path)
     assert result.motion_after.end_error_m < 0.1 * result.motion_before.end_error_m
     assert len(result.after) == 4 and checker.space.allowed(result.after)
     blind = MotionChecker(pair("cost.error_goal=0", "cost.error_along=0"))
-    np.testing.assert_array_equal(least_error(blind, path).after, path)
+    np.testing.assert_array_equal(least_error_order(blind, path).after, path)
 
 
 def test_oscillation_turns_neighbours_against_each_other_and_comes_back(checker: MotionChecker) -> None:

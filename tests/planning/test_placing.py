@@ -21,8 +21,8 @@ import ctrplan
 from ctrplan.cli import main
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.planning import base_screen as screening
-from ctrplan.planning.base_pose import BasePose, Patch, Pose, base_pose, placed
-from ctrplan.planning.base_screen import Screen, Worth
+from ctrplan.planning.base_pose import BaseFrame, BasePose, Patch, base_pose, placed
+from ctrplan.planning.base_screen import PoseScore, Screen
 from ctrplan.planning.place import Placement, place
 
 PAIR = ROBOTS / "table_5_pair.toml"
@@ -85,7 +85,7 @@ def patch(scenario: ctrplan.Scenario, **keys: Any) -> Patch:
     return Patch(scenario.base_position_m, aim_m=aim, upright=scenario.base_R, **given)
 
 
-def some(where: Patch, count: int = 128, seed: int = 0) -> list[Pose]:
+def some(where: Patch, count: int = 128, seed: int = 0) -> list[BaseFrame]:
     return list(itertools.islice(where.poses(seed), count))
 
 
@@ -128,7 +128,7 @@ def test_rolling_the_base_changes_nothing_that_the_screen_says(scenario: ctrplan
     where = patch(scenario)
     screen = Screen(scenario, where, np.random.default_rng(0))
     poses = [pose for pose in some(where, 16) if screen.is_clear(pose)][:8]
-    rolled = [Pose(pose.position_m, pose.R @ Rotation.from_euler("z", 1.0).as_matrix()) for pose in poses]
+    rolled = [BaseFrame(pose.position_m, pose.R @ Rotation.from_euler("z", 1.0).as_matrix()) for pose in poses]
     worths, others = screen.look(poses), screen.look(rolled)
     assert any(worth.likely for worth in worths) and np.ptp([worth.share for worth in worths]) > 0.1
     for worth, other in zip(worths, others, strict=True):
@@ -159,7 +159,7 @@ def test_poses_are_found_where_the_own_one_reaches_nothing(scenario: ctrplan.Sce
 def test_what_inverse_kinematics_finds_does_not_depend_on_the_roll(found: Placement) -> None:
     best = found.poses[0]
     roll = Rotation.from_euler("z", 2.0).as_matrix()
-    rolled = base_pose(placed(best.scenario, Pose(best.position_m, best.R @ roll)), 0)
+    rolled = base_pose(placed(best.scenario, BaseFrame(best.position_m, best.R @ roll)), 0)
     assert rolled.reached == 1 and rolled.share == pytest.approx(best.share, abs=0.05)
 
 
@@ -275,17 +275,17 @@ def test_a_target_just_out_of_reach_is_not_counted_as_reached(folder: Path) -> N
         (folder / "free.toml").write_text(tomli_w.dumps(content), encoding="utf-8")
         scenario = ctrplan.load_scenario(folder / "free.toml")
         where = patch(scenario, radius_m=0.0, cone_rad=0.0)
-        (worth,) = Screen(scenario, where, np.random.default_rng(0)).look([Pose(np.zeros(3), np.eye(3))])
+        (worth,) = Screen(scenario, where, np.random.default_rng(0)).look([BaseFrame(np.zeros(3), np.eye(3))])
         assert (worth.likely, worth.reached, worth.possible) == (reached, reached, 1)
 
 
 def test_poses_that_lack_the_least_room_are_looked_at_first() -> None:
     """In a narrow lumen no pose seems to have room for friction's error; a low bound there is no help."""
-    pose = Pose(np.zeros(3), np.eye(3))
-    fits = Worth(pose, likely=1, reached=1, possible=1, share=3.0, room_m=1e-4)
-    nearly = Worth(pose, likely=0, reached=1, possible=1, share=2.0, room_m=-1e-4)
-    far_from_it = Worth(pose, likely=0, reached=1, possible=1, share=0.5, room_m=-2e-3)
-    beside_it = Worth(pose, likely=0, reached=0, possible=1, share=0.1, room_m=1e-3)
+    pose = BaseFrame(np.zeros(3), np.eye(3))
+    fits = PoseScore(pose, likely=1, reached=1, possible=1, share=3.0, room_m=1e-4)
+    nearly = PoseScore(pose, likely=0, reached=1, possible=1, share=2.0, room_m=-1e-4)
+    far_from_it = PoseScore(pose, likely=0, reached=1, possible=1, share=0.5, room_m=-2e-3)
+    beside_it = PoseScore(pose, likely=0, reached=0, possible=1, share=0.1, room_m=1e-3)
     order = [fits, nearly, far_from_it, beside_it]
     assert sorted(reversed(order), key=lambda worth: worth.rank) == order
 

@@ -30,7 +30,7 @@ from ctrplan.scenario.scenario import Goal, Registration, Scenario
 from ctrplan.uncertainty.drawn_poses import BeyondFirstOrder, DrawnPoses
 from ctrplan.uncertainty.parameters import uncertain_parameters
 from ctrplan.uncertainty.result import Uncertainty
-from ctrplan.uncertainty.target import Aim, end_stop
+from ctrplan.uncertainty.target import TargetPose, end_stop
 from ctrplan.uncertainty.target_miss import judged
 from ctrplan.uncertainty.tip_slopes import poses_at
 from ctrplan.uncertainty.worst_case import CHI95, Chance, Draws, chance, wilson
@@ -373,7 +373,7 @@ def test_a_line_is_missed_where_the_tip_leaves_it_on_the_way_or_at_its_end(plan:
 def test_an_aim_measures_lines_as_polylines_and_directions_as_angles() -> None:
     rng = np.random.default_rng(1)
     line, direction = rng.standard_normal((4, 3)), np.array([0.0, 0.6, 0.8])
-    aim = Aim(line[-1], 1.0, direction, 0.1, line)
+    aim = TargetPose(line[-1], 1.0, direction, 0.1, line)
     tips = rng.standard_normal((5, 2, 3))
     np.testing.assert_allclose(aim.off_m(tips, is_end=False)[:, 1], distance_from_polyline(tips[:, 1], line))
     np.testing.assert_allclose(aim.off_m(tips, is_end=True), np.linalg.norm(tips - line[-1], axis=2))

@@ -22,7 +22,7 @@ from ctrplan.studies.study.engine import answer
 from ctrplan.studies.study.store import Lines
 from ctrplan.studies.study.study import Doing, Study, chunk_size, chunk_sizes
 from ctrplan.studies.study.table import load_study
-from ctrplan.studies.study.task import Numbered
+from ctrplan.studies.study.task import TaskNumbers
 
 PAIR = str(ROBOTS / "table_5_pair.toml")
 FRICTION = "contact.1.friction_coefficient"
@@ -57,7 +57,7 @@ def test_rows_are_those_of_a_loop(tmp_path: Path) -> None:
 
 def test_tasks_that_are_sent_by_number_are_those_of_the_list(tmp_path: Path) -> None:
     study = Study.of(bounds(), tmp_path)
-    sent, sizes, own = Numbered.none(), (5, 4, 9), []
+    sent, sizes, own = TaskNumbers.none(), (5, 4, 9), []
     for k in (*range(11, 0, -2), *range(0, 12, 2)):  # their places in the table are others than those in the list
         own.append(replace(study.tasks[k], index=100 - k))
         sent.add(k, 100 - k, bytes.fromhex(own[-1].key))

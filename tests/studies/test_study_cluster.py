@@ -157,6 +157,6 @@ def test_another_version_is_refused_with_both(tmp_path: Path, monkeypatch: pytes
     theirs: Job = replace(study.job, version="7.8.9")
     with pytest.raises(VersionError, match=r"has ctrplan .*, the study is run by 7\.8\.9"):
         do_tasks(pickle.dumps(theirs), [study.tasks[0]])
-    monkeypatch.setattr("ctrplan.studies.study.definition.Definition.content", pickle.dumps(theirs))
+    monkeypatch.setattr("ctrplan.studies.study.study_definition.StudyDefinition.content", pickle.dumps(theirs))
     with pytest.raises(VersionError, match=r"7\.8\.9"):
         study.run(tmp_path / "out", executor=Here())

@@ -30,13 +30,13 @@ from ctrplan.studies.study.study import Study
 from ctrplan.studies.study.table import load_study
 from ctrplan.studies.target_set import (
     RobotPair,
-    aimed,
     bound_by,
     dominates,
     robot_at,
     target_checker,
-    target_worth,
-    worth_beside,
+    target_value,
+    value_nearby,
+    with_target,
 )
 
 pytest.importorskip("optuna")
@@ -155,10 +155,10 @@ def test_giving_up_early_loses_nothing(tmp_path: Path) -> None:
 )
 def test_slopes_of_the_bound_are_those_of_robots_solved_again(key: str, step: float, within: float) -> None:
     goal = Goal(None, np.array(POINTS_MM[0]) * 1e-3, 1e-7)
-    scenario = aimed(ctrplan.load_scenario(PAIR), goal)
-    at = target_worth(replace(scenario, goal=replace(goal, tolerance_m=1e-4)), 10, 0)
+    scenario = with_target(ctrplan.load_scenario(PAIR), goal)
+    at = target_value(replace(scenario, goal=replace(goal, tolerance_m=1e-4)), 10, 0)
     assert at is not None
-    start = worth_beside(scenario, at)  # to the target within a nanometre or so
+    start = value_nearby(scenario, at)  # to the target within a nanometre or so
     assert start is not None
     own = key.removeprefix("robot.")
     steps = own.split(".")
@@ -169,7 +169,7 @@ def test_slopes_of_the_bound_are_those_of_robots_solved_again(key: str, step: fl
     pair = RobotPair("one", low, high)
     slope = bound_by(target_checker(scenario), start.joints, [pair])[0]
     ends = [
-        worth_beside(replace(scenario, robot=robot_at(scenario.robot, [pair], np.array([side]))), start)
+        value_nearby(replace(scenario, robot=robot_at(scenario.robot, [pair], np.array([side]))), start)
         for side in (-1.0, 1.0)
     ]
     assert ends[0] is not None and ends[1] is not None

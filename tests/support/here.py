@@ -6,7 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
 
-from ctrplan.studies.study.task import Numbered
+from ctrplan.studies.study.task import TaskNumbers
 
 
 class Here:
@@ -16,7 +16,7 @@ class Here:
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         if self.done >= self.most:
             raise KeyboardInterrupt
-        tasks = arguments[1] if len(arguments) > 1 and isinstance(arguments[1], (list, Numbered)) else [0]
+        tasks = arguments[1] if len(arguments) > 1 and isinstance(arguments[1], (list, TaskNumbers)) else [0]
         self.done += len(tasks)
         future: Future[Any] = Future()
         try:

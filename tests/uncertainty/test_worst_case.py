@@ -14,7 +14,7 @@ from ctrplan.files.robot_file import load_robot
 from ctrplan.robot.robot import Robot
 from ctrplan.uncertainty.parameters import UncertainParameters, uncertain_parameters
 from ctrplan.uncertainty.tip_slopes import tip_slopes, tips_at
-from ctrplan.uncertainty.worst_case import CHI95, BaseBall, OffsetBox, Sides, farthest, reach_m
+from ctrplan.uncertainty.worst_case import CHI95, BaseBall, IntervalSides, OffsetBox, farthest, reach_m
 
 ROBOT = SCENARIOS / "robots" / "three_tube.toml"
 INTERVALS = [
@@ -102,7 +102,7 @@ def test_the_farthest_point_is_that_of_all_corners_and_of_a_ball() -> None:
     a, sides = rng.standard_normal((20, 3)), rng.standard_normal((20, 3, 5))
     corners = np.array(list(itertools.product((1.0, -1.0), repeat=5)))
     exact = np.linalg.norm(a[:, None] + np.einsum("bca,sa->bsc", sides, corners), axis=2).max(axis=1)
-    moved = Sides(np.zeros((20, 3)), sides)
+    moved = IntervalSides(np.zeros((20, 3)), sides)
     np.testing.assert_allclose(farthest(a, moved).length_m, exact, rtol=1e-9)
     np.testing.assert_allclose(farthest(a, moved, BaseBall(0.7)).length_m, exact + 0.7, rtol=1e-9)
     alone = np.linalg.norm(np.einsum("bca,sa->bsc", sides, corners), axis=2).max(axis=1)
@@ -112,7 +112,7 @@ def test_the_farthest_point_is_that_of_all_corners_and_of_a_ball() -> None:
 def test_a_base_moves_a_point_by_its_shift_and_by_its_lever() -> None:
     """On a sphere of radius r: shift s and rotation w reach s + w r, across the lever."""
     lever = np.array([[0.0, 0.0, 0.2], [0.1, 0.1, 0.0]])
-    still, base = Sides(np.zeros((2, 3)), np.zeros((2, 3, 0))), BaseBall.of(1e-3, np.radians(0.5))
+    still, base = IntervalSides(np.zeros((2, 3)), np.zeros((2, 3, 0))), BaseBall.of(1e-3, np.radians(0.5))
     reached = CHI95 * (1e-3 + np.radians(0.5) * np.linalg.norm(lever, axis=1))
     np.testing.assert_allclose(farthest(np.zeros((2, 3)), still, base, lever).length_m, reached, rtol=1e-9)
     np.testing.assert_allclose(reach_m(still, base, lever), reached, rtol=0.01)

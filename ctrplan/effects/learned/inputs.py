@@ -124,7 +124,7 @@ _OF_TUBE: dict[str, Callable[[Situation, int], Array | None]] = {
 
 
 @dataclass(frozen=True)
-class Range:
+class InputRange:
     """Of an input, in its own unit."""
 
     low: float
@@ -151,10 +151,10 @@ class Range:
         return near
 
 
-Ranges = Mapping[str, Range]
+Ranges = Mapping[str, InputRange]
 
 
-def held(name: str, ranges: Ranges, at: Situation, *, periodic: bool = False) -> Array:
+def clamped(name: str, ranges: Ranges, at: Situation, *, periodic: bool = False) -> Array:
     """(K,) values of an input inside its range; its middle where the situation does not know it."""
     span, found = ranges[name], values(name, at)
     if found is None:
@@ -166,7 +166,7 @@ def held(name: str, ranges: Ranges, at: Situation, *, periodic: bool = False) ->
     return inside
 
 
-def outside(name: str, span: Range, at: Situation, *, periodic: bool) -> NDArray[np.bool_]:
+def outside(name: str, span: InputRange, at: Situation, *, periodic: bool) -> NDArray[np.bool_]:
     """(K,) whether an input is out of its range by more than a thousandth of it; one that nobody knows is not."""
     found = values(name, at)
     if found is None or (periodic and is_rotation(name) and span.is_whole_turn):
@@ -181,7 +181,7 @@ AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
-class Kind:
+class TargetKind:
     """Of a target: its stage, the unit of its coefficients, how large they may be, and what it is in words."""
 
     stage: Stage
@@ -198,13 +198,13 @@ class Kind:
 
 
 KINDS = {
-    "theta": Kind("drive", "deg", DEGREE, 5.0, "the rotation of tube {}"),
-    "l": Kind("drive", "mm", MILLIMETRE, 2.0, "the translation of tube {}"),
-    "curvature": Kind("mechanics", "percent", 0.01, 10.0, "the precurvature of tube {}"),
-    "bend": Kind("mechanics", "percent", 0.01, 10.0, "the precurvature of tube {} across its plane"),
-    "stiffness": Kind("mechanics", "percent", 0.01, 20.0, "the bending stiffness of tube {}"),
-    "plate": Kind("mechanics", "deg", DEGREE, 2.0, "the tilt of all in front of the plate", has_axes=True),
-    "sensor": Kind("sensor", "mm", MILLIMETRE, 3.0, "the position that is read", has_axes=True),
+    "theta": TargetKind("drive", "deg", DEGREE, 5.0, "the rotation of tube {}"),
+    "l": TargetKind("drive", "mm", MILLIMETRE, 2.0, "the translation of tube {}"),
+    "curvature": TargetKind("mechanics", "percent", 0.01, 10.0, "the precurvature of tube {}"),
+    "bend": TargetKind("mechanics", "percent", 0.01, 10.0, "the precurvature of tube {} across its plane"),
+    "stiffness": TargetKind("mechanics", "percent", 0.01, 20.0, "the bending stiffness of tube {}"),
+    "plate": TargetKind("mechanics", "deg", DEGREE, 2.0, "the tilt of all in front of the plate", has_axes=True),
+    "sensor": TargetKind("sensor", "mm", MILLIMETRE, 3.0, "the position that is read", has_axes=True),
 }
 WAY = "_way"  # of a drive's term that depends on the last direction of motion
 NAME = re.compile(r"learned_(theta|l|curvature|bend|stiffness|plate|sensor)(?:_([1-9]\d*))?(_way)?")
@@ -219,7 +219,7 @@ class Target:
     of_way: bool = False
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> TargetKind:
         """Its kind."""
         return KINDS[self.kind_name]
 

@@ -13,7 +13,7 @@ from ctrplan.drive.legs import Collars
 from ctrplan.effects.effect import CATALOGUE, Effect, Parameter, Values, with_column
 from ctrplan.effects.learned import learned as learned_table
 from ctrplan.effects.learned import parts
-from ctrplan.effects.learned.inputs import AXES, PREFIX, Range, Ranges, Situation, Target, outside, target
+from ctrplan.effects.learned.inputs import AXES, PREFIX, InputRange, Ranges, Situation, Target, outside, target
 from ctrplan.effects.learned.parts import Part, formula, likeness
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.measurement.sensor import Poses
@@ -186,9 +186,9 @@ def named(on: Target, part_name: str) -> list[str]:
     return [f"{axis}{part_name}_{on.kind.unit}" for axis in axes]
 
 
-def ranges_of(table: Mapping[str, Any]) -> dict[str, Range]:
+def ranges_of(table: Mapping[str, Any]) -> dict[str, InputRange]:
     """The ranges of a robot file's table."""
-    return {name: Range(float(low), float(high)) for name, (low, high) in table.get("range", {}).items()}
+    return {name: InputRange(float(low), float(high)) for name, (low, high) in table.get("range", {}).items()}
 
 
 def _rounded(value: float) -> float:

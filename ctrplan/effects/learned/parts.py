@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.effects.learned.inputs import AXES, Range, Ranges, Situation, Target, exists, held, unit, values
+from ctrplan.effects.learned.inputs import AXES, InputRange, Ranges, Situation, Target, clamped, exists, unit, values
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -114,7 +114,7 @@ def _factor(name: str, n: int) -> Factor | None:
 
 
 def _wave(factor: Factor, at: Situation, ranges: Ranges) -> Array:
-    angle = np.radians(held(factor.input, ranges, at, periodic=True))
+    angle = np.radians(clamped(factor.input, ranges, at, periodic=True))
     wave: Array = (np.sin if factor.word == "sin" else np.cos)(factor.numbers[0] * angle)
     return wave
 
@@ -122,7 +122,7 @@ def _wave(factor: Factor, at: Situation, ranges: Ranges) -> Array:
 def _scaled(factor: Factor, at: Situation, ranges: Ranges) -> Array:
     """-1 to 1 over the range."""
     span = ranges[factor.input]
-    scaled: Array = (held(factor.input, ranges, at) - span.middle) / span.half
+    scaled: Array = (clamped(factor.input, ranges, at) - span.middle) / span.half
     return scaled
 
 
@@ -173,7 +173,7 @@ def period_deg(of: Part) -> float:
     return 360.0 / math.gcd(*waves) if waves else 0.0
 
 
-def farthest(name: str, span: Range, at: Situation, far: NDArray[np.bool_], *, periodic: bool) -> float:
+def farthest(name: str, span: InputRange, at: Situation, far: NDArray[np.bool_], *, periodic: bool) -> float:
     """The value (K,) of an input that is farthest out of its range, among some poses (K,)."""
     found = values(name, at)
     if found is None:

@@ -22,7 +22,7 @@ from ctrplan.drive.legs import merge_legs
 from ctrplan.errors import NoAnswerError
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.goal_states import descended, distinct
-from ctrplan.planning.reordering import Reordered, as_given, least_error
+from ctrplan.planning.reordering import Reordered, as_given, least_error_order
 from ctrplan.planning.search.insertion_chains import direct_roadmap, promising, retreat_roadmap
 from ctrplan.planning.search.ompl_set_up import SearchProblem
 from ctrplan.planning.search.roadmap_search import RoadmapSearch
@@ -297,7 +297,7 @@ class StageSearch:
     def _tidied(self, checker: MotionChecker, corners: Array, found_by: str) -> str:
         """Reorders and certifies a path (K, m), keeps it if it is the best; why it failed, empty if it did not."""
         found_s = time.monotonic() - self.began
-        result = least_error(checker, merge_legs(corners))
+        result = least_error_order(checker, merge_legs(corners))
         if self.best is not None and np.array_equal(result.after, self.best.corners):
             tidied = replace(self.best, reordered=result)
             self.certified = [tidied if candidate is self.best else candidate for candidate in self.certified]

@@ -21,7 +21,7 @@ from ctrplan.reports.live.picked_tip import picked_tip
 from ctrplan.reports.live.standing import Standings
 from ctrplan.reports.looks import view_box
 from ctrplan.reports.plan_words import WorstMiss
-from ctrplan.reports.robot_surface import Pose, anatomy_surface, pose, stand
+from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, pose, stand
 from ctrplan.reports.scene_traces import anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces, xyz
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class LiveState:
         self.standings = Standings(scenario)
         self.checker = self.standings.first.checker
         self.start = self._shown(scenario.start)
-        self.on_pose: Callable[[Pose], object] = lambda pose: None  # is told every pose that is shown
+        self.on_pose: Callable[[RobotPose], object] = lambda pose: None  # is told every pose that is shown
 
     def sliders(self) -> list[dict[str, Any]]:
         """Name, unit, range and first value of each joint, in deg or mm."""
@@ -179,7 +179,7 @@ class LiveState:
             points = np.clip(points, room.min(axis=0) - AROUND_M, room.max(axis=0) + AROUND_M)
         return points
 
-    def _moved(self, shown: Pose, scenario: Scenario) -> list[Any]:
+    def _moved(self, shown: RobotPose, scenario: Scenario) -> list[Any]:
         """What of the figure changes: its first traces, the plate last."""
         return [*moved_traces(shown), xyz(stand(scenario).vertices_m)]
 

@@ -11,7 +11,7 @@ from ctrplan.base.surface import Rod, capsule
 from ctrplan.reports import looks as looks
 from ctrplan.reports.plan_scene import WrittenMotion
 from ctrplan.reports.render.body import Body
-from ctrplan.reports.robot_surface import Pose, anatomy_surface, stand
+from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, stand
 
 TRIANGLES = 60_000  # of a part of the anatomy
 SIDES, ENVELOPE_SIDES = 24, 24
@@ -27,7 +27,7 @@ def still_bodies(motion: WrittenMotion, inside: bool) -> list[Body]:
     return [*_anatomy(motion, inside), *_marks(motion, inside)]
 
 
-def moving_bodies(pose: Pose, motion: WrittenMotion, inside: bool) -> list[Body]:
+def moving_bodies(pose: RobotPose, motion: WrittenMotion, inside: bool) -> list[Body]:
     """Tubes, and the envelope of friction around them; an endoscope sees the way that is left instead."""
     if inside:
         return list(_way_ahead(pose, motion))
@@ -67,7 +67,7 @@ def _marks(motion: WrittenMotion, inside: bool) -> Iterator[Body]:
         yield Body(capsule(point, point, MARK_M * length, 24), rgb(looks.GOAL_LOOK.colour), 0.75, 1.0)
 
 
-def _way_ahead(pose: Pose, motion: WrittenMotion) -> Iterator[Body]:
+def _way_ahead(pose: RobotPose, motion: WrittenMotion) -> Iterator[Body]:
     """Beads where the tip will come, and the targets, unless the eye is there."""
     eye, size = pose.tip_m, BEAD_M
     beads = _beads(motion.tip_m, APART_M)

@@ -11,7 +11,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.reports.looks import side_azimuth_rad
 from ctrplan.reports.plan_scene import WrittenMotion
 from ctrplan.reports.render.camera import Camera, look_at, looking_along, view_axes
-from ctrplan.reports.robot_surface import Pose
+from ctrplan.reports.robot_surface import RobotPose
 
 View = Literal["side", "plate", "target", "inside"]
 VIEWS: tuple[str, ...] = get_args(View)
@@ -23,7 +23,7 @@ LAMP_M, NEAR_M = 45e-3, 0.4e-3
 TARGET_SHARE, TARGET_M = 0.22, 12e-3  # of the robot's length around the target, and at least
 
 
-def camera_of(view: View, motion: WrittenMotion, aspect: float) -> Callable[[Pose], Camera]:
+def camera_of(view: View, motion: WrittenMotion, aspect: float) -> Callable[[RobotPose], Camera]:
     """The camera at each pose; one that stands still is the same object for all of them."""
     if view == "inside":
         return _endoscope(motion)
@@ -59,7 +59,7 @@ def _at_target(motion: WrittenMotion, aspect: float) -> Camera:
     return look_at(eye, goal, UP, HALF_VIEW, near_m=0.3 * seen_m / HALF_VIEW)
 
 
-def _endoscope(motion: WrittenMotion) -> Callable[[Pose], Camera]:
+def _endoscope(motion: WrittenMotion) -> Callable[[RobotPose], Camera]:
     """At the tip, looking where it points; up is carried along without twist."""
     ups: dict[float, Array] = {}
     up = UP
@@ -67,7 +67,7 @@ def _endoscope(motion: WrittenMotion) -> Callable[[Pose], Camera]:
         axes = view_axes(pose.tubes[-1].tangent[-1], up)
         up = ups[pose.time_s] = axes[1]
 
-    def camera(pose: Pose) -> Camera:
+    def camera(pose: RobotPose) -> Camera:
         rod = pose.tubes[-1]
         return Camera(rod.centreline_m[-1], view_axes(rod.tangent[-1], ups[pose.time_s]), WIDE, NEAR_M, LAMP_M)
 

@@ -28,13 +28,13 @@ import numpy as np
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
-from ctrplan.studies.design.definition import Archive, Definition, Looked, judged
+from ctrplan.studies.design.design_definition import Archive, DesignDefinition, EvaluatedDesign, judged
 from ctrplan.studies.design.space import Design, DesignSpace, name_of
 from ctrplan.studies.study.axes import goal_overrides
-from ctrplan.studies.study.definition import KEPT
 from ctrplan.studies.study.engine import Engine, unanswered
 from ctrplan.studies.study.store import Lines, Store
 from ctrplan.studies.study.study import Doing, Report, Where
+from ctrplan.studies.study.study_definition import KEPT
 from ctrplan.studies.study.table import write_table
 from ctrplan.studies.study.task import KEY_DIGITS, Task
 from ctrplan.studies.target_set import LESS_IS_BETTER
@@ -42,14 +42,14 @@ from ctrplan.studies.target_set import LESS_IS_BETTER
 FIRST, LEAST = 0.1, 0.01  # shares of the ranges
 LONGER, SHORTER = 1.5, 0.4
 
-Look = Callable[[Sequence[Design]], Sequence[Looked]]
+Look = Callable[[Sequence[Design]], Sequence[EvaluatedDesign]]
 
 
 @dataclass(eq=False)
 class Descent:
     """Where one descent is."""
 
-    at: Looked
+    at: EvaluatedDesign
     step: float = FIRST
     tried: set[tuple[object, ...]] = field(default_factory=set)
 
@@ -69,7 +69,7 @@ class Descent:
             self.step *= SHORTER
         return None
 
-    def judge(self, looked: Looked, objective: str) -> None:
+    def judge(self, looked: EvaluatedDesign, objective: str) -> None:
         """Goes on from a design that is better, else tries a shorter step."""
         if is_better(looked, self.at, objective):
             self.at, self.step = looked, self.step * LONGER
@@ -78,8 +78,8 @@ class Descent:
 
 
 def descend(
-    space: DesignSpace, best: Sequence[Looked], steps: int, objectives: Sequence[str], look: Look
-) -> list[Looked]:
+    space: DesignSpace, best: Sequence[EvaluatedDesign], steps: int, objectives: Sequence[str], look: Look
+) -> list[EvaluatedDesign]:
     """So many steps from each design, all of them together; where each ends."""
     objective = judged(objectives)
     descents = [Descent(looked) for looked in best]
@@ -92,14 +92,14 @@ def descend(
     return [descent.at for descent in descents]
 
 
-def is_better(new: Looked, old: Looked, objective: str) -> bool:
+def is_better(new: EvaluatedDesign, old: EvaluatedDesign, objective: str) -> bool:
     """Whether the error is less and as many targets are reached."""
     if not new.is_done:
         return False
     return bool(new.numbers[objective] < old.numbers[objective] and new.numbers["reach"] >= old.numbers["reach"])
 
 
-def downhill(space: DesignSpace, looked: Looked) -> Array:
+def downhill(space: DesignSpace, looked: EvaluatedDesign) -> Array:
     """Direction in shares along which the error falls fastest, its largest part 1 or -1; zero where it can't fall.
 
     Tubes stay what they are. What is at an end of its range does not move beyond it.
@@ -187,7 +187,9 @@ PLANS = "plans"  # folder below that of the search, which load_study reads
 JOINTS, TIP = "joints", "tip"  # what a plan ends at
 
 
-def confirm(definition: Definition, best: Sequence[Looked], search: Store, engine: Engine, report: Report) -> None:
+def confirm(
+    definition: DesignDefinition, best: Sequence[EvaluatedDesign], search: Store, engine: Engine, report: Report
+) -> None:
     """Does those plans that are missing in the folder `plans`, and writes their table. Raises CtrplanError."""
     store = Store(search.folder / PLANS)
     store.open_for_work()
@@ -225,7 +227,9 @@ def _status(task: Task, store: Store) -> str | None:
     return store.failed.get(key, "done") if key in store.offsets else None
 
 
-def _task(definition: Definition, index: int, number: int, looked: Looked, goal: Mapping[str, Any]) -> Task:
+def _task(
+    definition: DesignDefinition, index: int, number: int, looked: EvaluatedDesign, goal: Mapping[str, Any]
+) -> Task:
     """The plan to one target with the design that is `number` on the front."""
     given = {key: value for key, value in goal.items() if value is not None}
     overrides = (*looked.row["overrides"], *goal_overrides(given))
@@ -240,7 +244,7 @@ SEARCH, LOCAL = "search", "local step"
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class SearchResult:
     """What a search left in its folder."""
 
     archive: Archive
@@ -249,7 +253,7 @@ class Found:
     interrupted: bool = False
 
 
-def search(definition: Definition, folder: str | os.PathLike[str], where: Where, report: Report) -> Found:
+def search(definition: DesignDefinition, folder: str | os.PathLike[str], where: Where, report: Report) -> SearchResult:
     """Looks at designs until all trials and local steps are done, or Ctrl-C. Raises CtrplanError."""
     check_installed()
     store = Store(folder)
@@ -258,7 +262,7 @@ def search(definition: Definition, folder: str | os.PathLike[str], where: Where,
     parts = [{**own, "content": definition.document.content}]
     store.write_definition({"name": definition.name, "version": definition.job.version, "parts": parts})
     interrupted, archive = False, Archive(definition.entry.objectives)
-    looking = Looking(definition, store, archive, report)
+    looking = SearchState(definition, store, archive, report)
     try:
         report(Doing("workers", 0, 1))
         with where.engine() as engine:
@@ -277,10 +281,10 @@ def search(definition: Definition, folder: str | os.PathLike[str], where: Where,
         write_table(store)
     finally:
         store.close()
-    return Found(archive, store, looking.did, interrupted)
+    return SearchResult(archive, store, looking.did, interrupted)
 
 
-def _trials(definition: Definition, looking: Looking) -> None:
+def _trials(definition: DesignDefinition, looking: SearchState) -> None:
     """All trials of the sampler, a batch at a time."""
     entry, archive = definition.entry, looking.archive
     less = [LESS_IS_BETTER[name] for name in entry.objectives]
@@ -293,12 +297,12 @@ def _trials(definition: Definition, looking: Looking) -> None:
             sampler.tell(trial, list(archive.values(one).values()) if one.is_done else None)
 
 
-class Looking:
+class SearchState:
     """Looks at designs: what the folder has no row of is done by an engine."""
 
     engine: Engine
 
-    def __init__(self, definition: Definition, store: Store, archive: Archive, report: Report) -> None:
+    def __init__(self, definition: DesignDefinition, store: Store, archive: Archive, report: Report) -> None:
         """Nothing is done yet."""
         self.definition, self.store, self.archive, self.report = definition, store, archive, report
         self.keys: dict[str, int] = {}  # of all tasks, in their order
@@ -306,14 +310,14 @@ class Looking:
         entry = definition.entry
         self.count = entry.trials + entry.local.designs * entry.local.steps
 
-    def look(self, designs: Sequence[Design], stage: str, front: list[dict[str, float]]) -> list[Looked]:
+    def look(self, designs: Sequence[Design], stage: str, front: list[dict[str, float]]) -> list[EvaluatedDesign]:
         """The rows of designs, in their order; they join the archive."""
         tasks = [self._task(design, stage, front) for design in designs]
         missing = {
             task.key: (task, design) for task, design in zip(tasks, designs, strict=True) if self._is_missing(task)
         }
         self._do(missing.values())
-        found = [Looked(design, self._row(task)) for design, task in zip(designs, tasks, strict=True)]
+        found = [EvaluatedDesign(design, self._row(task)) for design, task in zip(designs, tasks, strict=True)]
         for looked in found:
             self.archive.add(looked)
         self.write_keys()

@@ -15,7 +15,7 @@ from ctrplan.files.design_file import DesignEntry, checked_design, read_design
 from ctrplan.files.robot_file import load_robot, write_robot
 from ctrplan.storage.output_folder import write_atomically
 from ctrplan.storage.toml_document import Document
-from ctrplan.studies.design.definition import Archive, Definition, Looked, defined
+from ctrplan.studies.design.design_definition import Archive, DesignDefinition, EvaluatedDesign, defined
 from ctrplan.studies.design.search import PLANS, search
 from ctrplan.studies.study.axes import goal_overrides
 from ctrplan.studies.study.sources import ROBOT_PREFIX
@@ -25,7 +25,7 @@ from ctrplan.studies.study.table import StudyTable, load_study
 FRONT, ROBOTS = "front.json", "robots"
 
 
-class TubeDesign(Definition):
+class TubeDesign(DesignDefinition):
     """A search over what can be made, for a set of targets in an anatomy; made by `TubeDesign.read` or `.of`."""
 
     @classmethod
@@ -97,7 +97,7 @@ class TubeDesigns:
         return load_study(self.folder / PLANS) if self.search.entry.plans and not self.interrupted else None
 
     @property
-    def front(self) -> list[Looked]:
+    def front(self) -> list[EvaluatedDesign]:
         """Designs that no other is better than, the best by the first objective first."""
         return self.archive.front
 
@@ -125,7 +125,7 @@ class TubeDesigns:
             name = {"name": f"{self.search.name}, design {k}"}
             write_robot(robots / f"{k:02d}.toml", {**dict(robot.content), **name})
 
-    def _entry(self, k: int, looked: Looked) -> dict[str, Any]:
+    def _entry(self, k: int, looked: EvaluatedDesign) -> dict[str, Any]:
         costs = self.search.tolerance_costs(looked)
         choices = {name: value for name, value in looked.row["inputs"].items() if name != "stage"}
         known = {name: value for name, value in looked.numbers.items() if not name.startswith(("slope.", "joints"))}

@@ -12,7 +12,7 @@ import numpy as np
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.studies.study.axes import LEVELS, DrawAxis, check_salib, distributed, problem
-from ctrplan.studies.study.definition import Definition
+from ctrplan.studies.study.study_definition import StudyDefinition
 from ctrplan.studies.study.table import StudyTable
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ctrplan.studies.study.task import Task
 
 
-def judged_by(study: Definition) -> str:
+def judged_by(study: StudyDefinition) -> str:
     """The column by which rows are better or worse; less is better."""
     return study.entry.keep.by or study.kind.best
 
@@ -35,7 +35,7 @@ def extremes(rows: Sequence[dict[str, Any]], column: str) -> list[int]:
     return [] if not found else list(dict.fromkeys([min(found)[1], max(found)[1]]))
 
 
-def extreme_tasks(study: Definition, tasks: Sequence[Task], store: Store, files: Sequence[str]) -> list[Task]:
+def extreme_tasks(study: StudyDefinition, tasks: Sequence[Task], store: Store, files: Sequence[str]) -> list[Task]:
     """Those of the best and the worst row whose plans are not there yet. Raises InputError for an unknown column."""
     column = judged_by(study)
     done = [task for task in tasks if (key := bytes.fromhex(task.key)) in store.offsets and key not in store.failed]
@@ -78,7 +78,7 @@ class Sensitivity:
     count: int  # and how many there are
 
 
-def sensitivity(study: Definition, table: StudyTable, column: str) -> Sensitivity | None:
+def sensitivity(study: StudyDefinition, table: StudyTable, column: str) -> Sensitivity | None:
     """The indices of a column, a mean over all else that is varied; None where nothing was drawn for them.
 
     A base sample or trajectory one of whose tasks has no number is left out. Raises InputError without SALib.
@@ -104,7 +104,7 @@ def sensitivity(study: Definition, table: StudyTable, column: str) -> Sensitivit
     return Sensitivity(method, keys, first, total, interval, int(blocks.sum()), len(blocks))
 
 
-def _analysed(study: Definition, method: str, x: Array, y: Array) -> tuple[Array, Array, Array]:
+def _analysed(study: StudyDefinition, method: str, x: Array, y: Array) -> tuple[Array, Array, Array]:
     asked = problem(distributed(study.entry))
     if method == "sobol":
         from SALib.analyze import sobol

@@ -30,7 +30,7 @@ OF_TASK = ("seed",)  # keys that are neither the robot's nor the scenario's
 
 
 @dataclass(frozen=True)
-class Choice:
+class AxisChoice:
     """What one choice says."""
 
     inputs: Mapping[str, Any]  # columns of the table, numbers and texts
@@ -49,11 +49,11 @@ class Axis(ABC):
         """Number of choices."""
 
     @abstractmethod
-    def at(self, k: int) -> Choice:
+    def at(self, k: int) -> AxisChoice:
         """Choice k."""
 
 
-class Range(Sequence[float]):
+class AxisRange(Sequence[float]):
     """Evenly spaced numbers, both ends included."""
 
     def __init__(self, low: float, high: float, count: int) -> None:
@@ -82,7 +82,7 @@ class KeyAxis(Axis):
         """Number of values."""
         return len(self.values)
 
-    def at(self, k: int) -> Choice:
+    def at(self, k: int) -> AxisChoice:
         """Value k."""
         return keyed({self.key: self.values[k]})
 
@@ -99,7 +99,7 @@ class DrawAxis(Axis):
         """Number of rows."""
         return len(self.rows)
 
-    def at(self, k: int) -> Choice:
+    def at(self, k: int) -> AxisChoice:
         """Row k."""
         return keyed(dict(zip(self.names, self.rows[k].tolist(), strict=True)))
 
@@ -116,13 +116,13 @@ class FileAxis(Axis):
         """Number of files."""
         return len(self.files)
 
-    def at(self, k: int) -> Choice:
+    def at(self, k: int) -> AxisChoice:
         """File k."""
         shown, value, digest = self.files[k]
         if self.is_main:
-            return Choice({self.key: shown}, (), {"file": value}, digest)
+            return AxisChoice({self.key: shown}, (), {"file": value}, digest)
         chosen = keyed({self.key: value})
-        return Choice({self.key: shown}, chosen.overrides, chosen.settings, digest)
+        return AxisChoice({self.key: shown}, chosen.overrides, chosen.settings, digest)
 
 
 class TargetAxis(Axis):
@@ -137,12 +137,12 @@ class TargetAxis(Axis):
         """Number of points."""
         return len(self.points_mm)
 
-    def at(self, k: int) -> Choice:
+    def at(self, k: int) -> AxisChoice:
         """Point k."""
         point = self.points_mm[k].tolist()
         inputs = {f"target_{axis}_mm": value for axis, value in zip("xyz", point, strict=True)}
         goal = {"tip_mm": point, **self.common}
-        return Choice(inputs, goal_overrides(goal) if self.of_scenario else (), {"target": goal})
+        return AxisChoice(inputs, goal_overrides(goal) if self.of_scenario else (), {"target": goal})
 
 
 class BaseAxis(Axis):
@@ -157,15 +157,15 @@ class BaseAxis(Axis):
         """Number of poses."""
         return len(self.position_mm)
 
-    def at(self, k: int) -> Choice:
+    def at(self, k: int) -> AxisChoice:
         """Pose k."""
         position, quaternion = self.position_mm[k].tolist(), self.quaternion[k].tolist()
         inputs = {f"base_{axis}_mm": value for axis, value in zip("xyz", position, strict=True)}
         inputs |= {f"base_q{axis}": value for axis, value in zip("wxyz", quaternion, strict=True)}
         pose = {"position_mm": position, "quaternion_wxyz": quaternion}
         if self.beside is not None:
-            return Choice(inputs, (f"base={_inline({**pose, **self.beside})}",))
-        return Choice(inputs, tuple(f"base.{key}={json.dumps(value)}" for key, value in pose.items()))
+            return AxisChoice(inputs, (f"base={_inline({**pose, **self.beside})}",))
+        return AxisChoice(inputs, tuple(f"base.{key}={json.dumps(value)}" for key, value in pose.items()))
 
 
 def is_of_task(key: str) -> bool:
@@ -173,12 +173,12 @@ def is_of_task(key: str) -> bool:
     return key in OF_TASK or key.startswith(TASK_PREFIX) or CONFIGURATION.fullmatch(key) is not None
 
 
-def keyed(values: Mapping[str, Any]) -> Choice:
+def keyed(values: Mapping[str, Any]) -> AxisChoice:
     """The choice of values for keys."""
     of_files = tuple(f"{key}={_toml(value)}" for key, value in values.items() if not is_of_task(key))
     of_task = {key.removeprefix(TASK_PREFIX): value for key, value in values.items() if is_of_task(key)}
     inputs = {key: json.dumps(value) if isinstance(value, list) else value for key, value in values.items()}
-    return Choice(inputs, of_files, of_task)
+    return AxisChoice(inputs, of_files, of_task)
 
 
 def goal_overrides(goal: Mapping[str, Any]) -> tuple[str, ...]:
@@ -326,7 +326,7 @@ def distributed(entry: StudyEntry) -> list[VaryEntry]:
 def _values(vary: VaryEntry) -> Sequence[Any]:
     if vary.values is not None:
         return vary.values
-    return Range(vary.low or 0.0, vary.high or 0.0, vary.count or 1)
+    return AxisRange(vary.low or 0.0, vary.high or 0.0, vary.count or 1)
 
 
 def _files(vary: VaryEntry, entry: StudyEntry, sources: Sources, files: list[Path], folder: Path) -> FileAxis:

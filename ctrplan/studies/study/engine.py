@@ -26,9 +26,9 @@ from ctrplan.storage.toml_document import Document
 from ctrplan.storage.toml_table import Table
 from ctrplan.studies.child_process import ChildEnded, ChildExecutor, in_child
 from ctrplan.studies.study.store import Lines
-from ctrplan.studies.study.task import CATALOGUE, Job, Numbered, Row, Status, Task, TaskKind
+from ctrplan.studies.study.task import CATALOGUE, Job, Status, Task, TaskKind, TaskNumbers, TaskRow
 
-Chunk = Sequence[Task] | Numbered
+Chunk = Sequence[Task] | TaskNumbers
 """Tasks that a worker gets at a time."""
 
 
@@ -53,14 +53,14 @@ def do_chunk(content: bytes, chunk: Chunk) -> Lines:
 
 def tasks_of(content: bytes, chunk: Chunk) -> Sequence[Task]:
     """The tasks of a chunk, also where only their numbers were sent."""
-    if not isinstance(chunk, Numbered):
+    if not isinstance(chunk, TaskNumbers):
         return chunk
     tasks = _job(content).tasks
     assert tasks is not None
     return chunk.of(tasks)
 
 
-def do_tasks(content: bytes, tasks: Sequence[Task]) -> list[Row]:
+def do_tasks(content: bytes, tasks: Sequence[Task]) -> list[TaskRow]:
     """The rows of tasks of a job, on one thread. Raises VersionError; all else that goes wrong stands in the rows."""
     job = _job(content)
     check_version(job.version)
@@ -105,7 +105,9 @@ def _kind(content: bytes) -> TaskKind:
     return kind_of(_job(content))
 
 
-def _row(job: Job, task: Task, result: Mapping[str, Any] | Exception, where: str, took_s: tuple[float, float]) -> Row:
+def _row(
+    job: Job, task: Task, result: Mapping[str, Any] | Exception, where: str, took_s: tuple[float, float]
+) -> TaskRow:
     status: Status = "done"
     reason = ""
     numbers: Mapping[str, Any] = {}
@@ -114,7 +116,7 @@ def _row(job: Job, task: Task, result: Mapping[str, Any] | Exception, where: str
         numbers = getattr(result, "numbers", {})
     else:
         numbers = result
-    return Row(
+    return TaskRow(
         key=task.key,
         index=task.index,
         inputs=task.inputs,
@@ -156,7 +158,7 @@ def worker_name() -> str:
 
 def do_limited(content: bytes, chunk: Chunk, limit_s: float) -> Lines:
     """Rows of tasks, each of which may take `limit_s`; one that did not live to answer has a row that says so."""
-    rows: list[Row] = []
+    rows: list[TaskRow] = []
     for task in tasks_of(content, chunk):
         try:
             in_child(prepare, content)
@@ -168,9 +170,9 @@ def do_limited(content: bytes, chunk: Chunk, limit_s: float) -> Lines:
     return Lines.of(rows)
 
 
-def unanswered(task: Task, status: Status, sentence: str, elapsed_s: float = 0.0) -> Row:
+def unanswered(task: Task, status: Status, sentence: str, elapsed_s: float = 0.0) -> TaskRow:
     """The row of a task that gave no answer."""
-    return Row(task.key, task.index, task.inputs, status, sentence, overrides=task.overrides, elapsed_s=elapsed_s)
+    return TaskRow(task.key, task.index, task.inputs, status, sentence, overrides=task.overrides, elapsed_s=elapsed_s)
 
 
 Chunks = Iterator[Chunk]

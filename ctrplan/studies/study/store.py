@@ -17,9 +17,9 @@ from typing import Any
 
 from ctrplan.errors import CtrplanError, InputError
 from ctrplan.storage.output_folder import output_folder, write_atomically
-from ctrplan.studies.study.task import KEY_BYTES, KEY_DIGITS, Row
+from ctrplan.studies.study.task import KEY_BYTES, KEY_DIGITS, TaskRow
 
-COLUMNS = tuple(field.name for field in fields(Row) if field.name != "files")
+COLUMNS = tuple(field.name for field in fields(TaskRow) if field.name != "files")
 BEGIN, DONE = b'{"key": "', b'"status": "done"'
 _written = json.JSONEncoder(ensure_ascii=False).encode
 
@@ -32,7 +32,7 @@ class Lines:
     files: Mapping[int, Mapping[str, bytes]] = field(default_factory=dict)  # content by name, by place in the table
 
     @classmethod
-    def of(cls, rows: Sequence[Row]) -> Lines:
+    def of(cls, rows: Sequence[TaskRow]) -> Lines:
         """Of rows, in their order."""
         lines = [_written({name: getattr(row, name) for name in COLUMNS}) + "\n" for row in rows]
         return cls("".join(lines).encode(), {row.index: row.files for row in rows if row.files})

@@ -21,12 +21,12 @@ from ctrplan.errors import InputError
 from ctrplan.files.study_file import StudyEntry, checked_study, read_study
 from ctrplan.storage.toml_document import Document
 from ctrplan.studies.study.analysis import extreme_tasks
-from ctrplan.studies.study.definition import Definition, defined
 from ctrplan.studies.study.engine import Engine, ExecutorEngine, PoolEngine
 from ctrplan.studies.study.engine_dask import DaskEngine, is_installed
 from ctrplan.studies.study.store import Store
+from ctrplan.studies.study.study_definition import StudyDefinition, defined
 from ctrplan.studies.study.table import StudyTable, load_study, write_table
-from ctrplan.studies.study.task import Numbered, Task
+from ctrplan.studies.study.task import Task, TaskNumbers
 
 MOST_TASKS = 1_000_000  # without being asked twice
 MOST_DAYS = 7.0
@@ -103,7 +103,7 @@ class Outcome:
 
 
 def run_study(
-    study: Definition,
+    study: StudyDefinition,
     folder: str | os.PathLike[str],
     where: Where,
     *,
@@ -123,7 +123,7 @@ def run_study(
     store.open_for_work()
     try:
         studies = _with_earlier(study, store, add)
-        missing = {part: Numbered.none() for part in studies}
+        missing = {part: TaskNumbers.none() for part in studies}
         count = store.write_keys(_counted(studies, store, missing, report))
         did, interrupted = _do(studies, missing, store, where, report)
         return Outcome(store, write_table(store), count, did, interrupted)
@@ -131,7 +131,7 @@ def run_study(
         store.close()
 
 
-def refuse_endless(study: Definition, where: Where, yes: bool) -> None:
+def refuse_endless(study: StudyDefinition, where: Where, yes: bool) -> None:
     """Raises InputError, with the time that it would take, for a study that nobody means to wait for."""
     refuse_longer_than_a_week(study.count, study.count * study.task_s, "tasks", where, yes, study.document.file)
 
@@ -155,7 +155,7 @@ def in_words(seconds: float) -> str:
     return f"{max(seconds, 0):.0f} s"
 
 
-def _with_earlier(study: Definition, store: Store, add: bool) -> list[Definition]:
+def _with_earlier(study: StudyDefinition, store: Store, add: bool) -> list[StudyDefinition]:
     """The studies whose tasks the table has, in their order; study.json says so."""
     folder = os.path.abspath(store.folder)
     file = os.path.abspath(study.document.file or "study.toml")
@@ -170,7 +170,7 @@ def _with_earlier(study: Definition, store: Store, add: bool) -> list[Definition
     return earlier
 
 
-def _again(part: Mapping[str, Any], folder: str, allow_outside: bool) -> Definition:
+def _again(part: Mapping[str, Any], folder: str, allow_outside: bool) -> StudyDefinition:
     place = Path(folder) / str(part["file"])
     content = part["content"]
     if not isinstance(content, dict):
@@ -179,7 +179,7 @@ def _again(part: Mapping[str, Any], folder: str, allow_outside: bool) -> Definit
     return defined(checked_study(document), document, allow_outside)
 
 
-def _tasks(studies: Sequence[Definition]) -> Iterator[tuple[Definition, int, Task]]:
+def _tasks(studies: Sequence[StudyDefinition]) -> Iterator[tuple[StudyDefinition, int, Task]]:
     """All tasks, each once, numbered in their order; and which of a study's list each is."""
     seen: set[str] = set()
     index = 0
@@ -195,7 +195,11 @@ def _tasks(studies: Sequence[Definition]) -> Iterator[tuple[Definition, int, Tas
 
 
 def _do(
-    studies: Sequence[Definition], missing: Mapping[Definition, Numbered], store: Store, where: Where, report: Report
+    studies: Sequence[StudyDefinition],
+    missing: Mapping[StudyDefinition, TaskNumbers],
+    store: Store,
+    where: Where,
+    report: Report,
 ) -> tuple[int, bool]:
     """Does what is missing; returns how many tasks that were, and whether Ctrl-C ended it."""
     did = 0
@@ -217,7 +221,9 @@ def _do(
     return did, False
 
 
-def _done(missing: Mapping[Definition, Numbered], store: Store, engine: Engine, report: Report) -> Iterator[int]:
+def _done(
+    missing: Mapping[StudyDefinition, TaskNumbers], store: Store, engine: Engine, report: Report
+) -> Iterator[int]:
     """Does what is missing, and says after every chunk how many tasks are done."""
     did, count, began = 0, sum(map(len, missing.values())), time.monotonic()
     report(Doing("tasks", 0, count, None, engine.note))
@@ -234,7 +240,7 @@ def _done(missing: Mapping[Definition, Numbered], store: Store, engine: Engine, 
 
 
 def _counted(
-    studies: Sequence[Definition], store: Store, missing: Mapping[Definition, Numbered], report: Report
+    studies: Sequence[StudyDefinition], store: Store, missing: Mapping[StudyDefinition, TaskNumbers], report: Report
 ) -> Iterator[str]:
     """Keys of all tasks; meanwhile those that are missing are noted for each study."""
     most = sum(study.count for study in studies)
@@ -246,7 +252,7 @@ def _counted(
         yield task.key
 
 
-def _is_missing(study: Definition, task: Task, store: Store) -> bool:
+def _is_missing(study: StudyDefinition, task: Task, store: Store) -> bool:
     """Whether there is no row that could stay: none, or one of a task that nobody lived to answer."""
     key = bytes.fromhex(task.key)
     if key not in store.offsets:
@@ -259,7 +265,7 @@ def _is_missing(study: Definition, task: Task, store: Store) -> bool:
     return status == "lost"
 
 
-def _sizes(study: Definition, count: int, workers: int) -> Iterable[int]:
+def _sizes(study: StudyDefinition, count: int, workers: int) -> Iterable[int]:
     """Of chunks: so many tasks at a time that neither their worker nor the scheduler notices the hand-over."""
     in_chunks = study.kind.together and study.kind.time_limit_s is None
     return chunk_sizes(study.task_s, count, max(workers, 1)) if in_chunks else repeat(1)
@@ -281,7 +287,7 @@ def chunk_size(task_s: float, count: int, workers: int) -> int:
 
 
 def _keep_extremes(
-    study: Definition, studies: Sequence[Definition], store: Store, engine: Engine, report: Report
+    study: StudyDefinition, studies: Sequence[StudyDefinition], store: Store, engine: Engine, report: Report
 ) -> None:
     """The plans of the best and the worst row, made again and kept."""
     wanted = extreme_tasks(study, [task for owner, _, task in _tasks(studies) if owner is study], store, PLAN_FILES)
@@ -291,7 +297,7 @@ def _keep_extremes(
         report(Doing("plans", done, len(wanted), None, engine.note))
 
 
-class Study(Definition):
+class Study(StudyDefinition):
     """Independent tasks, one for every combination of what is varied; made by `Study.read` or `Study.of`."""
 
     load = staticmethod(load_study)

@@ -63,7 +63,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Row:
+class TaskRow:
     """What came out of a task."""
 
     key: str
@@ -130,7 +130,7 @@ KEY_BYTES = KEY_DIGITS // 2
 
 
 @dataclass(frozen=True)
-class Numbered:
+class TaskNumbers:
     """Tasks of a list: their numbers in it, their places in the table and their keys, KEY_BYTES each."""
 
     numbers: array[int]
@@ -138,7 +138,7 @@ class Numbered:
     keys: bytes | bytearray
 
     @classmethod
-    def none(cls) -> Numbered:
+    def none(cls) -> TaskNumbers:
         """To which some may be added."""
         return cls(array("q"), array("q"), bytearray())
 
@@ -153,7 +153,7 @@ class Numbered:
         self.indices.append(index)
         self.keys.extend(key)
 
-    def chunks(self, sizes: Iterable[int]) -> Iterator[Numbered]:
+    def chunks(self, sizes: Iterable[int]) -> Iterator[TaskNumbers]:
         """All of them in their order, so many at a time."""
         begin = 0
         for size in sizes:
@@ -169,9 +169,9 @@ class Numbered:
         found = zip(self.numbers, self.indices, keys, strict=True)
         return [tasks.made(number, index, key) for number, index, key in found]
 
-    def _some(self, begin: int, end: int) -> Numbered:
+    def _some(self, begin: int, end: int) -> TaskNumbers:
         keys = bytes(self.keys[begin * KEY_BYTES : end * KEY_BYTES])
-        return Numbered(self.numbers[begin:end], self.indices[begin:end], keys)
+        return TaskNumbers(self.numbers[begin:end], self.indices[begin:end], keys)
 
 
 OF_TARGET = ("goal=", "target=")  # overrides that change the goal and nothing else

@@ -51,11 +51,11 @@ class TargetSetTask(TaskKind, frozen=True, kw_only=True):
         return TARGET_S * len(self.points_mm) * 2.0 ** (robot.n - 3) * (0.5 + self.starts / 80)
 
     def numbers(self, task: Task, loaded: Loaded) -> Mapping[str, Any]:
-        from ctrplan.studies.target_set import Search, error_slopes_mm, robust_worth, set_worth  # slow to import
+        from ctrplan.studies.target_set import Search, error_slopes_mm, robust_value, set_value  # slow to import
 
         scenario, goals = loaded.place, self._goals()
         search = Search(self.starts, task.settings["seed"], self.unreached_mm, tuple(self.front))
-        worth = set_worth(scenario, goals, search)
+        worth = set_value(scenario, goals, search)
         if not worth.reached:
             raise NoAnswerError("no target is reached within limits and margins.")
         pairs = [_pair(side, scenario, task.overrides) for side in self.sides]
@@ -74,7 +74,7 @@ class TargetSetTask(TaskKind, frozen=True, kw_only=True):
         found |= {f"slope.{pair.name}": value for pair, value in zip(pairs, slopes_mm.tolist(), strict=True)}
         rows = [k for k, side in enumerate(self.sides) if side.is_tolerance]
         if rows:
-            robust = robust_worth(scenario, goals, worth, slopes_mm[rows], [pairs[k] for k in rows], search)
+            robust = robust_value(scenario, goals, worth, slopes_mm[rows], [pairs[k] for k in rows], search)
             found |= {"robust_mm": robust.error_mm, "robust_reach": robust.reach}
             found["robust_first_order_mm"] = robust.first_order_mm
         return found

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ctrplan.audit.body import Body, RawAnatomy, body_of
+from ctrplan.audit.body import BodyPoints, RawAnatomy, body_of
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.errors import CtrplanError
 from ctrplan.files.plan_file import WrittenPlan
@@ -79,7 +79,7 @@ SMALLER_IS_WORSE = ("clearance", "stability")
 
 
 @dataclass(frozen=True, eq=False)
-class Finding:
+class WorstFigure:
     """A figure of a claim at a place of the way; SI."""
 
     claim: str  # a key of ALLOWED
@@ -106,7 +106,7 @@ class Finding:
         """Whether the claim is broken, beyond what is allowed for rounding and meshes."""
         return self.excess > ALLOWED[self.claim] + SHARE[self.claim] * abs(self.stated)
 
-    def worse_than(self, other: Finding | None) -> bool:
+    def worse_than(self, other: WorstFigure | None) -> bool:
         """Whether it says more against its claim."""
         if other is None:
             return True
@@ -140,7 +140,7 @@ COST: dict[Accuracy, int] = {"search": 15, "certificate": 30, "exact": 80}  # of
 
 
 @dataclass(eq=False)
-class Case:
+class AuditedPlan:
     """A plan under judgement; counts the work that is spent on it."""
 
     plan: WrittenPlan
@@ -148,11 +148,11 @@ class Case:
     way: DrivenWay
     anatomy: RawAnatomy
     accuracy: Accuracy
-    worst: dict[str, Finding] = field(default_factory=dict)  # of every claim
+    worst: dict[str, WorstFigure] = field(default_factory=dict)  # of every claim
     work: int = 0
 
     @classmethod
-    def of(cls, plan: WrittenPlan, accuracy: Accuracy) -> Case:
+    def of(cls, plan: WrittenPlan, accuracy: Accuracy) -> AuditedPlan:
         """The case of a written plan; figures are those of meshes of `accuracy`."""
         scenario = plan.scenario
         return cls(plan, scenario.robot, DrivenWay.of(plan), RawAnatomy.of(scenario.anatomy), accuracy)
@@ -188,7 +188,7 @@ class Case:
         """(K, 3) of the robot's frame in the anatomy's."""
         return points_m @ self.plan.scenario.base_R.T + self.plan.scenario.base_position_m
 
-    def room(self, body: Body) -> tuple[float, int, Array]:
+    def room(self, body: BodyPoints) -> tuple[float, int, Array]:
         """Least clearance [m] of a body, the tube, and the point (3,) of its centreline in the anatomy's frame."""
         rooms = self.anatomy.room(self.located(body.point_m)) - body.radius_m
         k = int(np.argmin(rooms))
@@ -202,7 +202,7 @@ class Case:
 
     def solved(
         self, place: float, phi: tuple[float, ...], play: tuple[float, ...] = (), accuracy: Accuracy | None = None
-    ) -> list[Finding]:
+    ) -> list[WorstFigure]:
         """Findings of one state in the cube of friction, and of the frictionless one; empty where unsolved."""
         mesh = accuracy or self.accuracy
         self.work += 2 * COST[mesh]
@@ -229,7 +229,7 @@ class Case:
         *,
         before: Array | None = None,
         play: tuple[float, ...] = (),
-    ) -> list[Finding]:
+    ) -> list[WorstFigure]:
         """Clearance, strain, and deviation from the frictionless tip (3,) of a solved shape."""
         found = [self.finding("strain", float(shape.max_strain), place, phi, shape, before=before, play=play)]
         if self.plan.scenario.anatomy:
@@ -251,11 +251,11 @@ class Case:
         *,
         before: Array | None = None,
         play: tuple[float, ...] = (),
-    ) -> Finding:
+    ) -> WorstFigure:
         """A figure at a place; its point is the tip of the shape, or the tip (3,) itself."""
         tip = shape if isinstance(shape, np.ndarray) else shape.tip_m
         leg = min(int(self.way.leg_at(place)) + 1, len(self.plan.waypoints) - 1)
-        return Finding(
+        return WorstFigure(
             claim=claim,
             value=value,
             stated=self.stated(claim, place),
@@ -271,7 +271,7 @@ class Case:
             accuracy=self.accuracy,
         )
 
-    def note(self, findings: list[Finding]) -> None:
+    def note(self, findings: list[WorstFigure]) -> None:
         """Keeps of every claim what says most against it."""
         for found in findings:
             if np.isfinite(found.value) and found.worse_than(self.worst.get(found.claim)):

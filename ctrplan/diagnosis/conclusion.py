@@ -18,8 +18,8 @@ from ctrplan.calibration.fit_warnings import gross_outliers, too_many
 from ctrplan.calibration.residuals import Noise
 from ctrplan.diagnosis.adequacy import ignored, remains, rescaled_noise
 from ctrplan.diagnosis.built_term import Built, build
-from ctrplan.diagnosis.partial import Partly, partly
-from ctrplan.diagnosis.selection import Selector, Step
+from ctrplan.diagnosis.partial_diagnosis import PartialDiagnosis, diagnose_partially
+from ctrplan.diagnosis.selection import SelectionStep, Selector
 from ctrplan.diagnosis.smooth_evidence import remaining_error
 from ctrplan.diagnosis.usable_poses import bench_of, checked_split, thinned, without_outliers
 from ctrplan.diagnosis.verdict import Finding, Judgement, judge, specific
@@ -60,11 +60,11 @@ LONG_LOG = 400  # poses of a continuous motion, of which parts are asked for fir
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class Conclusion:
     """What was found on the poses that choose; the arrays are over all poses (K,) of the data."""
 
     bench: Workbench
-    path: tuple[Step, ...]
+    path: tuple[SelectionStep, ...]
     chosen: Scored  # with the effects of the search
     base: Scored  # calibrated, without effects
     judgement: Judgement
@@ -75,34 +75,34 @@ class Answer:
     wrong: NDArray[np.bool_]  # (K,) poses that went wrong
     notes: tuple[str, ...]
     interrupted: bool = False
-    partly: Partly | None = None
+    partly: PartialDiagnosis | None = None
     built: Built | None = None  # a term of what the effects leave
-    otherwise: Answer | None = None  # what is said where the built term fails on the held-out set
+    otherwise: Conclusion | None = None  # what is said where the built term fails on the held-out set
 
 
-def answer(
+def conclude(
     robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: Noise, known: Candidates, teller: Teller
-) -> Answer:
+) -> Conclusion:
     """Searches what the catalogue has; `usable` (K,) are the poses to go by. Raises InputError where they are few."""
     wrong, parts, bench = without_outliers(robot, data, usable, noise)
     is_long = data.is_stream and int((usable & ~wrong).sum()) > LONG_LOG
     if is_long:
         few = thinned(parts, data)
         nothing = _nothing(data, few, bench_of(robot, data, few, noise), wrong)
-        first = _beside_a_rest(nothing, data, usable, noise, known, teller)
+        first = _beside_a_remainder(nothing, data, usable, noise, known, teller)
         if first.interrupted or (first.partly and not first.partly.is_noise):
             return _with_built(first, first, teller)
     found = _unless_something_remains(_ordinary(data, usable, wrong, bench, parts, known, teller))
     explained = found.judgement.verdict != "unexplained" or found.judgement.adequacy.is_adequate
     if explained or found.interrupted or is_long:
         return found
-    part = _beside_a_rest(found, data, usable, noise, known, teller)
+    part = _beside_a_remainder(found, data, usable, noise, known, teller)
     if whole := _explaining_all(part, known, teller):
         return whole
     return _with_built(part, part if part.judgement.verdict == "partial" or part.interrupted else found, teller)
 
 
-def _with_built(part: Answer, otherwise: Answer, teller: Teller) -> Answer:
+def _with_built(part: Conclusion, otherwise: Conclusion, teller: Teller) -> Conclusion:
     """What holds beside a rest with a term built of the rest; `otherwise` where there is none."""
     if part.partly is None or part.interrupted:
         return otherwise
@@ -123,21 +123,21 @@ def _with_built(part: Answer, otherwise: Answer, teller: Teller) -> Answer:
     )
 
 
-def _beside_a_rest(
-    before: Answer,
+def _beside_a_remainder(
+    before: Conclusion,
     data: Measurements,
     usable: NDArray[np.bool_],
     stated: Noise,
     known: Candidates,
     teller: Teller,
-) -> Answer:
+) -> Conclusion:
     """What holds although something remains; what there was before, where it is interrupted.
 
     The noise may be smaller than stated. It is never enlarged, for the rest would hide in it.
     """
     noise = before.noise if before.is_rescaled else stated
     try:
-        part = partly(before.bench.robot, data, usable & ~before.wrong, noise, known, teller)
+        part = diagnose_partially(before.bench.robot, data, usable & ~before.wrong, noise, known, teller)
     except Interrupted:
         return replace(before, interrupted=True, notes=(*before.notes, INTERRUPTED))
     return replace(
@@ -154,7 +154,7 @@ def _beside_a_rest(
     )
 
 
-def _unless_something_remains(found: Answer) -> Answer:
+def _unless_something_remains(found: Conclusion) -> Conclusion:
     """The answer, its names taken back where what they leave has a memory: effects are at work then, but not alone."""
     judgement = found.judgement
     if judgement.verdict not in ("named", "ambiguous") or found.interrupted:
@@ -167,7 +167,7 @@ def _unless_something_remains(found: Answer) -> Answer:
     return replace(found, judgement=replace(judgement, verdict="unexplained", findings=kept, notes=notes))
 
 
-def _explaining_all(part: Answer, known: Candidates, teller: Teller) -> Answer | None:
+def _explaining_all(part: Conclusion, known: Candidates, teller: Teller) -> Conclusion | None:
     """What was found beside a rest, judged as any other set: None where something remains after all.
 
     Effects that hide one another are found beside a rest, where each need not leave noise alone.
@@ -192,11 +192,11 @@ def _explaining_all(part: Answer, known: Candidates, teller: Teller) -> Answer |
     return replace(part, bench=bench, chosen=chosen, judgement=judgement, partly=None)
 
 
-def _nothing(data: Measurements, parts: Split, bench: Workbench, wrong: NDArray[np.bool_]) -> Answer:
+def _nothing(data: Measurements, parts: Split, bench: Workbench, wrong: NDArray[np.bool_]) -> Conclusion:
     """Before any search."""
     base = bench.scored([])
     judgement = Judgement("unexplained", (), remains(bench, base), ())
-    return Answer(bench, (), base, base, judgement, parts, groups(data), bench.noise, False, wrong, ())
+    return Conclusion(bench, (), base, base, judgement, parts, groups(data), bench.noise, False, wrong, ())
 
 
 def _ordinary(
@@ -207,7 +207,7 @@ def _ordinary(
     parts: Split,
     known: Candidates,
     teller: Teller,
-) -> Answer:
+) -> Conclusion:
     """The search for what leaves noise alone, once more without poses that something missing had hidden."""
     selector, judgement, notes, stopped = _searched(bench, known, teller)
     more = gross_outliers(selector.found.chosen.fit, data, usable & ~wrong)
@@ -220,7 +220,7 @@ def _ordinary(
     noise, found = selector.bench.noise, selector.found
     base = selector.bench.scored([])
     is_rescaled = noise.position_m < bench.noise.position_m
-    return Answer(
+    return Conclusion(
         selector.bench,
         tuple(found.path),
         found.chosen,

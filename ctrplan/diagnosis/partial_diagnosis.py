@@ -28,15 +28,15 @@ from ctrplan.diagnosis.correlated_bench import FRAME, FRAME_MOVES, FRAMES, Corre
 from ctrplan.diagnosis.localise import localise
 from ctrplan.diagnosis.partial_search import (
     MOST_PARTS,
-    Asked,
+    NamedSet,
     PartialSelector,
-    asked,
-    asked_evidence,
+    evidence_for,
     is_built,
+    named_set,
     with_zero,
 )
-from ctrplan.diagnosis.remainder import Rest
-from ctrplan.diagnosis.selection import Report, Selection, Step, step
+from ctrplan.diagnosis.remainder import Remainder
+from ctrplan.diagnosis.selection import Report, Selection, SelectionStep, step
 from ctrplan.diagnosis.smooth_evidence import EQUAL, Gain, SmoothEvidence, best_of_each, rivals_of
 from ctrplan.diagnosis.usable_poses import block_split, blocks, on_one_branch, thinned, thinning
 from ctrplan.diagnosis.verdict import MOST_RIVALS, Alternative, Finding, Judgement, Verdict
@@ -48,13 +48,13 @@ from ctrplan.robot.robot import Robot
 LEAST_AGAIN = 4.0  # logarithm of the evidence, of a name that the terms were built beside: it is one, chosen before
 
 
-def named_beside(selector: PartialSelector, chosen: Scored) -> Asked:
+def effects_beside_built_term(selector: PartialSelector, chosen: Scored) -> NamedSet:
     """The built terms of a set of poses at rest with the names that act beside them, instead of those in the set.
 
     It grows from the one built term that is most probable alone: what else was built may have stood for a name.
     """
-    bench, path, found = selector.partial_bench, list[Step](), dict[str, tuple[Term, list[Gain]]]()
-    alone = [_Probable.of(bench, [t], chosen) for t in chosen.terms if is_built(t)]
+    bench, path, found = selector.partial_bench, list[SelectionStep](), dict[str, tuple[Term, list[Gain]]]()
+    alone = [_ProbableSet.of(bench, [t], chosen) for t in chosen.terms if is_built(t)]
     here = max(alone, key=lambda one: one.value)
     before = {t.name for t in chosen.terms if not is_built(t)}
     others = [t for t in chosen.terms if is_built(t) and t not in here.scored.terms]
@@ -63,16 +63,19 @@ def named_beside(selector: PartialSelector, chosen: Scored) -> Asked:
         bench.corrected(here.scored)
         told = {*found, *(one.term.name for _, rivals in found.values() for one in rivals)}
         ranked = _ranked(selector, here.scored, told) if len(found) < MOST_PARTS else []
-        name = next((one for one in ranked if one.gain >= _least(one.term.name, before)), None)
-        more = [(t, _Probable.of(bench, [*here.scored.terms, t], here.scored)) for t in others]
+        name = next((one for one in ranked if one.gain >= _least_gain(one.term.name, before)), None)
+        more = [(t, _ProbableSet.of(bench, [*here.scored.terms, t], here.scored)) for t in others]
         built, there = max(more, key=lambda one: one[1].value, default=(None, here))
         if built is not None and there.value - here.value > (name.gain if name else 0.0):
             here, others = there, [t for t in others if t is not built]
             continue
         if name is None:
             break
-        rivals, least = rivals_of(name.gain, [one for one in ranked if one is not name]), _least(name.term.name, before)
-        there = _Probable.of(bench, [*here.scored.terms, name.term], here.scored)
+        rivals, least = (
+            rivals_of(name.gain, [one for one in ranked if one is not name]),
+            _least_gain(name.term.name, before),
+        )
+        there = _ProbableSet.of(bench, [*here.scored.terms, name.term], here.scored)
         passes = there.value - here.value >= least and len(rivals) <= MOST_RIVALS
         path.append(step("add", name.term, there.value - here.value, 0.0, least, passes))
         if not passes:
@@ -82,18 +85,18 @@ def named_beside(selector: PartialSelector, chosen: Scored) -> Asked:
     settled = bench.corrected(here.scored)
     while True:
         names = {**found, **_frame(selector, settled, here.value)}
-        evidence = asked_evidence(selector, settled, [t for t, _ in names.values()])
+        evidence = evidence_for(selector, settled, [t for t, _ in names.values()])
         against = min((e for e in evidence if e.term.name in found), key=lambda e: e.gain, default=None)
         if against is None or against.gain > 0:
             break
         path.append(step("drop", against.term, against.gain, against.error, 0.0, True))
         found.pop(against.term.name)
-        here = _Probable.of(bench, [t for t in settled.terms if t is not against.term], settled)
+        here = _ProbableSet.of(bench, [t for t in settled.terms if t is not against.term], settled)
         settled = bench.corrected(here.scored)
     found = names
     findings = tuple(_finding(bench, settled, t, rivals) for t, rivals in found.values())
     compared = tuple(a for f in findings for a in f.alternatives)
-    return Asked(settled, evidence, findings, compared, (), tuple(path))
+    return NamedSet(settled, evidence, findings, compared, (), tuple(path))
 
 
 def most_probable_alone(selector: PartialSelector) -> Scored | None:
@@ -102,29 +105,29 @@ def most_probable_alone(selector: PartialSelector) -> Scored | None:
     It may be wrong: what no effect explains is no smooth error, and the effect that is most like it is most probable.
     """
     bench = selector.partial_bench
-    nothing = _Probable.of(bench, [], bench.begun())
+    nothing = _ProbableSet.of(bench, [], bench.begun())
     bench.corrected(nothing.scored)
     ranked = _ranked(selector, nothing.scored)
     if not ranked or ranked[0].gain < LIKELY:
         return None
-    there = _Probable.of(bench, [ranked[0].term], nothing.scored)
+    there = _ProbableSet.of(bench, [ranked[0].term], nothing.scored)
     return bench.corrected(there.scored) if there.value - nothing.value >= LIKELY else None
 
 
 @dataclass(frozen=True, eq=False)
-class _Probable:
+class _ProbableSet:
     """A set, and the logarithm of its evidence."""
 
     scored: Scored
     value: float
 
     @classmethod
-    def of(cls, bench: CorrelatedBench, terms: Sequence[Term], near: Scored) -> _Probable:
+    def of(cls, bench: CorrelatedBench, terms: Sequence[Term], near: Scored) -> _ProbableSet:
         scored = bench.corrected(bench.scored(terms, near.fit))
         return cls(scored, SmoothEvidence(bench, scored).highest())
 
 
-def _least(name: str, before: Collection[str]) -> float:
+def _least_gain(name: str, before: Collection[str]) -> float:
     """Gain that a name needs; before: names that the terms were built beside."""
     return LEAST_AGAIN if name in before else LEAST_ODDS
 
@@ -173,18 +176,19 @@ def _with_zeros(bench: CorrelatedBench, settled: Scored) -> Scored:
 
 def _without_the_idle(
     bench: CorrelatedBench,
-    here: _Probable,
+    here: _ProbableSet,
     found: dict[str, tuple[Term, list[Gain]]],
-    path: list[Step],
+    path: list[SelectionStep],
     before: Collection[str],
-) -> _Probable:
+) -> _ProbableSet:
     """Without the names whose place later ones have taken, the least probable first."""
     while len(found) > 1:
         without = {
-            name: _Probable.of(bench, [t for t in here.scored.terms if t.name != name], here.scored) for name in found
+            name: _ProbableSet.of(bench, [t for t in here.scored.terms if t.name != name], here.scored)
+            for name in found
         }
         idle = max(without, key=lambda name: without[name].value)
-        least = _least(idle, before)
+        least = _least_gain(idle, before)
         if here.value - without[idle].value >= least:
             break
         path.append(step("drop", found.pop(idle)[0], here.value - without[idle].value, 0.0, least, True))
@@ -200,7 +204,7 @@ def _finding(bench: CorrelatedBench, here: Scored, t: Term, rivals: Sequence[Gai
 
 
 @dataclass(frozen=True, eq=False)
-class Partly:
+class PartialDiagnosis:
     """What was found beside a rest, on poses of the selection that stand apart."""
 
     bench: CorrelatedBench
@@ -210,8 +214,8 @@ class Partly:
     chosen: Scored  # with those that hold
     judgement: Judgement
     parts: tuple[Part, ...]
-    rest: Rest
-    path: tuple[Step, ...]
+    rest: Remainder
+    path: tuple[SelectionStep, ...]
     known: Candidates  # that were asked
     doubted: tuple[Evidence, ...]  # effects that were found and do not hold
 
@@ -255,9 +259,9 @@ class Partly:
         return not self.bench.noise.discrepancy or not self.bench.noise.discrepancy.is_there
 
 
-def partly(
+def diagnose_partially(
     robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: Noise, known: Candidates, tell: Report
-) -> Partly:
+) -> PartialDiagnosis:
     """Searches, asks what holds, and describes the rest; `usable` (K,) are the poses to go by."""
     tell("looking for what holds beside a rest")
     block = blocks(data, _memory(robot, data, usable, noise))
@@ -284,20 +288,20 @@ def concluded(
     parts: Split,
     block: NDArray[np.int_],
     base: Scored,
-) -> Partly:
+) -> PartialDiagnosis:
     """What a search ended with, as far as it holds, beside the built terms that are in it.
 
     What remains is what the catalogue leaves: a built term explains nothing.
     """
     bench = selector.partial_bench
     is_beside = any(is_built(t) for t in searched.chosen.terms) and not bench.data.is_stream
-    found = (named_beside if is_beside else asked)(selector, searched.chosen)
+    found = (effects_beside_built_term if is_beside else named_set)(selector, searched.chosen)
     chosen = found.chosen
     beside, named = _by_name(bench, chosen)
     verdict: Verdict = "partial" if found.findings else "unexplained"
     judgement = Judgement(verdict, found.findings, left_by_names(beside, named), found.compared)
     shares = tuple(part_of(bench, base, chosen, e) for e in found.found)
-    return Partly(
+    return PartialDiagnosis(
         bench,
         parts,
         block,
@@ -305,7 +309,7 @@ def concluded(
         chosen,
         judgement,
         shares,
-        rest_beside(beside, named, bench.plain),
+        remainder_beside(beside, named, bench.plain),
         (*searched.path, *found.path),
         known,
         found.doubted,
@@ -338,7 +342,7 @@ def _memory(robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: 
     return bench.estimated(bench.scored([])).memory
 
 
-def rest_beside(bench: CorrelatedBench, chosen: Scored, noise: Noise) -> Rest:
+def remainder_beside(bench: CorrelatedBench, chosen: Scored, noise: Noise) -> Remainder:
     """What remains beside a set of effects."""
     data, found = bench.data, bench.noise.discrepancy
     error, floor = bench.left_out_m(chosen), noise.floor_m
@@ -348,7 +352,7 @@ def rest_beside(bench: CorrelatedBench, chosen: Scored, noise: Noise) -> Rest:
     if data.is_stream:
         shares = remainder.shares_of_motion(error, data, bench.group, floor)
         memory = found.memory if found else 0.0
-        return Rest(size, memory, *shares, place.sentence, memory_in_rows=data.time_s is None)
+        return Remainder(size, memory, *shares, place.sentence, memory_in_rows=data.time_s is None)
     of_time = remainder.share_of_time(error, data, bench.group, floor)
     shared = (found.memory if found else 0.0) * (1 - of_time)
-    return Rest(size, None, shared, 1 - of_time - shared, of_time, place.sentence)
+    return Remainder(size, None, shared, 1 - of_time - shared, of_time, place.sentence)

@@ -32,7 +32,7 @@ SURE = 3.0  # standard errors
 
 
 @dataclass(frozen=True)
-class ShownNoise:
+class ObservedNoise:
     """Noise that data show, how, and the share by which it may be too large by chance."""
 
     noise: Noise  # of tangents that of nobody's measurement, 1 deg, where the data have none
@@ -40,7 +40,7 @@ class ShownNoise:
     doubt: float
 
 
-def shown_noises(data: Measurements) -> Iterator[ShownNoise]:
+def observed_noises(data: Measurements) -> Iterator[ObservedNoise]:
     """Whatever of the three the data have enough of; of tips, or where none were measured of a marker."""
     data = _of_one_point(data)
     if not data.is_stream:
@@ -56,7 +56,7 @@ def shown_noises(data: Measurements) -> Iterator[ShownNoise]:
             data,
         )
         if noise is not None:
-            yield ShownNoise(noise, f"third differences of {len(windows)} poses", SURE * np.sqrt(2 / len(windows)))
+            yield ObservedNoise(noise, f"third differences of {len(windows)} poses", SURE * np.sqrt(2 / len(windows)))
 
 
 def _of_one_point(data: Measurements) -> Measurements:
@@ -124,7 +124,7 @@ def spread(vectors: Array, kind: NDArray[np.int_], axes: int) -> float:
         used &= ~far
 
 
-def _within(data: Measurements, kind: NDArray[np.int_], what: str) -> Iterator[ShownNoise]:
+def _within(data: Measurements, kind: NDArray[np.int_], what: str) -> Iterator[ObservedNoise]:
     spare = len(kind) - len(np.unique(kind))
     if spare < LEAST_SPARE:
         return
@@ -132,7 +132,7 @@ def _within(data: Measurements, kind: NDArray[np.int_], what: str) -> Iterator[S
     tangent_rad = spread(np.nan_to_num(data.tangent[turned]), kind[turned], _axes(data)) if turned.any() else 0.0
     noise = _noise(spread(data.position_m, kind, 3), tangent_rad, data)
     if noise is not None:
-        yield ShownNoise(noise, f"{spare} {what}", SURE / np.sqrt(6 * spare))
+        yield ObservedNoise(noise, f"{spare} {what}", SURE / np.sqrt(6 * spare))
 
 
 def _axes(data: Measurements) -> int:

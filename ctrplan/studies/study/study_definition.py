@@ -27,7 +27,7 @@ KEPT = {"none": (), "extremes": (), "all": ("plan.json", "trajectory.csv")}
 
 
 @dataclass(frozen=True, eq=False)
-class Definition:
+class StudyDefinition:
     """Independent tasks, one for every combination of what is varied."""
 
     entry: StudyEntry
@@ -74,7 +74,7 @@ class Definition:
         return pickle.dumps(replace(self.job, tasks=self.tasks))
 
 
-def defined(entry: StudyEntry, document: Document, allow_outside: bool) -> Definition:
+def defined(entry: StudyEntry, document: Document, allow_outside: bool) -> StudyDefinition:
     """The study of a file's entries. Raises InputError."""
     from ctrplan.storage.toml_table import chosen
 
@@ -105,7 +105,7 @@ def defined(entry: StudyEntry, document: Document, allow_outside: bool) -> Defin
     scenario = None if job.is_robot or entry.targets is None else _unvaried(job)
     axes = tuple(axes_of(entry, document, sources, files, scenario))
     tasks = TaskList(axes, _base(entry, job, kind, axes), entry.seed)
-    study = Definition(entry, document, kind, sources, axes, job, tasks)
+    study = StudyDefinition(entry, document, kind, sources, axes, job, tasks)
     _check(study)
     return study
 
@@ -136,7 +136,7 @@ def _base(entry: StudyEntry, job: Job, kind: TaskKind, axes: Sequence[Axis]) -> 
     return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
 
 
-def _check(study: Definition) -> None:
+def _check(study: StudyDefinition) -> None:
     """Raises InputError for keys that there are not: the first and the last choice of every axis are read."""
     settings = [vary.key for vary in study.entry.vary if vary.key.startswith(TASK_PREFIX)]
     check_settings(study.kind, [key.removeprefix(TASK_PREFIX) for key in settings], study.document.file)
@@ -152,7 +152,7 @@ def _check(study: Definition) -> None:
             raise InputError(study.sources.said(str(error)).rstrip(".")) from None
 
 
-def _check_configuration(study: Definition, vary: VaryEntry) -> None:
+def _check_configuration(study: StudyDefinition, vary: VaryEntry) -> None:
     file = study.document.file
     if study.kind.kind != "bound":
         raise InputError("goes with a bound task only", file=file, key="vary", value=vary.key)

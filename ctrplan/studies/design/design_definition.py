@@ -31,7 +31,7 @@ Row = dict[str, Any]  # of the folder's rows.jsonl
 
 
 @dataclass(frozen=True, eq=False)
-class Looked:
+class EvaluatedDesign:
     """A design and the row that came of it."""
 
     design: Design
@@ -54,25 +54,25 @@ class Archive:
     """All designs in the order in which they were proposed."""
 
     objectives: Sequence[str]
-    all: list[Looked] = field(default_factory=list)
+    all: list[EvaluatedDesign] = field(default_factory=list)
 
-    def add(self, looked: Looked) -> None:
+    def add(self, looked: EvaluatedDesign) -> None:
         """One more."""
         self.all.append(looked)
 
-    def values(self, looked: Looked) -> dict[str, float]:
+    def values(self, looked: EvaluatedDesign) -> dict[str, float]:
         """The objectives of a design that is done."""
         return {name: float(looked.numbers[name]) for name in self.objectives}
 
     @property
-    def front(self) -> list[Looked]:
+    def front(self) -> list[EvaluatedDesign]:
         """Designs that no other dominates, each once, the best by the first objective first."""
         done = {looked.design.key: looked for looked in reversed(self.all) if looked.is_done}
         known = [(looked, self.values(looked)) for looked in done.values()]
         kept = [looked for looked, own in known if not any(dominates(other, own) for _, other in known)]
         return sorted(kept, key=lambda looked: self._rank(looked))
 
-    def _rank(self, looked: Looked) -> tuple[float, ...]:
+    def _rank(self, looked: EvaluatedDesign) -> tuple[float, ...]:
         own = self.values(looked)
         return (*(cost(name, own[name]) for name in self.objectives), float(looked.row["index"]))
 
@@ -83,7 +83,7 @@ def judged(objectives: Iterable[str]) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Definition:
+class DesignDefinition:
     """A search."""
 
     entry: DesignEntry
@@ -127,13 +127,13 @@ class Definition:
         key = hashlib.sha256(text.encode()).hexdigest()[:KEY_DIGITS]
         return Task(index, key, {"stage": stage, **self.space.inputs(design)}, tuple(overrides), settings)
 
-    def goals(self, looked: Looked) -> list[dict[str, Any]]:
+    def goals(self, looked: EvaluatedDesign) -> list[dict[str, Any]]:
         """[goal] for each target: its tip, and the joints that the design was judged by where it is reached."""
         found = json.loads(looked.numbers.get("joints", "[]")) or [None] * len(self.points_mm)
         tips = [{"tip_mm": point, "tolerance_mm": self.job.task["tolerance_mm"]} for point in self.points_mm.tolist()]
         return [tip | ({"joints": own} if own else {}) for tip, own in zip(tips, found, strict=True)]
 
-    def tolerance_costs(self, looked: Looked) -> list[tuple[str, float, str, float]]:
+    def tolerance_costs(self, looked: EvaluatedDesign) -> list[tuple[str, float, str, float]]:
         """Name, half width, unit and cost [mm] of every tolerance of a design, the costliest first."""
         found = [
             (side.name, side.width, side.unit, abs(float(looked.numbers[f"slope.{side.name}"])))
@@ -143,7 +143,7 @@ class Definition:
         return sorted(found, key=lambda row: -row[3])
 
 
-def defined(entry: DesignEntry, document: Document, allow_outside: bool) -> Definition:
+def defined(entry: DesignEntry, document: Document, allow_outside: bool) -> DesignDefinition:
     """The search of a file's entries. Raises InputError."""
     folder = Path(document.file or ".").parent
     main = folder / entry.scenario
@@ -169,12 +169,12 @@ def defined(entry: DesignEntry, document: Document, allow_outside: bool) -> Defi
         study_folder=sources.name(folder),
         allow_outside=allow_outside,
     )
-    found = Definition(entry, document, scenario, DesignSpace(entry, scenario.robot.n), points, job)
+    found = DesignDefinition(entry, document, scenario, DesignSpace(entry, scenario.robot.n), points, job)
     _check(found, os.fspath(main))
     return found
 
 
-def _check(found: Definition, main: str) -> None:
+def _check(found: DesignDefinition, main: str) -> None:
     """Raises InputError for keys that there are not: designs at both ends of all ranges are read."""
     count = len(found.space.names)
     for share in (0.0, 1.0, 0.5):
