@@ -17,7 +17,7 @@ from measured_data import SIGMA_M, measured, pair_robot, waypoints
 from ctrplan.calibration.residuals import Noise
 from ctrplan.cli import main
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, partial_diagnosis, test_set
-from ctrplan.diagnosis import built_term as built
+from ctrplan.diagnosis import built_term as term_building
 from ctrplan.diagnosis.adequacy import noise_floor
 from ctrplan.diagnosis.built_term import refusals
 from ctrplan.diagnosis.correlated_bench import CorrelatedBench
@@ -109,7 +109,7 @@ def test_no_name_stays_that_blocks_left_out_speak_against(monkeypatch: pytest.Mo
     noise, usable = noise_floor(ROBOT, data)[0], usable_poses(ROBOT, data)
     known = candidates(ROBOT, data, {"backlash": CATALOGUE["backlash"]})
     part = diagnose_partially(ROBOT, data, usable, noise, known, lambda _: None)
-    term = built.tried(part, lambda _: None)
+    term = term_building.tried(part, lambda _: None)
     assert term is not None
     monkeypatch.setattr(partial_diagnosis, "LEAST_ODDS", -100.0)  # so that anything is a name at first
     asked = partial_diagnosis.effects_beside_built_term(PartialSelector(part.bench, known, lambda _: None), term.scored)
@@ -126,14 +126,14 @@ def test_names_stay_where_the_poses_kept_aside_take_the_term_back(monkeypatch: p
 
 def test_a_term_is_sought_beside_the_most_probable_effect_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
     """As where no piece comes within reach beside nothing: on screws that couple joints of a wrong scale."""
-    settled = built._settled
-    monkeypatch.setattr(built, "_settled", lambda found, at, tell: settled(found, at, tell) if at.terms else None)
+    settled = term_building._settled
+    monkeypatch.setattr(term_building, "_settled", lambda found, at, tell: settled(found, at, tell) if at.terms else None)
     data = rippled({"joint_scale": {"theta_2": 0.25}})
     noise, usable = noise_floor(ROBOT, data)[0], usable_poses(ROBOT, data)
     known = candidates(ROBOT, data, {"joint_scale": CATALOGUE["joint_scale"]})
     before = diagnose_partially(ROBOT, data, usable, noise, known, lambda _: None)
     unnamed = replace(before, chosen=before.bench.corrected(before.bench.scored([])))
-    found = built.tried(unnamed, lambda _: None)
+    found = term_building.tried(unnamed, lambda _: None)
     assert found is not None and not refusals(before.bench, found)
     assert {*found.scored.names} == {"joint_scale", "learned_theta_2"}
 
@@ -150,9 +150,9 @@ def test_a_search_that_builds_nothing_leaves_the_discrepancy_beside_what_holds(m
         beside.append(scored.names)
         return corrected(bench, scored)
 
-    monkeypatch.setattr(built, "_settled", lambda *_, **__: None)
+    monkeypatch.setattr(term_building, "_settled", lambda *_, **__: None)
     monkeypatch.setattr(CorrelatedBench, "corrected", noted)
-    assert built.build(unnamed, lambda _: None) is None
+    assert term_building.build(unnamed, lambda _: None) is None
     assert ("joint_scale",) in beside and beside[-1] == ()
 
 
@@ -165,9 +165,9 @@ def test_smaller_pieces_count_only_beside_a_name(
     """In a smooth null of a pair a wrong name beside a term that failed let them pass, and did not hold beside them."""
     built: Any = SimpleNamespace(partly=SimpleNamespace(judgement=SimpleNamespace(findings=findings)))
     found: Any = SimpleNamespace(bench=MagicMock(), chosen=MagicMock())
-    monkeypatch.setattr(built, "_settled", lambda *_, smooth_counts: None if smooth_counts else built)
-    monkeypatch.setattr(built, "refusals", lambda *_: reasons)
-    assert built._of_smaller_pieces(found, lambda _: None) is (built if counts else None)
+    monkeypatch.setattr(term_building, "_settled", lambda *_, smooth_counts: None if smooth_counts else built)
+    monkeypatch.setattr(term_building, "refusals", lambda *_: reasons)
+    assert term_building._of_smaller_pieces(found, lambda _: None) is (built if counts else None)
 
 
 @pytest.mark.parametrize(
@@ -186,11 +186,11 @@ def test_a_term_takes_the_place_of_names_that_are_not_plausible_where_it_predict
     names: Any = SimpleNamespace(fit=None, names=("lag",))
     found: Any = SimpleNamespace(bench=bench, chosen=names, is_noise=False, rest=SimpleNamespace(rms_m=1.0))
     instead: Any = SimpleNamespace(scored="term")
-    monkeypatch.setattr(built, "strained", lambda fit, names: strange)
-    monkeypatch.setattr(built, "mean_square", lambda error: error)
-    monkeypatch.setattr(built, "_settled", lambda found, at, tell: instead if at == "nothing" else None)
-    monkeypatch.setattr(built, "refusals", lambda bench, built: reasons)
-    assert built.tried(found, lambda _: None) is (instead if taken else None)
+    monkeypatch.setattr(term_building, "strained", lambda fit, names: strange)
+    monkeypatch.setattr(term_building, "mean_square", lambda error: error)
+    monkeypatch.setattr(term_building, "_settled", lambda found, at, tell: instead if at == "nothing" else None)
+    monkeypatch.setattr(term_building, "refusals", lambda bench, built: reasons)
+    assert term_building.tried(found, lambda _: None) is (instead if taken else None)
 
 
 def test_a_robot_that_has_its_term_lacks_nothing_more() -> None:
