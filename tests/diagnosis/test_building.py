@@ -127,7 +127,8 @@ def test_names_stay_where_the_poses_kept_aside_take_the_term_back(monkeypatch: p
 def test_a_term_is_sought_beside_the_most_probable_effect_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
     """As where no piece comes within reach beside nothing: on screws that couple joints of a wrong scale."""
     settled = term_building._settled
-    monkeypatch.setattr(term_building, "_settled", lambda found, at, tell: settled(found, at, tell) if at.terms else None)
+    there = lambda found, at, tell: settled(found, at, tell) if at.terms else None  # noqa: E731
+    monkeypatch.setattr(term_building, "_settled", there)
     data = rippled({"joint_scale": {"theta_2": 0.25}})
     noise, usable = noise_floor(ROBOT, data)[0], usable_poses(ROBOT, data)
     known = candidates(ROBOT, data, {"joint_scale": CATALOGUE["joint_scale"]})
