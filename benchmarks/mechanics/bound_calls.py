@@ -13,6 +13,7 @@ import multiprocessing
 import resource
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import common
@@ -151,33 +152,32 @@ def everything(theta_b: np.ndarray, l_b: np.ndarray) -> None:
         _ = shape.tubes, shape.radius_m, shape.contact_s_m, shape.contact_force_N, shape.contact_angle_rad
 
 
-MEASURED: dict[str, tuple[Callable[[], float], Callable[[], float]]] = {
-    "zero_clearance, its tip": (
-        lambda: one_by_one(lambda q, l_b: ROBOT.zero_clearance(q, l_b).tip_m, THETA, L),
-        lambda: at_once(lambda: ROBOT.mechanics.tips(THETA, L, threads=1)),
-    ),
-    "zero_clearance, all arrays": (
-        lambda: one_by_one(lambda q, l_b: ROBOT.zero_clearance(q, l_b).tubes, THETA, L),
-        lambda: at_once(lambda: ROBOT.mechanics.tips(THETA, L, threads=1)),
-    ),
-    "bound, cold, its tip": (
-        lambda: one_by_one(lambda q, l_b: ROBOT.bound(q, l_b).frictionless.tip_m, THETA, L),
-        lambda: at_once(lambda: ROBOT.bound_many(THETA, L, threads=1)),
-    ),
-    "bound, cold, all arrays": (
-        lambda: one_by_one(everything, THETA, L),
-        lambda: at_once(lambda: ROBOT.bound_many(THETA, L, threads=1)),
-    ),
-    "walker, steps of 1 degree": (walked, lambda: at_once(lambda: ROBOT.mechanics.check_path(TURNED, STAYING))),
-}
+def tips() -> object:
+    return ROBOT.mechanics.tips(THETA, L, threads=1)
+
+
+def bounds() -> object:
+    return ROBOT.bound_many(THETA, L, threads=1)
+
+
+def measured_calls() -> dict[str, tuple[Callable[[], float], Callable[[], object]]]:
+    """By what is called: microseconds a call from Python, and the same configurations in one call."""
+    one = partial(partial, one_by_one)
+    return {
+        "zero_clearance, its tip": (one(lambda q, l_b: ROBOT.zero_clearance(q, l_b).tip_m, THETA, L), tips),
+        "zero_clearance, all arrays": (one(lambda q, l_b: ROBOT.zero_clearance(q, l_b).tubes, THETA, L), tips),
+        "bound, cold, its tip": (one(lambda q, l_b: ROBOT.bound(q, l_b).frictionless.tip_m, THETA, L), bounds),
+        "bound, cold, all arrays": (one(everything, THETA, L), bounds),
+        "walker, steps of 1 degree": (walked, lambda: ROBOT.mechanics.check_path(TURNED, STAYING)),
+    }
 
 
 def overhead() -> None:
     """Prints medians over rounds."""
     rows = []
-    for name, (python, core) in MEASURED.items():
+    for name, (python, core) in measured_calls().items():
         python(), core()
-        pairs = np.array([(python(), core()) for _ in range(ROUNDS)])
+        pairs = np.array([(python(), at_once(core)) for _ in range(ROUNDS)])
         outside, inside = np.median(pairs, axis=0)
         between = np.median(pairs[:, 0] - pairs[:, 1])
         rows.append((name, *(f"{us:.0f}" for us in (outside, inside, between))))

@@ -176,17 +176,8 @@ def energy() -> None:
                 work, loss = work + abs(found.work_J), loss + found.loss_J
         rows.append((label, len(errors), snaps, f"{work:.3f} J", f"{loss:.3f} J",
                      f"{100 * np.median(errors):.2f} %", f"{100 * max(errors):.2f} %", f"{least:.0e} J"))  # fmt: skip
-    head = (
-        "robot",
-        "rotations",
-        "snaps",
-        "work",
-        "friction loss",
-        "median imbalance",
-        "largest",
-        "least loss of a contact",
-    )
-    table("energy", head, rows)
+    head = ("robot", "rotations", "snaps", "work", "friction loss", "median imbalance", "largest")
+    table("energy", (*head, "least loss of a contact"), rows)
 
 
 def slip_front() -> None:

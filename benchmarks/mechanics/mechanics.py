@@ -13,7 +13,7 @@ import itertools
 import json
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import common
@@ -29,18 +29,6 @@ THREE_TUBES = load_robot(ROBOTS / "three_tube.toml")
 ACCURACIES: tuple[Accuracy, ...] = ("search", "certificate", "exact")
 MESHES: tuple[Accuracy, ...] = ("search", "certificate")
 Row = tuple[object, ...]
-JOINTS = [f"{name}.{tube}" for name in ("theta_b", "l_b") for tube in (1, 2, 3)]
-NUMBERS = [  # everything of the three-tube robot that its frictionless or frictional shape depends on
-    *JOINTS,
-    *(f"tube.{tube}.{key}" for tube in (1, 2, 3) for key in ("bending_stiffness_Nm2", "poisson_ratio")),
-    *(
-        f"tube.{tube}.section.{section}.{key}"
-        for tube, sections in ((1, 1), (2, 2), (3, 2))
-        for section in range(1, sections + 1)
-        for key in ("length_m", "curvature_x_per_m", "curvature_y_per_m")
-    ),
-    *(f"contact.{pair}.{key}" for pair in (1, 2) for key in ("clearance_m", "friction_coefficient")),
-]
 
 
 def read(name: str) -> Any:
@@ -237,17 +225,6 @@ def path_ms(theta_step: float, l_step: float) -> Array:
     return np.array(taken)
 
 
-def tips_ms(q: tuple[Array, Array], parameters: Sequence[str] = ()) -> Array:
-    """Per configuration, tips of the frictionless state and the four corners on one thread."""
-    states = np.array([(0, 0), *itertools.product((1, -1), repeat=2)])
-
-    def tips(theta_b: Array, l_b: Array) -> object:
-        rows = np.tile(theta_b, (len(states), 1)), np.tile(l_b, (len(states), 1))
-        return THREE_TUBES.mechanics.tips_with_friction(*rows, states, parameters=parameters, threads=1)
-
-    return times_ms(tips, *q)
-
-
 def zero_clearance_ms(q: tuple[Array, Array]) -> Array:
     """Per configuration, tips of batches on one thread."""
     taken = []
@@ -264,7 +241,6 @@ def speed() -> None:
     q = random_joints(1000)
     few = q[0][:200], q[1][:200]
     batches = batches_ms(*q)
-    plain, derived, by_all = tips_ms(few), tips_ms(few, JOINTS), tips_ms(few, NUMBERS)
     measured = {
         "zero clearance, cold, tips of a batch": zero_clearance_ms(q),
         "zero clearance, Robot.zero_clearance": times_ms(THREE_TUBES.zero_clearance, *q),
@@ -274,31 +250,9 @@ def speed() -> None:
         f"bound_many, 2 threads (at best {batches[1].min() / batches[2].min():.2f} x)": batches[2],
         "along a path, 1 deg a step": path_ms(np.deg2rad(1), 0),
         "along a path, 0.5 mm a step": path_ms(0, 0.5e-3),
-        "tips of the five states": plain,
-        f"the same by all joints ({np.median(derived) / np.median(plain):.2f} x)": derived,
-        f"the same by {len(NUMBERS)} numbers ({np.median(by_all) / np.median(plain):.2f} x)": by_all,
     }
     rows = [(name, len(t), float(t.min()), *map(float, np.quantile(t, (0.5, 0.99)))) for name, t in measured.items()]
     table("milliseconds", ("", "samples", "least", "median", "99 %"), rows)
-    nodes()
-
-
-def nodes() -> None:
-    """Cost against the number of nodes: both meshes, time per node."""
-    q, rows = random_joints(100), list[Row]()
-    for accuracy in MESHES:
-        count = np.mean(
-            [len(THREE_TUBES.bound(*p, accuracy=accuracy).frictionless.tubes[-1].s_m) for p in zip(*q, strict=True)]
-        )
-        taken = [time_of(lambda a=accuracy: THREE_TUBES.bound_many(*q, accuracy=a, threads=1)) for _ in range(3)]
-        rows.append((accuracy, float(count), 1e3 * min(taken) / len(q[0]), 1e6 * min(taken) / len(q[0]) / float(count)))
-    table("cost against nodes, bound_many on one thread", ("mesh", "nodes", "ms", "us a node"), rows)
-
-
-def time_of(work: Callable[[], object]) -> float:
-    start = time.perf_counter()
-    work()
-    return time.perf_counter() - start
 
 
 def main() -> None:

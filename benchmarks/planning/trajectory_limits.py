@@ -38,9 +38,7 @@ class Totals:
     samples: int = 0
     duration_s: float = 0.0
     line_optimum_s: float = 0.0
-    unmerged_optimum_s: float = 0.0
     elapsed_s: float = 0.0
-    profiles_elapsed_s: float = 0.0
 
 
 def main() -> int:
@@ -54,7 +52,6 @@ def main() -> int:
         drive = random_drive(rng)
         waypoints = random_plan(rng, drive)
         add_plan(totals, waypoints, drive)
-        totals.unmerged_optimum_s += sum(straight_line_optimum(b - a, drive) for a, b in pairwise(waypoints))
         merged = pairwise(merge_legs(waypoints))
         totals.line_optimum_s += sum(straight_line_optimum(b - a, drive) for a, b in merged)
     print_table(totals, plans * LEGS_PER_PLAN, plans + totals.stops)
@@ -89,9 +86,6 @@ def add_plan(totals: Totals, waypoints: FloatArray, drive: Drive) -> None:
     begin = time.perf_counter()
     trajectory = time_parameterise(waypoints, drive)
     totals.elapsed_s += time.perf_counter() - begin
-    begin = time.perf_counter()
-    time_parameterise(waypoints, drive, period_s=1e6)
-    totals.profiles_elapsed_s += time.perf_counter() - begin
     for joint in verify_limits(trajectory, drive).values():
         for quantity, ratio in joint.items():
             totals.ratio[quantity] = max(totals.ratio[quantity], ratio)
@@ -121,11 +115,9 @@ def print_table(totals: Totals, legs: int, driven: int) -> None:
         ("worst distance from the leg (rad, m)", f"{totals.deviation:.1e}"),
         ("total duration", f"{totals.duration_s:.1f} s"),
         ("... / sum of the driven legs' optima on the line", f"{totals.duration_s / totals.line_optimum_s:.12f}"),
-        ("... / sum of the legs' optima without merging", f"{totals.duration_s / totals.unmerged_optimum_s:.4f}"),
         ("legs driven after merging collinear ones", f"{driven}"),
         ("interior stops", f"{totals.stops}"),
         ("time per leg, profile, samples and checks", f"{totals.elapsed_s / legs * 1e6:.0f} us"),
         ("samples per leg (period 0.01 s)", f"{totals.samples / legs:.0f}"),
-        ("... time per leg with two samples a plan", f"{totals.profiles_elapsed_s / legs * 1e6:.0f} us"),
     ]
     table("random trajectories", ("", "found"), rows)

@@ -6,7 +6,7 @@ of the joints are limits of the one coordinate s: |s'| <= min_j v_j / |B_j - A_j
 Why one path coordinate and not ruckig's Synchronization.Phase: where the limits that bind belong to different joints
 (one is short of velocity, another of jerk), Phase silently falls back to Time synchronisation and leaves the line. The
 profile of s is the shortest of all motions that stay on the line; where Phase does stay on it, the duration is the
-slowest joint's own optimum, below which no motion can go, so that both agree (benchmarks/trajectory_limits.py).
+slowest joint's own optimum, below which no motion can go, so that both agree.
 """
 
 from __future__ import annotations

@@ -149,7 +149,7 @@ class Mechanics:
         """Frictionless solution, corners phi in {-1, 1}^(n-1), and the largest deviations between them.
 
         corners: "all" 2^(n-1) of them, for at most 10 tubes, or those "extreme" ones that a search finds to move the
-        tip farthest by some n^2 solves: benchmarks/bound_sizes.py says what they miss. By default all of at most
+        tip farthest by some n^2 solves: benchmarks/run.py bound_calls says what they miss. By default all of at most
         MOST_TUBES_OF_ALL_CORNERS tubes. A corner without an equilibrium in reach leaves no bound: the others
         that are hard to reach are FAILED then too. `progress` is told the finished share, 0 to 1.
         """

@@ -15,7 +15,7 @@ from ctrplan.base.arguments import Number, checked
 )
 @dataclass(frozen=True)
 class HistoryOptions:
-    """How a history is stepped; halving the steps moves no tip by more than 0.05 mm (benchmarks/history.py)."""
+    """How a history is stepped; halving the steps moves no tip by more than 0.05 mm (benchmarks/run.py history)."""
 
     breakaway_m: float = 0.02e-3  # slip over which friction builds up
     rotation_rad: float = 0.05  # longest step of a tube base

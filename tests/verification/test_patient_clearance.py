@@ -1,4 +1,4 @@
-"""The judge of plans for public patients (benchmarks/patient_clearance.py) measures as formulas and libigl do."""
+"""The judge of plans for public patients (tests/oracles/patient_clearance.py) measures as formulas and libigl do."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ LABEL_ERROR, THIN_ERROR, GREY_ERROR = (
     0.6,
     0.9,
     0.15,
-)  # of the widest voxel, see benchmarks/scans.py: what a surface is off by at most
+)  # of the widest voxel, see benchmarks/run.py scans: what a surface is off by at most
 CORNERS = np.array(
     [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]]
 )  # (x, y, z)

@@ -31,7 +31,7 @@ STEP_RAD, STEP_M = 0.05, 1e-3  # between configurations at which the simulated t
 BLOCK = 20  # configurations after which histories are compared
 LOOK_EVERY = 5  # configurations after which a body is looked at
 SAME = 1e-3  # difference of friction, of 0.01 mm and of 1 mrad at the tip, below which they have become one
-TIP_TOLERANCE_M = 0.05e-3  # of simulated tips (benchmarks/history.py)
+TIP_TOLERANCE_M = 0.05e-3  # of simulated tips (benchmarks/run.py history)
 
 
 Look = Callable[["Shape"], None]

@@ -35,7 +35,7 @@ TIP_STEPS, NEAR_TIP_M = 4, 4e-3  # for that, and how near they must come
 TRIES = 4  # random states looked at for each that is added
 ROOM_M = 1e-3  # that a random state must have around its zero-clearance shape
 # Share of motions that are valid, by the room [m] around their zero-clearance shapes, a line through
-# `benchmarks/zero_clearance_rooms.py`
+# docs/log/planning.md
 VALID_AT_M, VALID_SHARE = (-0.5e-3, 3e-3), (0.02, 1.0)
 VALID_JUMPS = 0.05  # of motions along which the zero-clearance tip jumps
 WARNING, ALIKE = (

@@ -1,9 +1,9 @@
 """What built terms and names beside them are worth: effects that no catalogue has, alone and beside a known one, and
 nulls with memory.
 
-    python benchmarks/built_terms.py make FOLDER     # worlds of the tests' own generator, 15 to 40 s each
-    python benchmarks/built_terms.py ask FOLDER      # about 30 s each
-    python benchmarks/built_terms.py table FOLDER
+    python -m hidden_effects.built_terms make FOLDER     # in tests/oracles; worlds take 15 to 40 s each
+    python -m hidden_effects.built_terms ask FOLDER      # about 30 s each
+    python -m hidden_effects.built_terms table FOLDER
 
 Every world is solved once and measured in 32 configurations, with three tubes five approaches each. A set adds noise
 and smooth random errors: of 0.3 and 1 mm, to nulls of 1 to 3 mm and several memories. Robots of two and four tubes are
@@ -22,7 +22,6 @@ import argparse
 import hashlib
 import json
 import pickle
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -31,8 +30,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "oracles"))
 
 from ctrplan.calibration.pose_errors import distances
 from ctrplan.diagnosis.building import built as limits
