@@ -8,8 +8,6 @@ some 5 mm and turned by some 10 deg (standard deviations, each axis) from the sc
 field, search and certificate of a plan.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import tempfile

@@ -19,8 +19,6 @@ robots: samples between those that certificates solve are taken from their neigh
 comparison. Samples where a state has no equilibrium, or another one than its neighbours, are counted by themselves.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 from collections.abc import Iterator

@@ -9,8 +9,6 @@ hit to a millimetre off. A claim is above the truth where the certificate states
 the grid has. meshes: the clearances of a plan of each scenario, certified on both meshes.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ overhead: what a call from Python takes beyond the core's own work: zero-clearan
 The core's own time is that of the same configurations in one call, on one thread, which gives numbers and no shapes.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import resource
 import time

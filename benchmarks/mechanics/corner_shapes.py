@@ -3,8 +3,6 @@
 python benchmarks/run.py corner_shapes [--output FILE.png]     without --output it renews docs/images/corner_shapes.png
 """
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 

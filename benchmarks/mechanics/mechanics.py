@@ -18,6 +18,7 @@ from typing import Any
 
 import common
 import numpy as np
+import paper_oracle as paper
 from common import ROBOTS, ROOT, distance_mm, table
 from table_1_pair import table_1_pair
 
@@ -57,6 +58,17 @@ def references() -> None:
         rows.append((accuracy, len(errors), *(f"{x:.3f}" for x in (np.median(errors), max(errors), max(beyond)))))
     head = ("accuracy", "tips", "median, mm", "largest, mm", "largest beyond their uncertainty, mm")
     table("clearance and friction, three tubes", head, rows)
+    first = read("three_tube_points.json")["points"][0]
+    q = np.deg2rad(first["theta_b_deg"]), first["l_b_m"]
+    nodes = paper.mesh(THREE_TUBES.tubes, q[1], 2.5e-3, 5e-4, 5e-3)
+    friction = THREE_TUBES.friction[:, 1]
+    tip_m = paper.refine(
+        paper.Problem(THREE_TUBES.tubes, THREE_TUBES.clearance_m, friction, *q, (1.0, 1.0), nodes)
+    ).tip_m
+    tips = {accuracy: THREE_TUBES.solve(*q, 1.0, accuracy=accuracy).tip_m for accuracy in ACCURACIES[1:]}
+    tips["reference"] = np.array(first["tip_m"]["+,+"])
+    apart = [(name, f"{distance_mm(tip, tip_m):.3f}") for name, tip in tips.items()]
+    table("first point, phi = (1, 1), mm from the paper's algorithm on 223 nodes", ("tip", "mm"), apart)
 
 
 def pairs() -> None:
@@ -246,6 +258,9 @@ def speed() -> None:
         "zero clearance, Robot.zero_clearance": times_ms(THREE_TUBES.zero_clearance, *q),
         "bound, cold, Robot.bound": times_ms(THREE_TUBES.bound, *q),
         "bound, cold, certificate mesh": times_ms(lambda *p: THREE_TUBES.bound(*p, accuracy="certificate"), *few),
+        "bound, cold, exact": times_ms(
+            lambda *p: THREE_TUBES.bound(*p, accuracy="exact"), *(part[:50] for part in few)
+        ),
         "bound_many, 1 thread": batches[1],
         f"bound_many, 2 threads (at best {batches[1].min() / batches[2].min():.2f} x)": batches[2],
         "along a path, 1 deg a step": path_ms(np.deg2rad(1), 0),

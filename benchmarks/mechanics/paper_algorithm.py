@@ -9,8 +9,6 @@ with the solution of the same equations on the same mesh by Newton's method. CPU
 extrapolated. ctrplan places its own elements, as its accuracy demands.
 """
 
-from __future__ import annotations
-
 import os
 import statistics
 import time

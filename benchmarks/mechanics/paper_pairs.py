@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
+import common
 import numpy as np
-from common import ROBOTS, ROOT, prepare
+from common import ROBOTS, ROOT
 from common import save as save_picture
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -134,8 +135,8 @@ COLOURS = (*palette.SERIES, palette.ENVELOPE)
 
 
 def figure(panels: int, height_in: float = 3.7) -> tuple[Figure, list[Axes]]:
-    fig = Figure(figsize=(9.6 if panels > 1 else 6.4, height_in), dpi=120, facecolor="white", layout="constrained")
-    return fig, [prepare(fig.add_subplot(1, panels, k + 1)) for k in range(panels)]
+    fig, axes = common.panels(1, panels, (9.6 if panels > 1 else 6.4, height_in))
+    return fig, list(axes[0])
 
 
 def label(ax: Axes, title: str, x: str, y: str) -> None:

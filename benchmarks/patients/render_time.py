@@ -6,8 +6,6 @@ Processor time of one process, of the first picture and the mean of the next one
 the camera stands still too, and anew for each picture from inside.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 

@@ -10,8 +10,6 @@ is compared with that at the end. Exits with 1 where it grew by GROWTH or more. 
 smaller triangles, whose corners are moved by hundredths of a millimetre so that nothing can be taken together again.
 """
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import os

@@ -5,8 +5,6 @@ anatomy are kept, spread out, beside the scenario's own target. Only public func
 other checkouts can load the queries.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path

@@ -6,8 +6,6 @@
 choice: how much choice the scenarios' goals leave: goal configurations, their bounds, and the ratio between them.
 """
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path

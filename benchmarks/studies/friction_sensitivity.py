@@ -3,8 +3,6 @@
 python benchmarks/run.py friction_sensitivity FOLDER            # 1,152 bounds of as many robots, some 15 s of a core
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import common

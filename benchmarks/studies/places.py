@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import common
@@ -26,6 +27,7 @@ from numpy.typing import NDArray
 import ctrplan
 from ctrplan.planning.placing.place import CONE_RAD, RADIUS_M, Placement, _patch
 from ctrplan.planning.placing.screen import Screen, Worth
+from ctrplan.planning.uncertainty.chance import wilson
 from ctrplan.reports import palette
 from ctrplan.reports.study_page.poses import BasePoses
 
@@ -33,26 +35,17 @@ REACH_PICTURE = IMAGES / "reach_maps.png"
 NAMES = ("ventricle", "airway")
 REGARDS = (("free_within", "without regard to friction"), ("within", "whatever friction does"))
 LEVELS = (("within 1 mm", palette.MET), ("within 2 mm", palette.SERIES[1]), ("not", "#c8ccd2"))
-Z95 = 1.96
-
-
-def interval(share: float, count: int) -> tuple[float, float]:
-    """Wilson's, of a share of `count` draws."""
-    middle = (share + Z95**2 / (2 * count)) / (1 + Z95**2 / count)
-    half = Z95 / (1 + Z95**2 / count) * np.sqrt(share * (1 - share) / count + Z95**2 / (4 * count**2))
-    return middle - half, middle + half
 
 
 def print_shares(name: str, table: ctrplan.StudyTable) -> None:
     """A line for each distance."""
-    count = len(table)
     for near in (1, 2):
         texts = []
         for column, words in REGARDS:
-            share = float(np.mean(table[f"{column}_{near}_mm"] == 1))
-            low, high = interval(share, count)
-            texts.append(f"{100 * share:5.1f} % ({100 * low:.1f} to {100 * high:.1f}) {words}")
-        print(f"  {name:10} {count:5,} targets, within {near} mm: {'; '.join(texts)}")
+            reached = table[f"{column}_{near}_mm"] == 1
+            low, high = wilson(reached)
+            texts.append(f"{100 * reached.mean():5.1f} % ({100 * low:.1f} to {100 * high:.1f}) {words}")
+        print(f"  {name:10} {len(table):5,} targets, within {near} mm: {'; '.join(texts)}")
     lost = (table["free_within_1_mm"] == 1) & (table["within_1_mm"] != 1)
     beyond = np.isfinite(table["worst_mm"])
     z = table["target_z_mm"]
@@ -62,9 +55,8 @@ def print_shares(name: str, table: ctrplan.StudyTable) -> None:
         f"{np.nanmax(np.where(lost, table['worst_mm'], np.nan)):.1f} mm, median "
         f"{np.nanmedian(np.where(lost, table['worst_mm'], np.nan)):.1f} mm"
     )
-    for low, high in zip(
-        *(np.quantile(z, shares) for shares in ((0, 0.25, 0.5, 0.75), (0.25, 0.5, 0.75, 1))), strict=True
-    ):
+    edges = np.quantile(z, (0, 0.25, 0.5, 0.75, 1))
+    for low, high in pairwise(edges.tolist()):
         here = (z >= low) & (z <= high)
         shares = [100 * np.mean(table[f"{column}_1_mm"][here] == 1) for column, _ in REGARDS]
         print(f"  {'':10} z {low:6.1f} to {high:6.1f} mm: {shares[0]:5.1f} % and {shares[1]:5.1f} % within 1 mm")

@@ -8,8 +8,6 @@ with an underscore and occurs twice in all of ctrplan/: where it is defined, and
 is a name in capitals that a module binds to numbers alone. Words of documents are those of README.md and docs/**/*.md.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 from collections import Counter, defaultdict

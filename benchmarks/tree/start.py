@@ -5,8 +5,6 @@
 Each row is run so many times after one that is not counted. Modules are those of ctrplan that are imported at the end.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
