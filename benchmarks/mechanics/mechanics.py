@@ -157,7 +157,7 @@ def meshes(count: int) -> None:
             shapes = zip((coarse.frictionless, *coarse.corners), (fine.frictionless, *fine.corners), strict=True)
             worst.append(max(distance_mm(a.tip_m, b.tip_m) for a, b in shapes))
     error = np.array(worst)
-    row = (len(error), *map(float, np.quantile(error, (0.5, 0.95, 0.99, 1.0))), float(np.mean(error > 0.3)))
+    row = (len(error), *map(float, np.quantile(error, (0.5, 0.95, 0.99, 1.0))), f"{100 * np.mean(error > 0.3):.1f} %")
     table("search mesh off the grid, mm", ("configurations", "median", "95 %", "99 %", "max", "share > 0.3"), [row])
 
 

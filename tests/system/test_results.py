@@ -47,8 +47,9 @@ def quoted_rows() -> Iterator[tuple[str, list[str], str]]:
 def numbers(name: str) -> set[float]:
     """All that a benchmark's JSON has, without units."""
     runs = KEPT[name.replace("-", "_")]["runs"].values()
-    texts = [cell for run in runs for table in run["tables"].values() for row in table["rows"] for cell in row]
-    texts += [line for run in runs for line in run["lines"]]
+    texts = [line for run in runs for line in run["lines"]]
+    for table in (table for run in runs for table in run["tables"].values()):
+        texts += [cell for row in (table["columns"], *table["rows"]) for cell in row]
     return {float(found.replace(",", "")) for text in texts for found in NUMBER.findall(text)}
 
 
@@ -79,10 +80,10 @@ def test_numbers_of_the_results_are_in_the_json_of_their_script(row: str, script
 
 def test_prose_below_the_table_of_scenarios_has_its_numbers() -> None:
     """Lengths in a remark on a scenario are those of its two rows."""
-    text = RESULTS.read_text(encoding="utf-8")
-    table = text.split("<!-- scenarios: plans -->\n")[1].split("<!-- end of table -->")[0]
+    text = RESULTS.read_text(encoding="utf-8").split("<!-- scenarios: plans -->\n")[1].split("\n## ")[0]
+    table, _, text = text.partition("<!-- end of table -->")
     rows = list(map(cells_of, table.strip().splitlines()[2:]))
-    remarks = re.findall(r"^- \*([^:*]+): (.*?)(?=^- |^$)", text, re.DOTALL | re.MULTILINE)
+    remarks = re.findall(r"^- \*([^*.]+)\*: (.*?)(?=^- |^$)", text, re.DOTALL | re.MULTILINE)
     assert len(remarks) >= 6
     for name, remark in remarks:
         own = {cell for row in rows if row[0] == name for cell in row}
