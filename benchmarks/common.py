@@ -16,9 +16,15 @@ SCENARIOS, IMAGES = ROOT / "scenarios", ROOT / "docs" / "images"
 ROBOTS, STUDIES = SCENARIOS / "robots", SCENARIOS / "studies"
 
 
-def parser(doc: str | None) -> argparse.ArgumentParser:
+class Parser(argparse.ArgumentParser):
+    """A parser in whose command lines options may stand between names."""
+
+    parse_args = argparse.ArgumentParser.parse_intermixed_args  # type: ignore[assignment]
+
+
+def parser(doc: str | None) -> Parser:
     """For the arguments of a benchmark, which its docstring explains."""
-    return argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    return Parser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
 
 
 def sections(given: Sequence[str], known: Mapping[str, Callable[[], object]], refuse: Callable[[str], object]) -> None:

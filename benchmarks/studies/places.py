@@ -98,7 +98,7 @@ ENTRY_PICTURE = IMAGES / "entry.png"
 
 def looked_at(scenario: ctrplan.Scenario, count: int) -> list[Worth]:
     """The candidates of `ctrplan place`, those too that seem to reach nothing."""
-    patch = _patch(scenario, None, None, RADIUS_M, CONE_RAD)
+    patch = _patch(scenario, None, None, None, RADIUS_M, CONE_RAD)
     screen, found = Screen(scenario, patch, np.random.default_rng(0)), []
     for pose in patch.poses(0):
         if screen.is_clear(pose):
