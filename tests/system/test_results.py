@@ -14,6 +14,7 @@ from places import ROOT
 
 RESULTS = ROOT / "docs" / "results.md"
 KEPT = {path.stem: json.loads(path.read_text("utf-8")) for path in (ROOT / "benchmarks" / "results").glob("*.json")}
+Command = tuple[str, str]  # name of a benchmark or of a goal of make, and its arguments
 NUMBER = re.compile(r"(?<![\w.])\d[\d,]*(?:\.\d+)?")
 
 
@@ -29,26 +30,27 @@ def marked_tables() -> Iterator[tuple[str, str, str]]:
             yield page.name, mark, table
 
 
-def quoted_rows() -> Iterator[tuple[str, list[str], str]]:
-    """Rows of docs/results.md outside of marks that name a script, or mean the one before: row, scripts, text."""
+def quoted_rows() -> Iterator[tuple[str, list[Command], str]]:
+    """Rows of docs/results.md outside of marks that name a command, or mean the one before: row, commands, text."""
     text = re.sub(r"<!-- [\w]+: .*?<!-- end of table -->", "", RESULTS.read_text(encoding="utf-8"), flags=re.DOTALL)
-    scripts: list[str] = []
+    commands: list[Command] = []
     for line in text.splitlines():
         if not line.startswith("| "):
             continue
-        named = re.findall(r"`(?:benchmarks/run\.py |make )([\w\-]+)", line)
+        named = re.findall(r"`(?:benchmarks/run\.py |make )([\w\-]+) ?([^`]*)`", line)
         if named or re.search(r"\| same \||\| the same \|", line):
-            scripts = named or scripts
+            commands = named or commands
             cells = cells_of(line)
             said = cells[1] if len(cells) == 3 else cells[-1]
-            yield cells[0], scripts, re.sub(r"`[^`]*`|\[[^\]]*\]\([^)]*\)", "", said)
+            yield cells[0], commands, re.sub(r"`[^`]*`|\[[^\]]*\]\([^)]*\)", "", said)
 
 
-def numbers(name: str) -> set[float]:
-    """All that a benchmark's JSON has, without units."""
-    runs = KEPT[name.replace("-", "_")]["runs"].values()
-    texts = [line for run in runs for line in run["lines"]]
-    for table in (table for run in runs for table in run["tables"].values()):
+def numbers(command: Command) -> set[float]:
+    """All that the JSON of a benchmark has for these arguments, or for any where it has none for these; without units."""
+    runs = KEPT[command[0].replace("-", "_")]["runs"]
+    chosen = [runs[command[1]]] if command[1] in runs else list(runs.values())
+    texts = [line for run in chosen for line in run["lines"]]
+    for table in (table for run in chosen for table in run["tables"].values()):
         texts += [cell for row in (table["columns"], *table["rows"]) for cell in row]
     return {float(found.replace(",", "")) for text in texts for found in NUMBER.findall(text)}
 
@@ -71,9 +73,9 @@ def test_marked_tables_are_those_that_benchmarks_wrote(page: str, mark: str, tex
     assert sorted(rows) == sorted(written)
 
 
-@pytest.mark.parametrize(("row", "scripts", "said"), [pytest.param(*row, id=row[0][:60]) for row in quoted_rows()])
-def test_numbers_of_the_results_are_in_the_json_of_their_script(row: str, scripts: list[str], said: str) -> None:
-    known = set().union(*map(numbers, scripts))
+@pytest.mark.parametrize(("row", "commands", "said"), [pytest.param(*row, id=row[0][:60]) for row in quoted_rows()])
+def test_numbers_of_the_results_are_in_the_json_of_their_script(row: str, commands: list[Command], said: str) -> None:
+    known = set().union(*map(numbers, commands))
     assert NUMBER.search(said)
     assert not [number for number in NUMBER.findall(said) if not is_among(number, known)]
 
