@@ -46,7 +46,7 @@ def quoted_rows() -> Iterator[tuple[str, list[Command], str]]:
 
 
 def numbers(command: Command) -> set[float]:
-    """All that the JSON of a benchmark has for these arguments, or for any where it has none for these; without units."""
+    """All that the JSON of a benchmark has for these arguments, or for any where it has none; without units."""
     runs = KEPT[command[0].replace("-", "_")]["runs"]
     chosen = [runs[command[1]]] if command[1] in runs else list(runs.values())
     texts = [line for run in chosen for line in run["lines"]]
