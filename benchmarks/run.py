@@ -69,7 +69,7 @@ def tables_and_lines(text: str) -> tuple[dict[str, Any], list[str]]:
             title = line.strip() if line.strip() and not line.startswith("|") else title
             lines += [line] if line.strip() and not line.startswith("|") else []
             continue
-        cells = [cell.strip() for cell in line.strip().strip("|").split(" | ")]
+        cells = [cell.strip() for cell in line.strip()[1:-1].split("|")]
         if set("".join(cells)) <= set("-|: "):
             continue
         if title not in tables:

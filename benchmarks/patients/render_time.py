@@ -10,6 +10,7 @@ import sys
 import time
 
 import numpy as np
+from common import table
 
 from ctrplan.files.plan_file import load_plan
 from ctrplan.reports.render.film import film
@@ -20,11 +21,11 @@ WIDTH, HEIGHT, PICTURES = 960, 720, 6
 
 
 def main() -> None:
-    motion = written_motion(load_plan(*sys.argv[1:3], allow_outside=True), PICTURES)
-    print(f"{motion.scenario.name}, {WIDTH} x {HEIGHT}")
+    motion, rows = written_motion(load_plan(*sys.argv[1:3], allow_outside=True), PICTURES), []
     for view in VIEWS:
         times = [time.process_time()]
         for _ in film(motion, view, WIDTH, HEIGHT):  # type: ignore[arg-type]
             times.append(time.process_time())
         first, *others = np.diff(times).tolist()
-        print(f"{view:8} first {first:.2f} s, others {np.mean(others):.2f} s")
+        rows.append((view, f"{first:.2f} s", f"{np.mean(others):.2f} s"))
+    table(f"{motion.scenario.name}, {WIDTH} x {HEIGHT}", ("camera", "first picture", "each other"), rows)
