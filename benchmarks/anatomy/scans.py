@@ -9,8 +9,6 @@ clearances. mesh: 2 million triangles read, thinned, and planned in. Memory is t
 give one word to learn one of them.
 """
 
-from __future__ import annotations
-
 import os
 import resource
 import tempfile

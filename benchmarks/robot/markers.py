@@ -8,8 +8,6 @@ their priors. With --diagnose: measurements of a pair with a precurvature that v
 alone and with a ring (some minutes).
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 from typing import Any

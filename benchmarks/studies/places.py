@@ -10,8 +10,6 @@ random, so that the first of them are a fair sample, too; intervals are 95 % of 
 scenarios/studies/entry_ventricle.toml reaches most. With --read nothing is computed: what is in FOLDER is drawn.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 from itertools import pairwise
