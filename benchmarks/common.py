@@ -14,6 +14,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 SCENARIOS, IMAGES = ROOT / "scenarios", ROOT / "docs" / "images"
 ROBOTS, STUDIES = SCENARIOS / "robots", SCENARIOS / "studies"
+is_writing = [False]  # whether documents get what is printed and drawn
 
 
 class Parser(argparse.ArgumentParser):
@@ -81,11 +82,13 @@ def panels(rows: int, columns: int, size_in: tuple[float, float]) -> tuple[Any, 
 
 
 def save(figure: Any, name: str, colours: int = 256) -> None:
-    """Writes a figure to docs/images, in few colours to keep it small."""
+    """Writes a figure to docs/images where documents are written, in few colours to keep it small."""
     from PIL import Image
 
+    if not is_writing[0]:
+        return
     file, content = IMAGES / f"{name}.png", io.BytesIO()
     file.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(content, format="png")
+    figure.savefig(content, format="png", dpi=120)
     small = Image.open(content).convert("RGB").quantize(colours, dither=Image.Dither.NONE)
     small.save(file, optimize=True)

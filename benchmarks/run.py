@@ -2,7 +2,7 @@
 
     python benchmarks/run.py --list                    # every benchmark, a line each
     python benchmarks/run.py NAME [ARGUMENT ...]       # --help tells the arguments of a benchmark
-    python benchmarks/run.py --write NAME ...          # its tables are put into the documents, too
+    python benchmarks/run.py --write NAME ...          # tables and pictures are put into the documents, too
     python benchmarks/run.py --json FILE NAME ...      # the JSON goes to another file
 
 The JSON is benchmarks/results/NAME.json: for each list of arguments where and when it was measured, the tables that
@@ -160,6 +160,7 @@ def main() -> int:
     os.environ["CTRPLAN_CACHE_DIR"] = str(ROOT / "build" / "benchmark-cache")
     os.environ["MPLBACKEND"] = "Agg"
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads only fight over small matrices
+    importlib.import_module("common").is_writing[0] = given.write
     module, began = importlib.import_module(given.name), origin()
     if given.bare:
         return int(module.main() or 0)

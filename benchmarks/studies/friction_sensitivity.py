@@ -8,14 +8,13 @@ from pathlib import Path
 import common
 import matplotlib.pyplot as plt
 import numpy as np
-from common import IMAGES, ROBOTS, STUDIES
+from common import ROBOTS, STUDIES, save
 
 import ctrplan
 from ctrplan.reports import palette
 from ctrplan.studies.study.sensitivity import Sensitivity, sensitivity
 
 STUDY = STUDIES / "friction_ventricle.toml"
-PICTURE = IMAGES / "friction_range.png"
 FRICTION = ("contact.1.friction_coefficient", "contact.2.friction_coefficient")
 SHARES = (0.05, 0.5, 0.95)
 
@@ -51,7 +50,7 @@ def draw(table: ctrplan.StudyTable, found: Sensitivity) -> None:
     bars.tick_params(axis="y", labelsize=8)
     for axes in (cloud, bars):
         axes.spines[["top", "right"]].set_visible(False)
-    figure.savefig(PICTURE, dpi=130)
+    save(figure, "friction_range")
 
 
 def main() -> None:

@@ -1,13 +1,14 @@
 """Where the tip gets and from where: reach maps, entries of scenarios, poses in a burr hole, with their pictures.
 
-    python benchmarks/run.py places reach FOLDER [--read]   # docs/images/reach_maps.png, 4,000 targets, 0.3 s apiece
-    python benchmarks/run.py places entry [--candidates 128] [SCENARIO ...]   # docs/images/entry.png
-    python benchmarks/run.py places poses FOLDER [--read]   # docs/images/entry_study.png, 1,352 tasks, 0.2 s apiece
+    python benchmarks/run.py places reach FOLDER [--read]   # reach_maps.png, 4,000 targets, 0.3 s apiece
+    python benchmarks/run.py places entry [--candidates 128] [SCENARIO ...]   # entry.png
+    python benchmarks/run.py places poses FOLDER [--read]   # entry_study.png, 1,352 tasks, 0.2 s apiece
 
 reach: where the tip gets within 1 and 2 mm, whatever friction does and without regard to it. Targets are drawn at
 random, so that the first of them are a fair sample, too; intervals are 95 % of what a share of so many draws may be
 (Wilson). entry: `ctrplan place` beside the pose that a scenario has. poses: which pose in the burr hole of
 scenarios/studies/entry_ventricle.toml reaches most. With --read nothing is computed: what is in FOLDER is drawn.
+Pictures of docs/images are renewed by `run.py --write places ...`.
 """
 
 import time
@@ -18,7 +19,7 @@ from pathlib import Path
 import common
 import matplotlib.pyplot as plt
 import numpy as np
-from common import IMAGES, SCENARIOS, STUDIES
+from common import SCENARIOS, STUDIES, save
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
@@ -29,7 +30,6 @@ from ctrplan.planning.uncertainty.chance import wilson
 from ctrplan.reports import palette
 from ctrplan.reports.study_page.poses import BasePoses
 
-REACH_PICTURE = IMAGES / "reach_maps.png"
 NAMES = ("ventricle", "airway")
 REGARDS = (("free_within", "without regard to friction"), ("within", "whatever friction does"))
 LEVELS = (("within 1 mm", palette.MET), ("within 2 mm", palette.SERIES[1]), ("not", "#c8ccd2"))
@@ -88,10 +88,7 @@ def reach(folder: Path, read: bool) -> None:
     axes[0].set_ylabel("z, from the plate (mm)")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles[::-1], labels[::-1], loc="outside lower center", ncols=3, frameon=False, markerscale=2)
-    figure.savefig(REACH_PICTURE, dpi=130)
-
-
-ENTRY_PICTURE = IMAGES / "entry.png"
+    save(figure, "reach_maps")
 
 
 def looked_at(scenario: ctrplan.Scenario, count: int) -> list[Worth]:
@@ -144,11 +141,10 @@ def entry(names: list[str], candidates: int) -> None:
         print_best(name, found, time.process_time() - begun)
         draw_entry(panel, name, looked_at(scenario, candidates), found)
     np.atleast_1d(axes)[0].set_ylabel("looks to y (deg)")
-    figure.savefig(ENTRY_PICTURE, dpi=130)
+    save(figure, "entry")
 
 
 ENTRY_STUDY = STUDIES / "entry_ventricle.toml"
-POSES_PICTURE = IMAGES / "entry_study.png"
 MM_PER_DEG = 2.2  # of positions drawn around the direction that they belong to
 
 
@@ -200,7 +196,7 @@ def draw_poses(poses: BasePoses) -> None:
         axis.set_aspect("equal")
         axis.spines[["top", "right"]].set_visible(False)
     axes[0].set_ylabel("looks to y (deg)")
-    figure.savefig(POSES_PICTURE, dpi=130)
+    save(figure, "entry_study")
 
 
 def poses_of_study(folder: Path, read: bool) -> None:

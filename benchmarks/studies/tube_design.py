@@ -21,7 +21,7 @@ from typing import Any
 import common
 import matplotlib.pyplot as plt
 import numpy as np
-from common import IMAGES, SCENARIOS, STUDIES, table
+from common import SCENARIOS, STUDIES, save, table
 from matplotlib.axes import Axes
 
 import ctrplan
@@ -31,7 +31,6 @@ from ctrplan.planning.target_set.worth import Search, SetWorth, set_worth
 from ctrplan.reports import palette
 
 FILE = STUDIES / "design_ventricle.toml"
-PICTURE = IMAGES / "tube_design.png"
 STARTS = 200  # of inverse kinematics, for the comparison
 FRICTION = ("robot.contact.1.friction_coefficient", "robot.contact.2.friction_coefficient")
 COLOURS = {"shipped": palette.SERIES[2], "literature": palette.SERIES[1], "with friction": palette.SERIES[0]}
@@ -184,4 +183,4 @@ def main() -> None:
     draw_tolerances(axes[2], first)
     for panel in axes:
         panel.spines[["top", "right"]].set_visible(False)
-    figure.savefig(PICTURE, dpi=130)
+    save(figure, "tube_design")
