@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from typing import Any, Literal, Protocol, TypeVar, cast
+from typing import Any, Literal, Protocol, TypeVar
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
@@ -105,9 +105,8 @@ def with_values(robot: R, values: Mapping[str, float]) -> R:
             loads.setdefault(at.key, list(getattr(robot.loads, at.key)))[at.index] = value
     changed: dict[str, Any] = {"tubes": tuple(tubes), "contacts": tuple(contacts)}
     if loads:
-        changed["loads"] = replace(
-            robot.loads, **cast(dict[str, Any], {key: tuple(vector) for key, vector in loads.items()})
-        )
+        vectors: dict[str, Any] = {key: tuple(vector) for key, vector in loads.items()}
+        changed["loads"] = replace(robot.loads, **vectors)
     made: R = replace(robot, **changed)  # type: ignore[type-var]
     return made
 
