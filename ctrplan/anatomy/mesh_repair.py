@@ -6,9 +6,6 @@ from collections.abc import Iterator
 import igl
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from ctrplan.base.arrays import Array
 
@@ -60,6 +57,10 @@ def merged(vertices: Array, faces: Indices) -> tuple[Array, Indices]:
     exact = np.asarray(unique), _distinct(np.asarray(index)[faces])
     if not len(odd_edges(exact[1])):
         return _without_strays(*exact)
+    from scipy.sparse import coo_matrix  # seldom needed, and slow to import
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
     pairs = cKDTree(unique).query_pairs(WELD_M, output_type="ndarray")
     graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(unique), len(unique)))
     _, group = connected_components(graph, directed=False)
