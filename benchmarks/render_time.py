@@ -14,8 +14,8 @@ import time
 import numpy as np
 
 from ctrplan.files.plan_file import load_plan
+from ctrplan.reports.render.camera import VIEWS
 from ctrplan.reports.render.film import film
-from ctrplan.reports.render.views import VIEWS
 from ctrplan.reports.written_motion import written_motion
 
 WIDTH, HEIGHT, PICTURES = 960, 720, 6

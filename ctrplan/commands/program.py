@@ -28,7 +28,6 @@ from ctrplan.commands import (
     view,
 )
 from ctrplan.commands.command_line import CommandLine
-from ctrplan.commands.refused_mesh import tell_picture
 from ctrplan.errors import CtrplanError
 
 COMMANDS = (
@@ -65,7 +64,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return code
     except CtrplanError as error:
         print(f"ctrplan: {error}", file=sys.stderr)
-        tell_picture(error)
+        if (defect := getattr(error, "defect", None)) is not None:  # a mesh is refused because of a place in it
+            from ctrplan.reports.mesh_defect_picture import tell_picture
+
+            tell_picture(defect)
         return error.exit_code
     except MemoryError:
         print("ctrplan: there is not enough memory for this.", file=sys.stderr)

@@ -13,7 +13,7 @@ from ctrplan.commands.written_plan import add_plan_arguments, progress_bar, read
 from ctrplan.errors import InputError
 
 if TYPE_CHECKING:
-    from ctrplan.reports.render.picture import Picture
+    from ctrplan.reports.render.rasteriser import Picture
 
 CAMERAS = ("side", "plate", "target", "inside")
 FPS = Number(1, 60, "pictures a second")
