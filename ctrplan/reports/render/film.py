@@ -21,8 +21,8 @@ from ctrplan.reports import palette
 from ctrplan.reports import scene_looks as looks
 from ctrplan.reports.plan_words.numbers import millimetres
 from ctrplan.reports.pose import Pose, stand
-from ctrplan.reports.render.camera import Camera, View, camera_of
-from ctrplan.reports.render.rasteriser import Body, Picture, Stage
+from ctrplan.reports.render.camera import View, camera_of
+from ctrplan.reports.render.rasteriser import Body, Camera, Picture, Stage
 from ctrplan.reports.stated_error import stated_error_m
 from ctrplan.reports.surface import Rod, anatomy_surface, capsule
 from ctrplan.reports.written_motion import WrittenMotion
