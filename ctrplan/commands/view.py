@@ -15,7 +15,7 @@ from ctrplan.commands.options import add_allow_outside_option, add_number, add_s
 if TYPE_CHECKING:
     from ctrplan.files.plan_file import WrittenPlan
     from ctrplan.planning.scenario import Scenario
-    from ctrplan.reports.live.state import LiveState
+    from ctrplan.reports.live_state import LiveState
 
 EXAMPLES = """examples:
   ctrplan view scenarios/robots/three_tube.toml
@@ -47,8 +47,8 @@ def add_parser(commands: Any) -> None:
 
 def run_view(arguments: argparse.Namespace) -> int:
     """Serves the page until Ctrl-C; returns 0. Raises CtrplanError."""
-    from ctrplan.reports.live.server import LiveServer
-    from ctrplan.reports.live.state import LiveState
+    from ctrplan.reports.live_server import LiveServer
+    from ctrplan.reports.live_state import LiveState
 
     scenario, motion = loaded(arguments)
     for warning in scenario.warnings:

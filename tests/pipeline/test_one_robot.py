@@ -31,7 +31,7 @@ from ctrplan.pipeline.parametric_chain import ParametricChain
 from ctrplan.planning.goals.tip_solver import TipSolver, TipTarget
 from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.motion import MotionChecker
-from ctrplan.reports.live.state import LiveState
+from ctrplan.reports.live_state import LiveState
 from ctrplan.robot.robot import Robot
 from ctrplan.studies.simulate import simulate
 from ctrplan.studies.sweep import sweep

@@ -18,7 +18,7 @@ from ctrplan.planning.goals.branches import reach
 from ctrplan.planning.goals.tip_solver import REACHED_M, TipSolver, TipTarget, angle_to
 from ctrplan.planning.joint_space import JointSpace
 from ctrplan.planning.motion import MotionChecker
-from ctrplan.reports.live.state import LiveState
+from ctrplan.reports.live_state import LiveState
 from ctrplan.storage.toml_document import read_document
 
 ROBOTS = SCENARIOS / "robots"

@@ -21,8 +21,8 @@ from ctrplan.drive.trajectory import time_parameterise
 from ctrplan.files.bare_scenario import load_robot_or_scenario
 from ctrplan.files.scenario_entries import BaseEntry
 from ctrplan.planning.certificate.certify import certify
-from ctrplan.reports.live.server import LiveServer
-from ctrplan.reports.live.state import LiveState
+from ctrplan.reports.live_server import LiveServer
+from ctrplan.reports.live_state import LiveState
 
 if sys.version_info >= (3, 11):
     import tomllib

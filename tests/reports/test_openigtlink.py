@@ -15,7 +15,7 @@ from ctrplan.cli import main
 from ctrplan.errors import InputError
 from ctrplan.files.bare_scenario import load_robot_or_scenario
 from ctrplan.planning.scenario import Scenario
-from ctrplan.reports.live.state import LiveState
+from ctrplan.reports.live_state import LiveState
 from ctrplan.reports.openigtlink.broadcast import Broadcast
 from ctrplan.reports.openigtlink.messages import pose_messages, tip_messages
 from ctrplan.reports.pose import pose

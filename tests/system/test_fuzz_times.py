@@ -28,7 +28,7 @@ from ctrplan.errors import CtrplanError
 from ctrplan.files.bare_scenario import load_robot_or_scenario
 from ctrplan.files.robot_file import load_robot, write_robot
 from ctrplan.planning.bound_table import choose_axes
-from ctrplan.reports.live.state import LiveState
+from ctrplan.reports.live_state import LiveState
 from ctrplan.robot.robot import Robot
 
 PAGE = SCENARIOS.parent / "docs" / "performance.md"
