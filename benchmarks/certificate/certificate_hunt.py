@@ -50,9 +50,9 @@ from ctrplan.base.arrays import Array
 from ctrplan.certificate.certify import certify
 from ctrplan.errors import CtrplanError
 from ctrplan.files.robot_file import load_robot, robot_from_dict
-from ctrplan.files.scenario_file import bare_scenario
 from ctrplan.mechanics.accuracy import Accuracy
 from ctrplan.robot.robot import Robot
+from ctrplan.scenario.bare_scenario import bare_scenario
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.scenario import Scenario
 

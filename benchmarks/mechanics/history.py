@@ -20,8 +20,7 @@ from history_numerics import numerics, release
 from matplotlib.figure import Figure
 
 from ctrplan.base.arrays import Array
-from ctrplan.mechanics.core import Shape
-from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.shapes import Shape, Status
 from ctrplan.reports import looks
 
 COLOURS = (*looks.SERIES, looks.ENVELOPE, looks.CORNER)

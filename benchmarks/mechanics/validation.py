@@ -45,7 +45,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from ctrplan.base.arrays import Array
 from ctrplan.files.robot_file import load_robot
-from ctrplan.mechanics.core import Bound, Shape, Status
+from ctrplan.mechanics.shapes import Bound, Shape, Status
 from ctrplan.reports import looks
 
 Rows = tuple[Sequence[str], Sequence[Sequence[object]]]  # of a table, after its columns

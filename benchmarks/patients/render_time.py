@@ -14,8 +14,8 @@ from common import table
 
 from ctrplan.files.plan_file import load_plan
 from ctrplan.reports.plan_scene import written_motion
+from ctrplan.reports.render.camera import VIEWS
 from ctrplan.reports.render.film import film
-from ctrplan.reports.render.views import VIEWS
 
 WIDTH, HEIGHT, PICTURES = 960, 720, 6
 

@@ -8,7 +8,6 @@ import io
 import os
 import re
 import sys
-import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any, NoReturn
@@ -59,21 +58,6 @@ class CommandLine(argparse.ArgumentParser):
         raise InputError(f"{message} (see {self.prog} --help)")
 
 
-def tell_picture(error: CtrplanError) -> None:
-    """Draws the place of a refused mesh and says where the picture is; nothing for any other error."""
-    defect = getattr(error, "defect", None)
-    if defect is None:
-        return
-    from ctrplan.reports.mesh_defect_picture import mesh_defect_png
-
-    with suppress(OSError):  # the sentence has been said, a picture that can't be written is no failure
-        png = mesh_defect_png(defect)
-        number, name = tempfile.mkstemp(prefix=f"ctrplan_{defect.file.stem[:40]}_", suffix=".png")
-        with os.fdopen(number, "wb") as file:
-            file.write(png)
-        print(f"ctrplan: a picture of the place: {name}", file=sys.stderr)
-
-
 COMMANDS = (
     plan,
     case,
@@ -111,7 +95,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return code
     except CtrplanError as error:
         print(f"ctrplan: {error}", file=sys.stderr)
-        tell_picture(error)
+        if (defect := getattr(error, "defect", None)) is not None:  # a mesh is refused because of a place in it
+            from ctrplan.reports.mesh_defect_picture import tell_picture
+
+            tell_picture(defect)
         return error.exit_code
     except MemoryError:
         print("ctrplan: there is not enough memory for this.", file=sys.stderr)

@@ -12,7 +12,7 @@ from ctrplan.commands.terminal import ProgressBar
 from ctrplan.errors import InputError
 
 if TYPE_CHECKING:
-    from ctrplan.reports.render.picture import Picture
+    from ctrplan.reports.render.rasteriser import Picture
 
 CAMERAS = ("side", "plate", "target", "inside")
 FPS = Number(1, 60, "pictures a second")

@@ -13,7 +13,7 @@ from ctrplan.commands.options import add_allow_outside_option, add_igtl_option, 
 
 if TYPE_CHECKING:
     from ctrplan.files.plan_file import WrittenPlan
-    from ctrplan.reports.live.state import LiveState
+    from ctrplan.reports.live_state import LiveState
     from ctrplan.scenario.scenario import Scenario
 
 EXAMPLES = """examples:
@@ -46,8 +46,8 @@ def add_parser(commands: Any) -> None:
 
 def run_view(arguments: argparse.Namespace) -> int:
     """Serves the page until Ctrl-C; returns 0. Raises CtrplanError."""
-    from ctrplan.reports.live.server import LiveServer
-    from ctrplan.reports.live.state import LiveState
+    from ctrplan.reports.live_server import LiveServer
+    from ctrplan.reports.live_state import LiveState
 
     scenario, motion = loaded(arguments)
     for warning in scenario.warnings:

@@ -30,9 +30,8 @@ from ctrplan.errors import InputError
 from ctrplan.files.robot_file import robot_from_dict
 from ctrplan.measurement.measurements import Measurements
 from ctrplan.pipeline.term import term
-from ctrplan.reports import diagnosis_page
 from ctrplan.reports.diagnosis_figures import selection_errors
-from ctrplan.reports.diagnosis_page import diagnosis_report_html, share_table
+from ctrplan.reports.diagnosis_page import diagnosis_report_html, gap_split, share_table
 
 ROBOT = pair_robot()
 PLAN, OTHERS = waypoints(ROBOT, 18), waypoints(ROBOT, 8, seed=5)
@@ -121,7 +120,7 @@ def test_runs_of_a_tracker_that_was_set_up_anew_have_frames_of_their_own() -> No
     assert found.gap.before.rms_m > 2e-3 and found.gap.after.rms_m < 1.2 * partial().gap.after.rms_m
     assert found.framed_gap is not None and found.gap.after.rms_m < found.framed_gap.after.rms_m < 2e-3
     assert "a frame of its own in each of 2 set-ups" in effect_lines(found)[0]
-    assert "frames of robot and tracker" in diagnosis_page(found)
+    assert "frames of robot and tracker" in gap_split(found)
     assert found.robot_content()["effects"]["frame_shift"]["shift_x_2_mm"] == pytest.approx(5.0, abs=1.0)
 
 

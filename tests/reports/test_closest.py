@@ -12,11 +12,10 @@ import pytest
 from ctrplan.anatomy.parts import surface_distance
 from ctrplan.commands.plan import _summary
 from ctrplan.plans.plan import Plan
-from ctrplan.reports import plan_words
 from ctrplan.reports.plan_motion import clearance_section, narrowest_traces, scene_figure
 from ctrplan.reports.plan_picture import plan_figure
 from ctrplan.reports.plan_scene import NarrowestPose, PlanScene, plan_scene
-from ctrplan.reports.plan_words import START_FRICTION
+from ctrplan.reports.plan_words import START_FRICTION, clearance_rows
 from ctrplan.reports.words import millimetres
 
 
@@ -56,7 +55,7 @@ def test_page_and_picture_mark_the_narrowest_place(scene: PlanScene, narrowest: 
 
 
 def test_all_three_numbers_are_said_with_their_places(plan: Plan) -> None:
-    rows, terminal = plan_words(plan), _summary(Path("out"), plan, ())
+    rows, terminal = clearance_rows(plan), _summary(Path("out"), plan, ())
     page = clearance_section(plan).replace("\u00a0", " ")
     assert [row.clearance_m for row in rows] == sorted((row.clearance_m for row in rows), reverse=True)
     assert rows[-1].clearance_m == plan.certificate.min_clearance_m
@@ -75,6 +74,6 @@ def test_what_is_assumed_of_friction_at_the_start_is_said(plan: Plan, start: str
 
 def test_free_space_has_nothing_to_come_near(free_plan: Plan) -> None:
     assert "free space" in _summary(Path("out"), free_plan, ())
-    assert not plan_words(free_plan) and not clearance_section(free_plan)
+    assert not clearance_rows(free_plan) and not clearance_section(free_plan)
     scene = plan_scene(free_plan, frames=2)
     assert scene.narrowest is None and plan_figure(scene).axes

@@ -21,12 +21,12 @@ from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.base.surface import capsule
 from ctrplan.plans.plan import Plan
 from ctrplan.plans.planned_motion import ComparedWay
-from ctrplan.reports import plan_words
 from ctrplan.reports.curves import CURSOR
 from ctrplan.reports.html_page import Markup, page, table, tag
 from ctrplan.reports.plan_motion import moments, scene_figure
 from ctrplan.reports.plan_page import joints_figure, margins_figure, plan_report_html, write_plan_report
 from ctrplan.reports.plan_scene import FRAMES, PlanScene, plan_scene
+from ctrplan.reports.plan_words import certificate_rows, verdict
 from ctrplan.reports.words import millimetres
 
 HOSTILE = """<script>alert("x")</script><img src=x onerror=alert(1)>'&</title>"""
@@ -100,8 +100,8 @@ def test_report_is_the_same_every_time(plan: Plan, content: str) -> None:
 
 def test_report_says_what_the_plan_says(plan: Plan, content: str) -> None:
     text = Page(content).text
-    assert plan_words(plan) in text and plan.scenario.name in text
-    for row in plan_words(plan):
+    assert verdict(plan) in text and plan.scenario.name in text
+    for row in certificate_rows(plan):
         assert row.quantity in text and row.value in text
     for fact in (plan.scenario.sha256, plan.scenario.robot.sha256, f"seed {plan.seed}", *plan.notes):
         assert fact in text

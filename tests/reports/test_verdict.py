@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from ctrplan.plans.plan import Plan
-from ctrplan.reports import looks, plan_words
-from ctrplan.reports.plan_words import COLOURS, is_acceptable, standing
+from ctrplan.reports import looks
+from ctrplan.reports.plan_words import COLOURS, certificate_rows, is_acceptable, standing, verdict
 from ctrplan.reports.words import digits, millimetres
 
 
@@ -29,7 +29,7 @@ def test_certified_plan_is_said_in_one_sentence(plan: Plan) -> None:
     }
     good = changed(plan, min_clearance_m=1.8e-3, **figures)
     assert is_acceptable(good) and standing(good) == "good"
-    assert plan_words(good) == (
+    assert verdict(good) == (
         "Certified: at worst the tip ends 0.62 mm from the target, within the tolerance of 1.00 mm "
         "(0.20 mm without friction, 0.42 mm by it), 0.11 mm predicted by its history, "
         "worst case at most 1.30 mm along the path, "
@@ -42,11 +42,11 @@ def test_target_that_may_be_missed_is_never_green(plan: Plan) -> None:
     reached = {"goal_tip_error_m": 0.72e-3, "goal_bound_m": 3.48e-3, "min_clearance_m": 1e-3}
     missed = changed(plan, **reached)
     assert is_acceptable(missed) and standing(missed) == "caution"
-    assert plan_words(missed).startswith(
+    assert verdict(missed).startswith(
         "Certified, but the target may be missed: at worst the tip ends 4.20 mm from the target, "
         "above the tolerance of 1.00 mm (0.72 mm without friction, 3.48 mm by it)"
     )
-    row = next(row for row in plan_words(missed) if row.caution)
+    row = next(row for row in certificate_rows(missed) if row.caution)
     assert row.value == "4.20 mm" and row.requirement == "tolerance 1.00 mm" and row.met is None
     for colour, chosen in (("CAUTION", missed), ("LIMIT", changed(plan, valid=False, problems=("x",), **reached))):
         assert COLOURS[standing(chosen)] == getattr(looks, colour)
@@ -64,19 +64,19 @@ def test_of_several_targets_the_one_farthest_beyond_its_tolerance_is_said(plan: 
     )
     tour = changed(plan, targets=(*[near, far][::order], at), goal_bound_m=1.5e-3)
     tour = replace(tour, scenario=replace(tour.scenario, via=(replace(goal, name="a"), replace(goal, name="b"))))
-    assert f"9.00 mm from target {2 if order > 0 else 1}" in plan_words(tour)
+    assert f"9.00 mm from target {2 if order > 0 else 1}" in verdict(tour)
 
 
 def test_free_space_has_no_clearance(plan: Plan) -> None:
     free = changed(plan, min_clearance_m=math.inf)
-    assert "clearance" not in plan_words(free)
-    assert "free space" in {row.value for row in plan_words(free)}
+    assert "clearance" not in verdict(free)
+    assert "free space" in {row.value for row in certificate_rows(free)}
 
 
 def test_what_is_not_certified_says_why(plan: Plan) -> None:
     problems = ("Leg 2 comes 0.4 mm too close to the anatomy.", "leg 3 snaps.")
     bad = changed(plan, valid=False, problems=problems)
-    assert plan_words(bad) == "Not certified: leg 2 comes 0.4 mm too close to the anatomy (and 1 more)."
+    assert verdict(bad) == "Not certified: leg 2 comes 0.4 mm too close to the anatomy (and 1 more)."
     assert not is_acceptable(bad)
 
 
@@ -84,13 +84,13 @@ def test_what_is_not_certified_says_why(plan: Plan) -> None:
                                     {"goal_tip_error_m": 2e-3}, {"goal_bound_m": math.nan}])  # fmt: skip
 def test_missed_requirements_show(plan: Plan, change: dict[str, float]) -> None:
     missed = changed(plan, max_error_goal_m=1.0, **change)
-    assert [row.met for row in plan_words(missed)].count(False) == 1
-    assert not is_acceptable(missed) and plan_words(missed).startswith("Certified, but short of a requirement: ")
+    assert [row.met for row in certificate_rows(missed)].count(False) == 1
+    assert not is_acceptable(missed) and verdict(missed).startswith("Certified, but short of a requirement: ")
 
 
 def test_required_error_is_named(plan: Plan) -> None:
-    assert "(within the required 15.0 mm)" in plan_words(changed(plan, max_error_goal_m=15e-3, goal_bound_m=14e-3))
-    assert "(above the required 15.0 mm)" in plan_words(changed(plan, max_error_goal_m=15e-3, goal_bound_m=16e-3))
+    assert "(within the required 15.0 mm)" in verdict(changed(plan, max_error_goal_m=15e-3, goal_bound_m=14e-3))
+    assert "(above the required 15.0 mm)" in verdict(changed(plan, max_error_goal_m=15e-3, goal_bound_m=16e-3))
 
 
 @pytest.mark.parametrize(

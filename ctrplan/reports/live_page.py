@@ -12,7 +12,7 @@ from ctrplan.reports.html_page import FONT, KEY_STYLE, escaped, explained, scrip
 from ctrplan.reports.words import glossary, term
 
 if TYPE_CHECKING:
-    from ctrplan.reports.live.state import LiveState
+    from ctrplan.reports.live_state import LiveState
 
 # The browser itself refuses everything but this server; plotly.js builds functions from strings.
 POLICY = (
@@ -125,4 +125,4 @@ def scene_script(state: LiveState) -> str:
 
 def live_script() -> str:
     """JavaScript that moves the robot."""
-    return script("fit_camera.js") + script("scene_key.js") + script("live/view.js")
+    return script("fit_camera.js") + script("scene_key.js") + script("live_view.js")

@@ -1,4 +1,8 @@
-"""Triangles -> fragments: a colour and its share for every pixel that a triangle covers, with its nearness."""
+"""Triangles to a picture: what a pinhole camera sees of bodies, glass among them, without a screen or OpenGL.
+
+Triangles become fragments: a colour and its share for every pixel that a triangle covers, with its nearness. A pixel
+takes the colours of its fragments from near to far, each by what the nearer ones let through.
+"""
 
 from __future__ import annotations
 
@@ -8,36 +12,70 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.reports.render.body import Body, vertex_normals
-from ctrplan.reports.render.camera import Camera
+from ctrplan.base.surface import Surface
 
 LIGHTS = (np.array([-0.35, 0.6, -0.72]), np.array([0.8, 0.1, -0.3]))  # directions to them, camera's frame
 STRENGTHS = (0.60, 0.20)
 AMBIENT, SHINE, SHINE_POWER = 0.44, 0.20, 24
+OPAQUE = 0.9999
+Picture = NDArray[np.uint8]  # (H, W, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """An eye, an orthonormal frame and how much is seen; anatomy's frame, m."""
+
+    eye_m: Array  # (3,)
+    axes: Array  # (3, 3) rows: to the right, up, forward
+    half_view: float  # tangent of half the angle from the middle to the top of the picture
+    near_m: float = 1e-3  # what is nearer is not seen
+    lamp_m: float = np.inf  # how far its own light reaches; infinite where the scene is lit from elsewhere
+
+    def seen(self, points_m: Array) -> Array:
+        """Points (..., 3) in the camera's frame: right, up, forward [m]."""
+        seen: Array = (points_m - self.eye_m) @ self.axes.T
+        return seen
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A surface to draw. Glass covers little where it is looked at squarely, and more at its rim."""
+
+    surface: Surface
+    colour: Array  # (3,) in [0, 1], or (V, 3) of each vertex
+    opacity: float = 1.0  # seen squarely
+    rim: float = 1.0  # seen along it
+
+
+def vertex_normals(surface: Surface) -> Array:
+    """(V, 3) unit vectors, means of the triangles around each vertex by their areas; zero where there are none."""
+    a, b, c = np.moveaxis(surface.vertices_m[surface.faces], 1, 0)
+    across = np.cross(b - a, c - a)
+    corners = surface.faces.T.ravel()
+    count = len(surface.vertices_m)
+    normal = np.stack([np.bincount(corners, np.tile(row, 3), minlength=count) for row in across.T], axis=1)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    unit: Array = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
+    return unit
 
 
 @dataclass(frozen=True, eq=False)
 class Fragments:
-    """K of them, in no order."""
+    """Colours for pixels, K of them in no order."""
 
     pixel: NDArray[np.int64]  # (K,) row * width + column
     near: NDArray[np.float32]  # (K,) one over the distance forward [1/m]: larger is nearer
     colour: NDArray[np.float32]  # (K, 3)
     opacity: NDArray[np.float32]  # (K,)
 
-    def of(self, which: NDArray[np.bool_]) -> Fragments:
-        """Some of them."""
-        return Fragments(self.pixel[which], self.near[which], self.colour[which], self.opacity[which])
+    def where(self, mask: NDArray[np.bool_]) -> Fragments:
+        """The fragments of a mask (K,)."""
+        return Fragments(self.pixel[mask], self.near[mask], self.colour[mask], self.opacity[mask])
 
 
-def joined(parts: list[Fragments]) -> Fragments:
-    """All of them."""
-    return Fragments(
-        np.concatenate([part.pixel for part in parts]),
-        np.concatenate([part.near for part in parts]),
-        np.concatenate([part.colour for part in parts]),
-        np.concatenate([part.opacity for part in parts]),
-    )
+def _joined(parts: list[Fragments]) -> Fragments:
+    names = ("pixel", "near", "colour", "opacity")
+    return Fragments(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def fragments(body: Body, camera: Camera, width: int, height: int) -> Fragments:
@@ -147,3 +185,64 @@ def _slopes(x: Array, y: Array, channels: Array) -> tuple[Array, Array]:
     by_x = (c1 * y2[:, None] - c2 * y1[:, None]) * scale
     by_y = (c2 * x1[:, None] - c1 * x2[:, None]) * scale
     return by_x, by_y
+
+
+class Stage:
+    """What stands still before a camera, drawn once; what moves is drawn into it."""
+
+    def __init__(self, still: list[Body], camera: Camera, width: int, height: int, samples: int, sky: Array) -> None:
+        """`samples` x `samples` rays a pixel; sky (2, 3) is the background's colour at the top and at the bottom."""
+        self.camera, self.samples = camera, samples
+        self.width, self.height = width * samples, height * samples
+        share = (np.arange(self.height) + 0.5)[:, None, None] / self.height
+        sky_rows = (1 - share) * sky[0] + share * sky[1]
+        self.sky = np.broadcast_to(sky_rows, (self.height, self.width, 3)).reshape(-1, 3).astype(np.float32)
+        self.still = self._fragments(still)
+        self.empty = self.sky.copy()
+        _compose(self.still, self.empty)
+
+    def with_moving(self, moving: list[Body]) -> Picture:
+        """The picture with bodies that move."""
+        added, image = self._fragments(moving), self.empty.copy()
+        touched = np.zeros(len(image), dtype=bool)
+        touched[added.pixel] = True
+        image[touched] = self.sky[touched]
+        _compose(_joined([added, self.still.where(touched[self.still.pixel])]), image)
+        return self._reduced(image)
+
+    def _fragments(self, bodies: list[Body]) -> Fragments:
+        none = Fragments(np.zeros(0, np.int64), *(np.zeros(s, np.float32) for s in ((0,), (0, 3), (0,))))
+        return _joined([none, *(fragments(body, self.camera, self.width, self.height) for body in bodies)])
+
+    def _reduced(self, image: NDArray[np.float32]) -> Picture:
+        rows = image.reshape(self.height // self.samples, self.samples, self.width // self.samples, self.samples, 3)
+        picture: Picture = (255 * rows.mean(axis=(1, 3)) + 0.5).astype(np.uint8)
+        return picture
+
+
+def _compose(drawn: Fragments, image: NDArray[np.float32]) -> None:
+    """Draws fragments over image (P, 3), which is the background and is changed."""
+    drawn = drawn.where(_not_hidden(drawn, len(image)))
+    if not len(drawn.pixel):
+        return
+    order = np.lexsort((-drawn.near, drawn.pixel))
+    pixel, opacity = drawn.pixel[order], np.minimum(drawn.opacity[order], OPAQUE).astype(np.float64)
+    passed = np.cumsum(np.log1p(-opacity))
+    starts = np.flatnonzero(np.diff(pixel, prepend=-1))
+    before = np.concatenate([[0.0], passed[:-1]])
+    counts = np.diff(np.append(starts, len(pixel)))
+    through = np.exp(before - np.repeat(before[starts], counts))
+    shares = (through * opacity)[:, None] * drawn.colour[order]
+    ends = starts + counts - 1
+    left = np.exp(passed[ends] - before[starts])[:, None]
+    image[pixel[starts]] = left * image[pixel[starts]] + np.add.reduceat(shares, starts, axis=0)
+
+
+def _not_hidden(drawn: Fragments, pixels: int) -> NDArray[np.bool_]:
+    """(K,) which fragments have nothing opaque before them."""
+    solid = np.flatnonzero(drawn.opacity >= OPAQUE)
+    nearest = np.zeros(pixels, dtype=np.float32)
+    order = solid[np.argsort(drawn.near[solid], kind="stable")]
+    nearest[drawn.pixel[order]] = drawn.near[order]  # the last one written is the nearest
+    hidden: NDArray[np.bool_] = drawn.near < nearest[drawn.pixel]
+    return ~hidden

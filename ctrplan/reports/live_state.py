@@ -1,28 +1,37 @@
-"""What the live view shows at joint values: the robot's vertices and the figures beside it, ready for JSON."""
+"""What the live view shows at joint values: the robot's vertices and the figures beside it, ready for JSON.
+
+The base can be moved, and joint values are sought for a tip that somebody picked.
+"""
 
 from __future__ import annotations
 
 import html
+import itertools
 import math
+import threading
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from ctrplan.base.arrays import Array
+from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.surface import Surface
+from ctrplan.certificate.anatomy_distance import AnatomyDistance
+from ctrplan.certificate.friction_states import POINT_SPACING_M, UNEVEN_FRICTION_M, mesh_allowance_m
 from ctrplan.errors import InputError
 from ctrplan.mechanics.shapes import Status
-from ctrplan.motion.play import play_shift
+from ctrplan.motion.checker import MotionChecker, path_limits
+from ctrplan.motion.play import play_reach, play_shift
+from ctrplan.planning.reach import reach
 from ctrplan.plans.planned_motion import Played, joints_at
 from ctrplan.reports import looks as looks
-from ctrplan.reports.live.clearances import clearances_mm
-from ctrplan.reports.live.picked_tip import picked_tip
-from ctrplan.reports.live.standing import Standings
 from ctrplan.reports.looks import view_box
 from ctrplan.reports.plan_words import WorstMiss
 from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, pose, stand
 from ctrplan.reports.scene_traces import anatomy_traces, lay_out, mesh_trace, moved_traces, robot_traces, xyz
+from ctrplan.scenario.tip_solver import TipTarget
 
 if TYPE_CHECKING:
     from ctrplan.scenario.scenario import Scenario
@@ -32,6 +41,35 @@ MOST = 1e5  # deg or mm: turns beyond have too few digits for an angle
 REACH_SAMPLES = 300
 STEPS = 200  # of a motion that is played
 AROUND_M = 5e-3  # shown beside lumens
+FARTHEST = 1e4  # mm or deg of a move of the base
+REMEMBERED = 4  # places of the base
+NEAR_M = 0.2e-3  # of the frictionless tip from what was picked
+STARTS = 60  # of the search for its joint values
+FRICTION_STATES = {1: 9}  # of each pair, by the number of pairs; of more pairs the extremes and the middle
+FEWEST_STATES = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """A scenario with its base somewhere, and what checks its motions there."""
+
+    scenario: Scenario
+    checker: MotionChecker
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> Placement:
+        """Where the scenario has its base."""
+        checker = MotionChecker(scenario)
+        checker.limits = path_limits(scenario)  # the scenario's own, without what a search adds
+        return cls(scenario, checker)
+
+    @property
+    def lines(self) -> str:
+        """[base] of a scenario file."""
+        x, y, z, w = Rotation.from_matrix(self.scenario.base_R).as_quat(canonical=True).tolist()
+        place = ", ".join(f"{value:.6g}" for value in (self.scenario.base_position_m * MM_PER_M + 0.0).tolist())
+        turn = ", ".join(f"{value + 0.0:.9f}".rstrip("0").rstrip(".") for value in (w, x, y, z))
+        return f"[base]\nposition_mm = [{place}]\nquaternion_wxyz = [{turn}]"
 
 
 class LiveState:
@@ -41,8 +79,10 @@ class LiveState:
         """Solves the scenario's start, where the sliders begin; a motion can be played."""
         self.scenario = scenario
         self.motion = motion
-        self.standings = Standings(scenario)
-        self.checker = self.standings.first.checker
+        self.placement = Placement.of(scenario)
+        self.checker = self.placement.checker
+        self._moved: dict[tuple[float, ...], Placement] = {}  # the last few
+        self._lock = threading.Lock()
         self.start = self._shown(scenario.start)
         self.on_pose: Callable[[RobotPose], object] = lambda pose: None  # is told every pose that is shown
 
@@ -73,9 +113,9 @@ class LiveState:
         still = [mesh_trace(stand(scenario), looks.PLATE_LOOK.colour, 1.0, looks.PLATE_LOOK.name)]
         anatomy = anatomy_traces(scenario, surfaces)
         figure = go.Figure([*robot_traces(pose(scenario, scenario.start)), *still, *self._target(), *anatomy])
-        reach = self._reach(surfaces)
+        points_m = self._reach(surfaces)
         solid = np.concatenate([np.empty((0, 3)), *(surface.vertices_m for surface in surfaces)])
-        lay_out(figure, *view_box(reach, solid), reach, scenario.frame)
+        lay_out(figure, *view_box(points_m, solid), points_m, scenario.frame)
         return figure
 
     def _target(self) -> list[Any]:
@@ -91,38 +131,67 @@ class LiveState:
             )
             marker = {"symbol": symbol, "size": 7, "color": looks.GOAL_LOOK.colour}
             hover = f"{name}: a click moves the tip here<extra></extra>"
-            shown = {
-                "mode": "markers",
-                "marker": marker,
-                "name": name,
-                "hovertemplate": hover,
-                "meta": {"target": True},
-            }
-            traces.append(go.Scatter3d(**xyz(np.array([goal.tip_m])), **shown))
+            shown = {"mode": "markers", "marker": marker, "name": name, "hovertemplate": hover}
+            traces.append(go.Scatter3d(**xyz(np.array([goal.tip_m])), **shown, meta={"target": True}))
         return traces
 
     def reaching(self, values: list[float], tip_mm: list[float], base: list[float] | None = None) -> dict[str, Any]:
-        """Joint values for a tip [mm, anatomy's frame], near to joint values in deg or mm, or a refusal; as `at`."""
-        return picked_tip(self.standings.at(base), self._joints(values), tip_mm)
+        """{"joints": (m,) in deg or mm} whose frictionless tip is at a point [mm, anatomy's frame].
+
+        Valid ones come first, then the nearest to `values` in deg or mm. Else {"refusal": how near the tip comes}.
+        Raises InputError unless `tip_mm` is three finite numbers.
+        """
+        joints, placement = self._joints(values), self.placed(base)
+        if len(tip_mm) != 3 or not all(map(math.isfinite, tip_mm)):
+            raise InputError("must be three finite numbers", key="tip", value=tip_mm, unit="mm")
+        scenario, drive = placement.scenario, placement.scenario.robot.drive
+        target = scenario.base_R.T @ (np.array(tip_mm) / MM_PER_M - scenario.base_position_m)
+        reached = reach(placement.checker, TipTarget(target), NEAR_M, np.random.default_rng(0), STARTS)
+        if not reached.configurations:
+            return {"refusal": f"the tip comes no nearer to that point than {reached.nearest.tip_error_m * 1e3:.1f} mm"}
+        scale = np.where(drive.is_rotation, scenario.cost.mm_per_rad, MM_PER_M)
+        away = [float(np.linalg.norm((way.joints - joints) * scale)) for way in reached.configurations]
+        rank = [(not way.valid, far) for way, far in zip(reached.configurations, away, strict=True)]
+        chosen = reached.configurations[rank.index(min(rank))]
+        return {"joints": [round(value, 6) for value in self._shown(chosen.joints)]}
+
+    def placed(self, move: list[float] | None) -> Placement:
+        """With the base moved by x, y, z [mm] and turned about the anatomy's axes through it, x first, then y, z [deg].
+
+        Raises InputError unless there are six finite numbers.
+        """
+        if move is None or not any(move):
+            return self.placement
+        if len(move) != 6 or not all(math.isfinite(value) and abs(value) <= FARTHEST for value in move):
+            raise InputError(f"must be six numbers up to {FARTHEST:g}, mm and deg", key="base", value=move)
+        with self._lock:
+            if tuple(move) not in self._moved:
+                while len(self._moved) >= REMEMBERED:
+                    del self._moved[next(iter(self._moved))]
+                turned = Rotation.from_euler("xyz", move[3:], degrees=True).as_matrix() @ self.scenario.base_R
+                position_m = self.scenario.base_position_m + np.array(move[:3]) / MM_PER_M
+                moved = replace(self.scenario, base_position_m=position_m, base_R=turned)
+                self._moved[tuple(move)] = Placement.of(moved)
+            return self._moved[tuple(move)]
 
     def at(self, values: list[float], base: list[float] | None = None) -> dict[str, Any]:
         """The answer for joint values in deg or mm, in the order of the drive: vertices [mm] and figures, or a refusal.
 
-        `base` is how it was moved, see `Standings`. Raises InputError unless there is a finite number per joint.
+        `base` is how it was moved, see `placed`. Raises InputError unless there is a finite number per joint.
         """
-        joints, standing = self._joints(values), self.standings.at(base)
-        scenario = standing.scenario
-        motion, samples = standing.checker.probe(joints)
+        joints, placement = self._joints(values), self.placed(base)
+        scenario = placement.scenario
+        motion, samples = placement.checker.probe(joints)
         if samples is None:
             return {"refusal": self._refusal(motion.reason)}
         if samples.status[-1] == Status.FAILED:
             return {"refusal": "the mechanics solver found no equilibrium here"}
         shown = pose(scenario, joints)
         self.on_pose(shown)
-        clearance_mm = float(samples.clearance_m[-1]) * 1e3 if standing.checker.field else None
+        clearance_mm = float(samples.clearance_m[-1]) * 1e3 if placement.checker.field else None
         return {
-            "traces": [self._vertices(trace) for trace in self._moved(shown, scenario)],
-            "base": standing.lines,
+            "traces": [_vertices(trace) for trace in [*moved_traces(shown), xyz(stand(scenario).vertices_m)]],
+            "base": placement.lines,
             "tip_mm": _rounded(shown.tip_m * 1e3, 2),
             "bound_mm": _finite(float(samples.position_m[-1]) * 1e3),
             "bound_deg": _finite(math.degrees(float(samples.tangent_rad[-1]))),
@@ -179,12 +248,34 @@ class LiveState:
             points = np.clip(points, room.min(axis=0) - AROUND_M, room.max(axis=0) + AROUND_M)
         return points
 
-    def _moved(self, shown: RobotPose, scenario: Scenario) -> list[Any]:
-        """What of the figure changes: its first traces, the plate last."""
-        return [*moved_traces(shown), xyz(stand(scenario).vertices_m)]
 
-    def _vertices(self, trace: Any) -> dict[str, list[float | None]]:
-        return {axis: _rounded(np.asarray(trace[axis], dtype=np.float64), 3) for axis in "xyz"}
+def clearances_mm(scenario: Scenario, joints: Array) -> dict[str, float | None]:
+    """Exact distances beyond the margins [mm] at joints (m,): without friction, and least of a grid of friction states.
+
+    `sure_mm` is the latter less what a certificate takes off for the mesh, uneven friction and play. All are None in
+    free space, and where the frictionless robot has no equilibrium.
+    """
+    names, distance, robot = ("nominal_mm", "friction_mm", "sure_mm"), AnatomyDistance.of(scenario), scenario.robot
+    if distance is None:
+        return dict.fromkeys(names)
+    pairs = robot.n - 1 if robot.friction.any() else 0
+    grid = np.linspace(-1, 1, FRICTION_STATES.get(pairs, FEWEST_STATES))
+    frictionless = np.zeros((1, robot.n - 1))
+    states = np.vstack([frictionless, list(itertools.product(grid, repeat=pairs))]) if pairs else frictionless
+    theta_b, l_b = robot.drive.collars(joints)
+    bodies = robot.mechanics.friction_bodies(theta_b, l_b, states, spacing_m=POINT_SPACING_M, accuracy="certificate")
+    if not bodies.solved[0]:
+        return dict.fromkeys(names)
+    points = bodies.point_m[bodies.solved]
+    owner = np.repeat(np.arange(len(points)), points.shape[1])
+    least = distance.least(points.reshape(-1, 3), np.tile(bodies.radius_m, len(points)), owner, len(points))
+    allowance = mesh_allowance_m(robot, "certificate") + UNEVEN_FRICTION_M + play_reach(robot, theta_b, l_b)
+    figures_m = (float(least[0]), float(least.min()), float(least.min()) - allowance)
+    return dict(zip(names, (value * 1e3 for value in figures_m), strict=True))
+
+
+def _vertices(trace: Any) -> dict[str, list[float | None]]:
+    return {axis: _rounded(np.asarray(trace[axis], dtype=np.float64), 3) for axis in "xyz"}
 
 
 def _rounded(values: Array, digits: int) -> list[float | None]:
