@@ -13,11 +13,10 @@ from PIL import Image
 
 from ctrplan.anatomy.mesh_repair import MeshDefect
 from ctrplan.base.arrays import MM_PER_M, Array
-from ctrplan.base.surface import Surface
+from ctrplan.base.surface import Surface, capsule
 from ctrplan.reports.render.camera import look_at
 from ctrplan.reports.render.film import SKY, rgb, write_caption
 from ctrplan.reports.render.rasteriser import Body, Camera, Picture, Stage, vertex_normals
-from ctrplan.reports.robot_surface import capsule
 
 WIDTH, HEIGHT, SAMPLES = 900, 700, 2
 TISSUE, EDGE = rgb("#C9B3A6"), "#D62222"

@@ -17,12 +17,12 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ctrplan.anatomy.patient_frame import ENDS, Frame
 from ctrplan.base.arrays import Array
-from ctrplan.base.surface import Rod
+from ctrplan.base.surface import Rod, capsule
 from ctrplan.reports import looks
 from ctrplan.reports.plan_scene import WrittenMotion
 from ctrplan.reports.render.camera import View, camera_of
 from ctrplan.reports.render.rasteriser import Body, Camera, Picture, Stage
-from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, capsule, stand
+from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, stand
 from ctrplan.reports.stated_error import stated_error_m
 from ctrplan.reports.words import millimetres
 
