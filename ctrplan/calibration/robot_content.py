@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ctrplan.base.version import __version__
+from ctrplan.base.package import __version__
 from ctrplan.calibration.estimates import CI95, estimates
 from ctrplan.calibration.least_squares import Fit, fit
 from ctrplan.effects.effect import Effect, Parameter

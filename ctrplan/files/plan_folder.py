@@ -26,10 +26,14 @@ TYPES = {"Accuracy": str, "StartFriction": str}  # names that the dataclasses kn
 T = TypeVar("T")
 
 
-def load_plan_folder(
+def open_plan(
     folder: str | os.PathLike[str], scenario: str | os.PathLike[str] | None = None, overrides: Sequence[str] = ()
 ) -> Plan:
-    """See `Plan.load`."""
+    """The plan that `save_plan` or `ctrplan plan` wrote into a folder; arguments as those of `ctrplan.load_plan`.
+
+    Its figures are those of plan.json; its trajectory is made anew and must be the one in trajectory.csv. Raises
+    InputError for anything malformed, of another scenario or robot, or that does not belong together.
+    """
     place = Path(os.fspath(folder))
     written = load_plan(place / "plan.json", scenario, overrides)
     content, drive = written.content, written.scenario.robot.drive

@@ -18,13 +18,32 @@ from PIL import Image, ImageDraw, ImageFont
 from ctrplan.anatomy.patient_frame import ENDS, Frame
 from ctrplan.base.arrays import Array
 from ctrplan.base.surface import Rod, capsule
+from ctrplan.certificate.friction_states import bound_allowance_m
+from ctrplan.plans.planned_motion import joints_at
 from ctrplan.reports import looks
 from ctrplan.reports.plan_scene import WrittenMotion
 from ctrplan.reports.render.camera import View, camera_of
 from ctrplan.reports.render.rasteriser import Body, Camera, Picture, Stage
 from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, stand
-from ctrplan.reports.stated_error import stated_error_m
 from ctrplan.reports.words import millimetres
+
+
+def stated_error_m(motion: WrittenMotion) -> Array:
+    """(F,) [m] at each pose: never above what is stated of the way, at the goal what is stated there.
+
+    NaN where the plan has no number.
+    """
+    walked_m, certificate = motion.at("bound_m"), motion.plan.certificate
+    robot = motion.scenario.robot
+    joints = joints_at(motion.plan, np.array(motion.times_s))
+    fine = robot.mechanics.bound_many(*robot.drive.collars(joints), accuracy="certificate").position_m
+    fine = fine + bound_allowance_m(robot, "certificate") + np.nan_to_num(motion.at("parameter_bound_m"))
+    found = np.fmax(walked_m, fine)
+    if certificate["worst_bound_m"] is not None:
+        found = np.minimum(found, certificate["worst_bound_m"])
+    if motion.times_s[-1] == motion.plan.time_s[-1] and certificate["goal_bound_m"] is not None:
+        found[-1] = certificate["goal_bound_m"]
+    return np.asarray(np.where(np.isfinite(walked_m), found, np.nan))
 
 
 def rgb(colour: str) -> Array:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ctrplan.base.arrays import Array
-from ctrplan.base.version import __version__
+from ctrplan.base.package import __version__
 from ctrplan.files.design_file import DesignEntry
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.scenario.scenario import Scenario

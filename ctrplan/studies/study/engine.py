@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from ctrplan.base.long_work import one_core
-from ctrplan.base.version import __version__
+from ctrplan.base.package import __version__
 from ctrplan.errors import CtrplanError, InputError, NoAnswerError
 from ctrplan.storage.toml_document import Document
 from ctrplan.storage.toml_table import Table

@@ -19,7 +19,7 @@ from types import ModuleType
 from typing import Any
 
 from ctrplan.base.long_work import cores
-from ctrplan.base.version import __version__
+from ctrplan.base.package import __version__
 from ctrplan.errors import CtrplanError, InputError
 from ctrplan.studies.study.engine import (
     AHEAD,

@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ctrplan.base.version import __version__
+from ctrplan.base.package import __version__
 from ctrplan.errors import InputError
 from ctrplan.files.study_file import StudyEntry, VaryEntry
 from ctrplan.storage.toml_document import Document

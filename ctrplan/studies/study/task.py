@@ -19,7 +19,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from ctrplan.base.catalogue import AbstractStruct, Catalogue
-from ctrplan.base.version import __version__
+from ctrplan.base.package import __version__
 from ctrplan.errors import InputError
 from ctrplan.storage.toml_document import Document
 from ctrplan.studies.study.axes import Axis

@@ -1,4 +1,4 @@
-"""Names of a package that are imported on first use, so that a script pays for nothing that it does not need."""
+"""What the package says of itself: its version, and names that are imported on first use."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import sys
 from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from typing import Any
+
+__version__ = "0.1.0"
 
 
 def lazy_names(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
