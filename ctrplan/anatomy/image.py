@@ -19,7 +19,7 @@ class ImageRefusal(Exception):
 
 
 class UnfitImageRefusal(ImageRefusal):
-    """Of an image that is whole, but too large or of a kind that is not read: it may lie beside what is meant."""
+    """Refuses an image that is whole, but too large or of a kind that is not read: it may lie beside what is meant."""
 
 
 @dataclass(frozen=True)

@@ -117,7 +117,7 @@ def odd_edges(faces: Indices) -> Indices:
 
 
 def odd_edges_counted(faces: Indices) -> tuple[Indices, Indices]:
-    """Likewise, and how many triangles (E,) meet there."""
+    """The odd edges (E, 2), and how many triangles (E,) meet there."""
     keys, count = np.unique(_edge_keys(faces)[0], return_counts=True)
     odd = count % 2 == 1
     return _edges(keys[odd], faces), count[odd]

@@ -44,7 +44,7 @@ class Phases(Shape):
         return np.min([lower for lower, _ in boxes], axis=0), np.max([upper for _, upper in boxes], axis=0)
 
     def surface(self) -> Surface:
-        """Of all phases."""
+        """The surfaces of all phases together."""
         surfaces = [shape.surface() for shape in self.shapes]
         before = np.cumsum([0] + [len(s.vertices_m) for s in surfaces[:-1]])
         faces = [s.faces + count for s, count in zip(surfaces, before, strict=True)]
@@ -56,7 +56,7 @@ class Phases(Shape):
         return ", ".join(shape.name for shape in self.shapes)
 
     def content(self) -> Sequence[ArrayLike]:
-        """Of all phases."""
+        """The content of all phases."""
         return [numbers for shape in self.shapes for numbers in shape.content()]
 
     @property

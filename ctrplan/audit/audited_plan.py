@@ -164,7 +164,7 @@ class AuditedPlan:
 
     @property
     def pairs(self) -> int:
-        """Of neighbouring tubes."""
+        """Number of pairs of neighbouring tubes."""
         return self.robot.n - 1
 
     def stated(self, claim: str, place: float) -> float:

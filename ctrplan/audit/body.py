@@ -84,7 +84,7 @@ class RawAnatomy:
 
     @classmethod
     def of(cls, parts: Sequence[AnatomyPart]) -> RawAnatomy:
-        """Of the parts of a scenario."""
+        """The raw anatomy of the parts of a scenario."""
         return cls(tuple((part, _signed(part.shape)) for part in parts))
 
     def room(self, points_m: Array) -> Array:

@@ -87,7 +87,7 @@ class StateHunt:
                 yield
 
     def scores(self, state: State, phi: Array) -> Scores:
-        """Of friction states (S, P) at the state's place, on the coarse mesh."""
+        """Scores of friction states (S, P) at the state's place, on the coarse mesh."""
         case, none = self.case, np.full(len(phi), -np.inf)
         case.work += 2 * (len(phi) + 1)
         try:

@@ -72,7 +72,7 @@ def calibrated(
     apart: NDArray[np.bool_],
     wrong: NDArray[np.bool_],
 ) -> Calibration:
-    """Of all poses, their groups, those kept aside and those that went wrong, (K,) each."""
+    """The calibration of all poses, their groups, those kept aside and those that went wrong, (K,) each."""
     data, group, aside = everything.subset(~wrong), everyones[~wrong], apart[~wrong]
     passes, noticed = [*passes[:-1], within_file(passes[-1])], [symptom.sentence for symptom in symptoms(passes[0])]
     first, found = passes[0], passes[-1]
@@ -123,7 +123,7 @@ class PoseErrors:
 
     @classmethod
     def of(cls, chain: ParametricChain, p: Array, group: NDArray[np.int_]) -> PoseErrors:
-        """Of a chain at parameters (P,); `group` (K,) numbers the configurations."""
+        """Errors of a chain at parameters (P,); `group` (K,) numbers the configurations."""
         prediction = chain.predict(p, derivatives=False)
         counted = ~excused(prediction.failed)
         distance = distances(prediction, chain.data)[counted]

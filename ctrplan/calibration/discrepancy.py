@@ -106,12 +106,12 @@ def shared(count: int, share: float) -> Array:
 
 
 def within(found: Discrepancy, blocks: Sequence[NDArray[np.int_]], correlation: Callable[..., Array]) -> Discrepancy:
-    """The same discrepancy for other poses, given by their blocks; correlation(poses, memory) is that of a block."""
+    """This discrepancy for other poses, given by their blocks; correlation(poses, memory) is that of a block."""
     return replace(found, blocks=tuple(block_of(poses, correlation(poses, found.memory)) for poses in blocks))
 
 
 def block_of(poses: NDArray[np.int_], correlation: Array) -> Block:
-    """Of poses with their correlation (k, k)."""
+    """A block of poses with their correlation (k, k)."""
     values, vectors = np.linalg.eigh(correlation)
     return Block(poses, np.maximum(values, 0.0), vectors)
 
@@ -153,7 +153,7 @@ class Spectrum:
 
     @classmethod
     def at(cls, fit: Linearised, blocks: Sequence[Block]) -> Spectrum:
-        """Of a fit whose discrepancy has these blocks, of every number of a pose alike."""
+        """The linearised fit whose discrepancy has these blocks, of every number of a pose alike."""
         numbers = np.arange(fit.r.size).reshape(fit.r.shape)
         position, tangent = ([(numbers[b.poses, part], b) for b in blocks] for part in (POSITION, TANGENT))
         return cls.apart(fit, position, tangent)
@@ -166,11 +166,11 @@ class Spectrum:
         tangent: Sequence[Numbered],
         sizes: tuple[Sequence[float], Sequence[float]] = (SIZES.tolist(), SIZES.tolist()),
     ) -> Spectrum:
-        """Of a fit whose positions and tangents have blocks of their own; sizes: those that are asked for, of each."""
+        """The linearised fit whose positions and tangents have blocks of their own; sizes: those required, of each."""
         return cls(fit.precision, cls._parts(fit, position, sizes[0]), cls._parts(fit, tangent, sizes[1]))
 
     def of(self, columns: Sequence[int]) -> Spectrum:
-        """Of some of the parameters, the others being where they do nothing."""
+        """The linearised fit in some of the parameters, the others being where they do nothing."""
         kept = np.ix_(columns, columns)
         parts = [
             [replace(one, H=one.H[kept], g=one.g[columns]) for one in which] for which in (self.position, self.tangent)

@@ -122,7 +122,7 @@ def distances(prediction: SensorPrediction, data: Measurements) -> Array:
 
 
 def summary(error: Array, group: NDArray[np.int_]) -> Errors:
-    """Of distances (K,), configurations (K,) resampled whole."""
+    """The summary of distances (K,), configurations (K,) resampled whole."""
     numbers = np.unique(group)
     squares = np.array([np.sum(error[group == number] ** 2) for number in numbers])
     counts = np.array([np.sum(group == number) for number in numbers])

@@ -48,7 +48,7 @@ def strained(fit: Fit, names: Collection[str]) -> list[str]:
 
 
 def symptoms(fit: Fit) -> list[Symptom]:
-    """Of every parameter; what is plausible is what the effects say, however wide the priors of the fit are."""
+    """Symptoms of every parameter; what is plausible is what the effects say, however wide the priors of the fit are."""
     found = []
     spread = np.sqrt(np.diag(fit.covariance))
     plausible = [term(t.effect, [q.name for q in t.parameters], fit.chain.robot).parameters for t in fit.chain.terms]

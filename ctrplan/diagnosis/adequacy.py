@@ -82,7 +82,9 @@ def ignored(scored: Scored) -> NDArray[np.bool_]:
 
 
 def adequacy(fit: Linear, group: NDArray[np.int_], ignored: NDArray[np.bool_]) -> Adequacy:
-    """Of a linearised fit's residuals; `group` (K,) numbers configurations; some poses (K,) are left out."""
+    """The adequacy of a linearised fit by its residuals; `group` (K,) numbers configurations; some poses (K,) are
+    left out.
+    """
     r, J, group, given = fit.r[~ignored], fit.J[~ignored], group[~ignored], fit.given[~ignored]
     root = information_inverse(fit.J, fit.weight, fit.precision)
     hat = J @ root  # (K, 5, P): hat hat^T is the share of noise that the fit took

@@ -129,7 +129,7 @@ class Sides:
 
 
 def evidence(bench: Workbench, sides: Sides, t: Term, chance: float) -> Evidence:
-    """Of an effect `t` of a set, beside every competitor of the panel's.
+    """The evidence for an effect `t` of a set, beside every competitor of the linearisation.
 
     The set without it is a fit of its own. To first order around the set with it, the rest could stand for it: beside
     a load, how a shape changes with the stiffness of all tubes is what the load does.
@@ -221,7 +221,7 @@ class Closing:
 
     @property
     def share(self) -> float:
-        """Of the gap, in squares. Where effects hide one another, it may be below 0 or above 1."""
+        """The share of the gap, in squares. Where effects hide one another, it may be below 0 or above 1."""
         return (self.without_m**2 - self.with_m**2) / max(self.gap_m**2, 1e-12)
 
 
@@ -235,7 +235,7 @@ class Part:
 
 
 def part_of(bench: CorrelatedBench, base: Scored, chosen: Scored, found: Evidence) -> Part:
-    """Of an effect in a set, where `base` is calibrated without effects and without free frames."""
+    """The part of an effect in a set, where `base` is calibrated without effects and without free frames."""
     whole = left_out_residuals(linear(base.fit), bench.fold)[:, :3] * bench.plain.position_m * bench.data.over_tip
     before, after = rms(whole), rms(bench.left_out_m(chosen))
     gap = float(np.sqrt(max(before**2 - bench.plain.floor_m**2, 0.0)))

@@ -211,7 +211,7 @@ def tried(found: PartialDiagnosis, tell: Callable[[str], None]) -> Built | None:
 
 
 def _instead_of_names(found: PartialDiagnosis, beside: Built | None, tell: Callable[[str], None]) -> Built | None:
-    """Of a continuous motion: a term that names stand for, sought beside nothing, where blocks left out are nearer so.
+    """A term of a continuous motion that names stand for, built beside nothing, where blocks left out are nearer so.
 
     It is where a name has a parameter that is not plausible: friction at the plate was called play in the drive and a
     delay as long as delays can be, which left a third of it. Names that hold beside such a term are told with it.

@@ -261,6 +261,6 @@ def _searched(bench: Workbench, known: Candidates, teller: Teller) -> tuple[Sele
 
 
 def _norms(scored: Scored) -> tuple[Array, Array]:
-    """Of the residuals per pose, without outliers, and how many measured numbers each has."""
+    """Norms of the residuals per pose, without outliers, and how many measured numbers each has."""
     parts, kept = scored.fit.residuals, ~ignored(scored)
     return parts.norm[kept], parts.given[kept].sum(axis=1)

@@ -213,7 +213,7 @@ class _New:
         return fit(chain, self.noise, np.arange(self.data.count), p)
 
     def _chain(self, found: Fit, terms: Sequence[Term]) -> tuple[ParametricChain, Array]:
-        """Of terms with the values that they have in a fit, frames where nothing is displaced."""
+        """The chain of terms with the values that they have in a fit, frames where nothing is displaced."""
         chain = ParametricChain(found.chain.robot, self.data, terms)
         keys = [(t.name, q.name) for t in chain.terms for q in t.parameters]
         known = {key: value for key, value in values_by_name(found).items() if key[0] not in FRAMES}

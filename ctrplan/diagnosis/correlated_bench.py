@@ -140,7 +140,7 @@ class CorrelatedBench(Workbench):
         return self._settled(self.scored([]))
 
     def corrected(self, scored: Scored) -> Scored:
-        """The same set with the friction states of its own path and the discrepancy that it leaves."""
+        """The set with the friction states of its own path and the discrepancy that it leaves."""
         return self._settled(scored)
 
     def loss(self, system: Linear) -> Array:
@@ -214,7 +214,7 @@ class CorrelatedBench(Workbench):
 
     @property
     def noise_alike(self) -> Noise:
-        """As large as the discrepancy, every pose counting alike."""
+        """Noise as large as the discrepancy, every pose counting alike."""
         found = self._discrepancy
         sizes = (np.hypot(1, found.position), np.hypot(1, found.tangent)) if found else (1.0, 1.0)
         return Noise(self.plain.position_m * sizes[0], self.plain.tangent_rad * sizes[1])
@@ -241,7 +241,7 @@ class CorrelatedBench(Workbench):
         return self.scored(scored.terms, scored.fit)
 
     def _joint_memory(self, scored: Scored) -> JointMemory | None:
-        """Of what remains of a fit of poses at rest."""
+        """The memory in the joints of what remains of a fit of poses at rest."""
         found = self._discrepancy
         return joint_memory(self.over_noise_at_priors(scored), self.data, found) if found and found.is_there else None
 
@@ -276,7 +276,7 @@ class CorrelatedBench(Workbench):
         return self._errors[key]
 
     def chain(self, terms: Sequence[Term]) -> ParametricChain:
-        """Of terms, with friction as it is known by now."""
+        """The chain of terms, with friction as it is known by now."""
         chain = super().chain(terms)
         chain.correction = None
         if self._has_friction(terms):
@@ -311,7 +311,7 @@ def fixed(t: Term, p: Array) -> Term:
 
 
 class SmoothBench(CorrelatedBench):
-    """Of another bench of poses at rest, with the most probable discrepancy beside one of its sets."""
+    """A bench of poses at rest, with the most probable discrepancy beside one of another bench's sets."""
 
     def __init__(self, bench: CorrelatedBench, here: Scored) -> None:
         """here: a set of the bench, which has a discrepancy."""

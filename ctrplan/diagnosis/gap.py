@@ -131,7 +131,9 @@ def times_noise(rms_m: float, floor_m: float) -> float:
 
 
 def largest_remainder(tails: float) -> float:
-    """Of the noise, whose squares vary `tails` times as much as Gaussian ones: so much less certain is their mean."""
+    """The largest remainder that noise leaves, whose squares vary `tails` times as much as Gaussian ones: so much
+    less certain is their mean.
+    """
     return math.sqrt(1 + (LARGEST_REST**2 - 1) * math.sqrt(tails))
 
 

@@ -136,7 +136,7 @@ def _quarters(values: Array) -> NDArray[np.int_]:
 
 
 def _share(r: Array, part: NDArray[np.int_]) -> float:
-    """Of the sum of squares explained by means over classes."""
+    """The share of the sum of squares that means over classes explain."""
     count = np.bincount(part)
     means = np.stack([np.bincount(part, weights=column) for column in r.T], axis=1)
     return float((means**2 / np.maximum(count, 1)[:, None]).sum() / max((r**2).sum(), 1e-12))

@@ -139,7 +139,7 @@ def _ranked(selector: PartialSelector, here: Scored, told: Collection[str] = ())
 
 
 def _variants(selector: PartialSelector, here: Scored) -> list[Term]:
-    """Of effects that are not in a set and no frames; none with more parameters than there are blocks.
+    """Variants of effects that are not in a set and no frames; none with more parameters than there are blocks.
 
     On a pair, whose joints the place of the tip gives away, a distortion follows any smooth error better than an error
     of one length can.
@@ -277,7 +277,7 @@ def diagnose_partially(
 
 
 def _bench(robot: Robot, data: Measurements, noise: Noise, parts: Split, block: NDArray[np.int_]) -> CorrelatedBench:
-    """Of the poses that choose."""
+    """The bench of the poses that choose."""
     return CorrelatedBench(robot, data.subset(parts.selection), noise, block[parts.selection], parts.fold)
 
 
@@ -332,7 +332,7 @@ def _by_name(bench: CorrelatedBench, chosen: Scored) -> tuple[CorrelatedBench, S
 
 
 def _memory(robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: Noise) -> float:
-    """Of the calibrated model's errors on a continuous motion, in s, or in rows where these have no times."""
+    """The memory of the calibrated model's errors on a continuous motion, in s, or in rows where these have no times."""
     if not data.is_stream:
         return 0.0
     some = np.flatnonzero(usable)

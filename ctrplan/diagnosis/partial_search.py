@@ -64,7 +64,9 @@ class PartialSelector(Selector):
         return self._most(chosen, panel.of(among), beside) if beside else 0.0
 
     def _most(self, here: Scored, alone: Linear, beside: Sequence[Linear]) -> float:
-        """Of chance on traded residuals and on surrogates as smooth as these, which leave less to doubt."""
+        """The largest gain by chance on traded residuals and on surrogates as smooth as these, which leave less to
+        doubt.
+        """
         draws = self.partial_bench.traded_draws(here), self.partial_bench.null_draws(here)
         traded, smooth = null_thresholds(alone, beside, self.bench.null_scores, draws)
         return max(traded, SMOOTH_COUNTS * smooth)
@@ -199,7 +201,7 @@ def evidence_for(selector: PartialSelector, chosen: Scored, terms: Sequence[Term
 
 
 def _panel(selector: PartialSelector, chosen: Scored) -> tuple[Linearisation, float, list[Term]]:
-    """Of a set and its competitors, with what is chance there and all that is fitted."""
+    """The linearisation of a set and its competitors, with what is chance there and all that is fitted."""
     bench = selector.partial_bench
     among = [*bench.basis(chosen.terms), *chosen.terms]
     free = [with_zero(bench, t) for t in chosen.terms]

@@ -76,7 +76,7 @@ class Remainder:
 def shares_of_motion(
     error_m: Array, data: Measurements, block: NDArray[np.int_], floor_m: float
 ) -> tuple[float, float, float]:
-    """Of configuration, history and time in errors (K, 3), by what each adds when blocks (K,) are left out."""
+    """Shares of configuration, history and time in errors (K, 3), by what each adds when blocks (K,) are left out."""
     wanted = max(float((error_m**2).sum()) - len(error_m) * floor_m**2, 1e-12)
     features, explained = list[Array](), [0.0]
     for more in (_configuration(data), _history(data), _time(data)):
@@ -87,7 +87,7 @@ def shares_of_motion(
 
 
 def share_of_time(error_m: Array, data: Measurements, block: NDArray[np.int_], floor_m: float) -> float:
-    """Of errors (K, 3) of poses at rest."""
+    """The share of time in errors (K, 3) of poses at rest."""
     wanted = max(float((error_m**2).sum()) - len(error_m) * floor_m**2, 1e-12)
     return float(min(1.0, max(0.0, _explained(error_m, _time(data), block)) / wanted))
 
@@ -241,17 +241,18 @@ class SmoothError:
     tangent: tuple[Numbered, ...]
 
     def spectrum(self, fit: Linearised) -> Spectrum:
-        """Of a fit of these poses beside it, at every size."""
+        """The spectrum of a fit of these poses beside the error, at every size."""
         return Spectrum.apart(fit, self.position, self.tangent)
 
     def at(self, fit: Linearised, position: float, tangent: float) -> tuple[SizePart, SizePart]:
-        """The same at one size of each, over the noise."""
+        """The fit beside the error at one size of each, over the noise."""
         spectrum = Spectrum.apart(fit, self.position, self.tangent, ([position], [tangent]))
         return spectrum.position[0], spectrum.tangent[0]
 
 
 def at_rest(data: Measurements, share: float, axes: Array) -> list[SmoothError]:
-    """Of poses at rest, first of configurations that have nothing in common; share: of a configuration's approaches.
+    """Smooth errors of poses at rest, first of configurations that have nothing in common; share: of a
+    configuration's approaches.
 
     axes (K, 2, 3) are those about which rotations are the two numbers of a tangent.
     """
@@ -268,7 +269,7 @@ def at_rest(data: Measurements, share: float, axes: Array) -> list[SmoothError]:
 
 
 def of_motion(data: Measurements, axes: Array) -> list[SmoothError]:
-    """Of a continuous motion; axes (K, 2, 3) as of poses at rest."""
+    """Smooth errors of a continuous motion; axes (K, 2, 3) as of poses at rest."""
     return [_error(kind, data, one, axes) for kind, one in _correlations(data)]
 
 

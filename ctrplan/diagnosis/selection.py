@@ -197,7 +197,7 @@ def _best_of_each(tried: Sequence[Scored]) -> list[Scored]:
 def step(
     action: str, t: Term, gain: float, error: float, threshold: float, taken: bool, beside: Term | None = None
 ) -> SelectionStep:
-    """Of the path: what was done with an effect, or with two."""
+    """A step of the path: what was done with an effect, or with two."""
     terms = [t] if beside is None else [beside, t]
     names = tuple(parameter.name for term in terms for parameter in term.parameters)
     effect = " and ".join(term.name for term in terms)

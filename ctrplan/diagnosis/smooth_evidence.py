@@ -61,7 +61,7 @@ class _Probable:
 
 
 class SmoothEvidence:
-    """Of a set of effects as it stands, and of variants that may be added to it, to first order."""
+    """The evidence of a set of effects as it stands, and of variants that may be added to it, to first order."""
 
     def __init__(self, bench: CorrelatedBench, here: Scored, variants: Sequence[Term] = ()) -> None:
         """here: a set as the bench has it, with the discrepancy that is there now; variants: to be asked beside it."""
@@ -100,7 +100,8 @@ class SmoothEvidence:
         return [float(whole - one) for one in less]
 
     def gains(self, variants: Sequence[Term], without: str = "") -> list[Gain]:
-        """Of variants, best first: the best with the covariance of the set, each with a covariance of its own then.
+        """Gains of variants, best first: the best with the covariance of the set, each with a covariance of its own
+        then.
 
         without: an effect of the set that is left out of it.
         """

@@ -46,7 +46,7 @@ class WideLinearisation:
     ranges: dict[TermPiece, dict[str, InputRange]]
 
     def here(self) -> Linear:
-        """Of the fit's own columns."""
+        """Columns of the fit itself."""
         return self.whole.columns(list(range(self.own)))
 
     def beside(self, piece: TermPiece) -> Linear:
@@ -55,7 +55,7 @@ class WideLinearisation:
 
 
 def wide_linearisation(bench: CorrelatedBench, here: Scored, pieces: Sequence[TermPiece]) -> WideLinearisation:
-    """Of a fit and pieces that vanish there."""
+    """The linearisation of a fit and of pieces that vanish there."""
     probed = _probed(bench, here, list(dict.fromkeys(replace(piece.on, of_way=False) for piece in pieces)))
     shapes = [_shapes(piece, probed, bench.robot.n) for piece in pieces]
     ends = np.cumsum([probed.own, *(len(piece.names) for piece in pieces)]).tolist()

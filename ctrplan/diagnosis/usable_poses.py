@@ -166,7 +166,7 @@ def without_outliers(
 
 
 def thinned(parts: Split, data: Measurements) -> Split:
-    """Of a continuous motion so many poses for the selection that they stand apart."""
+    """So many poses of a continuous motion for the selection that they stand apart."""
     step = thinning(len(parts.selection))
     if not data.is_stream or step == 1:
         return parts

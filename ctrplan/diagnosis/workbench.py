@@ -88,7 +88,7 @@ class Scored:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the effects."""
+        """Names of the effects."""
         return tuple(t.name for t in self.terms)
 
     @cached_property
@@ -121,7 +121,7 @@ class Linearisation:
     variants: tuple[Term, ...]  # that were asked for besides the fit's own terms
 
     def of(self, terms: Sequence[Term]) -> Linear:
-        """Of the parameters of some terms; the others stay where they are."""
+        """The linearisation in the parameters of some terms; the others stay where they are."""
         wanted = {(t.name, q.name) for t in terms for q in t.parameters}
         return self.whole.columns([k for k, key in enumerate(self.keys) if key in wanted])
 
@@ -204,7 +204,7 @@ class Workbench:
         return Scored(terms, best, self.loss(linear(best)))
 
     def chain(self, terms: Sequence[Term]) -> ParametricChain:
-        """Of terms, with friction as it is known by now."""
+        """The chain of terms, with friction as it is known by now."""
         chain = ParametricChain(self.robot, self.data, terms)
         if self._has_friction(terms):
             chain.correction = self._correction
@@ -214,7 +214,7 @@ class Workbench:
         return bool(self.robot.friction.any()) or any(t.name == "friction" for t in terms)
 
     def corrected(self, scored: Scored) -> Scored:
-        """The same set with what friction states leave out; with friction, all later fits have it too."""
+        """The set with what friction states leave out; with friction, all later fits have it too."""
         if not self._has_friction(scored.terms):
             return scored
         for _ in range(CORRECTIONS[self.data.is_stream]):
@@ -225,7 +225,7 @@ class Workbench:
         return scored
 
     def _start(self, chain: ParametricChain, near: Sequence[Fit | None], compared: bool = False) -> tuple[Array, float]:
-        """Of several starts the one whose first step promises most, and the loss that it promises.
+        """The one of several starts whose first step promises most, and the loss that it promises.
 
         Without anything to compare with nothing is promised.
         """
@@ -259,7 +259,7 @@ class Workbench:
         return changed
 
     def sized(self, scored: Scored) -> Scored:
-        """The same set with priors of its effects as wide as what was found is large.
+        """The set with priors of its effects as wide as their estimates are large.
 
         Priors say where to look. The size of an effect that is there is for the data to say: a prior that it exceeds
         would draw it in and make its interval too narrow.

@@ -100,7 +100,7 @@ def diagnose(
 
 
 def _memory(found: Conclusion) -> float | None:
-    """Of what remains of the model that is handed over."""
+    """The memory of what remains of the model that is handed over."""
     if found.built:
         return found.built.rest.memory
     return found.partly.rest.memory if found.partly else None

@@ -156,7 +156,7 @@ def _poses(table: CsvTable, markers: Sequence[MarkerColumns]) -> tuple[Array, Ar
 
 
 def _unit(table: CsvTable, tangent: Array, rows: NDArray[np.int_], names: Sequence[str]) -> Array:
-    """Of unit length; two components are a direction in their plane, whatever their length."""
+    """The vectors at unit length; two components are a direction in their plane, whatever their length."""
     with np.errstate(over="ignore"):
         length = np.linalg.norm(tangent, axis=1, keepdims=True)
     whole, given = len(names) == len(TANGENT), np.isfinite(tangent).all(axis=1)

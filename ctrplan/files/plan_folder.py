@@ -89,7 +89,7 @@ def _joint_values(written: WrittenPlan, table: Mapping[str, Mapping[str, float]]
 
 
 def _trajectory(written: WrittenPlan, file: Path) -> Trajectory:
-    """Of the legs, with the rests at targets. Raises InputError unless the file has the same."""
+    """The trajectory of the legs, with the rests at targets. Raises InputError unless the file has the same."""
     drive, content = written.scenario.robot.drive, written.content
     rests = [target["leg"] + 1 for target in content["certificate"]["targets"]]
     period_s = content["trajectory"]["period_s"] or PERIOD_S

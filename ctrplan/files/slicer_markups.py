@@ -77,7 +77,7 @@ class Markup:
 
     @property
     def name(self) -> str:
-        """Of the file, without what says that it is one of markups."""
+        """The name of the file, without what says that it is one of markups."""
         name = Path(self.file).name
         return next((name[: -len(suffix)] for suffix in SUFFIXES if name.lower().endswith(suffix)), "")
 

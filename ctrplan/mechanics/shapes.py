@@ -207,7 +207,7 @@ SMALL_RAD = 1e-4  # rotations below which series take the place of quotients
 
 
 def points_on_tubes(tubes: Sequence[TubeShape], s_m: Sequence[float] | Array) -> tuple[Array, Array]:
-    """Of N tubes, each at an arc length (N,) [m] from the plate: centrelines (N, 3) [m] and unit tangents (N, 3).
+    """Centrelines (N, 3) [m] and unit tangents (N, 3) of N tubes, each at an arc length (N,) [m] from the plate.
 
     NaN where the tube is not.
     """

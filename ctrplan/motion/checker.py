@@ -135,7 +135,7 @@ class MotionChecker:
         return self.space.allowed(q) and self.rooms([q[None]])[0] < DEFINITE_COLLISION_M
 
     def with_reserve(self, reserve_m: float) -> MotionChecker:
-        """The same that keeps another reserve; it has checked nothing yet."""
+        """A checker that keeps another reserve; it has checked nothing yet."""
         return MotionChecker(self.scenario, self.style, self.meter, reserve_m)
 
     def state(self, q: Array) -> Motion:
@@ -209,7 +209,9 @@ class MotionChecker:
         return np.minimum.reduceat(rooms, firsts), np.array([_jumps(*rows) for rows in ends])
 
     def _rooms_and_tips(self, theta_b: Array, l_b: Array) -> tuple[Array, Array]:
-        """Of collars (K, n): clearances (K,) [m] of zero-clearance shapes beyond what is required, tips (K, 3) [m]."""
+        """Clearances (K,) [m] of zero-clearance shapes at collars (K, n) beyond what is required, and tips (K, 3)
+        [m].
+        """
         self.watch.ask()
         self.meter.add(ROOM_NS * len(l_b))
         threads = 0 if len(l_b) > FEW else 1
@@ -288,7 +290,7 @@ def path_limits(scenario: Scenario) -> PathLimits:
 
 
 def search_limits(scenario: Scenario, reserve_m: float = SEARCH_ROOM_M) -> PathLimits:
-    """Likewise for the search, which keeps a little more clearance so that its paths pass the certificate."""
+    """Limits for the search, which keeps a little more clearance so that its paths pass the certificate."""
     limits = path_limits(scenario)
     space = JointSpace.of(scenario)
     room = reserve_m + usual_play_shift(scenario.robot, space)

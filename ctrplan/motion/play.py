@@ -42,7 +42,7 @@ def play_shift(robot: Robot, theta_b: Array, l_b: Array) -> float:
 
 
 def play_reach(robot: Robot, theta_b: Array, l_b: Array) -> float:
-    """As `play_shift`, of the frictionless shape and every corner of friction, and with all actuators moved at once."""
+    """How far play reaches, as `play_shift`, of the frictionless shape and every corner, all actuators moved at once."""
     if robot.drive.play is None:
         return 0.0
     here, singles = robot.mechanics.body(theta_b, l_b)[0], _single_actuators(*robot.drive.play)

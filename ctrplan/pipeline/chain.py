@@ -52,7 +52,7 @@ class Chain:
         return cls(ideal, tuple(given for given in acting if not given.effect.sets_outright))
 
     def on(self, time_s: Array | None, more: Mapping[str, Array], *, of_collars: bool = False) -> Chain:
-        """The same without effects that need a column which these data do not have.
+        """This chain without effects that need a column which these data do not have.
 
         of_collars: joints are those of the collars, which the drive has moved already.
         """

@@ -220,7 +220,9 @@ class ParametricChain(TermValues):
         return _followed(table, changes)[0], table.sound
 
     def _of_markers(self, p: Array, here_m: Array, by: Array) -> None:
-        """Of markers, now at (K, 3) [m], by differences of whole solves: the core differentiates tips alone."""
+        """Derivatives of markers, now at (K, 3) [m], by differences of whole solves: the core differentiates tips
+        alone.
+        """
         if self._body.any():
             chain = self._body_chain
             chain.followed_phi = None if self.followed_phi is None else self.followed_phi[self._body]
@@ -244,7 +246,7 @@ class ParametricChain(TermValues):
 
     @cached_property
     def _body_chain(self) -> ParametricChain:
-        """The same of these poses alone."""
+        """The chain of these poses alone."""
         return ParametricChain(self.robot, self.data.subset(self._body), self.terms)
 
     def _tip_x(self, chain: Chain, collars: Collars, phi: Array, tangent: Array) -> Array:

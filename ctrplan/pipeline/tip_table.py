@@ -70,7 +70,7 @@ def tip_table(
 
 
 def distinct(rows: Array) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
-    """Of rows (K, c): the numbers (D,) of those that differ, and which of them each is (K,)."""
+    """The numbers (D,) of rows (K, c) that differ, and which of them each is (K,)."""
     _, first, back = np.unique(np.round(rows / SAME) * SAME, axis=0, return_index=True, return_inverse=True)
     return first, back.ravel()
 
@@ -221,7 +221,7 @@ def _marker_table(
 
 
 def _shapes(robot: Robot, theta_b: Array, l_b: Array, phi: Array, accuracy: Accuracy) -> list[Shape]:
-    """Of D configurations, on every core: the core solves without Python's lock."""
+    """Shapes of D configurations, on every core: the core solves without Python's lock."""
     solve = partial(robot.mechanics.solve, accuracy=accuracy)
     with ThreadPoolExecutor(min(cores(), len(theta_b))) as pool:
         return list(pool.map(solve, theta_b, l_b, phi))

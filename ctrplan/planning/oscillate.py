@@ -110,7 +110,7 @@ def _best_first(checker: MotionChecker, corners: Array, amplitude: float, ways: 
 
 
 def settled_again(settling: Settling, certificate: Certificate, more_legs: int) -> Settling:
-    """The same oscillation after legs before it were changed, or added."""
+    """Settles with the same oscillation after legs before it were changed, or added."""
     first = settling.first_leg + more_legs
     while_settling = certificate.samples.leg >= first
     return replace(

@@ -152,7 +152,7 @@ class _Search:
         self.drawn = self.clear = 0
 
     def promising(self, count: int) -> list[PoseScore]:
-        """Of `count` candidates those that seem to reach a target, best first."""
+        """The candidates, of `count` tried, that seem to reach a target, best first."""
         screen = Screen(self.scenario, self.patch, np.random.default_rng(self.seed))
         found: list[PoseScore] = []
         poses = self._clear_poses(screen, count)

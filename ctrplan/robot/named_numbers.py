@@ -25,7 +25,7 @@ class HasNumbers(Protocol):
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
-        """Of neighbouring tubes."""
+        """Contacts of neighbouring tubes."""
 
     @property
     def loads(self) -> Loads:

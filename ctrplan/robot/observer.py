@@ -117,7 +117,7 @@ class Observer:
         seed: int,
         accuracy: Accuracy,
     ) -> None:
-        """As `Robot.observer` has them; `slow` with the values that the robot file has.
+        """Arguments as `Robot.observer` has them; `slow` with the values that the robot file has.
 
         robot_with: the mechanics with slow parameters so much off these values.
         """

@@ -77,7 +77,7 @@ def followed(history: History, theta_b: Array, l_b: Array) -> HistoryPath | None
 
 
 def probed(history: History, theta_b: Array, l_b: Array) -> HistoryPath | None:
-    """As `followed`, of a history that stays where it is."""
+    """The path of a history that stays where it is, otherwise as `followed`."""
     here = history.save()
     path = followed(history, theta_b, l_b)
     history.restore(here)
@@ -249,7 +249,7 @@ class Histories:
         return found
 
     def _begun(self, states: Sequence[Array], theta_b: Array, l_b: Array, score: float) -> list[Member]:
-        """Of the robot as slow parameters have it by now."""
+        """Begins histories of the robot as slow parameters have it by now."""
         slow = self.likeliest.slow if self.members else self._slow.start()
         values = self._slow.simulated(slow)
         mechanics = self._with(values)

@@ -116,14 +116,14 @@ def predict(
 def predict_end(
     robot: Robot, joints: Array, starts: Sequence[Start | ObservedHistory]
 ) -> tuple[PathPrediction, list[HistoryState]]:
-    """As `predict`, and the states at the end, to go on from."""
+    """Predicts as `predict`, and returns the states at the end too, to go on from."""
     histories = [_begun(robot, start) for start in starts]
     prediction = _follow(robot, histories, joints)
     return prediction, _saved(histories)
 
 
 def predict_from(robot: Robot, states: Sequence[HistoryState], joints: Array) -> PathPrediction:
-    """As `predict`, from states at the first row of joints (K, m), one for each start."""
+    """Predicts as `predict`, from states at the first row of joints (K, m), one for each start."""
     return _follow(robot, _restored(robot, states), joints)
 
 

@@ -95,7 +95,7 @@ def store(key: str, values: NDArray[np.float32]) -> str:
 
 
 def store_all(grids: Mapping[str, NDArray[np.float32]]) -> str:
-    """Likewise several grids, by their keys."""
+    """Stores several grids, by their keys."""
     made = set()
     for key, values in grids.items():
         if (path := _path(key)) is None:

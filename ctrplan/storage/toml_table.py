@@ -38,7 +38,7 @@ class Table:
         return dict(value)
 
     def replaced(self, content: Mapping[str, Any], without: Sequence[str] = ()) -> Table:
-        """The same place in a document that has `content` there, and lacks the top-level keys `without`."""
+        """This place in a document that has `content` there, and lacks the top-level keys `without`."""
         whole: dict[str, Any] = {key: value for key, value in self.document.content.items() if key not in without}
         node: Any = whole
         for step in self.path[:-1]:
@@ -69,7 +69,7 @@ class Table:
         return file_inside(name, self.document, self.allow_outside, *self.path, *path)
 
     def place(self, name: str, *path: Step) -> Path:
-        """Likewise a file or a folder."""
+        """The path of a file or a folder that the key names."""
         return _inside(name, self.document, self.allow_outside, Path.exists, *self.path, *path)
 
 

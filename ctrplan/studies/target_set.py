@@ -84,7 +84,9 @@ DENSITY = PathDensity(rotation_rad=0.5, translation_m=12e-3, motion_m=25e-3)
 
 
 def least_stability(checker: MotionChecker, joints: Array) -> float:
-    """Of the states along the L-shaped motion from the start to joints (m,); at most 0 where the robot snaps there."""
+    """The least stability along the L-shaped motion from the start to joints (m,); at most 0 where the robot snaps
+    there.
+    """
     corners = checker.space.corners(checker.scenario.start, joints, checker.style)
     if not checker.space.allowed(corners):
         return 0.0
@@ -115,7 +117,9 @@ class TargetValue:
 
 
 def target_value(scenario: Scenario, starts: int, seed: int) -> TargetValue | None:
-    """Of the scenario's goal, a tip position; None where no configuration was found from `starts` random ones."""
+    """The value of the scenario's goal, a tip position; None where no configuration reaches it from `starts` random
+    ones.
+    """
     checker, target = target_checker(scenario), tip_target(scenario)
     rng = np.random.default_rng(seed)
     ways = reach(checker, target, scenario.goal.tolerance_m, rng, starts).configurations
@@ -145,7 +149,7 @@ def _error_m(way: Configuration) -> float:
 
 
 def value_nearby(scenario: Scenario, near: TargetValue) -> TargetValue | None:
-    """Of the same target for a robot that differs a little: the tip is led back from the joints of `near`.
+    """The value of the same target for a robot that differs a little: the tip is led back from the joints of `near`.
 
     None where that leads to no valid configuration.
     """

@@ -88,7 +88,7 @@ class BodySpread:
     spared_strain: MarginSpread  # strains, negative
 
     def sides(self) -> IntervalSides:
-        """Of all S N points, one state after the other."""
+        """Displacements of all S N points, one state after the other."""
         states, count, _, axes = self.sides_m.shape
         return IntervalSides(self.middle_m.reshape(-1, 3), self.sides_m.reshape(states * count, 3, axes))
 
@@ -183,7 +183,7 @@ class BodyClearance:
 
     @cached_property
     def sides(self) -> IntervalSides:
-        """Of all points."""
+        """Displacements of all points."""
         return self.spread.sides()
 
     @cached_property
@@ -218,7 +218,7 @@ class BodyClearance:
 
     @cached_property
     def most_displaced(self) -> int:
-        """Of the points near the anatomy, the one that may move farthest."""
+        """The number of the point near the anatomy that may move farthest."""
         return int(self.near[np.argmax(self.reach_m[self.near])])
 
     @cached_property

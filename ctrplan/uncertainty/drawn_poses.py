@@ -42,14 +42,14 @@ SHARE = 0.5  # of the solves, as many terms at most
 
 @dataclass(frozen=True, eq=False)
 class BeyondFirstOrder:
-    """Of R solves."""
+    """What R solves differ by from first order."""
 
     weight: Array  # (F, ...) of the quadratic's terms
     rest: Array  # (R, ...) NaN where there was no equilibrium
 
     @classmethod
     def of(cls, deviations: Array, found: Array) -> BeyondFirstOrder:
-        """Of differences found (R, ...) of draws, deviations (R, P) from their values in standard deviations."""
+        """Fits differences (R, ...) of draws, deviations (R, P) from their values in standard deviations."""
         flat, terms = found.reshape(len(found), -1), _terms(deviations, len(found))
         known = ~np.isnan(flat).any(axis=1)
         A, values = terms[known], flat[known]
@@ -108,7 +108,7 @@ class SimulatedPoses:
     def of(
         cls, scenario: Scenario, parameters: UncertainParameters, path: DrivenPath, offsets: Array, solved: Array
     ) -> SimulatedPoses:
-        """Of draws with parameters offsets (M, P) away from their values.
+        """Histories of draws with parameters offsets (M, P) away from their values.
 
         Solves of the first (R, W, 6) move poses by `solved` on the mean over friction states.
         """
@@ -179,7 +179,7 @@ def _driven(robot: Robot, begun: Start | ObservedHistory, theta_b: Array, l_b: A
 
 @dataclass(frozen=True, eq=False)
 class DrawnPoses:
-    """Of M draws at W places, joint values at which the tip is looked at, in S friction states."""
+    """Poses of M draws at W places, joint values at which the tip is evaluated, in S friction states."""
 
     parameters: UncertainParameters
     theta: Array  # (W, n) commanded

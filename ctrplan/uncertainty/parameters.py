@@ -66,7 +66,7 @@ class UncertainParameters:
 
     @property
     def half_width(self) -> Array:
-        """Of the intervals."""
+        """(P,) half the widths of the 95 % intervals."""
         return (self.high - self.low) / 2
 
     @cached_property
@@ -83,7 +83,7 @@ class UncertainParameters:
 
     @property
     def unit(self) -> tuple[str, ...]:
-        """Of files and screens; empty for pure numbers."""
+        """The unit of a parameter in files and on screens; empty for pure numbers."""
         return tuple(UNITS.get(self._file_name(name).rsplit("_", 1)[-1], "") for name in self.names)
 
     @property
@@ -99,7 +99,7 @@ class UncertainParameters:
         return _changed(self.robot, dict(zip(self.names, values, strict=True)))
 
     def widened(self, factor: Array | float) -> UncertainParameters:
-        """The same with intervals `factor` times as wide."""
+        """These parameters with intervals `factor` times as wide."""
         low, high = (self.value + factor * (end - self.value) for end in (self.low, self.high))
         return replace(self, low=low, high=high)
 

@@ -140,7 +140,7 @@ Clearances = tuple[Array, Array, Array]  # (M,) over the path, (R,) at the narro
 
 
 def _chance(found: Clearances, level_m: float) -> Chance:
-    """Of falling below a level on the path; what solves change at the narrowest sample is carried over."""
+    """The chance of falling below a level on the path; what solves change at the narrowest sample is carried over."""
     path, linear, solved = found
     first = path[: len(solved)]
     corrected = np.where(linear <= first, solved, np.minimum(first, solved))

@@ -44,7 +44,7 @@ class TargetPose:
 
     @classmethod
     def of(cls, scenario: Scenario, goal: Goal, frictionless_m: Array) -> TargetPose:
-        """Of a goal; of one in joint values the frictionless tip (3,) there."""
+        """What a goal requires of the tip; for a goal in joint values, the frictionless tip (3,) there."""
         if goal.tip_m is None:
             return cls(frictionless_m, None)
         to_robot = scenario.base_R.T

@@ -57,7 +57,7 @@ def is_rotation(name: str) -> bool:
 
 
 def unit(name: str) -> str:
-    """Of an input; empty for columns of the data, whose names say it, and pure numbers."""
+    """The unit of an input; empty for columns of the data, whose names say it, and pure numbers."""
     return UNITS.get(name.rsplit("_", 1)[0] if OF_TUBE.fullmatch(name) else name, "")
 
 
@@ -125,7 +125,7 @@ _OF_TUBE: dict[str, Callable[[Situation, int], Array | None]] = {
 
 @dataclass(frozen=True)
 class InputRange:
-    """Of an input, in its own unit."""
+    """The range of an input in the data, in its own unit."""
 
     low: float
     high: float
@@ -137,7 +137,7 @@ class InputRange:
 
     @property
     def half(self) -> float:
-        """Of the width."""
+        """Half the width."""
         return max((self.high - self.low) / 2, 1e-12)
 
     @property
@@ -182,7 +182,7 @@ AXES = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class TargetKind:
-    """Of a target: its stage, the unit of its coefficients, how large they may be, and what it is in words."""
+    """A kind of target: its stage, the unit of its coefficients, how large they may be, and what it is in words."""
 
     stage: Stage
     unit: str
@@ -193,7 +193,7 @@ class TargetKind:
 
     @property
     def most(self) -> float:
-        """Of a coefficient, either way."""
+        """The largest coefficient, either way."""
         return 12 * self.prior
 
 
@@ -225,7 +225,7 @@ class Target:
 
     @property
     def effect_name(self) -> str:
-        """As in a robot file."""
+        """The name of the effect in a robot file."""
         return PREFIX + self.kind_name + (f"_{self.tube}" if self.tube else "") + (WAY if self.of_way else "")
 
     @property
@@ -235,7 +235,7 @@ class Target:
 
 
 def target(effect_name: str, n: int) -> Target | None:
-    """Of an effect's name, for a robot of n tubes; None where the name is of none."""
+    """The target of an effect's name, for a robot of n tubes; None where the name is of none."""
     found = NAME.fullmatch(effect_name)
     if not found:
         return None

@@ -100,7 +100,7 @@ class Learned(Effect):
 
 
 class LearnedDrive(Learned):
-    """Of a collar."""
+    """A built term that acts on a collar."""
 
     def drive(self, values: Values, collars: Collars, directions: Array) -> Collars:
         amount = self.amount(values, Situation(collars.theta, collars.l, directions))[:, 0]
@@ -115,7 +115,7 @@ class LearnedDrive(Learned):
 
 
 class LearnedMechanics(Learned):
-    """Of a property of a tube, as small changes: shapes at rest do not have them, margins allow for them."""
+    """A built term of a tube's property, as small changes: shapes at rest lack them, margins allow for them."""
 
     def changing(self, values: Values, robot: Robot, data: Measurements) -> Mapping[str, Array]:
         rows = data.rows
@@ -139,7 +139,7 @@ class LearnedMechanics(Learned):
 
 
 class LearnedPlate(Learned):
-    """Of all in front of the plate."""
+    """A built term that turns all in front of the plate."""
 
     def plate_turn(self, values: Values, robot: Robot, collars: Collars) -> Array | None:
         return self.amount(values, Situation(collars.theta, collars.l, tubes=robot.tubes))
@@ -149,7 +149,7 @@ class LearnedPlate(Learned):
 
 
 class LearnedSensor(Learned):
-    """Of what is read."""
+    """A built term of what the sensor reads."""
 
     def sensor(self, values: Values, poses: Poses, data: Measurements) -> Poses:
         joints = data.theta_commanded[data.rows], data.l_commanded[data.rows]
@@ -260,5 +260,5 @@ FILE_NOTES = (*COMMON_NOTES, *learned_table.NOTES)  # keys that are no parameter
 
 
 def effect_of(name: str, table: Mapping[str, Any], n: int) -> Effect:
-    """Of a table that was checked, in the file of a robot with n tubes."""
+    """The effect of a table that was checked, in the file of a robot with n tubes."""
     return learned_table.learned_in(name, table, COMMON_NOTES, n) if learned_table.is_learned(name) else CATALOGUE[name]

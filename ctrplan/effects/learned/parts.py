@@ -55,7 +55,7 @@ class Factor:
         return _SHAPES[self.form](self, at, ranges)
 
     def in_words(self, ranges: Ranges) -> str:
-        """As a formula."""
+        """The factor as a formula."""
         if self.form == "constant":
             return "1"
         if self.form == "sign":
@@ -168,7 +168,7 @@ _SHAPES: dict[str, Callable[[Factor, Situation, Ranges], Array]] = {
 
 
 def period_deg(of: Part) -> float:
-    """Of a periodic part [deg]; 0 where it has none."""
+    """The period of a periodic part [deg]; 0 where it has none."""
     waves = [factor.numbers[0] for factor in of if factor.periodic]
     return 360.0 / math.gcd(*waves) if waves else 0.0
 

@@ -208,7 +208,7 @@ class RoadmapSearch:
         return None
 
     def _motions(self, nodes: list[int]) -> list[int]:
-        """Of a path."""
+        """The motions of a path."""
         return [self.row[pair] for pair in itertools.pairwise(nodes)]
 
     def _likely_next(self, price: Callable[[], tuple[Array, Array]], todo: list[int]) -> list[int]:

@@ -95,7 +95,7 @@ class DesignDefinition:
 
     @property
     def name(self) -> str:
-        """As in the file, else the file's name."""
+        """The name in the file, else the file's own."""
         return self.entry.name or Path(self.document.file or "design").stem
 
     @property

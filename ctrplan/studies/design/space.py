@@ -109,7 +109,7 @@ class DesignSpace:
 
     @property
     def names(self) -> list[str]:
-        """Of all shares."""
+        """Names of all shares."""
         return [*(f"tube {i + 1}" for i in range(self.tubes)), *(name_of(p) for p in self.parameters)]
 
     @property
@@ -208,7 +208,7 @@ def _value(parameter: ParameterEntry, share: float) -> float:
 
 
 def unit_of(key: str) -> str:
-    """Of a key's value, as its name says; empty for a pure number."""
+    """The unit of a key's value, as its name says; empty for a pure number."""
     last = key.rsplit(".", 1)[-1]
     units = {"mm": "mm", "deg": "deg", "m": "1/m", "Nm2": "N m^2"}
     return units.get(last.rsplit("_", 1)[-1], "")

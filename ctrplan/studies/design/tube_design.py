@@ -43,7 +43,7 @@ class TubeDesign(DesignDefinition):
     def of(
         cls, content: Mapping[str, Any], folder: str | os.PathLike[str] = ".", *, allow_outside: bool = False
     ) -> TubeDesign:
-        """Likewise of a design file's content; files are named relative to `folder`."""
+        """A search of a design file's content; files are named relative to `folder`."""
         document = Document.of(content, "design", str(Path(folder) / "design.toml"))
         return cls._of(checked_design(document), document, allow_outside)
 

@@ -63,7 +63,7 @@ LEVEL = 0.95  # of the intervals
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """Of one column of a study's table, for D keys; NaN where the column does not vary.
+    """Sensitivities of one column of a study's table to D keys; NaN where the column does not vary.
 
     Sobol': `first` is the share of the variance that a key makes alone, `total` with all others. Morris: `total` is the
     mean size of elementary effects (mu*), `first` their standard deviation, in the column's unit.

@@ -258,7 +258,7 @@ def answer(future: Any, content: bytes, chunk: Chunk) -> Lines:
 
 
 class PoolEngine(ExecutorEngine):
-    """As many processes as there are cores, or as are asked for."""
+    """An engine of as many processes as there are cores, or as stated."""
 
     def __init__(self, workers: int | None = None) -> None:
         """Starts nothing before there are tasks."""

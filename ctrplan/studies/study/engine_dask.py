@@ -140,7 +140,7 @@ class DaskEngine(Engine):
             raise InputError(f"the workers lack the module {error.name}: install ctrplan where they run") from error
 
     def prepare(self, content: bytes) -> None:
-        """Likewise. Workers of other clusters do it with their first task: some may not have joined yet."""
+        """Prepares the workers. Those of other clusters do it with their first task: some may not have joined yet."""
         if self.is_own:
             self.client.run(prepare, content)
 

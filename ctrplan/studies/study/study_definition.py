@@ -40,7 +40,7 @@ class StudyDefinition:
 
     @property
     def name(self) -> str:
-        """As in the file, else the file's name."""
+        """The name in the file, else the file's own."""
         return self.entry.name or Path(self.document.file or "study").stem
 
     @property
@@ -55,12 +55,12 @@ class StudyDefinition:
 
     @property
     def robot(self) -> Robot:
-        """Of the first task."""
+        """The robot of the first task."""
         return self.first.robot
 
     @property
     def scenario(self) -> Scenario | None:
-        """Of the first task; None where the study is of a robot."""
+        """The scenario of the first task; None where the study is of a robot."""
         return None if self.job.is_robot else self.first.place
 
     @cached_property

@@ -204,7 +204,7 @@ class Loaded:
 
     @property
     def place(self) -> Scenario:
-        """Likewise but for the goal, the same for many targets: what is known of its anatomy is computed once."""
+        """The scenario but for the goal, the same for many targets: what is known of its anatomy is computed once."""
         return self._read(tuple(text for text in self.task.overrides if not text.startswith(OF_TARGET)))
 
     @property
@@ -279,7 +279,7 @@ class TaskKind(Struct, metaclass=AbstractStruct, forbid_unknown_fields=True, kw_
         """What the table gets of a task. Raises CtrplanError."""
 
     def rows(self, tasks: Sequence[Task], job: Job) -> Iterator[tuple[Task, Mapping[str, Any] | Exception]]:
-        """Of several tasks, each with its numbers or its error."""
+        """Rows of several tasks, each with its numbers or its error."""
         from ctrplan.studies.study.task import Loaded
 
         for task in tasks:

@@ -113,7 +113,7 @@ def _counted(key: str, values: list[float] | None, robot: Robot) -> list[float]:
 
 
 def _numbers(bounds: Any, row: int) -> Mapping[str, Any] | Exception:
-    """Of one configuration; as an error where no bound is promised."""
+    """Numbers of one configuration; as an error where no bound is promised."""
     status = Status(int(bounds.status[row]))
     if not np.isfinite(bounds.position_m[row]):
         return NoAnswerError(f"no bound is promised at this configuration ({status.name}).")
