@@ -61,8 +61,8 @@ def read_triangles(path: Path, unit: str, group: str | None = None) -> tuple[Arr
 def stated_frame(path: Path) -> Frame | None:
     """The patient's frame that a file names, as 3D Slicer does near the beginning; None where it does not."""
     with path.open("rb") as stream:
-        found = re.search(rb"SPACE\s*=\s*(RAS|LPS)\b", stream.read(HEADER_BYTES))
-    return None if found is None else cast(Frame, found[1].decode())
+        result = re.search(rb"SPACE\s*=\s*(RAS|LPS)\b", stream.read(HEADER_BYTES))
+    return None if result is None else cast(Frame, result[1].decode())
 
 
 def _read(path: Path, group: str | None) -> tuple[Array, Indices]:

@@ -26,9 +26,9 @@ ENDS: dict[Frame, tuple[tuple[str, str], ...]] = {
 }
 
 
-def signs(found: Frame, wanted: Frame) -> Array:
+def signs(frame: Frame, wanted: Frame) -> Array:
     """(3,) by which coordinates in frame `found` are multiplied to be in frame `wanted`."""
-    return SAME if found == wanted else TURNED
+    return SAME if frame == wanted else TURNED
 
 
 def axis_label(axis: int, frame: Frame | None) -> str:
@@ -55,13 +55,13 @@ def to_scenario(table: Table, stated: Frame | None, given: Frame | None, *, is_p
     own = scenario_frame(table)
     if stated and given and stated != given:
         raise table.fault(f"contradicts the file, which says {stated}", "frame")
-    found = stated or given
-    if own is None and (found or is_patient):
-        states = f"{table.key()} is in {found}" if found else f"{table.key()} is an image of a patient"
+    result = stated or given
+    if own is None and (result or is_patient):
+        states = f"{table.key()} is in {result}" if result else f"{table.key()} is an image of a patient"
         rule = f"is missing: {states}, so say whether base, goal and shapes are in RAS or in LPS"
         raise table.document.fault(rule, "frame")
     if own is None:
         return SAME
-    if found is None:
+    if result is None:
         raise table.fault("is missing: the file does not say whether its coordinates are in RAS or in LPS", "frame")
-    return signs(found, own)
+    return signs(result, own)

@@ -95,13 +95,13 @@ def _layer(image: Image, layer: int) -> NDArray[Any]:
 def _labelled(image: Image, choice: Choice) -> tuple[NDArray[Any], Mask]:
     label, layer = choice.label, 0
     if choice.segment is not None:
-        found = [s for s in image.segments if s.name == choice.segment]
+        results = [s for s in image.segments if s.name == choice.segment]
         if not image.segments:
             raise ImageRefusal(f"names no segments: say a label of {listed(image)}")
-        if len(found) != 1:
-            there = "no segment" if not found else f"{len(found)} segments"
+        if len(results) != 1:
+            there = "no segment" if not results else f"{len(results)} segments"
             raise ImageRefusal(f"has {there} of that name, but {listed(image)}")
-        label, layer = found[0].label, found[0].layer
+        label, layer = results[0].label, results[0].layer
     elif label is None:
         raise ImageRefusal(f"needs label, segment, above or below to say what is meant of {listed(image)}")
     elif image.voxels.ndim == 4:

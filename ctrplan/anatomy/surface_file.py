@@ -43,9 +43,9 @@ def thinned(vertices: Array, faces: Indices) -> tuple[Array, Indices, float]:
     if len(faces) <= HUGE:
         return vertices, faces, 0.0
     for doubled in range(TRIES):
-        if (wanted := 2**doubled * ENOUGH) >= len(faces) or (found := collapsed(vertices, faces, wanted)) is None:
+        if (wanted := 2**doubled * ENOUGH) >= len(faces) or (result := collapsed(vertices, faces, wanted)) is None:
             break
-        points, triangles = found
+        points, triangles = result
         error = np.inf if len(odd_edges(triangles)) else _error_m(vertices, faces, points, triangles)
         if error <= MOST_ERROR_M:
             return points, triangles, float(error)

@@ -105,9 +105,13 @@ def shared(count: int, share: float) -> Array:
     return share + (1 - share) * np.eye(count)
 
 
-def within(found: Discrepancy, blocks: Sequence[NDArray[np.int_]], correlation: Callable[..., Array]) -> Discrepancy:
+def within(
+    discrepancy: Discrepancy, blocks: Sequence[NDArray[np.int_]], correlation: Callable[..., Array]
+) -> Discrepancy:
     """This discrepancy for other poses, given by their blocks; correlation(poses, memory) is that of a block."""
-    return replace(found, blocks=tuple(block_of(poses, correlation(poses, found.memory)) for poses in blocks))
+    return replace(
+        discrepancy, blocks=tuple(block_of(poses, correlation(poses, discrepancy.memory)) for poses in blocks)
+    )
 
 
 def block_of(poses: NDArray[np.int_], correlation: Array) -> Block:
@@ -191,13 +195,13 @@ class Spectrum:
         flat, y = along_J[~alike], along_r[~alike]
         same, of_same = along_J[alike], along_r[alike]
         H, g, square = same.T @ same, same.T @ of_same, float(of_same @ of_same)
-        found = []
+        results = []
         for size in sizes:
             weight = 1 / (1 + size**2 * values[~alike])
             weighted, one = flat * weight[:, None], float(1 / (1 + size**2 * np.median(values)))
             fits = float(np.log(weight).sum() - weight @ y**2) + len(of_same) * np.log(one) - one * square
-            found.append(SizePart(size, weighted.T @ flat + one * H, weighted.T @ y + one * g, fits))
-        return found
+            results.append(SizePart(size, weighted.T @ flat + one * H, weighted.T @ y + one * g, fits))
+        return results
 
     def highest(self) -> tuple[float, float, float]:
         """The highest evidence, and the sizes of position and tangent that it has: one by one, until both stay."""

@@ -208,14 +208,14 @@ def nested_null_scores(
         return [predictive_null_scores(system, fold, block, noise) for system in systems]
     common = systems[first].columns([k for k, column in enumerate(columns[first]) if column in shared])
     beside = _Common(common, fold, block, noise)
-    found = []
+    results = []
     for system, mine in zip(systems, columns, strict=True):
         alike = len(mine) == len(set(mine)) and shared <= set(mine) and np.array_equal(system.given, common.given)
         own = [k for k, column in enumerate(mine) if column not in shared]
-        found.append(
+        results.append(
             beside.scores(system.columns(own)) if alike else predictive_null_scores(system, fold, block, noise)
         )
-    return found
+    return results
 
 
 def _columns(system: Linear) -> list[bytes]:

@@ -159,7 +159,7 @@ class JointMemory:
         return [(self.position, POSITION), (self.tangent, TANGENT)]
 
 
-def joint_memory(fit: Linearised, data: Measurements, found: Discrepancy) -> JointMemory:
+def joint_memory(fit: Linearised, data: Measurements, discrepancy: Discrepancy) -> JointMemory:
     """The most probable one of what remains of a fit, over the noise, beside a discrepancy of its configurations."""
     members = [np.flatnonzero(data.configuration == number) for number in np.unique(data.configuration)]
     means = Linearised(
@@ -173,7 +173,10 @@ def joint_memory(fit: Linearised, data: Measurements, found: Discrepancy) -> Joi
     highest = -np.inf
     for smooth, length in product(JOINT_SMOOTHNESS, JOINT_LENGTHS):
         correlation = (1 - smooth) * np.eye(len(members)) + smooth * np.exp(-square / (2 * length**2))
-        covariances = [_covariance(size, found.memory, count, correlation) for size in (found.position, found.tangent)]
+        covariances = [
+            _covariance(size, discrepancy.memory, count, correlation)
+            for size in (discrepancy.position, discrepancy.tangent)
+        ]
         value = _evidence(means, covariances)
         if value > highest:
             which = np.unique(data.configuration, return_inverse=True)[1].ravel()
@@ -258,9 +261,9 @@ def at_rest(data: Measurements, share: float, axes: Array) -> list[SmoothError]:
     """
     number, first, which = np.unique(data.configuration, return_index=True, return_inverse=True)
     square, own = square_distances(data, first.tolist()), np.eye(len(number))
-    found = [own]
-    found += [(1 - q) * own + q * np.exp(-square / (2 * length**2)) for q, length in product(SMOOTH, LENGTHS)]
-    of_poses = [one[np.ix_(which.ravel(), which.ravel())] for one in found]
+    results = [own]
+    results += [(1 - q) * own + q * np.exp(-square / (2 * length**2)) for q, length in product(SMOOTH, LENGTHS)]
+    of_poses = [one[np.ix_(which.ravel(), which.ravel())] for one in results]
     of_poses = [share * one + (1 - share) * np.eye(data.count) for one in of_poses]
     one_by_one = _error("configuration", data, of_poses[0], axes)
     along_joints = [_error("joints", data, one, axes) for one in of_poses[1:]]

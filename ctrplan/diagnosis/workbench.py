@@ -194,8 +194,8 @@ class Workbench:
             chain = self.chain([*self.basis(terms), *terms])
             start, promised = self._start(chain, places, compared=known is not None)
             if known is None or promised < known.fit.residuals.loss - WORTH_ANOTHER:
-                found = self._fitted(tuple(terms), chain, start)
-                known = found if known is None or found.fit.loss < known.fit.loss else known
+                result = self._fitted(tuple(terms), chain, start)
+                known = result if known is None or result.fit.loss < known.fit.loss else known
                 self._done[key] = known
         return known
 
@@ -308,9 +308,9 @@ class Workbench:
         keys = [(t.name, p.name) for t in chain.terms for p in t.parameters]
         neutral = [_vanishing(p.start, p.neutral) * p.si for p in chain.parameters]
         p = np.array([known.get(key, value) for key, value in zip(keys, neutral, strict=True)])
-        found = residuals(self.data, chain.predict(p), self.noise, self.whitening_group)
+        result = residuals(self.data, chain.predict(p), self.noise, self.whitening_group)
         weight = here.fit.residuals.weight
-        whole = Linear(found.r, found.J, weight, 1 / chain.prior**2, p - chain.neutral, found.given)
+        whole = Linear(result.r, result.J, weight, 1 / chain.prior**2, p - chain.neutral, result.given)
         return Linearisation(tuple(keys), whole, tuple(others))
 
     def _tried_out(
@@ -353,16 +353,16 @@ def _widened(t: Term, p: Array) -> Term:
     return Term(t.effect, tuple(replace(q, prior=q.prior * largest) for q in t.parameters))
 
 
-def linear(found: Fit) -> Linear:
+def linear(result: Fit) -> Linear:
     """A fit's own linearisation."""
-    parts = found.residuals
-    return Linear(parts.r, parts.J, parts.weight, found.precision, found.p - found.chain.neutral, parts.given)
+    parts = result.residuals
+    return Linear(parts.r, parts.J, parts.weight, result.precision, result.p - result.chain.neutral, parts.given)
 
 
-def values_by_name(found: Fit) -> dict[tuple[str, str], float]:
+def values_by_name(result: Fit) -> dict[tuple[str, str], float]:
     """(effect, parameter) -> value, SI."""
-    keys = [(t.name, p.name) for t in found.chain.terms for p in t.parameters]
-    return dict(zip(keys, found.p.tolist(), strict=True))
+    keys = [(t.name, p.name) for t in result.chain.terms for p in t.parameters]
+    return dict(zip(keys, result.p.tolist(), strict=True))
 
 
 def _merged(terms: Sequence[Term], robot: Robot) -> list[Term]:

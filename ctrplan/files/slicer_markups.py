@@ -107,14 +107,14 @@ def _text(file: str) -> str:
 def _from_json(file: str, text: str) -> list[Markup]:
     try:
         markups = json.loads(text)["markups"]
-        found = [_markup(file, markup, f"markups.{k}") for k, markup in enumerate(markups, start=1)]
+        results = [_markup(file, markup, f"markups.{k}") for k, markup in enumerate(markups, start=1)]
     except (ValueError, RecursionError) as error:
         raise InputError(f"is no JSON ({error})", file=file) from None
     except (KeyError, TypeError, AttributeError):
         raise InputError('is no file of markups: a list "markups" of points or lines is needed', file=file) from None
-    if not found:
+    if not results:
         raise InputError("holds no markups", file=file)
-    return found
+    return results
 
 
 def _markup(file: str, markup: dict[str, Any], key: str) -> Markup:
@@ -183,10 +183,10 @@ def _from_fcsv(file: str, text: str) -> Markup:
 
 def _row(file: str, columns: Sequence[str], cells: Sequence[str], number: int) -> list[float]:
     texts = [_cell(columns, cells, axis) for axis in "xyz"]
-    found = [in_plain_digits(text) for text in texts]
-    if None in found:
+    results = [in_plain_digits(text) for text in texts]
+    if None in results:
         raise InputError("must have three numbers", file=file, key=f"point {number}", value=", ".join(texts))
-    return _near(file, [float(x) for x in found if x is not None], f"point {number}")
+    return _near(file, [float(x) for x in results if x is not None], f"point {number}")
 
 
 def _cell(columns: Sequence[str], cells: Sequence[str], name: str) -> str:

@@ -98,8 +98,8 @@ def _directions_along(steps: Array, still: float) -> Array:
 
 def clock(data: Measurements) -> Array:
     """(K,) [s] of the poses; a log without times counts its rows."""
-    found: Array = data.rows.astype(float) if data.time_s is None else data.time_s[data.rows]
-    return found
+    result: Array = data.rows.astype(float) if data.time_s is None else data.time_s[data.rows]
+    return result
 
 
 def rest_began(data: Measurements) -> NDArray[np.int_]:

@@ -111,8 +111,8 @@ class Shape:
             kept = vars(self).get("_kept")
             if kept is None or name not in ALONG:
                 raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-            found = tuple(TubeShape(**tube) for tube in kept.tubes()) if name == "tubes" else getattr(kept, name)
-            return vars(self).setdefault(name, found)
+            result = tuple(TubeShape(**tube) for tube in kept.tubes()) if name == "tubes" else getattr(kept, name)
+            return vars(self).setdefault(name, result)
 
     def __getstate__(self) -> dict[str, Any]:
         """All fields but the solution, which lives in this process."""

@@ -87,15 +87,15 @@ class MotionChecker:
         """The motion from joint values a to b, (m,) each, in the checker's style."""
         self.meter.add(ASKED_NS)
         key = a.tobytes() + b.tobytes()
-        found = self._known.get(key)
-        if found is None:
+        result = self._known.get(key)
+        if result is None:
             if ahead := self._ahead.pop(key, None):
-                found, spent_ns = ahead
+                result, spent_ns = ahead
                 self.meter.add(spent_ns)
             else:
-                found = self._motion(a, b)
-            self._known[key] = found
-        return found
+                result = self._motion(a, b)
+            self._known[key] = result
+        return result
 
     def look_ahead(self, a: Array, b: Array) -> None:
         """Checks a motion that is likely asked for next; it counts as work when it is."""
@@ -148,10 +148,10 @@ class MotionChecker:
         """A single state, and what the core says of it; None where limits or nesting forbid it."""
         self.meter.add(ASKED_NS)
         key = q.tobytes()
-        found = self._states.get(key)
-        if found is None:
-            found = self._states[key] = self._probe(q[None, :])
-        return found
+        result = self._states.get(key)
+        if result is None:
+            result = self._states[key] = self._probe(q[None, :])
+        return result
 
     def _probe(self, q: Array) -> tuple[Motion, PathSamples | None]:
         if not self.space.allowed(q):
@@ -223,11 +223,11 @@ class MotionChecker:
     def _stations(self, corners: Array) -> Array:
         """(S, m) points on a polyline no farther apart than the density's steps."""
         longest = np.where(self.space.drive.is_rotation, self.density.rotation_rad, self.density.translation_m)
-        found = [corners[:1]]
+        results = [corners[:1]]
         for a, b in zip(corners[:-1], corners[1:], strict=True):
             count = max(1, int(np.ceil(np.abs((b - a) / longest).max())))
-            found += [a + np.arange(1, count)[:, None] / count * (b - a), b[None]]  # b itself, which may be known
-        return np.concatenate(found)
+            results += [a + np.arange(1, count)[:, None] / count * (b - a), b[None]]  # b itself, which may be known
+        return np.concatenate(results)
 
     def errors(self, corners: Array, samples: PathSamples) -> Array:
         """(K,) [m] friction errors on a walked polyline that starts fully loaded, by the robot's friction law.

@@ -81,12 +81,12 @@ class Differenced(Protocol):
 
 def marker_columns(chain: Differenced, data: Measurements, p: Array, here_m: Array, by: Array) -> Array:
     """(K, 3, P) of markers that are at (K, 3) [m], those of the sensor as they are; `data` remember slopes."""
-    places, found = chain.stages(), by.copy()
+    places, result = chain.stages(), by.copy()
     names = [(t.key, q.name) for t in chain.terms for q in t.parameters]
     for j in (*places["clock"], *places["drive"], *places["mechanics"]):
         column = partial(_differenced, chain, p, j, here_m)
-        found[:, :, j] = remembered(data, names[j], here_m, float(p[j]), float(chain.prior[j]), column)
-    return found
+        result[:, :, j] = remembered(data, names[j], here_m, float(p[j]), float(chain.prior[j]), column)
+    return result
 
 
 def _differenced(chain: Differenced, p: Array, j: int, here_m: Array) -> Array:

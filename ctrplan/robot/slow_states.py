@@ -205,5 +205,5 @@ class SlowModel:
         if not self.names:
             return np.zeros((len(theta_b), 3, 0))
         states = np.clip(phi, -1.0, 1.0)
-        found = mechanics.tips_with_friction(theta_b, l_b, states, parameters=self.names, threads=1)
-        return np.nan_to_num(found.position_by)
+        result = mechanics.tips_with_friction(theta_b, l_b, states, parameters=self.names, threads=1)
+        return np.nan_to_num(result.position_by)

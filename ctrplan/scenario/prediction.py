@@ -203,11 +203,11 @@ def _follow(robot: Robot, histories: list[History], joints: Array, look: Look | 
             rows = slice(begin, begin + BLOCK)
             apart = list(dict.fromkeys(histories))
             ends: list[Array] = []
-            for history, (found, count, end) in zip(
+            for history, (result, count, end) in zip(
                 apart, pool.map(partial(_block, theta_b[rows], l_b[rows], look), apart), strict=True
             ):
                 alike = [k for k, other in enumerate(histories) if other is history]
-                poses[alike, rows], snaps = found, snaps + count * len(alike)
+                poses[alike, rows], snaps = result, snaps + count * len(alike)
                 same = [k for k, other in enumerate(ends) if np.all(np.abs(end - other) < SAME)]
                 ends.append(end)
                 for k in alike if same else ():

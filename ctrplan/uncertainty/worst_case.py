@@ -114,16 +114,16 @@ def reach_m(moved: IntervalSides, base: BaseBall = KNOWN_BASE, lever_m: Array | 
     along: Array = np.abs(directions @ columns).sum(axis=2)  # (B, U)
     if lever_m is not None and base.rotation_rad:
         along = along + base.rotation_rad * np.linalg.norm(np.cross(lever_m[:, None], directions[None]), axis=2)
-    found: Array = along.max(axis=1) / np.cos(_gap(COVER)) + base.shift_m
-    return found
+    result: Array = along.max(axis=1) / np.cos(_gap(COVER)) + base.shift_m
+    return result
 
 
 def rough_reach_m(moved: IntervalSides, base: BaseBall, lever_m: Array) -> Array:
     """(B,) [m] never less than `reach_m` but for the gaps' cosine: everything added up. Levers (B, 3)."""
     sides = np.linalg.norm(moved.sides, axis=1).sum(axis=1) + np.linalg.norm(moved.middle, axis=1)
-    found: Array = sides + base.shift_m + base.rotation_rad * np.linalg.norm(lever_m, axis=1)
-    found /= np.cos(_gap(COVER))
-    return found
+    result: Array = sides + base.shift_m + base.rotation_rad * np.linalg.norm(lever_m, axis=1)
+    result /= np.cos(_gap(COVER))
+    return result
 
 
 def _support_point(u: Array, middle: Array, sides: Array, base: BaseBall, arms: Array) -> Array:
@@ -189,12 +189,12 @@ def shares(
     unexplained_m: float,
 ) -> dict[str, float]:
     """Shares [m] of a displacement along direction (3,), by (3, P) at offset (P,), with a lever (3,) from the base."""
-    found: dict[str, float] = {}
+    results: dict[str, float] = {}
     for title, share in zip(parameters.title, (direction @ by * offset).tolist(), strict=True):
-        found[title] = found.get(title, 0.0) + share
+        results[title] = results.get(title, 0.0) + share
     turned = base.rotation_rad * float(np.linalg.norm(np.cross(lever, direction)))
     rest = {REGISTRATION: base.shift_m + turned, UNEXPLAINED: unexplained_m}
-    return found | {name: share for name, share in rest.items() if share}
+    return results | {name: share for name, share in rest.items() if share}
 
 
 def ranked(given: Mapping[str, float], saved: Mapping[str, float]) -> tuple[Contributor, ...]:

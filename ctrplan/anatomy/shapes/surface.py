@@ -41,8 +41,8 @@ class SheetEntry(PartEntry):
         if self.role != "avoid":
             raise table.fault("must be 'avoid': a sheet has no inside", "role")
         file = table.file(self.file, "file")
-        found = read_sheet(table, file, self.unit, self.frame, self.group)
-        return Sheet(found.vertices_m, found.faces, str(file), found.notes, found.error_m)
+        result = read_sheet(table, file, self.unit, self.frame, self.group)
+        return Sheet(result.vertices_m, result.faces, str(file), result.notes, result.error_m)
 
 
 _trees: WeakKeyDictionary[Sheet, TriangleTree] = WeakKeyDictionary()  # cannot be pickled with it

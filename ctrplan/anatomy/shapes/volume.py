@@ -79,25 +79,25 @@ def volume(image: Image, choice: Choice, file: str, surface_error_mm: float | No
     from ctrplan.anatomy.structure import level_surface  # slow to import
     from ctrplan.anatomy.surface_file import thinned, thinning_note
 
-    found = structure(image, choice)
-    vertices, faces = level_surface(found)
+    result = structure(image, choice)
+    vertices, faces = level_surface(result)
     if np.linalg.det(image.direction) < 0:
         faces = np.ascontiguousarray(faces[:, ::-1])
-    error = _voxels_off(found) * float(image.spacing_m.max())
+    error = _voxels_off(result) * float(image.spacing_m.max())
     if surface_error_mm is not None:
         error = surface_error_mm / MM_PER_M
-    places, faces, moved = thinned(image.place_m(vertices + found.first), faces)
-    notes = (*image.notes, *_notes(found, error), *thinning_note(faces, moved))
+    places, faces, moved = thinned(image.place_m(vertices + result.first), faces)
+    notes = (*image.notes, *_notes(result, error), *thinning_note(faces, moved))
     return Volume(places, faces, file, notes, error + moved, _box(image), choice.segment)
 
 
-def _voxels_off(found: Structure) -> float:
+def _voxels_off(result: Structure) -> float:
     """What a surface may be off by in widest voxels."""
     from ctrplan.anatomy.structure import GREY_ERROR, LABEL_ERROR, THIN_ERROR
 
-    if found.above is not None:
+    if result.above is not None:
         return GREY_ERROR
-    return THIN_ERROR if has_thin_parts(found.inside) else LABEL_ERROR
+    return THIN_ERROR if has_thin_parts(result.inside) else LABEL_ERROR
 
 
 def _read(path: Path, series: str | None) -> Image:
@@ -119,9 +119,9 @@ def _box(image: Image) -> Array:
     return image.place_m(corner * np.array(image.size) - 0.5)
 
 
-def _notes(found: Structure, error_m: float) -> tuple[str, ...]:
+def _notes(result: Structure, error_m: float) -> tuple[str, ...]:
     off = f"its surface may be off by {error_m * MM_PER_M:.3g} mm, which the margin includes" if error_m else ""
-    edge = "reaches the edge of the image and is closed there: beyond it nothing is known" if found.at_edge else ""
+    edge = "reaches the edge of the image and is closed there: beyond it nothing is known" if result.at_edge else ""
     return tuple(note for note in (edge, off) if note)
 
 

@@ -63,12 +63,12 @@ def unit(name: str) -> str:
 
 def exists(name: str, n: int) -> bool:
     """Whether a robot of n tubes can have an input; a column of the data has any other name."""
-    found = OF_TUBE.fullmatch(name)
-    if not found:
+    o_f__t_u_b_e = OF_TUBE.fullmatch(name)
+    if not o_f__t_u_b_e:
         return bool(re.fullmatch(r"[A-Za-z]\w*", name))
-    first = 2 if found[1] == "turn" else 1
-    last = n - 1 if found[1] in ("overlap", "load", "speed") else n
-    return first <= int(found[2]) <= last
+    first = 2 if o_f__t_u_b_e[1] == "turn" else 1
+    last = n - 1 if o_f__t_u_b_e[1] in ("overlap", "load", "speed") else n
+    return first <= int(o_f__t_u_b_e[2]) <= last
 
 
 def values(name: str, at: Situation) -> Array | None:
@@ -79,9 +79,9 @@ def values(name: str, at: Situation) -> Array | None:
 
 
 def _values(name: str, at: Situation) -> Array | None:
-    found = OF_TUBE.fullmatch(name)
-    if found:
-        return _OF_TUBE[found[1]](at, int(found[2]) - 1)
+    o_f__t_u_b_e = OF_TUBE.fullmatch(name)
+    if o_f__t_u_b_e:
+        return _OF_TUBE[o_f__t_u_b_e[1]](at, int(o_f__t_u_b_e[2]) - 1)
     if name in TIP:
         if at.poses is None:
             return None
@@ -156,22 +156,22 @@ Ranges = Mapping[str, InputRange]
 
 def clamped(name: str, ranges: Ranges, at: Situation, *, periodic: bool = False) -> Array:
     """(K,) values of an input inside its range; its middle where the situation does not know it."""
-    span, found = ranges[name], values(name, at)
-    if found is None:
+    span, result = ranges[name], values(name, at)
+    if result is None:
         return np.full(at.count, span.middle)
-    found = np.where(np.isfinite(found), found, span.middle)
+    result = np.where(np.isfinite(result), result, span.middle)
     if periodic and span.is_whole_turn:
-        return found
-    inside: Array = np.clip(span.nearest(found) if periodic else found, span.low, span.high)
+        return result
+    inside: Array = np.clip(span.nearest(result) if periodic else result, span.low, span.high)
     return inside
 
 
 def outside(name: str, span: InputRange, at: Situation, *, periodic: bool) -> NDArray[np.bool_]:
     """(K,) whether an input is out of its range by more than a thousandth of it; one that nobody knows is not."""
-    found = values(name, at)
-    if found is None or (periodic and is_rotation(name) and span.is_whole_turn):
+    result = values(name, at)
+    if result is None or (periodic and is_rotation(name) and span.is_whole_turn):
         return np.zeros(at.count, bool)
-    near = span.nearest(found) if periodic else found
+    near = span.nearest(result) if periodic else result
     far: NDArray[np.bool_] = np.abs(near - span.middle) > span.half * 1.001 + 1e-9
     return far
 
@@ -236,10 +236,10 @@ class Target:
 
 def target(effect_name: str, n: int) -> Target | None:
     """The target of an effect's name, for a robot of n tubes; None where the name is of none."""
-    found = NAME.fullmatch(effect_name)
-    if not found:
+    n_a_m_e = NAME.fullmatch(effect_name)
+    if not n_a_m_e:
         return None
-    kind, tube, way = found[1], int(found[2] or 0), bool(found[3])
+    kind, tube, way = n_a_m_e[1], int(n_a_m_e[2] or 0), bool(n_a_m_e[3])
     if KINDS[kind].has_axes != (tube == 0) or tube > n or (way and KINDS[kind].stage != "drive"):
         return None
     return Target(kind, tube, way)

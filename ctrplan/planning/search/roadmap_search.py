@@ -93,9 +93,9 @@ class RoadmapSearch:
         Half of them have the tip where that of another state is, of those first from or to which no motion was valid.
         """
         space, q = self.checker.space, self.joints
-        found = [self._with_room(self._beside(q[self._troubled(rng, TRIES * count // 2)], rng), count // 2)]
-        found.append(self._with_room(space.sample(rng, TRIES * count), count - len(found[0])))
-        added = np.concatenate(found)
+        results = [self._with_room(self._beside(q[self._troubled(rng, TRIES * count // 2)], rng), count // 2)]
+        results.append(self._with_room(space.sample(rng, TRIES * count), count - len(results[0])))
+        added = np.concatenate(results)
         everything, edges = np.concatenate([q, added]), set()
         for i in range(len(q), len(everything)):
             apart = np.linalg.norm(space.difference(everything[i], everything) * space.weights_mm, axis=1)
@@ -155,9 +155,9 @@ class RoadmapSearch:
         solver = TipSolver(space, self.checker.mechanics, self.checker.watch)
         near = space.wound_into_limits(q + rng.normal(size=q.shape) * NEAR_MM / space.weights_mm)
         allowed = space.allowed_rows(near)
-        found = solver.solve(TipTarget(solver.tips(q[allowed])[0]), near[allowed], TIP_STEPS, turned=False)
+        result = solver.solve(TipTarget(solver.tips(q[allowed])[0]), near[allowed], TIP_STEPS, turned=False)
         self.checker.meter.add(ROOM_NS * TIP_STEPS * len(near))
-        return found.joints[found.error_m < NEAR_TIP_M]
+        return result.joints[result.error_m < NEAR_TIP_M]
 
     def _with_room(self, q: Array, most: int) -> Array:
         return q[self.checker.rooms([row[None] for row in q]) > ROOM_M][:most]

@@ -65,8 +65,8 @@ class TubeDesign(DesignDefinition):
         """
         where = Where(executor, workers, scheduler, scheduler_file)
         refuse_longer_than_a_week(self.entry.trials, self.expected_s, "trials", where, yes, self.document.file)
-        found = search(self, folder, where, progress or (lambda _: None))
-        made = TubeDesigns(self, Path(folder), found.archive, found.did, found.interrupted)
+        result = search(self, folder, where, progress or (lambda _: None))
+        made = TubeDesigns(self, Path(folder), result.archive, result.did, result.interrupted)
         made.write()
         return made
 

@@ -272,7 +272,7 @@ def _sizes(study: StudyDefinition, count: int, workers: int) -> Iterable[int]:
 
 
 def chunk_sizes(task_s: float, count: int, workers: int) -> Iterator[int]:
-    """Sizes of all chunks of `count` tasks in their order: smaller at the end, where workers would wait for the last."""
+    """Sizes of all chunks of `count` tasks in their order: smaller at the end, where workers would wait otherwise."""
     first, least = chunk_size(task_s, count, workers), math.ceil(LEAST_S / task_s)
     while count > 0:
         size = min(first, max(least, chunk_size(task_s, count, workers)), count)

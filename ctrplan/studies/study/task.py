@@ -166,8 +166,8 @@ class TaskNumbers:
     def of(self, tasks: TaskList) -> list[Task]:
         """The tasks."""
         keys = (self.keys[k : k + KEY_BYTES].hex() for k in range(0, len(self.keys), KEY_BYTES))
-        found = zip(self.numbers, self.indices, keys, strict=True)
-        return [tasks.made(number, index, key) for number, index, key in found]
+        result = zip(self.numbers, self.indices, keys, strict=True)
+        return [tasks.made(number, index, key) for number, index, key in result]
 
     def _some(self, begin: int, end: int) -> TaskNumbers:
         keys = bytes(self.keys[begin * KEY_BYTES : end * KEY_BYTES])
