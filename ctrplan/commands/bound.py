@@ -131,6 +131,10 @@ def _extremes(result: Sweep) -> dict[str, str]:
     return texts
 
 
+DESCRIPTION = (
+    "Largest tip deviation that friction can cause at one configuration, "
+    "over all directions of approach; with --sweep, sweep.csv and sweep.png over one or two axes."
+)
 EXAMPLES = """examples:
   ctrplan bound scenarios/robots/three_tube.toml --theta-deg 0 90 180 --l-mm 0 -17 -62.8
   ctrplan bound scenarios/robots/table_1_pair.toml --theta-deg 0 180 --l-mm 0 -17 \
@@ -141,16 +145,8 @@ EXAMPLES = """examples:
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "bound",
-        help="bound the friction error at one configuration, or over a sweep",
-        description="Largest tip deviation that friction can cause at one configuration, "
-        "over all directions of approach; with --sweep, sweep.csv and sweep.png over one or two axes.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     parser.add_argument("robot", metavar="ROBOT.toml")
     add_joint_options(parser)
     parser.add_argument(
@@ -175,10 +171,9 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("--json", action="store_true", help="machine-readable output")
     add_set_option(parser, "the robot's key")
-    parser.set_defaults(run=run_bound)
 
 
-def run_bound(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is no bound to print."""
     import numpy as np
 

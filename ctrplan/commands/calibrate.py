@@ -19,6 +19,11 @@ if TYPE_CHECKING:
     from ctrplan.calibration.estimates import Errors
 
 OUTPUTS = ("robot.toml", "calibration.json", "report.html")
+DESCRIPTION = (
+    "Least squares over named parameters, with intervals, what the data can't tell, and the error on "
+    "configurations kept aside; write robot.toml, calibration.json, report.html. The robot file itself "
+    "stays as it is."
+)
 EXAMPLES = """examples:
   ctrplan calibrate robot.toml measurements.csv -o out
   ctrplan calibrate robot.toml measurements.toml -o out --parameters calibration effects.base_misalignment
@@ -27,17 +32,8 @@ tube.3.section.2.curvature_y_per_m --second-pass contact.1.friction_coefficient 
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "calibrate",
-        help="fit named parameters of a robot file to measured poses",
-        description="Least squares over named parameters, with intervals, what the data can't tell, and the error on "
-        "configurations kept aside; write robot.toml, calibration.json, report.html. The robot file itself "
-        "stays as it is.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     parser.add_argument("robot", metavar="ROBOT.toml")
     parser.add_argument(
         "measurements", metavar="MEASUREMENTS.csv", help="or a mapping file (TOML): docs/measurements.md"
@@ -54,10 +50,9 @@ def add_parser(commands: Any) -> None:
         "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder for the results (default: %(default)s)"
     )
     add_set_option(parser, "the robot's key")
-    parser.set_defaults(run=run_calibrate)
 
 
-def run_calibrate(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is nothing to write."""
     from ctrplan.calibration.calibrate import calibrate
     from ctrplan.files.measurement_file import load_measurements

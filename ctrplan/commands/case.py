@@ -25,6 +25,10 @@ HANDED_ON = (
     *("tolerance_mm", "sheath_mm", "radius_mm", "cone_deg", "candidates", "bases", "seed", "from_step", "until"),
 )
 PATIENCE_S = 1.0  # before a progress bar shows up
+DESCRIPTION = (
+    "Make a scenario of images, label maps, surfaces and points, propose where the robot stands, plan, "
+    "and write report and 3D Slicer's scene. Every step's result is a file that can be edited."
+)
 EXAMPLES = """examples:
   ctrplan case patient/ --target 17.3 3 88 --entry 0 0 0 --frame LPS --lumen airway -o case
   ctrplan case seg.seg.nrrd points.mrk.json --lumen trachea --avoid vessels -o case   # points called target and entry
@@ -41,16 +45,8 @@ Written into DIR, a step each; edit a file and run again, and only what depends 
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "case",
-        help="a patient's scan and points to a certified plan: scenario, base, plan, report, 3D Slicer's scene",
-        description="Make a scenario of images, label maps, surfaces and points, propose where the robot stands, plan, "
-        "and write report and 3D Slicer's scene. Every step's result is a file that can be edited.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     parser.add_argument(
         "inputs", metavar="FILES", nargs="*", help="images, meshes, .mrk.json and .fcsv, or folders of them"
     )
@@ -61,7 +57,6 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--from", dest="from_step", choices=NAMES, help="make this step and all after it anew")
     parser.add_argument("--until", choices=NAMES, help="do no step after this one")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
-    parser.set_defaults(run=run_case)
 
 
 def _add_places(parser: argparse.ArgumentParser) -> None:
@@ -129,7 +124,7 @@ def _add_numbers(parser: argparse.ArgumentParser) -> None:
         add_number(parser, option, kind, metavar=metavar, help=what)
 
 
-def run_case(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError where a step fails."""
     places = {name: _places(f"--{name}", getattr(arguments, name)) for name in ("target", "entry")}
     with interrupt_event() as interrupted:  # imports take a second

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from ctrplan.studies.design.tube_design import TubeDesigns
 
 MOST_ROWS = 12
+DESCRIPTION = (
+    "Search over stock tubes, precurvatures and lengths; write the trade-off front (front.json, a "
+    "robot file for each design), the table of all designs, report.html and the storage of Optuna."
+)
 EXAMPLES = """examples:
   ctrplan design scenarios/studies/design_ventricle.toml -o out
   ctrplan design DESIGN.toml -o out --set trials=1000 --workers 8
@@ -43,16 +47,8 @@ Ctrl-C and kills lose what is being done and nothing else: run again, and the se
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "design",
-        help="which tubes to make: error whatever friction does, reach and stability for a set of targets",
-        description="Search over stock tubes, precurvatures and lengths; write the trade-off front (front.json, a "
-        "robot file for each design), the table of all designs, report.html and the storage of Optuna.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     parser.add_argument("design", metavar="DESIGN.toml")
     parser.add_argument(
         "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder of the search (default: %(default)s)"
@@ -62,10 +58,9 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     add_allow_outside_option(parser)
     add_set_option(parser, "the design file's key", "trials=1000")
-    parser.set_defaults(run=run_design_command)
 
 
-def run_design_command(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code: 1 where no design reaches a target. Raises CtrplanError."""
     from ctrplan.studies.design.search import check_installed
     from ctrplan.studies.design.tube_design import TubeDesign

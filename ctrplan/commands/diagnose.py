@@ -7,7 +7,7 @@ import json
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_set_option
@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 OUTPUTS = ("diagnosis.json", "robot.toml", "report.html")
 
 
+DESCRIPTION = (
+    "Compare the model with measurements, name the effect that is missing if the data can tell, "
+    "and show the gap on poses kept aside; write diagnosis.json, robot.toml (with the effect) and report.html."
+)
 EXAMPLES = """examples:
   ctrplan diagnose robot.toml measurements.csv -o out
   ctrplan diagnose robot.toml measurements.csv -o out --without friction --without backlash
@@ -29,16 +33,8 @@ EXAMPLES = """examples:
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "diagnose",
-        help="find which effect the model lacks, from measured poses",
-        description="Compare the model with measurements, name the effect that is missing if the data can tell, "
-        "and show the gap on poses kept aside; write diagnosis.json, robot.toml (with the effect) and report.html.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     parser.add_argument("robot", metavar="ROBOT.toml")
     parser.add_argument(
         "measurements", metavar="MEASUREMENTS.csv", help="or a mapping file (TOML): docs/measurements.md"
@@ -63,10 +59,9 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     add_set_option(parser, "the robot's key")
-    parser.set_defaults(run=run_diagnose)
 
 
-def run_diagnose(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is nothing to write."""
     with interrupt_event() as interrupted:
         from ctrplan.diagnosis import CATALOGUE, diagnose

@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 
 DIRECTION_TOLERANCE_DEG = 5.0
 OUTPUTS = ("report.html",)
+DESCRIPTION = (
+    "Inverse kinematics: distinct configurations whose frictionless tip reaches a point, sorted by the "
+    "worst-case friction error; with a scenario, also their clearance to its anatomy."
+)
 EXAMPLES = """examples:
   ctrplan ik scenarios/robots/three_tube.toml --tip-mm 34 -47 200
   ctrplan ik scenarios/vessel.toml --tip-mm 51 2 168 --direction 1 0 0.4 --direction-tolerance-deg 20 --json
@@ -29,16 +33,8 @@ EXAMPLES = """examples:
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "ik",
-        help="every way to bring the tip to a point, with the friction bound of each",
-        description="Inverse kinematics: distinct configurations whose frictionless tip reaches a point, sorted by the "
-        "worst-case friction error; with a scenario, also their clearance to its anatomy.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     parser.add_argument("file", metavar="ROBOT.toml|SCENARIO.toml")
     xyz: dict[str, Any] = {"nargs": 3, "metavar": ("X", "Y", "Z")}
     help_point = "the point; a scenario's is in the anatomy's frame"
@@ -54,10 +50,9 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--json", action="store_true", help="machine-readable output")
     add_allow_outside_option(parser)
     add_set_option(parser, "a key of the file", "robot.tube.2.poisson_ratio=0.28")
-    parser.set_defaults(run=run_ik)
 
 
-def run_ik(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError, NoAnswerError where the point is out of reach."""
     import numpy as np
 

@@ -26,6 +26,10 @@ if TYPE_CHECKING:
 PATIENCE_S = 1.0  # before a progress bar shows up
 CANDIDATES, CONFIRM, PLANS = 256, 8, 3
 HEADER = ("", "position (mm)", "looks along", "tilt (deg)", "reached", "at worst (mm)", "tolerances", "clearance (mm)")
+DESCRIPTION = (
+    "Try base poses on a patch of skin or along an opening, cheaply first, the best ones by inverse "
+    "kinematics with bounds and clearances of all corners; print them ranked and write the scenario of the best."
+)
 EXAMPLES = """examples:
   ctrplan place scenarios/ventricle.toml
   ctrplan place scenarios/ventricle.toml --radius-mm 4 --cone-deg 20 --plan 3 -o ventricle_placed.toml
@@ -37,16 +41,8 @@ A straight approach is often a bad one: pre-curved tubes have to cancel on it, w
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "place",
-        help="where the robot could stand: base poses for a scenario's targets, ranked",
-        description="Try base poses on a patch of skin or along an opening, cheaply first, the best ones by inverse "
-        "kinematics with bounds and clearances of all corners; print them ranked and write the scenario of the best.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     parser.add_argument("scenario", metavar="SCENARIO.toml")
     parser.add_argument("-o", "--output", metavar="FILE", help="the scenario (default: SCENARIO_placed.toml beside it)")
     add_number(
@@ -71,10 +67,9 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     add_allow_outside_option(parser)
     add_set_option(parser, "a key of the scenario, or robot.KEY of its robot", "goal.tolerance_mm=2")
-    parser.set_defaults(run=run_place)
 
 
-def run_place(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError, NoAnswerError where no pose reaches a target."""
     with interrupt_event() as interrupted:  # imports take a second
         from ctrplan.files.scenario_file import load_scenario

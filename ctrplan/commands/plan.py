@@ -7,7 +7,7 @@ import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ctrplan.base.arguments import SEARCH_TIME, SEED
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 FORMATS = ("csv", "ros2")  # of the trajectory, where --formats says nothing
 
 
+DESCRIPTION = (
+    "Plan a motion that keeps the worst-case friction error small; "
+    "write plan.json, the trajectory (trajectory.csv and, for ROS 2, trajectory.yaml), report.html, plan.png."
+)
 EXAMPLES = """examples:
   ctrplan plan scenarios/vessel.toml -o out
   ctrplan plan scenarios/ribs.toml -o out --time 10 --seed 3
@@ -31,16 +35,8 @@ EXAMPLES = """examples:
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "plan",
-        help="plan a certified motion and write a trajectory for the drive",
-        description="Plan a motion that keeps the worst-case friction error small; "
-        "write plan.json, the trajectory (trajectory.csv and, for ROS 2, trajectory.yaml), report.html, plan.png.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     parser.add_argument("scenario", metavar="SCENARIO.toml")
     parser.add_argument(
         "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder for the results (default: %(default)s)"
@@ -69,10 +65,9 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--no-field", action="store_true", help=argparse.SUPPRESS)  # has no meaning since 0.2
     add_allow_outside_option(parser)
     add_set_option(parser, "the scenario's key, or the robot's after robot.", "robot.tube.2.poisson_ratio=0.28")
-    parser.set_defaults(run=run_plan)
 
 
-def run_plan(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is no plan to write."""
     with interrupt_event() as interrupted:
         from ctrplan.files.scenario_file import load_scenario

@@ -6,7 +6,7 @@ import argparse
 import sys
 import threading
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ctrplan.base.arguments import Number, Whole, in_plain_digits
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
@@ -104,6 +104,10 @@ MOST_MEMBERS, LARGEST_OFFSET_MM = 1000, 100.0
 PATIENCE_S = 1.0  # before a progress bar shows up
 
 
+DESCRIPTION = (
+    "Follow the friction of every contact along a joint path; write poses.csv (joints, tip, "
+    "frictionless tip, deviation, bound, friction states, snaps) and simulate.png."
+)
 EXAMPLES = """PATH.csv has a header and a row per waypoint: theta_1_rad ... and l_1_m ..., base rotations and
 translations of the tubes, outermost first; optionally sequence (runs that are approached afresh) and time_s.
 
@@ -122,16 +126,8 @@ simulation without it.
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "simulate",
-        help="predict what friction does to the tip along a joint path",
-        description="Follow the friction of every contact along a joint path; write poses.csv (joints, tip, "
-        "frictionless tip, deviation, bound, friction states, snaps) and simulate.png.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     parser.add_argument("robot", metavar="ROBOT.toml")
     parser.add_argument("path", metavar="PATH.csv", help="or a mapping file (TOML): docs/measurements.md")
     parser.add_argument(
@@ -165,10 +161,9 @@ def add_parser(commands: Any) -> None:
     add_number(parser, "--histories", Whole(1, MOST_MEMBERS), default=9, metavar="N", help=help_members)
     add_igtl_option(parser, "the simulated tip, row after row,")
     add_set_option(parser, "the robot's key")
-    parser.set_defaults(run=run_simulate)
 
 
-def run_simulate(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError, also where no equilibrium is found to go on to."""
     if arguments.igtl is not None:
         from ctrplan.reports.openigtlink import pyigtl

@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 
 MOST_INPUTS = 3  # that a line of the terminal names; the table has all of them
 
+DESCRIPTION = (
+    "Do a task with every combination of what a study varies; write the table "
+    "(results.parquet, or results.csv without pyarrow), report.html, and the plans that are asked for."
+)
 EXAMPLES = """examples:
   ctrplan study STUDY.toml -o out
   ctrplan study STUDY.toml -o out --set targets.step_mm=2 --add
@@ -40,16 +44,8 @@ Ctrl-C and kills lose what is being done and nothing else: run again, and what i
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "study",
-        help="thousands of bounds, plans or goals over what varies, on this machine or a cluster",
-        description="Do a task with every combination of what a study varies; write the table "
-        "(results.parquet, or results.csv without pyarrow), report.html, and the plans that are asked for.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     parser.add_argument("study", metavar="STUDY.toml")
     parser.add_argument(
         "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder of the study (default: %(default)s)"
@@ -60,10 +56,9 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     add_allow_outside_option(parser)
     add_set_option(parser, "the study's key", "targets.step_mm=2")
-    parser.set_defaults(run=run_study_command)
 
 
-def run_study_command(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code: 1 where no task has an answer. Raises CtrplanError."""
     from ctrplan.studies.study.study import Study, refuse_endless, run_study
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ctrplan.base.arguments import SEED, Number
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
@@ -20,6 +20,10 @@ if TYPE_CHECKING:
 DEFAULT_FOLDER = "counterexample"
 TIME = Number(0, 86400, "s", above=True)
 
+DESCRIPTION = (
+    "Compute the figures of a plan.json anew, and hunt for a state or a history that breaks what its "
+    "certificate claims, apart from planner and certificate. What breaks it is written as a scene."
+)
 EXAMPLES = """The trajectory is trajectory.csv beside PLAN.json. Without SCENARIO.toml the plan says which one it is.
 Exit code 0: no claim was found broken; 1: one is; 2: the files are no plan of this scenario and robot.
 
@@ -39,16 +43,8 @@ CLAIMS = {
 UNITS = {"stability": (1.0, ""), "strain": (100.0, " %")}
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "verify",
-        help="judge a written plan: hunt for what breaks its certificate",
-        description="Compute the figures of a plan.json anew, and hunt for a state or a history that breaks what its "
-        "certificate claims, apart from planner and certificate. What breaks it is written as a scene.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     parser.add_argument("plan", metavar="PLAN.json", help="a plan that ctrplan plan or a program wrote")
     parser.add_argument("scenario", metavar="SCENARIO.toml", nargs="?", help="the scenario it was planned for")
     parser.add_argument(
@@ -70,10 +66,9 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     add_allow_outside_option(parser)
     add_set_option(parser, "the scenario's key, or the robot's after robot., as the plan was made with")
-    parser.set_defaults(run=run_verify)
 
 
-def run_verify(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises InputError for what is no plan."""
     with interrupt_event() as interrupted:
         from ctrplan.audit.scene import outputs, write_scene
