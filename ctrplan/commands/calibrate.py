@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.arguments import SEED, Number, Whole
-from ctrplan.commands.options import add_number, add_set_option
-from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
+from ctrplan.commands.options import add_number, add_output_option, add_set_option
+from ctrplan.commands.terminal import warn
 from ctrplan.storage.output_folder import output_folder, written_together
 
 if TYPE_CHECKING:
@@ -46,9 +45,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     help_starts = "starts of the fit (default: %(default)s)"
     add_number(parser, "--starts", Whole(1, 100), default=1, metavar="N", help=help_starts)
     add_number(parser, "--seed", SEED, default=0, help="of the starts and of what is kept aside")
-    parser.add_argument(
-        "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder for the results (default: %(default)s)"
-    )
+    add_output_option(parser)
     add_set_option(parser, "the robot's key")
 
 
@@ -77,8 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
         write_robot(made / "robot.toml", found.robot_content())
         write_atomically(made / "calibration.json", json.dumps(calibration_json(found), indent=1) + "\n")
         write_atomically(made / "report.html", calibration_report_html(found))
-    for warning in (*robot.warnings, *found.notes):
-        print(f"ctrplan: warning: {warning}", file=sys.stderr)
+    warn([*robot.warnings, *found.notes])
     print(_summary(folder, found))
     return 0
 

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
-from ctrplan.commands.options import add_set_option
-from ctrplan.commands.terminal import ProgressBar
-from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
+from ctrplan.commands.options import add_output_option, add_set_option
+from ctrplan.commands.terminal import ProgressBar, warn
 from ctrplan.storage.output_folder import output_folder, written_together
 
 if TYPE_CHECKING:
@@ -39,9 +37,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "measurements", metavar="MEASUREMENTS.csv", help="or a mapping file (TOML): docs/measurements.md"
     )
-    parser.add_argument(
-        "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder for the results (default: %(default)s)"
-    )
+    add_output_option(parser)
     parser.add_argument(
         "--without",
         metavar="EFFECT",
@@ -75,10 +71,8 @@ def run(arguments: argparse.Namespace) -> int:
         data = load_measurements(arguments.measurements, robot)
         others = [load_measurements(path, robot) for path in arguments.confirm]
         folder = output_folder(arguments.output, OUTPUTS)
-        for warning in (*robot.warnings, *data.warnings):
-            print(f"ctrplan: warning: {warning}", file=sys.stderr)
-        terminal = sys.stderr is not None and sys.stderr.isatty()
-        with ProgressBar(quiet=arguments.quiet or not terminal) as bar:
+        warn([*robot.warnings, *data.warnings])
+        with ProgressBar(quiet=arguments.quiet) as bar:
             found = diagnose(robot, data, bar.show, without=arguments.without, interrupted=interrupted)
             confirmed = tuple(confirm(found, other) for other in others if not found.interrupted)
             found = replace(found, confirmations=confirmed)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from ctrplan.commands.options import add_plan_arguments, add_steps_option, progress_bar, read_plan, solved_motion
+from ctrplan.commands.options import add_plan_arguments, add_steps_option, read_plan, solved_motion
+from ctrplan.commands.terminal import PATIENCE_S, ProgressBar
 from ctrplan.storage.output_folder import output_folder, write_results
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
     plan = read_plan(arguments)
     frame = patient_frame(plan.scenario, arguments.frame)
     folder = output_folder(arguments.output, [SCENE])
-    with progress_bar(arguments) as bar:
+    with ProgressBar(quiet=arguments.quiet, patience_s=PATIENCE_S) as bar:
         motion = solved_motion(plan, arguments.steps, bar)
         bar.show("writing", 0.0)
         files = case_files(motion, frame)

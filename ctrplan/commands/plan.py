@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ctrplan.base.arguments import SEARCH_TIME, SEED
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
-from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
-from ctrplan.commands.terminal import ProgressBar, amber
-from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
+from ctrplan.commands.options import (
+    add_allow_outside_option,
+    add_number,
+    add_output_option,
+    add_set_option,
+)
+from ctrplan.commands.terminal import ProgressBar, amber, warn
 from ctrplan.storage.output_folder import output_folder
 
 if TYPE_CHECKING:
@@ -38,9 +41,7 @@ EXAMPLES = """examples:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Adds the command's arguments."""
     parser.add_argument("scenario", metavar="SCENARIO.toml")
-    parser.add_argument(
-        "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder for the results (default: %(default)s)"
-    )
+    add_output_option(parser)
     add_number(parser, "--seed", SEED, default=0, help="seed of the search (default: %(default)s)")
     add_number(
         parser,
@@ -79,12 +80,10 @@ def run(arguments: argparse.Namespace) -> int:
         scenario = load_scenario(arguments.scenario, arguments.overrides, allow_outside=arguments.allow_outside)
         formats = trajectory_formats(arguments.formats)
         folder = output_folder(arguments.output, plan_outputs(formats))
-        for warning in scenario.warnings:
-            print(f"ctrplan: warning: {warning}", file=sys.stderr)
+        warn(scenario.warnings)
         if interrupted.is_set():
             raise KeyboardInterrupt
-        terminal = sys.stderr is not None and sys.stderr.isatty()
-        with ProgressBar(quiet=arguments.quiet or not terminal) as bar:
+        with ProgressBar(quiet=arguments.quiet) as bar:
             result = plan(
                 scenario,
                 seed=arguments.seed,
@@ -94,11 +93,9 @@ def run(arguments: argparse.Namespace) -> int:
                 compensated=arguments.compensate,
             )
         result.save(folder, arguments.formats)
-        for note in plan_range_notes(scenario.robot, result.waypoints):
-            print(f"ctrplan: warning: {note}", file=sys.stderr)
+        warn(plan_range_notes(scenario.robot, result.waypoints))
         print(_summary(folder, result, formats))
-        for name in left_over(folder, formats):
-            print(f"ctrplan: warning: {folder / name} is of an earlier plan.", file=sys.stderr)
+        warn(f"{folder / name} is of an earlier plan." for name in left_over(folder, formats))
         return INTERRUPTED if interrupted.is_set() else 0
 
 

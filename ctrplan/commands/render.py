@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from ctrplan.base.arguments import Number, in_plain_digits
-from ctrplan.commands.options import add_number, add_plan_arguments, progress_bar, read_plan, solved_motion
-from ctrplan.commands.terminal import ProgressBar
+from ctrplan.commands.options import add_number, add_plan_arguments, read_plan, solved_motion
+from ctrplan.commands.terminal import PATIENCE_S, ProgressBar
 from ctrplan.errors import InputError
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     plan = read_plan(arguments)
     seconds = float(plan.time_s[-1])
     count = 2 if suffix == ".png" else min(max(2, round(seconds * arguments.fps) + 1), MOST_PICTURES)
-    with progress_bar(arguments) as bar:
+    with ProgressBar(quiet=arguments.quiet, patience_s=PATIENCE_S) as bar:
         motion = solved_motion(plan, count, bar)
         pictures = film(motion, arguments.camera, width, height)
         shown = _watched(pictures, bar, len(motion.path))

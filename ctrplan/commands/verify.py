@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from ctrplan.base.arguments import SEED, Number
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
-from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
+from ctrplan.commands.options import add_number, add_output_option, add_plan_arguments, read_plan
 from ctrplan.commands.terminal import ProgressBar
 from ctrplan.storage.output_folder import output_folder
 
@@ -45,15 +44,7 @@ UNITS = {"stability": (1.0, ""), "strain": (100.0, " %")}
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Adds the command's arguments."""
-    parser.add_argument("plan", metavar="PLAN.json", help="a plan that ctrplan plan or a program wrote")
-    parser.add_argument("scenario", metavar="SCENARIO.toml", nargs="?", help="the scenario it was planned for")
-    parser.add_argument(
-        "-o",
-        "--output",
-        metavar="DIR",
-        default=DEFAULT_FOLDER,
-        help="folder for a counter-example (default: %(default)s)",
-    )
+    add_output_option(parser, "folder for a counter-example", DEFAULT_FOLDER)
     add_number(parser, "--time", TIME, metavar="S", default=10.0, help="seconds of the hunt (default: 10)")
     add_number(parser, "--seed", SEED, default=0, help="seed of the hunt (default: %(default)s)")
     parser.add_argument(
@@ -62,10 +53,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         default="certificate",
         help="mesh on which findings count (default: %(default)s)",
     )
-    parser.add_argument("--trajectory", metavar="CSV", help="the trajectory, if it is not beside the plan")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
-    add_allow_outside_option(parser)
-    add_set_option(parser, "the scenario's key, or the robot's after robot., as the plan was made with")
+    add_plan_arguments(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -73,18 +61,10 @@ def run(arguments: argparse.Namespace) -> int:
     with interrupt_event() as interrupted:
         from ctrplan.audit.scene import outputs, write_scene
         from ctrplan.audit.verify import verify
-        from ctrplan.files.plan_file import load_plan
 
-        plan = load_plan(
-            arguments.plan,
-            arguments.scenario,
-            arguments.overrides,
-            trajectory=arguments.trajectory,
-            allow_outside=arguments.allow_outside,
-        )
+        plan = read_plan(arguments)
         folder = output_folder(arguments.output, list(outputs(plan.scenario)))
-        terminal = sys.stderr is not None and sys.stderr.isatty()
-        with ProgressBar(quiet=arguments.quiet or not terminal) as bar:
+        with ProgressBar(quiet=arguments.quiet) as bar:
             result = verify(
                 plan,
                 seed=arguments.seed,

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import webbrowser
 from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.arguments import Whole
 from ctrplan.commands.options import add_allow_outside_option, add_igtl_option, add_number, add_set_option
+from ctrplan.commands.terminal import warn
 
 if TYPE_CHECKING:
     from ctrplan.files.plan_file import WrittenPlan
@@ -45,8 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
     from ctrplan.reports.live_state import LiveState
 
     scenario, motion = loaded(arguments)
-    for warning in scenario.warnings:
-        print(f"ctrplan: warning: {warning}", file=sys.stderr)
+    warn(scenario.warnings)
     state = LiveState(scenario, motion)
     with _sending(arguments, state), LiveServer(state, arguments.port) as server:
         print(f"{scenario.name}: {server.url}   (Ctrl-C ends)", flush=True)

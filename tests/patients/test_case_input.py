@@ -19,10 +19,10 @@ from dicom_series import write_series
 import ctrplan
 from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.cli import main
-from ctrplan.commands import case as commands
 from ctrplan.errors import CtrplanError
 from ctrplan.files.slicer_markups import read_markups
-from ctrplan.patients.case import NAMES, case
+from ctrplan.patients.case import STEPS, case
+from ctrplan.patients.request import STEP_NAMES
 from ctrplan.patients.steps import robot_file
 from ctrplan.patients.structures import by_name
 from ctrplan.patients.work import SCENARIO
@@ -269,7 +269,7 @@ def test_toml_is_written_as_it_is_read(tmp_path: Path) -> None:
 
 
 def test_the_command_lists_the_steps_that_there_are() -> None:
-    assert commands.NAMES == NAMES  # written down twice, so that --help imports no planner
+    assert tuple(step.name for step in STEPS) == STEP_NAMES  # written down twice, so that --help imports no planner
 
 
 def test_a_case_raises_what_the_command_says(folder: Path, tmp_path: Path) -> None:
