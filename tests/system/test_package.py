@@ -18,8 +18,8 @@ def test_every_public_name_is_there(name: str) -> None:
 
 
 def test_unknown_names_are_refused() -> None:
-    with pytest.raises(AttributeError, match="no attribute 'plans'"):
-        _ = ctrplan.plans
+    with pytest.raises(AttributeError, match="no attribute 'figures'"):
+        _ = ctrplan.figures
 
 
 def test_functions_are_not_hidden_by_the_modules_of_their_name() -> None:
