@@ -138,13 +138,8 @@ class _Task:
 def _task(work: Work) -> _Task:
     """Structures with their roles, targets and entries; what was recognised is told. Raises InputError."""
     request = work.request
-    found = found_in(
-        request.get("inputs", ()),
-        request.get("unit", UNIT),
-        work.folder,
-        request.get("series"),
-        request.get("phases", ()),
-    )
+    inputs, phases = request.get("inputs", ()), request.get("phases", ())
+    found = found_in(inputs, request.get("unit", UNIT), work.folder, request.get("series"), phases)
     lumens, avoids, ignored = request.get("lumens", ()), request.get("avoids", ()), request.get("ignored", ())
     aimed = aimed_at(found, request.get("targets"), (*lumens, *avoids, *ignored))
     for sentence in found.notes:
