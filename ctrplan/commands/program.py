@@ -67,10 +67,10 @@ class CommandLine(argparse.ArgumentParser):
 class CommandParser(CommandLine):
     """The parser of a command, whose module is imported when the command is given."""
 
-    def __init__(self, **keys: Any) -> None:
-        """keys: of argparse.ArgumentParser; the last word of prog is the command."""
+    def __init__(self, command: str, **keys: Any) -> None:
+        """command: its name. keys: of argparse.ArgumentParser."""
         super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, **keys)
-        self._is_filled = False
+        self._command, self._is_filled = command, False
 
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
@@ -78,7 +78,7 @@ class CommandParser(CommandLine):
         """As CommandLine, with the command's own arguments."""
         if not self._is_filled:
             self._is_filled = True
-            command = import_module(f"ctrplan.commands.{self.prog.split()[-1]}")
+            command = import_module(f"ctrplan.commands.{self._command}")
             self.description, self.epilog = command.DESCRIPTION, command.EXAMPLES
             command.add_options(self)
             self.set_defaults(run=command.run)
@@ -147,7 +147,7 @@ def parser() -> CommandLine:
     program.add_argument("--version", action="version", version=f"ctrplan {ctrplan.__version__}")
     commands = program.add_subparsers(required=True, metavar="COMMAND", parser_class=CommandParser)
     for name, sentence in COMMANDS.items():
-        commands.add_parser(name, help=sentence)
+        commands.add_parser(name, help=sentence, command=name)
     return program
 
 

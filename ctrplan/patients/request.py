@@ -58,28 +58,19 @@ class ScenarioOptions(TypedDict, total=False):
     avoids: Annotated[Sequence[str], Option(Texts(), f"a structure that it keeps clear of: {HOW}", NAME, "--avoid")]
     ignored: Annotated[
         Sequence[str],
-        Option(
-            Texts(),
-            f"a structure to leave out although its name is that of one of these: {HOW}",
-            NAME,
-            "--ignore",
-        ),
+        Option(Texts(), f"a structure to leave out although its name is that of one of these: {HOW}", NAME, "--ignore"),
     ]
     robot: Annotated[
-        str | os.PathLike[str],
-        Option(FilePath(), "default: three tubes on a drive that advances all of them", "FILE"),
+        str | os.PathLike[str], Option(FilePath(), "default: three tubes on a drive that advances all of them", "FILE")
     ]
     margin_mm: Annotated[
         float,
         Option(
-            LENGTH,
-            f"kept from every structure, besides what its surface may be off by (default: {MARGIN_MM:g})",
-            "D",
+            LENGTH, f"kept from every structure, besides what its surface may be off by (default: {MARGIN_MM:g})", "D"
         ),
     ]
     motion_margin_mm: Annotated[
-        float,
-        Option(LENGTH, "kept for places between phases (default: half the way from one to the next)", "D"),
+        float, Option(LENGTH, "kept for places between phases (default: half the way from one to the next)", "D")
     ]
     surface_error_mm: Annotated[
         float, Option(LENGTH, "what surfaces of volumes may be off by (default: from their voxels)", "E")
@@ -155,4 +146,6 @@ def _plain(value: Any) -> Any:
     """As JSON gives it back, with tuples for lists."""
     if isinstance(value, (Sequence, Set)) and not isinstance(value, str):
         return tuple(map(_plain, value))
-    return os.fspath(value) if isinstance(value, os.PathLike) else value
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    return value.item() if hasattr(value, "item") else value  # of numpy's numbers
