@@ -15,11 +15,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from ctrplan.commands.options import add_joint_options, add_set_option, configuration
-from ctrplan.commands.terminal import ProgressBar
+from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, finite, warn
 from ctrplan.errors import InputError, NoAnswerError, SolverError
-from ctrplan.mechanics.core import MOST_TUBES_OF_ALL_CORNERS
 from ctrplan.storage.output_folder import DEFAULT, output_folder, write_results
-from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 
 if TYPE_CHECKING:
     from ctrplan.base.arrays import Array
@@ -48,6 +46,8 @@ def sentence_beforehand(
     robot: Robot, theta_b: Array, l_b: Array, accuracy: Accuracy, corners: Literal["all", "extreme"] | None
 ) -> str | None:
     """What will be visited and how long that takes, by one solve at the configuration; None where it is soon done."""
+    from ctrplan.mechanics.core import MOST_TUBES_OF_ALL_CORNERS
+
     if robot.n < FEWEST_TUBES:
         return None
     chosen = corners or ("all" if robot.n <= MOST_TUBES_OF_ALL_CORNERS else "extreme")
@@ -63,7 +63,6 @@ def sentence_beforehand(
 
 
 OUTPUTS = ("sweep.csv", "sweep.png")
-PATIENCE_S = 1.0  # before a progress bar shows up
 
 
 def run_sweep(arguments: argparse.Namespace) -> int:
@@ -81,8 +80,7 @@ def run_sweep(arguments: argparse.Namespace) -> int:
     check_axes(axes)
     accuracy: Accuracy = arguments.accuracy or "search"
     folder = output_folder(DEFAULT if arguments.output is None else arguments.output, OUTPUTS)
-    terminal = sys.stderr is not None and sys.stderr.isatty()
-    with ProgressBar(quiet=not terminal, patience_s=PATIENCE_S) as bar:
+    with ProgressBar(patience_s=PATIENCE_S) as bar:
         result = sweep(document.content, axes, *commanded, file=document.file, accuracy=accuracy, progress=bar.show)
     _warn(result)
     _write(folder, result)
@@ -95,8 +93,7 @@ def _warn(result: Sweep) -> None:
     own = result.robot.warnings
     new = [warning for warning in result.warnings if warning not in own]
     more = [f"{len(new) - 1} more like the last at other values of the sweep."] if len(new) > 1 else []
-    for warning in (*own, *new[:1], *more):
-        print(f"ctrplan: warning: {warning}", file=sys.stderr)
+    warn([*own, *new[:1], *more])
 
 
 def _write(folder: Path, result: Sweep) -> None:
@@ -131,6 +128,10 @@ def _extremes(result: Sweep) -> dict[str, str]:
     return texts
 
 
+DESCRIPTION = (
+    "Largest tip deviation that friction can cause at one configuration, "
+    "over all directions of approach; with --sweep, sweep.csv and sweep.png over one or two axes."
+)
 EXAMPLES = """examples:
   ctrplan bound scenarios/robots/three_tube.toml --theta-deg 0 90 180 --l-mm 0 -17 -62.8
   ctrplan bound scenarios/robots/table_1_pair.toml --theta-deg 0 180 --l-mm 0 -17 \
@@ -141,16 +142,8 @@ EXAMPLES = """examples:
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "bound",
-        help="bound the friction error at one configuration, or over a sweep",
-        description="Largest tip deviation that friction can cause at one configuration, "
-        "over all directions of approach; with --sweep, sweep.csv and sweep.png over one or two axes.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     parser.add_argument("robot", metavar="ROBOT.toml")
     add_joint_options(parser)
     parser.add_argument(
@@ -160,7 +153,7 @@ def add_parser(commands: Any) -> None:
         metavar="KEY=FROM:TO:COUNT",
         help="axis of a sweep, at most two: theta_I (deg) or l_I (mm) of tube I, or a key as in --set",
     )
-    parser.add_argument("-o", "--output", metavar="DIR", help=f"folder for a sweep's files (default: {DEFAULT_FOLDER})")
+    parser.add_argument("-o", "--output", metavar="DIR", help=f"folder for a sweep's files (default: {DEFAULT})")
     parser.add_argument(
         "--accuracy",
         choices=["search", "certificate", "exact"],
@@ -175,10 +168,9 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("--json", action="store_true", help="machine-readable output")
     add_set_option(parser, "the robot's key")
-    parser.set_defaults(run=run_bound)
 
 
-def run_bound(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is no bound to print."""
     import numpy as np
 
@@ -189,8 +181,6 @@ def run_bound(arguments: argparse.Namespace) -> int:
     from ctrplan.robot.robot import nesting_violation
 
     if arguments.sweep:
-        from ctrplan.commands.bound import run_sweep
-
         return run_sweep(arguments)
     if arguments.output is not None:
         raise InputError("goes with --sweep only", key="--output", value=arguments.output)
@@ -199,8 +189,7 @@ def run_bound(arguments: argparse.Namespace) -> int:
     theta_b, l_b = robot.collars(*commanded)
     if sentence := nesting_violation(robot, theta_b, l_b):
         raise InputError(sentence, key="--l-mm", value=arguments.l_mm, unit="mm")
-    for warning in (*robot.warnings, *range_notes(robot, *commanded)):
-        print(f"ctrplan: warning: {warning}", file=sys.stderr)
+    warn([*robot.warnings, *range_notes(robot, *commanded)])
     found = _bounded(robot, theta_b, l_b, arguments)
     play_mm = play_shift(robot, theta_b, l_b) * 1e3
     if arguments.json:
@@ -235,13 +224,11 @@ def _no_bound(found: Bound) -> str:
 
 def _bounded(robot: Robot, theta_b: Array, l_b: Array, arguments: argparse.Namespace) -> Bound:
     """The bound, with its time said before and a bar meanwhile where it takes long."""
-    from ctrplan.commands.bound import sentence_beforehand
-    from ctrplan.commands.terminal import ProgressBar
 
     accuracy: Accuracy = arguments.accuracy or "certificate"
     if said := sentence_beforehand(robot, theta_b, l_b, accuracy, arguments.corners):
         print(f"ctrplan: {said}", file=sys.stderr)
-    with ProgressBar(quiet=not sys.stderr.isatty(), patience_s=2.0) as bar:
+    with ProgressBar(patience_s=2.0) as bar:
         return robot.bound(
             theta_b,
             l_b,
@@ -259,9 +246,9 @@ def _corners(found: Bound) -> Iterator[tuple[tuple[int, ...], Shape]]:
 
 def _bound_json(found: Bound, play_mm: float) -> dict[str, Any]:
     return {
-        "bound_position_mm": _finite(found.position_m * 1e3),
-        "bound_tangent_deg": _finite(math.degrees(found.tangent_rad)),
-        "play_mm": _finite(play_mm),
+        "bound_position_mm": finite(found.position_m * 1e3),
+        "bound_tangent_deg": finite(math.degrees(found.tangent_rad)),
+        "play_mm": finite(play_mm),
         "frictionless": _shape_json(found.frictionless),
         "corners": [{"phi": list(phi), **_shape_json(shape)} for phi, shape in _corners(found)],
     }
@@ -269,18 +256,13 @@ def _bound_json(found: Bound, play_mm: float) -> dict[str, Any]:
 
 def _shape_json(shape: Shape) -> dict[str, Any]:
     return {
-        "tip_mm": [_finite(round(x * 1e3, 6)) for x in shape.tip_m.tolist()],
-        "tip_tangent": [_finite(x) for x in shape.tip_tangent.tolist()],
+        "tip_mm": [finite(round(x * 1e3, 6)) for x in shape.tip_m.tolist()],
+        "tip_tangent": [finite(x) for x in shape.tip_tangent.tolist()],
         "status": shape.status.name,
-        "residual": _finite(shape.residual),
-        "stability": _finite(shape.stability),
-        "max_strain": _finite(shape.max_strain),
+        "residual": finite(shape.residual),
+        "stability": finite(shape.stability),
+        "max_strain": finite(shape.max_strain),
     }
-
-
-def _finite(value: float) -> float | None:
-    """JSON has no other numbers: what a FAILED solve leaves may be none."""
-    return value if math.isfinite(value) else None
 
 
 def _bound_text(found: Bound, play_mm: float) -> str:

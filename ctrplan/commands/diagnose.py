@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
-from ctrplan.commands.options import add_set_option
-from ctrplan.commands.terminal import ProgressBar
-from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
+from ctrplan.commands.options import add_output_option, add_set_option
+from ctrplan.commands.terminal import ProgressBar, warn
 from ctrplan.storage.output_folder import output_folder, written_together
 
 if TYPE_CHECKING:
@@ -21,6 +19,10 @@ if TYPE_CHECKING:
 OUTPUTS = ("diagnosis.json", "robot.toml", "report.html")
 
 
+DESCRIPTION = (
+    "Compare the model with measurements, name the effect that is missing if the data can tell, "
+    "and show the gap on poses kept aside; write diagnosis.json, robot.toml (with the effect) and report.html."
+)
 EXAMPLES = """examples:
   ctrplan diagnose robot.toml measurements.csv -o out
   ctrplan diagnose robot.toml measurements.csv -o out --without friction --without backlash
@@ -29,23 +31,13 @@ EXAMPLES = """examples:
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "diagnose",
-        help="find which effect the model lacks, from measured poses",
-        description="Compare the model with measurements, name the effect that is missing if the data can tell, "
-        "and show the gap on poses kept aside; write diagnosis.json, robot.toml (with the effect) and report.html.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     parser.add_argument("robot", metavar="ROBOT.toml")
     parser.add_argument(
         "measurements", metavar="MEASUREMENTS.csv", help="or a mapping file (TOML): docs/measurements.md"
     )
-    parser.add_argument(
-        "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder for the results (default: %(default)s)"
-    )
+    add_output_option(parser)
     parser.add_argument(
         "--without",
         metavar="EFFECT",
@@ -63,10 +55,9 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     add_set_option(parser, "the robot's key")
-    parser.set_defaults(run=run_diagnose)
 
 
-def run_diagnose(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is nothing to write."""
     with interrupt_event() as interrupted:
         from ctrplan.diagnosis import CATALOGUE, diagnose
@@ -80,10 +71,8 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
         data = load_measurements(arguments.measurements, robot)
         others = [load_measurements(path, robot) for path in arguments.confirm]
         folder = output_folder(arguments.output, OUTPUTS)
-        for warning in (*robot.warnings, *data.warnings):
-            print(f"ctrplan: warning: {warning}", file=sys.stderr)
-        terminal = sys.stderr is not None and sys.stderr.isatty()
-        with ProgressBar(quiet=arguments.quiet or not terminal) as bar:
+        warn([*robot.warnings, *data.warnings])
+        with ProgressBar(quiet=arguments.quiet) as bar:
             found = diagnose(robot, data, bar.show, without=arguments.without, interrupted=interrupted)
             confirmed = tuple(confirm(found, other) for other in others if not found.interrupted)
             found = replace(found, confirmations=confirmed)

@@ -9,9 +9,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ctrplan.base.arguments import SEED, Number, Whole
-from ctrplan.base.arrays import LONGEST_MM
+from ctrplan.base.arguments import LONGEST_MM, SEED, Number, Whole
 from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
+from ctrplan.commands.terminal import aligned, finite, warn
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.storage.output_folder import output_folder, write_results
 
@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 
 DIRECTION_TOLERANCE_DEG = 5.0
 OUTPUTS = ("report.html",)
+DESCRIPTION = (
+    "Inverse kinematics: distinct configurations whose frictionless tip reaches a point, sorted by the "
+    "worst-case friction error; with a scenario, also their clearance to its anatomy."
+)
 EXAMPLES = """examples:
   ctrplan ik scenarios/robots/three_tube.toml --tip-mm 34 -47 200
   ctrplan ik scenarios/vessel.toml --tip-mm 51 2 168 --direction 1 0 0.4 --direction-tolerance-deg 20 --json
@@ -29,16 +33,8 @@ EXAMPLES = """examples:
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "ik",
-        help="every way to bring the tip to a point, with the friction bound of each",
-        description="Inverse kinematics: distinct configurations whose frictionless tip reaches a point, sorted by the "
-        "worst-case friction error; with a scenario, also their clearance to its anatomy.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     parser.add_argument("file", metavar="ROBOT.toml|SCENARIO.toml")
     xyz: dict[str, Any] = {"nargs": 3, "metavar": ("X", "Y", "Z")}
     help_point = "the point; a scenario's is in the anatomy's frame"
@@ -54,10 +50,9 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--json", action="store_true", help="machine-readable output")
     add_allow_outside_option(parser)
     add_set_option(parser, "a key of the file", "robot.tube.2.poisson_ratio=0.28")
-    parser.set_defaults(run=run_ik)
 
 
-def run_ik(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError, NoAnswerError where the point is out of reach."""
     import numpy as np
 
@@ -68,8 +63,7 @@ def run_ik(arguments: argparse.Namespace) -> int:
     scenario = load_robot_or_scenario(arguments.file, arguments.overrides, allow_outside=arguments.allow_outside)
     _check_direction(arguments)
     folder = output_folder(arguments.output, OUTPUTS) if arguments.output is not None else None
-    for warning in scenario.warnings:
-        print(f"ctrplan: warning: {warning}", file=sys.stderr)
+    warn(scenario.warnings)
     tolerance_deg = arguments.direction_tolerance_deg
     result = inverse_kinematics(
         scenario,
@@ -81,8 +75,7 @@ def run_ik(arguments: argparse.Namespace) -> int:
         seed=arguments.seed,
     )
     found, branches = result.found, list(result.branches)
-    for note in plan_range_notes(scenario.robot, np.array([c.joints for c in found.configurations or [found.nearest]])):
-        print(f"ctrplan: warning: {note}", file=sys.stderr)
+    warn(plan_range_notes(scenario.robot, np.array([c.joints for c in found.configurations or [found.nearest]])))
     print(
         json.dumps(_json(scenario, found, branches), indent=1) if arguments.json else _text(scenario, found, branches)
     )
@@ -121,9 +114,9 @@ def _text(scenario: Scenario, found: Reach, branches: list[int]) -> str:
         return f"{scenario.name}: no configuration"
     units = [joint.unit for joint in scenario.robot.drive.joints]
     header = ["branch", *(f"{n} ({u})" for n, u in zip(names, units, strict=True))]
-    header += ["bound (mm)", "bound (deg)", "stability", "clearance (mm)", "tip error (mm)", ""]
+    header += ["bound (mm)", "bound (deg)", "stability", "clearance (mm)", "tip error (mm)"]
     rows = [_row(scenario, c, b) for c, b in zip(found.configurations, branches, strict=True)]
-    return "\n".join([head, *_aligned([header, *rows])])
+    return "\n".join([head, *aligned([header, *rows])])
 
 
 def _row(scenario: Scenario, c: Configuration, branch: int) -> list[str]:
@@ -137,15 +130,6 @@ def _row(scenario: Scenario, c: Configuration, branch: int) -> list[str]:
         f"{c.tip_error_m * 1e3:.3f}",
         f"not valid: {c.reason}" if c.reason else "",
     ]
-
-
-def _aligned(rows: list[list[str]]) -> list[str]:
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    lines = []
-    for row in rows:
-        cells = [cell.rjust(width) for cell, width in zip(row[:-1], widths, strict=False)]
-        lines.append("  ".join([*cells, row[-1]]).rstrip())
-    return lines
 
 
 def _shown(scenario: Scenario, joints: Array) -> list[float]:
@@ -171,13 +155,13 @@ def _entry(scenario: Scenario, c: Configuration) -> dict[str, Any]:
         "joints": {n: {u: x} for n, u, x in zip(names, units, _shown(scenario, c.joints), strict=True)},
         "tip_mm": _tip_mm(scenario, c),
         "tip_tangent": (scenario.base_R @ c.tangent).tolist(),
-        "tip_error_mm": _finite(c.tip_error_m * 1e3),
+        "tip_error_mm": finite(c.tip_error_m * 1e3),
         "direction_error_deg": math.degrees(c.turned_rad),
-        "bound_position_mm": _finite(c.bound_m * 1e3),
-        "bound_tangent_deg": _finite(math.degrees(c.bound_rad)),
-        "stability": _finite(c.stability),
-        "max_strain": _finite(c.max_strain),
-        "clearance_mm": _finite(c.clearance_m * 1e3),
+        "bound_position_mm": finite(c.bound_m * 1e3),
+        "bound_tangent_deg": finite(math.degrees(c.bound_rad)),
+        "stability": finite(c.stability),
+        "max_strain": finite(c.max_strain),
+        "clearance_mm": finite(c.clearance_m * 1e3),
         "valid": c.valid,
         "reason": c.reason,
     }
@@ -185,10 +169,6 @@ def _entry(scenario: Scenario, c: Configuration) -> dict[str, Any]:
 
 def _tip_mm(scenario: Scenario, c: Configuration) -> list[float]:
     return [round(float(x), 4) for x in (scenario.base_R @ c.tip_m + scenario.base_position_m) * 1e3]
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def _unreached(scenario: Scenario, found: Reach, arguments: argparse.Namespace) -> str:

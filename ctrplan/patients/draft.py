@@ -27,8 +27,9 @@ from ctrplan.files.scenario_anatomy import MOTION, anatomy_notes, anatomy_part
 from ctrplan.files.scenario_file import scenario_from_dict
 from ctrplan.files.slicer_markups import Markup
 from ctrplan.patients.points import WORDS, Named, is_point, says
+from ctrplan.patients.request import MARGIN_MM, TOLERANCE_MM, Place, Request
 from ctrplan.patients.structures import Found, Structure, between_phases_mm, matching, with_margin
-from ctrplan.patients.work import SCENARIO, Place, Request, Work
+from ctrplan.patients.work import SCENARIO, Work
 from ctrplan.planning.room import blocked
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.storage.toml_document import Document
@@ -190,7 +191,6 @@ def middle_m(shape: Shape) -> Array:
     return np.asarray(tried[int(np.argmin(shape.distance(tried)))])
 
 
-MARGIN_MM, TOLERANCE_MM = 0.5, 1.0
 DIGITS = 6  # of a mm
 
 
@@ -208,7 +208,7 @@ def draft(
     """
     goals = [_goal(target, request) for target in targets]
     return {
-        "name": Path((request.inputs or ("case",))[0]).resolve().name[-60:] or "case",
+        "name": Path(request.get("inputs", ("case",))[0]).resolve().name[-60:] or "case",
         "robot": "robot.toml",
         "frame": frame,
         "start": dict(start),
@@ -231,34 +231,36 @@ def start_values(drive: Drive, joints: Array) -> dict[str, float]:
 
 def _goal(target: Named, request: Request) -> dict[str, Any]:
     place = {"line_mm": [_rounded(p) for p in target.points_mm]} if target.is_line else None
-    tolerance = TOLERANCE_MM if request.tolerance_mm is None else request.tolerance_mm
     name = {"name": target.name} if target.name else {}
-    return {**name, **(place or {"tip_mm": _rounded(target.points_mm[0])}), "tolerance_mm": tolerance}
+    return {
+        **name,
+        **(place or {"tip_mm": _rounded(target.points_mm[0])}),
+        "tolerance_mm": request.get("tolerance_mm", TOLERANCE_MM),
+    }
 
 
 def structure_entry(structure: Structure, role: Role, request: Request, output: Path) -> dict[str, Any]:
     """[[anatomy]] of a structure. Raises InputError for a file that does not say its frame."""
-    margin = MARGIN_MM if request.margin_mm is None else request.margin_mm
     kind, *rest = structure.entry.items()
     found = {kind[0]: kind[1], **_files(structure, request, output), **dict(rest)}
     is_volume = structure.entry["kind"] == "volume"
-    if not is_volume and request.repair is not None:
-        found["repair"] = request.repair
-    if is_volume and request.surface_error_mm is not None:
-        found["surface_error_mm"] = request.surface_error_mm
+    if not is_volume and "repair" in request:
+        found["repair"] = request["repair"]
+    if is_volume and "surface_error_mm" in request:
+        found["surface_error_mm"] = request["surface_error_mm"]
     if any(_said_frame(file) is None for file in (structure.file, *structure.phases)):
-        if request.file_frame is None:
+        if "file_frame" not in request:
             rule = "does not say whether its coordinates are in RAS or in LPS: --file-frame says it"
             raise InputError(rule, file=structure.file)
-        found["frame"] = request.file_frame
-    return {**found, "role": role, "margin_mm": margin}
+        found["frame"] = request["file_frame"]
+    return {**found, "role": role, "margin_mm": request.get("margin_mm", MARGIN_MM)}
 
 
 def _files(structure: Structure, request: Request, output: Path) -> dict[str, Any]:
     if not structure.phases:
         return {"file": from_folder(output, structure.file)}
     every = [from_folder(output, file) for file in (structure.file, *structure.phases)]
-    return {"files": every, "motion_margin_mm": request.motion_margin_mm or 0.0}
+    return {"files": every, "motion_margin_mm": request.get("motion_margin_mm", 0.0)}
 
 
 def _said_frame(path: Path) -> Frame | None:
@@ -307,7 +309,7 @@ def shape_of(work: Work, structure: Structure, frame: Frame) -> Shape:
 
 def with_motion_margins(work: Work, scenario: Scenario, content: dict[str, Any]) -> Scenario:
     """The scenario with what is kept for places between phases, where nobody says it; said in the content, too."""
-    if work.request.motion_margin_mm is not None:
+    if "motion_margin_mm" in work.request:
         return scenario
     parts = list(scenario.anatomy)
     for k, part in enumerate(parts):

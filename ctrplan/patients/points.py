@@ -13,7 +13,7 @@ from ctrplan.anatomy.patient_frame import FRAMES, Frame, signs
 from ctrplan.base.arrays import LONGEST_MM, Array
 from ctrplan.errors import InputError
 from ctrplan.files.slicer_markups import Markup, is_markups, read_markups
-from ctrplan.patients.work import Place
+from ctrplan.patients.request import Place
 
 WORDS = {
     "--target": re.compile(r"target|goal|nodule|tumou?r|lesion", re.IGNORECASE),

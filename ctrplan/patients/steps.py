@@ -5,6 +5,7 @@ before.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
@@ -38,6 +39,16 @@ from ctrplan.patients.draft import (
     with_motion_margins,
 )
 from ctrplan.patients.points import Named, case_frame, places_of
+from ctrplan.patients.request import (
+    CANDIDATES,
+    CONE_DEG,
+    TRIES,
+    BasesOptions,
+    Inputs,
+    PlanOptions,
+    ScenarioOptions,
+    part,
+)
 from ctrplan.patients.structures import Structure, chosen, found_in
 from ctrplan.patients.work import (
     BASES,
@@ -80,37 +91,24 @@ class ScenarioStep(Step):
     files = (SCENARIO, ROBOT, ENTRIES)
 
     def made_from(self, work: Work) -> object:
-        asked = work.request
-        said = asked.part(
-            "inputs",
-            "targets",
-            "entries",
-            "frame",
-            "file_frame",
-            "unit",
-            "repair",
-            "series",
-            "lumens",
-            "avoids",
-            "ignored",
-            "phases",
-            "motion_margin_mm",
-        )
-        said |= asked.part("robot", "margin_mm", "surface_error_mm", "tolerance_mm", "sheath_mm")
-        stamps = [stamp_of(Path(name)) for name in asked.inputs or ()] + [stamp_of(robot_file(asked.robot))]
+        request = work.request
+        said = part(request, Inputs, ScenarioOptions)
+        stamps = [stamp_of(Path(name)) for name in request.get("inputs", ())] + [
+            stamp_of(robot_file(request.get("robot")))
+        ]
         return [said, stamps]
 
     def make(self, work: Work) -> str:
-        asked = work.request
-        if not asked.inputs:
+        request = work.request
+        if not request.get("inputs"):
             raise InputError("are needed: images, meshes and files of markups, or folders of them", key="FILES")
-        robot_text = _text(robot_file(asked.robot))
+        robot_text = _text(robot_file(request.get("robot")))
         with images_kept():
             task = _task(work)
             content, scenario = _drafted(work, task)
         refuse_targets_without_room(scenario)
         for entry in task.entries:
-            refuse_entry_without_room(scenario, entry.points_mm[0] / 1e3, patch_radius_m(asked))
+            refuse_entry_without_room(scenario, entry.points_mm[0] / 1e3, patch_radius_m(request))
         for warning in scenario.warnings:
             work.note(warning)
         write_atomically(work.file(ROBOT), robot_text)
@@ -139,40 +137,41 @@ class _Task:
 
 def _task(work: Work) -> _Task:
     """Structures with their roles, targets and entries; what was recognised is told. Raises InputError."""
-    asked = work.request
-    found = found_in(asked.inputs or (), asked.unit or UNIT, work.folder, asked.series, asked.phases or ())
-    lumens, avoids, ignored = asked.lumens or (), asked.avoids or (), asked.ignored or ()
-    aimed = aimed_at(found, asked.targets, (*lumens, *avoids, *ignored))
+    request = work.request
+    inputs, phases = request.get("inputs", ()), request.get("phases", ())
+    found = found_in(inputs, request.get("unit", UNIT), work.folder, request.get("series"), phases)
+    lumens, avoids, ignored = request.get("lumens", ()), request.get("avoids", ()), request.get("ignored", ())
+    aimed = aimed_at(found, request.get("targets"), (*lumens, *avoids, *ignored))
     for sentence in found.notes:
         work.note(sentence)
     structures, told = chosen(found, lumens, avoids, ignored, tuple(aimed.values()))
-    frame = case_frame(asked.frame, [*(asked.targets or ()), *(asked.entries or ())])
+    frame = case_frame(request.get("frame"), [*request.get("targets", ()), *request.get("entries", ())])
     points, more = middles(aimed, frame, lambda one: shape_of(work, one, frame))
     for sentence in (*told, *more):
         work.note(sentence)
-    targets = places_of("--target", asked.targets, [*found.markups, *points], frame, asked.file_frame)
-    entries = places_of("--entry", asked.entries, found.markups, frame, asked.file_frame)
+    targets = places_of("--target", request.get("targets"), [*found.markups, *points], frame, request.get("file_frame"))
+    entries = places_of("--entry", request.get("entries"), found.markups, frame, request.get("file_frame"))
     return _Task(frame, structures, targets, entries)
 
 
 def _drafted(work: Work, task: _Task) -> tuple[dict[str, Any], Scenario]:
     """The scenario, as the content of its file and read."""
-    asked, structures = work.request, [one for one, _ in task.structures]
-    robot = load_robot(robot_file(asked.robot))
+    request, structures = work.request, [one for one, _ in task.structures]
+    robot = load_robot(robot_file(request.get("robot")))
     start = start_values(robot.drive, retracted(robot))
-    content = draft(asked, work.folder, task.frame, task.structures, task.targets, start)
+    content = draft(request, work.folder, task.frame, task.structures, task.targets, start)
     content["base"] = base_at(task.entries[0], task.targets)
-    beside = from_folder(work.folder, robot_file(asked.robot))
+    beside = from_folder(work.folder, robot_file(request.get("robot")))
     scenario = with_motion_margins(work, drafted(work, content, beside, structures), content)
-    if asked.sheath_mm is not None:
-        sheaths = _sheaths(scenario, task.entries, task.targets, asked.sheath_mm)
+    if "sheath_mm" in request:
+        sheaths = _sheaths(scenario, task.entries, task.targets, request["sheath_mm"])
         content["anatomy"] += sheaths
         alone = drafted(work, {**content, "anatomy": sheaths}, beside, ())  # images are not read again
         scenario = replace(scenario, anatomy=scenario.anatomy + alone.anatomy)
     return content, scenario
 
 
-def robot_file(said: str | None) -> Path:
+def robot_file(said: str | os.PathLike[str] | None) -> Path:
     """The robot's file as said, or that of the robot which cases are planned with where none is."""
     return Path(said) if said else Path(str(files("ctrplan.patients") / "robots" / DEFAULT_ROBOT))
 
@@ -212,9 +211,6 @@ def _counted(count: int, thing: str) -> str:
     )
 
 
-CONE_DEG, CANDIDATES = 20.0, 128
-
-
 class BasesStep(Step):
     """`ctrplan.place` from each entry."""
 
@@ -222,7 +218,7 @@ class BasesStep(Step):
     files = (BASES,)
 
     def made_from(self, work: Work) -> object:
-        said = work.request.part("radius_mm", "cone_deg", "candidates", "seed")
+        said = part(work.request, BasesOptions) | {"seed": work.request.get("seed")}
         return [said, work.state(SCENARIO, ROBOT, ENTRIES), raw_files(work.scenario(SCENARIO))]
 
     def make(self, work: Work) -> str:
@@ -247,14 +243,14 @@ class BasesStep(Step):
         return f"{len(ranked)} poses of {tried} tried; the best reaches {reached}, {error_mm:.2f} mm off at worst"
 
     def _placed(self, work: Work, scenario: Scenario) -> Placement:
-        asked = work.request
+        request = work.request
         placement = place(
             scenario,
             aim_m=scenario.base_position_m + scenario.base_R[:, 2] * _away(scenario),
-            radius_m=patch_radius_m(asked),
-            cone_rad=math.radians(CONE_DEG if asked.cone_deg is None else asked.cone_deg),
-            candidates=asked.candidates or CANDIDATES,
-            seed=asked.seed or 0,
+            radius_m=patch_radius_m(request),
+            cone_rad=math.radians(request.get("cone_deg", CONE_DEG)),
+            candidates=request.get("candidates", CANDIDATES),
+            seed=request.get("seed", 0),
             progress=work.progress,
             interrupted=work.stop,
         )
@@ -322,9 +318,6 @@ class PlacedStep(Step):
         return f"row {number} of {BASES}: at [{position}] mm, looking along [{way}]"
 
 
-TRIES = 3  # base poses that are planned from
-
-
 class PlanStep(Step):
     """Plans from the base pose that was chosen, and from the next ones of the table where it has no plan."""
 
@@ -333,7 +326,7 @@ class PlanStep(Step):
     results = (f"{PLAN}/plan.json", f"{PLAN}/report.html")
 
     def made_from(self, work: Work) -> object:
-        said = work.request.part("seed", "time_s", "bases")
+        said = part(work.request, PlanOptions)
         return [said, work.state(PLACED, ROBOT), raw_files(work.scenario(PLACED))]
 
     def make(self, work: Work) -> str:
@@ -348,10 +341,10 @@ class PlanStep(Step):
         return _sentence(made) if row == first else f"from row {row} of {BASES}: {_sentence(made)}"
 
     def _planned(self, work: Work) -> Plan:
-        asked, record = work.request, work.record
+        request, record = work.request, work.record
         rows = 1 if record.edited("placed") else len(read_bases(work.file(BASES)))
         number = _row(record)
-        last = min(rows, number - 1 + (TRIES if asked.bases is None else asked.bases))
+        last = min(rows, number - 1 + request.get("bases", TRIES))
 
         def report(told: Progress) -> None:
             work.progress(told.stage, told.fraction)
@@ -360,8 +353,8 @@ class PlanStep(Step):
             try:
                 return plan(
                     work.scenario(PLACED),
-                    seed=asked.seed or 0,
-                    time_s=asked.time_s,
+                    seed=request.get("seed", 0),
+                    time_s=request.get("time_s"),
                     progress=report,
                     interrupted=work.stop,
                 )
@@ -412,7 +405,7 @@ class SlicerStep(Step):
         folder = output_folder(str(work.file(SLICER)), [SCENE])
         written = load_plan(work.file(f"{PLAN}/plan.json"), work.scenario(PLACED))
         motion = written_motion(written, STEPS, lambda share: work.progress("solving", share))
-        said = work.request.frame if written.scenario.frame is None else None  # of a scenario that people wrote
+        said = work.request.get("frame") if written.scenario.frame is None else None  # of a scenario that people wrote
         files = case_files(motion, patient_frame(written.scenario, said))
         write_results(folder, files)
         return f"{len(files)} files for 3D Slicer, {len(motion.path)} poses"

@@ -1,9 +1,8 @@
-"""What the steps of a case share: the request, the record of what was made from what, bases.csv, the folder."""
+"""What the steps of a case share: the record of what was made from what, bases.csv, the folder."""
 
 from __future__ import annotations
 
 import csv
-import dataclasses
 import hashlib
 import io
 import json
@@ -22,70 +21,17 @@ from ctrplan.base.arrays import LONGEST_MM, MM_PER_M
 from ctrplan.base.long_work import StageProgress
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
+from ctrplan.patients.request import RADIUS_MM, Request, request_of
 from ctrplan.planning.base_pose import DIGITS, MM_DIGITS, BaseFrame, BasePose, as_written
 from ctrplan.plans.plan import Plan
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.storage.csv_table import CsvTable, file_bytes
 from ctrplan.storage.output_folder import write_atomically
 
-RADIUS_MM = 4.0  # of the patch of base poses, where none is said
-Place = tuple[float, float, float] | str  # mm in the case's frame; or a file of markups, a label in one, a structure
-
-
-@dataclass(frozen=True)
-class Request:
-    """None where nothing is said. Lengths in mm, angles in deg, as in the files that a case writes."""
-
-    inputs: tuple[str, ...] | None = None  # files and folders
-    targets: tuple[Place, ...] | None = None
-    entries: tuple[Place, ...] | None = None
-    frame: str | None = None  # of the case, in which numbers are said
-    file_frame: str | None = None  # of files that do not say theirs
-    unit: str | None = None  # of meshes
-    series: str | None = None  # UID, of a DICOM folder with several
-    repair: str | None = None  # of their openings: holes, caps or off
-    lumens: tuple[str, ...] | None = None
-    avoids: tuple[str, ...] | None = None
-    ignored: tuple[str, ...] | None = None
-    phases: tuple[tuple[str, ...], ...] | None = None  # files of one structure each
-    motion_margin_mm: float | None = None  # for places between phases
-    robot: str | None = None
-    margin_mm: float | None = None
-    surface_error_mm: float | None = None
-    tolerance_mm: float | None = None
-    sheath_mm: float | None = None
-    radius_mm: float | None = None
-    cone_deg: float | None = None
-    candidates: int | None = None
-    bases: int | None = None
-    seed: int | None = None
-    time_s: float | None = None
-
-    def over(self, earlier: Request) -> Request:
-        """What is said here, and what the earlier run said of the rest; named inputs begin a new case."""
-        if self.inputs is not None:
-            return self
-        said = {name: value for name, value in vars(self).items() if value is not None}
-        return dataclasses.replace(earlier, **said)
-
-    def part(self, *names: str) -> dict[str, Any]:
-        """Some of it, by name."""
-        return {name: getattr(self, name) for name in names}
-
-    @classmethod
-    def of(cls, content: Mapping[str, Any]) -> Request:
-        """As JSON had it."""
-        known = {field.name for field in dataclasses.fields(cls)}
-        return cls(**{name: _tuples(value) for name, value in content.items() if name in known})
-
 
 def patch_radius_m(request: Request) -> float:
     """[m] around an entry in which base poses are looked for."""
-    return (RADIUS_MM if request.radius_mm is None else request.radius_mm) / MM_PER_M
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+    return request.get("radius_mm", RADIUS_MM) / MM_PER_M
 
 
 FILE = "case.json"
@@ -115,16 +61,15 @@ class Record:
         text = file_bytes(str(folder / FILE), LARGEST_FILE_BYTES, "JSON", "record of a case")
         try:
             content = json.loads(text)
-            self.request = Request.of(content["request"])
+            self.request = request_of(content["request"])
             self.steps = {name: Made(**made) for name, made in content["steps"].items()}
         except (ValueError, KeyError, TypeError, AttributeError):
             raise InputError("is no record of a case: remove it to begin anew", file=folder / FILE) from None
 
     def write(self) -> None:
         """Writes the file, whole."""
-        request = {name: value for name, value in vars(self.request).items() if value is not None}
         steps = {name: vars(made) for name, made in self.steps.items()}
-        write_atomically(self.folder / FILE, json.dumps({"request": request, "steps": steps}, indent=1) + "\n")
+        write_atomically(self.folder / FILE, json.dumps({"request": self.request, "steps": steps}, indent=1) + "\n")
 
     def edited(self, name: str) -> list[str]:
         """Files of a step that are not as it wrote them."""
