@@ -41,7 +41,7 @@ import trimesh
 from common import ROBOTS, ROOT, table
 
 from ctrplan.anatomy.parts import AnatomyPart
-from ctrplan.anatomy.shape import Shape
+from ctrplan.anatomy.shape import PartShape
 from ctrplan.anatomy.shapes.capsule import Capsule
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.anatomy.shapes.sphere import Sphere
@@ -161,7 +161,9 @@ def case(number: int, seed: int) -> Case:
     return Case(name, kind, obstacle, replace(bare_scenario(robot), anatomy=(part,), start=way[0]), way)
 
 
-def _beside(robot: Robot, collars: tuple[Array, Array], kind: str, obstacle: str, rng: np.random.Generator) -> Shape:
+def _beside(
+    robot: Robot, collars: tuple[Array, Array], kind: str, obstacle: str, rng: np.random.Generator
+) -> PartShape:
     """An obstacle beside, or a little within, a body in a friction state; or farther off the frictionless one."""
     between = kind == "between"
     phi = rng.uniform(-1, 1, (1, robot.n - 1)) * between
@@ -180,7 +182,7 @@ def _corner_room(robot: Robot, collars: tuple[Array, Array], part: AnatomyPart) 
     return float(rooms.min())
 
 
-def _obstacle(kind: str, point: Array, side: Array, away: float, rng: np.random.Generator) -> Shape:
+def _obstacle(kind: str, point: Array, side: Array, away: float, rng: np.random.Generator) -> PartShape:
     """What stands `away` [m] from a point, on one side of it."""
     radius = rng.uniform(0.3e-3, 2e-3)
     across = np.cross(side, rng.standard_normal(3))

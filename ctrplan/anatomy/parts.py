@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrplan import _model
-from ctrplan.anatomy.shape import Role, Shape
+from ctrplan.anatomy.shape import PartShape, Role
 from ctrplan.base.arrays import Array
 from ctrplan.errors import CtrplanError, InputError
 
@@ -36,7 +36,7 @@ class AnatomyPart:
     margin_m: distance to keep from the surface on the allowed side [m]. Raises InputError for another role or margin.
     """
 
-    shape: Shape
+    shape: PartShape
     role: Role = "avoid"
     margin_m: float = 0.0
 

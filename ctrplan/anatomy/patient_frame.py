@@ -12,7 +12,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from ctrplan.base.arrays import Array, read_only
-from ctrplan.storage.toml_table import Table
+from ctrplan.storage.toml_table import TomlTable
 
 Frame = Literal["RAS", "LPS"]
 FRAMES: tuple[Frame, ...] = get_args(Frame)
@@ -39,13 +39,13 @@ def axis_label(axis: int, frame: Frame | None) -> str:
     return f"{'xyz'[axis]}, {minus} \u2192 {plus}"
 
 
-def scenario_frame(table: Table) -> Frame | None:
+def scenario_frame(table: TomlTable) -> Frame | None:
     """The frame that the scenario file around a table says; None where it says none."""
     said = table.document.content.get("frame")
     return said if said in FRAMES else None
 
 
-def to_scenario(table: Table, stated: Frame | None, given: Frame | None, *, is_patient: bool) -> Array:
+def to_scenario(table: TomlTable, stated: Frame | None, given: Frame | None, *, is_patient: bool) -> Array:
     """(3,) signs that take coordinates of a file to the scenario's frame, in the patient's directions.
 
     stated: what the file says of its frame. given: key `frame` of the table. is_patient: whether the file is of no use

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ctrplan.anatomy.shape import Role, Shape
+from ctrplan.anatomy.shape import PartShape, Role
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
@@ -17,14 +17,14 @@ SAMPLED = 3000  # vertices of a phase of which the way to the next one is looked
 
 
 @dataclass(frozen=True, eq=False)
-class Phases(Shape):
+class Phases(PartShape):
     """shapes: the structure in each phase, in their order. Avoided is their union, stayed inside of what they share.
 
     Raises InputError for fewer than two.
     """
 
     kind = "phases"
-    shapes: tuple[Shape, ...]
+    shapes: tuple[PartShape, ...]
     role: Role
     motion_margin_m: float  # kept besides the margin, for places between the phases
 

@@ -25,7 +25,7 @@ from ctrplan.anatomy.mesh_repair import (
 from ctrplan.anatomy.patient_frame import Frame, to_scenario
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.surface import Surface
-from ctrplan.storage.toml_table import Table
+from ctrplan.storage.toml_table import TomlTable
 
 HUGE, ENOUGH = 1_000_000, 200_000  # triangles: what is thinned, and to what
 MOST_ERROR_M = 0.05e-3
@@ -171,7 +171,7 @@ class SurfaceFile:
 
 
 def read_body(
-    table: Table, path: Path, unit: str, frame: Frame | None, group: str | None, repair: Repair
+    table: TomlTable, path: Path, unit: str, frame: Frame | None, group: str | None, repair: Repair
 ) -> SurfaceFile:
     """The closed surface of a body that `table` names, turned outward. Raises InputError."""
     vertices, faces = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
@@ -189,7 +189,7 @@ def read_body(
         raise MeshDefectError(fault, MeshDefect(path, Surface(vertices, faces), refusal.place_m)) from None
 
 
-def read_sheet(table: Table, path: Path, unit: str, frame: Frame | None, group: str | None) -> SurfaceFile:
+def read_sheet(table: TomlTable, path: Path, unit: str, frame: Frame | None, group: str | None) -> SurfaceFile:
     """A surface of any kind that `table` names, open ones as well. Raises InputError."""
     try:
         vertices, faces = merged(*read_triangles(path, unit, group))
@@ -198,5 +198,5 @@ def read_sheet(table: Table, path: Path, unit: str, frame: Frame | None, group: 
     return SurfaceFile(_placed(table, path, frame, vertices), faces)
 
 
-def _placed(table: Table, path: Path, frame: Frame | None, vertices: Array) -> Array:
+def _placed(table: TomlTable, path: Path, frame: Frame | None, vertices: Array) -> Array:
     return np.ascontiguousarray(vertices * to_scenario(table, stated_frame(path), frame, is_patient=False))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.anatomy.parts import AnatomyPart
-from ctrplan.anatomy.shape import Shape as Part
+from ctrplan.anatomy.shape import PartShape as Part
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.base.arrays import Array
 

@@ -109,8 +109,8 @@ def _summary(folder: Path, result: Sweep) -> str:
     count = " x ".join(map(str, result.shape))
     lines = [f"{result.robot.name}: {count} points over {' and '.join(axis.key for axis in result.axes)}"]
     lines += [f"  {label:27} {text}" for label, text in _extremes(result).items()]
-    found = Counter(Status(status).name for status in result.bounds.status.tolist())
-    lines.append(f"  {'status':27} {', '.join(f'{number} {name}' for name, number in found.most_common())}")
+    counter = Counter(Status(status).name for status in result.bounds.status.tolist())
+    lines.append(f"  {'status':27} {', '.join(f'{number} {name}' for name, number in counter.most_common())}")
     lines.append(f"  {'written to':27} {folder}/sweep.csv, sweep.png")
     return "\n".join(lines)
 
@@ -190,35 +190,35 @@ def run(arguments: argparse.Namespace) -> int:
     if sentence := nesting_violation(robot, theta_b, l_b):
         raise InputError(sentence, key="--l-mm", value=arguments.l_mm, unit="mm")
     warn([*robot.warnings, *range_notes(robot, *commanded)])
-    found = _bounded(robot, theta_b, l_b, arguments)
+    result = _bounded(robot, theta_b, l_b, arguments)
     play_mm = play_shift(robot, theta_b, l_b) * 1e3
     if arguments.json:
         collars = {"theta_deg": np.degrees(theta_b).tolist(), "l_mm": (l_b * 1e3).tolist()}
-        content = {**_bound_json(found, play_mm), "collars": collars}
+        content = {**_bound_json(result, play_mm), "collars": collars}
         print(json.dumps(content, indent=1, allow_nan=False))
     else:
-        print(_bound_text(found, play_mm))
+        print(_bound_text(result, play_mm))
         if robot.drive.terms:
             print(_collars_text(theta_b, l_b))
-    if not math.isfinite(found.position_m):
-        raise SolverError(_no_bound(found))
-    if found.frictionless.status is Status.UNSTABLE:
+    if not math.isfinite(result.position_m):
+        raise SolverError(_no_bound(result))
+    if result.frictionless.status is Status.UNSTABLE:
         raise NoAnswerError("the configuration is elastically unstable: the robot snaps away, no bound is promised.")
     return 0
 
 
-def _no_bound(found: Bound) -> str:
+def _no_bound(bound: Bound) -> str:
     """Why there is none, in one sentence."""
     from ctrplan.mechanics.shapes import Status
 
-    statuses = [found.frictionless.status, *(shape.status for shape in found.corners)]
+    statuses = [bound.frictionless.status, *(shape.status for shape in bound.corners)]
     if Status.OVERTWISTED in statuses:
         return (
             "friction at its full limit would wind a tube up, to a shear strain of more than 0.5 (nitinol bears about "
             "0.14), before the robot rests: no bound at this configuration; less friction or other joints may have one."
         )
     reached = sum(status < Status.FAILED for status in statuses[1:])
-    rule = f"{reached} of {len(found.corners)} friction corners reached their residual: no bound is promised"
+    rule = f"{reached} of {len(bound.corners)} friction corners reached their residual: no bound is promised"
     return f"{rule} at this configuration."
 
 
@@ -238,19 +238,19 @@ def _bounded(robot: Robot, theta_b: Array, l_b: Array, arguments: argparse.Names
         )
 
 
-def _corners(found: Bound) -> Iterator[tuple[tuple[int, ...], Shape]]:
+def _corners(bound: Bound) -> Iterator[tuple[tuple[int, ...], Shape]]:
     """Friction states, one sign for each of the n - 1 pairs of tubes, and their shapes."""
-    signs = (tuple(row) for row in found.corner_phi.astype(int).tolist())
-    return zip(signs, found.corners, strict=True)
+    signs = (tuple(row) for row in bound.corner_phi.astype(int).tolist())
+    return zip(signs, bound.corners, strict=True)
 
 
-def _bound_json(found: Bound, play_mm: float) -> dict[str, Any]:
+def _bound_json(bound: Bound, play_mm: float) -> dict[str, Any]:
     return {
-        "bound_position_mm": finite(found.position_m * 1e3),
-        "bound_tangent_deg": finite(math.degrees(found.tangent_rad)),
+        "bound_position_mm": finite(bound.position_m * 1e3),
+        "bound_tangent_deg": finite(math.degrees(bound.tangent_rad)),
         "play_mm": finite(play_mm),
-        "frictionless": _shape_json(found.frictionless),
-        "corners": [{"phi": list(phi), **_shape_json(shape)} for phi, shape in _corners(found)],
+        "frictionless": _shape_json(bound.frictionless),
+        "corners": [{"phi": list(phi), **_shape_json(shape)} for phi, shape in _corners(bound)],
     }
 
 
@@ -265,19 +265,19 @@ def _shape_json(shape: Shape) -> dict[str, Any]:
     }
 
 
-def _bound_text(found: Bound, play_mm: float) -> str:
-    free, position_mm, tangent_deg = found.frictionless, found.position_m * 1e3, math.degrees(found.tangent_rad)
+def _bound_text(bound: Bound, play_mm: float) -> str:
+    free, position_mm, tangent_deg = bound.frictionless, bound.position_m * 1e3, math.degrees(bound.tangent_rad)
     lines = [
         f"worst-case friction error of the tip: {position_mm:.3f} mm, {tangent_deg:.3f} deg",
         f"  frictionless    {_tip(free)}, stability {free.stability:.2f}",
     ]
-    for phi, shape in _corners(found):
+    for phi, shape in _corners(bound):
         signs = " ".join("+" if sign > 0 else "-" for sign in phi) or "none"
         apart_mm = math.dist(shape.tip_m, free.tip_m) * 1e3
         lines.append(f"  phi = {signs:9} {_tip(shape)}, {apart_mm:.3f} mm from the frictionless tip")
     if play_mm:
         lines.append(f"  play of the drive may move it by {play_mm:.3f} mm besides")
-    if not math.isfinite(found.position_m):
+    if not math.isfinite(bound.position_m):
         lines.append("  a solve did not reach its residual: no bound is promised here")
     return "\n".join(lines)
 

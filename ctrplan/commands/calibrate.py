@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
     robot = load_robot(arguments.robot, arguments.overrides)
     data = load_measurements(arguments.measurements, robot)
     folder = output_folder(arguments.output, OUTPUTS)
-    found = calibrate(
+    result = calibrate(
         robot,
         data,
         arguments.parameters,
@@ -71,33 +71,33 @@ def run(arguments: argparse.Namespace) -> int:
         seed=arguments.seed,
     )
     with written_together(folder, OUTPUTS) as made:
-        write_robot(made / "robot.toml", found.robot_content())
-        write_atomically(made / "calibration.json", json.dumps(calibration_json(found), indent=1) + "\n")
-        write_atomically(made / "report.html", calibration_report_html(found))
-    warn([*robot.warnings, *found.notes])
-    print(_summary(folder, found))
+        write_robot(made / "robot.toml", result.robot_content())
+        write_atomically(made / "calibration.json", json.dumps(calibration_json(result), indent=1) + "\n")
+        write_atomically(made / "report.html", calibration_report_html(result))
+    warn([*robot.warnings, *result.notes])
+    print(_summary(folder, result))
     return 0
 
 
-def calibration_json(found: Calibration) -> dict[str, Any]:
+def calibration_json(calibration: Calibration) -> dict[str, Any]:
     """The content of calibration.json; parameters are in the units that their names end with."""
     return {
-        "parameters": {name: asdict(estimate) for name, estimate in found.estimates.items()},
-        "training": asdict(found.training),
-        "held_out": None if found.held_out is None else asdict(found.held_out),
-        "before": asdict(found.nominal),
-        "combinations": [{"parameters": c.parameters, "left": c.posterior_share} for c in found.combinations],
-        "model_error_mm": found.model_error_m * 1e3,
-        "converged": found.fit.converged,
-        "notes": list(found.notes),
+        "parameters": {name: asdict(estimate) for name, estimate in calibration.estimates.items()},
+        "training": asdict(calibration.training),
+        "held_out": None if calibration.held_out is None else asdict(calibration.held_out),
+        "before": asdict(calibration.nominal),
+        "combinations": [{"parameters": c.parameters, "left": c.posterior_share} for c in calibration.combinations],
+        "model_error_mm": calibration.model_error_m * 1e3,
+        "converged": calibration.fit.converged,
+        "notes": list(calibration.notes),
     }
 
 
-def _summary(folder: Path, found: Calibration) -> str:
-    lines = [f"tips were {_errors(found.nominal)} off before, {_errors(found.training)} after calibration"]
-    if found.held_out is not None:
-        lines.append(f"  {_errors(found.held_out)} on {found.held_out.poses} poses kept aside")
-    for name, e in found.estimates.items():
+def _summary(folder: Path, calibration: Calibration) -> str:
+    lines = [f"tips were {_errors(calibration.nominal)} off before, {_errors(calibration.training)} after calibration"]
+    if calibration.held_out is not None:
+        lines.append(f"  {_errors(calibration.held_out)} on {calibration.held_out.poses} poses kept aside")
+    for name, e in calibration.estimates.items():
         lines.append(f"  {name:40} {e.value:.6g}  ({e.ci95[0]:.6g} to {e.ci95[1]:.6g})")
     lines.append(f"  written to {folder}/{', '.join(OUTPUTS)}")
     return "\n".join(lines)

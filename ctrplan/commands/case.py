@@ -65,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
         if interrupted.is_set():
             raise KeyboardInterrupt
         with ProgressBar(quiet=arguments.quiet, patience_s=PATIENCE_S) as bar:
-            found = case(
+            result = case(
                 arguments.output,
                 arguments.inputs or None,
                 targets=places["target"],
@@ -79,24 +79,24 @@ def run(arguments: argparse.Namespace) -> int:
                 until=arguments.until,
                 **{name: getattr(arguments, name) for name in OPTIONS},
             )
-        print(_summary(found))
-        return INTERRUPTED if found.interrupted else 0
+        print(_summary(result))
+        return INTERRUPTED if result.interrupted else 0
 
 
 def _places(option: str, given: Sequence[Sequence[str]] | None) -> list[Any] | None:
     """Three numbers each, or a name. Raises InputError."""
     if given is None:
         return None
-    found: list[Any] = []
+    results: list[Any] = []
     for words in given:
         numbers = [in_plain_digits(word) for word in words]
         if len(words) == 3 and None not in numbers:
-            found.append(numbers)
+            results.append(numbers)
         elif len(words) == 1 and numbers[0] is None:
-            found.append(words[0])
+            results.append(words[0])
         else:
             raise InputError("must be three numbers X Y Z, or one name", key=option, value=" ".join(words))
-    return found
+    return results
 
 
 def _tell(step: StepTold) -> None:

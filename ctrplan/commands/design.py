@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
         file=sys.stderr,
     )
     with ProgressBar(quiet=arguments.quiet) as bar:
-        found = search.run(
+        result = search.run(
             arguments.output,
             workers=arguments.workers,
             scheduler=arguments.scheduler,
@@ -81,29 +81,29 @@ def run(arguments: argparse.Namespace) -> int:
             yes=arguments.yes,
             progress=StageTeller(bar),
         )
-    return _told(arguments, found)
+    return _told(arguments, result)
 
 
-def _told(arguments: argparse.Namespace, found: TubeDesigns) -> int:
+def _told(arguments: argparse.Namespace, designs: TubeDesigns) -> int:
     from ctrplan.reports.design_page import write_design_report
 
-    write_design_report(found)
-    print(_text(found))
+    write_design_report(designs)
+    print(_text(designs))
     print(f"ctrplan: results in {arguments.output}", file=sys.stderr)
-    if found.interrupted:
+    if designs.interrupted:
         print("ctrplan: interrupted; run the same command again, and the search goes on.", file=sys.stderr)
         return INTERRUPTED
-    return 0 if found.front else 1
+    return 0 if designs.front else 1
 
 
-def _text(found: TubeDesigns) -> str:
-    done, given_up, unable = found.counts
-    entries, objectives = found.entries(), list(found.search.entry.objectives)
+def _text(designs: TubeDesigns) -> str:
+    done, given_up, unable = designs.counts
+    entries, objectives = designs.entries(), list(designs.search.entry.objectives)
     lines = [
-        f"{found.search.name}: {len(found.archive.all):,} designs, {given_up:,} of them given up early, "
+        f"{designs.search.name}: {len(designs.archive.all):,} designs, {given_up:,} of them given up early, "
         f"{unable:,} can't be made or reach nothing; {len(entries)} on the front"
     ]
-    names = [*objectives, *(name for name in found.search.space.names)]
+    names = [*objectives, *(name for name in designs.search.space.names)]
     rows = [["", *names]]
     for entry in entries[:MOST_ROWS]:
         values = {**entry, **entry["choices"]}

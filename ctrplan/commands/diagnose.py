@@ -73,40 +73,40 @@ def run(arguments: argparse.Namespace) -> int:
         folder = output_folder(arguments.output, OUTPUTS)
         warn([*robot.warnings, *data.warnings])
         with ProgressBar(quiet=arguments.quiet) as bar:
-            found = diagnose(robot, data, bar.show, without=arguments.without, interrupted=interrupted)
-            confirmed = tuple(confirm(found, other) for other in others if not found.interrupted)
-            found = replace(found, confirmations=confirmed)
-        _write(folder, found)
-        print(summary(folder, found))
-        return INTERRUPTED if found.interrupted else 0
+            result = diagnose(robot, data, bar.show, without=arguments.without, interrupted=interrupted)
+            confirmed = tuple(confirm(result, other) for other in others if not result.interrupted)
+            result = replace(result, confirmations=confirmed)
+        _write(folder, result)
+        print(summary(folder, result))
+        return INTERRUPTED if result.interrupted else 0
 
 
-def _write(folder: Path, found: Diagnosis) -> None:
+def _write(folder: Path, diagnosis: Diagnosis) -> None:
     """All files or none."""
     from ctrplan.files.robot_file import write_robot
     from ctrplan.reports.diagnosis_figures import selection_errors
     from ctrplan.reports.diagnosis_page import write_diagnosis_report
     from ctrplan.storage.output_folder import write_atomically
 
-    errors = selection_errors(found)  # writers solve nothing
+    errors = selection_errors(diagnosis)  # writers solve nothing
     with written_together(folder, OUTPUTS) as made:
-        write_atomically(made / "diagnosis.json", json.dumps(found.to_json(), indent=1, allow_nan=False) + "\n")
-        write_robot(made / "robot.toml", found.robot_content())
-        write_diagnosis_report(made / "report.html", found, errors)
+        write_atomically(made / "diagnosis.json", json.dumps(diagnosis.to_json(), indent=1, allow_nan=False) + "\n")
+        write_robot(made / "robot.toml", diagnosis.robot_content())
+        write_diagnosis_report(made / "report.html", diagnosis, errors)
 
 
-def summary(folder: Path, found: Diagnosis) -> str:
+def summary(folder: Path, diagnosis: Diagnosis) -> str:
     """What a person wants to know first."""
     from ctrplan.diagnosis.sentences import effect_lines, verdict_sentence
 
-    gap = found.gap
-    lines = [verdict_sentence(found), *(f"  {line}" for line in effect_lines(found))]
+    gap = diagnosis.gap
+    lines = [verdict_sentence(diagnosis), *(f"  {line}" for line in effect_lines(diagnosis))]
     lines.append(
         f"  on {gap.after.poses} poses kept aside: {gap.before.rms_m * 1e3:.2f} mm rms calibrated, "
         f"{gap.after.rms_m * 1e3:.2f} mm with the effects, noise {gap.floor_m * 1e3:.2f} mm"
     )
-    lines += [f"  {found.place.sentence}", f"  next: {found.next_experiment}"]
-    lines += [f"  {confirmation.sentence}" for confirmation in found.confirmations]
-    lines += [f"  note: {note}" for note in found.notes]
+    lines += [f"  {diagnosis.place.sentence}", f"  next: {diagnosis.next_experiment}"]
+    lines += [f"  {confirmation.sentence}" for confirmation in diagnosis.confirmations]
+    lines += [f"  note: {note}" for note in diagnosis.notes]
     lines.append(f"  written to {folder}/{', '.join(OUTPUTS)}")
     return "\n".join(lines)

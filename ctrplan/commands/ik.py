@@ -74,22 +74,24 @@ def run(arguments: argparse.Namespace) -> int:
         starts=arguments.starts,
         seed=arguments.seed,
     )
-    found, branches = result.found, list(result.branches)
-    warn(plan_range_notes(scenario.robot, np.array([c.joints for c in found.configurations or [found.nearest]])))
+    outcome, branches = result.found, list(result.branches)
+    warn(plan_range_notes(scenario.robot, np.array([c.joints for c in outcome.configurations or [outcome.nearest]])))
     print(
-        json.dumps(_json(scenario, found, branches), indent=1) if arguments.json else _text(scenario, found, branches)
+        json.dumps(_json(scenario, outcome, branches), indent=1)
+        if arguments.json
+        else _text(scenario, outcome, branches)
     )
-    if not found.configurations:
-        raise NoAnswerError(f"--tip-mm: {_unreached(scenario, found, arguments)}.")
+    if not outcome.configurations:
+        raise NoAnswerError(f"--tip-mm: {_unreached(scenario, outcome, arguments)}.")
     if folder is not None:
-        _write(folder, scenario, found, branches)
+        _write(folder, scenario, outcome, branches)
     return 0
 
 
-def _write(folder: Path, scenario: Scenario, found: Reach, branches: list[int]) -> None:
+def _write(folder: Path, scenario: Scenario, reach: Reach, branches: list[int]) -> None:
     from ctrplan.reports.reach_page import reach_report_html, reach_scene
 
-    scene = reach_scene(scenario, found, branches)  # writers solve nothing
+    scene = reach_scene(scenario, reach, branches)  # writers solve nothing
     write_results(folder, {OUTPUTS[0]: reach_report_html(scene)})
     print(f"ctrplan: written to {folder / OUTPUTS[0]}", file=sys.stderr)  # standard output may be JSON
 
@@ -103,8 +105,8 @@ def _check_direction(arguments: argparse.Namespace) -> None:
         raise InputError("must not be zero", key="--direction", value=arguments.direction)
 
 
-def _text(scenario: Scenario, found: Reach, branches: list[int]) -> str:
-    count, names = len(found.configurations), scenario.robot.drive.names
+def _text(scenario: Scenario, reach: Reach, branches: list[int]) -> str:
+    count, names = len(reach.configurations), scenario.robot.drive.names
     many = f"{count} configurations" if count != 1 else "1 configuration"
     in_branches = len(set(branches))
     head = (
@@ -115,7 +117,7 @@ def _text(scenario: Scenario, found: Reach, branches: list[int]) -> str:
     units = [joint.unit for joint in scenario.robot.drive.joints]
     header = ["branch", *(f"{n} ({u})" for n, u in zip(names, units, strict=True))]
     header += ["bound (mm)", "bound (deg)", "stability", "clearance (mm)", "tip error (mm)"]
-    rows = [_row(scenario, c, b) for c, b in zip(found.configurations, branches, strict=True)]
+    rows = [_row(scenario, c, b) for c, b in zip(reach.configurations, branches, strict=True)]
     return "\n".join([head, *aligned([header, *rows])])
 
 
@@ -137,14 +139,14 @@ def _shown(scenario: Scenario, joints: Array) -> list[float]:
     return [float(q) / joint.si_per_unit for q, joint in zip(joints, scenario.robot.drive.joints, strict=True)]
 
 
-def _json(scenario: Scenario, found: Reach, branches: list[int]) -> dict[str, Any]:
-    rows = [{"branch": b + 1, **_entry(scenario, c)} for c, b in zip(found.configurations, branches, strict=True)]
+def _json(scenario: Scenario, reach: Reach, branches: list[int]) -> dict[str, Any]:
+    rows = [{"branch": b + 1, **_entry(scenario, c)} for c, b in zip(reach.configurations, branches, strict=True)]
     return {
         "name": scenario.name,
         "reachable": bool(rows),
         "branches": len(set(branches)),
         "configurations": rows,
-        "nearest": _entry(scenario, found.nearest),
+        "nearest": _entry(scenario, reach.nearest),
     }
 
 
@@ -171,9 +173,9 @@ def _tip_mm(scenario: Scenario, c: Configuration) -> list[float]:
     return [round(float(x), 4) for x in (scenario.base_R @ c.tip_m + scenario.base_position_m) * 1e3]
 
 
-def _unreached(scenario: Scenario, found: Reach, arguments: argparse.Namespace) -> str:
-    nearest = found.nearest
-    if nearest.tip_error_m <= found.tolerance_m:
+def _unreached(scenario: Scenario, reach: Reach, arguments: argparse.Namespace) -> str:
+    nearest = reach.nearest
+    if nearest.tip_error_m <= reach.tolerance_m:
         turned = math.degrees(nearest.turned_rad)
         allowed = arguments.direction_tolerance_deg or DIRECTION_TOLERANCE_DEG
         return f"reached, but at best {turned:.1f} deg from --direction, --direction-tolerance-deg = {allowed:g}"

@@ -79,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
         if interrupted.is_set():
             raise KeyboardInterrupt
         with ProgressBar(quiet=arguments.quiet, patience_s=PATIENCE_S) as bar:
-            found = place(
+            result = place(
                 scenario,
                 center_m=_metres(arguments.center_mm),
                 along_m=_metres(arguments.along_mm),
@@ -92,9 +92,9 @@ def run(arguments: argparse.Namespace) -> int:
                 progress=bar.show,
                 interrupted=interrupted,
             )
-        print(json.dumps(_json(found), indent=1) if arguments.json else _text(scenario, found))
-        _write(arguments, file, _picked(arguments, scenario, found))
-        return INTERRUPTED if found.interrupted else 0
+        print(json.dumps(_json(result), indent=1) if arguments.json else _text(scenario, result))
+        _write(arguments, file, _picked(arguments, scenario, result))
+        return INTERRUPTED if result.interrupted else 0
 
 
 def _output(arguments: argparse.Namespace) -> Path:
@@ -115,17 +115,17 @@ def _metres(point_mm: list[float] | None) -> list[float] | None:
     return None if point_mm is None else [x * 1e-3 for x in point_mm]
 
 
-def _picked(arguments: argparse.Namespace, scenario: Scenario, found: Placement) -> BasePose:
-    if arguments.pick > len(found.poses):
-        raise InputError(f"there are {len(found.poses)} poses", key="--pick", value=arguments.pick)
-    pose: BasePose = found.poses[arguments.pick - 1]
+def _picked(arguments: argparse.Namespace, scenario: Scenario, placement: Placement) -> BasePose:
+    if arguments.pick > len(placement.poses):
+        raise InputError(f"there are {len(placement.poses)} poses", key="--pick", value=arguments.pick)
+    pose: BasePose = placement.poses[arguments.pick - 1]
     if not pose.reached:
         raise NoAnswerError(f"{scenario.path}: base pose {arguments.pick} reaches no target: {pose.reason}.")
     return pose
 
 
 def _write(arguments: argparse.Namespace, file: Path, pose: BasePose) -> None:
-    from ctrplan.files.placed_scenario import names_files_outside, placed_scenario
+    from ctrplan.files.scenario_file import names_files_outside, placed_scenario
     from ctrplan.storage.output_folder import write_atomically
     from ctrplan.storage.toml_document import read_document
 
@@ -137,11 +137,11 @@ def _write(arguments: argparse.Namespace, file: Path, pose: BasePose) -> None:
     print(f"ctrplan: base pose {arguments.pick} written to {file}{''.join(notes)}", file=sys.stderr)
 
 
-def _text(scenario: Scenario, found: Placement) -> str:
-    rows = [HEADER, *(_row(str(k), pose) for k, pose in enumerate(found.poses, start=1))]
-    if not any(pose.is_own for pose in found.poses):
-        rows.append(_row("", found.own))
-    return "\n".join([f"{scenario.name}: {found.sentence}", *aligned(rows)])
+def _text(scenario: Scenario, placement: Placement) -> str:
+    rows = [HEADER, *(_row(str(k), pose) for k, pose in enumerate(placement.poses, start=1))]
+    if not any(pose.is_own for pose in placement.poses):
+        rows.append(_row("", placement.own))
+    return "\n".join([f"{scenario.name}: {placement.sentence}", *aligned(rows)])
 
 
 def _row(number: str, pose: BasePose) -> tuple[str, ...]:
@@ -168,14 +168,14 @@ def _vector(numbers: Array, digits: int) -> str:
     return " ".join(f"{x + 0.0:.{digits}f}" for x in numbers.round(digits).tolist())
 
 
-def _json(found: Placement) -> dict[str, Any]:
+def _json(placement: Placement) -> dict[str, Any]:
     return {
-        "sentence": found.sentence,
-        "drawn": found.drawn,
-        "clear": found.clear,
-        "promising": found.promising,
-        "poses": [_entry(pose) for pose in found.poses],
-        "own": _entry(found.own),
+        "sentence": placement.sentence,
+        "drawn": placement.drawn,
+        "clear": placement.clear,
+        "promising": placement.promising,
+        "poses": [_entry(pose) for pose in placement.poses],
+        "own": _entry(placement.own),
     }
 
 

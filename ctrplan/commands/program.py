@@ -52,11 +52,11 @@ class CommandLine(argparse.ArgumentParser):
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
-        """As argparse, but what is left over is refused by the command that it was given to. Raises InputError."""
-        found, rest = super().parse_known_args(args, namespace)
+        """Parses as argparse does, but what is left over is refused by the command that it was given to. Raises InputError."""
+        result, rest = super().parse_known_args(args, namespace)
         if rest:
             self.error(f"{' '.join(rest)}: is not known here")
-        return found, rest
+        return result, rest
 
     def error(self, message: str) -> NoReturn:
         """Raises InputError, with where to look for help."""
@@ -75,7 +75,7 @@ class CommandParser(CommandLine):
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
-        """As CommandLine, with the command's own arguments."""
+        """Parses as CommandLine does, with the command's own arguments."""
         if not self._is_filled:
             self._is_filled = True
             command = import_module(f"ctrplan.commands.{self._command}")

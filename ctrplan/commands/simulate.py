@@ -223,11 +223,11 @@ def _summary(folder: Path, result: Simulation) -> str:
     import numpy as np
 
     deviation_mm, bound_mm = result.deviation_m * 1e3, result.bounds.position_m * 1e3
-    found = np.flatnonzero(np.isfinite(deviation_mm))
+    outcome = np.flatnonzero(np.isfinite(deviation_mm))
     count = int(np.isfinite(deviation_mm[result.waypoints]).sum())
     lines = [f"{result.robot.name}: {count} of {len(result.path.theta_commanded)} rows simulated"]
-    if len(found):
-        worst, last = found[np.argmax(deviation_mm[found])], found[-1]
+    if len(outcome):
+        worst, last = outcome[np.argmax(deviation_mm[outcome])], outcome[-1]
         for label, k in (("largest friction error", worst), ("at the end", last)):
             where = f", at row {result.place[k] + 1:.4g}" if k == worst else ""
             worst_case = f"(worst case there {bound_mm[k]:.3f} mm)"

@@ -65,12 +65,12 @@ def run(arguments: argparse.Namespace) -> int:
     print(_beforehand(study, where), file=sys.stderr)
     with ProgressBar(quiet=arguments.quiet) as bar:
         teller = StageTeller(bar)
-        found = run_study(study, arguments.output, where, add=arguments.add, yes=arguments.yes, progress=teller)
-    _write_report(study, found)
-    print(_summary(study, found))
-    if found.interrupted:
+        result = run_study(study, arguments.output, where, add=arguments.add, yes=arguments.yes, progress=teller)
+    _write_report(study, result)
+    print(_summary(study, result))
+    if result.interrupted:
         return INTERRUPTED
-    return 0 if found.table.done.any() else 1
+    return 0 if result.table.done.any() else 1
 
 
 def _beforehand(study: Study, where: Where) -> str:
@@ -86,35 +86,35 @@ def _beforehand(study: Study, where: Where) -> str:
     return f"ctrplan: {study.name}: {tasks} ({study.kind.kind}), about {takes}."
 
 
-def _write_report(study: Study, found: Outcome) -> None:
+def _write_report(study: Study, outcome: Outcome) -> None:
     from ctrplan.reports.study_page import write_study_report
 
-    write_study_report(study, found.table)
+    write_study_report(study, outcome.table)
 
 
-def _summary(study: Study, found: Outcome) -> str:
+def _summary(study: Study, outcome: Outcome) -> str:
     from collections import Counter
 
-    table = found.table
+    table = outcome.table
     status = Counter(table.columns["status"])
-    lines = [f"{study.name}: {len(table):,} of {found.count:,} tasks, {found.did:,} of them done now"]
+    lines = [f"{study.name}: {len(table):,} of {outcome.count:,} tasks, {outcome.did:,} of them done now"]
     lines.append(f"  {'status':27} {', '.join(f'{count:,} {name}' for name, count in status.most_common())}")
     for row in table.rows():
         if row["status"] != "done":
             lines.append(f"  {'the first of those':27} task {row['index']}: {row['reason']}")
             break
-    lines += [f"  {label:27} {text}" for label, text in _extremes(study, found).items()]
-    lines.append(f"  {'written to':27} {found.store.folder}/{found.file.name}, report.html")
-    if found.interrupted:
+    lines += [f"  {label:27} {text}" for label, text in _extremes(study, outcome).items()]
+    lines.append(f"  {'written to':27} {outcome.store.folder}/{outcome.file.name}, report.html")
+    if outcome.interrupted:
         lines.append("  Interrupted; run it again to go on.")
     return "\n".join(lines)
 
 
-def _extremes(study: Study, found: Outcome) -> dict[str, str]:
+def _extremes(study: Study, outcome: Outcome) -> dict[str, str]:
     """The best and the worst row."""
     from ctrplan.studies.study.analysis import extremes, judged_by
 
-    column, rows = judged_by(study), list(found.table.rows())
+    column, rows = judged_by(study), list(outcome.table.rows())
     inputs = [name for axis in study.axes for name in axis.at(0).inputs]
     texts = {}
     for label, k in zip((f"least {column}", "largest"), extremes(rows, column), strict=False):

@@ -74,11 +74,14 @@ def run(arguments: argparse.Namespace) -> int:
                 interrupted=interrupted,
             )
         print("\n".join(_report(result)))
-        if (found := result.counterexample) is not None:
-            commands = write_scene(folder, result, found)
+        if (outcome := result.counterexample) is not None:
+            commands = write_scene(folder, result, outcome)
             print(
                 "\n  ".join(
-                    [f"a scene of the broken {found.claim} is in {folder}; look at it, and replay it, with", *commands]
+                    [
+                        f"a scene of the broken {outcome.claim} is in {folder}; look at it, and replay it, with",
+                        *commands,
+                    ]
                 )
             )
         return 1 if not result.is_kept else INTERRUPTED if result.interrupted else 0
@@ -93,15 +96,15 @@ def _report(result: Verification) -> Iterator[str]:
     for difference in result.differences:
         yield f"  {difference.sentence}"
     yield from (_line(found) for found in result.worst)
-    for parameter, found in result.beside:
-        yield f"{_line(found)}; with {parameter}, which is not claimed"
+    for parameter, outcome in result.beside:
+        yield f"{_line(outcome)}; with {parameter}, which is not claimed"
     if result.snaps:
         yield f"  simulated robots snapped {result.snaps} times"
 
 
-def _line(found: WorstFigure) -> str:
-    factor, unit = UNITS.get(found.claim, (1e3, " mm"))
-    stated = "nothing" if found.stated != found.stated else f"{factor * found.stated:.2f}{unit}"
-    broken = "BROKEN: " if found.is_broken else ""
-    figures = f"{broken}{factor * found.value:.2f}{unit} found, {stated} claimed"
-    return f"  {CLAIMS[found.claim]:32} {figures}; {found.where}, {found.how}"
+def _line(figure: WorstFigure) -> str:
+    factor, unit = UNITS.get(figure.claim, (1e3, " mm"))
+    stated = "nothing" if figure.stated != figure.stated else f"{factor * figure.stated:.2f}{unit}"
+    broken = "BROKEN: " if figure.is_broken else ""
+    figures = f"{broken}{factor * figure.value:.2f}{unit} found, {stated} claimed"
+    return f"  {CLAIMS[figure.claim]:32} {figures}; {figure.where}, {figure.how}"

@@ -19,7 +19,7 @@ from ctrplan.base.long_work import StageProgress, interrupt_event
 from ctrplan.errors import InputError
 from ctrplan.patients.request import STEP_NAMES, Options, Place, over, request_of
 from ctrplan.patients.steps import BasesStep, PlacedStep, PlanStep, ScenarioStep, SlicerStep
-from ctrplan.patients.work import FILE, Made, Record, Step, Work, key_of
+from ctrplan.patients.work import FILE, CaseStep, MadeFile, Record, Work, key_of
 from ctrplan.storage.output_folder import output_folder
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from ctrplan.plans.plan import Plan
 
-STEPS: tuple[type[Step], ...] = (ScenarioStep, BasesStep, PlacedStep, PlanStep, SlicerStep)
+STEPS: tuple[type[CaseStep], ...] = (ScenarioStep, BasesStep, PlacedStep, PlanStep, SlicerStep)
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ def _done(
             return
 
 
-def _kept(work: Work, step: Step) -> str:
+def _kept(work: Work, step: CaseStep) -> str:
     """Why a step need not be done; empty where it has to be. Raises InputError where an edit would be lost."""
     made, edited = work.record.steps.get(step.name), work.record.edited(step.name)
     if made is None or made.pending:
@@ -165,7 +165,7 @@ def _kept(work: Work, step: Step) -> str:
     return f"{', '.join(changed)} kept as edited" if changed else f"kept: {made.sentence}"
 
 
-def _made(work: Work, step: Step) -> str:
+def _made(work: Work, step: CaseStep) -> str:
     """Does the step. Where it fails, files and record are as they were."""
     before, had_folder = work.record.steps.get(step.name), work.folder.exists()
     work.folder.mkdir(parents=True, exist_ok=True)
@@ -180,7 +180,7 @@ def _made(work: Work, step: Step) -> str:
     return sentence
 
 
-def _as_before(work: Work, step: Step, before: Made | None, had_folder: bool) -> None:
+def _as_before(work: Work, step: CaseStep, before: MadeFile | None, had_folder: bool) -> None:
     if before is not None:
         work.record.steps[step.name] = before
     else:

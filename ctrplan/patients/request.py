@@ -143,7 +143,7 @@ OPTIONS = options_of(Options)
 
 
 def _plain(value: Any) -> Any:
-    """As JSON gives it back, with tuples for lists."""
+    """The value as JSON gives it back, with tuples for lists."""
     if isinstance(value, (Sequence, Set)) and not isinstance(value, str):
         return tuple(map(_plain, value))
     if isinstance(value, os.PathLike):

@@ -19,9 +19,9 @@ from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import Role
 from ctrplan.base.arrays import MM_PER_M, Array, shortest_rotation
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.files.placed_scenario import content_at
 from ctrplan.files.plan_file import load_plan
 from ctrplan.files.robot_file import load_robot
+from ctrplan.files.scenario_file import content_at
 from ctrplan.files.slicer_markups import SCENE, patient_frame
 from ctrplan.files.trajectory_file import trajectory_formats
 from ctrplan.patients.draft import (
@@ -49,7 +49,7 @@ from ctrplan.patients.request import (
     ScenarioOptions,
     part,
 )
-from ctrplan.patients.structures import Structure, chosen, found_in
+from ctrplan.patients.structures import Structure, chosen, content_of
 from ctrplan.patients.work import (
     BASES,
     ENTRIES,
@@ -58,8 +58,8 @@ from ctrplan.patients.work import (
     ROBOT,
     SCENARIO,
     SLICER,
+    CaseStep,
     Record,
-    Step,
     Work,
     bases_text,
     patch_radius_m,
@@ -84,7 +84,7 @@ UNIT = "mm"
 ENTRY_COLUMNS = "x_mm,y_mm,z_mm,look_x_mm,look_y_mm,look_z_mm"
 
 
-class ScenarioStep(Step):
+class ScenarioStep(CaseStep):
     """Reads everything once and refuses what can't be planned with."""
 
     name = "scenario"
@@ -120,7 +120,7 @@ class ScenarioStep(Step):
 
 
 @dataclass(frozen=True, eq=False)
-class _Task:
+class _CaseTask:
     """What the files and options say."""
 
     frame: Frame
@@ -135,26 +135,28 @@ class _Task:
         return f"{', '.join(roles)}; {counts}, in {self.frame}"
 
 
-def _task(work: Work) -> _Task:
+def _task(work: Work) -> _CaseTask:
     """Structures with their roles, targets and entries; what was recognised is told. Raises InputError."""
     request = work.request
     inputs, phases = request.get("inputs", ()), request.get("phases", ())
-    found = found_in(inputs, request.get("unit", UNIT), work.folder, request.get("series"), phases)
+    result = content_of(inputs, request.get("unit", UNIT), work.folder, request.get("series"), phases)
     lumens, avoids, ignored = request.get("lumens", ()), request.get("avoids", ()), request.get("ignored", ())
-    aimed = aimed_at(found, request.get("targets"), (*lumens, *avoids, *ignored))
-    for sentence in found.notes:
+    aimed = aimed_at(result, request.get("targets"), (*lumens, *avoids, *ignored))
+    for sentence in result.notes:
         work.note(sentence)
-    structures, told = chosen(found, lumens, avoids, ignored, tuple(aimed.values()))
+    structures, told = chosen(result, lumens, avoids, ignored, tuple(aimed.values()))
     frame = case_frame(request.get("frame"), [*request.get("targets", ()), *request.get("entries", ())])
     points, more = middles(aimed, frame, lambda one: shape_of(work, one, frame))
     for sentence in (*told, *more):
         work.note(sentence)
-    targets = places_of("--target", request.get("targets"), [*found.markups, *points], frame, request.get("file_frame"))
-    entries = places_of("--entry", request.get("entries"), found.markups, frame, request.get("file_frame"))
-    return _Task(frame, structures, targets, entries)
+    targets = places_of(
+        "--target", request.get("targets"), [*result.markups, *points], frame, request.get("file_frame")
+    )
+    entries = places_of("--entry", request.get("entries"), result.markups, frame, request.get("file_frame"))
+    return _CaseTask(frame, structures, targets, entries)
 
 
-def _drafted(work: Work, task: _Task) -> tuple[dict[str, Any], Scenario]:
+def _drafted(work: Work, task: _CaseTask) -> tuple[dict[str, Any], Scenario]:
     """The scenario, as the content of its file and read."""
     request, structures = work.request, [one for one, _ in task.structures]
     robot = load_robot(robot_file(request.get("robot")))
@@ -211,7 +213,7 @@ def _counted(count: int, thing: str) -> str:
     )
 
 
-class BasesStep(Step):
+class BasesStep(CaseStep):
     """`ctrplan.place` from each entry."""
 
     name = "bases"
@@ -222,20 +224,20 @@ class BasesStep(Step):
         return [said, work.state(SCENARIO, ROBOT, ENTRIES), raw_files(work.scenario(SCENARIO))]
 
     def make(self, work: Work) -> str:
-        found, reasons, tried = list[BasePose](), list[str](), 0
+        result, reasons, tried = list[BasePose](), list[str](), 0
         for scenario in self._entries(work):
             try:
                 placement = self._placed(work, scenario)
                 tried += placement.drawn
-                found += [pose for pose in placement.poses if pose.reached]
+                result += [pose for pose in placement.poses if pose.reached]
                 reasons += [] if placement.poses[0].reached else [placement.sentence.rstrip(".")]
             except NoAnswerError as error:
                 reasons.append(str(error).partition(": ")[2].rstrip(".") or str(error))
-        if not found:
+        if not result:
             place_mm = ", ".join(f"{x:.4g}" for x in work.scenario(SCENARIO).base_position_m * MM_PER_M)
             rule = f"nothing is reached from the entry [{place_mm}] mm: {reasons[0]}"
             raise NoAnswerError(f"{work.file(SCENARIO)}: {rule}. Another entry, --cone-deg or --radius-mm may help.")
-        ranked = sorted(found, key=lambda pose: pose.rank)
+        ranked = sorted(result, key=lambda pose: pose.rank)
         write_atomically(work.file(BASES), bases_text(ranked))
         best = ranked[0]
         error_mm = max(target.worst_m for target in best.targets if target.best) * MM_PER_M
@@ -288,7 +290,7 @@ def _away(scenario: Scenario) -> float:
     return max(1e-3, float(np.linalg.norm(np.mean(tips, axis=0) - scenario.base_position_m)))
 
 
-class PlacedStep(Step):
+class PlacedStep(CaseStep):
     """The first row of the table; the plan tries the next ones where that has none."""
 
     name = "placed"
@@ -318,7 +320,7 @@ class PlacedStep(Step):
         return f"row {number} of {BASES}: at [{position}] mm, looking along [{way}]"
 
 
-class PlanStep(Step):
+class PlanStep(CaseStep):
     """Plans from the base pose that was chosen, and from the next ones of the table where it has no plan."""
 
     name = "plan"
@@ -370,7 +372,7 @@ class PlanStep(Step):
 
 
 def _row(record: Record) -> int:
-    """Of the table of bases, the one that stands in placed.toml."""
+    """The row of the table of bases that stands in placed.toml."""
     return record.steps["placed"].chosen if "placed" in record.steps else 1
 
 
@@ -388,8 +390,8 @@ def _sentence(made: Plan) -> str:
 STEPS = 40  # poses of the motion
 
 
-class SlicerStep(Step):
-    """As `ctrplan export --to slicer` does."""
+class SlicerStep(CaseStep):
+    """A scene of 3D Slicer, as `ctrplan export --to slicer` writes it."""
 
     name = "slicer"
     files = ()

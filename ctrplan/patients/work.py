@@ -39,7 +39,7 @@ LARGEST_FILE_BYTES = 5_000_000
 
 
 @dataclass
-class Made:
+class MadeFile:
     """One step's result: the key of what it was made from, and the hash of each file as it was written."""
 
     key: str = ""
@@ -54,7 +54,7 @@ class Record:
 
     def __init__(self, folder: Path) -> None:
         """Reads it where it is there. Raises InputError for a file that is none of a case."""
-        self.folder, self.request, self.steps = folder, Request(), dict[str, Made]()
+        self.folder, self.request, self.steps = folder, Request(), dict[str, MadeFile]()
         self.is_new = not (folder / FILE).exists()
         if self.is_new:
             return
@@ -62,7 +62,7 @@ class Record:
         try:
             content = json.loads(text)
             self.request = request_of(content["request"])
-            self.steps = {name: Made(**made) for name, made in content["steps"].items()}
+            self.steps = {name: MadeFile(**made) for name, made in content["steps"].items()}
         except (ValueError, KeyError, TypeError, AttributeError):
             raise InputError("is no record of a case: remove it to begin anew", file=folder / FILE) from None
 
@@ -73,19 +73,19 @@ class Record:
 
     def edited(self, name: str) -> list[str]:
         """Files of a step that are not as it wrote them."""
-        made = self.steps.get(name, Made())
+        made = self.steps.get(name, MadeFile())
         if made.pending:
             return []
         return [file for file, digest in made.files.items() if digest_of(self.folder / file) != digest]
 
     def begin(self, name: str) -> None:
         """Notes that a step's files are about to be written: what a kill leaves is nobody's edit."""
-        self.steps[name] = Made(pending=True)
+        self.steps[name] = MadeFile(pending=True)
         self.write()
 
     def end(self, name: str, key: str, files: Mapping[str, str], sentence: str, chosen: int = 1) -> None:
         """Notes that they are there."""
-        self.steps[name] = Made(key, dict(files), sentence, chosen=chosen)
+        self.steps[name] = MadeFile(key, dict(files), sentence, chosen=chosen)
         self.write()
 
 
@@ -145,7 +145,7 @@ class Work:
         """Notes what reading a file of the case would give."""
         self.read[digest_of(self.file(name))] = scenario
 
-    def end(self, step: Step, sentence: str, chosen: int = 1) -> None:
+    def end(self, step: CaseStep, sentence: str, chosen: int = 1) -> None:
         """Notes that a step's files are there, and what they were made from."""
         there = [name for name in (*step.files, *step.results) if self.file(name).exists()]
         digests = {name: digest_of(self.file(name)) for name in there}
@@ -156,7 +156,7 @@ class Work:
         return [digest_of(self.file(name)) for name in names]
 
 
-class Step(ABC):
+class CaseStep(ABC):
     """A step of a case."""
 
     name: ClassVar[str]
@@ -185,7 +185,7 @@ NORM_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Row:
+class BaseRow:
     """A base pose of the table."""
 
     number: int  # from 1
@@ -205,7 +205,7 @@ def bases_text(poses: Sequence[BasePose]) -> str:
     return stream.getvalue()
 
 
-def read_bases(file: Path) -> list[Row]:
+def read_bases(file: Path) -> list[BaseRow]:
     """The poses in their order. Raises InputError for a table without the columns, and for what turns nothing."""
     table = CsvTable(str(file), "table of base poses")
     for name in (*POSITION, *TURN):
@@ -219,7 +219,9 @@ def read_bases(file: Path) -> list[Row]:
         if not abs(np.linalg.norm(turn[k]) - 1) <= NORM_TOLERANCE:
             raise table.fault(f"must have norm 1 within {NORM_TOLERANCE}", k, "qw, qx, qy, qz")
     return [
-        Row(k + 1, as_written(BaseFrame(position[k] / MM_PER_M, Rotation.from_quat(np.roll(turn[k], -1)).as_matrix())))
+        BaseRow(
+            k + 1, as_written(BaseFrame(position[k] / MM_PER_M, Rotation.from_quat(np.roll(turn[k], -1)).as_matrix()))
+        )
         for k in range(len(position))
     ]
 

@@ -50,14 +50,14 @@ FEWEST_STATES = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Placement:
+class StandingBase:
     """A scenario with its base somewhere, and what checks its motions there."""
 
     scenario: Scenario
     checker: MotionChecker
 
     @classmethod
-    def of(cls, scenario: Scenario) -> Placement:
+    def of(cls, scenario: Scenario) -> StandingBase:
         """Where the scenario has its base."""
         checker = MotionChecker(scenario)
         checker.limits = path_limits(scenario)  # the scenario's own, without what a search adds
@@ -79,9 +79,9 @@ class LiveState:
         """Solves the scenario's start, where the sliders begin; a motion can be played."""
         self.scenario = scenario
         self.motion = motion
-        self.placement = Placement.of(scenario)
+        self.placement = StandingBase.of(scenario)
         self.checker = self.placement.checker
-        self._moved: dict[tuple[float, ...], Placement] = {}  # the last few
+        self._moved: dict[tuple[float, ...], StandingBase] = {}  # the last few
         self._lock = threading.Lock()
         self.start = self._shown(scenario.start)
         self.on_pose: Callable[[RobotPose], object] = lambda pose: None  # is told every pose that is shown
@@ -155,7 +155,7 @@ class LiveState:
         chosen = reached.configurations[rank.index(min(rank))]
         return {"joints": [round(value, 6) for value in self._shown(chosen.joints)]}
 
-    def placed(self, move: list[float] | None) -> Placement:
+    def placed(self, move: list[float] | None) -> StandingBase:
         """With the base moved by x, y, z [mm] and turned about the anatomy's axes through it, x first, then y, z [deg].
 
         Raises InputError unless there are six finite numbers.
@@ -171,7 +171,7 @@ class LiveState:
                 turned = Rotation.from_euler("xyz", move[3:], degrees=True).as_matrix() @ self.scenario.base_R
                 position_m = self.scenario.base_position_m + np.array(move[:3]) / MM_PER_M
                 moved = replace(self.scenario, base_position_m=position_m, base_R=turned)
-                self._moved[tuple(move)] = Placement.of(moved)
+                self._moved[tuple(move)] = StandingBase.of(moved)
             return self._moved[tuple(move)]
 
     def at(self, values: list[float], base: list[float] | None = None) -> dict[str, Any]:

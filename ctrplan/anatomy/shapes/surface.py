@@ -11,7 +11,7 @@ from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import PartEntry, register
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.base.arrays import Array
-from ctrplan.storage.toml_table import Table
+from ctrplan.storage.toml_table import TomlTable
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class SheetEntry(PartEntry):
     frame: Frame | None = None
     group: str | None = None
 
-    def shape(self, table: Table) -> Sheet:
+    def shape(self, table: TomlTable) -> Sheet:
         from ctrplan.anatomy.surface_file import read_sheet  # slow to import; many scenarios need no meshes
 
         if self.role != "avoid":

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from ctrplan.anatomy.parts import AnatomyPart, exact_clearance
-from ctrplan.anatomy.shape import Shape
+from ctrplan.anatomy.shape import PartShape
 from ctrplan.base.arrays import Array, shortest_rotation
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
@@ -133,7 +133,7 @@ def _apart(points: Array, step_m: float) -> Array:
 
 def _shape(
     name: str, targets: TargetsEntry, scenario: Scenario | None, document: Document, folder: Path, key: str
-) -> Shape:
+) -> PartShape:
     """A part of the anatomy by its number, "anatomy.2", or a mesh file."""
     if not name.startswith("anatomy"):
         from ctrplan.anatomy.mesh_file import load_mesh

@@ -14,7 +14,7 @@ from ctrplan.base.package import __version__
 from ctrplan.errors import InputError
 from ctrplan.files.study_file import StudyEntry, VaryEntry
 from ctrplan.storage.toml_document import Document
-from ctrplan.storage.toml_table import Table
+from ctrplan.storage.toml_table import TomlTable
 from ctrplan.studies.study.axes import CONFIGURATION, TASK_PREFIX, Axis, axes_of, files_varied
 from ctrplan.studies.study.sources import Sources
 from ctrplan.studies.study.task import CATALOGUE, Job, Loaded, TaskKind, TaskList, check_settings
@@ -79,7 +79,7 @@ def defined(entry: StudyEntry, document: Document, allow_outside: bool) -> Study
     from ctrplan.storage.toml_table import chosen
 
     folder = Path(document.file or ".").parent
-    kind = chosen(Table(document, ("task",)), "kind", CATALOGUE, TaskKind)
+    kind = chosen(TomlTable(document, ("task",)), "kind", CATALOGUE, TaskKind)
     start = "robot" if entry.robot is not None else "scenario"
     if start not in kind.needs:
         raise document.fault(f"is not what a {kind.kind} task is about: it needs a {kind.needs[0]}", start)
