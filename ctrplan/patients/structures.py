@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ctrplan.anatomy.image import Image, ImageRefusal, UnfitImageRefusal
-from ctrplan.anatomy.image_file import image_of, is_image
+from ctrplan.anatomy.image import Image, ImageRefusal, UnfitImageRefusal, image_of
+from ctrplan.anatomy.image_file import is_image
 from ctrplan.anatomy.mesh_file import SUFFIXES as MESHES
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.anatomy.phases import Phases
