@@ -5,7 +5,7 @@ needed by several structures.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -124,17 +124,15 @@ def images_kept() -> Iterator[None]:
         _KEPT.reset(before)
 
 
-def image_of(path: Path) -> Image:
-    """The image of a file, read where it is not kept. Raises ImageRefusal."""
-    from ctrplan.anatomy.image_file import read_image  # readers, which few scenarios need
-
+def image_of(path: Path, read: Callable[[Path], Image]) -> Image:
+    """The image of a file, read where it is not kept. Raises what `read` does."""
     images = _KEPT.get()
     if images is None:
-        return read_image(path)
+        return read(path)
     told = path.stat()
     key = (path.resolve(), told.st_size, told.st_mtime_ns)
     if key not in images:
-        images[key] = read_image(path)
+        images[key] = read(path)
         while len(images) > 1 and sum(image.voxels.nbytes for image in images.values()) > MOST_KEPT_BYTES:
             del images[next(iter(images))]
     return images[key]
