@@ -8,15 +8,17 @@ again. Do the legs hold? On the certificate mesh, the finer one, they must be va
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
+from ctrplan.certificate.figure import JOINS, Figure, figure
 from ctrplan.drive.legs import distance_from_polyline, merge_legs
 from ctrplan.errors import InputError
+from ctrplan.motion.checker import path_limits
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.accuracy import Accuracy
@@ -164,35 +166,97 @@ class TargetReached:
     )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Certificate:
-    """Dense recheck of the legs, independent of anything the search approximated."""
+    """Dense recheck of the legs, independent of anything the search approximated. Its fields are the table of figures.
+
+    A new figure is a field here and its value in `certify.finished`.
+    """
 
     samples: CertificateSamples
-    valid: bool
-    problems: tuple[str, ...]  # sentences; empty when valid
-    worst_bound_m: float  # with the allowance for the mesh
-    goal_bound_m: float  # likewise
-    goal_bound_rad: float
-    goal_tip_error_m: float  # frictionless tip to the goal's tip; 0 for joint goals
-    error_integral_mm: float  # integral of the bound over the joint length, mm * mm / mm_per_rad
-    worst_predicted_m: float  # as the bounds, but by simulated history
-    goal_predicted_m: float
-    released_integral_mm: float  # integrals of released_m and predicted_m, like error_integral_mm
-    predicted_integral_mm: float
-    goal_predicted_tip_m: Array  # (3,) robot frame, mean over the start states
-    goal_predicted_spread_m: float  # how far from it a start state can leave the tip
-    snaps: int  # times a simulated robot slid to another equilibrium
-    min_clearance_m: float  # in every friction state, all allowances taken off; inf in free space
-    min_stability: float
-    max_strain: float
-    length_mm: float  # weighted joint length
-    stops: int  # of the drive on the way: changes of direction, and targets but the last
-    cost_mm: float
-    spacing_m: float  # largest motion of a body point of any shape between samples
-    worst_play_m: float = 0.0  # how far play of the drive may move the robot
-    goal_play_m: float = 0.0
-    start_friction: StartFriction = "unknown"  # what the figures assume of friction before the motion
+    # fmt: off
+    valid: bool = field(metadata=figure("all"))
+    problems: tuple[str, ...] = field(metadata=figure("chain"))  # sentences; empty when valid
+    goal_bound_m: float = field(metadata=figure(
+        "last", "m", "worst-case friction error of the tip at the goal, with the allowance for the mesh",
+        title="Worst-case friction error at the goal, position", line=("worst-case friction error", "{} at the goal"),
+        tile=("worst-case friction error", "worst-case friction error at the goal"),
+        limit=lambda scenario: scenario.cost.max_error_goal_m,
+    ))
+    goal_bound_rad: float = field(metadata=figure(
+        "last", "rad", "of the tip's tangent", title="Worst-case friction error at the goal, direction"
+    ))
+    worst_bound_m: float = field(metadata=figure(
+        "max", "m", "largest worst-case friction error of the tip along the path", claim="worst bound",
+        title="Worst-case friction error along the path", line=("worst-case friction error", "{} on the way"),
+        tile=("worst-case friction error", "worst case at most along the path"),
+    ))
+    goal_predicted_m: float = field(metadata=figure(
+        "last", "m", "friction error at the goal by simulated history, the largest over the states it may start in",
+        title="Predicted friction error at the goal", line=("predicted friction error", "{} at the goal"),
+        tile=("predicted friction error", "predicted friction error at the goal"),
+    ))
+    worst_predicted_m: float = field(metadata=figure(
+        "max", "m", "largest friction error along the path by simulated history, over the states it may start in",
+        title="Predicted friction error along the path", line=("predicted friction error", "{} on the way"),
+    ))
+    goal_predicted_tip_m: Array = field(metadata=figure("last"))  # (3,) robot frame, mean over the start states
+    goal_predicted_spread_m: float = field(metadata=figure(
+        "last", "m", "how far from that mean the friction state at the start can leave the tip"
+    ))
+    goal_tip_error_m: float = field(metadata=figure(
+        "last", "m", "distance of the frictionless tip from the goal's; 0 for goals in joint values",
+        title="Distance from the goal without friction", limit=lambda scenario: scenario.goal.tolerance_m,
+    ))
+    worst_play_m: float = field(default=0.0, metadata=figure(
+        "max", "m", "how far play of the drive may move the robot, taken off every clearance"
+    ))
+    goal_play_m: float = field(default=0.0, metadata=figure("last", "m", "that at the goal"))
+    min_clearance_m: float = field(metadata=figure(  # inf in free space
+        "min", "m", claim="clearance", limit=lambda scenario: path_limits(scenario).clearance_m,
+        description="of every friction state to the anatomy, beyond its margins, all allowances taken off; "
+        "null in free space",
+        title="Clearance to the anatomy in every friction state, beyond its margins",
+        tile=("certified clearance", "certified clearance beyond the margins"),
+    ))
+    min_stability: float = field(metadata=figure(
+        "min", "number", "in every friction state", claim="stability",
+        title="Smallest stability in every friction state", line=("least stability", "{}"),
+        tile=("stability", "smallest stability"), limit=lambda scenario: path_limits(scenario).stability,
+    ))
+    max_strain: float = field(metadata=figure(
+        "max", "share", "in every friction state", claim="strain",
+        title="Largest strain in every friction state", line=("least stability", "largest strain {}"),
+        limit=lambda scenario: path_limits(scenario).max_strain,
+    ))
+    length_mm: float = field(metadata=figure(
+        "sum", "mm", "length in joint space, 1 rad counted as mm_per_rad", title="Joint path length"
+    ))
+    error_integral_mm: float = field(metadata=figure(
+        "sum", "mm", "integral of the bound over the joint length, divided by mm_per_rad",
+        title="Error summed over the path",
+    ))
+    released_integral_mm: float = field(metadata=figure(
+        "sum", "mm", "integral of released_m over the joint length, divided by mm_per_rad"
+    ))
+    predicted_integral_mm: float = field(metadata=figure(
+        "sum", "mm", "integral of the predicted error over the joint length, divided by mm_per_rad"
+    ))
+    spacing_m: float = field(metadata=figure(
+        "max", "m", "largest motion of a body point between samples",
+        title="Largest motion of the body between samples",
+    ))
+    cost_mm: float = field(metadata=figure(
+        "sum", "mm", "with released errors along the path, bound and released error at the goal, see the samples",
+        title="Cost", line=("cost", "{}"),
+    ))
+    stops: int = field(metadata=figure(
+        "", "count", "of the drive on the way, as the trajectory's", title="Stops on the way"
+    ))
+    snaps: int = field(metadata=figure("sum", "count", "times a simulated robot slid to another equilibrium"))
+    # The first stage's: where that is known, later stages go on from any that it leads to.
+    start_friction: StartFriction = field(default="unknown", metadata=figure("first"))  # before the motion, as assumed
+    # fmt: on
     nominal: Closest | None = None  # the frictionless robot where it comes closest; None in free space
     closest: Closest | None = None  # the robot in any friction state
     narrowest: Closest | None = None  # where min_clearance_m is left, in the friction state that comes closest there
@@ -248,32 +312,23 @@ class Recheck:
         return f"{opening} on the certificate mesh: {self.fresh.problems[0]}"
 
 
+FIGURES: dict[str, Figure] = {
+    entry.name: entry.metadata["figure"] for entry in fields(Certificate) if "figure" in entry.metadata
+}
+
+
 def joined_certificates(stages: list[Certificate]) -> Certificate:
     """One certificate over all stages: figures at the goal are the last one's, the others the worst or the sum."""
     if len(stages) == 1:
         return stages[0]
     samples, targets = _joined_samples(stages)
     last, before = stages[-1], sum(map(_legs, stages[:-1]))
+    joins = {name: JOINS[figure.join] for name, figure in FIGURES.items() if figure.join}
     return replace(
         last,
+        **{name: join([getattr(stage, name) for stage in stages]) for name, join in joins.items()},
         samples=samples,
-        valid=all(stage.valid for stage in stages),
-        problems=tuple(problem for stage in stages for problem in stage.problems),
-        worst_bound_m=max(stage.worst_bound_m for stage in stages),
-        error_integral_mm=sum(stage.error_integral_mm for stage in stages),
-        worst_predicted_m=max(stage.worst_predicted_m for stage in stages),
-        released_integral_mm=sum(stage.released_integral_mm for stage in stages),
-        predicted_integral_mm=sum(stage.predicted_integral_mm for stage in stages),
-        snaps=sum(stage.snaps for stage in stages),
-        min_clearance_m=min(stage.min_clearance_m for stage in stages),
-        min_stability=min(stage.min_stability for stage in stages),
-        max_strain=max(stage.max_strain for stage in stages),
-        length_mm=sum(stage.length_mm for stage in stages),
         stops=max(sum(map(_legs_driven, stages)) - 1, 0),
-        cost_mm=sum(stage.cost_mm for stage in stages),
-        spacing_m=max(stage.spacing_m for stage in stages),
-        worst_play_m=max(stage.worst_play_m for stage in stages),
-        start_friction=stages[0].start_friction,  # where it is known, later stages go on from any that it leads to
         nominal=_closest(stages, "nominal"),
         closest=_closest(stages, "closest"),
         narrowest=_closest(stages, "narrowest"),
