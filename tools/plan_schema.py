@@ -12,8 +12,7 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any
 
-from ctrplan.certificate.certificate import FIGURES, Certificate
-from ctrplan.certificate.figure import Figure
+from ctrplan.certificate.certificate import FIGURES, Certificate, Figure
 
 SCHEMA = Path(__file__).resolve().parents[1] / "docs" / "plan.schema.json"
 ELSEWHERE = ("settling", "walk_again")  # fields that are no keys of "certificate"

@@ -1,4 +1,6 @@
-"""What a certificate says of a motion, what comes out when it is checked again, and certificates of several stages
+"""What a certificate says of a motion: its figures in one table, what comes out when it is checked again, and
+certificates of several stages joined.
+
 joined.
 
 A recheck asks two questions. Do the figures follow from the legs? On the mesh of the first walk each must come out
@@ -9,20 +11,65 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from itertools import chain
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
-from ctrplan.certificate.figure import JOINS, Figure, figure
 from ctrplan.drive.legs import distance_from_polyline, merge_legs
 from ctrplan.errors import InputError
 from ctrplan.motion.checker import path_limits
 
 if TYPE_CHECKING:
     from ctrplan.mechanics.accuracy import Accuracy
-    from ctrplan.scenario.scenario import StartFriction
+    from ctrplan.scenario.scenario import Scenario, StartFriction
+
+Unit = Literal["", "m", "rad", "mm", "share", "number", "count"]  # "": a field that is no single number
+Join = Literal["", "max", "min", "sum", "all", "first", "last", "chain"]
+JOINS: dict[Join, Callable[[list[Any]], Any]] = {
+    "max": max,
+    "min": min,
+    "sum": sum,
+    "all": all,
+    "first": itemgetter(0),
+    "last": itemgetter(-1),
+    "chain": lambda stages: tuple(chain(*stages)),
+}
+
+
+@dataclass(frozen=True)
+class Figure:
+    """What plan.json, its schema, the terminal, the page and the audit have to know of a figure of the certificate.
+
+    Its key in plan.json is its name in `Certificate`, whose order is that of every list of figures.
+    """
+
+    join: Join  # how the figures of stages make that of the whole motion; "": `joined_certificates` says how
+    unit: Unit = ""
+    description: str = ""  # in the schema of plan.json
+    title: str = ""  # of its row on the page; no row without one
+    line: tuple[str, str] = ("", "{}")  # of the terminal: label, and text around the value; a label has one line
+    tile: tuple[str, str] = ("", "")  # on the page: a term of reports/words.py, and the text that it explains
+    limit: Callable[[Scenario], float | None] | None = None  # what the scenario requires: of a minimum at least that
+    claim: str = ""  # the name under which the audit looks for counterexamples
+
+    @property
+    def is_minimum(self) -> bool:
+        """Whether the limit is a lower one."""
+        return self.join == "min"
+
+    def meets(self, value: float, limit: float) -> bool:
+        """Whether a value keeps the limit; what is not a number never does."""
+        return bool(value >= limit if self.is_minimum else value <= limit)
+
+
+def figure(*given: Any, **shown: Any) -> dict[str, Figure]:
+    """Arguments of a `Figure` as the metadata of a field."""
+    return {"figure": Figure(*given, **shown)}
+
 
 SAME, SHARE = 1e-5, 1e-3  # in a figure's own unit (0.01 mm of a length), and of its value: processors round differently
 OFF_PATH = 1e-9  # rad or m by which legs and trajectory may leave the certified path

@@ -20,7 +20,7 @@ from ctrplan.commands.terminal import ProgressBar, amber, warn
 from ctrplan.storage.output_folder import output_folder
 
 if TYPE_CHECKING:
-    from ctrplan.certificate.figure import Unit
+    from ctrplan.certificate.certificate import Unit
     from ctrplan.files.trajectory_file import TrajectoryFormat
     from ctrplan.plans.plan import Plan
 

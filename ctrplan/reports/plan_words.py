@@ -17,8 +17,7 @@ from ctrplan.reports.words import VALUES, degrees, digits, millimetres
 
 if TYPE_CHECKING:
     from ctrplan.base.arrays import Array
-    from ctrplan.certificate.certificate import Closest, TargetReached
-    from ctrplan.certificate.figure import Figure
+    from ctrplan.certificate.certificate import Closest, Figure, TargetReached
     from ctrplan.plans.plan import Plan
     from ctrplan.scenario.scenario import Goal
 

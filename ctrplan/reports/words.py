@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from ctrplan.reports.html_page import Markup, explained, tag
 
 if TYPE_CHECKING:
-    from ctrplan.certificate.figure import Unit
+    from ctrplan.certificate.certificate import Unit
 
 TERMS = {
     "worst-case friction error": "Farthest that friction between the tubes can take the tip from where it would be "
