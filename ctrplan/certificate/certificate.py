@@ -1,8 +1,6 @@
 """What a certificate says of a motion: its figures in one table, what comes out when it is checked again, and
 certificates of several stages joined.
 
-joined.
-
 A recheck asks two questions. Do the figures follow from the legs? On the mesh of the first walk each must come out
 again. Do the legs hold? On the certificate mesh, the finer one, they must be valid too.
 """
