@@ -53,7 +53,7 @@ def test_plan_writes_everything_whole(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "worst-case friction error" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("targets", [[REST], [REST, AWAY], [AWAY, AWAY, REST]])
+@pytest.mark.parametrize("targets", [[REST], [REST, AWAY, AWAY, REST]])
 def test_targets_reached_already_are_planned_and_written(targets: list[dict[str, float]], tmp_path: Path) -> None:
     robot = SCENARIOS / "robots" / "table_5_pair.toml"
     content = {"robot": str(robot), "start": REST, "target": [{"joints": goal} for goal in targets]}
@@ -208,7 +208,7 @@ def test_all_outputs_or_none(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
 
 
-@pytest.mark.parametrize("seconds", [0.0, 0.01, 0.1, 0.4, 0.9])
+@pytest.mark.parametrize("seconds", [0.01, 0.9])  # others, at random: test_running_faults.py
 def test_ctrl_c_at_any_moment(tmp_path: Path, seconds: float) -> None:
     """Never a traceback: 130, and all files or none."""
     command = [sys.executable, "-c", INTERRUPTIBLE, "plan", str(SCENARIOS / "pair_free.toml"), "--time", "1"]
