@@ -1,9 +1,9 @@
 """Twenty mutants: one line of the program is made wrong at a time, and the tests that are named for it have to fail.
 
-`python tools/mutants.py` works on a copy of the tree in build/mutants and prints which mutants die; it ends with 1 where
-one lives, or where the tests fail on the unchanged copy. `--only WORD ...` takes those whose file or number is named.
-Mutants of the core cost a build each, of one file. Run it after tests were dropped or changed: a law that no test holds
-any more shows as a mutant that lives.
+`python tools/mutants.py` works on a copy of the tree in build/mutants and prints which mutants die; it ends with 1
+where one lives, or where the tests fail on the unchanged copy. `--only WORD ...` takes those whose file or number is
+named. Mutants of the core cost a build each, of one file. Run it after tests were dropped or changed: a law that no
+test holds any more shows as a mutant that lives.
 """
 
 from __future__ import annotations
@@ -20,18 +20,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PLACE = ROOT / "build" / "mutants"
 TREE, CORE = PLACE / "tree", PLACE / "core"
-COPIED = (
-    "benchmarks",
-    "ctrplan",
-    "docs",
-    "examples",
-    "model",
-    "scenarios",
-    "tests",
-    "tools",
-    "pyproject.toml",
-    "README.md",
-)
+FOLDERS = ("benchmarks", "ctrplan", "docs", "examples", "model", "scenarios", "tests", "tools")
+COPIED = (*FOLDERS, "pyproject.toml", "README.md")
 
 
 @dataclass(frozen=True)

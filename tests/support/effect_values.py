@@ -49,6 +49,5 @@ def pairs_of(names: Sequence[str]) -> list[tuple[str, str]]:
 
 def one_of_each_stage() -> list[str]:
     """The first effect of each stage; with CTRPLAN_FUZZ set all effects."""
-    return (
-        list(CATALOGUE) if FUZZ else list({effect.stage: name for name, effect in reversed(CATALOGUE.items())}.values())
-    )
+    stages = [CATALOGUE[name].stage for name in CATALOGUE]
+    return [name for k, name in enumerate(CATALOGUE) if FUZZ or stages[k] not in stages[:k]]

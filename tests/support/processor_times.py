@@ -1,8 +1,8 @@
-"""`pytest --processor-times FILE`: the seconds of a processor that every test and every fixture took, children included.
+"""`pytest --processor-times FILE`: seconds of a processor that every test and every fixture took, children included.
 
-A loaded machine changes the time by the clock and hardly that of the processor. Each line of the file is `seconds kind name`;
-a test's line does not hold what fixtures of wider scope took, which have lines of their own. The workers of xdist append
-to the same file. `sort -rn FILE` lists what costs most first.
+A loaded machine changes the time by the clock far more than that of the processor. Each line of the file is `seconds
+kind name`; a test's line does not hold what fixtures of wider scope took, which have lines of their own. The workers of
+xdist append to the same file. `sort -rn FILE` lists what costs most first.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Numbers that nobody means: in every key of a file, on the command line, in every argument of the public functions.
 
 Each of them is refused in one sentence, or the command does what it always does; nothing else reaches the terminal.
-That every number of a file has a finite range is asked of all keys. That a range is kept is asked of a key of each kind,
-and of all keys with CTRPLAN_FUZZ set (`make fuzz`).
+That every number of a file has a finite range is asked of all keys. That a range is kept is asked of a key of each
+kind, and of all keys with CTRPLAN_FUZZ set (`make fuzz`).
 """
 
 from __future__ import annotations
