@@ -121,11 +121,6 @@ def test_what_a_failed_solve_leaves_is_json_all_the_same(capsys: pytest.CaptureF
     [
         (["plan", "nowhere.toml"], 2, ["nowhere.toml"]),
         (["plan", str(SCENARIOS / "ribs.toml"), "--time", "-1"], 2, ["--time", "-1", "above 0"]),
-        (
-            ["plan", str(SCENARIOS / "ribs.toml"), "--set", "goal.tip_mm=[900,0,0]", "--time", "0.5"],
-            1,
-            ["goal.tip_mm", "out of reach"],
-        ),
         (["plan", str(SCENARIOS / "ribs.toml"), "--set", "cost.pth=1"], 2, ["pth", "path"]),
         (["bound", ROBOT, "--theta-deg", "0", "0", "--l-mm", "0", "-17", "-40"], 2, ["--theta-deg", "3 values"]),
         (
