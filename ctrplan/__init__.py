@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ctrplan.base.lazy_names import lazy_names
-from ctrplan.base.version import __version__ as __version__
+from ctrplan.base.package import __version__ as __version__
+from ctrplan.base.package import lazy_names
 
 if TYPE_CHECKING:
     from ctrplan import planning
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from ctrplan.errors import CtrplanError, InputError, NoAnswerError
     from ctrplan.files.measurement_file import load_measurements
     from ctrplan.files.plan_file import WrittenPlan, load_plan
+    from ctrplan.files.plan_folder import open_plan as open_plan
     from ctrplan.files.robot_file import load_robot
     from ctrplan.files.scenario_file import load_scenario
     from ctrplan.measurement.measurements import Measurements
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from ctrplan.planning.reordering import reorder as reorder
     from ctrplan.plans.plan import Plan
     from ctrplan.plans.uncertainty import plan_uncertainty as plan_uncertainty
+    from ctrplan.reports.plan_page import save_plan as save_plan
     from ctrplan.robot.robot import Robot
     from ctrplan.scenario.scenario import Scenario
     from ctrplan.studies.design.tube_design import TubeDesign, TubeDesigns
@@ -68,6 +70,8 @@ _HOMES = {
     "Scenario": "scenario.scenario",
     "load_scenario": "files.scenario_file",
     "load_plan": "files.plan_file",
+    "open_plan": "files.plan_folder",
+    "save_plan": "reports.plan_page",
     "WrittenPlan": "files.plan_file",
     "Verification": "audit.verify",
     "verify": "audit.verify",
@@ -124,12 +128,14 @@ __all__ = [
     "load_robot",
     "load_scenario",
     "load_study",
+    "open_plan",
     "place",
     "plan",
     "plan_many",
     "plan_uncertainty",
     "planning",
     "reorder",
+    "save_plan",
     "verify",
 ]
 

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ctrplan import _model
 from ctrplan.anatomy.parts import CHUNK_POINTS, AnatomyPart, combined_clearance, surface_distance
-from ctrplan.anatomy.shape import Shape
+from ctrplan.anatomy.shape import PartShape
 from ctrplan.base.arrays import Array
 from ctrplan.base.long_work import Progress, part_of
 from ctrplan.errors import InputError
@@ -221,7 +221,7 @@ def _add_numbers(content: hashlib._Hash, numbers: Sequence[ArrayLike]) -> None:
         content.update(f"{np.shape(number)};".encode() + array.tobytes())
 
 
-def _source(shape: type[Shape]) -> bytes:
+def _source(shape: type[PartShape]) -> bytes:
     """Hash of the file that defines a kind: who writes one changes its distances now and then."""
     file = getattr(sys.modules.get(shape.__module__), "__file__", None)
     return hashlib.sha256(Path(file).read_bytes() if file else b"").digest()

@@ -33,16 +33,17 @@ class Slice:
 def read_series(folder: Path, series: str | None) -> Image:
     """The series of a folder by its UID, which may be left out where there is one. Raises ImageRefusal."""
     sitk = simpleitk()
-    found = sitk.ImageSeriesReader.GetGDCMSeriesIDs(str(folder))
-    if not found:
+    result = sitk.ImageSeriesReader.GetGDCMSeriesIDs(str(folder))
+    if not result:
         raise ImageRefusal("holds no DICOM images")
-    if series is None and len(found) > 1:
+    if series is None and len(result) > 1:
         raise ImageRefusal(
-            f"holds {len(found)} series: say which by its UID (key series, or --series), {_listed(sitk, folder, found)}"
+            f"holds {len(result)} series: say which by its UID (key series, or --series), "
+            f"{_listed(sitk, folder, result)}"
         )
-    if series is not None and series not in found:
-        raise ImageRefusal(f"has no series of that series UID, but {_listed(sitk, folder, found)}")
-    files = sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), series or found[0])
+    if series is not None and series not in result:
+        raise ImageRefusal(f"has no series of that series UID, but {_listed(sitk, folder, result)}")
+    files = sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), series or result[0])
     order = _in_order(sitk, files)
     reader = sitk.ImageSeriesReader()
     reader.SetFileNames([one.file for one in order])
@@ -55,15 +56,15 @@ def read_series(folder: Path, series: str | None) -> Image:
     return _placed(checked(sitk, image, Header("LPS")), order)
 
 
-def _listed(sitk: Any, folder: Path, found: tuple[str, ...]) -> str:
+def _listed(sitk: Any, folder: Path, results: tuple[str, ...]) -> str:
     texts = []
-    for uid in found[:SHOWN]:
+    for uid in results[:SHOWN]:
         files = sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), uid)
         tags = _tags(sitk, files[0])
         texts.append(
             f"{uid} ({tags.get(MODALITY, '?').strip()} {tags.get(DESCRIPTION, '').strip()!r}, {len(files)} images)"
         )
-    return "; ".join(texts) + (f" and {len(found) - SHOWN} more" if len(found) > SHOWN else "")
+    return "; ".join(texts) + (f" and {len(results) - SHOWN} more" if len(results) > SHOWN else "")
 
 
 def _tags(sitk: Any, file: str) -> dict[str, str]:

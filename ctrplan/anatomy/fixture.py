@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctrplan.anatomy.parts import AnatomyPart, exact_clearance
-from ctrplan.anatomy.shape import Shape
+from ctrplan.anatomy.shape import PartShape
 from ctrplan.anatomy.shapes.capsule import Capsule
 from ctrplan.anatomy.shapes.sphere import Sphere
 from ctrplan.base.arrays import Array
@@ -26,7 +26,7 @@ class Fixture:
     """
 
     name: str
-    shape: Shape
+    shape: PartShape
     margin_m: float = 0.0
     stays_inside: bool = False
 
@@ -85,7 +85,7 @@ def _halved(pieces: Array) -> Array:
     return np.concatenate([one, other])
 
 
-def _within(shape: Shape, part: AnatomyPart, position_m: Array, R: Array) -> tuple[float, Array] | None:
+def _within(shape: PartShape, part: AnatomyPart, position_m: Array, R: Array) -> tuple[float, Array] | None:
     """The deepest vertex of a part within a body, if any is: a part that the body swallows touches no surface of it."""
     vertices = part.shape.surface().vertices_m
     vertices = vertices[:: len(vertices) // SAMPLED + 1]

@@ -19,7 +19,7 @@ class ImageRefusal(Exception):
 
 
 class UnfitImageRefusal(ImageRefusal):
-    """Of an image that is whole, but too large or of a kind that is not read: it may lie beside what is meant."""
+    """Refuses an image that is whole, but too large or of a kind that is not read: it may lie beside what is meant."""
 
 
 @dataclass(frozen=True)
@@ -83,17 +83,17 @@ def listed(image: Image) -> str:
     if image.segments:
         return _joined([f"{s.name!r} ({_volume(image, s.label, s.layer)})" for s in image.segments])
     values, counts = np.unique(image.voxels, return_counts=True)
-    found = [
+    results = [
         f"{value:g} ({count * image.voxel_mm3 / 1e3:.3g} ml)"
         for value, count in zip(values.tolist(), counts.tolist(), strict=True)
         if value != 0
     ]
-    return _joined(found)
+    return _joined(results)
 
 
-def _joined(found: list[str]) -> str:
-    more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
-    return (", ".join(found[:SHOWN]) or "nothing but 0") + more
+def _joined(results: list[str]) -> str:
+    more = f" and {len(results) - SHOWN} more" if len(results) > SHOWN else ""
+    return (", ".join(results[:SHOWN]) or "nothing but 0") + more
 
 
 def _volume(image: Image, label: int, layer: int) -> str:

@@ -222,12 +222,12 @@ def _checked(
         raise ImageRefusal("has axes that are not at right angles: resample it to a straight grid")
     if not (np.isfinite(spacing).all() and np.isfinite(origin).all()):
         raise ImageRefusal("has a spacing or an origin that is not finite")
-    found = Image(voxels, spacing, origin, direction, header.frame, segments)
-    _check_place(found, header.corners_mm)
-    _check_size(found)
+    image = Image(voxels, spacing, origin, direction, header.frame, segments)
+    _check_place(image, header.corners_mm)
+    _check_size(image)
     if voxels.dtype.kind == "f" and (bad := int(np.count_nonzero(~np.isfinite(voxels)))):
         raise ImageRefusal(f"has {bad} voxels that are NaN or infinite: all must be finite")
-    return found
+    return image
 
 
 def _check_place(image: Image, corners_mm: Array | None) -> None:

@@ -77,14 +77,14 @@ def first_bytes(path: Path, count: int) -> bytes:
 
 def _fields(path: Path, mark: str, last: bytes) -> dict[str, str]:
     """Lines "name mark value" of a text header, which ends with the line `last` or an empty one."""
-    found: dict[str, str] = {}
+    results: dict[str, str] = {}
     for line in first_bytes(path, HEADER_BYTES).split(b"\n"):
         name, there, value = line.decode("latin-1").strip().partition(mark)
         if there and not name.startswith("#"):
-            found[name.strip().lower()] = value.strip(" =\t")
+            results[name.strip().lower()] = value.strip(" =\t")
         if (last and line.startswith(last)) or (not last and not line.strip()):
             break
-    return found
+    return results
 
 
 def _nrrd(fields: dict[str, str]) -> Header:

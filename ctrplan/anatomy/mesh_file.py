@@ -1,21 +1,18 @@
 """Reading triangle meshes from files of several formats: checked, repaired, or refused in one sentence."""
 
+import logging
 import re
 import warnings
 from os import PathLike
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import BinaryIO, TypeVar, cast
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
-from ctrplan.anatomy.binary_ply import read_binary_ply
-from ctrplan.anatomy.glb_file import read_glb
+from ctrplan.anatomy.mesh_formats import read_binary_ply, read_binary_stl, read_obj, read_vtk
 from ctrplan.anatomy.mesh_repair import Indices, MeshRefusal, turned_outward, welded
-from ctrplan.anatomy.obj_file import read_obj
 from ctrplan.anatomy.patient_frame import Frame
-from ctrplan.anatomy.vtk_file import read_vtk
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.storage.csv_table import file_name
@@ -27,7 +24,6 @@ SUFFIXES = (".stl", ".ply", ".obj", ".vtk", ".vtp", ".vtu", ".glb")
 WITH_GROUPS = (".obj", ".glb")
 MAX_BYTES = 500_000_000
 HEADER_BYTES = 4096
-STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 LARGEST_M, SMALLEST_M = 2.0, 1e-4
 
 
@@ -65,8 +61,8 @@ def read_triangles(path: Path, unit: str, group: str | None = None) -> tuple[Arr
 def stated_frame(path: Path) -> Frame | None:
     """The patient's frame that a file names, as 3D Slicer does near the beginning; None where it does not."""
     with path.open("rb") as stream:
-        found = re.search(rb"SPACE\s*=\s*(RAS|LPS)\b", stream.read(HEADER_BYTES))
-    return None if found is None else cast(Frame, found[1].decode())
+        result = re.search(rb"SPACE\s*=\s*(RAS|LPS)\b", stream.read(HEADER_BYTES))
+    return None if result is None else cast(Frame, result[1].decode())
 
 
 def _read(path: Path, group: str | None) -> tuple[Array, Indices]:
@@ -94,54 +90,53 @@ def _read(path: Path, group: str | None) -> tuple[Array, Indices]:
 
 
 def _parsed(path: Path, group: str | None) -> tuple[Array, Indices]:
-    # Processing stays off: it would drop NaN vertices silently. Materials are never looked up.
     kind = path.suffix.lower()[1:]
     if kind == "obj":
         return read_obj(path, group)
     if kind in ("vtk", "vtp", "vtu"):
         return read_vtk(path)
-    if kind == "ply" and (found := read_binary_ply(path.read_bytes())) is not None:
-        return found
-    if kind == "stl":
-        _check_stl_size(path)
-        if (triangles := _binary_stl(path)) is not None:
-            return triangles
+    if kind == "ply" and (mesh := read_binary_ply(path.read_bytes())) is not None:
+        return mesh
+    if kind == "stl" and (mesh := read_binary_stl(path)) is not None:
+        return mesh
     try:
         with warnings.catch_warnings(), path.open("rb") as stream:
             warnings.simplefilter("ignore")
-            if kind == "glb":
-                return read_glb(stream, group)
-            mesh = trimesh.load(stream, file_type=kind, force="mesh", process=False, skip_materials=True)
-        return _rows(mesh, "vertices", np.float64), _rows(mesh, "faces", np.int64)
+            return _by_trimesh(stream, kind, group)
     except (MemoryError, MeshRefusal):
         raise
     except ImportError as error:  # trimesh would call on a package that guesses encodings
         raise MeshRefusal(f"can't be read as {kind.upper()}: must be UTF-8 text or binary") from error
-    except Exception as error:  # the readers raise whatever the damage leads them to
+    except Exception as error:  # its readers raise whatever the damage leads them to
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise MeshRefusal(f"can't be read as {kind.upper()}: {reason}") from error
 
 
-def _check_stl_size(path: Path) -> None:
-    """Refuse a binary STL that is cut short: its reader would take it for text and say something misleading."""
-    with path.open("rb") as stream:
-        head = stream.read(84)
-    if head[:5].lower() == b"solid" or len(head) < 84:
-        return
-    promised, room = int.from_bytes(head[80:], "little"), (path.stat().st_size - 84) / 50
-    if promised != room:
-        raise MeshRefusal(f"is damaged: its header promises {promised} triangles, its size is that of {room:.10g}")
+def _by_trimesh(stream: BinaryIO, kind: str, group: str | None) -> tuple[Array, Indices]:
+    """Text of STL and PLY, and binary glTF: all its meshes where its scene puts them, or those of one name.
 
+    Processing stays off: it would drop NaN vertices silently. Materials are never looked up.
+    """
+    import trimesh  # takes longer than most meshes
 
-def _binary_stl(path: Path) -> tuple[Array, Indices] | None:
-    """Vertices of each triangle of a binary STL on their own; None for text. trimesh needs three times the memory."""
-    with path.open("rb") as stream:
-        promised = int.from_bytes(stream.read(84)[80:], "little")
-        if not promised or path.stat().st_size != 84 + 50 * promised:
-            return None
-        records = np.fromfile(stream, STL_TRIANGLE, promised)
-    vertices = records["corners"].astype(np.float64).reshape(-1, 3)
-    return vertices, np.arange(len(vertices), dtype=np.int64).reshape(-1, 3)
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # it logs tracebacks of what is refused in a sentence here
+    options = {"file_type": kind, "process": False, "skip_materials": True}
+    if kind != "glb":
+        mesh = trimesh.load(stream, force="mesh", **options)
+        return _rows(mesh, "vertices", np.float64), _rows(mesh, "faces", np.int64)
+    scene = trimesh.load_scene(stream, **options)
+    vertices, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
+    for node in scene.graph.nodes_geometry:
+        transform, name = scene.graph[node]
+        mesh = scene.geometry[name]
+        if group in (None, name, node) and hasattr(mesh, "faces"):
+            vertices.append(np.asarray(mesh.vertices) @ transform[:3, :3].T + transform[:3, 3])
+            faces.append(np.asarray(mesh.faces, dtype=np.int64) + count)
+            count += len(mesh.vertices)
+    if group is not None and not count:
+        names = sorted(map(str, scene.graph.nodes_geometry))[:12]
+        raise MeshRefusal(f"has no group {group!r}, but {', '.join(map(repr, names)) or 'none'}")
+    return np.concatenate(vertices), np.concatenate(faces)
 
 
 def _rows(mesh: object, name: str, dtype: type[Number]) -> NDArray[Number]:

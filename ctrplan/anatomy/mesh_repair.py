@@ -71,6 +71,7 @@ def merged(vertices: Array, faces: Indices) -> tuple[Array, Indices]:
     exact = np.asarray(unique), _distinct(np.asarray(index)[faces])
     if not len(odd_edges(exact[1])):
         return _without_strays(*exact)
+
     pairs = cKDTree(unique).query_pairs(WELD_M, output_type="ndarray")
     graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(unique), len(unique)))
     _, group = connected_components(graph, directed=False)
@@ -116,7 +117,7 @@ def odd_edges(faces: Indices) -> Indices:
 
 
 def odd_edges_counted(faces: Indices) -> tuple[Indices, Indices]:
-    """Likewise, and how many triangles (E,) meet there."""
+    """The odd edges (E, 2), and how many triangles (E,) meet there."""
     keys, count = np.unique(_edge_keys(faces)[0], return_counts=True)
     odd = count % 2 == 1
     return _edges(keys[odd], faces), count[odd]

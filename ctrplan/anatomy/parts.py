@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrplan import _model
-from ctrplan.anatomy.shape import Role, Shape
+from ctrplan.anatomy.shape import PartShape, Role
 from ctrplan.base.arrays import Array
 from ctrplan.errors import CtrplanError, InputError
 
@@ -36,7 +36,7 @@ class AnatomyPart:
     margin_m: distance to keep from the surface on the allowed side [m]. Raises InputError for another role or margin.
     """
 
-    shape: Shape
+    shape: PartShape
     role: Role = "avoid"
     margin_m: float = 0.0
 
@@ -106,7 +106,7 @@ def exact_clearance(parts: Sequence[AnatomyPart], points_m: ArrayLike) -> Array:
 
 
 class TriangleTree:
-    """Of one surface; can't be pickled."""
+    """A tree of boxes over the triangles of one surface; can't be pickled."""
 
     def __init__(self, vertices_m: Array, faces: NDArray[np.int64]) -> None:
         """vertices_m (V, 3) [m], faces (F, 3) indices of them.
@@ -164,7 +164,9 @@ def _within_reach(parts: Sequence[AnatomyPart], places_m: Array, radius_m: float
 
 
 def exact_clearance_of_many(parts: Sequence[AnatomyPart], points_m: Array) -> Array:
-    """As `parts.exact_clearance`, of many parts and points cell by cell: the same digits in a fraction of the time."""
+    """The exact clearance of many parts and points, cell by cell: the digits of `exact_clearance` in a fraction of
+    its time.
+    """
     points = np.ascontiguousarray(points_m, dtype=np.float64).reshape(-1, 3)
     if len(parts) <= FEW or not len(points) or not np.isfinite(points).all():
         return exact_clearance(parts, points)

@@ -12,7 +12,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from ctrplan.base.arrays import Array, read_only
-from ctrplan.storage.toml_table import Table
+from ctrplan.storage.toml_table import TomlTable
 
 Frame = Literal["RAS", "LPS"]
 FRAMES: tuple[Frame, ...] = get_args(Frame)
@@ -26,9 +26,9 @@ ENDS: dict[Frame, tuple[tuple[str, str], ...]] = {
 }
 
 
-def signs(found: Frame, wanted: Frame) -> Array:
+def signs(frame: Frame, wanted: Frame) -> Array:
     """(3,) by which coordinates in frame `found` are multiplied to be in frame `wanted`."""
-    return SAME if found == wanted else TURNED
+    return SAME if frame == wanted else TURNED
 
 
 def axis_label(axis: int, frame: Frame | None) -> str:
@@ -39,13 +39,13 @@ def axis_label(axis: int, frame: Frame | None) -> str:
     return f"{'xyz'[axis]}, {minus} \u2192 {plus}"
 
 
-def scenario_frame(table: Table) -> Frame | None:
+def scenario_frame(table: TomlTable) -> Frame | None:
     """The frame that the scenario file around a table says; None where it says none."""
     said = table.document.content.get("frame")
     return said if said in FRAMES else None
 
 
-def to_scenario(table: Table, stated: Frame | None, given: Frame | None, *, is_patient: bool) -> Array:
+def to_scenario(table: TomlTable, stated: Frame | None, given: Frame | None, *, is_patient: bool) -> Array:
     """(3,) signs that take coordinates of a file to the scenario's frame, in the patient's directions.
 
     stated: what the file says of its frame. given: key `frame` of the table. is_patient: whether the file is of no use
@@ -55,13 +55,13 @@ def to_scenario(table: Table, stated: Frame | None, given: Frame | None, *, is_p
     own = scenario_frame(table)
     if stated and given and stated != given:
         raise table.fault(f"contradicts the file, which says {stated}", "frame")
-    found = stated or given
-    if own is None and (found or is_patient):
-        states = f"{table.key()} is in {found}" if found else f"{table.key()} is an image of a patient"
+    result = stated or given
+    if own is None and (result or is_patient):
+        states = f"{table.key()} is in {result}" if result else f"{table.key()} is an image of a patient"
         rule = f"is missing: {states}, so say whether base, goal and shapes are in RAS or in LPS"
         raise table.document.fault(rule, "frame")
     if own is None:
         return SAME
-    if found is None:
+    if result is None:
         raise table.fault("is missing: the file does not say whether its coordinates are in RAS or in LPS", "frame")
-    return signs(found, own)
+    return signs(result, own)

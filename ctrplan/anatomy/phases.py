@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ctrplan.anatomy.shape import Role, Shape
+from ctrplan.anatomy.shape import PartShape, Role
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
@@ -17,14 +17,14 @@ SAMPLED = 3000  # vertices of a phase of which the way to the next one is looked
 
 
 @dataclass(frozen=True, eq=False)
-class Phases(Shape):
+class Phases(PartShape):
     """shapes: the structure in each phase, in their order. Avoided is their union, stayed inside of what they share.
 
     Raises InputError for fewer than two.
     """
 
     kind = "phases"
-    shapes: tuple[Shape, ...]
+    shapes: tuple[PartShape, ...]
     role: Role
     motion_margin_m: float  # kept besides the margin, for places between the phases
 
@@ -44,7 +44,7 @@ class Phases(Shape):
         return np.min([lower for lower, _ in boxes], axis=0), np.max([upper for _, upper in boxes], axis=0)
 
     def surface(self) -> Surface:
-        """Of all phases."""
+        """The surfaces of all phases together."""
         surfaces = [shape.surface() for shape in self.shapes]
         before = np.cumsum([0] + [len(s.vertices_m) for s in surfaces[:-1]])
         faces = [s.faces + count for s, count in zip(surfaces, before, strict=True)]
@@ -56,7 +56,7 @@ class Phases(Shape):
         return ", ".join(shape.name for shape in self.shapes)
 
     def content(self) -> Sequence[ArrayLike]:
-        """Of all phases."""
+        """The content of all phases."""
         return [numbers for shape in self.shapes for numbers in shape.content()]
 
     @property

@@ -22,13 +22,13 @@ from ctrplan.base.catalogue import AbstractStruct, Catalogue
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
 from ctrplan.storage.toml_document import Distance
-from ctrplan.storage.toml_table import Table
+from ctrplan.storage.toml_table import TomlTable
 
 LENGTH = Number(0, 1e3, "m", above=True)
 Role = Literal["avoid", "inside"]
 
 
-class Shape(ABC):
+class PartShape(ABC):
     """A closed body in the anatomy's frame. Subclasses are dataclasses, compared by identity."""
 
     kind: ClassVar[str]  # as a scenario file names it
@@ -68,7 +68,7 @@ class PartEntry(Struct, metaclass=AbstractStruct, forbid_unknown_fields=True, kw
     margin_mm: Distance = 0.0
 
     @abstractmethod
-    def shape(self, table: Table) -> Shape:
+    def shape(self, table: TomlTable) -> PartShape:
         """The shape that the entry describes; `table` reads files and says faults. Raises InputError."""
 
 
@@ -76,7 +76,7 @@ CATALOGUE: Catalogue[type[PartEntry]] = Catalogue("obstacle kind", "ctrplan.anat
 E_ = TypeVar("E_", bound=type[PartEntry])
 
 
-def register(shape: type[Shape]) -> Callable[[E_], E_]:
+def register(shape: type[PartShape]) -> Callable[[E_], E_]:
     """Adds a kind to the catalogue: the decorator of the entry that describes a `shape`.
 
     Raises InputError where the shape or its entry lacks something, or the kind has another's name.

@@ -23,7 +23,7 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class Choice:
+class StructureChoice:
     """One of label, segment, and a range of grey values, of which one end is enough."""
 
     label: int | None = None
@@ -38,7 +38,7 @@ class Choice:
 
 
 @dataclass(frozen=True, eq=False)
-class Structure:
+class ImageStructure:
     """What is chosen, cropped: grid (nz, ny, nx), whose voxel (0, 0, 0) is `first` (3,) along (x, y, z) of the image.
 
     inside: which voxels belong. above: for a range of grey values how far each is within it, else None.
@@ -51,7 +51,7 @@ class Structure:
     at_edge: bool
 
 
-def structure(image: Image, choice: Choice) -> Structure:
+def structure(image: Image, choice: StructureChoice) -> ImageStructure:
     """The chosen voxels. Raises ImageRefusal where there are none, with what there is."""
     if choice.is_range:
         voxels = _layer(image, 0)
@@ -67,7 +67,7 @@ def structure(image: Image, choice: Choice) -> Structure:
     short = [(PAD - (low - c.start), PAD - (c.stop - high)) for (low, high), c in zip(box, crop, strict=True)]
     first = np.array([c.start - before for c, (before, _) in zip(crop, short, strict=True)][::-1])
     above = _margin(voxels[crop], choice, short) if choice.is_range else None
-    return Structure(np.pad(inside[crop], short), above, first, at_edge)
+    return ImageStructure(np.pad(inside[crop], short), above, first, at_edge)
 
 
 def has_thin_parts(inside: Mask) -> bool:
@@ -92,16 +92,16 @@ def _layer(image: Image, layer: int) -> NDArray[Any]:
     return image.voxels if image.voxels.ndim == 3 else image.voxels[..., layer]
 
 
-def _labelled(image: Image, choice: Choice) -> tuple[NDArray[Any], Mask]:
+def _labelled(image: Image, choice: StructureChoice) -> tuple[NDArray[Any], Mask]:
     label, layer = choice.label, 0
     if choice.segment is not None:
-        found = [s for s in image.segments if s.name == choice.segment]
+        results = [s for s in image.segments if s.name == choice.segment]
         if not image.segments:
             raise ImageRefusal(f"names no segments: say a label of {listed(image)}")
-        if len(found) != 1:
-            there = "no segment" if not found else f"{len(found)} segments"
+        if len(results) != 1:
+            there = "no segment" if not results else f"{len(results)} segments"
             raise ImageRefusal(f"has {there} of that name, but {listed(image)}")
-        label, layer = found[0].label, found[0].layer
+        label, layer = results[0].label, results[0].layer
     elif label is None:
         raise ImageRefusal(f"needs label, segment, above or below to say what is meant of {listed(image)}")
     elif image.voxels.ndim == 4:
@@ -113,14 +113,14 @@ def _labelled(image: Image, choice: Choice) -> tuple[NDArray[Any], Mask]:
     return voxels, inside
 
 
-def _in_range(voxels: NDArray[Any], choice: Choice) -> Mask:
+def _in_range(voxels: NDArray[Any], choice: StructureChoice) -> Mask:
     inside: Mask = np.ones(voxels.shape, bool) if choice.above is None else voxels > choice.above
     if choice.below is not None:
         inside &= voxels < choice.below
     return inside
 
 
-def _margin(voxels: NDArray[Any], choice: Choice, short: list[tuple[int, int]]) -> NDArray[np.float32]:
+def _margin(voxels: NDArray[Any], choice: StructureChoice, short: list[tuple[int, int]]) -> NDArray[np.float32]:
     """How far grey values are within the range; beyond the image as far outside as its last voxels are inside."""
     values = voxels.astype(np.float32)
     above = np.full(values.shape, np.inf, np.float32) if choice.above is None else values - np.float32(choice.above)
@@ -158,7 +158,7 @@ Grid = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
 
-def level_surface(chosen: Structure) -> tuple[Array, Indices]:
+def level_surface(chosen: ImageStructure) -> tuple[Array, Indices]:
     """Vertices (V, 3) along (x, y, z) in voxels of the structure's grid; triangles (F, 3), closed and outward."""
     shape = chosen.inside.shape
     keys, places, corners, count = [], [], [], 0
@@ -175,7 +175,7 @@ def level_surface(chosen: Structure) -> tuple[Array, Indices]:
     return np.concatenate(places)[rows], np.ascontiguousarray(faces, dtype=np.int64)
 
 
-def _heights(chosen: Structure, planes: slice) -> Grid:
+def _heights(chosen: ImageStructure, planes: slice) -> Grid:
     """How far inside the voxels of some planes are, positive inside; only the sign and ratios have a meaning."""
     from scipy.ndimage import gaussian_filter  # slow to import
 

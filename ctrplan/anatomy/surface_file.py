@@ -25,7 +25,7 @@ from ctrplan.anatomy.mesh_repair import (
 from ctrplan.anatomy.patient_frame import Frame, to_scenario
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.surface import Surface
-from ctrplan.storage.toml_table import Table
+from ctrplan.storage.toml_table import TomlTable
 
 HUGE, ENOUGH = 1_000_000, 200_000  # triangles: what is thinned, and to what
 MOST_ERROR_M = 0.05e-3
@@ -43,9 +43,9 @@ def thinned(vertices: Array, faces: Indices) -> tuple[Array, Indices, float]:
     if len(faces) <= HUGE:
         return vertices, faces, 0.0
     for doubled in range(TRIES):
-        if (wanted := 2**doubled * ENOUGH) >= len(faces) or (found := collapsed(vertices, faces, wanted)) is None:
+        if (wanted := 2**doubled * ENOUGH) >= len(faces) or (result := collapsed(vertices, faces, wanted)) is None:
             break
-        points, triangles = found
+        points, triangles = result
         error = np.inf if len(odd_edges(triangles)) else _error_m(vertices, faces, points, triangles)
         if error <= MOST_ERROR_M:
             return points, triangles, float(error)
@@ -171,7 +171,7 @@ class SurfaceFile:
 
 
 def read_body(
-    table: Table, path: Path, unit: str, frame: Frame | None, group: str | None, repair: Repair
+    table: TomlTable, path: Path, unit: str, frame: Frame | None, group: str | None, repair: Repair
 ) -> SurfaceFile:
     """The closed surface of a body that `table` names, turned outward. Raises InputError."""
     vertices, faces = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
@@ -189,7 +189,7 @@ def read_body(
         raise MeshDefectError(fault, MeshDefect(path, Surface(vertices, faces), refusal.place_m)) from None
 
 
-def read_sheet(table: Table, path: Path, unit: str, frame: Frame | None, group: str | None) -> SurfaceFile:
+def read_sheet(table: TomlTable, path: Path, unit: str, frame: Frame | None, group: str | None) -> SurfaceFile:
     """A surface of any kind that `table` names, open ones as well. Raises InputError."""
     try:
         vertices, faces = merged(*read_triangles(path, unit, group))
@@ -198,5 +198,5 @@ def read_sheet(table: Table, path: Path, unit: str, frame: Frame | None, group: 
     return SurfaceFile(_placed(table, path, frame, vertices), faces)
 
 
-def _placed(table: Table, path: Path, frame: Frame | None, vertices: Array) -> Array:
+def _placed(table: TomlTable, path: Path, frame: Frame | None, vertices: Array) -> Array:
     return np.ascontiguousarray(vertices * to_scenario(table, stated_frame(path), frame, is_patient=False))

@@ -164,7 +164,7 @@ class AuditedPlan:
 
     @property
     def pairs(self) -> int:
-        """Of neighbouring tubes."""
+        """Number of pairs of neighbouring tubes."""
         return self.robot.n - 1
 
     def stated(self, claim: str, place: float) -> float:
@@ -215,10 +215,10 @@ class AuditedPlan:
             return []
         if max(free.status, shape.status) >= Status.FAILED:
             return []
-        found = self.of_shape(shape, None if play else free.tip_m, place, phi, play=play)
+        result = self.of_shape(shape, None if play else free.tip_m, place, phi, play=play)
         for state, solved, stability in zip(states, (free, shape), bodies.stability, strict=True):
-            found.append(self.finding("stability", float(stability), place, tuple(state), solved, play=play))
-        return [replace(f, accuracy=mesh) for f in found]
+            result.append(self.finding("stability", float(stability), place, tuple(state), solved, play=play))
+        return [replace(f, accuracy=mesh) for f in result]
 
     def of_shape(
         self,
@@ -231,15 +231,17 @@ class AuditedPlan:
         play: tuple[float, ...] = (),
     ) -> list[WorstFigure]:
         """Clearance, strain, and deviation from the frictionless tip (3,) of a solved shape."""
-        found = [self.finding("strain", float(shape.max_strain), place, phi, shape, before=before, play=play)]
+        results = [self.finding("strain", float(shape.max_strain), place, phi, shape, before=before, play=play)]
         if self.plan.scenario.anatomy:
             room, tube, point = self.room(body_of(self.robot, shape))
             least = self.finding("clearance", room, place, phi, shape, before=before, play=play)
-            found.append(replace(least, tube=tube, point_m=point))
+            results.append(replace(least, tube=tube, point_m=point))
         if free_tip_m is not None:
             off = float(np.linalg.norm(shape.tip_m - free_tip_m))
-            found += [self.finding(claim, off, place, phi, shape, before=before) for claim in ("bound", "worst bound")]
-        return found
+            results += [
+                self.finding(claim, off, place, phi, shape, before=before) for claim in ("bound", "worst bound")
+            ]
+        return results
 
     def finding(
         self,
@@ -273,6 +275,6 @@ class AuditedPlan:
 
     def note(self, findings: list[WorstFigure]) -> None:
         """Keeps of every claim what says most against it."""
-        for found in findings:
-            if np.isfinite(found.value) and found.worse_than(self.worst.get(found.claim)):
-                self.worst[found.claim] = found
+        for result in findings:
+            if np.isfinite(result.value) and result.worse_than(self.worst.get(result.claim)):
+                self.worst[result.claim] = result

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrplan.anatomy.parts import AnatomyPart
-from ctrplan.anatomy.shape import Shape as Part
+from ctrplan.anatomy.shape import PartShape as Part
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.base.arrays import Array
 
@@ -84,7 +84,7 @@ class RawAnatomy:
 
     @classmethod
     def of(cls, parts: Sequence[AnatomyPart]) -> RawAnatomy:
-        """Of the parts of a scenario."""
+        """The raw anatomy of the parts of a scenario."""
         return cls(tuple((part, _signed(part.shape)) for part in parts))
 
     def room(self, points_m: Array) -> Array:

@@ -73,8 +73,8 @@ class StateHunt:
             scores = self.scores(State(place, phi[0], play), phi)
             for aim in AIMS:
                 if (k := int(np.argmax(scores.of(aim)))) >= 0 and np.isfinite(scores.of(aim)[k]):
-                    found = float(scores.of(aim)[k]), State(place, phi[k], play)
-                    best[aim] = max(best.get(aim, found), found, key=lambda pair: pair[0])
+                    result = float(scores.of(aim)[k]), State(place, phi[k], play)
+                    best[aim] = max(best.get(aim, result), result, key=lambda pair: pair[0])
             yield
         for aim, (score, state) in best.items():
             if aim in ("strain", "stability") and score <= self.worst[aim]:
@@ -87,7 +87,7 @@ class StateHunt:
                 yield
 
     def scores(self, state: State, phi: Array) -> Scores:
-        """Of friction states (S, P) at the state's place, on the coarse mesh."""
+        """Scores of friction states (S, P) at the state's place, on the coarse mesh."""
         case, none = self.case, np.full(len(phi), -np.inf)
         case.work += 2 * (len(phi) + 1)
         try:
@@ -141,18 +141,18 @@ class StateHunt:
         def score(at: State, phi: Array) -> Array:
             scores = []
             for row in phi:
-                found = case.solved(at.place, tuple(row), at.play)
-                case.note(found)
-                scores.append(max((worse(f) for f in found if f.claim == aim), default=-np.inf))
+                result = case.solved(at.place, tuple(row), at.play)
+                case.note(result)
+                scores.append(max((worse(f) for f in result if f.claim == aim), default=-np.inf))
             return np.array(scores)
 
         begin = float(score(state, state.phi[None])[0])
         descend(score, begin, state, FINE_STEPS)
 
 
-def worse(found: WorstFigure) -> float:
+def worse(figure: WorstFigure) -> float:
     """A figure as a score: larger is worse, also where nothing is claimed."""
-    return -found.value if found.claim == "clearance" else found.excess
+    return -figure.value if figure.claim == "clearance" else figure.excess
 
 
 def descend(
@@ -165,9 +165,9 @@ def descend(
         phi = np.clip(state.phi + sides, -1, 1) if len(state.phi) else state.phi[None]
         phi = phi[np.any(phi != state.phi, axis=1)]
         if len(phi):
-            found = scores(state, phi)
-            if found.max() > score:
-                score, state = float(found.max()), State(state.place, phi[int(np.argmax(found))], state.play)
+            result = scores(state, phi)
+            if result.max() > score:
+                score, state = float(result.max()), State(state.place, phi[int(np.argmax(result))], state.play)
         for side in (1, -1):
             place = float(np.clip(state.place + side * step * PLACE_PER_PHI, 0, 1))
             if place == state.place:
@@ -214,20 +214,20 @@ class HistoryHunt:
     def round(self) -> Iterator[None]:
         """One history on the coarse mesh; once more on the judge's where it is the worst of its kind."""
         before = self._drawn()
-        found = self._driven(before, self._end(), "search")
-        self._note(found)
+        result = self._driven(before, self._end(), "search")
+        self._note(result)
         yield
         for aim in ("clearance", "bound"):
-            worst = max((f for f in found if f.claim == aim), key=worse, default=None)
+            worst = max((f for f in result if f.claim == aim), key=worse, default=None)
             if worst is not None and worse(worst) > self.kept.get(aim, (-np.inf, before))[0]:
                 self.kept[aim] = worse(worst), before
                 if self.mesh != "search":
                     self._note(self._driven(before, worst.place, self.mesh, looks=(worst.place,)))
                 yield
 
-    def _note(self, found: list[WorstFigure]) -> None:
+    def _note(self, results: list[WorstFigure]) -> None:
         """What counts: on the judge's mesh; predictions on the coarse one, where certificates make them."""
-        self.case.note([f for f in found if f.accuracy == ("search" if f.claim == "predicted" else self.mesh)])
+        self.case.note([f for f in results if f.accuracy == ("search" if f.claim == "predicted" else self.mesh)])
 
     def _drawn(self) -> Before:
         """The starts that certificates simulate, each second; else turns, or the worst ones with other amplitudes."""
@@ -279,10 +279,10 @@ class HistoryHunt:
         history = case.robot.history(before.phi, accuracy=mesh)
         try:
             self._approach(history, before, mesh)
-            found = self._followed(history, before, places, seen, mesh)
+            result = self._followed(history, before, places, seen, mesh)
         except (SolverError, CtrplanError):  # there is no equilibrium to come from, or tubes that do not nest
             return []
-        return [replace(f, accuracy=mesh) for f in found]
+        return [replace(f, accuracy=mesh) for f in result]
 
     def _approach(self, history: History, before: Before, mesh: Accuracy) -> None:
         start = self.case.way.joints[0]
@@ -295,7 +295,7 @@ class HistoryHunt:
         self, history: History, before: Before, places: Array, seen: set[float], mesh: Accuracy
     ) -> list[WorstFigure]:
         case, begin = self.case, 0
-        found: list[WorstFigure] = []
+        results: list[WorstFigure] = []
         joints = np.array([case.way.joints_at(place) for place in places])
         theta, l = case.robot.drive.collars(joints)  # noqa: E741 (as in the equations)
         self._count(joints, mesh)
@@ -305,27 +305,27 @@ class HistoryHunt:
             path = history.follow(theta[begin : k + 1], l[begin : k + 1])
             self.snaps += int(np.nan_to_num(path.snaps).sum())
             off = np.linalg.norm(path.position_m - free.position_m[begin : k + 1], axis=1)
-            found += self._tips(path.position_m, off, places[begin : k + 1], before)
+            results += self._tips(path.position_m, off, places[begin : k + 1], before)
             if path.status[-1] == Status.FAILED:
                 break
             if case.plan.scenario.anatomy:
                 shape = history.advance(theta[k], l[k]).shape
-                found += case.of_shape(shape, None, float(places[k]), before.phi, before=before.joints)
+                results += case.of_shape(shape, None, float(places[k]), before.phi, before=before.joints)
             begin = k + 1
-        return found
+        return results
 
     def _tips(self, tips: Array, off: Array, places: Array, before: Before) -> list[WorstFigure]:
         """The worst against the bound, and against the certificate's own prediction where it simulated the same."""
         case, claims = self.case, ["bound", "worst bound", *([] if len(before.joints) else ["predicted"])]
-        found = []
+        results = []
         for claim in claims:
             excess = np.array([d - case.stated(claim, p) for d, p in zip(off, places, strict=True)])
             if np.isfinite(excess).any():
                 k = int(np.nanargmax(excess))
-                found.append(
+                results.append(
                     case.finding(claim, float(off[k]), float(places[k]), before.phi, tips[k], before=before.joints)
                 )
-        return found
+        return results
 
     def _count(self, joints: Array, mesh: Accuracy) -> None:
         steps = np.abs(np.diff(joints, axis=0)) / np.where(self.case.robot.drive.is_rotation, STEP_RAD, STEP_M)

@@ -26,7 +26,7 @@ from ctrplan.storage.output_folder import write_results
 FILES = ("scenario.toml", "robot.toml", "joints.csv", "counterexample.json")
 
 
-def write_scene(folder: Path, verification: Verification, found: WorstFigure) -> list[str]:
+def write_scene(folder: Path, verification: Verification, figure: WorstFigure) -> list[str]:
     """Writes the scene of a finding into a folder, with the robot and the meshes; returns the commands that show it.
 
     Raises InputError for anatomy of a kind that no file here describes, CtrplanError where the system refuses.
@@ -38,21 +38,21 @@ def write_scene(folder: Path, verification: Verification, found: WorstFigure) ->
         entry, mesh = _part(part, f"part_{number}.stl")
         entries.append(entry)
         meshes |= mesh
-    commands = _commands(folder, found)
+    commands = _commands(folder, figure)
     results: dict[str, str | bytes] = {
-        "scenario.toml": tomli_w.dumps(_scenario(scenario, found, entries)),
+        "scenario.toml": tomli_w.dumps(_scenario(scenario, figure, entries)),
         "robot.toml": tomli_w.dumps(dict(scenario.robot.content)),
-        "joints.csv": _joints(verification, found),
-        "counterexample.json": json.dumps(_content(found, commands), indent=2) + "\n",
+        "joints.csv": _joints(verification, figure),
+        "counterexample.json": json.dumps(_content(figure, commands), indent=2) + "\n",
         **meshes,
     }
     write_results(folder, results)
     return commands
 
 
-def _commands(folder: Path, found: WorstFigure) -> list[str]:
-    mesh = "search" if found.accuracy == "search" else "certificate"
-    start = ",".join(f"{phi:+.17g}" for phi in found.phi) if any(found.phi) else "released"
+def _commands(folder: Path, figure: WorstFigure) -> list[str]:
+    mesh = "search" if figure.accuracy == "search" else "certificate"
+    start = ",".join(f"{phi:+.17g}" for phi in figure.phi) if any(figure.phi) else "released"
     replay = f"-o {folder / 'replay'} --start={start} --accuracy {mesh}"
     return [
         f"ctrplan view {folder / 'scenario.toml'}",
@@ -60,12 +60,12 @@ def _commands(folder: Path, found: WorstFigure) -> list[str]:
     ]
 
 
-def _scenario(scenario: Scenario, found: WorstFigure, anatomy: list[dict[str, Any]]) -> dict[str, Any]:
+def _scenario(scenario: Scenario, figure: WorstFigure, anatomy: list[dict[str, Any]]) -> dict[str, Any]:
     """The robot where the claim breaks; the goal is to stay there."""
-    here = scenario.robot.drive.named(found.joints)
+    here = scenario.robot.drive.named(figure.joints)
     x, y, z, w = Rotation.from_matrix(scenario.base_R).as_quat().tolist()
     return {
-        "name": f"{scenario.name}: {found.claim} broken",
+        "name": f"{scenario.name}: {figure.claim} broken",
         "robot": "robot.toml",
         "base": {"position_mm": _mm(scenario.base_position_m), "quaternion_wxyz": [w, x, y, z]},
         "start": here,
@@ -89,36 +89,36 @@ def _part(part: AnatomyPart, mesh_file: str) -> tuple[dict[str, Any], dict[str, 
     return entry | lengths, {}
 
 
-def _joints(verification: Verification, found: WorstFigure) -> str:
+def _joints(verification: Verification, figure: WorstFigure) -> str:
     """What the tubes are commanded to: before the start, then along the way until the claim breaks."""
     plan, drive = verification.plan, verification.plan.scenario.robot.drive
-    rows = found.joints[None]
-    if found.before is not None:
-        way = AuditedPlan.of(plan, found.accuracy).way
-        rows = np.vstack([found.before, way.until(found.place)])
+    rows = figure.joints[None]
+    if figure.before is not None:
+        way = AuditedPlan.of(plan, figure.accuracy).way
+        rows = np.vstack([figure.before, way.until(figure.place)])
     theta, l = drive.commanded(rows)  # noqa: E741 (as in the equations)
-    if found.play and drive.play is not None:
+    if figure.play and drive.play is not None:
         n = plan.scenario.robot.n
-        theta, l = theta + drive.play[0] * found.play[:n], l + drive.play[1] * found.play[n:]  # noqa: E741
+        theta, l = theta + drive.play[0] * figure.play[:n], l + drive.play[1] * figure.play[n:]  # noqa: E741
     header = [name for names in joint_columns(plan.scenario.robot.n) for name in names]
     lines = [",".join(header), *(",".join(map(repr, row)) for row in np.hstack([theta, l]).tolist())]
     return "\n".join(lines) + "\n"
 
 
-def _content(found: WorstFigure, commands: list[str]) -> dict[str, Any]:
+def _content(figure: WorstFigure, commands: list[str]) -> dict[str, Any]:
     return {
-        "claim": found.claim,
-        "stated": None if np.isnan(found.stated) else found.stated,
-        "found": found.value,
-        "leg": found.leg,
-        "time_s": found.time_s,
-        "joints": found.joints.tolist(),
-        "point_mm": _mm(found.point_m),
-        "tube": found.tube,
-        "friction_state": list(found.phi),
-        "joints_before": None if found.before is None else found.before.tolist(),
-        "play": list(found.play),
-        "accuracy": found.accuracy,
+        "claim": figure.claim,
+        "stated": None if np.isnan(figure.stated) else figure.stated,
+        "found": figure.value,
+        "leg": figure.leg,
+        "time_s": figure.time_s,
+        "joints": figure.joints.tolist(),
+        "point_mm": _mm(figure.point_m),
+        "tube": figure.tube,
+        "friction_state": list(figure.phi),
+        "joints_before": None if figure.before is None else figure.before.tolist(),
+        "play": list(figure.play),
+        "accuracy": figure.accuracy,
         "commands": commands,
     }
 

@@ -143,10 +143,10 @@ def _at_interval_ends(case: AuditedPlan, worst: Sequence[WorstFigure]) -> tuple[
     beside: dict[str, tuple[str, WorstFigure]] = {}
     for name, robot in robots_at_ends(case.robot):
         other = replace(case, robot=robot, worst={}, work=0)
-        for found in worst:
-            if found.before is None:
-                other.note(other.solved(found.place, found.phi, found.play))
-        for claim, found in other.worst.items():
-            if found.worse_than(beside.get(claim, (name, None))[1]):
-                beside[claim] = name, found
+        for result in worst:
+            if result.before is None:
+                other.note(other.solved(result.place, result.phi, result.play))
+        for claim, result in other.worst.items():
+            if result.worse_than(beside.get(claim, (name, None))[1]):
+                beside[claim] = name, result
     return tuple(beside.values())

@@ -5,6 +5,15 @@
 
 A value of another kind is refused in one sentence before anything runs. The command line reads its numbers by the same
 kinds. Arrays are read by `ctrplan.base.arrays.numbers`.
+
+Where a function and a command have many options in common, a TypedDict says each of them once. The decorator spells its
+keys out in the signature, and `ctrplan.commands.options.add_options` makes the command's options of them:
+
+    class Options(TypedDict, total=False):
+        margin_mm: Annotated[float, Option(Number(0, 10, "mm"), "kept from every structure", "D")]
+
+    @checked(Options)
+    def case(output, **options: Unpack[Options]): ...
 """
 
 from __future__ import annotations
@@ -13,15 +22,20 @@ import functools
 import inspect
 import math
 import numbers
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar, get_type_hints
 
 from ctrplan.errors import InputError
 
 P = ParamSpec("P")
 T = TypeVar("T")
+
+# What people may write, in files and on the command line: beyond it a value is in another unit.
+LONGEST_MM = 1e5
+MOST_TURNS_DEG = 360e3  # a thousand turns
 
 
 class Kind(ABC):
@@ -133,6 +147,24 @@ class Flag(Kind):
         return type(value).__name__ in ("bool", "bool_")  # Python's or numpy's
 
 
+class Text(Kind):
+    """A text."""
+
+    rule = "must be a text"
+
+    def fits(self, value: Any) -> bool:
+        return isinstance(value, str)
+
+
+class FilePath(Kind):
+    """A path as text or as an object of pathlib."""
+
+    rule = "must be a path"
+
+    def fits(self, value: Any) -> bool:
+        return isinstance(value, (str, os.PathLike))
+
+
 class Texts(Kind):
     """A list of texts; one text is none."""
 
@@ -188,17 +220,34 @@ def in_plain_digits(text: str, whole: bool = False) -> float | None:
         return None
 
 
-def checked(**kinds: Kind) -> Callable[[Callable[P, T]], Callable[P, T]]:
+@dataclass(frozen=True)
+class Option:
+    """An option of a function and of a command: a key of a TypedDict, whose annotation this is."""
+
+    kind: Kind
+    help: str
+    metavar: str | None = None
+    flag: str = ""  # on the command line, where it is not the key
+
+
+def options_of(keys: type) -> dict[str, Option]:
+    """The options that a TypedDict declares, by key, in their order."""
+    hints = get_type_hints(keys, include_extras=True)
+    return {name: hint.__metadata__[0] for name, hint in hints.items() if hasattr(hint, "__metadata__")}
+
+
+def checked(options: type | None = None, /, **kinds: Kind) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """The decorator that refuses arguments of other kinds than those stated by name; what defaults to None may be None.
 
-    Of a class it checks what it is made of. The function raises InputError that names the argument.
+    Of a class it checks what it is made of. `options` is the TypedDict of the function's further keywords, each of
+    which may be None. The function raises InputError that names the argument.
     """
 
     def decorated(function: Callable[P, T]) -> Callable[P, T]:
         if isinstance(function, type):
             function.__init__ = _guarded(function.__init__, kinds)  # type: ignore[misc]
             return function
-        return _guarded(function, kinds)
+        return _guarded(function, kinds, options)
 
     return decorated
 
@@ -213,8 +262,12 @@ def require(key: str, value: Any, kind: Kind) -> None:
         raise InputError(kind.rule, key=key, value=value, unit=kind.unit)
 
 
-def _guarded(function: Callable[..., T], kinds: Mapping[str, Kind]) -> Callable[..., T]:
-    parameters = inspect.signature(function).parameters
+def _guarded(function: Callable[..., T], kinds: Mapping[str, Kind], keys: type | None = None) -> Callable[..., T]:
+    signature = inspect.signature(function)
+    if keys is not None:
+        signature = _spelled_out(signature, keys)
+        kinds = {**kinds, **{name: option.kind for name, option in options_of(keys).items()}}
+    parameters = signature.parameters
     names = tuple(parameters)
     optional = {name for name, parameter in parameters.items() if parameter.default is None}
     unknown = kinds.keys() - parameters.keys()
@@ -224,8 +277,19 @@ def _guarded(function: Callable[..., T], kinds: Mapping[str, Kind]) -> Callable[
     @functools.wraps(function)
     def guarded(*arguments: Any, **keywords: Any) -> T:
         for name, value in (*zip(names, arguments, strict=False), *keywords.items()):
+            if keys is not None and name not in parameters:  # Python's own sentence
+                raise TypeError(f"{function.__name__}() got an unexpected keyword argument {name!r}")
             if name in kinds and not (value is None and name in optional):
                 require(name, value, kinds[name])
         return function(*arguments, **keywords)
 
+    guarded.__signature__ = signature  # type: ignore[attr-defined]
     return guarded
+
+
+def _spelled_out(signature: inspect.Signature, keys: type) -> inspect.Signature:
+    """The signature with the keys of a TypedDict in the place of its last parameter, **options."""
+    *named, _ = signature.parameters.values()
+    kind, types = inspect.Parameter.KEYWORD_ONLY, get_type_hints(keys)
+    more = [inspect.Parameter(name, kind, default=None, annotation=types[name] | None) for name in options_of(keys)]
+    return signature.replace(parameters=[*named, *more])

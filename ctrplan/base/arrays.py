@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ctrplan.base.arguments import LONGEST_MM as LONGEST_MM
+from ctrplan.base.arguments import MOST_TURNS_DEG as MOST_TURNS_DEG
 from ctrplan.errors import InputError
 
 Array = NDArray[np.float64]
@@ -23,8 +25,8 @@ def read_only(values: ArrayLike) -> NDArray[Any]:
 
 def lengths(vectors: Array) -> Array:
     """(...) lengths of vectors (..., 3): as numpy.linalg.norm, in a fraction of the time for short vectors."""
-    found: Array = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
-    return found
+    result: Array = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
+    return result
 
 
 def numbers(values: ArrayLike, key: str) -> Array:
@@ -54,10 +56,6 @@ def _kind_of(given: NDArray[Any]) -> str:
 MM_PER_M = 1e3
 MILLIMETRE = 1e-3  # m
 DEGREE = math.pi / 180  # rad
-
-# What people may write, in files and on the command line: beyond it a value is in another unit.
-LONGEST_MM = 1e5
-MOST_TURNS_DEG = 360e3  # a thousand turns
 
 Z = np.array([0.0, 0.0, 1.0])
 TINY = 1e-12

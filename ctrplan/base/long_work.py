@@ -220,7 +220,7 @@ class SearchWatch:
             raise SearchOver
 
     def ask_cheaply(self) -> None:
-        """Likewise, every CHEAP_QUESTIONS times; counted, so that a search ends at the same question everywhere."""
+        """Asks as `ask`, every CHEAP_QUESTIONS times; counted, so that a search ends at one question everywhere."""
         self._cheap += 1
         if self._cheap % CHEAP_QUESTIONS == 0:
             self.ask()

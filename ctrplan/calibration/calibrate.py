@@ -72,16 +72,16 @@ def calibrated(
     apart: NDArray[np.bool_],
     wrong: NDArray[np.bool_],
 ) -> Calibration:
-    """Of all poses, their groups, those kept aside and those that went wrong, (K,) each."""
+    """The calibration of all poses, their groups, those kept aside and those that went wrong, (K,) each."""
     data, group, aside = everything.subset(~wrong), everyones[~wrong], apart[~wrong]
     passes, noticed = [*passes[:-1], within_file(passes[-1])], [symptom.sentence for symptom in symptoms(passes[0])]
-    first, found = passes[0], passes[-1]
-    robot, terms = found.chain.robot, found.chain.terms
-    trained = held = PoseErrors.of(found.chain, found.p, group[~aside])
+    first, result = passes[0], passes[-1]
+    robot, terms = result.chain.robot, result.chain.terms
+    trained = held = PoseErrors.of(result.chain, result.p, group[~aside])
     if aside.any():
         chain = ParametricChain(robot, data.subset(aside), terms)
-        chain.correction = friction_correction(chain, found.p)
-        held = PoseErrors.of(chain, found.p, group[aside])
+        chain.correction = friction_correction(chain, result.p)
+        held = PoseErrors.of(chain, result.p, group[aside])
     whole = ParametricChain(robot, data, terms)
     nominal = PoseErrors.of(whole, whole.neutral, group)
     least_known = tuple(combinations(first))
@@ -92,19 +92,19 @@ def calibrated(
         if not c.is_known
     ]
     return Calibration(
-        fit=found,
+        fit=result,
         estimates={n: e for f in reversed(passes) for t in f.chain.terms for n, e in estimates(f, t).items()},
         training=trained.errors,
         held_out=held.errors if aside.any() else None,
         nominal=nominal.errors,
         combinations=least_known,
-        model_error_m=model_error_m(held.distance_m, found.noise.position_m),
+        model_error_m=model_error_m(held.distance_m, result.noise.position_m),
         notes=(
             *data.warnings,
             *unknown,
             *unsolved_sentence(data, nominal.failed, nominal.counted, "with the file's values"),
             *_unsolved(data, aside, trained, held),
-            *outlier_sentences(found, everything, wrong),
+            *outlier_sentences(result, everything, wrong),
             *noticed,
         ),
         data=everything,
@@ -123,7 +123,7 @@ class PoseErrors:
 
     @classmethod
     def of(cls, chain: ParametricChain, p: Array, group: NDArray[np.int_]) -> PoseErrors:
-        """Of a chain at parameters (P,); `group` (K,) numbers the configurations."""
+        """Errors of a chain at parameters (P,); `group` (K,) numbers the configurations."""
         prediction = chain.predict(p, derivatives=False)
         counted = ~excused(prediction.failed)
         distance = distances(prediction, chain.data)[counted]

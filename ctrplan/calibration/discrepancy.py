@@ -105,13 +105,17 @@ def shared(count: int, share: float) -> Array:
     return share + (1 - share) * np.eye(count)
 
 
-def within(found: Discrepancy, blocks: Sequence[NDArray[np.int_]], correlation: Callable[..., Array]) -> Discrepancy:
-    """The same discrepancy for other poses, given by their blocks; correlation(poses, memory) is that of a block."""
-    return replace(found, blocks=tuple(block_of(poses, correlation(poses, found.memory)) for poses in blocks))
+def within(
+    discrepancy: Discrepancy, blocks: Sequence[NDArray[np.int_]], correlation: Callable[..., Array]
+) -> Discrepancy:
+    """This discrepancy for other poses, given by their blocks; correlation(poses, memory) is that of a block."""
+    return replace(
+        discrepancy, blocks=tuple(block_of(poses, correlation(poses, discrepancy.memory)) for poses in blocks)
+    )
 
 
 def block_of(poses: NDArray[np.int_], correlation: Array) -> Block:
-    """Of poses with their correlation (k, k)."""
+    """A block of poses with their correlation (k, k)."""
     values, vectors = np.linalg.eigh(correlation)
     return Block(poses, np.maximum(values, 0.0), vectors)
 
@@ -153,7 +157,7 @@ class Spectrum:
 
     @classmethod
     def at(cls, fit: Linearised, blocks: Sequence[Block]) -> Spectrum:
-        """Of a fit whose discrepancy has these blocks, of every number of a pose alike."""
+        """The linearised fit whose discrepancy has these blocks, of every number of a pose alike."""
         numbers = np.arange(fit.r.size).reshape(fit.r.shape)
         position, tangent = ([(numbers[b.poses, part], b) for b in blocks] for part in (POSITION, TANGENT))
         return cls.apart(fit, position, tangent)
@@ -166,11 +170,11 @@ class Spectrum:
         tangent: Sequence[Numbered],
         sizes: tuple[Sequence[float], Sequence[float]] = (SIZES.tolist(), SIZES.tolist()),
     ) -> Spectrum:
-        """Of a fit whose positions and tangents have blocks of their own; sizes: those that are asked for, of each."""
+        """The linearised fit whose positions and tangents have blocks of their own; sizes: those required, of each."""
         return cls(fit.precision, cls._parts(fit, position, sizes[0]), cls._parts(fit, tangent, sizes[1]))
 
     def of(self, columns: Sequence[int]) -> Spectrum:
-        """Of some of the parameters, the others being where they do nothing."""
+        """The linearised fit in some of the parameters, the others being where they do nothing."""
         kept = np.ix_(columns, columns)
         parts = [
             [replace(one, H=one.H[kept], g=one.g[columns]) for one in which] for which in (self.position, self.tangent)
@@ -191,13 +195,13 @@ class Spectrum:
         flat, y = along_J[~alike], along_r[~alike]
         same, of_same = along_J[alike], along_r[alike]
         H, g, square = same.T @ same, same.T @ of_same, float(of_same @ of_same)
-        found = []
+        results = []
         for size in sizes:
             weight = 1 / (1 + size**2 * values[~alike])
             weighted, one = flat * weight[:, None], float(1 / (1 + size**2 * np.median(values)))
             fits = float(np.log(weight).sum() - weight @ y**2) + len(of_same) * np.log(one) - one * square
-            found.append(SizePart(size, weighted.T @ flat + one * H, weighted.T @ y + one * g, fits))
-        return found
+            results.append(SizePart(size, weighted.T @ flat + one * H, weighted.T @ y + one * g, fits))
+        return results
 
     def highest(self) -> tuple[float, float, float]:
         """The highest evidence, and the sizes of position and tangent that it has: one by one, until both stay."""

@@ -46,7 +46,7 @@ class Estimate:
 def estimates(fit: Fit, term: Term) -> dict[str, Estimate]:
     """The parameters of one term of a fit, with 95 % intervals inside their bounds."""
     spread = CI95 * np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-    found: dict[str, Estimate] = {}
+    results: dict[str, Estimate] = {}
     for t, place in zip(fit.chain.terms, fit.chain.slices(), strict=True):
         if t.key != term.key:
             continue
@@ -55,8 +55,8 @@ def estimates(fit: Fit, term: Term) -> dict[str, Estimate]:
             low, high = max(value - wide, parameter.lower), min(value + wide, parameter.upper)
             numbers = (min(max(_rounded(x), parameter.lower), parameter.upper) for x in (value, low, high))
             shown, *ends = numbers  # rounding must not leave the range: robot files are checked
-            found[parameter.name] = Estimate(shown, (ends[0], ends[1]), bool(fit.at_bound[j]))
-    return found
+            results[parameter.name] = Estimate(shown, (ends[0], ends[1]), bool(fit.at_bound[j]))
+    return results
 
 
 def _rounded(value: float) -> float:
@@ -86,11 +86,11 @@ def combinations(fit: Fit) -> list[Combination]:
     scaled = J.reshape(-1, J.shape[2]) * fit.chain.prior
     _, singular, directions = np.linalg.svd(scaled, full_matrices=False)
     names = [parameter.name for parameter in fit.chain.parameters]
-    found = []
+    results = []
     for value, direction in sorted(zip(singular.tolist(), directions, strict=True), key=lambda pair: pair[0]):
         parts = {n: round(float(x), 3) for n, x in zip(names, direction, strict=True) if abs(x) > SHOWN}
-        found.append(Combination(parts, float(1 / np.sqrt(1 + value**2))))
-    return found
+        results.append(Combination(parts, float(1 / np.sqrt(1 + value**2))))
+    return results
 
 
 RESAMPLES, SEED = 400, 2
@@ -122,7 +122,7 @@ def distances(prediction: SensorPrediction, data: Measurements) -> Array:
 
 
 def summary(error: Array, group: NDArray[np.int_]) -> Errors:
-    """Of distances (K,), configurations (K,) resampled whole."""
+    """The summary of distances (K,), configurations (K,) resampled whole."""
     numbers = np.unique(group)
     squares = np.array([np.sum(error[group == number] ** 2) for number in numbers])
     counts = np.array([np.sum(group == number) for number in numbers])

@@ -48,8 +48,8 @@ def strained(fit: Fit, names: Collection[str]) -> list[str]:
 
 
 def symptoms(fit: Fit) -> list[Symptom]:
-    """Of every parameter; what is plausible is what the effects say, however wide the priors of the fit are."""
-    found = []
+    """Symptoms of every parameter; effects say what is plausible, however wide the priors of the fit are."""
+    results = []
     spread = np.sqrt(np.diag(fit.covariance))
     plausible = [term(t.effect, [q.name for q in t.parameters], fit.chain.robot).parameters for t in fit.chain.terms]
     parameters = [(t.name, q) for t, own in zip(fit.chain.terms, plausible, strict=True) for q in own]
@@ -57,16 +57,16 @@ def symptoms(fit: Fit) -> list[Symptom]:
         value, error = fit.p[j] / parameter.si, spread[j] / parameter.si
         shown = f"{owner}: {parameter.name} = {value:.4g}"
         if fit.at_bound[j] and abs(value - parameter.neutral) > 1e-9:
-            found.append(Symptom(owner, f"{shown} is at the end of its range."))
+            results.append(Symptom(owner, f"{shown} is at the end of its range."))
         elif parameter.name.startswith("poisson_ratio"):
             low, high = PHYSICAL_POISSON
             if value + CERTAIN * error < low or value - CERTAIN * error > high:
                 outside = f"outside {low:g} to {high:g}, which no tube has: something else hides in it"
-                found.append(Symptom(owner, f"{shown} is {outside}."))
+                results.append(Symptom(owner, f"{shown} is {outside}."))
         if abs(value - parameter.neutral) > CONFLICT * parameter.prior:
             times = f"more than {CONFLICT:g} times what is plausible"
-            found.append(Symptom(owner, f"{owner}: {parameter.name} is {times} away from {parameter.neutral:g}."))
-    return found
+            results.append(Symptom(owner, f"{owner}: {parameter.name} is {times} away from {parameter.neutral:g}."))
+    return results
 
 
 MOST_FAILED = 1 / 3  # of the poses; a model without a solution at more of them explains nothing

@@ -68,7 +68,7 @@ def information(parts: Residuals) -> Array:
 
 
 def inverse(matrix: Array) -> Array:
-    """Of a symmetric positive definite matrix whose rows may differ by many orders of magnitude."""
+    """The inverse of a symmetric positive definite matrix whose rows may differ by many orders of magnitude."""
     scale = 1 / np.sqrt(np.diag(matrix))
     inverted: Array = np.linalg.pinv(matrix * np.outer(scale, scale), hermitian=True) * np.outer(scale, scale)
     return inverted

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ctrplan.base.version import __version__
+from ctrplan.base.package import __version__
 from ctrplan.calibration.estimates import CI95, estimates
 from ctrplan.calibration.least_squares import Fit, fit
 from ctrplan.effects.effect import Effect, Parameter
@@ -28,14 +28,14 @@ HELD = 1e-4  # share of what an earlier fit left uncertain, below which a later 
 Intervals = dict[str, tuple[float, float]]  # name of a number -> ends, SI
 
 
-def uncertainty_table(found: Fit, effects: Sequence[Term], before: Fit | None = None) -> dict[str, Any]:
+def uncertainty_table(result: Fit, effects: Sequence[Term], before: Fit | None = None) -> dict[str, Any]:
     """The table's content. What a second pass held keeps the interval that the first one, `before`, found for it.
 
     Intervals that the parent has for numbers which were not fitted stay.
     """
-    chain = found.chain
+    chain = result.chain
     ideal = chain.robot.ideal or chain.robot
-    fitted, rows = _of_fit(found, effects, ideal)
+    fitted, rows = _of_fit(result, effects, ideal)
     if before is not None:
         earlier, _ = _of_fit(before, effects, ideal)
         wider = {name for name, ends in earlier.items() if np.ptp(fitted[name]) < HELD * np.ptp(ends)}
@@ -43,29 +43,29 @@ def uncertainty_table(found: Fit, effects: Sequence[Term], before: Fit | None = 
         rows = {name: row for name, row in rows.items() if name not in wider}
     if not fitted:
         return _kept(chain.robot.intervals, {})
-    names, spread = list(rows), np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
+    names, spread = list(rows), np.sqrt(np.maximum(np.diag(result.covariance), 0.0))
     own = np.array([rows[name] for name in names], dtype=int)
     table: dict[str, Any] = _kept(chain.robot.intervals, fitted)
     if len(names) > 1 and np.all(spread[own] > 0):
-        shared = (found.covariance / np.outer(spread, spread))[np.ix_(own, own)]
+        shared = (result.covariance / np.outer(spread, spread))[np.ix_(own, own)]
         table["correlated"] = [_file_name(name) for name in names]
         table["correlation"] = np.round(shared, 6).tolist()
     return table
 
 
-def _of_fit(found: Fit, effects: Sequence[Term], ideal: Robot) -> tuple[Intervals, dict[str, int]]:
+def _of_fit(result: Fit, effects: Sequence[Term], ideal: Robot) -> tuple[Intervals, dict[str, int]]:
     """Intervals of the file's own numbers, and where each of those and of the effects' parameters stands in the fit."""
-    spread = CI95 * np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
-    chain, listed = found.chain, {t.key for t in effects}
+    spread = CI95 * np.sqrt(np.maximum(np.diag(result.covariance), 0.0))
+    chain, listed = result.chain, {t.key for t in effects}
     intervals: Intervals = {}
     rows: dict[str, int] = {}
-    for t, place, values in zip(chain.terms, chain.slices(), chain.values(found.p), strict=True):
+    for t, place, values in zip(chain.terms, chain.slices(), chain.values(result.p), strict=True):
         for j, parameter in zip(range(place.start, place.stop), t.parameters, strict=True):
             if not t.effect.of_the_file:
                 if t.key in listed:
                     rows[f"effects.{t.name}.{parameter.name}"] = j
                 continue
-            ends = [max(found.p[j] - spread[j], chain.lower[j]), min(found.p[j] + spread[j], chain.upper[j])]
+            ends = [max(result.p[j] - spread[j], chain.lower[j]), min(result.p[j] + spread[j], chain.upper[j])]
             given = [_number(t.effect, parameter.name, end, ideal) for end in ends]
             intervals[given[0][0]] = min(x for _, x in given), max(x for _, x in given)
             rows[given[0][0]] = j
@@ -111,14 +111,14 @@ LARGEST_POISSON_RATIO = 0.5  # of a robot file; a fit may go beyond, which is a 
 CHI95 = 2.795  # 95 % of distances of three Gaussian coordinates lie within that many standard deviations
 
 
-def within_file(found: Fit) -> Fit:
+def within_file(result: Fit) -> Fit:
     """`found`; where it has a Poisson's ratio that no tube has, refitted without, for a robot file can't say that."""
-    chain = found.chain
+    chain = result.chain
     terms = [Term(t.effect, tuple(_possible(p) for p in t.parameters)) for t in chain.terms]
     inside = chain.with_terms(terms)
-    if np.all(found.p <= inside.upper):
-        return found
-    return fit(inside, found.noise, found.group, found.p)
+    if np.all(result.p <= inside.upper):
+        return result
+    return fit(inside, result.noise, result.group, result.p)
 
 
 def _possible(parameter: Parameter) -> Parameter:
@@ -127,7 +127,7 @@ def _possible(parameter: Parameter) -> Parameter:
 
 
 def calibrated_content(
-    found: Fit, effects: Sequence[Term], data: Measurements, model_error_m: float, before: Fit | None = None
+    result: Fit, effects: Sequence[Term], data: Measurements, model_error_m: float, before: Fit | None = None
 ) -> dict[str, Any]:
     """The content of the new file: the parent's with the fitted numbers in it. The parent is not touched.
 
@@ -135,10 +135,10 @@ def calibrated_content(
     the parent has already only what was fitted changes. 95 % intervals of effects stand beside their values, those of
     the file's own numbers in [uncertainty]; `before` is the first of two passes.
     """
-    chain = found.chain
+    chain = result.chain
     content: dict[str, Any] = copy.deepcopy(dict(chain.robot.content))
     ideal, tables = chain.robot.ideal or chain.robot, content.setdefault("effects", {})
-    for t, values in zip(chain.terms, chain.values(found.p), strict=True):
+    for t, values in zip(chain.terms, chain.values(result.p), strict=True):
         if t.effect.of_the_file:
             named = t.effect.mechanics(values, ideal)
             _put(content, named)
@@ -146,14 +146,14 @@ def calibrated_content(
                 tables[name] = {key: _rounded(v) if isinstance(v, float) else v for key, v in table.items()}
             ideal = with_values(ideal, named)
     for t in effects:
-        fitted, table = estimates(found, t), tables.setdefault(t.name, {})
+        fitted, table = estimates(result, t), tables.setdefault(t.name, {})
         table |= t.effect.stated({name: e.value * _si(t, name) for name, e in fitted.items()})
         table |= {name: e.value for name, e in fitted.items()}
         table["ci95"] = {**table.get("ci95", {}), **{name: list(e.ci95) for name, e in fitted.items()}}
     if not tables:
         del content["effects"]
     content.pop("uncertainty", None)
-    if uncertainty := uncertainty_table(found, effects, before):
+    if uncertainty := uncertainty_table(result, effects, before):
         content["uncertainty"] = uncertainty
     content["model_error_mm"] = _rounded(model_error_m * 1e3)
     content["provenance"] = _provenance(chain, data)

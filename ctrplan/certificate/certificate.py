@@ -42,7 +42,7 @@ class Difference:
 
 
 def differences(stated: Any, found: Any, *, of: str = "", skip: tuple[str, ...] = ()) -> tuple[Difference, ...]:
-    """Of two dataclasses of one kind, fields in `skip` left out; figures are named `of` and the field.
+    """The differences of two dataclasses of one kind, fields in `skip` left out; figures are named `of` and the field.
 
     Of sequences of unlike lengths the lengths are compared, of texts whether they are alike.
     """
@@ -51,7 +51,7 @@ def differences(stated: Any, found: Any, *, of: str = "", skip: tuple[str, ...] 
 
 
 def path_differences(waypoints: Array, trajectory: Array, certified: Array) -> tuple[Difference, ...]:
-    """Of legs through waypoints (K, m) and a trajectory (T, m) [rad, m] from the path certified, (L, m)."""
+    """How far legs through waypoints (K, m) and a trajectory (T, m) [rad, m] are from the path certified, (L, m)."""
     driven, path = merge_legs(waypoints), merge_legs(certified)
     line = path if len(path) > 1 else np.repeat(path, 2, axis=0)
     apart = {
@@ -210,7 +210,7 @@ class Certificate:
         return Recheck(self, self.walk_again("certificate"), self._differences(self.walk_again(None)))
 
     def _differences(self, again: Certificate) -> tuple[Difference, ...]:
-        """Of all figures, those of samples and targets included, from those of another walk of the same legs."""
+        """The differences of all figures, samples and targets included, from those of another walk of the same legs."""
         found = differences(self, again, skip=("settling", "walk_again"))
         if self.settling is None:
             return found

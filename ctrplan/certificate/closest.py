@@ -41,7 +41,8 @@ class ClosestPlaces:
 
 
 def closest_places(scenario: Scenario, pieces: Sequence[Piece], samples: CertificateSamples) -> ClosestPlaces:
-    """Of the frictionless robot, of the robot in all friction states that were found to be narrow, and where the least
+    """The closest places of the frictionless robot, of the robot in all friction states that were narrow, and where
+    the least
     clearance is certified, of samples that are certified alike the one that comes closest. None where a walk failed.
     """
     distance = AnatomyDistance.of(scenario)
@@ -74,7 +75,7 @@ def _as_solved(scenario: Scenario, piece: Piece) -> Array:
 
 
 def _least(found: list[Closest | None]) -> Closest | None:
-    """Of those that were solved."""
+    """The closest of the states that were solved."""
     return min(filter(None, found), key=lambda place: place.clearance_m, default=None)
 
 
@@ -85,7 +86,7 @@ def _rows(clearance_m: Array) -> NDArray[np.intp]:
 
 
 def _configuration(scenario: Scenario, samples: CertificateSamples, row: int) -> FrictionStates:
-    """Of a sample, on the certificate mesh."""
+    """The configuration of a sample, on the certificate mesh."""
     collars = scenario.robot.drive.collars(samples.joints[row])
     return scenario.robot.mechanics.friction_states(*collars, accuracy="certificate")
 
@@ -93,7 +94,7 @@ def _configuration(scenario: Scenario, samples: CertificateSamples, row: int) ->
 def _closest(
     distance: AnatomyDistance, samples: CertificateSamples, row: int, at: FrictionStates, states: list[State]
 ) -> Closest | None:
-    """Of a sample in friction states; None where none of them has an equilibrium."""
+    """The closest place of a sample in friction states; None where none of them has an equilibrium."""
     scenario, robot = distance.scenario, distance.scenario.robot
     bodies = at.bodies(np.array(list(dict.fromkeys(states))), spacing_m=POINT_M)
     if not bodies.solved.any():

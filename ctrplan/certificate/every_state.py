@@ -103,7 +103,7 @@ class SampleStates:
         return shapes_of(self.scenario, self.piece.samples.bodies[self.sample])
 
     def let_go(self) -> None:
-        """Of what further states would be solved from: it is found anew if they are asked for."""
+        """Forgets what further states would be solved from: it is solved anew if they are needed."""
         with self._lock:
             self._start = None
 
@@ -314,7 +314,7 @@ class _PieceView:
         return [range(*ends) for ends in itertools.pairwise([*firsts, len(efforts) - 1])]
 
     def kept(self, samples: range, limited: Needed) -> list[StateMinima] | None:
-        """Of a batch; None if one before it breaks a limit, beyond which nothing is asked."""
+        """The minima of a batch; None if one before it breaks a limit, beyond which nothing is evaluated."""
         if samples[0] > self._broken:
             return None
         found = self.least(samples)
@@ -332,7 +332,7 @@ class _PieceView:
         return replace(piece, apart_m=apart, finer={})
 
     def least(self, samples: Sequence[int]) -> list[StateMinima]:
-        """Of each sample; all allowances taken off the clearance."""
+        """The minima of each sample; all allowances taken off the clearance."""
         tries = {sample: self._tries(sample) for sample in samples if sample not in self._found}
         while going := {sample: asked for sample, one in tries.items() if (asked := next(one, None))}:
             for sample, found in zip(going, self._least(going), strict=True):

@@ -94,7 +94,7 @@ def cell_clearances(
     enough_m: Array,
     is_least_asked: NDArray[np.bool_],
 ) -> list[CellClearance]:
-    """Of L cells, for each of which `enough_m` (L,) is asked.
+    """The clearances of L cells, for each of which `enough_m` (L,) is required.
 
     Bodies (L, 2^P + 1, N, 4) of corners and middle: points, and radii that have to be clear. Of cells that have less
     than enough the least is found where it is asked for (L,), else some clearance that is not enough.
@@ -137,7 +137,7 @@ def _by_suspicion(near: NDArray[np.intp], spare: Array, points: int) -> tuple[ND
 def _closest(
     bodies: Array, error: Array, near: NDArray[np.intp], distance: Distance, enough_m: Array
 ) -> dict[int, tuple[float, Array, Array]]:
-    """Of cells with points `near`, counted over all of them: least clearance, state in the cell (P,), place (3,).
+    """The nearest of cells with points `near`, counted over all: least clearance, state in the cell (P,), place (3,).
 
     Points come first; where one is not enough for the body around it, that is looked at in parts.
     """
@@ -173,7 +173,7 @@ class CellQuery:
 
 
 def cell_minima(asked: Sequence[CellQuery], distance: Distance | None) -> list[StateMinima]:
-    """Of L cells; clearance is inf where it was not asked for, or without a `distance`."""
+    """The minima of L cells; clearance is inf where it was not required, or without a `distance`."""
     stability = -_most(np.array([[-one.stability for one in cell.solved] for cell in asked]))
     strain = _most(np.array([[one.max_strain for one in cell.solved] for cell in asked]))
     numbers = zip(stability.tolist(), strain.tolist(), strict=True)
@@ -186,7 +186,7 @@ def cell_minima(asked: Sequence[CellQuery], distance: Distance | None) -> list[S
 
 
 def _clearances(asked: Sequence[CellQuery], distance: Distance | None) -> list[CellClearance | None]:
-    """Of every cell, None where one of its states has no body."""
+    """The clearance of every cell, None where one of its states has no body."""
     found: list[CellClearance | None] = [
         CellClearance(np.inf, one.cell.middle, one.solved[-1].body_m[-1]) if one.has_bodies else None for one in asked
     ]
@@ -250,7 +250,7 @@ class CubeQuery:
 
 
 def cube_minima(asked: CubeQuery, distance: Distance | None) -> StateMinima:
-    """Of one configuration; see `least_of_cubes`."""
+    """The minima of one configuration, as `minima_of_cubes` has them of many."""
     return minima_of_cubes([asked], distance)[0]
 
 

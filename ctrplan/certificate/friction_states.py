@@ -84,7 +84,7 @@ class CornerShapes:
 
     @property
     def pairs(self) -> int:
-        """Of tubes."""
+        """Number of pairs of tubes."""
         return len(self.bodies_m).bit_length() - 1
 
     @cached_property

@@ -121,7 +121,7 @@ class WalkedLegs:
         )
 
     def integral_mm(self, error_m: Array) -> float:
-        """Of an error [m] at every sample, (K,), along the path: 1 for 1 mm over 1 rad."""
+        """The integral of an error [m] at every sample, (K,), along the path: 1 for 1 mm over 1 rad."""
         return float(np.trapezoid(error_m * MM_PER_M, self.samples.path_mm)) / self.scenario.cost.mm_per_rad
 
 

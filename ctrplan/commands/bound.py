@@ -15,11 +15,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from ctrplan.commands.options import add_joint_options, add_set_option, configuration
-from ctrplan.commands.terminal import ProgressBar
+from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, finite, warn
 from ctrplan.errors import InputError, NoAnswerError, SolverError
-from ctrplan.mechanics.core import MOST_TUBES_OF_ALL_CORNERS
 from ctrplan.storage.output_folder import DEFAULT, output_folder, write_results
-from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 
 if TYPE_CHECKING:
     from ctrplan.base.arrays import Array
@@ -48,6 +46,8 @@ def sentence_beforehand(
     robot: Robot, theta_b: Array, l_b: Array, accuracy: Accuracy, corners: Literal["all", "extreme"] | None
 ) -> str | None:
     """What will be visited and how long that takes, by one solve at the configuration; None where it is soon done."""
+    from ctrplan.mechanics.core import MOST_TUBES_OF_ALL_CORNERS
+
     if robot.n < FEWEST_TUBES:
         return None
     chosen = corners or ("all" if robot.n <= MOST_TUBES_OF_ALL_CORNERS else "extreme")
@@ -63,7 +63,6 @@ def sentence_beforehand(
 
 
 OUTPUTS = ("sweep.csv", "sweep.png")
-PATIENCE_S = 1.0  # before a progress bar shows up
 
 
 def run_sweep(arguments: argparse.Namespace) -> int:
@@ -81,8 +80,7 @@ def run_sweep(arguments: argparse.Namespace) -> int:
     check_axes(axes)
     accuracy: Accuracy = arguments.accuracy or "search"
     folder = output_folder(DEFAULT if arguments.output is None else arguments.output, OUTPUTS)
-    terminal = sys.stderr is not None and sys.stderr.isatty()
-    with ProgressBar(quiet=not terminal, patience_s=PATIENCE_S) as bar:
+    with ProgressBar(patience_s=PATIENCE_S) as bar:
         result = sweep(document.content, axes, *commanded, file=document.file, accuracy=accuracy, progress=bar.show)
     _warn(result)
     _write(folder, result)
@@ -95,8 +93,7 @@ def _warn(result: Sweep) -> None:
     own = result.robot.warnings
     new = [warning for warning in result.warnings if warning not in own]
     more = [f"{len(new) - 1} more like the last at other values of the sweep."] if len(new) > 1 else []
-    for warning in (*own, *new[:1], *more):
-        print(f"ctrplan: warning: {warning}", file=sys.stderr)
+    warn([*own, *new[:1], *more])
 
 
 def _write(folder: Path, result: Sweep) -> None:
@@ -112,8 +109,8 @@ def _summary(folder: Path, result: Sweep) -> str:
     count = " x ".join(map(str, result.shape))
     lines = [f"{result.robot.name}: {count} points over {' and '.join(axis.key for axis in result.axes)}"]
     lines += [f"  {label:27} {text}" for label, text in _extremes(result).items()]
-    found = Counter(Status(status).name for status in result.bounds.status.tolist())
-    lines.append(f"  {'status':27} {', '.join(f'{number} {name}' for name, number in found.most_common())}")
+    counter = Counter(Status(status).name for status in result.bounds.status.tolist())
+    lines.append(f"  {'status':27} {', '.join(f'{number} {name}' for name, number in counter.most_common())}")
     lines.append(f"  {'written to':27} {folder}/sweep.csv, sweep.png")
     return "\n".join(lines)
 
@@ -131,6 +128,10 @@ def _extremes(result: Sweep) -> dict[str, str]:
     return texts
 
 
+DESCRIPTION = (
+    "Largest tip deviation that friction can cause at one configuration, "
+    "over all directions of approach; with --sweep, sweep.csv and sweep.png over one or two axes."
+)
 EXAMPLES = """examples:
   ctrplan bound scenarios/robots/three_tube.toml --theta-deg 0 90 180 --l-mm 0 -17 -62.8
   ctrplan bound scenarios/robots/table_1_pair.toml --theta-deg 0 180 --l-mm 0 -17 \
@@ -141,16 +142,8 @@ EXAMPLES = """examples:
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "bound",
-        help="bound the friction error at one configuration, or over a sweep",
-        description="Largest tip deviation that friction can cause at one configuration, "
-        "over all directions of approach; with --sweep, sweep.csv and sweep.png over one or two axes.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     parser.add_argument("robot", metavar="ROBOT.toml")
     add_joint_options(parser)
     parser.add_argument(
@@ -160,7 +153,7 @@ def add_parser(commands: Any) -> None:
         metavar="KEY=FROM:TO:COUNT",
         help="axis of a sweep, at most two: theta_I (deg) or l_I (mm) of tube I, or a key as in --set",
     )
-    parser.add_argument("-o", "--output", metavar="DIR", help=f"folder for a sweep's files (default: {DEFAULT_FOLDER})")
+    parser.add_argument("-o", "--output", metavar="DIR", help=f"folder for a sweep's files (default: {DEFAULT})")
     parser.add_argument(
         "--accuracy",
         choices=["search", "certificate", "exact"],
@@ -175,10 +168,9 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("--json", action="store_true", help="machine-readable output")
     add_set_option(parser, "the robot's key")
-    parser.set_defaults(run=run_bound)
 
 
-def run_bound(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is no bound to print."""
     import numpy as np
 
@@ -189,8 +181,6 @@ def run_bound(arguments: argparse.Namespace) -> int:
     from ctrplan.robot.robot import nesting_violation
 
     if arguments.sweep:
-        from ctrplan.commands.bound import run_sweep
-
         return run_sweep(arguments)
     if arguments.output is not None:
         raise InputError("goes with --sweep only", key="--output", value=arguments.output)
@@ -199,49 +189,46 @@ def run_bound(arguments: argparse.Namespace) -> int:
     theta_b, l_b = robot.collars(*commanded)
     if sentence := nesting_violation(robot, theta_b, l_b):
         raise InputError(sentence, key="--l-mm", value=arguments.l_mm, unit="mm")
-    for warning in (*robot.warnings, *range_notes(robot, *commanded)):
-        print(f"ctrplan: warning: {warning}", file=sys.stderr)
-    found = _bounded(robot, theta_b, l_b, arguments)
+    warn([*robot.warnings, *range_notes(robot, *commanded)])
+    result = _bounded(robot, theta_b, l_b, arguments)
     play_mm = play_shift(robot, theta_b, l_b) * 1e3
     if arguments.json:
         collars = {"theta_deg": np.degrees(theta_b).tolist(), "l_mm": (l_b * 1e3).tolist()}
-        content = {**_bound_json(found, play_mm), "collars": collars}
+        content = {**_bound_json(result, play_mm), "collars": collars}
         print(json.dumps(content, indent=1, allow_nan=False))
     else:
-        print(_bound_text(found, play_mm))
+        print(_bound_text(result, play_mm))
         if robot.drive.terms:
             print(_collars_text(theta_b, l_b))
-    if not math.isfinite(found.position_m):
-        raise SolverError(_no_bound(found))
-    if found.frictionless.status is Status.UNSTABLE:
+    if not math.isfinite(result.position_m):
+        raise SolverError(_no_bound(result))
+    if result.frictionless.status is Status.UNSTABLE:
         raise NoAnswerError("the configuration is elastically unstable: the robot snaps away, no bound is promised.")
     return 0
 
 
-def _no_bound(found: Bound) -> str:
+def _no_bound(bound: Bound) -> str:
     """Why there is none, in one sentence."""
     from ctrplan.mechanics.shapes import Status
 
-    statuses = [found.frictionless.status, *(shape.status for shape in found.corners)]
+    statuses = [bound.frictionless.status, *(shape.status for shape in bound.corners)]
     if Status.OVERTWISTED in statuses:
         return (
             "friction at its full limit would wind a tube up, to a shear strain of more than 0.5 (nitinol bears about "
             "0.14), before the robot rests: no bound at this configuration; less friction or other joints may have one."
         )
     reached = sum(status < Status.FAILED for status in statuses[1:])
-    rule = f"{reached} of {len(found.corners)} friction corners reached their residual: no bound is promised"
+    rule = f"{reached} of {len(bound.corners)} friction corners reached their residual: no bound is promised"
     return f"{rule} at this configuration."
 
 
 def _bounded(robot: Robot, theta_b: Array, l_b: Array, arguments: argparse.Namespace) -> Bound:
     """The bound, with its time said before and a bar meanwhile where it takes long."""
-    from ctrplan.commands.bound import sentence_beforehand
-    from ctrplan.commands.terminal import ProgressBar
 
     accuracy: Accuracy = arguments.accuracy or "certificate"
     if said := sentence_beforehand(robot, theta_b, l_b, accuracy, arguments.corners):
         print(f"ctrplan: {said}", file=sys.stderr)
-    with ProgressBar(quiet=not sys.stderr.isatty(), patience_s=2.0) as bar:
+    with ProgressBar(patience_s=2.0) as bar:
         return robot.bound(
             theta_b,
             l_b,
@@ -251,51 +238,46 @@ def _bounded(robot: Robot, theta_b: Array, l_b: Array, arguments: argparse.Names
         )
 
 
-def _corners(found: Bound) -> Iterator[tuple[tuple[int, ...], Shape]]:
+def _corners(bound: Bound) -> Iterator[tuple[tuple[int, ...], Shape]]:
     """Friction states, one sign for each of the n - 1 pairs of tubes, and their shapes."""
-    signs = (tuple(row) for row in found.corner_phi.astype(int).tolist())
-    return zip(signs, found.corners, strict=True)
+    signs = (tuple(row) for row in bound.corner_phi.astype(int).tolist())
+    return zip(signs, bound.corners, strict=True)
 
 
-def _bound_json(found: Bound, play_mm: float) -> dict[str, Any]:
+def _bound_json(bound: Bound, play_mm: float) -> dict[str, Any]:
     return {
-        "bound_position_mm": _finite(found.position_m * 1e3),
-        "bound_tangent_deg": _finite(math.degrees(found.tangent_rad)),
-        "play_mm": _finite(play_mm),
-        "frictionless": _shape_json(found.frictionless),
-        "corners": [{"phi": list(phi), **_shape_json(shape)} for phi, shape in _corners(found)],
+        "bound_position_mm": finite(bound.position_m * 1e3),
+        "bound_tangent_deg": finite(math.degrees(bound.tangent_rad)),
+        "play_mm": finite(play_mm),
+        "frictionless": _shape_json(bound.frictionless),
+        "corners": [{"phi": list(phi), **_shape_json(shape)} for phi, shape in _corners(bound)],
     }
 
 
 def _shape_json(shape: Shape) -> dict[str, Any]:
     return {
-        "tip_mm": [_finite(round(x * 1e3, 6)) for x in shape.tip_m.tolist()],
-        "tip_tangent": [_finite(x) for x in shape.tip_tangent.tolist()],
+        "tip_mm": [finite(round(x * 1e3, 6)) for x in shape.tip_m.tolist()],
+        "tip_tangent": [finite(x) for x in shape.tip_tangent.tolist()],
         "status": shape.status.name,
-        "residual": _finite(shape.residual),
-        "stability": _finite(shape.stability),
-        "max_strain": _finite(shape.max_strain),
+        "residual": finite(shape.residual),
+        "stability": finite(shape.stability),
+        "max_strain": finite(shape.max_strain),
     }
 
 
-def _finite(value: float) -> float | None:
-    """JSON has no other numbers: what a FAILED solve leaves may be none."""
-    return value if math.isfinite(value) else None
-
-
-def _bound_text(found: Bound, play_mm: float) -> str:
-    free, position_mm, tangent_deg = found.frictionless, found.position_m * 1e3, math.degrees(found.tangent_rad)
+def _bound_text(bound: Bound, play_mm: float) -> str:
+    free, position_mm, tangent_deg = bound.frictionless, bound.position_m * 1e3, math.degrees(bound.tangent_rad)
     lines = [
         f"worst-case friction error of the tip: {position_mm:.3f} mm, {tangent_deg:.3f} deg",
         f"  frictionless    {_tip(free)}, stability {free.stability:.2f}",
     ]
-    for phi, shape in _corners(found):
+    for phi, shape in _corners(bound):
         signs = " ".join("+" if sign > 0 else "-" for sign in phi) or "none"
         apart_mm = math.dist(shape.tip_m, free.tip_m) * 1e3
         lines.append(f"  phi = {signs:9} {_tip(shape)}, {apart_mm:.3f} mm from the frictionless tip")
     if play_mm:
         lines.append(f"  play of the drive may move it by {play_mm:.3f} mm besides")
-    if not math.isfinite(found.position_m):
+    if not math.isfinite(bound.position_m):
         lines.append("  a solve did not reach its residual: no bound is promised here")
     return "\n".join(lines)
 

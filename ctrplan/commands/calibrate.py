@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.arguments import SEED, Number, Whole
-from ctrplan.commands.options import add_number, add_set_option
-from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
+from ctrplan.commands.options import add_number, add_output_option, add_set_option
+from ctrplan.commands.terminal import warn
 from ctrplan.storage.output_folder import output_folder, written_together
 
 if TYPE_CHECKING:
@@ -19,6 +18,11 @@ if TYPE_CHECKING:
     from ctrplan.calibration.estimates import Errors
 
 OUTPUTS = ("robot.toml", "calibration.json", "report.html")
+DESCRIPTION = (
+    "Least squares over named parameters, with intervals, what the data can't tell, and the error on "
+    "configurations kept aside; write robot.toml, calibration.json, report.html. The robot file itself "
+    "stays as it is."
+)
 EXAMPLES = """examples:
   ctrplan calibrate robot.toml measurements.csv -o out
   ctrplan calibrate robot.toml measurements.toml -o out --parameters calibration effects.base_misalignment
@@ -27,17 +31,8 @@ tube.3.section.2.curvature_y_per_m --second-pass contact.1.friction_coefficient 
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "calibrate",
-        help="fit named parameters of a robot file to measured poses",
-        description="Least squares over named parameters, with intervals, what the data can't tell, and the error on "
-        "configurations kept aside; write robot.toml, calibration.json, report.html. The robot file itself "
-        "stays as it is.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     parser.add_argument("robot", metavar="ROBOT.toml")
     parser.add_argument(
         "measurements", metavar="MEASUREMENTS.csv", help="or a mapping file (TOML): docs/measurements.md"
@@ -50,14 +45,11 @@ def add_parser(commands: Any) -> None:
     help_starts = "starts of the fit (default: %(default)s)"
     add_number(parser, "--starts", Whole(1, 100), default=1, metavar="N", help=help_starts)
     add_number(parser, "--seed", SEED, default=0, help="of the starts and of what is kept aside")
-    parser.add_argument(
-        "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder for the results (default: %(default)s)"
-    )
+    add_output_option(parser)
     add_set_option(parser, "the robot's key")
-    parser.set_defaults(run=run_calibrate)
 
 
-def run_calibrate(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is nothing to write."""
     from ctrplan.calibration.calibrate import calibrate
     from ctrplan.files.measurement_file import load_measurements
@@ -68,7 +60,7 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
     robot = load_robot(arguments.robot, arguments.overrides)
     data = load_measurements(arguments.measurements, robot)
     folder = output_folder(arguments.output, OUTPUTS)
-    found = calibrate(
+    result = calibrate(
         robot,
         data,
         arguments.parameters,
@@ -79,34 +71,33 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
         seed=arguments.seed,
     )
     with written_together(folder, OUTPUTS) as made:
-        write_robot(made / "robot.toml", found.robot_content())
-        write_atomically(made / "calibration.json", json.dumps(calibration_json(found), indent=1) + "\n")
-        write_atomically(made / "report.html", calibration_report_html(found))
-    for warning in (*robot.warnings, *found.notes):
-        print(f"ctrplan: warning: {warning}", file=sys.stderr)
-    print(_summary(folder, found))
+        write_robot(made / "robot.toml", result.robot_content())
+        write_atomically(made / "calibration.json", json.dumps(calibration_json(result), indent=1) + "\n")
+        write_atomically(made / "report.html", calibration_report_html(result))
+    warn([*robot.warnings, *result.notes])
+    print(_summary(folder, result))
     return 0
 
 
-def calibration_json(found: Calibration) -> dict[str, Any]:
+def calibration_json(calibration: Calibration) -> dict[str, Any]:
     """The content of calibration.json; parameters are in the units that their names end with."""
     return {
-        "parameters": {name: asdict(estimate) for name, estimate in found.estimates.items()},
-        "training": asdict(found.training),
-        "held_out": None if found.held_out is None else asdict(found.held_out),
-        "before": asdict(found.nominal),
-        "combinations": [{"parameters": c.parameters, "left": c.posterior_share} for c in found.combinations],
-        "model_error_mm": found.model_error_m * 1e3,
-        "converged": found.fit.converged,
-        "notes": list(found.notes),
+        "parameters": {name: asdict(estimate) for name, estimate in calibration.estimates.items()},
+        "training": asdict(calibration.training),
+        "held_out": None if calibration.held_out is None else asdict(calibration.held_out),
+        "before": asdict(calibration.nominal),
+        "combinations": [{"parameters": c.parameters, "left": c.posterior_share} for c in calibration.combinations],
+        "model_error_mm": calibration.model_error_m * 1e3,
+        "converged": calibration.fit.converged,
+        "notes": list(calibration.notes),
     }
 
 
-def _summary(folder: Path, found: Calibration) -> str:
-    lines = [f"tips were {_errors(found.nominal)} off before, {_errors(found.training)} after calibration"]
-    if found.held_out is not None:
-        lines.append(f"  {_errors(found.held_out)} on {found.held_out.poses} poses kept aside")
-    for name, e in found.estimates.items():
+def _summary(folder: Path, calibration: Calibration) -> str:
+    lines = [f"tips were {_errors(calibration.nominal)} off before, {_errors(calibration.training)} after calibration"]
+    if calibration.held_out is not None:
+        lines.append(f"  {_errors(calibration.held_out)} on {calibration.held_out.poses} poses kept aside")
+    for name, e in calibration.estimates.items():
         lines.append(f"  {name:40} {e.value:.6g}  ({e.ci95[0]:.6g} to {e.ci95[1]:.6g})")
     lines.append(f"  written to {folder}/{', '.join(OUTPUTS)}")
     return "\n".join(lines)

@@ -10,17 +10,21 @@ from ctrplan.base.long_work import INTERRUPTED
 from ctrplan.commands.options import (
     StageTeller,
     add_allow_outside_option,
+    add_output_option,
     add_set_option,
     add_worker_options,
     chosen_workers,
 )
-from ctrplan.commands.terminal import ProgressBar
-from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
+from ctrplan.commands.terminal import ProgressBar, aligned
 
 if TYPE_CHECKING:
     from ctrplan.studies.design.tube_design import TubeDesigns
 
 MOST_ROWS = 12
+DESCRIPTION = (
+    "Search over stock tubes, precurvatures and lengths; write the trade-off front (front.json, a "
+    "robot file for each design), the table of all designs, report.html and the storage of Optuna."
+)
 EXAMPLES = """examples:
   ctrplan design scenarios/studies/design_ventricle.toml -o out
   ctrplan design DESIGN.toml -o out --set trials=1000 --workers 8
@@ -43,29 +47,17 @@ Ctrl-C and kills lose what is being done and nothing else: run again, and the se
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "design",
-        help="which tubes to make: error whatever friction does, reach and stability for a set of targets",
-        description="Search over stock tubes, precurvatures and lengths; write the trade-off front (front.json, a "
-        "robot file for each design), the table of all designs, report.html and the storage of Optuna.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     parser.add_argument("design", metavar="DESIGN.toml")
-    parser.add_argument(
-        "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder of the search (default: %(default)s)"
-    )
+    add_output_option(parser, "folder of the search")
     add_worker_options(parser)
-    parser.add_argument("--yes", action="store_true", help="also where it takes more than a week")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     add_allow_outside_option(parser)
     add_set_option(parser, "the design file's key", "trials=1000")
-    parser.set_defaults(run=run_design_command)
 
 
-def run_design_command(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code: 1 where no design reaches a target. Raises CtrplanError."""
     from ctrplan.studies.design.search import check_installed
     from ctrplan.studies.design.tube_design import TubeDesign
@@ -80,9 +72,8 @@ def run_design_command(arguments: argparse.Namespace) -> int:
         f"at most about {took} on {where.expected} workers.",
         file=sys.stderr,
     )
-    terminal = sys.stderr is not None and sys.stderr.isatty()
-    with ProgressBar(quiet=arguments.quiet or not terminal) as bar:
-        found = search.run(
+    with ProgressBar(quiet=arguments.quiet) as bar:
+        result = search.run(
             arguments.output,
             workers=arguments.workers,
             scheduler=arguments.scheduler,
@@ -90,35 +81,34 @@ def run_design_command(arguments: argparse.Namespace) -> int:
             yes=arguments.yes,
             progress=StageTeller(bar),
         )
-    return _told(arguments, found)
+    return _told(arguments, result)
 
 
-def _told(arguments: argparse.Namespace, found: TubeDesigns) -> int:
+def _told(arguments: argparse.Namespace, designs: TubeDesigns) -> int:
     from ctrplan.reports.design_page import write_design_report
 
-    write_design_report(found)
-    print(_text(found))
+    write_design_report(designs)
+    print(_text(designs))
     print(f"ctrplan: results in {arguments.output}", file=sys.stderr)
-    if found.interrupted:
+    if designs.interrupted:
         print("ctrplan: interrupted; run the same command again, and the search goes on.", file=sys.stderr)
         return INTERRUPTED
-    return 0 if found.front else 1
+    return 0 if designs.front else 1
 
 
-def _text(found: TubeDesigns) -> str:
-    done, given_up, unable = found.counts
-    entries, objectives = found.entries(), list(found.search.entry.objectives)
+def _text(designs: TubeDesigns) -> str:
+    done, given_up, unable = designs.counts
+    entries, objectives = designs.entries(), list(designs.search.entry.objectives)
     lines = [
-        f"{found.search.name}: {len(found.archive.all):,} designs, {given_up:,} of them given up early, "
+        f"{designs.search.name}: {len(designs.archive.all):,} designs, {given_up:,} of them given up early, "
         f"{unable:,} can't be made or reach nothing; {len(entries)} on the front"
     ]
-    names = [*objectives, *(name for name in found.search.space.names)]
+    names = [*objectives, *(name for name in designs.search.space.names)]
     rows = [["", *names]]
     for entry in entries[:MOST_ROWS]:
         values = {**entry, **entry["choices"]}
         rows.append([str(entry["number"]), *(_shown(values[name]) for name in names)])
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    lines += ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+    lines += aligned(rows)
     if len(entries) > MOST_ROWS:
         lines.append(f"... and {len(entries) - MOST_ROWS} more in front.json")
     if entries and entries[0]["tolerances"]:

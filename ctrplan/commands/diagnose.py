@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
-from ctrplan.commands.options import add_set_option
-from ctrplan.commands.terminal import ProgressBar
-from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
+from ctrplan.commands.options import add_output_option, add_set_option
+from ctrplan.commands.terminal import ProgressBar, warn
 from ctrplan.storage.output_folder import output_folder, written_together
 
 if TYPE_CHECKING:
@@ -21,6 +19,10 @@ if TYPE_CHECKING:
 OUTPUTS = ("diagnosis.json", "robot.toml", "report.html")
 
 
+DESCRIPTION = (
+    "Compare the model with measurements, name the effect that is missing if the data can tell, "
+    "and show the gap on poses kept aside; write diagnosis.json, robot.toml (with the effect) and report.html."
+)
 EXAMPLES = """examples:
   ctrplan diagnose robot.toml measurements.csv -o out
   ctrplan diagnose robot.toml measurements.csv -o out --without friction --without backlash
@@ -29,23 +31,13 @@ EXAMPLES = """examples:
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "diagnose",
-        help="find which effect the model lacks, from measured poses",
-        description="Compare the model with measurements, name the effect that is missing if the data can tell, "
-        "and show the gap on poses kept aside; write diagnosis.json, robot.toml (with the effect) and report.html.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     parser.add_argument("robot", metavar="ROBOT.toml")
     parser.add_argument(
         "measurements", metavar="MEASUREMENTS.csv", help="or a mapping file (TOML): docs/measurements.md"
     )
-    parser.add_argument(
-        "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder for the results (default: %(default)s)"
-    )
+    add_output_option(parser)
     parser.add_argument(
         "--without",
         metavar="EFFECT",
@@ -63,10 +55,9 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     add_set_option(parser, "the robot's key")
-    parser.set_defaults(run=run_diagnose)
 
 
-def run_diagnose(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is nothing to write."""
     with interrupt_event() as interrupted:
         from ctrplan.diagnosis import CATALOGUE, diagnose
@@ -80,44 +71,42 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
         data = load_measurements(arguments.measurements, robot)
         others = [load_measurements(path, robot) for path in arguments.confirm]
         folder = output_folder(arguments.output, OUTPUTS)
-        for warning in (*robot.warnings, *data.warnings):
-            print(f"ctrplan: warning: {warning}", file=sys.stderr)
-        terminal = sys.stderr is not None and sys.stderr.isatty()
-        with ProgressBar(quiet=arguments.quiet or not terminal) as bar:
-            found = diagnose(robot, data, bar.show, without=arguments.without, interrupted=interrupted)
-            confirmed = tuple(confirm(found, other) for other in others if not found.interrupted)
-            found = replace(found, confirmations=confirmed)
-        _write(folder, found)
-        print(summary(folder, found))
-        return INTERRUPTED if found.interrupted else 0
+        warn([*robot.warnings, *data.warnings])
+        with ProgressBar(quiet=arguments.quiet) as bar:
+            result = diagnose(robot, data, bar.show, without=arguments.without, interrupted=interrupted)
+            confirmed = tuple(confirm(result, other) for other in others if not result.interrupted)
+            result = replace(result, confirmations=confirmed)
+        _write(folder, result)
+        print(summary(folder, result))
+        return INTERRUPTED if result.interrupted else 0
 
 
-def _write(folder: Path, found: Diagnosis) -> None:
+def _write(folder: Path, diagnosis: Diagnosis) -> None:
     """All files or none."""
     from ctrplan.files.robot_file import write_robot
     from ctrplan.reports.diagnosis_figures import selection_errors
     from ctrplan.reports.diagnosis_page import write_diagnosis_report
     from ctrplan.storage.output_folder import write_atomically
 
-    errors = selection_errors(found)  # writers solve nothing
+    errors = selection_errors(diagnosis)  # writers solve nothing
     with written_together(folder, OUTPUTS) as made:
-        write_atomically(made / "diagnosis.json", json.dumps(found.to_json(), indent=1, allow_nan=False) + "\n")
-        write_robot(made / "robot.toml", found.robot_content())
-        write_diagnosis_report(made / "report.html", found, errors)
+        write_atomically(made / "diagnosis.json", json.dumps(diagnosis.to_json(), indent=1, allow_nan=False) + "\n")
+        write_robot(made / "robot.toml", diagnosis.robot_content())
+        write_diagnosis_report(made / "report.html", diagnosis, errors)
 
 
-def summary(folder: Path, found: Diagnosis) -> str:
+def summary(folder: Path, diagnosis: Diagnosis) -> str:
     """What a person wants to know first."""
     from ctrplan.diagnosis.sentences import effect_lines, verdict_sentence
 
-    gap = found.gap
-    lines = [verdict_sentence(found), *(f"  {line}" for line in effect_lines(found))]
+    gap = diagnosis.gap
+    lines = [verdict_sentence(diagnosis), *(f"  {line}" for line in effect_lines(diagnosis))]
     lines.append(
         f"  on {gap.after.poses} poses kept aside: {gap.before.rms_m * 1e3:.2f} mm rms calibrated, "
         f"{gap.after.rms_m * 1e3:.2f} mm with the effects, noise {gap.floor_m * 1e3:.2f} mm"
     )
-    lines += [f"  {found.place.sentence}", f"  next: {found.next_experiment}"]
-    lines += [f"  {confirmation.sentence}" for confirmation in found.confirmations]
-    lines += [f"  note: {note}" for note in found.notes]
+    lines += [f"  {diagnosis.place.sentence}", f"  next: {diagnosis.next_experiment}"]
+    lines += [f"  {confirmation.sentence}" for confirmation in diagnosis.confirmations]
+    lines += [f"  note: {note}" for note in diagnosis.notes]
     lines.append(f"  written to {folder}/{', '.join(OUTPUTS)}")
     return "\n".join(lines)

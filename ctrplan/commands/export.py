@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from ctrplan.commands.options import add_plan_arguments, add_steps_option, progress_bar, read_plan, solved_motion
+from ctrplan.commands.options import add_plan_arguments, add_steps_option, read_plan, solved_motion
+from ctrplan.commands.terminal import PATIENCE_S, ProgressBar
 from ctrplan.storage.output_folder import output_folder, write_results
 
 if TYPE_CHECKING:
@@ -13,6 +14,11 @@ if TYPE_CHECKING:
 
 PROGRAMS = ("slicer",)
 STEPS = 60
+DESCRIPTION = (
+    "Solve a written plan's robot at equal steps of the time; write a folder that 3D Slicer opens: "
+    "the tip's path and centrelines (.mrk.json), the anatomy, tubes and the space that the envelope of friction "
+    "sweeps (.ply), the motion (.seq.mrb), the robot's base (.tfm), and a scene that loads them (.mrml)."
+)
 EXAMPLES = """3D Slicer opens scene.mrml with the anatomy, the robot over time and the space it sweeps: docs/slicer.md.
 No Slicer is needed to write it. All files are in LPS and mm, and say so.
 
@@ -22,17 +28,8 @@ examples:
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "export",
-        help="write a plan for 3D Slicer: curves, models, a sequence over time, a scene",
-        description="Solve a written plan's robot at equal steps of the time; write a folder that 3D Slicer opens: "
-        "the tip's path and centrelines (.mrk.json), the anatomy, tubes and the space that the envelope of friction "
-        "sweeps (.ply), the motion (.seq.mrb), the robot's base (.tfm), and a scene that loads them (.mrml).",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     add_plan_arguments(parser)
     parser.add_argument("--to", choices=PROGRAMS, required=True, help="the program that shall read it")
     parser.add_argument("-o", "--output", metavar="DIR", required=True, help="folder for the files")
@@ -43,10 +40,9 @@ def add_parser(commands: Any) -> None:
         "the left, the back and the head as in DICOM; needed where the scenario does not say it",
     )
     add_steps_option(parser, STEPS)
-    parser.set_defaults(run=run_export)
 
 
-def run_export(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises InputError for what is no plan, and without a frame."""
     from ctrplan.files.slicer_markups import SCENE, patient_frame
     from ctrplan.reports.slicer_case import case_files
@@ -54,7 +50,7 @@ def run_export(arguments: argparse.Namespace) -> int:
     plan = read_plan(arguments)
     frame = patient_frame(plan.scenario, arguments.frame)
     folder = output_folder(arguments.output, [SCENE])
-    with progress_bar(arguments) as bar:
+    with ProgressBar(quiet=arguments.quiet, patience_s=PATIENCE_S) as bar:
         motion = solved_motion(plan, arguments.steps, bar)
         bar.show("writing", 0.0)
         files = case_files(motion, frame)

@@ -9,9 +9,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ctrplan.base.arguments import SEED, Number, Whole
-from ctrplan.base.arrays import LONGEST_MM
+from ctrplan.base.arguments import LONGEST_MM, SEED, Number, Whole
 from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
+from ctrplan.commands.terminal import aligned, finite, warn
 from ctrplan.errors import InputError, NoAnswerError
 from ctrplan.storage.output_folder import output_folder, write_results
 
@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 
 DIRECTION_TOLERANCE_DEG = 5.0
 OUTPUTS = ("report.html",)
+DESCRIPTION = (
+    "Inverse kinematics: distinct configurations whose frictionless tip reaches a point, sorted by the "
+    "worst-case friction error; with a scenario, also their clearance to its anatomy."
+)
 EXAMPLES = """examples:
   ctrplan ik scenarios/robots/three_tube.toml --tip-mm 34 -47 200
   ctrplan ik scenarios/vessel.toml --tip-mm 51 2 168 --direction 1 0 0.4 --direction-tolerance-deg 20 --json
@@ -29,16 +33,8 @@ EXAMPLES = """examples:
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "ik",
-        help="every way to bring the tip to a point, with the friction bound of each",
-        description="Inverse kinematics: distinct configurations whose frictionless tip reaches a point, sorted by the "
-        "worst-case friction error; with a scenario, also their clearance to its anatomy.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     parser.add_argument("file", metavar="ROBOT.toml|SCENARIO.toml")
     xyz: dict[str, Any] = {"nargs": 3, "metavar": ("X", "Y", "Z")}
     help_point = "the point; a scenario's is in the anatomy's frame"
@@ -54,10 +50,9 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--json", action="store_true", help="machine-readable output")
     add_allow_outside_option(parser)
     add_set_option(parser, "a key of the file", "robot.tube.2.poisson_ratio=0.28")
-    parser.set_defaults(run=run_ik)
 
 
-def run_ik(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError, NoAnswerError where the point is out of reach."""
     import numpy as np
 
@@ -68,8 +63,7 @@ def run_ik(arguments: argparse.Namespace) -> int:
     scenario = load_robot_or_scenario(arguments.file, arguments.overrides, allow_outside=arguments.allow_outside)
     _check_direction(arguments)
     folder = output_folder(arguments.output, OUTPUTS) if arguments.output is not None else None
-    for warning in scenario.warnings:
-        print(f"ctrplan: warning: {warning}", file=sys.stderr)
+    warn(scenario.warnings)
     tolerance_deg = arguments.direction_tolerance_deg
     result = inverse_kinematics(
         scenario,
@@ -80,23 +74,24 @@ def run_ik(arguments: argparse.Namespace) -> int:
         starts=arguments.starts,
         seed=arguments.seed,
     )
-    found, branches = result.found, list(result.branches)
-    for note in plan_range_notes(scenario.robot, np.array([c.joints for c in found.configurations or [found.nearest]])):
-        print(f"ctrplan: warning: {note}", file=sys.stderr)
+    outcome, branches = result.found, list(result.branches)
+    warn(plan_range_notes(scenario.robot, np.array([c.joints for c in outcome.configurations or [outcome.nearest]])))
     print(
-        json.dumps(_json(scenario, found, branches), indent=1) if arguments.json else _text(scenario, found, branches)
+        json.dumps(_json(scenario, outcome, branches), indent=1)
+        if arguments.json
+        else _text(scenario, outcome, branches)
     )
-    if not found.configurations:
-        raise NoAnswerError(f"--tip-mm: {_unreached(scenario, found, arguments)}.")
+    if not outcome.configurations:
+        raise NoAnswerError(f"--tip-mm: {_unreached(scenario, outcome, arguments)}.")
     if folder is not None:
-        _write(folder, scenario, found, branches)
+        _write(folder, scenario, outcome, branches)
     return 0
 
 
-def _write(folder: Path, scenario: Scenario, found: Reach, branches: list[int]) -> None:
+def _write(folder: Path, scenario: Scenario, reach: Reach, branches: list[int]) -> None:
     from ctrplan.reports.reach_page import reach_report_html, reach_scene
 
-    scene = reach_scene(scenario, found, branches)  # writers solve nothing
+    scene = reach_scene(scenario, reach, branches)  # writers solve nothing
     write_results(folder, {OUTPUTS[0]: reach_report_html(scene)})
     print(f"ctrplan: written to {folder / OUTPUTS[0]}", file=sys.stderr)  # standard output may be JSON
 
@@ -110,8 +105,8 @@ def _check_direction(arguments: argparse.Namespace) -> None:
         raise InputError("must not be zero", key="--direction", value=arguments.direction)
 
 
-def _text(scenario: Scenario, found: Reach, branches: list[int]) -> str:
-    count, names = len(found.configurations), scenario.robot.drive.names
+def _text(scenario: Scenario, reach: Reach, branches: list[int]) -> str:
+    count, names = len(reach.configurations), scenario.robot.drive.names
     many = f"{count} configurations" if count != 1 else "1 configuration"
     in_branches = len(set(branches))
     head = (
@@ -121,9 +116,9 @@ def _text(scenario: Scenario, found: Reach, branches: list[int]) -> str:
         return f"{scenario.name}: no configuration"
     units = [joint.unit for joint in scenario.robot.drive.joints]
     header = ["branch", *(f"{n} ({u})" for n, u in zip(names, units, strict=True))]
-    header += ["bound (mm)", "bound (deg)", "stability", "clearance (mm)", "tip error (mm)", ""]
-    rows = [_row(scenario, c, b) for c, b in zip(found.configurations, branches, strict=True)]
-    return "\n".join([head, *_aligned([header, *rows])])
+    header += ["bound (mm)", "bound (deg)", "stability", "clearance (mm)", "tip error (mm)"]
+    rows = [_row(scenario, c, b) for c, b in zip(reach.configurations, branches, strict=True)]
+    return "\n".join([head, *aligned([header, *rows])])
 
 
 def _row(scenario: Scenario, c: Configuration, branch: int) -> list[str]:
@@ -139,28 +134,19 @@ def _row(scenario: Scenario, c: Configuration, branch: int) -> list[str]:
     ]
 
 
-def _aligned(rows: list[list[str]]) -> list[str]:
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    lines = []
-    for row in rows:
-        cells = [cell.rjust(width) for cell, width in zip(row[:-1], widths, strict=False)]
-        lines.append("  ".join([*cells, row[-1]]).rstrip())
-    return lines
-
-
 def _shown(scenario: Scenario, joints: Array) -> list[float]:
     """Joint values in deg and mm."""
     return [float(q) / joint.si_per_unit for q, joint in zip(joints, scenario.robot.drive.joints, strict=True)]
 
 
-def _json(scenario: Scenario, found: Reach, branches: list[int]) -> dict[str, Any]:
-    rows = [{"branch": b + 1, **_entry(scenario, c)} for c, b in zip(found.configurations, branches, strict=True)]
+def _json(scenario: Scenario, reach: Reach, branches: list[int]) -> dict[str, Any]:
+    rows = [{"branch": b + 1, **_entry(scenario, c)} for c, b in zip(reach.configurations, branches, strict=True)]
     return {
         "name": scenario.name,
         "reachable": bool(rows),
         "branches": len(set(branches)),
         "configurations": rows,
-        "nearest": _entry(scenario, found.nearest),
+        "nearest": _entry(scenario, reach.nearest),
     }
 
 
@@ -171,13 +157,13 @@ def _entry(scenario: Scenario, c: Configuration) -> dict[str, Any]:
         "joints": {n: {u: x} for n, u, x in zip(names, units, _shown(scenario, c.joints), strict=True)},
         "tip_mm": _tip_mm(scenario, c),
         "tip_tangent": (scenario.base_R @ c.tangent).tolist(),
-        "tip_error_mm": _finite(c.tip_error_m * 1e3),
+        "tip_error_mm": finite(c.tip_error_m * 1e3),
         "direction_error_deg": math.degrees(c.turned_rad),
-        "bound_position_mm": _finite(c.bound_m * 1e3),
-        "bound_tangent_deg": _finite(math.degrees(c.bound_rad)),
-        "stability": _finite(c.stability),
-        "max_strain": _finite(c.max_strain),
-        "clearance_mm": _finite(c.clearance_m * 1e3),
+        "bound_position_mm": finite(c.bound_m * 1e3),
+        "bound_tangent_deg": finite(math.degrees(c.bound_rad)),
+        "stability": finite(c.stability),
+        "max_strain": finite(c.max_strain),
+        "clearance_mm": finite(c.clearance_m * 1e3),
         "valid": c.valid,
         "reason": c.reason,
     }
@@ -187,13 +173,9 @@ def _tip_mm(scenario: Scenario, c: Configuration) -> list[float]:
     return [round(float(x), 4) for x in (scenario.base_R @ c.tip_m + scenario.base_position_m) * 1e3]
 
 
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def _unreached(scenario: Scenario, found: Reach, arguments: argparse.Namespace) -> str:
-    nearest = found.nearest
-    if nearest.tip_error_m <= found.tolerance_m:
+def _unreached(scenario: Scenario, reach: Reach, arguments: argparse.Namespace) -> str:
+    nearest = reach.nearest
+    if nearest.tip_error_m <= reach.tolerance_m:
         turned = math.degrees(nearest.turned_rad)
         allowed = arguments.direction_tolerance_deg or DIRECTION_TOLERANCE_DEG
         return f"reached, but at best {turned:.1f} deg from --direction, --direction-tolerance-deg = {allowed:g}"

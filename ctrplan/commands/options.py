@@ -4,12 +4,23 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from ctrplan.base.arguments import Number, Whole, in_plain_digits, require
-from ctrplan.base.arrays import LONGEST_MM, MOST_TURNS_DEG
+from ctrplan.base.arguments import (
+    LONGEST_MM,
+    MOST_TURNS_DEG,
+    Choice,
+    Number,
+    Option,
+    Texts,
+    Whole,
+    in_plain_digits,
+    require,
+)
 from ctrplan.commands.terminal import ProgressBar
 from ctrplan.errors import InputError
+from ctrplan.storage.output_folder import DEFAULT
 
 if TYPE_CHECKING:
     from ctrplan.base.arrays import Array
@@ -37,6 +48,13 @@ def add_allow_outside_option(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="read files that the scenario names although they lie outside its folder",
     )
+
+
+def add_output_option(
+    parser: argparse.ArgumentParser, what: str = "folder for the results", default: str = DEFAULT
+) -> None:
+    """Adds -o/--output, a folder."""
+    parser.add_argument("-o", "--output", metavar="DIR", default=default, help=f"{what} (default: %(default)s)")
 
 
 def add_joint_options(parser: argparse.ArgumentParser) -> None:
@@ -71,6 +89,19 @@ def add_number(
     parser.add_argument(*([short] if short else []), option, type=read, **keys)
 
 
+def add_options_of(parser: argparse.ArgumentParser, options: Mapping[str, Option]) -> None:
+    """Adds an option for each key of a TypedDict, as `options_of` gives them. None stands for what is not said."""
+    for name, option in options.items():
+        flag = option.flag or f"--{name.replace('_', '-')}"
+        keys: dict[str, Any] = {"dest": name, "metavar": option.metavar, "help": option.help}
+        if isinstance(option.kind, (Number, Whole)):
+            add_number(parser, flag, option.kind, **keys)
+        elif isinstance(option.kind, Choice):
+            parser.add_argument(flag, choices=option.kind.options, **keys)
+        else:
+            parser.add_argument(flag, action="append" if isinstance(option.kind, Texts) else "store", **keys)
+
+
 def configuration(arguments: argparse.Namespace, n: int) -> tuple[Array, Array]:
     """Commanded rotations (n,) [rad] and translations (n,) [m] of the command line.
 
@@ -99,7 +130,6 @@ def add_igtl_option(parser: argparse.ArgumentParser, what: str) -> None:
 
 
 STEPS = Whole(2, 2000)
-PATIENCE_S = 1.0  # before a progress bar shows up
 
 
 def add_plan_arguments(parser: argparse.ArgumentParser) -> None:
@@ -130,12 +160,6 @@ def read_plan(arguments: argparse.Namespace) -> WrittenPlan:
     )
 
 
-def progress_bar(arguments: argparse.Namespace) -> ProgressBar:
-    """A bar on a terminal, for what takes long enough."""
-    terminal = sys.stderr is not None and sys.stderr.isatty()
-    return ProgressBar(quiet=arguments.quiet or not terminal, patience_s=PATIENCE_S)
-
-
 def solved_motion(plan: WrittenPlan, steps: int, bar: ProgressBar) -> WrittenMotion:
     """The plan's robot at `steps` poses. Raises SolverError where it has none."""
     from ctrplan.reports.plan_scene import written_motion
@@ -147,11 +171,12 @@ MOST_WORKERS = 1024
 
 
 def add_worker_options(parser: argparse.ArgumentParser) -> None:
-    """Adds --workers, --scheduler and --scheduler-file."""
+    """Adds --workers, --scheduler, --scheduler-file and --yes."""
     workers = "processes on this machine (default: one per core)"
     add_number(parser, "--workers", Whole(1, MOST_WORKERS), metavar="N", help=workers)
     parser.add_argument("--scheduler", metavar="ADDRESS", help="of a dask cluster, such as tcp://10.0.0.5:8786")
     parser.add_argument("--scheduler-file", metavar="FILE", help="that a dask scheduler wrote its address into")
+    parser.add_argument("--yes", action="store_true", help="also where it takes more than a week")
 
 
 def chosen_workers(arguments: argparse.Namespace) -> Where:

@@ -10,11 +10,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ctrplan.base.arguments import SEED, Number, Whole
-from ctrplan.base.arrays import LONGEST_MM, MM_PER_M
+from ctrplan.base.arguments import LONGEST_MM, SEED, Number, Whole
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
 from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
-from ctrplan.commands.terminal import ProgressBar
+from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, aligned, finite, warn
 from ctrplan.errors import InputError, NoAnswerError
 
 if TYPE_CHECKING:
@@ -23,9 +22,12 @@ if TYPE_CHECKING:
     from ctrplan.planning.place import Placement
     from ctrplan.scenario.scenario import Scenario
 
-PATIENCE_S = 1.0  # before a progress bar shows up
 CANDIDATES, CONFIRM, PLANS = 256, 8, 3
 HEADER = ("", "position (mm)", "looks along", "tilt (deg)", "reached", "at worst (mm)", "tolerances", "clearance (mm)")
+DESCRIPTION = (
+    "Try base poses on a patch of skin or along an opening, cheaply first, the best ones by inverse "
+    "kinematics with bounds and clearances of all corners; print them ranked and write the scenario of the best."
+)
 EXAMPLES = """examples:
   ctrplan place scenarios/ventricle.toml
   ctrplan place scenarios/ventricle.toml --radius-mm 4 --cone-deg 20 --plan 3 -o ventricle_placed.toml
@@ -37,16 +39,8 @@ A straight approach is often a bad one: pre-curved tubes have to cancel on it, w
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "place",
-        help="where the robot could stand: base poses for a scenario's targets, ranked",
-        description="Try base poses on a patch of skin or along an opening, cheaply first, the best ones by inverse "
-        "kinematics with bounds and clearances of all corners; print them ranked and write the scenario of the best.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     parser.add_argument("scenario", metavar="SCENARIO.toml")
     parser.add_argument("-o", "--output", metavar="FILE", help="the scenario (default: SCENARIO_placed.toml beside it)")
     add_number(
@@ -71,10 +65,9 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     add_allow_outside_option(parser)
     add_set_option(parser, "a key of the scenario, or robot.KEY of its robot", "goal.tolerance_mm=2")
-    parser.set_defaults(run=run_place)
 
 
-def run_place(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError, NoAnswerError where no pose reaches a target."""
     with interrupt_event() as interrupted:  # imports take a second
         from ctrplan.files.scenario_file import load_scenario
@@ -82,13 +75,11 @@ def run_place(arguments: argparse.Namespace) -> int:
 
         scenario = load_scenario(arguments.scenario, arguments.overrides, allow_outside=arguments.allow_outside)
         file = _output(arguments)
-        for warning in scenario.warnings:
-            print(f"ctrplan: warning: {warning}", file=sys.stderr)
+        warn(scenario.warnings)
         if interrupted.is_set():
             raise KeyboardInterrupt
-        terminal = sys.stderr is not None and sys.stderr.isatty()
-        with ProgressBar(quiet=arguments.quiet or not terminal, patience_s=PATIENCE_S) as bar:
-            found = place(
+        with ProgressBar(quiet=arguments.quiet, patience_s=PATIENCE_S) as bar:
+            result = place(
                 scenario,
                 center_m=_metres(arguments.center_mm),
                 along_m=_metres(arguments.along_mm),
@@ -101,9 +92,9 @@ def run_place(arguments: argparse.Namespace) -> int:
                 progress=bar.show,
                 interrupted=interrupted,
             )
-        print(json.dumps(_json(found), indent=1) if arguments.json else _text(scenario, found))
-        _write(arguments, file, _picked(arguments, scenario, found))
-        return INTERRUPTED if found.interrupted else 0
+        print(json.dumps(_json(result), indent=1) if arguments.json else _text(scenario, result))
+        _write(arguments, file, _picked(arguments, scenario, result))
+        return INTERRUPTED if result.interrupted else 0
 
 
 def _output(arguments: argparse.Namespace) -> Path:
@@ -124,17 +115,17 @@ def _metres(point_mm: list[float] | None) -> list[float] | None:
     return None if point_mm is None else [x * 1e-3 for x in point_mm]
 
 
-def _picked(arguments: argparse.Namespace, scenario: Scenario, found: Placement) -> BasePose:
-    if arguments.pick > len(found.poses):
-        raise InputError(f"there are {len(found.poses)} poses", key="--pick", value=arguments.pick)
-    pose: BasePose = found.poses[arguments.pick - 1]
+def _picked(arguments: argparse.Namespace, scenario: Scenario, placement: Placement) -> BasePose:
+    if arguments.pick > len(placement.poses):
+        raise InputError(f"there are {len(placement.poses)} poses", key="--pick", value=arguments.pick)
+    pose: BasePose = placement.poses[arguments.pick - 1]
     if not pose.reached:
         raise NoAnswerError(f"{scenario.path}: base pose {arguments.pick} reaches no target: {pose.reason}.")
     return pose
 
 
 def _write(arguments: argparse.Namespace, file: Path, pose: BasePose) -> None:
-    from ctrplan.files.placed_scenario import names_files_outside, placed_scenario
+    from ctrplan.files.scenario_file import names_files_outside, placed_scenario
     from ctrplan.storage.output_folder import write_atomically
     from ctrplan.storage.toml_document import read_document
 
@@ -146,28 +137,23 @@ def _write(arguments: argparse.Namespace, file: Path, pose: BasePose) -> None:
     print(f"ctrplan: base pose {arguments.pick} written to {file}{''.join(notes)}", file=sys.stderr)
 
 
-def _text(scenario: Scenario, found: Placement) -> str:
-    rows = [HEADER, *(_row(str(k), pose) for k, pose in enumerate(found.poses, start=1))]
-    if not any(pose.is_own for pose in found.poses):
-        rows.append(_row("", found.own))
-    widths = [max(len(row[k]) for row in rows) for k in range(len(HEADER))]
-    lines = [f"{scenario.name}: {found.sentence}"]
-    for row in rows:
-        cells = [cell.rjust(width) for cell, width in zip(row[: len(HEADER)], widths, strict=True)]
-        lines.append("  ".join([*cells, *row[len(HEADER) :]]).rstrip())
-    return "\n".join(lines)
+def _text(scenario: Scenario, placement: Placement) -> str:
+    rows = [HEADER, *(_row(str(k), pose) for k, pose in enumerate(placement.poses, start=1))]
+    if not any(pose.is_own for pose in placement.poses):
+        rows.append(_row("", placement.own))
+    return "\n".join([f"{scenario.name}: {placement.sentence}", *aligned(rows)])
 
 
 def _row(number: str, pose: BasePose) -> tuple[str, ...]:
     count, reached = len(pose.targets), pose.reached
-    worst_mm = max((target.worst_m for target in pose.targets if target.best), default=math.inf) * MM_PER_M
-    clearance = "free space" if pose.clearance_m == math.inf else f"{pose.clearance_m * MM_PER_M:.2f}"
+    worst_mm = max((target.worst_m for target in pose.targets if target.best), default=math.inf) * 1e3
+    clearance = "free space" if pose.clearance_m == math.inf else f"{pose.clearance_m * 1e3:.2f}"
     notes = ["as it is"] if pose.is_own else []
     notes += [f"planned, {pose.plan.certificate.cost_mm:.0f} mm"] if pose.plan else []
     notes += [pose.reason] if pose.reason else []
     return (
         number,
-        _vector(pose.position_m * MM_PER_M, 1),
+        _vector(pose.position_m * 1e3, 1),
         _vector(pose.direction, 3),
         f"{math.degrees(pose.tilt_rad):.1f}",
         f"{reached} of {count}",
@@ -182,20 +168,20 @@ def _vector(numbers: Array, digits: int) -> str:
     return " ".join(f"{x + 0.0:.{digits}f}" for x in numbers.round(digits).tolist())
 
 
-def _json(found: Placement) -> dict[str, Any]:
+def _json(placement: Placement) -> dict[str, Any]:
     return {
-        "sentence": found.sentence,
-        "drawn": found.drawn,
-        "clear": found.clear,
-        "promising": found.promising,
-        "poses": [_entry(pose) for pose in found.poses],
-        "own": _entry(found.own),
+        "sentence": placement.sentence,
+        "drawn": placement.drawn,
+        "clear": placement.clear,
+        "promising": placement.promising,
+        "poses": [_entry(pose) for pose in placement.poses],
+        "own": _entry(placement.own),
     }
 
 
 def _entry(pose: BasePose) -> dict[str, Any]:
     return {
-        "position_mm": (pose.position_m * MM_PER_M).tolist(),
+        "position_mm": (pose.position_m * 1e3).tolist(),
         "direction": pose.direction.tolist(),
         "tilt_deg": math.degrees(pose.tilt_rad),
         "is_own": pose.is_own,
@@ -204,17 +190,13 @@ def _entry(pose: BasePose) -> dict[str, Any]:
             {
                 "place": target.goal.place,
                 "valid": target.valid,
-                "worst_mm": _finite(target.worst_m * MM_PER_M),
-                "clearance_mm": None if target.best is None else _finite(target.best.clearance_m * MM_PER_M),
+                "worst_mm": finite(target.worst_m * 1e3),
+                "clearance_mm": None if target.best is None else finite(target.best.clearance_m * 1e3),
                 "reason": target.reason,
             }
             for target in pose.targets
         ],
-        "clearance_mm": _finite(pose.clearance_m * MM_PER_M),
+        "clearance_mm": finite(pose.clearance_m * 1e3),
         "planned": pose.plan is not None,
         "reason": pose.reason,
     }
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ctrplan.base.arguments import SEARCH_TIME, SEED
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
-from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
-from ctrplan.commands.terminal import ProgressBar, amber
-from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
+from ctrplan.commands.options import (
+    add_allow_outside_option,
+    add_number,
+    add_output_option,
+    add_set_option,
+)
+from ctrplan.commands.terminal import ProgressBar, amber, warn
 from ctrplan.storage.output_folder import output_folder
 
 if TYPE_CHECKING:
@@ -23,6 +26,10 @@ if TYPE_CHECKING:
 FORMATS = ("csv", "ros2")  # of the trajectory, where --formats says nothing
 
 
+DESCRIPTION = (
+    "Plan a motion that keeps the worst-case friction error small; "
+    "write plan.json, the trajectory (trajectory.csv and, for ROS 2, trajectory.yaml), report.html, plan.png."
+)
 EXAMPLES = """examples:
   ctrplan plan scenarios/vessel.toml -o out
   ctrplan plan scenarios/ribs.toml -o out --time 10 --seed 3
@@ -31,20 +38,10 @@ EXAMPLES = """examples:
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "plan",
-        help="plan a certified motion and write a trajectory for the drive",
-        description="Plan a motion that keeps the worst-case friction error small; "
-        "write plan.json, the trajectory (trajectory.csv and, for ROS 2, trajectory.yaml), report.html, plan.png.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     parser.add_argument("scenario", metavar="SCENARIO.toml")
-    parser.add_argument(
-        "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder for the results (default: %(default)s)"
-    )
+    add_output_option(parser)
     add_number(parser, "--seed", SEED, default=0, help="seed of the search (default: %(default)s)")
     add_number(
         parser,
@@ -69,10 +66,9 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--no-field", action="store_true", help=argparse.SUPPRESS)  # has no meaning since 0.2
     add_allow_outside_option(parser)
     add_set_option(parser, "the scenario's key, or the robot's after robot.", "robot.tube.2.poisson_ratio=0.28")
-    parser.set_defaults(run=run_plan)
 
 
-def run_plan(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError when there is no plan to write."""
     with interrupt_event() as interrupted:
         from ctrplan.files.scenario_file import load_scenario
@@ -84,12 +80,10 @@ def run_plan(arguments: argparse.Namespace) -> int:
         scenario = load_scenario(arguments.scenario, arguments.overrides, allow_outside=arguments.allow_outside)
         formats = trajectory_formats(arguments.formats)
         folder = output_folder(arguments.output, plan_outputs(formats))
-        for warning in scenario.warnings:
-            print(f"ctrplan: warning: {warning}", file=sys.stderr)
+        warn(scenario.warnings)
         if interrupted.is_set():
             raise KeyboardInterrupt
-        terminal = sys.stderr is not None and sys.stderr.isatty()
-        with ProgressBar(quiet=arguments.quiet or not terminal) as bar:
+        with ProgressBar(quiet=arguments.quiet) as bar:
             result = plan(
                 scenario,
                 seed=arguments.seed,
@@ -99,11 +93,9 @@ def run_plan(arguments: argparse.Namespace) -> int:
                 compensated=arguments.compensate,
             )
         result.save(folder, arguments.formats)
-        for note in plan_range_notes(scenario.robot, result.waypoints):
-            print(f"ctrplan: warning: {note}", file=sys.stderr)
+        warn(plan_range_notes(scenario.robot, result.waypoints))
         print(_summary(folder, result, formats))
-        for name in left_over(folder, formats):
-            print(f"ctrplan: warning: {folder / name} is of an earlier plan.", file=sys.stderr)
+        warn(f"{folder / name} is of an earlier plan." for name in left_over(folder, formats))
         return INTERRUPTED if interrupted.is_set() else 0
 
 

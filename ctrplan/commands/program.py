@@ -8,29 +8,34 @@ import io
 import os
 import re
 import sys
-import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
+from importlib import import_module
 from typing import Any, NoReturn
 
 import ctrplan
-from ctrplan.commands import (
-    bound,
-    calibrate,
-    case,
-    design,
-    diagnose,
-    export,
-    ik,
-    place,
-    plan,
-    render,
-    simulate,
-    study,
-    verify,
-    view,
-)
 from ctrplan.errors import CtrplanError, InputError
+
+# The commands in the order of `ctrplan --help`, with what it says of each. The module of that name in
+# ctrplan.commands is imported when its command is given: DESCRIPTION and EXAMPLES are for its own help,
+# `add_options(parser)` adds its arguments, `run(arguments)` returns the exit code.
+COMMANDS = {
+    "plan": "plan a certified motion and write a trajectory for the drive",
+    "case": "a patient's scan and points to a certified plan: scenario, base, plan, report, 3D Slicer's scene",
+    "verify": "judge a written plan: hunt for what breaks its certificate",
+    "render": "a plan's motion as MP4 or GIF",
+    "export": "write a plan for 3D Slicer: curves, models, a sequence over time, a scene",
+    "bound": "bound the friction error at one configuration, or over a sweep",
+    "ik": "every way to bring the tip to a point, with the friction bound of each",
+    "place": "where the robot could stand: base poses for a scenario's targets, ranked",
+    "simulate": "predict what friction does to the tip along a joint path",
+    "study": "thousands of bounds, plans or goals over what varies, on this machine or a cluster",
+    "design": "which tubes to make: error whatever friction does, reach and stability for a set of targets",
+    "calibrate": "fit named parameters of a robot file to measured poses",
+    "diagnose": "find which effect the model lacks, from measured poses",
+    "view": "the robot in a browser, with a slider for every joint",
+}
+GONE = {"field": "is no command any more: the search solves every bound, which takes about a millisecond"}
 
 # What looks like an option but is a value: -17e0, -1,+1, -.5, -inf. No option of ours begins like this.
 NEGATIVE_VALUE = re.compile(r"-(\.?\d|inf|nan)")
@@ -47,11 +52,11 @@ class CommandLine(argparse.ArgumentParser):
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
-        """As argparse, but what is left over is refused by the command that it was given to. Raises InputError."""
-        found, rest = super().parse_known_args(args, namespace)
+        """Parses as argparse does, but what is left over is refused by the command that it was given to. Raises InputError."""
+        result, rest = super().parse_known_args(args, namespace)
         if rest:
             self.error(f"{' '.join(rest)}: is not known here")
-        return found, rest
+        return result, rest
 
     def error(self, message: str) -> NoReturn:
         """Raises InputError, with where to look for help."""
@@ -59,40 +64,25 @@ class CommandLine(argparse.ArgumentParser):
         raise InputError(f"{message} (see {self.prog} --help)")
 
 
-def tell_picture(error: CtrplanError) -> None:
-    """Draws the place of a refused mesh and says where the picture is; nothing for any other error."""
-    defect = getattr(error, "defect", None)
-    if defect is None:
-        return
-    from ctrplan.reports.mesh_defect_picture import mesh_defect_png
+class CommandParser(CommandLine):
+    """The parser of a command, whose module is imported when the command is given."""
 
-    with suppress(OSError):  # the sentence has been said, a picture that can't be written is no failure
-        png = mesh_defect_png(defect)
-        number, name = tempfile.mkstemp(prefix=f"ctrplan_{defect.file.stem[:40]}_", suffix=".png")
-        with os.fdopen(number, "wb") as file:
-            file.write(png)
-        print(f"ctrplan: a picture of the place: {name}", file=sys.stderr)
+    def __init__(self, command: str, **keys: Any) -> None:
+        """command: its name. keys: of argparse.ArgumentParser."""
+        super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, **keys)
+        self._command, self._is_filled = command, False
 
-
-COMMANDS = (
-    plan,
-    case,
-    verify,
-    render,
-    export,
-    bound,
-    ik,
-    place,
-    simulate,
-    study,
-    design,
-    calibrate,
-    diagnose,
-    view,
-)
-
-
-GONE = {"field": "is no command any more: the search solves every bound, which takes about a millisecond"}
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        """Parses as CommandLine does, with the command's own arguments."""
+        if not self._is_filled:
+            self._is_filled = True
+            command = import_module(f"ctrplan.commands.{self._command}")
+            self.description, self.epilog = command.DESCRIPTION, command.EXAMPLES
+            command.add_options(self)
+            self.set_defaults(run=command.run)
+        return super().parse_known_args(args, namespace)
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
@@ -111,7 +101,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return code
     except CtrplanError as error:
         print(f"ctrplan: {error}", file=sys.stderr)
-        tell_picture(error)
+        if (defect := getattr(error, "defect", None)) is not None:  # a mesh is refused because of a place in it
+            from ctrplan.reports.mesh_defect_picture import tell_picture
+
+            tell_picture(defect)
         return error.exit_code
     except MemoryError:
         print("ctrplan: there is not enough memory for this.", file=sys.stderr)
@@ -152,9 +145,9 @@ def parser() -> CommandLine:
     """The parser of the program, with one for each of its commands."""
     program = CommandLine(prog="ctrplan", description=(ctrplan.__doc__ or "").splitlines()[0])
     program.add_argument("--version", action="version", version=f"ctrplan {ctrplan.__version__}")
-    commands = program.add_subparsers(required=True, metavar="COMMAND")
-    for command in COMMANDS:
-        command.add_parser(commands)
+    commands = program.add_subparsers(required=True, metavar="COMMAND", parser_class=CommandParser)
+    for name, sentence in COMMANDS.items():
+        commands.add_parser(name, help=sentence, command=name)
     return program
 
 

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ctrplan.base.arguments import Number, in_plain_digits
-from ctrplan.commands.options import add_number, add_plan_arguments, progress_bar, read_plan, solved_motion
-from ctrplan.commands.terminal import ProgressBar
+from ctrplan.commands.options import add_number, add_plan_arguments, read_plan, solved_motion
+from ctrplan.commands.terminal import PATIENCE_S, ProgressBar
 from ctrplan.errors import InputError
 
 if TYPE_CHECKING:
-    from ctrplan.reports.render.picture import Picture
+    from ctrplan.reports.render.rasteriser import Picture
 
 CAMERAS = ("side", "plate", "target", "inside")
 FPS = Number(1, 60, "pictures a second")
 SIZES = (64, 4096)  # pixels a side
 MOST_PICTURES = 600  # of longer motions fewer, which play faster
+DESCRIPTION = (
+    "Solve a written plan's robot at each picture of a film and draw it with its anatomy, off screen; "
+    "write an MP4 (which needs ffmpeg, or pip install ctrplan[video]), a GIF, or the goal as PNG."
+)
 EXAMPLES = """cameras:
   side      all of the robot, from where it spreads widest
   plate     from behind the front plate, over the shoulder of whoever stands at the drive
@@ -31,25 +35,16 @@ examples:
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "render",
-        help="a plan's motion as MP4 or GIF",
-        description="Solve a written plan's robot at each picture of a film and draw it with its anatomy, off screen; "
-        "write an MP4 (which needs ffmpeg, or pip install ctrplan[video]), a GIF, or the goal as PNG.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     add_plan_arguments(parser)
     parser.add_argument("-o", "--output", metavar="FILE", required=True, help="a .mp4, .gif or .png")
     parser.add_argument("--camera", choices=CAMERAS, default="side", help="from where (default: %(default)s)")
     add_number(parser, "--fps", FPS, default=12, help="pictures a second (default: %(default)s)")
     parser.add_argument("--size", default="960x720", metavar="WxH", help="in pixels (default: %(default)s)")
-    parser.set_defaults(run=run_render)
 
 
-def run_render(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises InputError for what is no plan, and for other kinds of files."""
     from ctrplan.reports.render.film import film
     from ctrplan.reports.render.film_file import film_suffix, write_film
@@ -58,7 +53,7 @@ def run_render(arguments: argparse.Namespace) -> int:
     plan = read_plan(arguments)
     seconds = float(plan.time_s[-1])
     count = 2 if suffix == ".png" else min(max(2, round(seconds * arguments.fps) + 1), MOST_PICTURES)
-    with progress_bar(arguments) as bar:
+    with ProgressBar(quiet=arguments.quiet, patience_s=PATIENCE_S) as bar:
         motion = solved_motion(plan, count, bar)
         pictures = film(motion, arguments.camera, width, height)
         shown = _watched(pictures, bar, len(motion.path))

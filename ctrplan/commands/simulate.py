@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import threading
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ctrplan.base.arguments import Number, Whole, in_plain_digits
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
-from ctrplan.commands.options import add_igtl_option, add_number, add_set_option
-from ctrplan.commands.terminal import ProgressBar
+from ctrplan.commands.options import add_igtl_option, add_number, add_output_option, add_set_option
+from ctrplan.commands.terminal import PATIENCE_S, ProgressBar, warn
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 from ctrplan.storage.output_folder import output_folder, write_results
 
 if TYPE_CHECKING:
@@ -23,7 +21,6 @@ if TYPE_CHECKING:
     from ctrplan.studies.simulate import Simulation
 
 FOLLOWED_OUTPUTS = ("followed.csv", "followed.png")
-FOLLOWED_PATIENCE_S = 1.0
 
 
 def run_simulate_measured(arguments: argparse.Namespace) -> int:
@@ -45,11 +42,9 @@ def run_simulate_measured(arguments: argparse.Namespace) -> int:
         robot = load_robot(arguments.robot, arguments.overrides)
         data = load_measurements(arguments.path, robot)
         folder = output_folder(arguments.output, FOLLOWED_OUTPUTS)
-        for warning in (*robot.warnings, *data.warnings):
-            print(f"ctrplan: warning: {warning}", file=sys.stderr)
+        warn([*robot.warnings, *data.warnings])
         offset = SlowOffset(arguments.offset_mm * 1e-3, arguments.offset_steps)
-        terminal = sys.stderr is not None and sys.stderr.isatty()
-        with ProgressBar(quiet=not terminal, patience_s=FOLLOWED_PATIENCE_S) as bar:
+        with ProgressBar(patience_s=PATIENCE_S) as bar:
             result = follow(
                 robot,
                 data,
@@ -101,9 +96,12 @@ def _followed_summary(folder: Path, result: Following) -> str:
 
 OUTPUTS = ("poses.csv", "simulate.png")
 MOST_MEMBERS, LARGEST_OFFSET_MM = 1000, 100.0
-PATIENCE_S = 1.0  # before a progress bar shows up
 
 
+DESCRIPTION = (
+    "Follow the friction of every contact along a joint path; write poses.csv (joints, tip, "
+    "frictionless tip, deviation, bound, friction states, snaps) and simulate.png."
+)
 EXAMPLES = """PATH.csv has a header and a row per waypoint: theta_1_rad ... and l_1_m ..., base rotations and
 translations of the tubes, outermost first; optionally sequence (runs that are approached afresh) and time_s.
 
@@ -122,21 +120,11 @@ simulation without it.
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "simulate",
-        help="predict what friction does to the tip along a joint path",
-        description="Follow the friction of every contact along a joint path; write poses.csv (joints, tip, "
-        "frictionless tip, deviation, bound, friction states, snaps) and simulate.png.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     parser.add_argument("robot", metavar="ROBOT.toml")
     parser.add_argument("path", metavar="PATH.csv", help="or a mapping file (TOML): docs/measurements.md")
-    parser.add_argument(
-        "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder for the results (default: %(default)s)"
-    )
+    add_output_option(parser)
     parser.add_argument(
         "--start",
         default="released",
@@ -165,10 +153,9 @@ def add_parser(commands: Any) -> None:
     add_number(parser, "--histories", Whole(1, MOST_MEMBERS), default=9, metavar="N", help=help_members)
     add_igtl_option(parser, "the simulated tip, row after row,")
     add_set_option(parser, "the robot's key")
-    parser.set_defaults(run=run_simulate)
 
 
-def run_simulate(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises CtrplanError, also where no equilibrium is found to go on to."""
     if arguments.igtl is not None:
         from ctrplan.reports.openigtlink import pyigtl
@@ -177,8 +164,6 @@ def run_simulate(arguments: argparse.Namespace) -> int:
             raise InputError("goes without --measured", key="--igtl", value=arguments.igtl)
         pyigtl()
     if arguments.measured:
-        from ctrplan.commands.simulate import run_simulate_measured
-
         return run_simulate_measured(arguments)
     with interrupt_event() as interrupted:
         from ctrplan.files.joint_path_file import load_joint_path
@@ -189,17 +174,14 @@ def run_simulate(arguments: argparse.Namespace) -> int:
         start = start_state(arguments.start, robot.n - 1)
         path = load_joint_path(arguments.path, robot)
         folder = output_folder(arguments.output, OUTPUTS)
-        for warning in robot.warnings:
-            print(f"ctrplan: warning: {warning}", file=sys.stderr)
+        warn(robot.warnings)
         if interrupted.is_set():
             raise KeyboardInterrupt
-        terminal = sys.stderr is not None and sys.stderr.isatty()
-        with ProgressBar(quiet=not terminal, patience_s=PATIENCE_S) as bar:
+        with ProgressBar(patience_s=PATIENCE_S) as bar:
             result = simulate(
                 robot, path, start, accuracy=arguments.accuracy, progress=bar.show, interrupted=interrupted
             )
-        for warning in result.warnings:
-            print(f"ctrplan: warning: {warning}", file=sys.stderr)
+        warn(result.warnings)
         _write(folder, result)
         print(_summary(folder, result))
         if arguments.igtl is not None:
@@ -241,11 +223,11 @@ def _summary(folder: Path, result: Simulation) -> str:
     import numpy as np
 
     deviation_mm, bound_mm = result.deviation_m * 1e3, result.bounds.position_m * 1e3
-    found = np.flatnonzero(np.isfinite(deviation_mm))
+    outcome = np.flatnonzero(np.isfinite(deviation_mm))
     count = int(np.isfinite(deviation_mm[result.waypoints]).sum())
     lines = [f"{result.robot.name}: {count} of {len(result.path.theta_commanded)} rows simulated"]
-    if len(found):
-        worst, last = found[np.argmax(deviation_mm[found])], found[-1]
+    if len(outcome):
+        worst, last = outcome[np.argmax(deviation_mm[outcome])], outcome[-1]
         for label, k in (("largest friction error", worst), ("at the end", last)):
             where = f", at row {result.place[k] + 1:.4g}" if k == worst else ""
             worst_case = f"(worst case there {bound_mm[k]:.3f} mm)"

@@ -10,18 +10,22 @@ from ctrplan.base.long_work import INTERRUPTED
 from ctrplan.commands.options import (
     StageTeller,
     add_allow_outside_option,
+    add_output_option,
     add_set_option,
     add_worker_options,
     chosen_workers,
 )
 from ctrplan.commands.terminal import ProgressBar
-from ctrplan.storage.output_folder import DEFAULT as DEFAULT_FOLDER
 
 if TYPE_CHECKING:
     from ctrplan.studies.study.study import Outcome, Study, Where
 
 MOST_INPUTS = 3  # that a line of the terminal names; the table has all of them
 
+DESCRIPTION = (
+    "Do a task with every combination of what a study varies; write the table "
+    "(results.parquet, or results.csv without pyarrow), report.html, and the plans that are asked for."
+)
 EXAMPLES = """examples:
   ctrplan study STUDY.toml -o out
   ctrplan study STUDY.toml -o out --set targets.step_mm=2 --add
@@ -40,30 +44,18 @@ Ctrl-C and kills lose what is being done and nothing else: run again, and what i
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "study",
-        help="thousands of bounds, plans or goals over what varies, on this machine or a cluster",
-        description="Do a task with every combination of what a study varies; write the table "
-        "(results.parquet, or results.csv without pyarrow), report.html, and the plans that are asked for.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     parser.add_argument("study", metavar="STUDY.toml")
-    parser.add_argument(
-        "-o", "--output", metavar="DIR", default=DEFAULT_FOLDER, help="folder of the study (default: %(default)s)"
-    )
+    add_output_option(parser, "folder of the study")
     add_worker_options(parser)
     parser.add_argument("--add", action="store_true", help="keep what the folder has of another study beside this one")
-    parser.add_argument("--yes", action="store_true", help="also where it takes more than a week")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     add_allow_outside_option(parser)
     add_set_option(parser, "the study's key", "targets.step_mm=2")
-    parser.set_defaults(run=run_study_command)
 
 
-def run_study_command(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code: 1 where no task has an answer. Raises CtrplanError."""
     from ctrplan.studies.study.study import Study, refuse_endless, run_study
 
@@ -71,15 +63,14 @@ def run_study_command(arguments: argparse.Namespace) -> int:
     study = Study.read(arguments.study, arguments.overrides, allow_outside=arguments.allow_outside)
     refuse_endless(study, where, arguments.yes)
     print(_beforehand(study, where), file=sys.stderr)
-    terminal = sys.stderr is not None and sys.stderr.isatty()
-    with ProgressBar(quiet=arguments.quiet or not terminal) as bar:
+    with ProgressBar(quiet=arguments.quiet) as bar:
         teller = StageTeller(bar)
-        found = run_study(study, arguments.output, where, add=arguments.add, yes=arguments.yes, progress=teller)
-    _write_report(study, found)
-    print(_summary(study, found))
-    if found.interrupted:
+        result = run_study(study, arguments.output, where, add=arguments.add, yes=arguments.yes, progress=teller)
+    _write_report(study, result)
+    print(_summary(study, result))
+    if result.interrupted:
         return INTERRUPTED
-    return 0 if found.table.done.any() else 1
+    return 0 if result.table.done.any() else 1
 
 
 def _beforehand(study: Study, where: Where) -> str:
@@ -95,35 +86,35 @@ def _beforehand(study: Study, where: Where) -> str:
     return f"ctrplan: {study.name}: {tasks} ({study.kind.kind}), about {takes}."
 
 
-def _write_report(study: Study, found: Outcome) -> None:
+def _write_report(study: Study, outcome: Outcome) -> None:
     from ctrplan.reports.study_page import write_study_report
 
-    write_study_report(study, found.table)
+    write_study_report(study, outcome.table)
 
 
-def _summary(study: Study, found: Outcome) -> str:
+def _summary(study: Study, outcome: Outcome) -> str:
     from collections import Counter
 
-    table = found.table
+    table = outcome.table
     status = Counter(table.columns["status"])
-    lines = [f"{study.name}: {len(table):,} of {found.count:,} tasks, {found.did:,} of them done now"]
+    lines = [f"{study.name}: {len(table):,} of {outcome.count:,} tasks, {outcome.did:,} of them done now"]
     lines.append(f"  {'status':27} {', '.join(f'{count:,} {name}' for name, count in status.most_common())}")
     for row in table.rows():
         if row["status"] != "done":
             lines.append(f"  {'the first of those':27} task {row['index']}: {row['reason']}")
             break
-    lines += [f"  {label:27} {text}" for label, text in _extremes(study, found).items()]
-    lines.append(f"  {'written to':27} {found.store.folder}/{found.file.name}, report.html")
-    if found.interrupted:
+    lines += [f"  {label:27} {text}" for label, text in _extremes(study, outcome).items()]
+    lines.append(f"  {'written to':27} {outcome.store.folder}/{outcome.file.name}, report.html")
+    if outcome.interrupted:
         lines.append("  Interrupted; run it again to go on.")
     return "\n".join(lines)
 
 
-def _extremes(study: Study, found: Outcome) -> dict[str, str]:
+def _extremes(study: Study, outcome: Outcome) -> dict[str, str]:
     """The best and the worst row."""
     from ctrplan.studies.study.analysis import extremes, judged_by
 
-    column, rows = judged_by(study), list(found.table.rows())
+    column, rows = judged_by(study), list(outcome.table.rows())
     inputs = [name for axis in study.axes for name in axis.at(0).inputs]
     texts = {}
     for label, k in zip((f"least {column}", "largest"), extremes(rows, column), strict=False):

@@ -1,15 +1,39 @@
-"""Colour and progress bars on a terminal."""
+"""What commands print: warnings, tables, numbers of JSON, colour and progress bars."""
 
 from __future__ import annotations
 
+import math
 import os
 import sys
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ctrplan.planning.search.stage_search import Progress
 
 AMBER, PLAIN = "\033[33m", "\033[0m"
+PATIENCE_S = 1.0  # before a progress bar of what mostly takes less shows up
+
+
+def warn(sentences: Iterable[str]) -> None:
+    """Prints warnings on standard error."""
+    for sentence in sentences:
+        print(f"ctrplan: warning: {sentence}", file=sys.stderr)
+
+
+def finite(value: float) -> float | None:
+    """The value for JSON, which has no infinite numbers and no NaN."""
+    return value if math.isfinite(value) else None
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """A line for each row, its cells aligned on the right; a cell beyond those of the first row ends its line."""
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    lines = []
+    for row in rows:
+        cells = [cell.rjust(width) for cell, width in zip(row, widths, strict=False)]
+        lines.append("  ".join([*cells, *row[len(widths) :]]).rstrip())
+    return lines
 
 
 def amber(text: str) -> str:
@@ -21,9 +45,9 @@ def amber(text: str) -> str:
 class ProgressBar:
     """One bar per stage, gone from the terminal when the stage is over; none for stages shorter than `patience_s`."""
 
-    def __init__(self, *, quiet: bool, patience_s: float = 0.0) -> None:
-        """quiet: show nothing at all."""
-        self.quiet = quiet
+    def __init__(self, *, quiet: bool = False, patience_s: float = 0.0) -> None:
+        """quiet: show nothing at all; nor is anything shown where standard error is no terminal."""
+        self.quiet = quiet or sys.stderr is None or not sys.stderr.isatty()
         self.patience_s = patience_s
         self.bar: Any = None
         self.stage = ""

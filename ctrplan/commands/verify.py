@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ctrplan.base.arguments import SEED, Number
 from ctrplan.base.long_work import INTERRUPTED, interrupt_event
-from ctrplan.commands.options import add_allow_outside_option, add_number, add_set_option
+from ctrplan.commands.options import add_number, add_output_option, add_plan_arguments, read_plan
 from ctrplan.commands.terminal import ProgressBar
 from ctrplan.storage.output_folder import output_folder
 
@@ -20,6 +19,10 @@ if TYPE_CHECKING:
 DEFAULT_FOLDER = "counterexample"
 TIME = Number(0, 86400, "s", above=True)
 
+DESCRIPTION = (
+    "Compute the figures of a plan.json anew, and hunt for a state or a history that breaks what its "
+    "certificate claims, apart from planner and certificate. What breaks it is written as a scene."
+)
 EXAMPLES = """The trajectory is trajectory.csv beside PLAN.json. Without SCENARIO.toml the plan says which one it is.
 Exit code 0: no claim was found broken; 1: one is; 2: the files are no plan of this scenario and robot.
 
@@ -39,25 +42,9 @@ CLAIMS = {
 UNITS = {"stability": (1.0, ""), "strain": (100.0, " %")}
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "verify",
-        help="judge a written plan: hunt for what breaks its certificate",
-        description="Compute the figures of a plan.json anew, and hunt for a state or a history that breaks what its "
-        "certificate claims, apart from planner and certificate. What breaks it is written as a scene.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("plan", metavar="PLAN.json", help="a plan that ctrplan plan or a program wrote")
-    parser.add_argument("scenario", metavar="SCENARIO.toml", nargs="?", help="the scenario it was planned for")
-    parser.add_argument(
-        "-o",
-        "--output",
-        metavar="DIR",
-        default=DEFAULT_FOLDER,
-        help="folder for a counter-example (default: %(default)s)",
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
+    add_output_option(parser, "folder for a counter-example", DEFAULT_FOLDER)
     add_number(parser, "--time", TIME, metavar="S", default=10.0, help="seconds of the hunt (default: 10)")
     add_number(parser, "--seed", SEED, default=0, help="seed of the hunt (default: %(default)s)")
     parser.add_argument(
@@ -66,30 +53,18 @@ def add_parser(commands: Any) -> None:
         default="certificate",
         help="mesh on which findings count (default: %(default)s)",
     )
-    parser.add_argument("--trajectory", metavar="CSV", help="the trajectory, if it is not beside the plan")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
-    add_allow_outside_option(parser)
-    add_set_option(parser, "the scenario's key, or the robot's after robot., as the plan was made with")
-    parser.set_defaults(run=run_verify)
+    add_plan_arguments(parser)
 
 
-def run_verify(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Runs the command; returns its exit code. Raises InputError for what is no plan."""
     with interrupt_event() as interrupted:
         from ctrplan.audit.scene import outputs, write_scene
         from ctrplan.audit.verify import verify
-        from ctrplan.files.plan_file import load_plan
 
-        plan = load_plan(
-            arguments.plan,
-            arguments.scenario,
-            arguments.overrides,
-            trajectory=arguments.trajectory,
-            allow_outside=arguments.allow_outside,
-        )
+        plan = read_plan(arguments)
         folder = output_folder(arguments.output, list(outputs(plan.scenario)))
-        terminal = sys.stderr is not None and sys.stderr.isatty()
-        with ProgressBar(quiet=arguments.quiet or not terminal) as bar:
+        with ProgressBar(quiet=arguments.quiet) as bar:
             result = verify(
                 plan,
                 seed=arguments.seed,
@@ -99,11 +74,14 @@ def run_verify(arguments: argparse.Namespace) -> int:
                 interrupted=interrupted,
             )
         print("\n".join(_report(result)))
-        if (found := result.counterexample) is not None:
-            commands = write_scene(folder, result, found)
+        if (outcome := result.counterexample) is not None:
+            commands = write_scene(folder, result, outcome)
             print(
                 "\n  ".join(
-                    [f"a scene of the broken {found.claim} is in {folder}; look at it, and replay it, with", *commands]
+                    [
+                        f"a scene of the broken {outcome.claim} is in {folder}; look at it, and replay it, with",
+                        *commands,
+                    ]
                 )
             )
         return 1 if not result.is_kept else INTERRUPTED if result.interrupted else 0
@@ -118,15 +96,15 @@ def _report(result: Verification) -> Iterator[str]:
     for difference in result.differences:
         yield f"  {difference.sentence}"
     yield from (_line(found) for found in result.worst)
-    for parameter, found in result.beside:
-        yield f"{_line(found)}; with {parameter}, which is not claimed"
+    for parameter, outcome in result.beside:
+        yield f"{_line(outcome)}; with {parameter}, which is not claimed"
     if result.snaps:
         yield f"  simulated robots snapped {result.snaps} times"
 
 
-def _line(found: WorstFigure) -> str:
-    factor, unit = UNITS.get(found.claim, (1e3, " mm"))
-    stated = "nothing" if found.stated != found.stated else f"{factor * found.stated:.2f}{unit}"
-    broken = "BROKEN: " if found.is_broken else ""
-    figures = f"{broken}{factor * found.value:.2f}{unit} found, {stated} claimed"
-    return f"  {CLAIMS[found.claim]:32} {figures}; {found.where}, {found.how}"
+def _line(figure: WorstFigure) -> str:
+    factor, unit = UNITS.get(figure.claim, (1e3, " mm"))
+    stated = "nothing" if figure.stated != figure.stated else f"{factor * figure.stated:.2f}{unit}"
+    broken = "BROKEN: " if figure.is_broken else ""
+    figures = f"{broken}{factor * figure.value:.2f}{unit} found, {stated} claimed"
+    return f"  {CLAIMS[figure.claim]:32} {figures}; {figure.where}, {figure.how}"

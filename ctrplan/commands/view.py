@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import webbrowser
 from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any
 
 from ctrplan.base.arguments import Whole
 from ctrplan.commands.options import add_allow_outside_option, add_igtl_option, add_number, add_set_option
+from ctrplan.commands.terminal import warn
 
 if TYPE_CHECKING:
     from ctrplan.files.plan_file import WrittenPlan
-    from ctrplan.reports.live.state import LiveState
+    from ctrplan.reports.live_state import LiveState
     from ctrplan.scenario.scenario import Scenario
 
+DESCRIPTION = (
+    "A live 3-D page on this machine: the robot, its friction envelope and its error bound as the "
+    "joints move. Nothing is loaded from the network."
+)
 EXAMPLES = """examples:
   ctrplan view scenarios/robots/three_tube.toml
   ctrplan view scenarios/airway.toml --no-browser --port 8080
@@ -24,16 +28,8 @@ EXAMPLES = """examples:
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command to the command line."""
-    parser = commands.add_parser(
-        "view",
-        help="the robot in a browser, with a slider for every joint",
-        description="A live 3-D page on this machine: the robot, its friction envelope and its error bound as the "
-        "joints move. Nothing is loaded from the network.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
     parser.add_argument("file", metavar="ROBOT.toml|SCENARIO.toml|PLAN.json", help="of a plan the motion can be played")
     add_number(parser, "--port", Whole(0, 65535), default=0, help="of 127.0.0.1 (default: a free one)")
     parser.add_argument("--no-browser", action="store_true", help="only print the page's address")
@@ -41,17 +37,15 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--frame", metavar="RAS|LPS", help="of the anatomy, for --igtl, which sends RAS")
     add_allow_outside_option(parser)
     add_set_option(parser, "a key of the file", "robot.tube.2.poisson_ratio=0.28")
-    parser.set_defaults(run=run_view)
 
 
-def run_view(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Serves the page until Ctrl-C; returns 0. Raises CtrplanError."""
-    from ctrplan.reports.live.server import LiveServer
-    from ctrplan.reports.live.state import LiveState
+    from ctrplan.reports.live_server import LiveServer
+    from ctrplan.reports.live_state import LiveState
 
     scenario, motion = loaded(arguments)
-    for warning in scenario.warnings:
-        print(f"ctrplan: warning: {warning}", file=sys.stderr)
+    warn(scenario.warnings)
     state = LiveState(scenario, motion)
     with _sending(arguments, state), LiveServer(state, arguments.port) as server:
         print(f"{scenario.name}: {server.url}   (Ctrl-C ends)", flush=True)

@@ -82,7 +82,9 @@ def ignored(scored: Scored) -> NDArray[np.bool_]:
 
 
 def adequacy(fit: Linear, group: NDArray[np.int_], ignored: NDArray[np.bool_]) -> Adequacy:
-    """Of a linearised fit's residuals; `group` (K,) numbers configurations; some poses (K,) are left out."""
+    """The adequacy of a linearised fit by its residuals; `group` (K,) numbers configurations; some poses (K,) are
+    left out.
+    """
     r, J, group, given = fit.r[~ignored], fit.J[~ignored], group[~ignored], fit.given[~ignored]
     root = information_inverse(fit.J, fit.weight, fit.precision)
     hat = J @ root  # (K, 5, P): hat hat^T is the share of noise that the fit took
@@ -147,12 +149,12 @@ def rescaled_noise(left: Adequacy, noise: Noise, norm: Array, given: Array) -> t
         or all(abs(x - 1) < LEAST_CHANGE - 1 for x in factors)
     ):
         return None, ""
-    found = Noise(noise.position_m * factors[0], noise.tangent_rad * factors[1])
+    result = Noise(noise.position_m * factors[0], noise.tangent_rad * factors[1])
     sentence = (
-        f"The noise is not as stated: {found.position_m * 1e3:.3g} mm and {math.degrees(found.tangent_rad):.3g} deg "
+        f"The noise is not as stated: {result.position_m * 1e3:.3g} mm and {math.degrees(result.tangent_rad):.3g} deg "
         f"fit the data, the file says {noise.position_m * 1e3:.3g} mm and {math.degrees(noise.tangent_rad):.3g} deg."
     )
-    return found, sentence
+    return result, sentence
 
 
 def tail_weight(norm: Array, given: Array) -> float:
@@ -189,8 +191,8 @@ def _is_even(left: Adequacy) -> bool:
     return min(above, 1 - above) > UNEVEN / 2
 
 
-def _too_small(found: ChiSquare) -> float:
-    return float(chi2.cdf(found.value, found.dof))
+def _too_small(chi_square: ChiSquare) -> float:
+    return float(chi2.cdf(chi_square.value, chi_square.dof))
 
 
 def noise_floor(robot: Robot, data: Measurements) -> tuple[Noise, str]:
@@ -225,24 +227,24 @@ def _too_little(data: Measurements) -> str:
 
 def _of_data(shown: Sequence[ObservedNoise], has_tangents: bool) -> tuple[Noise, str]:
     """The largest that the data show."""
-    found = Noise(max(one.noise.position_m for one in shown), max(one.noise.tangent_rad for one in shown))
+    noise = Noise(max(one.noise.position_m for one in shown), max(one.noise.tangent_rad for one in shown))
     by = " and ".join(one.by for one in shown)
-    return found, f"The robot file states no noise; {by} say {_words(found, has_tangents)}."
+    return noise, f"The robot file states no noise; {by} say {_words(noise, has_tangents)}."
 
 
 def _enlarged(stated: Noise, shown: Sequence[ObservedNoise], has_tangents: bool) -> tuple[Noise, str]:
     """The stated noise, or what data show where it is clearly more."""
-    found, by = stated, list[str]()
+    noise, by = stated, list[str]()
     for one in shown:
         factors = one.noise.position_m / stated.position_m, one.noise.tangent_rad / stated.tangent_rad
         if max(factors[: 1 + has_tangents]) > 1 + one.doubt:
-            tangent_rad = max(found.tangent_rad, one.noise.tangent_rad) if has_tangents else found.tangent_rad
-            found = Noise(max(found.position_m, one.noise.position_m), tangent_rad)
+            tangent_rad = max(noise.tangent_rad, one.noise.tangent_rad) if has_tangents else noise.tangent_rad
+            noise = Noise(max(noise.position_m, one.noise.position_m), tangent_rad)
             by.append(one.by)
     if not by:
         return stated, ""
-    more = f"{' and '.join(by)} say {_words(found, has_tangents)}, the file states {_words(stated, has_tangents)}"
-    return found, f"The noise is larger than stated: {more}."
+    more = f"{' and '.join(by)} say {_words(noise, has_tangents)}, the file states {_words(stated, has_tangents)}"
+    return noise, f"The noise is larger than stated: {more}."
 
 
 def _words(noise: Noise, has_tangents: bool) -> str:

@@ -66,20 +66,20 @@ class Evidence:
         """Why it does not hold; empty if it does."""
         if self.is_certain:
             return []
-        found = []
+        results = []
         if self.odds < LEAST_ODDS:
-            found.append(f"an error that is smooth in the joints or in time leaves it odds of exp({self.odds:.0f})")
+            results.append(f"an error that is smooth in the joints or in time leaves it odds of exp({self.odds:.0f})")
         if self.z < LEAST_Z:
-            found.append(f"its gain of {self.gain:.0f} is {self.z:.1f} standard errors above zero over blocks")
+            results.append(f"its gain of {self.gain:.0f} is {self.z:.1f} standard errors above zero over blocks")
         if self.gain < TIMES_CHANCE * self.chance:
-            found.append(f"its gain of {self.gain:.0f} is below {TIMES_CHANCE:g} times that of surrogates")
+            results.append(f"its gain of {self.gain:.0f} is below {TIMES_CHANCE:g} times that of surrogates")
         if self.winning < LEAST_WINNING:
-            found.append(f"only {100 * self.winning:.0f} % of the blocks speak for it")
+            results.append(f"only {100 * self.winning:.0f} % of the blocks speak for it")
         if self.imitators:
-            found.append(f"beside {self.weakest} little of its gain is left")
+            results.append(f"beside {self.weakest} little of its gain is left")
         if self.shift > MOST_SHIFT:
-            found.append(f"beside {self.shifted_by} its parameters leave their intervals")
-        return found
+            results.append(f"beside {self.shifted_by} its parameters leave their intervals")
+        return results
 
     @property
     def is_certain(self) -> bool:
@@ -129,7 +129,7 @@ class Sides:
 
 
 def evidence(bench: Workbench, sides: Sides, t: Term, chance: float) -> Evidence:
-    """Of an effect `t` of a set, beside every competitor of the panel's.
+    """The evidence for an effect `t` of a set, beside every competitor of the linearisation.
 
     The set without it is a fit of its own. To first order around the set with it, the rest could stand for it: beside
     a load, how a shape changes with the stiffness of all tubes is what the load does.
@@ -174,9 +174,9 @@ def in_its_place(bench: Workbench, sides: Sides, t: Term) -> list[tuple[Term, fl
     """Other effects, each in its best variant, and how much better `t` predicts than it in its place; best first."""
     mine = sides.panel.of(sides.among)
     others = [other for other in sides.panel.others(sides.among) if other.effect.needs != t.name]
-    found = [(other, *summed(_gains(bench, mine, sides.gone.of([*sides.rest, other])))) for other in others]
+    results = [(other, *summed(_gains(bench, mine, sides.gone.of([*sides.rest, other])))) for other in others]
     best: dict[str, tuple[Term, float, float]] = {}
-    for one in sorted(found, key=lambda one: one[1]):
+    for one in sorted(results, key=lambda one: one[1]):
         best.setdefault(one[0].name, one)
     return list(best.values())
 
@@ -221,7 +221,7 @@ class Closing:
 
     @property
     def share(self) -> float:
-        """Of the gap, in squares. Where effects hide one another, it may be below 0 or above 1."""
+        """The share of the gap, in squares. Where effects hide one another, it may be below 0 or above 1."""
         return (self.without_m**2 - self.with_m**2) / max(self.gap_m**2, 1e-12)
 
 
@@ -234,19 +234,19 @@ class Part:
     last: Closing
 
 
-def part_of(bench: CorrelatedBench, base: Scored, chosen: Scored, found: Evidence) -> Part:
-    """Of an effect in a set, where `base` is calibrated without effects and without free frames."""
+def part_of(bench: CorrelatedBench, base: Scored, chosen: Scored, result: Evidence) -> Part:
+    """The part of an effect in a set, where `base` is calibrated without effects and without free frames."""
     whole = left_out_residuals(linear(base.fit), bench.fold)[:, :3] * bench.plain.position_m * bench.data.over_tip
     before, after = rms(whole), rms(bench.left_out_m(chosen))
     gap = float(np.sqrt(max(before**2 - bench.plain.floor_m**2, 0.0)))
     none = bench.scored([])
-    if found.term.name in FRAMES:
-        others = [t for t in none.fit.chain.terms if t.name in FRAMES and t.name != found.term.name]
-        alone, last = rms(bench.left_out_m(none, *others)), rms(bench.left_out_m(chosen, found.term))
-        return Part(found, Closing(before, alone, gap), Closing(last, after, gap))
-    free, alone = rms(bench.left_out_m(none)), rms(bench.left_out_m(bench.scored([found.term], chosen.fit)))
-    last = rms(bench.left_out_m(bench.scored([t for t in chosen.terms if t is not found.term], chosen.fit)))
-    return Part(found, Closing(free, alone, gap), Closing(last, after, gap))
+    if result.term.name in FRAMES:
+        others = [t for t in none.fit.chain.terms if t.name in FRAMES and t.name != result.term.name]
+        alone, last = rms(bench.left_out_m(none, *others)), rms(bench.left_out_m(chosen, result.term))
+        return Part(result, Closing(before, alone, gap), Closing(last, after, gap))
+    free, alone = rms(bench.left_out_m(none)), rms(bench.left_out_m(bench.scored([result.term], chosen.fit)))
+    last = rms(bench.left_out_m(bench.scored([t for t in chosen.terms if t is not result.term], chosen.fit)))
+    return Part(result, Closing(free, alone, gap), Closing(last, after, gap))
 
 
 def rms(error_m: Array) -> float:

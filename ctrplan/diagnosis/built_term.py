@@ -81,15 +81,15 @@ class Built:
     @property
     def by_stage(self) -> dict[str, float]:
         """Gain of the best first piece of each stage: what decided which stage it is."""
-        found: dict[str, float] = {}
+        results: dict[str, float] = {}
         for one in self.rounds[0].tried:
-            found.setdefault(one.piece.on.kind.stage, one.gain)
-        return found
+            results.setdefault(one.piece.on.kind.stage, one.gain)
+        return results
 
-    def to_json(self, found: Scored) -> dict[str, Any]:
+    def to_json(self, scored: Scored) -> dict[str, Any]:
         """For diagnosis.json, with the coefficients of a fit."""
         return {
-            "terms": [_term_json(t, found) for t in found.terms if isinstance(t.effect, Learned)],
+            "terms": [_term_json(t, scored) for t in scored.terms if isinstance(t.effect, Learned)],
             "share_of_rest": round(self.share, 3),
             "gain": round(self.gain, 2),
             "standard_error": round(self.error, 2),
@@ -101,9 +101,9 @@ class Built:
         }
 
 
-def built_of(found: PartialDiagnosis, rounds: Sequence[Round]) -> Built:
+def built_of(partial: PartialDiagnosis, rounds: Sequence[Round]) -> Built:
     """What a search ended with, with its evidence."""
-    bench, scored = found.bench, found.chosen
+    bench, scored = partial.bench, partial.chosen
     plain = bench.scored([t for t in scored.terms if not is_built(t)], scored.fit)  # beside what is left now
     gains = bench.by_group((plain.held_out - scored.held_out) / 2)
     telling = gains[np.abs(gains) > SAYS_SOMETHING]
@@ -114,7 +114,7 @@ def built_of(found: PartialDiagnosis, rounds: Sequence[Round]) -> Built:
     probable = SmoothEvidence(bench, scored).highest()
     odds = probable - SmoothEvidence(bench, plain).highest()
     return Built(
-        scored, plain, found, tuple(rounds), *summed(gains), certainty(gains), winning, share, rest, odds, probable
+        scored, plain, partial, tuple(rounds), *summed(gains), certainty(gains), winning, share, rest, odds, probable
     )
 
 
@@ -142,15 +142,15 @@ def worse_in(data: Measurements, before: Array, after: Array) -> str:
 
 def regions(data: Measurements) -> dict[str, NDArray[np.bool_]]:
     """Masks (K,) of all poses, and of the thirds of each joint's range that changes, rotations modulo a turn."""
-    found = {"all poses": np.ones(data.count, bool)}
+    results = {"all poses": np.ones(data.count, bool)}
     theta, l = np.mod(data.theta_commanded[data.rows], 2 * np.pi), data.l_commanded[data.rows]  # noqa: E741
     for kind, columns in (("rotation", theta), ("translation", l)):
         for i, values in enumerate(columns.T, start=1):
             if np.ptp(values) > 1e-3:
                 third = np.searchsorted(np.quantile(values, [1 / 3, 2 / 3]), values, side="right")
                 words = ("lowest", "middle", "highest")
-                found |= {f"the {words[k]} third of the {kind} of tube {i}": third == k for k in range(3)}
-    return found
+                results |= {f"the {words[k]} third of the {kind} of tube {i}": third == k for k in range(3)}
+    return results
 
 
 def _rms(error: Array) -> float:
@@ -164,11 +164,11 @@ def _step(one: Round) -> SelectionStep:
     return SelectionStep("build", name, parts, round(shown.gain, 2), 0.0, round(one.chance, 2), one.taken is not None)
 
 
-def _term_json(t: Term, found: Scored) -> dict[str, Any]:
+def _term_json(t: Term, scored: Scored) -> dict[str, Any]:
     assert isinstance(t.effect, Learned)
-    place = [term.key for term in found.fit.chain.terms].index(t.key)
-    stated = t.effect.stated(found.fit.chain.values(found.fit.p)[place])
-    coefficients = {name: {"value": e.value, "ci95": list(e.ci95)} for name, e in estimates(found.fit, t).items()}
+    place = [term.key for term in scored.fit.chain.terms].index(t.key)
+    stated = t.effect.stated(scored.fit.chain.values(scored.fit.p)[place])
+    coefficients = {name: {"value": e.value, "ci95": list(e.ci95)} for name, e in estimates(scored.fit, t).items()}
     return {"name": t.name, **stated, "coefficients": coefficients}
 
 
@@ -179,49 +179,49 @@ LEAST_LIKE_SMOOTH = 20.0  # logarithm of evidence, if they move positions no fur
 WORTH = 0.5  # of the noise: what remains has to be larger for a term to be sought
 
 
-def build(found: PartialDiagnosis, tell: Callable[[str], None]) -> Built | None:
+def build(partial: PartialDiagnosis, tell: Callable[[str], None]) -> Built | None:
     """A term of what remains beside the effects that hold; None where nothing passes."""
-    built = tried(found, tell)
+    built = tried(partial, tell)
     if built is None:
         return None
-    if refusals(found.bench, built):
-        found.bench.corrected(found.chosen)
+    if refusals(partial.bench, built):
+        partial.bench.corrected(partial.chosen)
         return None
     _note_sizes(built)
     return built
 
 
-def tried(found: PartialDiagnosis, tell: Callable[[str], None]) -> Built | None:
+def tried(partial: PartialDiagnosis, tell: Callable[[str], None]) -> Built | None:
     """What a search for a term ends with, before it is asked whether it holds."""
-    bench = found.bench
-    if found.is_noise or found.rest.rms_m < WORTH * bench.plain.floor_m:
+    bench = partial.bench
+    if partial.is_noise or partial.rest.rms_m < WORTH * bench.plain.floor_m:
         return None
-    built = _settled(found, found.chosen, tell)
+    built = _settled(partial, partial.chosen, tell)
     if bench.data.is_stream:
-        strange = strained(found.chosen.fit, found.chosen.names)
-        return _instead_of_names(found, built, tell) if strange else built
-    likely = most_probable_alone(_selector(found, found.chosen, tell))
-    if likely is not None and not {*likely.names} <= _named(found, built):
-        built = _better(found, built, _settled(found, likely, tell))
+        strange = strained(partial.chosen.fit, partial.chosen.names)
+        return _instead_of_names(partial, built, tell) if strange else built
+    likely = most_probable_alone(_selector(partial, partial.chosen, tell))
+    if likely is not None and not {*likely.names} <= _named(partial, built):
+        built = _better(partial, built, _settled(partial, likely, tell))
     if built is not None and built.partly.judgement.findings and refusals(bench, built):
-        built = _of_smaller_pieces(found, tell) or built
-    built = built and _without_faint(found, built, tell)
-    bench.corrected(built.scored if built else found.chosen)  # the discrepancy beside what is handed over
+        built = _of_smaller_pieces(partial, tell) or built
+    built = built and _without_faint(partial, built, tell)
+    bench.corrected(built.scored if built else partial.chosen)  # the discrepancy beside what is handed over
     return built
 
 
-def _instead_of_names(found: PartialDiagnosis, beside: Built | None, tell: Callable[[str], None]) -> Built | None:
-    """Of a continuous motion: a term that names stand for, sought beside nothing, where blocks left out are nearer so.
+def _instead_of_names(partial: PartialDiagnosis, beside: Built | None, tell: Callable[[str], None]) -> Built | None:
+    """A term of a continuous motion that names stand for, built beside nothing, where blocks left out are nearer so.
 
     It is where a name has a parameter that is not plausible: friction at the plate was called play in the drive and a
     delay as long as delays can be, which left a third of it. Names that hold beside such a term are told with it.
     """
-    bench = found.bench
+    bench = partial.bench
     passes = beside is not None and not refusals(bench, beside)
-    here = bench.corrected(beside.scored if beside and passes else found.chosen)
+    here = bench.corrected(beside.scored if beside and passes else partial.chosen)
     error = mean_square(bench.left_out_m(here))
-    nothing = bench.corrected(bench.scored([], found.chosen.fit))
-    instead = _settled(found, nothing, tell)
+    nothing = bench.corrected(bench.scored([], partial.chosen.fit))
+    instead = _settled(partial, nothing, tell)
     is_good = instead is not None and not refusals(bench, instead)
     if instead is not None and is_good and mean_square(bench.left_out_m(instead.scored)) < error:
         return instead
@@ -229,21 +229,21 @@ def _instead_of_names(found: PartialDiagnosis, beside: Built | None, tell: Calla
     return beside
 
 
-def _of_smaller_pieces(found: PartialDiagnosis, tell: Callable[[str], None]) -> Built | None:
+def _of_smaller_pieces(partial: PartialDiagnosis, tell: Callable[[str], None]) -> Built | None:
     """What passes of pieces that need not beat smooth surrogates: where something is known, also beside the term."""
-    bench = found.bench
-    begun = bench.corrected(bench.scored(found.chosen.terms, found.chosen.fit))
-    built = _settled(found, begun, tell, smooth_counts=False)
+    bench = partial.bench
+    begun = bench.corrected(bench.scored(partial.chosen.terms, partial.chosen.fit))
+    built = _settled(partial, begun, tell, smooth_counts=False)
     passes = built is not None and built.partly.judgement.findings and not refusals(bench, built)
     return built if passes else None
 
 
-def _without_faint(found: PartialDiagnosis, built: Built, tell: Callable[[str], None]) -> Built:
+def _without_faint(partial: PartialDiagnosis, built: Built, tell: Callable[[str], None]) -> Built:
     """Asked again without names that a smooth error looks like, that gain little and move little, if there are any.
 
     They may stay while terms are built: beside shifted headings an offset went from 7 to 32.
     """
-    bench, listed = found.bench, [finding.term.name for finding in built.partly.judgement.findings]
+    bench, listed = partial.bench, [finding.term.name for finding in built.partly.judgement.findings]
     gains = {one.effect: one.gain for one in built.partly.path if one.action == "add" and one.taken}
     faint = {name for name in LIKE_SMOOTH if name in listed and gains.get(name, np.inf) < LEAST_LIKE_SMOOTH}
     if faint:
@@ -251,41 +251,43 @@ def _without_faint(found: PartialDiagnosis, built: Built, tell: Callable[[str], 
         faint = {name for name in faint if evidence.moved(name) < FRAME_MOVES}
     if not faint:
         return built
-    known = replace(found.known, terms=tuple(t for t in found.known.terms if t.name not in faint))
+    known = replace(partial.known, terms=tuple(t for t in partial.known.terms if t.name not in faint))
     terms = [t for t in built.scored.terms if t.name not in faint]
     selector = PartialSelector(bench, known, tell, bench.corrected(bench.scored(terms, built.scored.fit)))
-    again = concluded(selector, Selection(selector.found.chosen, []), found.known, found.split, found.block, found.base)
+    again = concluded(
+        selector, Selection(selector.found.chosen, []), partial.known, partial.split, partial.block, partial.base
+    )
     return replace(built_of(again, built.rounds), is_shown=built.is_shown)
 
 
-def _named(found: PartialDiagnosis, built: Built | None) -> set[str]:
+def _named(partial: PartialDiagnosis, built: Built | None) -> set[str]:
     """Names that a term was sought beside, or that hold beside it."""
-    return {*found.chosen.names} if built is None else {*found.chosen.names, *built.named.names}
+    return {*partial.chosen.names} if built is None else {*partial.chosen.names, *built.named.names}
 
 
-def _better(found: PartialDiagnosis, one: Built | None, other: Built | None) -> Built | None:
+def _better(partial: PartialDiagnosis, one: Built | None, other: Built | None) -> Built | None:
     """The more probable of those that pass.
 
     Where one passes, something is there that a smooth error does not explain, and what is more probable as a whole is
     not asked that again.
     """
     both = [built for built in (one, other) if built is not None]
-    passing = [built for built in both if not refusals(found.bench, built)]
+    passing = [built for built in both if not refusals(partial.bench, built)]
     if not passing:
         return max(both, key=lambda built: built.evidence, default=None)
     best = max(passing, key=lambda built: built.evidence)
     more = [replace(built, is_shown=True) for built in both if built.evidence > best.evidence]
-    return next((built for built in more if not refusals(found.bench, built)), best)
+    return next((built for built in more if not refusals(partial.bench, built)), best)
 
 
 def _settled(
-    found: PartialDiagnosis, named: Scored, tell: Callable[[str], None], smooth_counts: bool = True
+    partial: PartialDiagnosis, named: Scored, tell: Callable[[str], None], smooth_counts: bool = True
 ) -> Built | None:
     """Built beside a set, and once more where other names act beside the term: pieces may have stood for them.
 
     The new one is taken where it passes, and the old one does not or is less probable.
     """
-    bench, built = found.bench, _tried_beside(found, named, tell, smooth_counts)
+    bench, built = partial.bench, _tried_beside(partial, named, tell, smooth_counts)
     asked = {frozenset(t.key for t in named.terms)}
     while built is not None and not bench.data.is_stream and len(asked) <= MOST_TIMES:
         names = [t for t in built.scored.terms if not is_built(t)]
@@ -293,7 +295,7 @@ def _settled(
         if not names or key in asked:
             break
         asked.add(key)
-        again = _tried_beside(found, bench.corrected(bench.scored(names, built.scored.fit)), tell, smooth_counts)
+        again = _tried_beside(partial, bench.corrected(bench.scored(names, built.scored.fit)), tell, smooth_counts)
         if again is None or refusals(bench, again):
             break
         if not refusals(bench, built) and again.evidence < built.evidence:
@@ -305,36 +307,36 @@ def _settled(
 
 
 def _tried_beside(
-    found: PartialDiagnosis, named: Scored, tell: Callable[[str], None], smooth_counts: bool = True
+    partial: PartialDiagnosis, named: Scored, tell: Callable[[str], None], smooth_counts: bool = True
 ) -> Built | None:
     """Beside a set: of the effects that hold, or with such besides as may hold beside a term.
 
     On a continuous motion the catalogue is asked after each piece. Of poses at rest it is asked of all pieces in the
     end, and what it has there may take the place of some.
     """
-    bench = found.bench
+    bench = partial.bench
     path = list[SelectionStep]()
 
     def with_names(here: Scored) -> Scored:
         if not bench.data.is_stream:
             return here
-        searched = _selector(found, here, tell).run()
+        searched = _selector(partial, here, tell).run()
         path.extend(searched.path)
         return searched.chosen
 
-    known = pieces(bench.robot, bench.data, found.known.terms)
+    known = pieces(bench.robot, bench.data, partial.known.terms)
     scored, rounds = grown(bench, named, known, tell, with_names, WITHIN_REACH, smooth_counts)
     if scored is named:
         return None
-    selector = _selector(found, scored, tell)
-    again = concluded(selector, Selection(scored, path), found.known, found.split, found.block, found.base)
+    selector = _selector(partial, scored, tell)
+    again = concluded(selector, Selection(scored, path), partial.known, partial.split, partial.block, partial.base)
     if not any(is_built(t) for t in again.chosen.terms):
         return None
     return built_of(again, rounds)
 
 
-def _selector(found: PartialDiagnosis, here: Scored, tell: Callable[[str], None]) -> PartialSelector:
-    return PartialSelector(found.bench, found.known, tell, here)
+def _selector(partial: PartialDiagnosis, here: Scored, tell: Callable[[str], None]) -> PartialSelector:
+    return PartialSelector(partial.bench, partial.known, tell, here)
 
 
 def _note_sizes(built: Built) -> None:

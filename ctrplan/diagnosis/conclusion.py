@@ -92,14 +92,14 @@ def conclude(
         first = _beside_a_remainder(nothing, data, usable, noise, known, teller)
         if first.interrupted or (first.partly and not first.partly.is_noise):
             return _with_built(first, first, teller)
-    found = _unless_something_remains(_ordinary(data, usable, wrong, bench, parts, known, teller))
-    explained = found.judgement.verdict != "unexplained" or found.judgement.adequacy.is_adequate
-    if explained or found.interrupted or is_long:
-        return found
-    part = _beside_a_remainder(found, data, usable, noise, known, teller)
+    result = _unless_something_remains(_ordinary(data, usable, wrong, bench, parts, known, teller))
+    explained = result.judgement.verdict != "unexplained" or result.judgement.adequacy.is_adequate
+    if explained or result.interrupted or is_long:
+        return result
+    part = _beside_a_remainder(result, data, usable, noise, known, teller)
     if whole := _explaining_all(part, known, teller):
         return whole
-    return _with_built(part, part if part.judgement.verdict == "partial" or part.interrupted else found, teller)
+    return _with_built(part, part if part.judgement.verdict == "partial" or part.interrupted else result, teller)
 
 
 def _with_built(part: Conclusion, otherwise: Conclusion, teller: Teller) -> Conclusion:
@@ -154,17 +154,17 @@ def _beside_a_remainder(
     )
 
 
-def _unless_something_remains(found: Conclusion) -> Conclusion:
+def _unless_something_remains(conclusion: Conclusion) -> Conclusion:
     """The answer, its names taken back where what they leave has a memory: effects are at work then, but not alone."""
-    judgement = found.judgement
-    if judgement.verdict not in ("named", "ambiguous") or found.interrupted:
-        return found
-    remains_too = remaining_error(found.bench, found.chosen)
+    judgement = conclusion.judgement
+    if judgement.verdict not in ("named", "ambiguous") or conclusion.interrupted:
+        return conclusion
+    remains_too = remaining_error(conclusion.bench, conclusion.chosen)
     if not remains_too:
-        return found
-    kept = specific(found.bench, found.chosen, judgement.findings, judgement.adequacy)
+        return conclusion
+    kept = specific(conclusion.bench, conclusion.chosen, judgement.findings, judgement.adequacy)
     notes = (*judgement.notes, remains_too)
-    return replace(found, judgement=replace(judgement, verdict="unexplained", findings=kept, notes=notes))
+    return replace(conclusion, judgement=replace(judgement, verdict="unexplained", findings=kept, notes=notes))
 
 
 def _explaining_all(part: Conclusion, known: Candidates, teller: Teller) -> Conclusion | None:
@@ -217,13 +217,13 @@ def _ordinary(
         bench = bench_of(bench.robot, data, parts, bench.noise)
         selector, judgement, notes, stopped = _searched(bench, known, teller)
     selector.bench.pause = lambda: None  # what follows is short, and nothing is told without it
-    noise, found = selector.bench.noise, selector.found
+    noise, result = selector.bench.noise, selector.found
     base = selector.bench.scored([])
     is_rescaled = noise.position_m < bench.noise.position_m
     return Conclusion(
         selector.bench,
-        tuple(found.path),
-        found.chosen,
+        tuple(result.path),
+        result.chosen,
         base,
         judgement,
         parts,
@@ -261,6 +261,6 @@ def _searched(bench: Workbench, known: Candidates, teller: Teller) -> tuple[Sele
 
 
 def _norms(scored: Scored) -> tuple[Array, Array]:
-    """Of the residuals per pose, without outliers, and how many measured numbers each has."""
+    """Norms of the residuals per pose, without outliers, and how many measured numbers each has."""
     parts, kept = scored.fit.residuals, ~ignored(scored)
     return parts.norm[kept], parts.given[kept].sum(axis=1)

@@ -96,45 +96,47 @@ class Confirmation:
         }
 
 
-@checked(found=Made("Diagnosis"), data=Made("Measurements"))
-def confirm(found: Diagnosis, data: Measurements) -> Confirmation:
+@checked(diagnosis=Made("Diagnosis"), data=Made("Measurements"))
+def confirm(diagnosis: Diagnosis, data: Measurements) -> Confirmation:
     """Asks the effects of a diagnosis on other runs, once.
 
     Raises InputError for runs that it has read, and for too few poses.
     """
-    if data.sha256 and data.sha256 == found.data.sha256:
+    if data.sha256 and data.sha256 == diagnosis.data.sha256:
         raise InputError("must be runs that the diagnosis has not read", file=data.file, key="confirm")
-    usable = usable_poses(found.robot, data)
-    new = _new(found, data, usable)
-    wrong = gross_outliers(new.placed(found.chosen.fit), data, usable)
+    usable = usable_poses(diagnosis.robot, data)
+    new = _new(diagnosis, data, usable)
+    wrong = gross_outliers(new.placed(diagnosis.chosen.fit), data, usable)
     if wrong.any() and not too_many(wrong, usable):
-        new = _new(found, data, usable & ~wrong)
+        new = _new(diagnosis, data, usable & ~wrong)
     block, count = new.block, len(np.unique(new.block))
-    whole, listed = new.predicted(found.chosen.fit), {t.key for t in (*found.listed, *found.built_terms)}
+    whole, listed = new.predicted(diagnosis.chosen.fit), {t.key for t in (*diagnosis.listed, *diagnosis.built_terms)}
     effects = tuple(
-        _confirmed(t, whole, new.predicted(_without(found, t)), block)
-        for t in found.chosen.fit.chain.terms
+        _confirmed(t, whole, new.predicted(_without(diagnosis, t)), block)
+        for t in diagnosis.chosen.fit.chain.terms
         if t.key in listed and t.name not in FRAMES
     )
-    models = (new.as_it_is(found.base.fit), new.predicted(found.base.fit), whole)
+    models = (new.as_it_is(diagnosis.base.fit), new.predicted(diagnosis.base.fit), whole)
     counted = np.logical_and.reduce([model.counted for model in models])
     calibrated, before, after = (summary(model.distance_m[counted], block[counted]) for model in models)
     file = data.file or ""
     return Confirmation(file, data.sha256, new.data.count, count, calibrated, before, after, effects)
 
 
-def _new(found: Diagnosis, data: Measurements, usable: NDArray[np.bool_]) -> _New:
+def _new(diagnosis: Diagnosis, data: Measurements, usable: NDArray[np.bool_]) -> _New:
     """The poses to go by, of `usable` ones (K,), in blocks that last as long as can be where no memory is known."""
     some = np.flatnonzero(usable)
     asked = data.subset(some[:: max(1, -(-len(some) // MOST_POSES))] if data.is_stream else some)
-    if data.homing is not None or found.data.homing is not None:  # no run of these has the zeros of the first one there
+    if (
+        data.homing is not None or diagnosis.data.homing is not None
+    ):  # no run of these has the zeros of the first one there
         asked = replace(asked, homing=data.homings + 1)
-    block = blocks(asked, math.inf if found.memory is None else found.memory)
+    block = blocks(asked, math.inf if diagnosis.memory is None else diagnosis.memory)
     count = len(np.unique(block))
     if count < LEAST_BLOCKS:
         rule = f"has {count} usable blocks of poses, too few to confirm anything: at least {LEAST_BLOCKS}"
         raise InputError(rule, file=data.file)
-    return _New(asked, _noise(found), block)
+    return _New(asked, _noise(diagnosis), block)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,18 +155,18 @@ def _confirmed(t: Term, whole: _Predicted, rest: _Predicted, block: NDArray[np.i
     return ConfirmedEffect(t.name, *summed(gains), z, summary(rest.distance_m[counted], block[counted]), verdict)
 
 
-def _noise(found: Diagnosis) -> Noise:
+def _noise(diagnosis: Diagnosis) -> Noise:
     """That of the measurement, and of what remains, which counts as often as poses are independent: by block."""
-    rest = found.chosen.fit.noise.discrepancy
+    rest = diagnosis.chosen.fit.noise.discrepancy
     sizes = (np.hypot(1, rest.position), np.hypot(1, rest.tangent)) if rest else (1.0, 1.0)
-    return Noise(found.noise.position_m * float(sizes[0]), found.noise.tangent_rad * float(sizes[1]))
+    return Noise(diagnosis.noise.position_m * float(sizes[0]), diagnosis.noise.tangent_rad * float(sizes[1]))
 
 
-def _without(found: Diagnosis, gone: Term) -> Fit:
+def _without(diagnosis: Diagnosis, gone: Term) -> Fit:
     """Calibrated again on the poses of the diagnosis without an effect, as the model with it was."""
-    whole = found.chosen.fit
-    if found.partly:
-        bench, kept = found.partly.bench, [t for t in found.chosen.terms if t.name != gone.name]
+    whole = diagnosis.chosen.fit
+    if diagnosis.partly:
+        bench, kept = diagnosis.partly.bench, [t for t in diagnosis.chosen.terms if t.name != gone.name]
         return bench.handed_over(bench.scored(kept, whole)).fit
     places = [(t, s) for t, s in zip(whole.chain.terms, whole.chain.slices(), strict=True) if t.name != gone.name]
     start = np.concatenate([whole.p[place] for _, place in places])
@@ -179,16 +181,16 @@ class _New:
     noise: Noise
     block: NDArray[np.int_]
 
-    def as_it_is(self, found: Fit) -> _Predicted:
+    def as_it_is(self, result: Fit) -> _Predicted:
         """By a model with nothing found anew."""
-        chain, p = self._chain(found, [t for t in found.chain.terms if t.name not in FRAMES])
+        chain, p = self._chain(result, [t for t in result.chain.terms if t.name not in FRAMES])
         prediction = chain.predict(p, derivatives=False)
         distance = distances(prediction, self.data)
         return _Predicted(robust_square(distance / self.noise.position_m), distance, ~excused(prediction.failed))
 
-    def predicted(self, found: Fit) -> _Predicted:
+    def predicted(self, result: Fit) -> _Predicted:
         """Each block by a model in the frames that the other blocks show, to first order; tips are those there."""
-        placed = self.placed(found)
+        placed = self.placed(result)
         loss, distance, failed = np.empty(self.data.count), np.empty(self.data.count), np.zeros(self.data.count, bool)
         for number, step in steps_without(linear(placed), self.block).items():
             inside = self.block == number
@@ -202,21 +204,21 @@ class _New:
             failed[inside] = prediction.failed
         return _Predicted(loss, distance, ~excused(failed))
 
-    def placed(self, found: Fit) -> Fit:
+    def placed(self, result: Fit) -> Fit:
         """A model in the frames that these runs show."""
         kept = [
-            fixed(t, found.p[place])
-            for t, place in zip(found.chain.terms, found.chain.slices(), strict=True)
+            fixed(t, result.p[place])
+            for t, place in zip(result.chain.terms, result.chain.slices(), strict=True)
             if t.name not in FRAMES
         ]
-        chain, p = self._chain(found, [*kept, *frames(found.chain.robot, self.data)])
+        chain, p = self._chain(result, [*kept, *frames(result.chain.robot, self.data)])
         return fit(chain, self.noise, np.arange(self.data.count), p)
 
-    def _chain(self, found: Fit, terms: Sequence[Term]) -> tuple[ParametricChain, Array]:
-        """Of terms with the values that they have in a fit, frames where nothing is displaced."""
-        chain = ParametricChain(found.chain.robot, self.data, terms)
+    def _chain(self, result: Fit, terms: Sequence[Term]) -> tuple[ParametricChain, Array]:
+        """The chain of terms with the values that they have in a fit, frames where nothing is displaced."""
+        chain = ParametricChain(result.chain.robot, self.data, terms)
         keys = [(t.name, q.name) for t in chain.terms for q in t.parameters]
-        known = {key: value for key, value in values_by_name(found).items() if key[0] not in FRAMES}
+        known = {key: value for key, value in values_by_name(result).items() if key[0] not in FRAMES}
         p = np.array([known.get(key, value) for key, value in zip(keys, chain.neutral.tolist(), strict=True)])
         chain.correction = friction_correction(chain, p)
         return chain, p

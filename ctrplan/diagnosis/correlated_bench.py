@@ -52,12 +52,12 @@ FRAME_MOVES = 0.9  # of the size of noise and smooth error, that a frame has to 
 def frames(robot: Robot, data: Measurements) -> list[Term]:
     """One rigid motion, one more for every further frame that the poses are in, and zeros for every further homing."""
     effect = CATALOGUE[FRAME]
-    found = [term(effect, [parameter.name for parameter in effect.parameters(robot)], robot)]
+    results = [term(effect, [parameter.name for parameter in effect.parameters(robot)], robot)]
     for shift in (CATALOGUE[SHIFT], CATALOGUE[HOMED]):
         if not shift.untestable(robot, data) and not (data.of_collars and shift.stage == "drive"):
             (names,) = shift.variants(robot, data)
-            found.append(term(shift, names, robot))
-    return found
+            results.append(term(shift, names, robot))
+    return results
 
 
 def frames_beside(robot: Robot, data: Measurements, terms: Sequence[Term]) -> list[Term]:
@@ -140,7 +140,7 @@ class CorrelatedBench(Workbench):
         return self._settled(self.scored([]))
 
     def corrected(self, scored: Scored) -> Scored:
-        """The same set with the friction states of its own path and the discrepancy that it leaves."""
+        """The set with the friction states of its own path and the discrepancy that it leaves."""
         return self._settled(scored)
 
     def loss(self, system: Linear) -> Array:
@@ -214,9 +214,9 @@ class CorrelatedBench(Workbench):
 
     @property
     def noise_alike(self) -> Noise:
-        """As large as the discrepancy, every pose counting alike."""
-        found = self._discrepancy
-        sizes = (np.hypot(1, found.position), np.hypot(1, found.tangent)) if found else (1.0, 1.0)
+        """Noise as large as the discrepancy, every pose counting alike."""
+        result = self._discrepancy
+        sizes = (np.hypot(1, result.position), np.hypot(1, result.tangent)) if result else (1.0, 1.0)
         return Noise(self.plain.position_m * sizes[0], self.plain.tangent_rad * sizes[1])
 
     @property
@@ -241,9 +241,11 @@ class CorrelatedBench(Workbench):
         return self.scored(scored.terms, scored.fit)
 
     def _joint_memory(self, scored: Scored) -> JointMemory | None:
-        """Of what remains of a fit of poses at rest."""
-        found = self._discrepancy
-        return joint_memory(self.over_noise_at_priors(scored), self.data, found) if found and found.is_there else None
+        """The memory in the joints of what remains of a fit of poses at rest."""
+        result = self._discrepancy
+        return (
+            joint_memory(self.over_noise_at_priors(scored), self.data, result) if result and result.is_there else None
+        )
 
     def over_noise_at_priors(self, scored: Scored) -> Linearised:
         """A fit at the centres of its priors, residuals and derivatives over the noise alone."""
@@ -257,10 +259,10 @@ class CorrelatedBench(Workbench):
         if not self.data.is_stream:
             return discrepancy.of_configurations(left, self.data.configuration)
         time = clock(self.data)
-        found = discrepancy.of_motion(left, time, self._run, float(np.ptp(time)))
+        result = discrepancy.of_motion(left, time, self._run, float(np.ptp(time)))
         stretch = np.unique(np.column_stack([self.group, self._run]), axis=0, return_inverse=True)[1].ravel()
         poses = [np.flatnonzero(stretch == number) for number in np.unique(stretch)]
-        return discrepancy.within(found, poses, lambda rows, memory: discrepancy.decay(time[rows], memory))
+        return discrepancy.within(result, poses, lambda rows, memory: discrepancy.decay(time[rows], memory))
 
     def smooth_errors(self, here: Scored) -> Sequence[SmoothError]:
         """That these poses may have besides; tangents are as in the first set that was asked."""
@@ -276,7 +278,7 @@ class CorrelatedBench(Workbench):
         return self._errors[key]
 
     def chain(self, terms: Sequence[Term]) -> ParametricChain:
-        """Of terms, with friction as it is known by now."""
+        """The chain of terms, with friction as it is known by now."""
         chain = super().chain(terms)
         chain.correction = None
         if self._has_friction(terms):
@@ -311,15 +313,15 @@ def fixed(t: Term, p: Array) -> Term:
 
 
 class SmoothBench(CorrelatedBench):
-    """Of another bench of poses at rest, with the most probable discrepancy beside one of its sets."""
+    """A bench of poses at rest, with the most probable discrepancy beside one of another bench's sets."""
 
     def __init__(self, bench: CorrelatedBench, here: Scored) -> None:
         """here: a set of the bench, which has a discrepancy."""
         super().__init__(bench.robot, bench.data, bench.plain, bench.group, bench.fold)
         self._correction = bench._correction
-        left, found = bench.over_noise_at_priors(here), bench.estimated(here)
-        along = joint_memory(left, bench.data, found)
-        self.noise = replace(self.plain, discrepancy=discrepancy.over_joints(left, found.memory, along.correlation))
+        left, result = bench.over_noise_at_priors(here), bench.estimated(here)
+        along = joint_memory(left, bench.data, result)
+        self.noise = replace(self.plain, discrepancy=discrepancy.over_joints(left, result.memory, along.correlation))
 
     def at(self, scored: Scored) -> Scored:
         """A set of the other bench as it stands here."""

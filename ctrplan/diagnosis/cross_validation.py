@@ -45,7 +45,7 @@ class Linear:
     given: NDArray[np.bool_]  # (K, 5) numbers that were measured; the others are zero in r and J
 
     def columns(self, chosen: list[int]) -> Linear:
-        """The same fit with some of the parameters only."""
+        """The fit with some of the parameters only."""
         return Linear(
             self.r, self.J[:, :, chosen], self.weight, self.precision[chosen], self.offset[chosen], self.given
         )
@@ -188,7 +188,7 @@ def _left_out_loss(
 
 
 def numbers(poses: NDArray[np.int_]) -> NDArray[np.int_]:
-    """Of poses (k,), the rows (5 k,) of their numbers."""
+    """The rows (5 k,) of the numbers of poses (k,)."""
     rows: NDArray[np.int_] = (PER_POSE * poses[:, None] + np.arange(PER_POSE)).ravel()
     return rows
 
@@ -208,14 +208,14 @@ def nested_null_scores(
         return [predictive_null_scores(system, fold, block, noise) for system in systems]
     common = systems[first].columns([k for k, column in enumerate(columns[first]) if column in shared])
     beside = _Common(common, fold, block, noise)
-    found = []
+    results = []
     for system, mine in zip(systems, columns, strict=True):
         alike = len(mine) == len(set(mine)) and shared <= set(mine) and np.array_equal(system.given, common.given)
         own = [k for k, column in enumerate(mine) if column not in shared]
-        found.append(
+        results.append(
             beside.scores(system.columns(own)) if alike else predictive_null_scores(system, fold, block, noise)
         )
-    return found
+    return results
 
 
 def _columns(system: Linear) -> list[bytes]:
@@ -226,7 +226,7 @@ def _columns(system: Linear) -> list[bytes]:
 
 @dataclass(frozen=True, eq=False)
 class _Fold:
-    """Of a fold: its rows, those of each of its blocks within it, and what the common set makes of them."""
+    """A fold: its rows, those of each of its blocks within it, and what the common set makes of them."""
 
     rows: NDArray[np.int_]
     blocks: tuple[NDArray[np.int_], ...]
@@ -323,7 +323,7 @@ def null_threshold(here: Linear, beside: Sequence[Linear], scores: Scores, draws
 
 
 def null_thresholds(here: Linear, beside: Sequence[Linear], scores: Scores, draws: Sequence[Array]) -> list[float]:
-    """The same for several kinds of draws (5 K, D) at once: what they share of every system is found once."""
+    """Thresholds for several kinds of draws (5 K, D) at once: what they share of every system is computed once."""
     noise = np.hstack(draws)
     plain, *others = scores([here, *beside], noise)
     best = np.max(others, axis=0) - plain

@@ -56,8 +56,8 @@ def open_test_set(before: Fit, after: Fit, held_out_set: Measurements, group: ND
     failed = predictions[1].failed | predictions[2].failed
     kept = ~excused(failed)
     effective_there = chains[2].predict(after.p)
-    found = _residuals(effective_there.subset(kept), held_out_set.subset(kept), group[kept], noise)
-    outlying, near = np.zeros(len(kept), bool), ~outliers(found.raw_norm)
+    result = _residuals(effective_there.subset(kept), held_out_set.subset(kept), group[kept], noise)
+    outlying, near = np.zeros(len(kept), bool), ~outliers(result.raw_norm)
     outlying[np.flatnonzero(kept)[~near]] = True
     kept &= ~outlying
     held_out_set, group = held_out_set.subset(kept), group[kept]
@@ -67,7 +67,7 @@ def open_test_set(before: Fit, after: Fit, held_out_set: Measurements, group: ND
         for name, inside in _regions(held_out_set).items()
     }
     nominal, calibrated, effective = (summary(e, group) for e in errors)
-    chi_square = _predictive(found.r[near][found.given[near]], found.J[near][found.given[near]], after)
+    chi_square = _predictive(result.r[near][result.given[near]], result.J[near][result.given[near]], after)
     return Gap(
         nominal,
         calibrated,
@@ -131,7 +131,9 @@ def times_noise(rms_m: float, floor_m: float) -> float:
 
 
 def largest_remainder(tails: float) -> float:
-    """Of the noise, whose squares vary `tails` times as much as Gaussian ones: so much less certain is their mean."""
+    """The largest remainder that noise leaves, whose squares vary `tails` times as much as Gaussian ones: so much
+    less certain is their mean.
+    """
     return math.sqrt(1 + (LARGEST_REST**2 - 1) * math.sqrt(tails))
 
 

@@ -47,20 +47,20 @@ class Place:
 def quantities(data: Measurements) -> Mapping[str, Array]:
     """What each pose comes with, (K,) each."""
     rows, n = data.rows, data.n
-    found: dict[str, Array] = {}
+    results: dict[str, Array] = {}
     for i in range(1, n):
         turn = data.theta_commanded[rows, i] - data.theta_commanded[rows, i - 1]
-        found[f"angle of tube {i + 1} against tube {i}"] = np.mod(turn + ROUNDED_RAD, 2 * np.pi)
-        found[f"direction of approach of tubes {i} and {i + 1}"] = friction_state(data)[:, i - 1]
+        results[f"angle of tube {i + 1} against tube {i}"] = np.mod(turn + ROUNDED_RAD, 2 * np.pi)
+        results[f"direction of approach of tubes {i} and {i + 1}"] = friction_state(data)[:, i - 1]
     for i in range(n):
-        found[f"translation of tube {i + 1}"] = data.l_commanded[rows, i]
-        found[f"commanded rotation of tube {i + 1}"] = data.theta_commanded[rows, i]
+        results[f"translation of tube {i + 1}"] = data.l_commanded[rows, i]
+        results[f"commanded rotation of tube {i + 1}"] = data.theta_commanded[rows, i]
     for k, axis in enumerate("xyz"):
-        found[f"{axis} of the tip"] = data.position_m[:, k]
+        results[f"{axis} of the tip"] = data.position_m[:, k]
     if data.time_s is not None:
-        found["time"] = data.time_s[rows]
-    found |= {name: values[rows] for name, values in data.more.items()}
-    return {name: values for name, values in found.items() if _differs(values)}
+        results["time"] = data.time_s[rows]
+    results |= {name: values[rows] for name, values in data.more.items()}
+    return {name: values for name, values in results.items() if _differs(values)}
 
 
 def localise(
@@ -136,7 +136,7 @@ def _quarters(values: Array) -> NDArray[np.int_]:
 
 
 def _share(r: Array, part: NDArray[np.int_]) -> float:
-    """Of the sum of squares explained by means over classes."""
+    """The share of the sum of squares that means over classes explain."""
     count = np.bincount(part)
     means = np.stack([np.bincount(part, weights=column) for column in r.T], axis=1)
     return float((means**2 / np.maximum(count, 1)[:, None]).sum() / max((r**2).sum(), 1e-12))

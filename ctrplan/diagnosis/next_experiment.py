@@ -70,9 +70,9 @@ def next_experiment(
     proposed: list[Proposal] = []
     for finding in judgement.findings:
         for other in finding.alternatives:
-            found = proposals(finding.term.name, chosen, other, data, noise)
-            proposed += found
-            sentences.append(_separating(finding.term.name, other, found))
+            result = proposals(finding.term.name, chosen, other, data, noise)
+            proposed += result
+            sentences.append(_separating(finding.term.name, other, result))
             sentences.append(f"{finding.term.name} shows itself so: {finding.term.effect.experiment}.")
     if judgement.verdict == "partial":
         sentences += [f"To confirm {f.term.name}: {f.term.effect.experiment}." for f in judgement.findings]
@@ -94,13 +94,13 @@ def next_experiment(
     return " ".join(sentences), tuple(proposed)
 
 
-def _separating(name: str, other: Alternative, found: Sequence[Proposal]) -> str:
-    if not found or found[0].log_odds < SEPARATING_LOG_ODDS:
+def _separating(name: str, other: Alternative, results: Sequence[Proposal]) -> str:
+    if not results or results[0].log_odds < SEPARATING_LOG_ODDS:
         return (
             f"No pose of the measured kind separates {name} from {other.term.name}: they predict the same everywhere "
             f"within its range."
         )
-    best = found[0]
+    best = results[0]
     angles = ", ".join(f"{angle:.0f}" for angle in np.degrees(best.theta_commanded))
     places = ", ".join(f"{place:.1f}" for place in best.l_commanded * 1e3)
     return (

@@ -53,7 +53,7 @@ def effects_beside_built_term(selector: PartialSelector, chosen: Scored) -> Name
 
     It grows from the one built term that is most probable alone: what else was built may have stood for a name.
     """
-    bench, path, found = selector.partial_bench, list[SelectionStep](), dict[str, tuple[Term, list[Gain]]]()
+    bench, path, result = selector.partial_bench, list[SelectionStep](), dict[str, tuple[Term, list[Gain]]]()
     alone = [_ProbableSet.of(bench, [t], chosen) for t in chosen.terms if is_built(t)]
     here = max(alone, key=lambda one: one.value)
     before = {t.name for t in chosen.terms if not is_built(t)}
@@ -61,8 +61,8 @@ def effects_beside_built_term(selector: PartialSelector, chosen: Scored) -> Name
     while True:
         selector.tell("asking what acts beside " + ", ".join(here.scored.names))
         bench.corrected(here.scored)
-        told = {*found, *(one.term.name for _, rivals in found.values() for one in rivals)}
-        ranked = _ranked(selector, here.scored, told) if len(found) < MOST_PARTS else []
+        told = {*result, *(one.term.name for _, rivals in result.values() for one in rivals)}
+        ranked = _ranked(selector, here.scored, told) if len(result) < MOST_PARTS else []
         name = next((one for one in ranked if one.gain >= _least_gain(one.term.name, before)), None)
         more = [(t, _ProbableSet.of(bench, [*here.scored.terms, t], here.scored)) for t in others]
         built, there = max(more, key=lambda one: one[1].value, default=(None, here))
@@ -80,21 +80,21 @@ def effects_beside_built_term(selector: PartialSelector, chosen: Scored) -> Name
         path.append(step("add", name.term, there.value - here.value, 0.0, least, passes))
         if not passes:
             break
-        here, found[name.term.name] = there, (name.term, rivals)
-    here = _without_the_idle(bench, here, found, path, before)
+        here, result[name.term.name] = there, (name.term, rivals)
+    here = _without_the_idle(bench, here, result, path, before)
     settled = bench.corrected(here.scored)
     while True:
-        names = {**found, **_frame(selector, settled, here.value)}
+        names = {**result, **_frame(selector, settled, here.value)}
         evidence = evidence_for(selector, settled, [t for t, _ in names.values()])
-        against = min((e for e in evidence if e.term.name in found), key=lambda e: e.gain, default=None)
+        against = min((e for e in evidence if e.term.name in result), key=lambda e: e.gain, default=None)
         if against is None or against.gain > 0:
             break
         path.append(step("drop", against.term, against.gain, against.error, 0.0, True))
-        found.pop(against.term.name)
+        result.pop(against.term.name)
         here = _ProbableSet.of(bench, [t for t in settled.terms if t is not against.term], settled)
         settled = bench.corrected(here.scored)
-    found = names
-    findings = tuple(_finding(bench, settled, t, rivals) for t, rivals in found.values())
+    result = names
+    findings = tuple(_finding(bench, settled, t, rivals) for t, rivals in result.values())
     compared = tuple(a for f in findings for a in f.alternatives)
     return NamedSet(settled, evidence, findings, compared, (), tuple(path))
 
@@ -139,7 +139,7 @@ def _ranked(selector: PartialSelector, here: Scored, told: Collection[str] = ())
 
 
 def _variants(selector: PartialSelector, here: Scored) -> list[Term]:
-    """Of effects that are not in a set and no frames; none with more parameters than there are blocks.
+    """Variants of effects that are not in a set and no frames; none with more parameters than there are blocks.
 
     On a pair, whose joints the place of the tip gives away, a distortion follows any smooth error better than an error
     of one length can.
@@ -177,21 +177,21 @@ def _with_zeros(bench: CorrelatedBench, settled: Scored) -> Scored:
 def _without_the_idle(
     bench: CorrelatedBench,
     here: _ProbableSet,
-    found: dict[str, tuple[Term, list[Gain]]],
+    results: dict[str, tuple[Term, list[Gain]]],
     path: list[SelectionStep],
     before: Collection[str],
 ) -> _ProbableSet:
     """Without the names whose place later ones have taken, the least probable first."""
-    while len(found) > 1:
+    while len(results) > 1:
         without = {
             name: _ProbableSet.of(bench, [t for t in here.scored.terms if t.name != name], here.scored)
-            for name in found
+            for name in results
         }
         idle = max(without, key=lambda name: without[name].value)
         least = _least_gain(idle, before)
         if here.value - without[idle].value >= least:
             break
-        path.append(step("drop", found.pop(idle)[0], here.value - without[idle].value, 0.0, least, True))
+        path.append(step("drop", results.pop(idle)[0], here.value - without[idle].value, 0.0, least, True))
         here = without[idle]
     return here
 
@@ -221,14 +221,14 @@ class PartialDiagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """What remains, for diagnosis.json."""
-        found = self.rest
+        result = self.rest
         return {
-            "rms_mm": round(found.rms_m * 1e3, 4),
-            **({"memory_rows" if found.memory_in_rows else "memory_s": found.memory and round(found.memory, 3)}),
-            "of_configuration": round(found.of_configuration, 3),
-            "of_history": round(found.of_history, 3),
-            "of_time": round(found.of_time, 3),
-            "where": found.place,
+            "rms_mm": round(result.rms_m * 1e3, 4),
+            **({"memory_rows" if result.memory_in_rows else "memory_s": result.memory and round(result.memory, 3)}),
+            "of_configuration": round(result.of_configuration, 3),
+            "of_history": round(result.of_history, 3),
+            "of_time": round(result.of_time, 3),
+            "where": result.place,
             "blocks": len(np.unique(self.bench.group)),
             "poses_compared": self.bench.data.count,
             "restarts": self.bench.restarts,
@@ -277,7 +277,7 @@ def diagnose_partially(
 
 
 def _bench(robot: Robot, data: Measurements, noise: Noise, parts: Split, block: NDArray[np.int_]) -> CorrelatedBench:
-    """Of the poses that choose."""
+    """The bench of the poses that choose."""
     return CorrelatedBench(robot, data.subset(parts.selection), noise, block[parts.selection], parts.fold)
 
 
@@ -295,12 +295,12 @@ def concluded(
     """
     bench = selector.partial_bench
     is_beside = any(is_built(t) for t in searched.chosen.terms) and not bench.data.is_stream
-    found = (effects_beside_built_term if is_beside else named_set)(selector, searched.chosen)
-    chosen = found.chosen
+    result = (effects_beside_built_term if is_beside else named_set)(selector, searched.chosen)
+    chosen = result.chosen
     beside, named = _by_name(bench, chosen)
-    verdict: Verdict = "partial" if found.findings else "unexplained"
-    judgement = Judgement(verdict, found.findings, left_by_names(beside, named), found.compared)
-    shares = tuple(part_of(bench, base, chosen, e) for e in found.found)
+    verdict: Verdict = "partial" if result.findings else "unexplained"
+    judgement = Judgement(verdict, result.findings, left_by_names(beside, named), result.compared)
+    shares = tuple(part_of(bench, base, chosen, e) for e in result.found)
     return PartialDiagnosis(
         bench,
         parts,
@@ -310,9 +310,9 @@ def concluded(
         judgement,
         shares,
         remainder_beside(beside, named, bench.plain),
-        (*searched.path, *found.path),
+        (*searched.path, *result.path),
         known,
-        found.doubted,
+        result.doubted,
     )
 
 
@@ -332,7 +332,7 @@ def _by_name(bench: CorrelatedBench, chosen: Scored) -> tuple[CorrelatedBench, S
 
 
 def _memory(robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: Noise) -> float:
-    """Of the calibrated model's errors on a continuous motion, in s, or in rows where these have no times."""
+    """The memory of the calibrated model's errors on a continuous motion, in s, or in rows where there are no times."""
     if not data.is_stream:
         return 0.0
     some = np.flatnonzero(usable)
@@ -344,15 +344,15 @@ def _memory(robot: Robot, data: Measurements, usable: NDArray[np.bool_], noise: 
 
 def remainder_beside(bench: CorrelatedBench, chosen: Scored, noise: Noise) -> Remainder:
     """What remains beside a set of effects."""
-    data, found = bench.data, bench.noise.discrepancy
+    data, result = bench.data, bench.noise.discrepancy
     error, floor = bench.left_out_m(chosen), noise.floor_m
     size = float(np.sqrt(max(mean_square(error) - floor**2, 0.0)))
     distance = np.linalg.norm(error, axis=1)
     place = localise(data, bench.coloured(chosen.fit.residuals.r), bench.group, distance, floor, "With these effects")
     if data.is_stream:
         shares = remainder.shares_of_motion(error, data, bench.group, floor)
-        memory = found.memory if found else 0.0
+        memory = result.memory if result else 0.0
         return Remainder(size, memory, *shares, place.sentence, memory_in_rows=data.time_s is None)
     of_time = remainder.share_of_time(error, data, bench.group, floor)
-    shared = (found.memory if found else 0.0) * (1 - of_time)
+    shared = (result.memory if result else 0.0) * (1 - of_time)
     return Remainder(size, None, shared, 1 - of_time - shared, of_time, place.sentence)

@@ -64,30 +64,32 @@ class PartialSelector(Selector):
         return self._most(chosen, panel.of(among), beside) if beside else 0.0
 
     def _most(self, here: Scored, alone: Linear, beside: Sequence[Linear]) -> float:
-        """Of chance on traded residuals and on surrogates as smooth as these, which leave less to doubt."""
+        """The largest gain by chance on traded residuals and on surrogates as smooth as these, which leave less to
+        doubt.
+        """
         draws = self.partial_bench.traded_draws(here), self.partial_bench.null_draws(here)
         traded, smooth = null_thresholds(alone, beside, self.bench.null_scores, draws)
         return max(traded, SMOOTH_COUNTS * smooth)
 
-    def _grow(self, found: Selection) -> bool:
+    def _grow(self, selection: Selection) -> bool:
         """The first of the best candidates that is certain; another one may need it to become so.
 
         None with more parameters than there are blocks: like a distortion of the tracker on a pair, whose joints the
         place of the tip gives away, it would follow any smooth rest.
         """
-        if self._grow_by_odds(found):
+        if self._grow_by_odds(selection):
             return True
-        here = found.chosen
+        here = selection.chosen
         self.tell("trying effects beside " + (", ".join(here.names) or "a rest"))
         screened = self._screened(here)
         if not screened:
             return False
         beside = [one.linear for one in screened]
-        found.threshold = TIMES_CHANCE * self._most(here, linear(here.fit), beside)
+        selection.threshold = TIMES_CHANCE * self._most(here, linear(here.fit), beside)
         worth = [one for one in screened if self._passes(here, one, WORTH_A_FIT)]
         if not worth:
             first = screened[0]
-            found.path.append(step("add", first.term, first.score - here.score, 0.0, found.threshold, False))
+            selection.path.append(step("add", first.term, first.score - here.score, 0.0, selection.threshold, False))
             return False
         taken = None
         fitted = self.fitted(here, worth)
@@ -95,14 +97,14 @@ class PartialSelector(Selector):
             gain, error = self.bench.difference(candidate, here)
             passes = taken is None and self._passes(here, candidate) and self._is_probable(here, candidate)
             taken = candidate if passes else taken
-            found.path.append(step("add", candidate.terms[-1], gain, error, found.threshold, passes))
+            selection.path.append(step("add", candidate.terms[-1], gain, error, selection.threshold, passes))
         if taken is not None:
-            found.chosen = self.bench.corrected(taken)
+            selection.chosen = self.bench.corrected(taken)
         return taken is not None
 
-    def _grow_by_odds(self, found: Selection) -> bool:
+    def _grow_by_odds(self, selection: Selection) -> bool:
         """The most probable effect whose odds beside a smooth error tell it, if there is one."""
-        here, bench = found.chosen, self.partial_bench
+        here, bench = selection.chosen, self.partial_bench
         by_odds = [(t, telling_odds(t, bench.data.is_stream)) for t in self._others(here)]
         least = {t.name: telling.first for t, telling in by_odds if telling}
         variants = [t for t, telling in by_odds if telling and len(t.parameters) <= self._blocks]
@@ -117,8 +119,8 @@ class PartialSelector(Selector):
         there = bench.corrected(bench.scored(self.candidates.completed(here.terms, best.term), here.fit))
         gain = SmoothEvidence(bench, there).highest() - asked.highest()
         taken = gain >= needed
-        found.path.append(step("add", best.term, gain, 0.0, needed, taken))
-        found.chosen = there if taken else bench.corrected(here)
+        selection.path.append(step("add", best.term, gain, 0.0, needed, taken))
+        selection.chosen = there if taken else bench.corrected(here)
         return taken
 
     def _is_probable(self, here: Scored, candidate: Scored) -> bool:
@@ -180,12 +182,12 @@ class NamedSet:
 
 def named_set(selector: PartialSelector, chosen: Scored) -> NamedSet:
     """What holds of a set, without what too many others may stand for."""
-    found = supported_set(selector, chosen)
-    tried = [(e, *finding(selector, found, e)) for e in found.found]
+    result = supported_set(selector, chosen)
+    tried = [(e, *finding(selector, result, e)) for e in result.found]
     kept = [(e, f) for e, f, _ in tried if len(f.alternatives) <= MOST_RIVALS]
     compared = tuple(a for _, _, others in tried for a in others)
     return NamedSet(
-        found.chosen, tuple(e for e, _ in kept), tuple(f for _, f in kept), compared, found.doubted, found.dropped
+        result.chosen, tuple(e for e, _ in kept), tuple(f for _, f in kept), compared, result.doubted, result.dropped
     )
 
 
@@ -199,7 +201,7 @@ def evidence_for(selector: PartialSelector, chosen: Scored, terms: Sequence[Term
 
 
 def _panel(selector: PartialSelector, chosen: Scored) -> tuple[Linearisation, float, list[Term]]:
-    """Of a set and its competitors, with what is chance there and all that is fitted."""
+    """The linearisation of a set and its competitors, with what is chance there and all that is fitted."""
     bench = selector.partial_bench
     among = [*bench.basis(chosen.terms), *chosen.terms]
     free = [with_zero(bench, t) for t in chosen.terms]
@@ -224,8 +226,8 @@ def supported_set(selector: PartialSelector, chosen: Scored) -> SupportedSet:
         holding = [e for e in told if e.holds or (beside_built and e.is_one_of_several)]
         failing = [e for e in told if e not in holding and e.term in chosen.terms]
         if not failing:
-            found = tuple(e for e in holding if _is_name(selector, chosen, sides[e.term.name], e))
-            return SupportedSet(chosen, sides, found, tuple(doubted), tuple(dropped))
+            result = tuple(e for e in holding if _is_name(selector, chosen, sides[e.term.name], e))
+            return SupportedSet(chosen, sides, result, tuple(doubted), tuple(dropped))
         worst = min(failing, key=lambda e: e.z)
         doubted.append(worst)
         dropped.append(
@@ -241,33 +243,33 @@ def _beside_smooth_errors(selector: PartialSelector, chosen: Scored, told: Seque
     """
     is_stream = selector.bench.data.is_stream
     variants = [t for t in selector.candidates.beside(chosen.terms) if t.name not in chosen.names]
-    asked, found = SmoothEvidence(selector.partial_bench, chosen, variants), list[Evidence]()
+    asked, result = SmoothEvidence(selector.partial_bench, chosen, variants), list[Evidence]()
     names = [e.term.name for e in told]
     for bare, name, odds in zip(told, names, asked.odds(names), strict=True):
         if name in FRAMES and not is_stream:
-            found.append(bare)
+            result.append(bare)
             continue
         e = replace(bare, odds=odds, telling=telling_odds(bare.term, is_stream))
         if e.is_told_by_odds:
             others = [t for t in variants if t.effect.needs != name]
             rivals = rivals_of(e.odds, best_of_each(asked.gains(others, without=name))) if others else []
             e = replace(e, imitators=tuple(one.term for one in rivals))
-        found.append(e)
-    return found
+        result.append(e)
+    return result
 
 
-def finding(selector: PartialSelector, found: SupportedSet, e: Evidence) -> tuple[Finding, list[Alternative]]:
+def finding(selector: PartialSelector, supported: SupportedSet, e: Evidence) -> tuple[Finding, list[Alternative]]:
     """An effect that holds with what may stand for it, refitted in its place; and all that was tried there.
 
     That is what does as well, and what leaves it little beside itself.
     """
-    bench, chosen, t = selector.partial_bench, found.chosen, e.term
+    bench, chosen, t = selector.partial_bench, supported.chosen, e.term
     if t.name in FRAMES:
-        rivals = [_beside_it(bench, chosen, one) for one in _rivals(selector, found.sides[t.name], e)]
+        rivals = [_beside_it(bench, chosen, one) for one in _rivals(selector, supported.sides[t.name], e)]
         return Finding(t, tuple(rivals)), rivals
     others, tried = [other for other in chosen.terms if other is not t], []
     imitators = {other.name for other in e.imitators}
-    ranked = [] if e.is_told_by_odds else [one[0] for one in in_its_place(bench, found.sides[t.name], t)]
+    ranked = [] if e.is_told_by_odds else [one[0] for one in in_its_place(bench, supported.sides[t.name], t)]
     ranked = [other for other in ranked if other.name not in imitators]
     for other in [*e.imitators[: MOST_RIVALS + 1], *ranked[:TRIED]]:
         scored = bench.scored([*others, other], chosen.fit)

@@ -76,7 +76,7 @@ class Remainder:
 def shares_of_motion(
     error_m: Array, data: Measurements, block: NDArray[np.int_], floor_m: float
 ) -> tuple[float, float, float]:
-    """Of configuration, history and time in errors (K, 3), by what each adds when blocks (K,) are left out."""
+    """Shares of configuration, history and time in errors (K, 3), by what each adds when blocks (K,) are left out."""
     wanted = max(float((error_m**2).sum()) - len(error_m) * floor_m**2, 1e-12)
     features, explained = list[Array](), [0.0]
     for more in (_configuration(data), _history(data), _time(data)):
@@ -87,7 +87,7 @@ def shares_of_motion(
 
 
 def share_of_time(error_m: Array, data: Measurements, block: NDArray[np.int_], floor_m: float) -> float:
-    """Of errors (K, 3) of poses at rest."""
+    """The share of time in errors (K, 3) of poses at rest."""
     wanted = max(float((error_m**2).sum()) - len(error_m) * floor_m**2, 1e-12)
     return float(min(1.0, max(0.0, _explained(error_m, _time(data), block)) / wanted))
 
@@ -159,7 +159,7 @@ class JointMemory:
         return [(self.position, POSITION), (self.tangent, TANGENT)]
 
 
-def joint_memory(fit: Linearised, data: Measurements, found: Discrepancy) -> JointMemory:
+def joint_memory(fit: Linearised, data: Measurements, discrepancy: Discrepancy) -> JointMemory:
     """The most probable one of what remains of a fit, over the noise, beside a discrepancy of its configurations."""
     members = [np.flatnonzero(data.configuration == number) for number in np.unique(data.configuration)]
     means = Linearised(
@@ -173,7 +173,10 @@ def joint_memory(fit: Linearised, data: Measurements, found: Discrepancy) -> Joi
     highest = -np.inf
     for smooth, length in product(JOINT_SMOOTHNESS, JOINT_LENGTHS):
         correlation = (1 - smooth) * np.eye(len(members)) + smooth * np.exp(-square / (2 * length**2))
-        covariances = [_covariance(size, found.memory, count, correlation) for size in (found.position, found.tangent)]
+        covariances = [
+            _covariance(size, discrepancy.memory, count, correlation)
+            for size in (discrepancy.position, discrepancy.tangent)
+        ]
         value = _evidence(means, covariances)
         if value > highest:
             which = np.unique(data.configuration, return_inverse=True)[1].ravel()
@@ -241,25 +244,26 @@ class SmoothError:
     tangent: tuple[Numbered, ...]
 
     def spectrum(self, fit: Linearised) -> Spectrum:
-        """Of a fit of these poses beside it, at every size."""
+        """The spectrum of a fit of these poses beside the error, at every size."""
         return Spectrum.apart(fit, self.position, self.tangent)
 
     def at(self, fit: Linearised, position: float, tangent: float) -> tuple[SizePart, SizePart]:
-        """The same at one size of each, over the noise."""
+        """The fit beside the error at one size of each, over the noise."""
         spectrum = Spectrum.apart(fit, self.position, self.tangent, ([position], [tangent]))
         return spectrum.position[0], spectrum.tangent[0]
 
 
 def at_rest(data: Measurements, share: float, axes: Array) -> list[SmoothError]:
-    """Of poses at rest, first of configurations that have nothing in common; share: of a configuration's approaches.
+    """Smooth errors of poses at rest, first of configurations that have nothing in common; share: of a
+    configuration's approaches.
 
     axes (K, 2, 3) are those about which rotations are the two numbers of a tangent.
     """
     number, first, which = np.unique(data.configuration, return_index=True, return_inverse=True)
     square, own = square_distances(data, first.tolist()), np.eye(len(number))
-    found = [own]
-    found += [(1 - q) * own + q * np.exp(-square / (2 * length**2)) for q, length in product(SMOOTH, LENGTHS)]
-    of_poses = [one[np.ix_(which.ravel(), which.ravel())] for one in found]
+    results = [own]
+    results += [(1 - q) * own + q * np.exp(-square / (2 * length**2)) for q, length in product(SMOOTH, LENGTHS)]
+    of_poses = [one[np.ix_(which.ravel(), which.ravel())] for one in results]
     of_poses = [share * one + (1 - share) * np.eye(data.count) for one in of_poses]
     one_by_one = _error("configuration", data, of_poses[0], axes)
     along_joints = [_error("joints", data, one, axes) for one in of_poses[1:]]
@@ -268,7 +272,7 @@ def at_rest(data: Measurements, share: float, axes: Array) -> list[SmoothError]:
 
 
 def of_motion(data: Measurements, axes: Array) -> list[SmoothError]:
-    """Of a continuous motion; axes (K, 2, 3) as of poses at rest."""
+    """Smooth errors of a continuous motion; axes (K, 2, 3) as of poses at rest."""
     return [_error(kind, data, one, axes) for kind, one in _correlations(data)]
 
 

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ctrplan.base.version import __version__
+from ctrplan.base.package import __version__
 from ctrplan.calibration.estimates import Errors, estimates
 from ctrplan.calibration.residuals import Noise
 from ctrplan.calibration.robot_content import calibrated_content, model_error_m
@@ -138,12 +138,12 @@ class Diagnosis:
 
     def _effect(self, k: int) -> dict[str, Any]:
         finding = self.judgement.findings[k]
-        found = estimates(self.chosen.fit, finding.term)
+        result = estimates(self.chosen.fit, finding.term)
         return {
             "name": finding.term.name,
             "alternatives": [a.term.name for a in finding.alternatives],
             "stage": finding.term.effect.stage,
-            "parameters": {name: {"value": e.value, "ci95": list(e.ci95)} for name, e in found.items()},
+            "parameters": {name: {"value": e.value, "ci95": list(e.ci95)} for name, e in result.items()},
             "evidence": [
                 {
                     "instead": a.term.name,
@@ -190,8 +190,8 @@ def _errors(errors: Errors) -> dict[str, Any]:
     }
 
 
-def _chi_square(found: ChiSquare) -> dict[str, float]:
-    return {"chi_square_per_dof": round(found.ratio, 4), "p": float(f"{found.p:.3g}")}
+def _chi_square(chi_square: ChiSquare) -> dict[str, float]:
+    return {"chi_square_per_dof": round(chi_square.ratio, 4), "p": float(f"{chi_square.p:.3g}")}
 
 
 def _proposal(p: Proposal) -> dict[str, Any]:

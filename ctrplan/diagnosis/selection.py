@@ -56,43 +56,43 @@ class Selector:
 
     def run(self) -> Selection:
         """Adds what passes the threshold, drops what no longer does, swaps what another effect does better."""
-        found = self.found
-        while len(found.chosen.terms) < MOST_EFFECTS and self._grow(found):
-            self._prune(found)
-            self._swap(found)
-        return found
+        result = self.found
+        while len(result.chosen.terms) < MOST_EFFECTS and self._grow(result):
+            self._prune(result)
+            self._swap(result)
+        return result
 
-    def _grow(self, found: Selection) -> bool:
-        here = found.chosen
+    def _grow(self, selection: Selection) -> bool:
+        here = selection.chosen
         self.tell("trying effects" if not here.terms else f"trying effects beside {', '.join(here.names)}")
         screened = self.bench.screened(here, self._others(here), self.candidates.completed)
         if not screened:
             return False
-        found.threshold = self._threshold(here, screened)
-        needed = self._needed(here, found.threshold)
+        selection.threshold = self._threshold(here, screened)
+        needed = self._needed(here, selection.threshold)
         tried = self.fitted(here, screened)
         if not tried:
             first = screened[0]
-            found.path.append(step("add", first.term, first.score - here.score, 0.0, needed, False))
+            selection.path.append(step("add", first.term, first.score - here.score, 0.0, needed, False))
         for candidate in tried:
             gain, error = self.bench.difference(candidate, here)
             best = candidate is tried[0] and gain > needed and self._is_certain(here, candidate, gain, error)
-            found.path.append(step("add", candidate.terms[-1], gain, error, needed, best))
-        if not tried or not found.path[-len(tried)].taken:
-            return self._grow_by_two(found, tried)
-        found.chosen = self.bench.corrected(tried[0])
+            selection.path.append(step("add", candidate.terms[-1], gain, error, needed, best))
+        if not tried or not selection.path[-len(tried)].taken:
+            return self._grow_by_two(selection, tried)
+        selection.chosen = self.bench.corrected(tried[0])
         return True
 
-    def _grow_by_two(self, found: Selection, tried: Sequence[Scored]) -> bool:
+    def _grow_by_two(self, selection: Selection, tried: Sequence[Scored]) -> bool:
         """Two effects at once where none passes alone: what the other leaves makes each of them look uncertain.
 
         A pair pays for both choices and must leave nothing but noise.
         """
-        here = found.chosen
+        here = selection.chosen
         if len(here.terms) > MOST_EFFECTS - 2 or remains(self.bench, here).is_adequate:
             return False
         pairs = [
-            pair for first in _best_of_each(tried)[:FIRST_OF_PAIRS] for pair in self._beside(first, found.threshold)
+            pair for first in _best_of_each(tried)[:FIRST_OF_PAIRS] for pair in self._beside(first, selection.threshold)
         ]
         if not pairs:
             return False
@@ -100,9 +100,9 @@ class Selector:
         gain, error = self.bench.difference(best, here)
         taken = gain > max(needed, CERTAIN * error) and remains(self.bench, best).is_adequate
         first, second = best.terms[-2:]
-        found.path.append(step("add", second, gain, error, needed, taken, beside=first))
+        selection.path.append(step("add", second, gain, error, needed, taken, beside=first))
         if taken:
-            found.chosen = self.bench.corrected(best)
+            selection.chosen = self.bench.corrected(best)
         return taken
 
     def _beside(self, first: Scored, threshold: float) -> list[tuple[Scored, float]]:
@@ -141,27 +141,27 @@ class Selector:
         ]
         return sorted(tried, key=lambda scored: -scored.score)
 
-    def _prune(self, found: Selection) -> None:
+    def _prune(self, selection: Selection) -> None:
         """Drops effects whose absence costs no more than chance gives."""
         dropped = True
-        while dropped and len(found.chosen.terms) > 1:
+        while dropped and len(selection.chosen.terms) > 1:
             dropped = False
-            for t in found.chosen.terms:
-                rest = self.without(found.chosen, t)
-                gain, error = self.bench.difference(rest, found.chosen)
-                if gain > -found.threshold:
-                    found.path.append(step("drop", t, gain, error, -found.threshold, True))
-                    found.chosen, dropped = rest, True
+            for t in selection.chosen.terms:
+                rest = self.without(selection.chosen, t)
+                gain, error = self.bench.difference(rest, selection.chosen)
+                if gain > -selection.threshold:
+                    selection.path.append(step("drop", t, gain, error, -selection.threshold, True))
+                    selection.chosen, dropped = rest, True
                     break
 
-    def _swap(self, found: Selection) -> None:
+    def _swap(self, selection: Selection) -> None:
         """Replaces an effect where another one in its place predicts better."""
-        for t in found.chosen.terms:
-            for candidate in self.replacements(found.chosen, t):
-                gain, error = self.bench.difference(candidate, found.chosen)
+        for t in selection.chosen.terms:
+            for candidate in self.replacements(selection.chosen, t):
+                gain, error = self.bench.difference(candidate, selection.chosen)
                 if gain > 0:
-                    found.path.append(step("swap", candidate.terms[-1], gain, error, 0.0, True))
-                    found.chosen = candidate
+                    selection.path.append(step("swap", candidate.terms[-1], gain, error, 0.0, True))
+                    selection.chosen = candidate
                     return
 
     def without(self, chosen: Scored, t: Term) -> Scored:
@@ -197,7 +197,7 @@ def _best_of_each(tried: Sequence[Scored]) -> list[Scored]:
 def step(
     action: str, t: Term, gain: float, error: float, threshold: float, taken: bool, beside: Term | None = None
 ) -> SelectionStep:
-    """Of the path: what was done with an effect, or with two."""
+    """A step of the path: what was done with an effect, or with two."""
     terms = [t] if beside is None else [beside, t]
     names = tuple(parameter.name for term in terms for parameter in term.parameters)
     effect = " and ".join(term.name for term in terms)

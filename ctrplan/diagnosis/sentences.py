@@ -16,33 +16,37 @@ from ctrplan.pipeline.term import Term
 WORTH_TELLING = 0.9  # of the error without them, which frames have to undercut
 
 
-def verdict_sentence(found: Diagnosis) -> str:
+def verdict_sentence(diagnosis: Diagnosis) -> str:
     """One sentence a person can repeat."""
-    names = " and ".join(_with_alternatives(found, k) for k in range(len(found.listed)))
-    left = max(found.judgement.adequacy.total.ratio**0.5, times_noise(found.gap.after.rms_m, found.gap.floor_m))
-    if found.verdict == "no_missing_effect":
-        return f"No missing effect: calibrated, the model agrees with the measurements to their noise{_but(found)}."
-    if found.verdict == "named":
-        them = "it" if len(found.listed) == 1 else "them"
-        agrees = f"With {them} the model agrees with the measurements to their noise{_but(found)}."
-        return f"Missing: {names}. {agrees}{_left_open(found)}"
-    if found.partly:
-        closed = f"{found.gap.before.rms_m * 1e3:.2f} mm off without and {found.gap.after.rms_m * 1e3:.2f} mm with"
-        more = f" {_built(found)}" if found.built else ""
+    names = " and ".join(_with_alternatives(diagnosis, k) for k in range(len(diagnosis.listed)))
+    left = max(
+        diagnosis.judgement.adequacy.total.ratio**0.5, times_noise(diagnosis.gap.after.rms_m, diagnosis.gap.floor_m)
+    )
+    if diagnosis.verdict == "no_missing_effect":
+        return f"No missing effect: calibrated, the model agrees with the measurements to their noise{_but(diagnosis)}."
+    if diagnosis.verdict == "named":
+        them = "it" if len(diagnosis.listed) == 1 else "them"
+        agrees = f"With {them} the model agrees with the measurements to their noise{_but(diagnosis)}."
+        return f"Missing: {names}. {agrees}{_left_open(diagnosis)}"
+    if diagnosis.partly:
+        closed = (
+            f"{diagnosis.gap.before.rms_m * 1e3:.2f} mm off without and {diagnosis.gap.after.rms_m * 1e3:.2f} mm with"
+        )
+        more = f" {_built(diagnosis)}" if diagnosis.built else ""
         return f"In part: {names}. Tips are {closed}; something remains that nothing in the catalogue explains.{more}"
-    if found.verdict == "ambiguous":
-        return f"Missing: {names}. The data can't tell them apart, both would explain them.{_left_open(found)}"
+    if diagnosis.verdict == "ambiguous":
+        return f"Missing: {names}. The data can't tell them apart, both would explain them.{_left_open(diagnosis)}"
     rest = f"what remains is {left:.1f} times the noise"
-    if found.built:
-        return f"Unexplained: nothing in the catalogue explains the measurements. {_built(found)}"
+    if diagnosis.built:
+        return f"Unexplained: nothing in the catalogue explains the measurements. {_built(diagnosis)}"
     if names:
         return f"Unexplained: {names} is at work, but not alone, {rest}."
     return f"Unexplained: nothing in the catalogue explains the measurements, {rest}."
 
 
-def _left_open(found: Diagnosis) -> str:
+def _left_open(diagnosis: Diagnosis) -> str:
     """Why poses kept aside are further off than noise: others do not settle all parameters, or the noise varies."""
-    after, floor, left_open = found.gap.after.rms_m, found.gap.floor_m, found.gap.spread_m
+    after, floor, left_open = diagnosis.gap.after.rms_m, diagnosis.gap.floor_m, diagnosis.gap.spread_m
     if times_noise(after, floor) <= LARGEST_REST:
         return ""
     off = f" Poses kept aside are {after * 1e3:.2f} mm off, the noise is {floor * 1e3:.2f} mm:"
@@ -51,44 +55,44 @@ def _left_open(found: Diagnosis) -> str:
     return f"{off} parameters are uncertain by {left_open * 1e3:.2f} mm there, more configurations would settle them."
 
 
-def _built(found: Diagnosis) -> str:
+def _built(diagnosis: Diagnosis) -> str:
     """What was built and where it acts, as a sentence."""
-    where = " and ".join(t.effect.title.removeprefix("a built term of ") for t in found.built_terms)
-    changes = "changes" if len(found.built_terms) == 1 else "change"
-    return f"Built of the rest: {_count(found)} that {changes} {where}, whatever the cause."
+    where = " and ".join(t.effect.title.removeprefix("a built term of ") for t in diagnosis.built_terms)
+    changes = "changes" if len(diagnosis.built_terms) == 1 else "change"
+    return f"Built of the rest: {_count(diagnosis)} that {changes} {where}, whatever the cause."
 
 
-def effect_lines(found: Diagnosis) -> list[str]:
+def effect_lines(diagnosis: Diagnosis) -> list[str]:
     """Per effect its parameters with intervals."""
     lines = []
-    for t in found.listed:
-        values = (f"{name} = {e.shown} ({e.shown_ci95})" for name, e in estimates(found.chosen.fit, t).items())
+    for t in diagnosis.listed:
+        values = (f"{name} = {e.shown} ({e.shown_ci95})" for name, e in estimates(diagnosis.chosen.fit, t).items())
         lines.append(f"{t.name} ({t.effect.stage}): {', '.join(values)}")
-    told = [*lines, *built_lines(found), *_free_frame_lines(found)]
-    return [*_frame_lines(found), *told, *([rest.sentence] if (rest := found.rest) else [])]
+    told = [*lines, *built_lines(diagnosis), *_free_frame_lines(diagnosis)]
+    return [*_frame_lines(diagnosis), *told, *([rest.sentence] if (rest := diagnosis.rest) else [])]
 
 
-def _frame_lines(found: Diagnosis) -> list[str]:
+def _frame_lines(diagnosis: Diagnosis) -> list[str]:
     """What frames found anew do, which are no effect but a registration, where that is a part of the gap."""
-    if not found.framed_gap or found.framed_gap.after.rms_m > WORTH_TELLING * found.framed_gap.before.rms_m:
+    if not diagnosis.framed_gap or diagnosis.framed_gap.after.rms_m > WORTH_TELLING * diagnosis.framed_gap.before.rms_m:
         return []
-    before, after = (errors.rms_m * 1e3 for errors in (found.framed_gap.before, found.framed_gap.after))
-    count = len(np.unique(found.data.frames))
+    before, after = (errors.rms_m * 1e3 for errors in (diagnosis.framed_gap.before, diagnosis.framed_gap.after))
+    count = len(np.unique(diagnosis.data.frames))
     whose = (
         "its own frame in the tracker's"
         if count == 1
         else f"a frame of its own in each of {count} set-ups of the tracker"
     )
-    if (homings := len(np.unique(found.data.homings))) > 1:
+    if (homings := len(np.unique(diagnosis.data.homings))) > 1:
         whose += f" and zeros of its own after each of {homings} homings"
     return [f"with {whose} the robot is {after:.2f} mm off instead of {before:.2f} mm, before any effect"]
 
 
-def _free_frame_lines(found: Diagnosis) -> list[str]:
+def _free_frame_lines(diagnosis: Diagnosis) -> list[str]:
     """How far the base is turned where that is no name, although a built term stands beside it."""
-    chain, p = found.chosen.fit.chain, found.chosen.fit.p
+    chain, p = diagnosis.chosen.fit.chain, diagnosis.chosen.fit.p
     free = [s for t, s in zip(chain.terms, chain.slices(), strict=True) if t.name == FRAME]
-    if not found.built_terms or not free or FRAME in {t.name for t in found.listed}:
+    if not diagnosis.built_terms or not free or FRAME in {t.name for t in diagnosis.listed}:
         return []
     turn, shift = np.degrees(np.linalg.norm(p[free[0]][:3])), 1e3 * np.linalg.norm(p[free[0]][3:])
     return [
@@ -97,38 +101,39 @@ def _free_frame_lines(found: Diagnosis) -> list[str]:
     ]
 
 
-def built_lines(found: Diagnosis) -> list[str]:
+def built_lines(diagnosis: Diagnosis) -> list[str]:
     """What was built of the rest, how it acts, and that it is no cause; with its coefficients."""
-    if not found.built or not found.named_gap:
+    if not diagnosis.built or not diagnosis.named_gap:
         return []
-    before, after = (gap.after.rms_m * 1e3 for gap in (found.named_gap, found.gap))
+    before, after = (gap.after.rms_m * 1e3 for gap in (diagnosis.named_gap, diagnosis.gap))
     lines = [
-        f"built of what remained: {_count(found)}, with which tips are {after:.2f} mm off instead of {before:.2f} mm; "
+        f"built of what remained: {_count(diagnosis)}, with which tips are {after:.2f} mm off "
+        f"instead of {before:.2f} mm; "
         "it names no cause"
     ]
-    chain = found.chosen.fit.chain
-    values = {t.key: value for t, value in zip(chain.terms, chain.values(found.chosen.fit.p), strict=True)}
-    for t in found.built_terms:
+    chain = diagnosis.chosen.fit.chain
+    values = {t.key: value for t, value in zip(chain.terms, chain.values(diagnosis.chosen.fit.p), strict=True)}
+    for t in diagnosis.built_terms:
         stated = t.effect.stated(values[t.key])
         lines.append(f"{t.name} ({t.effect.stage}): {stated['formula']}")
         lines.append(f"{t.name} {stated['may_be']}")
     return lines
 
 
-def _count(found: Diagnosis) -> str:
-    count = len(found.built_terms)
+def _count(diagnosis: Diagnosis) -> str:
+    count = len(diagnosis.built_terms)
     return "a term" if count == 1 else f"{count} terms"
 
 
-def _but(found: Diagnosis) -> str:
+def _but(diagnosis: Diagnosis) -> str:
     """The poses that are not meant, named with a sentence of green."""
-    count, rows = len(found.outlier_rows), ", ".join(map(str, found.outlier_rows[:MOST_ROWS]))
+    count, rows = len(diagnosis.outlier_rows), ", ".join(map(str, diagnosis.outlier_rows[:MOST_ROWS]))
     more = " ..." if count > MOST_ROWS else ""
     return f", but for {count} {'pose' if count == 1 else 'poses'} left out (row {rows}{more})" if count else ""
 
 
-def _with_alternatives(found: Diagnosis, k: int) -> str:
-    finding = found.judgement.findings[k]
+def _with_alternatives(diagnosis: Diagnosis, k: int) -> str:
+    finding = diagnosis.judgement.findings[k]
     return " or ".join(_in_words(t) for t in (finding.term, *(a.term for a in finding.alternatives)))
 
 
@@ -138,15 +143,15 @@ def _in_words(t: Term) -> str:
     return title if title == t.name else f"{title} ({t.name})"
 
 
-def headline(found: Diagnosis) -> str:
+def headline(diagnosis: Diagnosis) -> str:
     """What is missing, in a few words without names of files."""
-    if found.verdict == "no_missing_effect":
+    if diagnosis.verdict == "no_missing_effect":
         return "Nothing is missing"
     titles = [
         " or ".join(t.effect.title for t in (finding.term, *(a.term for a in finding.alternatives)))
-        for finding in found.judgement.findings
+        for finding in diagnosis.judgement.findings
     ]
-    if found.verdict in ("partial", "unexplained"):
+    if diagnosis.verdict in ("partial", "unexplained"):
         titles.append("something that the catalogue does not have" if not titles else "something more")
     text = " and ".join(titles)
     return text[:1].upper() + text[1:]

@@ -61,7 +61,7 @@ class _Probable:
 
 
 class SmoothEvidence:
-    """Of a set of effects as it stands, and of variants that may be added to it, to first order."""
+    """The evidence of a set of effects as it stands, and of variants that may be added to it, to first order."""
 
     def __init__(self, bench: CorrelatedBench, here: Scored, variants: Sequence[Term] = ()) -> None:
         """here: a set as the bench has it, with the discrepancy that is there now; variants: to be asked beside it."""
@@ -87,11 +87,11 @@ class SmoothEvidence:
 
     def beside_noise_alone(self) -> tuple[float, SmoothError]:
         """Logarithm of how much more probable the set is beside an error than beside noise alone, and that error."""
-        some, found = self._only(self._columns(self._among)), []
+        some, result = self._only(self._columns(self._among)), []
         for error in self._errors:
             spectrum = error.spectrum(some)
-            found.append((spectrum.highest()[0] - spectrum.evidence(spectrum.position[0], spectrum.tangent[0]), error))
-        value, error = max(found, key=lambda one: one[0])
+            result.append((spectrum.highest()[0] - spectrum.evidence(spectrum.position[0], spectrum.tangent[0]), error))
+        value, error = max(result, key=lambda one: one[0])
         return value / 2, error
 
     def odds(self, names: Sequence[str]) -> list[float]:
@@ -100,26 +100,27 @@ class SmoothEvidence:
         return [float(whole - one) for one in less]
 
     def gains(self, variants: Sequence[Term], without: str = "") -> list[Gain]:
-        """Of variants, best first: the best with the covariance of the set, each with a covariance of its own then.
+        """Gains of variants, best first: the best with the covariance of the set, each with a covariance of its own
+        then.
 
         without: an effect of the set that is left out of it.
         """
         rest = self._rest(without)
-        found = self._most_probable(self._columns(rest))
-        first = sorted(self._beside(found, rest, variants), key=lambda one: -one.gain)
+        result = self._most_probable(self._columns(rest))
+        first = sorted(self._beside(result, rest, variants), key=lambda one: -one.gain)
         finalists, count = list[Gain](), dict[str, int]()
         for one in first:
             count[one.term.name] = count.get(one.term.name, 0) + 1
             if count[one.term.name] <= PER_EFFECT and len(finalists) < FINALISTS:
                 finalists.append(one)
         values = self._highest([self._columns([*rest, one.term]) for one in finalists])
-        asked = [Gain(one.term, float(value - found.evidence)) for one, value in zip(finalists, values, strict=True)]
+        asked = [Gain(one.term, float(value - result.evidence)) for one, value in zip(finalists, values, strict=True)]
         return sorted(asked, key=lambda one: -one.gain)
 
     def moved(self, name: str) -> float:
         """How far an effect of the set moves positions, over noise and error: rms of what nothing else could do."""
-        found = self._most_probable(self._columns(self._among))
-        over = 1 / np.hypot(1, np.repeat([found.position, found.tangent], [3, 2]))
+        result = self._most_probable(self._columns(self._among))
+        over = 1 / np.hypot(1, np.repeat([result.position, result.tangent], [3, 2]))
         mine = np.array([key[0] == name for key in self._keys])
         J = (self._fit.J * over[:, None]).reshape(-1, len(mine))
         alone, rest = J[:, mine] @ self._offset[mine], J[:, ~mine]
@@ -154,13 +155,13 @@ class SmoothEvidence:
     def _most_probable(self, columns: Sequence[int]) -> _Probable:
         """The error beside some columns."""
         some = self._only(columns)
-        found = [(*error.spectrum(some).highest(), error) for error in self._errors]
-        value, position, tangent, error = max(found, key=lambda one: one[0])
+        results = [(*error.spectrum(some).highest(), error) for error in self._errors]
+        value, position, tangent, error = max(results, key=lambda one: one[0])
         return _Probable(value / 2, error, position, tangent)
 
-    def _beside(self, found: _Probable, rest: Sequence[Term], variants: Sequence[Term]) -> list[Gain]:
+    def _beside(self, probable: _Probable, rest: Sequence[Term], variants: Sequence[Term]) -> list[Gain]:
         """Gains of variants with one covariance."""
-        position, tangent = found.error.at(self._fit, found.position, found.tangent)
+        position, tangent = probable.error.at(self._fit, probable.position, probable.tangent)
         scale = 1 / np.sqrt(self._fit.precision)
         H = (position.H + tangent.H) * np.outer(scale, scale) + np.eye(len(scale))
         g = (position.g + tangent.g) * scale

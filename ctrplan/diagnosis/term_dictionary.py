@@ -37,7 +37,7 @@ class TermPiece:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of its parameters."""
+        """Names of its parameters."""
         return tuple(name for part in self.parts for name in named(self.on, part))
 
 

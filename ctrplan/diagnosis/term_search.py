@@ -46,7 +46,7 @@ class WideLinearisation:
     ranges: dict[TermPiece, dict[str, InputRange]]
 
     def here(self) -> Linear:
-        """Of the fit's own columns."""
+        """Columns of the fit itself."""
         return self.whole.columns(list(range(self.own)))
 
     def beside(self, piece: TermPiece) -> Linear:
@@ -55,7 +55,7 @@ class WideLinearisation:
 
 
 def wide_linearisation(bench: CorrelatedBench, here: Scored, pieces: Sequence[TermPiece]) -> WideLinearisation:
-    """Of a fit and pieces that vanish there."""
+    """The linearisation of a fit and of pieces that vanish there."""
     probed = _probed(bench, here, list(dict.fromkeys(replace(piece.on, of_way=False) for piece in pieces)))
     shapes = [_shapes(piece, probed, bench.robot.n) for piece in pieces]
     ends = np.cumsum([probed.own, *(len(piece.names) for piece in pieces)]).tolist()
@@ -122,9 +122,9 @@ def _shapes(piece: TermPiece, probed: _Probed, n: int) -> tuple[Array, dict[str,
 
 
 def _split(name: str, on: Target, n: int) -> tuple[int, Part]:
-    found = split_name(name, on, n)
-    assert found is not None  # it was named by the same rules
-    return found
+    result = split_name(name, on, n)
+    assert result is not None  # it was named by the same rules
+    return result
 
 
 def _probe(on: Target, n: int) -> Term:
@@ -154,13 +154,13 @@ def _situations(chain: ParametricChain, p: Array, predicted: SensorPrediction) -
 
 
 def _ranges(piece: TermPiece, at: Situation, n: int) -> dict[str, InputRange]:
-    found = {}
+    results = {}
     for name in piece.names:
         for one in parts.inputs(_split(name, piece.on, n)[1]):
             seen = values(one, at)
             assert seen is not None
-            found[one] = InputRange(float(seen.min()), float(seen.max()))
-    return found
+            results[one] = InputRange(float(seen.min()), float(seen.max()))
+    return results
 
 
 def reach(bench: CorrelatedBench, table: WideLinearisation, known: Sequence[TermPiece], most: int) -> float:
@@ -286,11 +286,11 @@ def _needed(bench: CorrelatedBench, here: Scored, least: float, known: Scored) -
 
 def _tried(bench: CorrelatedBench, table: WideLinearisation, known: Sequence[TermPiece]) -> list[Tried]:
     plain = bench.loss(table.here().refitted())
-    found = []
+    results = []
     for piece in known:
         gains = bench.by_group((plain - bench.loss(table.beside(piece).refitted())) / 2)
-        found.append(Tried(piece, float(gains.sum()), certainty(gains)))
-    return sorted(found, key=lambda one: -one.gain)
+        results.append(Tried(piece, float(gains.sum()), certainty(gains)))
+    return sorted(results, key=lambda one: -one.gain)
 
 
 def _pays_off(bench: CorrelatedBench, here: Scored, there: Scored, needed: float) -> bool:

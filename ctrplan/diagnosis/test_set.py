@@ -64,14 +64,14 @@ def _harmful(asked: Opened, data: Measurements) -> list[Term]:
     listed = {finding.term.key for finding in asked.judgement.findings}
     alone = [e.term for e in (one.evidence for one in part.parts) if e.is_told_by_odds and e.term.key in listed]
     aside, group = data.subset(asked.answer.split.held_out_set), asked.answer.group[asked.answer.split.held_out_set]
-    found = []
+    results = []
     for t in alone:
         rest = part.bench.scored([other for other in asked.answer.chosen.terms if other.key != t.key])
         fit = _beside_a_remainder(part, rest).fit
         gap = open_test_set(asked.answer.base.fit, fit, aside, group, asked.answer.noise)
         if MOST_WORSE * gap.after.rms_m < asked.gap.after.rms_m:
-            found.append(t)
-    return found
+            results.append(t)
+    return results
 
 
 def _without(answer: Conclusion, harmful: Sequence[Term], tell: Report) -> Conclusion:
@@ -99,25 +99,25 @@ def _framed(answer: Conclusion, data: Measurements) -> Gap:
 def _with_or_without_built(answer: Conclusion, data: Measurements) -> Opened:
     if answer.built is None or answer.otherwise is None:
         return _opened(answer, data)
-    found, without = _opened(answer, data), _opened(_only_named(answer, answer.built), data)
-    if where := _worse(found.gap, without.gap, data.subset(answer.split.held_out_set)):
+    result, without = _opened(answer, data), _opened(_only_named(answer, answer.built), data)
+    if where := _worse(result.gap, without.gap, data.subset(answer.split.held_out_set)):
         less = without if without.judgement.findings else _opened(answer.otherwise, data)
         return replace(less, notes=(*less.notes, f"A term was built and taken back: it is not good enough on {where}."))
-    return replace(found, named_gap=without.gap)
+    return replace(result, named_gap=without.gap)
 
 
 def _only_named(answer: Conclusion, built: Built) -> Conclusion:
     return replace(answer, chosen=built.named, built=None)
 
 
-def _worse(found: Gap, without: Gap, aside: Measurements) -> str:
+def _worse(result: Gap, without: Gap, aside: Measurements) -> str:
     """Where the poses kept aside are further off with a built term than without; empty if nowhere."""
-    rest, left = (max(gap.after.rms_m**2 - gap.floor_m**2, 0.0) for gap in (without, found))
+    rest, left = (max(gap.after.rms_m**2 - gap.floor_m**2, 0.0) for gap in (without, result))
     if rest - left < LEAST_SHARE_ASIDE * rest:
         return "the poses kept aside"
-    both = ~(excused(found.failed) | excused(without.failed) | found.outlying | without.outlying)
+    both = ~(excused(result.failed) | excused(without.failed) | result.outlying | without.outlying)
     errors = []
-    for gap in (without, found):
+    for gap in (without, result):
         every = np.full(aside.count, np.nan)
         every[~(excused(gap.failed) | gap.outlying)] = gap.after_m
         errors.append(every[both])
@@ -189,9 +189,9 @@ def _left(answer: Conclusion, written: Scored) -> Adequacy:
     return left_by_names(answer.partly.bench, written) if answer.partly else remains(answer.bench, written)
 
 
-def _beside_a_remainder(found: PartialDiagnosis, scored: Scored) -> Scored:
+def _beside_a_remainder(partial: PartialDiagnosis, scored: Scored) -> Scored:
     """A set as it is handed over where something remains."""
-    return found.bench.handed_over(found.bench.sized(scored))
+    return partial.bench.handed_over(partial.bench.sized(scored))
 
 
 def _place(answer: Conclusion, gap: Gap) -> Place:

@@ -76,8 +76,8 @@ def _near(turns: Array, others: Array, slides: Array) -> NDArray[np.int_]:
     length = 4 * (np.ptp(slides, axis=0) + 1)  # of a box that translations never go round
     box = np.concatenate([np.full(turns.shape[1], turn), length])
     first, second = (np.mod(np.hstack([a, slides - slides.min(axis=0)]), box) for a in (turns, others))
-    found = cKDTree(first, boxsize=box).query_ball_tree(cKDTree(second, boxsize=box), 1.0, p=np.inf)
-    return np.array([(i, j) for i, near in enumerate(found) for j in near if i != j], dtype=np.int_).reshape(-1, 2)
+    result = cKDTree(first, boxsize=box).query_ball_tree(cKDTree(second, boxsize=box), 1.0, p=np.inf)
+    return np.array([(i, j) for i, near in enumerate(result) for j in near if i != j], dtype=np.int_).reshape(-1, 2)
 
 
 def _joined(number: NDArray[np.int_], pairs: NDArray[np.int_], share: float) -> NDArray[np.int_]:
@@ -166,7 +166,7 @@ def without_outliers(
 
 
 def thinned(parts: Split, data: Measurements) -> Split:
-    """Of a continuous motion so many poses for the selection that they stand apart."""
+    """So many poses of a continuous motion for the selection that they stand apart."""
     step = thinning(len(parts.selection))
     if not data.is_stream or step == 1:
         return parts

@@ -54,13 +54,13 @@ class Judgement:
     notes: tuple[str, ...] = ()
 
 
-def judge(selector: Selector, found: Selection) -> Judgement:
+def judge(selector: Selector, selection: Selection) -> Judgement:
     """The verdict before the held-out set is opened."""
-    bench, chosen = selector.bench, found.chosen
+    bench, chosen = selector.bench, selection.chosen
     left = remains(bench, chosen)
     if not chosen.terms:
         return Judgement("no_missing_effect" if left.is_adequate else "unexplained", (), left, ())
-    compared = [a for t in chosen.terms for a in _compared(selector, found, t)]
+    compared = [a for t in chosen.terms for a in _compared(selector, selection, t)]
     findings = tuple(_finding(bench, chosen, t, compared, left) for t in chosen.terms)
     if not left.is_adequate or _is_strained(bench, chosen):
         kept = () if _is_enlarged(bench) else specific(bench, chosen, findings, left)
@@ -92,9 +92,9 @@ def _is_enlarged(bench: Workbench) -> bool:
     return stated is not None and bench.noise.position_m > stated.position_sigma_m
 
 
-def _compared(selector: Selector, found: Selection, t: Term) -> list[Alternative]:
+def _compared(selector: Selector, selection: Selection, t: Term) -> list[Alternative]:
     """Other effects in the place of `t`, refitted together with the rest."""
-    bench, chosen = selector.bench, found.chosen
+    bench, chosen = selector.bench, selection.chosen
     selector.tell(f"looking for what imitates {t.name}")
     others = [s for s in selector.replacements(chosen, t) if s.terms[-1].name != t.name]
     return [Alternative(s.terms[-1], s, *bench.difference(chosen, s)) for s in others]

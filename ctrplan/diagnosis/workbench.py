@@ -88,7 +88,7 @@ class Scored:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the effects."""
+        """Names of the effects."""
         return tuple(t.name for t in self.terms)
 
     @cached_property
@@ -121,7 +121,7 @@ class Linearisation:
     variants: tuple[Term, ...]  # that were asked for besides the fit's own terms
 
     def of(self, terms: Sequence[Term]) -> Linear:
-        """Of the parameters of some terms; the others stay where they are."""
+        """The linearisation in the parameters of some terms; the others stay where they are."""
         wanted = {(t.name, q.name) for t in terms for q in t.parameters}
         return self.whole.columns([k for k, key in enumerate(self.keys) if key in wanted])
 
@@ -194,8 +194,8 @@ class Workbench:
             chain = self.chain([*self.basis(terms), *terms])
             start, promised = self._start(chain, places, compared=known is not None)
             if known is None or promised < known.fit.residuals.loss - WORTH_ANOTHER:
-                found = self._fitted(tuple(terms), chain, start)
-                known = found if known is None or found.fit.loss < known.fit.loss else known
+                result = self._fitted(tuple(terms), chain, start)
+                known = result if known is None or result.fit.loss < known.fit.loss else known
                 self._done[key] = known
         return known
 
@@ -204,7 +204,7 @@ class Workbench:
         return Scored(terms, best, self.loss(linear(best)))
 
     def chain(self, terms: Sequence[Term]) -> ParametricChain:
-        """Of terms, with friction as it is known by now."""
+        """The chain of terms, with friction as it is known by now."""
         chain = ParametricChain(self.robot, self.data, terms)
         if self._has_friction(terms):
             chain.correction = self._correction
@@ -214,7 +214,7 @@ class Workbench:
         return bool(self.robot.friction.any()) or any(t.name == "friction" for t in terms)
 
     def corrected(self, scored: Scored) -> Scored:
-        """The same set with what friction states leave out; with friction, all later fits have it too."""
+        """The set with what friction states leave out; with friction, all later fits have it too."""
         if not self._has_friction(scored.terms):
             return scored
         for _ in range(CORRECTIONS[self.data.is_stream]):
@@ -225,7 +225,7 @@ class Workbench:
         return scored
 
     def _start(self, chain: ParametricChain, near: Sequence[Fit | None], compared: bool = False) -> tuple[Array, float]:
-        """Of several starts the one whose first step promises most, and the loss that it promises.
+        """The one of several starts whose first step promises most, and the loss that it promises.
 
         Without anything to compare with nothing is promised.
         """
@@ -259,7 +259,7 @@ class Workbench:
         return changed
 
     def sized(self, scored: Scored) -> Scored:
-        """The same set with priors of its effects as wide as what was found is large.
+        """The set with priors of its effects as wide as their estimates are large.
 
         Priors say where to look. The size of an effect that is there is for the data to say: a prior that it exceeds
         would draw it in and make its interval too narrow.
@@ -308,9 +308,9 @@ class Workbench:
         keys = [(t.name, p.name) for t in chain.terms for p in t.parameters]
         neutral = [_vanishing(p.start, p.neutral) * p.si for p in chain.parameters]
         p = np.array([known.get(key, value) for key, value in zip(keys, neutral, strict=True)])
-        found = residuals(self.data, chain.predict(p), self.noise, self.whitening_group)
+        result = residuals(self.data, chain.predict(p), self.noise, self.whitening_group)
         weight = here.fit.residuals.weight
-        whole = Linear(found.r, found.J, weight, 1 / chain.prior**2, p - chain.neutral, found.given)
+        whole = Linear(result.r, result.J, weight, 1 / chain.prior**2, p - chain.neutral, result.given)
         return Linearisation(tuple(keys), whole, tuple(others))
 
     def _tried_out(
@@ -353,16 +353,16 @@ def _widened(t: Term, p: Array) -> Term:
     return Term(t.effect, tuple(replace(q, prior=q.prior * largest) for q in t.parameters))
 
 
-def linear(found: Fit) -> Linear:
+def linear(result: Fit) -> Linear:
     """A fit's own linearisation."""
-    parts = found.residuals
-    return Linear(parts.r, parts.J, parts.weight, found.precision, found.p - found.chain.neutral, parts.given)
+    parts = result.residuals
+    return Linear(parts.r, parts.J, parts.weight, result.precision, result.p - result.chain.neutral, parts.given)
 
 
-def values_by_name(found: Fit) -> dict[tuple[str, str], float]:
+def values_by_name(result: Fit) -> dict[tuple[str, str], float]:
     """(effect, parameter) -> value, SI."""
-    keys = [(t.name, p.name) for t in found.chain.terms for p in t.parameters]
-    return dict(zip(keys, found.p.tolist(), strict=True))
+    keys = [(t.name, p.name) for t in result.chain.terms for p in t.parameters]
+    return dict(zip(keys, result.p.tolist(), strict=True))
 
 
 def _merged(terms: Sequence[Term], robot: Robot) -> list[Term]:

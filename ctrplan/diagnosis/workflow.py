@@ -48,36 +48,36 @@ def diagnose(
     usable = usable_poses(robot, data)
     checked_split(data, usable)  # before anything is asked
     known = candidates(robot, data, allowed)
-    found = conclude(robot, data, usable, noise, known, teller)
+    result = conclude(robot, data, usable, noise, known, teller)
 
     def tell(step: str) -> None:
         if progress:
             progress(step, HELD_OUT_SHARE)
 
     tell("asking the held-out set")
-    asked = opened(found, data, tell)
-    found = asked.answer
+    asked = opened(result, data, tell)
+    result = asked.answer
     written, judgement = asked.written, asked.judgement
-    poses = _marked(found, asked, data)
-    stated = replace(found.noise, discrepancy=None)
-    sentence, proposed = next_experiment(found.chosen, judgement, found.bench.data, stated, list(known.not_testable))
+    poses = _marked(result, asked, data)
+    stated = replace(result.noise, discrepancy=None)
+    sentence, proposed = next_experiment(result.chosen, judgement, result.bench.data, stated, list(known.not_testable))
     return Diagnosis(
         verdict=judgement.verdict,
         judgement=judgement,
-        base=found.base,
+        base=result.base,
         chosen=written,
         gap=asked.gap,
         place=asked.place,
         next_experiment=sentence,
         proposals=proposed,
-        path=found.path,
+        path=result.path,
         not_testable=known.not_testable,
         without=tuple(without),
         notes=(
             *data.warnings,
             *_left_out(without),
             *([about_noise] if about_noise else []),
-            *found.notes,
+            *result.notes,
             *judgement.notes,
             *asked.notes,
             *_coverage(usable),
@@ -87,23 +87,23 @@ def diagnose(
         robot=robot,
         data=data,
         noise=stated,
-        coverage=float((usable & ~poses.left_out & ~found.wrong).mean()),
+        coverage=float((usable & ~poses.left_out & ~result.wrong).mean()),
         outlier_rows=tuple((data.rows[poses.outlying] + 1).tolist()),
-        interrupted=found.interrupted,
+        interrupted=result.interrupted,
         time_s=time.monotonic() - began,
-        partly=found.partly if judgement.verdict == "partial" else None,
-        built=found.built,
+        partly=result.partly if judgement.verdict == "partial" else None,
+        built=result.built,
         named_gap=asked.named_gap,
-        memory=_memory(found),
+        memory=_memory(result),
         framed_gap=asked.framed_gap,
     )
 
 
-def _memory(found: Conclusion) -> float | None:
-    """Of what remains of the model that is handed over."""
-    if found.built:
-        return found.built.rest.memory
-    return found.partly.rest.memory if found.partly else None
+def _memory(conclusion: Conclusion) -> float | None:
+    """The memory of what remains of the model that is handed over."""
+    if conclusion.built:
+        return conclusion.built.rest.memory
+    return conclusion.partly.rest.memory if conclusion.partly else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,9 +115,9 @@ class _Marked:
     left_out: NDArray[np.bool_]
 
 
-def _marked(found: Conclusion, asked: Opened, data: Measurements) -> _Marked:
-    parts, base, written = found.split, found.base, asked.written
-    outlying, (unsolved, left_out) = found.wrong.copy(), np.zeros((2, data.count), bool)
+def _marked(conclusion: Conclusion, asked: Opened, data: Measurements) -> _Marked:
+    parts, base, written = conclusion.split, conclusion.base, asked.written
+    outlying, (unsolved, left_out) = conclusion.wrong.copy(), np.zeros((2, data.count), bool)
     outlying[parts.selection] = ignored(written) & ~excused(written.failed)
     outlying[parts.held_out_set] = asked.gap.outlying
     unsolved[parts.selection], unsolved[parts.held_out_set] = base.failed | written.failed, asked.gap.failed

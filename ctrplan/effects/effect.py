@@ -95,11 +95,13 @@ class Effect(ABC):
         return []
 
     def delay_s(self, values: Values) -> float:
-        """Of the clock: how much earlier [s] the joints are that a pose belongs to; several delays add up."""
+        """How much earlier [s] the joints are that a pose belongs to, an effect of the clock; several delays add up."""
         return 0.0
 
     def drive_delays_s(self, values: Values, n: int) -> Array:
-        """Of the clock: (2 n,) how much later [s] than commanded each rotation, then each translation, happens."""
+        """(2 n,) how much later [s] than commanded each rotation, then each translation, happens; an effect of the
+        clock.
+        """
         return np.zeros(2 * n)
 
     def drive(self, values: Values, collars: Collars, directions: Array) -> Collars:
@@ -110,7 +112,8 @@ class Effect(ABC):
         return collars
 
     def zeros(self, values: Values, data: Measurements) -> Array | None:
-        """Of the drive: (K, 2 n) what the zeros of rotations [rad], then of translations [m], are off at each pose.
+        """(K, 2 n) what the zeros of rotations [rad], then of translations [m], are off at each pose; an effect of
+        the drive.
 
         That of the runs in a log; where nobody knows the run, no zero is off.
         """
@@ -121,26 +124,28 @@ class Effect(ABC):
         return {}
 
     def changing(self, values: Values, robot: Robot, data: Measurements) -> Mapping[str, Array]:
-        """Of the mechanics: by how much (K,) named numbers differ at each pose from what `robot` has.
+        """How much (K,) named numbers of the mechanics differ at each pose from what `robot` has.
 
         Small changes: tips follow them to first order.
         """
         return {}
 
     def plate_turn(self, values: Values, robot: Robot, collars: Collars) -> Array | None:
-        """Of the mechanics: rotation vectors (K, 3) [rad] of all that is in front of the plate, about its middle."""
+        """Rotation vectors (K, 3) [rad] of all that is in front of the plate, about its middle; an effect of the
+        mechanics.
+        """
         return None
 
     def largest_turn_rad(self, values: Values, robot: Robot) -> float:
-        """Of the mechanics: what no `plate_turn` exceeds. Bounds and plans allow for it as for a model error."""
+        """What no `plate_turn` exceeds. Bounds and plans allow for it as for a model error."""
         return 0.0
 
     def largest_shift_m(self, values: Values, robot: Robot) -> float:
-        """Of the mechanics: how far [m] it may move the tip where shapes do not have it; allowed for likewise."""
+        """How far [m] the effect may move the tip where shapes do not have it; bounds and plans allow for it."""
         return 0.0
 
     def play(self, values: Values, n: int) -> Collars:
-        """Of the drive, where it depends on directions: how far (1, n) it may move the collars, every way the same."""
+        """How far (1, n) an effect of the drive that depends on directions may move the collars, every way the same."""
         nowhere, ahead = Collars(np.zeros((1, n)), np.zeros((1, n))), np.ones((1, 2 * n))
         moved = self.drive(values, nowhere, ahead)
         return Collars(np.abs(moved.theta), np.abs(moved.l))
@@ -150,7 +155,9 @@ class Effect(ABC):
         return {}
 
     def friction_share(self, values: Values, data: Measurements) -> Array | float:
-        """Of the mechanics: (K, n - 1) or one share of the friction state that is left when a pose is taken."""
+        """(K, n - 1) or one share of the friction state that is left when a pose is taken; an effect of the
+        mechanics.
+        """
         return 1.0
 
     def friction_release_m(self, values: Values) -> float:

@@ -80,8 +80,8 @@ def _check_columns(table: CsvTable, n: int, needed: Sequence[str]) -> None:
         if name not in table.header:
             stem = re.sub(r"_(?:rad|m)$", "", name)
             other = [given for given in table.header if re.fullmatch(rf"{stem}(_[a-z]+)?", given)]
-            found = f", found {other[0]}: columns are in rad and m" if other else ""
-            raise table.fault(f"is missing{found}", column=name)
+            result = f", found {other[0]}: columns are in rad and m" if other else ""
+            raise table.fault(f"is missing{result}", column=name)
 
 
 def _check_order(table: CsvTable, sequence: Array, time_s: Array | None) -> None:

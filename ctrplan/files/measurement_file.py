@@ -35,7 +35,7 @@ class MarkerColumns:
 
 def marker_columns(table: CsvTable, robot: Robot, *, is_registered: bool) -> list[MarkerColumns]:
     """Those markers that the table has two or three columns of. Raises InputError for one column, and half a row."""
-    found = []
+    results = []
     for number, marker in enumerate(robot.markers, start=1):
         there = [name in table.header for name in marker.columns]
         names = [name for name, given in zip(marker.columns, there, strict=True) if given]
@@ -54,8 +54,8 @@ def marker_columns(table: CsvTable, robot: Robot, *, is_registered: bool) -> lis
         rows = np.flatnonzero(given.all(axis=1))
         along = "" if all(there) else AXES[there.index(False)]
         notes = (f"{table.file}: there is no {marker.name}_{along}_m: it is taken for seen along {along}.",)
-        found.append(MarkerColumns(number, marker.columns, position[rows], rows, notes if along else ()))
-    return found
+        results.append(MarkerColumns(number, marker.columns, position[rows], rows, notes if along else ()))
+    return results
 
 
 def with_markers(
@@ -77,8 +77,8 @@ def noise_ratio(robot: Robot, marker: NDArray[np.int_]) -> Array | None:
     if stated is None or all(point.position_sigma_m is None for point in robot.markers):
         return None
     ratios = [1.0, *((m.position_sigma_m or stated.position_sigma_m) / stated.position_sigma_m for m in robot.markers)]
-    found: Array = np.array(ratios)[marker]
-    return found
+    result: Array = np.array(ratios)[marker]
+    return result
 
 
 TANGENT_TOLERANCE = 0.01  # of its length: files are rounded
@@ -156,7 +156,7 @@ def _poses(table: CsvTable, markers: Sequence[MarkerColumns]) -> tuple[Array, Ar
 
 
 def _unit(table: CsvTable, tangent: Array, rows: NDArray[np.int_], names: Sequence[str]) -> Array:
-    """Of unit length; two components are a direction in their plane, whatever their length."""
+    """The vectors at unit length; two components are a direction in their plane, whatever their length."""
     with np.errstate(over="ignore"):
         length = np.linalg.norm(tangent, axis=1, keepdims=True)
     whole, given = len(names) == len(TANGENT), np.isfinite(tangent).all(axis=1)

@@ -26,10 +26,14 @@ TYPES = {"Accuracy": str, "StartFriction": str}  # names that the dataclasses kn
 T = TypeVar("T")
 
 
-def load_plan_folder(
+def open_plan(
     folder: str | os.PathLike[str], scenario: str | os.PathLike[str] | None = None, overrides: Sequence[str] = ()
 ) -> Plan:
-    """See `Plan.load`."""
+    """The plan that `save_plan` or `ctrplan plan` wrote into a folder; arguments as those of `ctrplan.load_plan`.
+
+    Its figures are those of plan.json; its trajectory is made anew and must be the one in trajectory.csv. Raises
+    InputError for anything malformed, of another scenario or robot, or that does not belong together.
+    """
     place = Path(os.fspath(folder))
     written = load_plan(place / "plan.json", scenario, overrides)
     content, drive = written.content, written.scenario.robot.drive
@@ -85,7 +89,7 @@ def _joint_values(written: WrittenPlan, table: Mapping[str, Mapping[str, float]]
 
 
 def _trajectory(written: WrittenPlan, file: Path) -> Trajectory:
-    """Of the legs, with the rests at targets. Raises InputError unless the file has the same."""
+    """The trajectory of the legs, with the rests at targets. Raises InputError unless the file has the same."""
     drive, content = written.scenario.robot.drive, written.content
     rests = [target["leg"] + 1 for target in content["certificate"]["targets"]]
     period_s = content["trajectory"]["period_s"] or PERIOD_S

@@ -228,7 +228,7 @@ def build_intervals(entry: UncertaintyEntry | None, robot: Robot, document: Docu
     """The table in SI. Raises InputError for what is no number of the file, no interval, or no correlation."""
     if entry is None:
         return StatedIntervals()
-    found: dict[str, tuple[float, float]] = {}
+    results: dict[str, tuple[float, float]] = {}
     for path, ends in _flat(entry.ci95):
         name, si = _named(path, robot, document)
         value = value_of(robot, name)
@@ -236,9 +236,9 @@ def build_intervals(entry: UncertaintyEntry | None, robot: Robot, document: Docu
             raise document.fault(fault, *PLACE, *path)
         if name.endswith(MAGNITUDE) and value == 0:
             raise document.fault("has no direction, the section is straight", *PLACE, *path)
-        found[name] = float(ends[0]) * si, float(ends[1]) * si
-    names = tuple(_correlated(name, robot, found, document) for name in entry.correlated)
-    return StatedIntervals(found, names, _correlation(entry, document))
+        results[name] = float(ends[0]) * si, float(ends[1]) * si
+    names = tuple(_correlated(name, robot, results, document) for name in entry.correlated)
+    return StatedIntervals(results, names, _correlation(entry, document))
 
 
 def _flat(table: Mapping[str, Any], path: tuple[Step, ...] = ()) -> Iterator[tuple[tuple[Step, ...], Any]]:
@@ -265,7 +265,7 @@ def _named(path: tuple[Step, ...], robot: Robot, document: Document) -> tuple[st
     return f"{stem}.{name}", si
 
 
-def _correlated(name: str, robot: Robot, found: Mapping[str, Any], document: Document) -> str:
+def _correlated(name: str, robot: Robot, results: Mapping[str, Any], document: Document) -> str:
     """The name, SI, if it has an interval."""
     kind, *rest = name.split(".")
     if kind == "effects" and len(rest) == 2:
@@ -273,7 +273,7 @@ def _correlated(name: str, robot: Robot, found: Mapping[str, Any], document: Doc
         if isinstance(table, dict) and rest[1] in table.get("ci95", {}):
             return name
     stem, _, key = name.rpartition(".")
-    if key in KEYS and f"{stem}.{KEYS[key][0]}" in found:
+    if key in KEYS and f"{stem}.{KEYS[key][0]}" in results:
         return f"{stem}.{KEYS[key][0]}"
     raise document.fault(f'"{name}" has no 95 % interval in this file', "uncertainty", "correlated")
 
@@ -286,12 +286,12 @@ def _correlation(entry: UncertaintyEntry, document: Document) -> Array | None:
         raise document.fault("names a parameter twice", "uncertainty", "correlated")
     if not count:
         return None
-    found = np.array(entry.correlation)
-    symmetric = np.allclose(found, found.T, rtol=0, atol=ROUNDING) and np.allclose(np.diag(found), 1, rtol=0)
-    if not symmetric or np.linalg.eigvalsh((found + found.T) / 2).min() < -count * ROUNDING:
+    result = np.array(entry.correlation)
+    symmetric = np.allclose(result, result.T, rtol=0, atol=ROUNDING) and np.allclose(np.diag(result), 1, rtol=0)
+    if not symmetric or np.linalg.eigvalsh((result + result.T) / 2).min() < -count * ROUNDING:
         rule = "must be a correlation: symmetric, 1 on its diagonal, no negative eigenvalue"
         raise document.fault(rule, "uncertainty", "correlation")
-    return read_only((found + found.T) / 2)
+    return read_only((result + result.T) / 2)
 
 
 LARGEST_CLEARANCE_RATIO = 0.02  # of the smallest radius of curvature (Ha et al. 2019, section I)

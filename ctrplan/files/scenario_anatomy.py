@@ -10,12 +10,12 @@ import numpy as np
 from ctrplan.base.arrays import LONGEST_MM, MM_PER_M
 from ctrplan.scenario.scenario import Goal
 from ctrplan.storage.toml_document import Document
-from ctrplan.storage.toml_table import Table, chosen
+from ctrplan.storage.toml_table import TomlTable, chosen
 
 if TYPE_CHECKING:
     from ctrplan.anatomy.fixture import Fixture
     from ctrplan.anatomy.parts import AnatomyPart
-    from ctrplan.anatomy.shape import PartEntry, Shape
+    from ctrplan.anatomy.shape import PartEntry, PartShape
     from ctrplan.base.arrays import Array
 
 
@@ -23,7 +23,7 @@ FILES, MOTION = "files", "motion_margin_mm"
 MOST_PHASES = 50
 
 
-def anatomy_part(table: Table) -> AnatomyPart:
+def anatomy_part(table: TomlTable) -> AnatomyPart:
     """One [[anatomy]], its margin with what the surface may be off by.
 
     Raises InputError for a kind that there is not, and keys that it lacks or does not have.
@@ -34,7 +34,7 @@ def anatomy_part(table: Table) -> AnatomyPart:
     return AnatomyPart(shape, entry.role, entry.margin_mm / MM_PER_M + shape.surface_error_m)
 
 
-def _shape(table: Table) -> tuple[Shape, PartEntry]:
+def _shape(table: TomlTable) -> tuple[PartShape, PartEntry]:
     from ctrplan.anatomy.shape import CATALOGUE, PartEntry
 
     if MOTION in table.content:
@@ -43,7 +43,7 @@ def _shape(table: Table) -> tuple[Shape, PartEntry]:
     return entry.shape(table), entry
 
 
-def _phases(table: Table) -> tuple[Shape, PartEntry]:
+def _phases(table: TomlTable) -> tuple[PartShape, PartEntry]:
     """A structure of which `files` has the phases: each is read as if it were the one `file`."""
     from ctrplan.anatomy.phases import Phases
 
@@ -62,7 +62,7 @@ def _phases(table: Table) -> tuple[Shape, PartEntry]:
     return Phases(tuple(shape for shape, _ in read), entry.role, margin / MM_PER_M), entry
 
 
-def fixture(table: Table) -> Fixture:
+def fixture(table: TomlTable) -> Fixture:
     """One [[fixture]], in the robot's frame. Raises InputError."""
     from ctrplan.anatomy.fixture import Fixture
 

@@ -1,7 +1,8 @@
-"""Scenario files (TOML) -> Scenario; a robot file stands in free space."""
+"""Scenario files (TOML) -> Scenario; a robot file stands in free space; scenarios with their robot placed elsewhere."""
 
 from __future__ import annotations
 
+import copy
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -13,10 +14,11 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from ctrplan.anatomy.image_file import images_kept
-from ctrplan.base.arrays import MOST_TURNS_DEG, Array, read_only, shortest_rotation, unit
+from ctrplan.base.arrays import MM_PER_M, MOST_TURNS_DEG, Array, read_only, shortest_rotation, unit
 from ctrplan.drive.drive import Joint
 from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_anatomy import anatomy_notes, anatomy_part, fixture, refuse_targets_outside_images
+from ctrplan.planning.base_pose import DIGITS, MM_DIGITS, BaseFrame, BasePose
 from ctrplan.robot.robot import Robot, nesting_violation
 from ctrplan.scenario.bare_scenario import bare_scenario
 from ctrplan.scenario.scenario import Cost, Goal, Margins, PlannerSettings, Registration, Scenario, StartFriction
@@ -33,8 +35,9 @@ from ctrplan.storage.toml_document import (
     checked_overrides,
     metres,
     read_document,
+    toml_text,
 )
-from ctrplan.storage.toml_table import Table, chosen, file_inside
+from ctrplan.storage.toml_table import TomlTable, chosen, file_inside
 
 LIMIT_TOLERANCE = 1e-9  # rad or m
 
@@ -132,7 +135,7 @@ def _joint_value(table: dict[str, Any], joint: Joint, document: Document, *path:
     return q
 
 
-def planner_settings(table: Table) -> PlannerSettings:
+def planner_settings(table: TomlTable) -> PlannerSettings:
     """[planner]. Raises InputError for a planner that there is not, and for settings that are not its own."""
     from ctrplan.scenario.scenario import CATALOGUE, DEFAULT
 
@@ -223,7 +226,9 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool) ->
     robot = load_robot(file_inside(entry.robot, document, allow_outside, "robot"), for_robot)
     goals = _goals(entry, robot, document)
     with images_kept():
-        anatomy = tuple(anatomy_part(Table(document, ("anatomy", k), allow_outside)) for k in range(len(entry.anatomy)))
+        anatomy = tuple(
+            anatomy_part(TomlTable(document, ("anatomy", k), allow_outside)) for k in range(len(entry.anatomy))
+        )
     refuse_targets_outside_images(anatomy, goals, document)
     return Scenario(
         name=entry.name or (Path(document.file).stem if document.file else "scenario"),
@@ -237,10 +242,10 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool) ->
         via=tuple(goals[:-1]),
         anatomy=anatomy,
         frame=entry.frame,
-        fixtures=tuple(fixture(Table(document, ("fixture", k), allow_outside)) for k in range(len(entry.fixture))),
+        fixtures=tuple(fixture(TomlTable(document, ("fixture", k), allow_outside)) for k in range(len(entry.fixture))),
         margins=Margins(entry.margins.stability, entry.margins.max_strain),
         cost=_cost(entry.cost),
-        planner=planner_settings(Table(document, ("planner",))),
+        planner=planner_settings(TomlTable(document, ("planner",))),
         path=document.file,
         sha256=document.sha256,
         warnings=(*robot.warnings, *anatomy_notes(anatomy)),
@@ -316,3 +321,50 @@ def load_robot_or_scenario(
     if "tube" not in document.content:
         return load_scenario(path, overrides, allow_outside=allow_outside)
     return bare_scenario(robot_from_dict(document.with_overrides(overrides).content, file=document.file))
+
+
+TURNS = ("quaternion_wxyz", "direction", "look_at", "roll_deg")
+
+
+def placed_scenario(document: Document, pose: BasePose, file: Path) -> str:
+    """The content of `document`, a scenario's, as a file at `file`; read back, it has exactly the pose."""
+    content = copy.deepcopy(document.content) if pose.is_own else content_at(document.content, pose)
+    here = Path(document.file or ".").parent
+    if here.resolve() != file.parent.resolve():
+        _name_files_from(content, here, file.parent)
+    direction = ", ".join(f"{x:.4f}" for x in pose.direction)
+    return f"# Base pose proposed by `ctrplan place`; it looks along [{direction}].\n{toml_text(content)}"
+
+
+def content_at(content: dict[str, Any], pose: BasePose | BaseFrame) -> dict[str, Any]:
+    """A scenario's content with its robot at a pose, and with what was said of how well the base is known."""
+    base = {**_pose(pose), **_without_turns(content.get("base", {}))}
+    return {**copy.deepcopy(content), "base": base}
+
+
+def names_files_outside(document: Document, file: Path) -> bool:
+    """Whether the file at `file` would name some that lie outside of its folder."""
+    inside, here = file.parent.resolve(), Path(document.file or ".").parent
+    return any(not (here / table[key]).resolve().is_relative_to(inside) for table, key in _files(document.content))
+
+
+def _pose(pose: BasePose | BaseFrame) -> dict[str, Any]:
+    quaternion = BaseFrame(pose.position_m, pose.R).quaternion_wxyz
+    position_mm = np.round(pose.position_m * MM_PER_M, MM_DIGITS) + 0.0  # no -0
+    return {"position_mm": position_mm.tolist(), "quaternion_wxyz": (np.round(quaternion, DIGITS) + 0.0).tolist()}
+
+
+def _without_turns(base: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in base.items() if key not in (*TURNS, "position_mm")}
+
+
+def _name_files_from(content: dict[str, Any], old: Path, new: Path) -> None:
+    for table, key in _files(content):
+        if not os.path.isabs(table[key]):
+            table[key] = Path(os.path.relpath(old / table[key], new)).as_posix()
+
+
+def _files(content: dict[str, Any]) -> list[tuple[dict[str, Any], str]]:
+    """Tables and keys that name a file."""
+    parts = [*content.get("anatomy", []), *content.get("fixture", [])]
+    return [(content, "robot"), *((part, "file") for part in parts if "file" in part)]

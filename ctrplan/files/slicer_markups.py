@@ -66,7 +66,7 @@ FCSV_COLUMNS = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID"
 
 
 @dataclass(frozen=True, eq=False)
-class Markup:
+class PlacedMarkup:
     """Points of a file in mm, in the frame that the file says; None where it says none. A line is gone along."""
 
     file: str
@@ -77,7 +77,7 @@ class Markup:
 
     @property
     def name(self) -> str:
-        """Of the file, without what says that it is one of markups."""
+        """The name of the file, without what says that it is one of markups."""
         name = Path(self.file).name
         return next((name[: -len(suffix)] for suffix in SUFFIXES if name.lower().endswith(suffix)), "")
 
@@ -87,7 +87,7 @@ def is_markups(path: str | os.PathLike[str]) -> bool:
     return os.fspath(path).lower().endswith(SUFFIXES)
 
 
-def read_markups(path: str | os.PathLike[str]) -> list[Markup]:
+def read_markups(path: str | os.PathLike[str]) -> list[PlacedMarkup]:
     """What a file holds. Raises InputError for points that are none, and for markups that are neither points nor lines.
 
     The frame is what the file says; nothing is assumed where it says none.
@@ -104,20 +104,20 @@ def _text(file: str) -> str:
         raise InputError(f"is not UTF-8 text (byte {error.start})", file=file) from None
 
 
-def _from_json(file: str, text: str) -> list[Markup]:
+def _from_json(file: str, text: str) -> list[PlacedMarkup]:
     try:
         markups = json.loads(text)["markups"]
-        found = [_markup(file, markup, f"markups.{k}") for k, markup in enumerate(markups, start=1)]
+        results = [_markup(file, markup, f"markups.{k}") for k, markup in enumerate(markups, start=1)]
     except (ValueError, RecursionError) as error:
         raise InputError(f"is no JSON ({error})", file=file) from None
     except (KeyError, TypeError, AttributeError):
         raise InputError('is no file of markups: a list "markups" of points or lines is needed', file=file) from None
-    if not found:
+    if not results:
         raise InputError("holds no markups", file=file)
-    return found
+    return results
 
 
-def _markup(file: str, markup: dict[str, Any], key: str) -> Markup:
+def _markup(file: str, markup: dict[str, Any], key: str) -> PlacedMarkup:
     kind = markup.get("type")
     if kind not in (*LINES, *POINTS):
         rule = f"must be one of {', '.join((*POINTS, *LINES))}: nothing else says targets and entries"
@@ -128,7 +128,7 @@ def _markup(file: str, markup: dict[str, Any], key: str) -> Markup:
         raise InputError("has no points", file=file, key=key)
     labels = tuple(str(point.get("label", "")) for point in points)
     scale = _mm_per_unit(file, markup.get("coordinateUnits", "mm"), key)
-    return Markup(file, np.array(rows) * scale, labels, _frame(file, markup, key), kind in LINES)
+    return PlacedMarkup(file, np.array(rows) * scale, labels, _frame(file, markup, key), kind in LINES)
 
 
 def _frame(file: str, markup: dict[str, Any], key: str) -> Frame | None:
@@ -162,7 +162,7 @@ def _near(file: str, position: list[float], key: str) -> list[float]:
     return position
 
 
-def _from_fcsv(file: str, text: str) -> Markup:
+def _from_fcsv(file: str, text: str) -> PlacedMarkup:
     said: Frame | None = None
     columns, rows = FCSV_COLUMNS.split(","), list[list[str]]()
     for line in text.splitlines():
@@ -178,15 +178,15 @@ def _from_fcsv(file: str, text: str) -> Markup:
     if not rows or not {"x", "y", "z"} <= set(columns):
         raise InputError("holds no points" if not rows else "has no columns x, y and z", file=file)
     points = np.array([_row(file, columns, cells, k) for k, cells in enumerate(rows, start=1)])
-    return Markup(file, points, tuple(_cell(columns, cells, "label") for cells in rows), said, is_line=False)
+    return PlacedMarkup(file, points, tuple(_cell(columns, cells, "label") for cells in rows), said, is_line=False)
 
 
 def _row(file: str, columns: Sequence[str], cells: Sequence[str], number: int) -> list[float]:
     texts = [_cell(columns, cells, axis) for axis in "xyz"]
-    found = [in_plain_digits(text) for text in texts]
-    if None in found:
+    results = [in_plain_digits(text) for text in texts]
+    if None in results:
         raise InputError("must have three numbers", file=file, key=f"point {number}", value=", ".join(texts))
-    return _near(file, [float(x) for x in found if x is not None], f"point {number}")
+    return _near(file, [float(x) for x in results if x is not None], f"point {number}")
 
 
 def _cell(columns: Sequence[str], cells: Sequence[str], name: str) -> str:

@@ -98,8 +98,8 @@ def _directions_along(steps: Array, still: float) -> Array:
 
 def clock(data: Measurements) -> Array:
     """(K,) [s] of the poses; a log without times counts its rows."""
-    found: Array = data.rows.astype(float) if data.time_s is None else data.time_s[data.rows]
-    return found
+    result: Array = data.rows.astype(float) if data.time_s is None else data.time_s[data.rows]
+    return result
 
 
 def rest_began(data: Measurements) -> NDArray[np.int_]:
@@ -159,7 +159,7 @@ def needed_waypoints(theta: Array, l: Array, asked: NDArray[np.int_]) -> NDArray
 
 
 def _farthest(joints: Array) -> int:
-    """Of the points (M, d) between the first and the last that are off their line, the farthest; 0 if none is."""
+    """The point, of (M, d) between the first and the last, that is farthest off their line; 0 if none is."""
     start, along = joints[0], joints[-1] - joints[0]
     length = float(along @ along)
     places = np.clip((joints - start) @ along / length, 0.0, 1.0) if length > 0 else np.zeros(len(joints))

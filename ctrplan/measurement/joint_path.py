@@ -64,8 +64,8 @@ def looks_wrapped(theta: Array, sequence: NDArray[np.int_]) -> bool | None:
 def jumps(theta: Array, sequence: NDArray[np.int_]) -> NDArray[np.int_]:
     """Rows (from 0) that a rotation (R,) reaches by a step near a full turn."""
     near = _is_near_a_turn(np.abs(np.diff(theta))) & (np.diff(sequence) == 0)
-    found: NDArray[np.int_] = np.flatnonzero(near) + 1
-    return found
+    result: NDArray[np.int_] = np.flatnonzero(near) + 1
+    return result
 
 
 def unwrapped(theta: Array, sequence: NDArray[np.int_]) -> Array:

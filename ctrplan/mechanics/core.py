@@ -198,13 +198,13 @@ class Mechanics:
         parts = chunks(len(thetas), TIPS_AT_ONCE)
         if len(parts) > 1:  # nothing is solved before all is known to be well-formed
             self._refuse(thetas, ls)
-        found = []
+        results = []
         for k, rows in enumerate(parts):
             with input_errors():
-                found.append(
+                results.append(
                     self._model.tips(thetas[rows], ls[rows], core_threads(threads), part_of(progress, k, len(parts)))
                 )
-        position_m, tangent, status = map(np.concatenate, zip(*found, strict=True))
+        position_m, tangent, status = map(np.concatenate, zip(*results, strict=True))
         return position_m, tangent, sound(status, position_m, tangent)
 
     @checked(field=Made("Field"), spacing_m=SPACING, threads=THREADS)
@@ -249,8 +249,10 @@ class Mechanics:
             raise InputError("must lie in [-1, 1]", key="phi", value=worst(states))
         given = directions(parameters, self._given[0], self._model.number_names())
         with input_errors():
-            found = self._model.tips_with_friction(thetas, ls, states, given, accuracy, core_threads(threads), progress)
-        return promised(Tips(**found))
+            result = self._model.tips_with_friction(
+                thetas, ls, states, given, accuracy, core_threads(threads), progress
+            )
+        return promised(Tips(**result))
 
     @checked(accuracy=ACCURACY)
     def core_walker(self, accuracy: Accuracy) -> _model.Walker:
@@ -285,8 +287,8 @@ class Mechanics:
         until = core_density(density or PathDensity()), core_limits(limits or PathLimits())
         with input_errors():
             theta, length = joint_rows(theta_b, l_b, self.n)
-            found = self._model.check_path(theta, length, core_grid(field), *until, accuracy, bodies)
-        return promised(PathSamples(**found))
+            result = self._model.check_path(theta, length, core_grid(field), *until, accuracy, bodies)
+        return promised(PathSamples(**result))
 
     @checked(accuracy=ACCURACY)
     def body(self, theta_b: ArrayLike, l_b: ArrayLike, *, accuracy: Accuracy = "search") -> tuple[Array, Array]:
@@ -385,8 +387,8 @@ class Walker:
         Ctrl-C on the way leaves it nowhere: the next step starts cold. Raises InputError.
         """
         with input_errors():
-            found = self._core.step(joint_row(theta_b, self._n), joint_row(l_b, self._n))
-        position_m, tangent_rad, stability, max_strain, residual, status, tip, tangent, cold, solves = found
+            result = self._core.step(joint_row(theta_b, self._n), joint_row(l_b, self._n))
+        position_m, tangent_rad, stability, max_strain, residual, status, tip, tangent, cold, solves = result
         return BoundStep(
             position_m=position_m,
             tangent_rad=tangent_rad,

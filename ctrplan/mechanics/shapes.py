@@ -111,8 +111,8 @@ class Shape:
             kept = vars(self).get("_kept")
             if kept is None or name not in ALONG:
                 raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-            found = tuple(TubeShape(**tube) for tube in kept.tubes()) if name == "tubes" else getattr(kept, name)
-            return vars(self).setdefault(name, found)
+            result = tuple(TubeShape(**tube) for tube in kept.tubes()) if name == "tubes" else getattr(kept, name)
+            return vars(self).setdefault(name, result)
 
     def __getstate__(self) -> dict[str, Any]:
         """All fields but the solution, which lives in this process."""
@@ -207,7 +207,7 @@ SMALL_RAD = 1e-4  # rotations below which series take the place of quotients
 
 
 def points_on_tubes(tubes: Sequence[TubeShape], s_m: Sequence[float] | Array) -> tuple[Array, Array]:
-    """Of N tubes, each at an arc length (N,) [m] from the plate: centrelines (N, 3) [m] and unit tangents (N, 3).
+    """Centrelines (N, 3) [m] and unit tangents (N, 3) of N tubes, each at an arc length (N,) [m] from the plate.
 
     NaN where the tube is not.
     """

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 # error, and a little for what the search's coarse mesh usually differs.
 SEARCH_ROOM_M = 0.5e-3
 # Motions and states whose zero-clearance shapes have less room than this are not solved: none of 214 in three scenarios
-# was valid (`benchmarks/zero_clearance_rooms.py`).
+# was valid.
 DEFINITE_COLLISION_M = -1e-3
 DOUBTFUL_M = 3e-3  # less room than that, and a motion is looked at where it has least, before it is walked
 JUMP, JUMP_M = 3.0, 5e-3  # times the steps of the tip beside, and more than that and the translation by
@@ -87,15 +87,15 @@ class MotionChecker:
         """The motion from joint values a to b, (m,) each, in the checker's style."""
         self.meter.add(ASKED_NS)
         key = a.tobytes() + b.tobytes()
-        found = self._known.get(key)
-        if found is None:
+        result = self._known.get(key)
+        if result is None:
             if ahead := self._ahead.pop(key, None):
-                found, spent_ns = ahead
+                result, spent_ns = ahead
                 self.meter.add(spent_ns)
             else:
-                found = self._motion(a, b)
-            self._known[key] = found
-        return found
+                result = self._motion(a, b)
+            self._known[key] = result
+        return result
 
     def look_ahead(self, a: Array, b: Array) -> None:
         """Checks a motion that is likely asked for next; it counts as work when it is."""
@@ -135,7 +135,7 @@ class MotionChecker:
         return self.space.allowed(q) and self.rooms([q[None]])[0] < DEFINITE_COLLISION_M
 
     def with_reserve(self, reserve_m: float) -> MotionChecker:
-        """The same that keeps another reserve; it has checked nothing yet."""
+        """A checker that keeps another reserve; it has checked nothing yet."""
         return MotionChecker(self.scenario, self.style, self.meter, reserve_m)
 
     def state(self, q: Array) -> Motion:
@@ -148,10 +148,10 @@ class MotionChecker:
         """A single state, and what the core says of it; None where limits or nesting forbid it."""
         self.meter.add(ASKED_NS)
         key = q.tobytes()
-        found = self._states.get(key)
-        if found is None:
-            found = self._states[key] = self._probe(q[None, :])
-        return found
+        result = self._states.get(key)
+        if result is None:
+            result = self._states[key] = self._probe(q[None, :])
+        return result
 
     def _probe(self, q: Array) -> tuple[Motion, PathSamples | None]:
         if not self.space.allowed(q):
@@ -209,7 +209,9 @@ class MotionChecker:
         return np.minimum.reduceat(rooms, firsts), np.array([_jumps(*rows) for rows in ends])
 
     def _rooms_and_tips(self, theta_b: Array, l_b: Array) -> tuple[Array, Array]:
-        """Of collars (K, n): clearances (K,) [m] of zero-clearance shapes beyond what is required, tips (K, 3) [m]."""
+        """Clearances (K,) [m] of zero-clearance shapes at collars (K, n) beyond what is required, and tips (K, 3)
+        [m].
+        """
         self.watch.ask()
         self.meter.add(ROOM_NS * len(l_b))
         threads = 0 if len(l_b) > FEW else 1
@@ -221,11 +223,11 @@ class MotionChecker:
     def _stations(self, corners: Array) -> Array:
         """(S, m) points on a polyline no farther apart than the density's steps."""
         longest = np.where(self.space.drive.is_rotation, self.density.rotation_rad, self.density.translation_m)
-        found = [corners[:1]]
+        results = [corners[:1]]
         for a, b in zip(corners[:-1], corners[1:], strict=True):
             count = max(1, int(np.ceil(np.abs((b - a) / longest).max())))
-            found += [a + np.arange(1, count)[:, None] / count * (b - a), b[None]]  # b itself, which may be known
-        return np.concatenate(found)
+            results += [a + np.arange(1, count)[:, None] / count * (b - a), b[None]]  # b itself, which may be known
+        return np.concatenate(results)
 
     def errors(self, corners: Array, samples: PathSamples) -> Array:
         """(K,) [m] friction errors on a walked polyline that starts fully loaded, by the robot's friction law.
@@ -288,7 +290,7 @@ def path_limits(scenario: Scenario) -> PathLimits:
 
 
 def search_limits(scenario: Scenario, reserve_m: float = SEARCH_ROOM_M) -> PathLimits:
-    """Likewise for the search, which keeps a little more clearance so that its paths pass the certificate."""
+    """Limits for the search, which keeps a little more clearance so that its paths pass the certificate."""
     limits = path_limits(scenario)
     space = JointSpace.of(scenario)
     room = reserve_m + usual_play_shift(scenario.robot, space)

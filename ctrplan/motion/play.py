@@ -42,7 +42,7 @@ def play_shift(robot: Robot, theta_b: Array, l_b: Array) -> float:
 
 
 def play_reach(robot: Robot, theta_b: Array, l_b: Array) -> float:
-    """As `play_shift`, of the frictionless shape and every corner of friction, and with all actuators moved at once."""
+    """How far play reaches, as `play_shift`, of the frictionless shape and all corners, actuators moved at once."""
     if robot.drive.play is None:
         return 0.0
     here, singles = robot.mechanics.body(theta_b, l_b)[0], _single_actuators(*robot.drive.play)
@@ -78,8 +78,8 @@ def _tangents(robot: Robot, theta_b: Array, l_b: Array) -> Array:
     """(S, 3) of the tip, released and in every corner of friction; NaN without a solution."""
     states = friction_states(robot)
     theta_rows, l_rows = (np.tile(part, (len(states), 1)) for part in (theta_b, l_b))
-    found = robot.mechanics.tips_with_friction(theta_rows, l_rows, states)
-    return np.where((found.status == Status.FAILED)[:, None], np.nan, found.tangent)
+    result = robot.mechanics.tips_with_friction(theta_rows, l_rows, states)
+    return np.where((result.status == Status.FAILED)[:, None], np.nan, result.tangent)
 
 
 def usual_play_shift(robot: Robot, space: JointSpace) -> float:

@@ -13,22 +13,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ctrplan.base.arguments import EVENT, PROGRESS, SEARCH_TIME, SEED, Choice, Number, Texts, Whole, checked
-from ctrplan.base.arrays import LONGEST_MM, numbers
+from ctrplan.base.arguments import EVENT, PROGRESS, Choice, checked
+from ctrplan.base.arrays import numbers
 from ctrplan.base.long_work import StageProgress, interrupt_event
 from ctrplan.errors import InputError
+from ctrplan.patients.request import STEP_NAMES, Options, Place, over, request_of
 from ctrplan.patients.steps import BasesStep, PlacedStep, PlanStep, ScenarioStep, SlicerStep
-from ctrplan.patients.work import FILE, Made, Place, Record, Request, Step, Work, key_of
+from ctrplan.patients.work import FILE, CaseStep, MadeFile, Record, Work, key_of
 from ctrplan.storage.output_folder import output_folder
 
 if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
     from ctrplan.plans.plan import Plan
 
-STEPS: tuple[type[Step], ...] = (ScenarioStep, BasesStep, PlacedStep, PlanStep, SlicerStep)
-NAMES = tuple(step.name for step in STEPS)
-LENGTH_MM = Number(0, LONGEST_MM, "mm")
-ABOVE_ZERO_MM = Number(0, LONGEST_MM, "mm", above=True)
-CONE = Number(0, 90, "deg")
+STEPS: tuple[type[CaseStep], ...] = (ScenarioStep, BasesStep, PlacedStep, PlanStep, SlicerStep)
 
 
 @dataclass(frozen=True)
@@ -52,26 +51,9 @@ class Case:
 
 
 @checked(
-    frame=Choice("RAS", "LPS"),
-    file_frame=Choice("RAS", "LPS"),
-    unit=Choice("mm", "cm", "m"),
-    repair=Choice("holes", "caps", "off"),
-    lumens=Texts(),
-    avoids=Texts(),
-    ignored=Texts(),
-    motion_margin_mm=LENGTH_MM,
-    margin_mm=LENGTH_MM,
-    surface_error_mm=LENGTH_MM,
-    tolerance_mm=ABOVE_ZERO_MM,
-    sheath_mm=ABOVE_ZERO_MM,
-    radius_mm=LENGTH_MM,
-    cone_deg=CONE,
-    candidates=Whole(1, 100_000),
-    bases=Whole(1, 1000),
-    seed=SEED,
-    time_s=SEARCH_TIME,
-    from_step=Choice(*NAMES),
-    until=Choice(*NAMES),
+    Options,
+    from_step=Choice(*STEP_NAMES),
+    until=Choice(*STEP_NAMES),
     progress=PROGRESS,
     told=PROGRESS,
     note=PROGRESS,
@@ -83,44 +65,23 @@ def case(
     *,
     targets: Sequence[str | ArrayLike] | None = None,
     entries: Sequence[str | ArrayLike] | None = None,
-    frame: str | None = None,
-    file_frame: str | None = None,
-    unit: str | None = None,
-    series: str | None = None,
-    repair: str | None = None,
-    lumens: Sequence[str] | None = None,
-    avoids: Sequence[str] | None = None,
-    ignored: Sequence[str] | None = None,
     phases: Sequence[Sequence[str | os.PathLike[str]]] | None = None,
-    motion_margin_mm: float | None = None,
-    robot: str | os.PathLike[str] | None = None,
-    margin_mm: float | None = None,
-    surface_error_mm: float | None = None,
-    tolerance_mm: float | None = None,
-    sheath_mm: float | None = None,
-    radius_mm: float | None = None,
-    cone_deg: float | None = None,
-    candidates: int | None = None,
-    bases: int | None = None,
-    seed: int | None = None,
-    time_s: float | None = None,
     from_step: str | None = None,
     until: str | None = None,
     progress: StageProgress | None = None,
     told: Callable[[StepTold], object] | None = None,
     note: Callable[[str], object] | None = None,
     interrupted: threading.Event | None = None,
+    **options: Unpack[Options],
 ) -> Case:
     """A patient's case in the folder `output`: a scenario of `inputs`, base poses, a certified plan, 3D Slicer's scene.
 
     `inputs` are images, meshes and files of markups, or folders of them. Targets and entries are places (3,) in mm in
     `frame`, or names of markups, of files of them, or of their points' labels; a target also the name of a structure,
     whose middle is meant. `lumens` and `avoids` name structures, `phases` the files of each that moves, with
-    `motion_margin_mm` for places between its phases (None: half the way from one to the next).
-    `unit` and `repair` are those of meshes, `series` the UID of one in a DICOM folder, `file_frame` the frame of
-    files that say none, `sheath_mm` the inner radius of a sheath from the entry into a lumen. Base poses lie within
-    `radius_mm` and `cone_deg` of an entry, and the first `bases` of them are planned from until one has a plan. What
-    is None is as the run before had it, or as ctrplan chooses.
+    `motion_margin_mm` for places between its phases. Base poses lie within `radius_mm` and `cone_deg` of an entry, and
+    the first `bases` of them are planned from until one has a plan. `ctrplan.patients.request` says what each of the
+    options is. What is None or not given is as the run before had it, or as ctrplan chooses.
 
     Every step writes files into `output`. A step whose files and sources are as they were is not done again; files
     that were edited are kept and count for the steps after. `from_step` makes that step and all after it anew, `until`
@@ -130,38 +91,14 @@ def case(
     """
     moving = tuple(tuple(os.fspath(file) for file in group) for group in phases or ())
     named = dict.fromkeys([*(file for group in moving for file in group), *(os.fspath(path) for path in inputs or ())])
-    asked = Request(
-        inputs=tuple(named) or None,
-        targets=_places(targets),
-        entries=_places(entries),
-        frame=frame,
-        file_frame=file_frame,
-        unit=unit,
-        series=series,
-        repair=repair,
-        lumens=_texts(lumens),
-        avoids=_texts(avoids),
-        ignored=_texts(ignored),
-        phases=moving or None,
-        motion_margin_mm=motion_margin_mm,
-        robot=None if robot is None else os.fspath(robot),
-        margin_mm=margin_mm,
-        surface_error_mm=surface_error_mm,
-        tolerance_mm=tolerance_mm,
-        sheath_mm=sheath_mm,
-        radius_mm=radius_mm,
-        cone_deg=cone_deg,
-        candidates=candidates,
-        bases=bases,
-        seed=seed,
-        time_s=time_s,
-    )
+    places = {"targets": _places(targets), "entries": _places(entries)}
+    request = request_of({"inputs": tuple(named) or None, "phases": moving or None, **places, **options})
     folder = output_folder(os.fspath(output), (FILE, *ScenarioStep.files, *BasesStep.files, *PlacedStep.files))
     record = Record(folder)
     with interrupt_event(interrupted) as stop:
         work = Work(
             folder=folder,
-            request=asked.over(record.request),
+            request=over(request, record.request),
             record=record,
             stop=stop,
             progress=progress or (lambda _stage, _share: None),
@@ -188,10 +125,6 @@ def _numbers(place: ArrayLike) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _texts(texts: Sequence[str] | None) -> tuple[str, ...] | None:
-    return None if texts is None else tuple(texts)
-
-
 def _done(
     work: Work, from_step: str | None, until: str | None, told: Callable[[StepTold], object]
 ) -> Iterator[StepTold]:
@@ -210,12 +143,12 @@ def _done(
             return
 
 
-def _kept(work: Work, step: Step) -> str:
+def _kept(work: Work, step: CaseStep) -> str:
     """Why a step need not be done; empty where it has to be. Raises InputError where an edit would be lost."""
     made, edited = work.record.steps.get(step.name), work.record.edited(step.name)
     if made is None or made.pending:
         own = [name for name in step.files if made is None and work.file(name).exists()]
-        if own and not work.request.inputs:
+        if own and not work.request.get("inputs"):
             return f"{', '.join(own)} kept as it is there"
         if own and step.name == ScenarioStep.name:
             rule = f"is there and no run of ctrplan case wrote it: --from {step.name} replaces it"
@@ -232,7 +165,7 @@ def _kept(work: Work, step: Step) -> str:
     return f"{', '.join(changed)} kept as edited" if changed else f"kept: {made.sentence}"
 
 
-def _made(work: Work, step: Step) -> str:
+def _made(work: Work, step: CaseStep) -> str:
     """Does the step. Where it fails, files and record are as they were."""
     before, had_folder = work.record.steps.get(step.name), work.folder.exists()
     work.folder.mkdir(parents=True, exist_ok=True)
@@ -247,7 +180,7 @@ def _made(work: Work, step: Step) -> str:
     return sentence
 
 
-def _as_before(work: Work, step: Step, before: Made | None, had_folder: bool) -> None:
+def _as_before(work: Work, step: CaseStep, before: MadeFile | None, had_folder: bool) -> None:
     if before is not None:
         work.record.steps[step.name] = before
     else:

@@ -19,20 +19,21 @@ from ctrplan.anatomy.mesh_file import stated_frame
 from ctrplan.anatomy.mesh_repair import MeshDefectError
 from ctrplan.anatomy.parts import AnatomyPart, combined_clearance, exact_clearance, surface_distance
 from ctrplan.anatomy.patient_frame import TURNED, Frame
-from ctrplan.anatomy.shape import Role, Shape
+from ctrplan.anatomy.shape import PartShape, Role
 from ctrplan.base.arrays import MM_PER_M, Array, unit
 from ctrplan.drive.drive import Drive
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_anatomy import MOTION, anatomy_notes, anatomy_part
 from ctrplan.files.scenario_file import scenario_from_dict
-from ctrplan.files.slicer_markups import Markup
+from ctrplan.files.slicer_markups import PlacedMarkup
 from ctrplan.patients.points import WORDS, Named, is_point, says
-from ctrplan.patients.structures import Found, Structure, between_phases_mm, matching, with_margin
-from ctrplan.patients.work import SCENARIO, Place, Request, Work
+from ctrplan.patients.request import MARGIN_MM, TOLERANCE_MM, Place, Request
+from ctrplan.patients.structures import CaseContent, Structure, between_phases_mm, matching, with_margin
+from ctrplan.patients.work import SCENARIO, Work
 from ctrplan.planning.room import blocked
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.storage.toml_document import Document
-from ctrplan.storage.toml_table import Table
+from ctrplan.storage.toml_table import TomlTable
 
 BEHIND_MM, LONGEST_MM, STEP_MM = 10.0, 150.0, 0.5
 
@@ -148,34 +149,34 @@ ACROSS = 24  # places along each side of a body's box at which its depth is look
 TARGET = "--target"
 
 
-def aimed_at(found: Found, places: Sequence[Place] | None, roles: Sequence[str]) -> dict[str, Structure]:
+def aimed_at(case_content: CaseContent, places: Sequence[Place] | None, roles: Sequence[str]) -> dict[str, Structure]:
     """Structures that are targets, by what they are called: as said, or by their names where nothing is said.
 
     roles: what the options say of structures; one that has a role by them is no target by its name.
     """
     if places is not None:
-        names = [place for place in places if isinstance(place, str) and not is_point(place, found.markups)]
-        return {name: one for name in names if (one := matching(found, TARGET, name)) is not None}
-    if any(says(markup, WORDS[TARGET]) for markup in found.markups):
+        names = [place for place in places if isinstance(place, str) and not is_point(place, case_content.markups)]
+        return {name: one for name in names if (one := matching(case_content, TARGET, name)) is not None}
+    if any(says(markup, WORDS[TARGET]) for markup in case_content.markups):
         return {}
-    said = [matching(found, TARGET, name) for name in roles]
-    return {one.name: one for one in found.structures if one not in said and WORDS[TARGET].search(one.name)}
+    said = [matching(case_content, TARGET, name) for name in roles]
+    return {one.name: one for one in case_content.structures if one not in said and WORDS[TARGET].search(one.name)}
 
 
 def middles(
-    aimed: dict[str, Structure], frame: Frame, shape_of: Callable[[Structure], Shape]
-) -> tuple[list[Markup], list[str]]:
+    aimed: dict[str, Structure], frame: Frame, shape_of: Callable[[Structure], PartShape]
+) -> tuple[list[PlacedMarkup], list[str]]:
     """The middle of each as a point in the case's frame that is called as the structure is, and a note of where."""
     points, notes = [], []
     for name, one in aimed.items():
         middle_mm = np.round(middle_m(shape_of(one)) * MM_PER_M, 3) + 0.0
-        points.append(Markup(str(one.file), middle_mm[None], (name,), frame, False))
+        points.append(PlacedMarkup(str(one.file), middle_mm[None], (name,), frame, False))
         place = ", ".join(f"{x:g}" for x in middle_mm)
         notes.append(f"{one.called} is a target: its middle [{place}] mm in {frame}")
     return points, notes
 
 
-def middle_m(shape: Shape) -> Array:
+def middle_m(shape: PartShape) -> Array:
     """(3,) centre of a body's volume [m]; of one that is hollow or bent away from it, the place deepest within."""
     surface = shape.surface()
     origin = surface.vertices_m.mean(axis=0)
@@ -190,7 +191,6 @@ def middle_m(shape: Shape) -> Array:
     return np.asarray(tried[int(np.argmin(shape.distance(tried)))])
 
 
-MARGIN_MM, TOLERANCE_MM = 0.5, 1.0
 DIGITS = 6  # of a mm
 
 
@@ -208,7 +208,7 @@ def draft(
     """
     goals = [_goal(target, request) for target in targets]
     return {
-        "name": Path((request.inputs or ("case",))[0]).resolve().name[-60:] or "case",
+        "name": Path(request.get("inputs", ("case",))[0]).resolve().name[-60:] or "case",
         "robot": "robot.toml",
         "frame": frame,
         "start": dict(start),
@@ -231,34 +231,36 @@ def start_values(drive: Drive, joints: Array) -> dict[str, float]:
 
 def _goal(target: Named, request: Request) -> dict[str, Any]:
     place = {"line_mm": [_rounded(p) for p in target.points_mm]} if target.is_line else None
-    tolerance = TOLERANCE_MM if request.tolerance_mm is None else request.tolerance_mm
     name = {"name": target.name} if target.name else {}
-    return {**name, **(place or {"tip_mm": _rounded(target.points_mm[0])}), "tolerance_mm": tolerance}
+    return {
+        **name,
+        **(place or {"tip_mm": _rounded(target.points_mm[0])}),
+        "tolerance_mm": request.get("tolerance_mm", TOLERANCE_MM),
+    }
 
 
 def structure_entry(structure: Structure, role: Role, request: Request, output: Path) -> dict[str, Any]:
     """[[anatomy]] of a structure. Raises InputError for a file that does not say its frame."""
-    margin = MARGIN_MM if request.margin_mm is None else request.margin_mm
     kind, *rest = structure.entry.items()
-    found = {kind[0]: kind[1], **_files(structure, request, output), **dict(rest)}
+    results = {kind[0]: kind[1], **_files(structure, request, output), **dict(rest)}
     is_volume = structure.entry["kind"] == "volume"
-    if not is_volume and request.repair is not None:
-        found["repair"] = request.repair
-    if is_volume and request.surface_error_mm is not None:
-        found["surface_error_mm"] = request.surface_error_mm
+    if not is_volume and "repair" in request:
+        results["repair"] = request["repair"]
+    if is_volume and "surface_error_mm" in request:
+        results["surface_error_mm"] = request["surface_error_mm"]
     if any(_said_frame(file) is None for file in (structure.file, *structure.phases)):
-        if request.file_frame is None:
+        if "file_frame" not in request:
             rule = "does not say whether its coordinates are in RAS or in LPS: --file-frame says it"
             raise InputError(rule, file=structure.file)
-        found["frame"] = request.file_frame
-    return {**found, "role": role, "margin_mm": margin}
+        results["frame"] = request["file_frame"]
+    return {**results, "role": role, "margin_mm": request.get("margin_mm", MARGIN_MM)}
 
 
 def _files(structure: Structure, request: Request, output: Path) -> dict[str, Any]:
     if not structure.phases:
         return {"file": from_folder(output, structure.file)}
     every = [from_folder(output, file) for file in (structure.file, *structure.phases)]
-    return {"files": every, "motion_margin_mm": request.motion_margin_mm or 0.0}
+    return {"files": every, "motion_margin_mm": request.get("motion_margin_mm", 0.0)}
 
 
 def _said_frame(path: Path) -> Frame | None:
@@ -296,18 +298,18 @@ def drafted(work: Work, content: dict[str, Any], robot: str, structures: Sequenc
     return scenario
 
 
-def shape_of(work: Work, structure: Structure, frame: Frame) -> Shape:
+def shape_of(work: Work, structure: Structure, frame: Frame) -> PartShape:
     """A structure by itself in the case's frame. Raises InputError."""
     role: Role = "avoid"
     content = {"frame": frame, "anatomy": [structure_entry(structure, role, work.request, work.folder)]}
     document = Document.of(content, "scenario", str(work.file(SCENARIO)))
     with _said_of([structure]):
-        return anatomy_part(Table(document, ("anatomy", 0), True)).shape
+        return anatomy_part(TomlTable(document, ("anatomy", 0), True)).shape
 
 
 def with_motion_margins(work: Work, scenario: Scenario, content: dict[str, Any]) -> Scenario:
     """The scenario with what is kept for places between phases, where nobody says it; said in the content, too."""
-    if work.request.motion_margin_mm is not None:
+    if "motion_margin_mm" in work.request:
         return scenario
     parts = list(scenario.anatomy)
     for k, part in enumerate(parts):

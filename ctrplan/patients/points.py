@@ -12,8 +12,8 @@ import numpy as np
 from ctrplan.anatomy.patient_frame import FRAMES, Frame, signs
 from ctrplan.base.arrays import LONGEST_MM, Array
 from ctrplan.errors import InputError
-from ctrplan.files.slicer_markups import Markup, is_markups, read_markups
-from ctrplan.patients.work import Place
+from ctrplan.files.slicer_markups import PlacedMarkup, is_markups, read_markups
+from ctrplan.patients.request import Place
 
 WORDS = {
     "--target": re.compile(r"target|goal|nodule|tumou?r|lesion", re.IGNORECASE),
@@ -46,16 +46,16 @@ def case_frame(frame: str | None, places: Sequence[Place]) -> Frame:
 
 
 def places_of(
-    option: str, places: Sequence[Place] | None, markups: Sequence[Markup], frame: Frame, file_frame: str | None
+    option: str, places: Sequence[Place] | None, markups: Sequence[PlacedMarkup], frame: Frame, file_frame: str | None
 ) -> list[Named]:
     """What an option, --target or --entry, says; or else what the files' markups call so. Raises InputError."""
     if places is None:
-        found = [one for markup in markups for one in says(markup, WORDS[option])]
-        if not found:
+        results = [one for markup in markups for one in says(markup, WORDS[option])]
+        if not results:
             raise InputError(f"is needed: X Y Z in mm, or a file of markups{_there(markups)}", key=option)
     else:
-        found = []
-    named = [_in_frame(one, frame, file_frame) for one in found]
+        results = []
+    named = [_in_frame(one, frame, file_frame) for one in results]
     for place in places or ():
         if isinstance(place, str):
             named += [_in_frame(one, frame, file_frame) for one in _by_name(option, place, markups)]
@@ -64,14 +64,14 @@ def places_of(
     return [part for one in named for part in _apart(*one)]
 
 
-def _number(option: str, place: Sequence[float]) -> tuple[Array, Markup]:
+def _number(option: str, place: Sequence[float]) -> tuple[Array, PlacedMarkup]:
     point = np.asarray(place, dtype=np.float64)
     if point.shape != (3,) or not np.all(np.abs(point) <= LONGEST_MM):  # nor is it so of NaN
         raise InputError(f"must be three numbers from {-LONGEST_MM:g} to {LONGEST_MM:g} mm", key=option, value=place)
-    return point[None], Markup("", point[None], ("",), None, False)
+    return point[None], PlacedMarkup("", point[None], ("",), None, False)
 
 
-def says(markup: Markup, word: re.Pattern[str]) -> list[Markup]:
+def says(markup: PlacedMarkup, word: re.Pattern[str]) -> list[PlacedMarkup]:
     """A markup that its file's name calls so, or those of its points whose labels do."""
     rows = [k for k, label in enumerate(markup.labels) if word.search(label)]
     others = [other for other in WORDS.values() if other is not word]
@@ -80,32 +80,34 @@ def says(markup: Markup, word: re.Pattern[str]) -> list[Markup]:
     return [] if markup.is_line else [_rows(markup, rows)] if rows else []
 
 
-def is_point(name: str, markups: Sequence[Markup]) -> bool:
+def is_point(name: str, markups: Sequence[PlacedMarkup]) -> bool:
     """Whether a name is that of a file of markups, of one that was read, or the label of a point."""
     if is_markups(name) or is_markups(name.partition(":")[0]):
         return True
     return any(name == markup.name or name in markup.labels for markup in markups)
 
 
-def _by_name(option: str, name: str, markups: Sequence[Markup]) -> list[Markup]:
+def _by_name(option: str, name: str, markups: Sequence[PlacedMarkup]) -> list[PlacedMarkup]:
     file, _, label = name.partition(":") if not is_markups(name) else (name, "", "")
     if is_markups(file):
         known = [markup for markup in markups if file in (markup.file, Path(markup.file).name)]
-        found = known or read_markups(file)
-        return [_point(option, markup, label) for markup in found] if label else found
+        results = known or read_markups(file)
+        return [_point(option, markup, label) for markup in results] if label else results
     same = [markup for markup in markups if markup.name == name]
     if same:
         return same
-    found = [_rows(markup, [k]) for markup in markups for k, text in enumerate(markup.labels) if text == name]
-    if len(found) != 1:
+    results = [_rows(markup, [k]) for markup in markups for k, text in enumerate(markup.labels) if text == name]
+    if len(results) != 1:
         there = (
-            "is the label of several points" if found else "is no file of markups, no label of a point and no structure"
+            "is the label of several points"
+            if results
+            else "is no file of markups, no label of a point and no structure"
         )
         raise InputError(f"{there}{_there(markups)}", key=option, value=name)
-    return found
+    return results
 
 
-def _point(option: str, markup: Markup, label: str) -> Markup:
+def _point(option: str, markup: PlacedMarkup, label: str) -> PlacedMarkup:
     rows = [k for k, text in enumerate(markup.labels) if text == label]
     if not rows:
         rule = f"has no point of that label, but {', '.join(map(repr, markup.labels))}"
@@ -113,12 +115,12 @@ def _point(option: str, markup: Markup, label: str) -> Markup:
     return _rows(markup, rows)
 
 
-def _rows(markup: Markup, rows: Sequence[int]) -> Markup:
+def _rows(markup: PlacedMarkup, rows: Sequence[int]) -> PlacedMarkup:
     labels = tuple(markup.labels[k] for k in rows)
     return replace(markup, points_mm=markup.points_mm[list(rows)], labels=labels, is_line=False)
 
 
-def _in_frame(markup: Markup, frame: Frame, file_frame: str | None) -> tuple[Array, Markup]:
+def _in_frame(markup: PlacedMarkup, frame: Frame, file_frame: str | None) -> tuple[Array, PlacedMarkup]:
     said = markup.frame or file_frame
     for known in FRAMES:
         if said == known:
@@ -127,7 +129,7 @@ def _in_frame(markup: Markup, frame: Frame, file_frame: str | None) -> tuple[Arr
     raise InputError(rule, file=markup.file)
 
 
-def _apart(points_mm: Array, markup: Markup) -> list[Named]:
+def _apart(points_mm: Array, markup: PlacedMarkup) -> list[Named]:
     """A line as one, points one by one."""
     if markup.is_line and len(points_mm) > 1:
         return [Named(points_mm + 0.0, markup.name)]
@@ -135,7 +137,7 @@ def _apart(points_mm: Array, markup: Markup) -> list[Named]:
     return [Named(point[None] + 0.0, name) for point, name in zip(points_mm, names, strict=True)]
 
 
-def _there(markups: Sequence[Markup]) -> str:
+def _there(markups: Sequence[PlacedMarkup]) -> str:
     if not markups:
         return ""
     texts = [f"{Path(one.file).name} ({', '.join(label or '-' for label in one.labels[:8])})" for one in markups]

@@ -5,6 +5,7 @@ before.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
@@ -18,9 +19,9 @@ from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import Role
 from ctrplan.base.arrays import MM_PER_M, Array, shortest_rotation
 from ctrplan.errors import InputError, NoAnswerError
-from ctrplan.files.placed_scenario import content_at
 from ctrplan.files.plan_file import load_plan
 from ctrplan.files.robot_file import load_robot
+from ctrplan.files.scenario_file import content_at
 from ctrplan.files.slicer_markups import SCENE, patient_frame
 from ctrplan.files.trajectory_file import trajectory_formats
 from ctrplan.patients.draft import (
@@ -38,7 +39,17 @@ from ctrplan.patients.draft import (
     with_motion_margins,
 )
 from ctrplan.patients.points import Named, case_frame, places_of
-from ctrplan.patients.structures import Structure, chosen, found_in
+from ctrplan.patients.request import (
+    CANDIDATES,
+    CONE_DEG,
+    TRIES,
+    BasesOptions,
+    Inputs,
+    PlanOptions,
+    ScenarioOptions,
+    part,
+)
+from ctrplan.patients.structures import Structure, chosen, content_of
 from ctrplan.patients.work import (
     BASES,
     ENTRIES,
@@ -47,8 +58,8 @@ from ctrplan.patients.work import (
     ROBOT,
     SCENARIO,
     SLICER,
+    CaseStep,
     Record,
-    Step,
     Work,
     bases_text,
     patch_radius_m,
@@ -73,44 +84,31 @@ UNIT = "mm"
 ENTRY_COLUMNS = "x_mm,y_mm,z_mm,look_x_mm,look_y_mm,look_z_mm"
 
 
-class ScenarioStep(Step):
+class ScenarioStep(CaseStep):
     """Reads everything once and refuses what can't be planned with."""
 
     name = "scenario"
     files = (SCENARIO, ROBOT, ENTRIES)
 
     def made_from(self, work: Work) -> object:
-        asked = work.request
-        said = asked.part(
-            "inputs",
-            "targets",
-            "entries",
-            "frame",
-            "file_frame",
-            "unit",
-            "repair",
-            "series",
-            "lumens",
-            "avoids",
-            "ignored",
-            "phases",
-            "motion_margin_mm",
-        )
-        said |= asked.part("robot", "margin_mm", "surface_error_mm", "tolerance_mm", "sheath_mm")
-        stamps = [stamp_of(Path(name)) for name in asked.inputs or ()] + [stamp_of(robot_file(asked.robot))]
+        request = work.request
+        said = part(request, Inputs, ScenarioOptions)
+        stamps = [stamp_of(Path(name)) for name in request.get("inputs", ())] + [
+            stamp_of(robot_file(request.get("robot")))
+        ]
         return [said, stamps]
 
     def make(self, work: Work) -> str:
-        asked = work.request
-        if not asked.inputs:
+        request = work.request
+        if not request.get("inputs"):
             raise InputError("are needed: images, meshes and files of markups, or folders of them", key="FILES")
-        robot_text = _text(robot_file(asked.robot))
+        robot_text = _text(robot_file(request.get("robot")))
         with images_kept():
             task = _task(work)
             content, scenario = _drafted(work, task)
         refuse_targets_without_room(scenario)
         for entry in task.entries:
-            refuse_entry_without_room(scenario, entry.points_mm[0] / 1e3, patch_radius_m(asked))
+            refuse_entry_without_room(scenario, entry.points_mm[0] / 1e3, patch_radius_m(request))
         for warning in scenario.warnings:
             work.note(warning)
         write_atomically(work.file(ROBOT), robot_text)
@@ -122,7 +120,7 @@ class ScenarioStep(Step):
 
 
 @dataclass(frozen=True, eq=False)
-class _Task:
+class _CaseTask:
     """What the files and options say."""
 
     frame: Frame
@@ -137,42 +135,45 @@ class _Task:
         return f"{', '.join(roles)}; {counts}, in {self.frame}"
 
 
-def _task(work: Work) -> _Task:
+def _task(work: Work) -> _CaseTask:
     """Structures with their roles, targets and entries; what was recognised is told. Raises InputError."""
-    asked = work.request
-    found = found_in(asked.inputs or (), asked.unit or UNIT, work.folder, asked.series, asked.phases or ())
-    lumens, avoids, ignored = asked.lumens or (), asked.avoids or (), asked.ignored or ()
-    aimed = aimed_at(found, asked.targets, (*lumens, *avoids, *ignored))
-    for sentence in found.notes:
+    request = work.request
+    inputs, phases = request.get("inputs", ()), request.get("phases", ())
+    result = content_of(inputs, request.get("unit", UNIT), work.folder, request.get("series"), phases)
+    lumens, avoids, ignored = request.get("lumens", ()), request.get("avoids", ()), request.get("ignored", ())
+    aimed = aimed_at(result, request.get("targets"), (*lumens, *avoids, *ignored))
+    for sentence in result.notes:
         work.note(sentence)
-    structures, told = chosen(found, lumens, avoids, ignored, tuple(aimed.values()))
-    frame = case_frame(asked.frame, [*(asked.targets or ()), *(asked.entries or ())])
+    structures, told = chosen(result, lumens, avoids, ignored, tuple(aimed.values()))
+    frame = case_frame(request.get("frame"), [*request.get("targets", ()), *request.get("entries", ())])
     points, more = middles(aimed, frame, lambda one: shape_of(work, one, frame))
     for sentence in (*told, *more):
         work.note(sentence)
-    targets = places_of("--target", asked.targets, [*found.markups, *points], frame, asked.file_frame)
-    entries = places_of("--entry", asked.entries, found.markups, frame, asked.file_frame)
-    return _Task(frame, structures, targets, entries)
+    targets = places_of(
+        "--target", request.get("targets"), [*result.markups, *points], frame, request.get("file_frame")
+    )
+    entries = places_of("--entry", request.get("entries"), result.markups, frame, request.get("file_frame"))
+    return _CaseTask(frame, structures, targets, entries)
 
 
-def _drafted(work: Work, task: _Task) -> tuple[dict[str, Any], Scenario]:
+def _drafted(work: Work, task: _CaseTask) -> tuple[dict[str, Any], Scenario]:
     """The scenario, as the content of its file and read."""
-    asked, structures = work.request, [one for one, _ in task.structures]
-    robot = load_robot(robot_file(asked.robot))
+    request, structures = work.request, [one for one, _ in task.structures]
+    robot = load_robot(robot_file(request.get("robot")))
     start = start_values(robot.drive, retracted(robot))
-    content = draft(asked, work.folder, task.frame, task.structures, task.targets, start)
+    content = draft(request, work.folder, task.frame, task.structures, task.targets, start)
     content["base"] = base_at(task.entries[0], task.targets)
-    beside = from_folder(work.folder, robot_file(asked.robot))
+    beside = from_folder(work.folder, robot_file(request.get("robot")))
     scenario = with_motion_margins(work, drafted(work, content, beside, structures), content)
-    if asked.sheath_mm is not None:
-        sheaths = _sheaths(scenario, task.entries, task.targets, asked.sheath_mm)
+    if "sheath_mm" in request:
+        sheaths = _sheaths(scenario, task.entries, task.targets, request["sheath_mm"])
         content["anatomy"] += sheaths
         alone = drafted(work, {**content, "anatomy": sheaths}, beside, ())  # images are not read again
         scenario = replace(scenario, anatomy=scenario.anatomy + alone.anatomy)
     return content, scenario
 
 
-def robot_file(said: str | None) -> Path:
+def robot_file(said: str | os.PathLike[str] | None) -> Path:
     """The robot's file as said, or that of the robot which cases are planned with where none is."""
     return Path(said) if said else Path(str(files("ctrplan.patients") / "robots" / DEFAULT_ROBOT))
 
@@ -212,34 +213,31 @@ def _counted(count: int, thing: str) -> str:
     )
 
 
-CONE_DEG, CANDIDATES = 20.0, 128
-
-
-class BasesStep(Step):
+class BasesStep(CaseStep):
     """`ctrplan.place` from each entry."""
 
     name = "bases"
     files = (BASES,)
 
     def made_from(self, work: Work) -> object:
-        said = work.request.part("radius_mm", "cone_deg", "candidates", "seed")
+        said = part(work.request, BasesOptions) | {"seed": work.request.get("seed")}
         return [said, work.state(SCENARIO, ROBOT, ENTRIES), raw_files(work.scenario(SCENARIO))]
 
     def make(self, work: Work) -> str:
-        found, reasons, tried = list[BasePose](), list[str](), 0
+        result, reasons, tried = list[BasePose](), list[str](), 0
         for scenario in self._entries(work):
             try:
                 placement = self._placed(work, scenario)
                 tried += placement.drawn
-                found += [pose for pose in placement.poses if pose.reached]
+                result += [pose for pose in placement.poses if pose.reached]
                 reasons += [] if placement.poses[0].reached else [placement.sentence.rstrip(".")]
             except NoAnswerError as error:
                 reasons.append(str(error).partition(": ")[2].rstrip(".") or str(error))
-        if not found:
+        if not result:
             place_mm = ", ".join(f"{x:.4g}" for x in work.scenario(SCENARIO).base_position_m * MM_PER_M)
             rule = f"nothing is reached from the entry [{place_mm}] mm: {reasons[0]}"
             raise NoAnswerError(f"{work.file(SCENARIO)}: {rule}. Another entry, --cone-deg or --radius-mm may help.")
-        ranked = sorted(found, key=lambda pose: pose.rank)
+        ranked = sorted(result, key=lambda pose: pose.rank)
         write_atomically(work.file(BASES), bases_text(ranked))
         best = ranked[0]
         error_mm = max(target.worst_m for target in best.targets if target.best) * MM_PER_M
@@ -247,14 +245,14 @@ class BasesStep(Step):
         return f"{len(ranked)} poses of {tried} tried; the best reaches {reached}, {error_mm:.2f} mm off at worst"
 
     def _placed(self, work: Work, scenario: Scenario) -> Placement:
-        asked = work.request
+        request = work.request
         placement = place(
             scenario,
             aim_m=scenario.base_position_m + scenario.base_R[:, 2] * _away(scenario),
-            radius_m=patch_radius_m(asked),
-            cone_rad=math.radians(CONE_DEG if asked.cone_deg is None else asked.cone_deg),
-            candidates=asked.candidates or CANDIDATES,
-            seed=asked.seed or 0,
+            radius_m=patch_radius_m(request),
+            cone_rad=math.radians(request.get("cone_deg", CONE_DEG)),
+            candidates=request.get("candidates", CANDIDATES),
+            seed=request.get("seed", 0),
             progress=work.progress,
             interrupted=work.stop,
         )
@@ -292,7 +290,7 @@ def _away(scenario: Scenario) -> float:
     return max(1e-3, float(np.linalg.norm(np.mean(tips, axis=0) - scenario.base_position_m)))
 
 
-class PlacedStep(Step):
+class PlacedStep(CaseStep):
     """The first row of the table; the plan tries the next ones where that has none."""
 
     name = "placed"
@@ -322,10 +320,7 @@ class PlacedStep(Step):
         return f"row {number} of {BASES}: at [{position}] mm, looking along [{way}]"
 
 
-TRIES = 3  # base poses that are planned from
-
-
-class PlanStep(Step):
+class PlanStep(CaseStep):
     """Plans from the base pose that was chosen, and from the next ones of the table where it has no plan."""
 
     name = "plan"
@@ -333,7 +328,7 @@ class PlanStep(Step):
     results = (f"{PLAN}/plan.json", f"{PLAN}/report.html")
 
     def made_from(self, work: Work) -> object:
-        said = work.request.part("seed", "time_s", "bases")
+        said = part(work.request, PlanOptions)
         return [said, work.state(PLACED, ROBOT), raw_files(work.scenario(PLACED))]
 
     def make(self, work: Work) -> str:
@@ -348,10 +343,10 @@ class PlanStep(Step):
         return _sentence(made) if row == first else f"from row {row} of {BASES}: {_sentence(made)}"
 
     def _planned(self, work: Work) -> Plan:
-        asked, record = work.request, work.record
+        request, record = work.request, work.record
         rows = 1 if record.edited("placed") else len(read_bases(work.file(BASES)))
         number = _row(record)
-        last = min(rows, number - 1 + (TRIES if asked.bases is None else asked.bases))
+        last = min(rows, number - 1 + request.get("bases", TRIES))
 
         def report(told: Progress) -> None:
             work.progress(told.stage, told.fraction)
@@ -360,8 +355,8 @@ class PlanStep(Step):
             try:
                 return plan(
                     work.scenario(PLACED),
-                    seed=asked.seed or 0,
-                    time_s=asked.time_s,
+                    seed=request.get("seed", 0),
+                    time_s=request.get("time_s"),
                     progress=report,
                     interrupted=work.stop,
                 )
@@ -377,7 +372,7 @@ class PlanStep(Step):
 
 
 def _row(record: Record) -> int:
-    """Of the table of bases, the one that stands in placed.toml."""
+    """The row of the table of bases that stands in placed.toml."""
     return record.steps["placed"].chosen if "placed" in record.steps else 1
 
 
@@ -395,8 +390,8 @@ def _sentence(made: Plan) -> str:
 STEPS = 40  # poses of the motion
 
 
-class SlicerStep(Step):
-    """As `ctrplan export --to slicer` does."""
+class SlicerStep(CaseStep):
+    """A scene of 3D Slicer, as `ctrplan export --to slicer` writes it."""
 
     name = "slicer"
     files = ()
@@ -412,7 +407,7 @@ class SlicerStep(Step):
         folder = output_folder(str(work.file(SLICER)), [SCENE])
         written = load_plan(work.file(f"{PLAN}/plan.json"), work.scenario(PLACED))
         motion = written_motion(written, STEPS, lambda share: work.progress("solving", share))
-        said = work.request.frame if written.scenario.frame is None else None  # of a scenario that people wrote
+        said = work.request.get("frame") if written.scenario.frame is None else None  # of a scenario that people wrote
         files = case_files(motion, patient_frame(written.scenario, said))
         write_results(folder, files)
         return f"{len(files)} files for 3D Slicer, {len(motion.path)} poses"

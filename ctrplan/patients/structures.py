@@ -23,7 +23,7 @@ from ctrplan.errors import InputError
 from ctrplan.files.slicer_markups import is_markups, read_markups
 
 if TYPE_CHECKING:
-    from ctrplan.files.slicer_markups import Markup
+    from ctrplan.files.slicer_markups import PlacedMarkup
 
 MOST_LABELS = 256  # of a label map; what has more values holds grey ones
 PACKED = re.compile(r"\.(seg\.nrrd|nii\.gz|mrk\.json)$|\.[^.]+$", re.IGNORECASE)
@@ -41,7 +41,7 @@ class Structure:
 
     @property
     def called(self) -> str:
-        """As messages list it."""
+        """The structure as messages list it."""
         return f"{self.name} ({self.size} in {self.file.name})"
 
 
@@ -93,8 +93,8 @@ def _labels(image: Image) -> dict[int, int]:
         numbers = counts[values]
     else:
         values, numbers = np.unique(voxels, return_counts=True)
-    found = {int(value): int(number) for value, number in zip(values, numbers, strict=True) if value != 0}
-    return found if len(found) <= MOST_LABELS else {}
+    results = {int(value): int(number) for value, number in zip(values, numbers, strict=True) if value != 0}
+    return results if len(results) <= MOST_LABELS else {}
 
 
 STEP_MM = 0.1  # to which a margin is rounded up
@@ -136,11 +136,11 @@ MOST_FILES = 200
 
 
 @dataclass(frozen=True)
-class Found:
+class CaseContent:
     """All that the inputs hold. grey: images of grey values, of which nothing is a structure by itself."""
 
     structures: tuple[Structure, ...]
-    markups: tuple[Markup, ...]
+    markups: tuple[PlacedMarkup, ...]
     grey: tuple[Path, ...]
     notes: tuple[str, ...] = ()
     series: str | None = None  # that is meant of a DICOM folder
@@ -151,19 +151,19 @@ class Found:
         return ", ".join(one.called for one in self.structures) or "no structures"
 
 
-def found_in(
+def content_of(
     inputs: Sequence[str],
     unit: str,
     output: Path,
     series: str | None = None,
     phases: Sequence[Sequence[str]] = (),
-) -> Found:
+) -> CaseContent:
     """What files and folders hold; what a case has written into `output` is none of it. Raises InputError.
 
     phases: files among them of one structure each, in several phases: what the first holds is found, the others go with
     it. Images in a folder that are too large, or of a kind that is not read, are left out with a note.
     """
-    structures, markups, grey, notes = list[Structure](), list["Markup"](), list[Path](), list[str]()
+    structures, markups, grey, notes = list[Structure](), list["PlacedMarkup"](), list[Path](), list[str]()
     later, named = later_phases(phases), [Path(name) for name in inputs]
     others = {file.resolve() for files in later.values() for file in files}
     for path in dict.fromkeys(_files(inputs, output)):
@@ -181,7 +181,7 @@ def found_in(
             grey += [] if within else [path]
             notes += [why_not] if why_not else []
     moving = [replace(one, phases=later.get(one.file.resolve(), ())) for one in structures]
-    return Found(tuple(moving), tuple(markups), tuple(grey), tuple(notes), series)
+    return CaseContent(tuple(moving), tuple(markups), tuple(grey), tuple(notes), series)
 
 
 def _files(inputs: Sequence[str], output: Path) -> Iterator[Path]:
@@ -244,7 +244,7 @@ RANGE = re.compile(r"\s*(above|below)\s*=\s*(-?\d+(\.\d+)?)\s*(,|$)")
 
 
 def chosen(
-    found: Found,
+    content: CaseContent,
     lumens: Sequence[str],
     avoids: Sequence[str],
     ignored: Sequence[str],
@@ -263,19 +263,19 @@ def chosen(
     ]
     for option, names, role in told:
         for name in names:
-            one = named(found, option, name)
+            one = named(content, option, name)
             if roles.setdefault(one, role) != role:
                 raise InputError("is said to be two things", key=option, value=name)
     for one in targets:
         if roles.setdefault(one, None) == "avoid":
             raise InputError("is said to be two things", key="--target", value=one.name)
-    recognised = {one: role for one in found.structures if one not in roles and (role := by_name(one.name))}
+    recognised = {one: role for one in content.structures if one not in roles and (role := by_name(one.name))}
     roles |= recognised
     taken = [(one, role) for one, role in roles.items() if role]
-    left = [one for one in found.structures if one not in roles]
+    left = [one for one in content.structures if one not in roles]
     if not taken:
         rule = "is needed, or --avoid: which structure the robot moves through and which it avoids can't be known of"
-        raise InputError(f"{rule} {found.listed}{_grey(found)}", key="--lumen")
+        raise InputError(f"{rule} {content.listed}{_grey(content)}", key="--lumen")
     return taken, [*_recognised(recognised), *_left(left)]
 
 
@@ -287,24 +287,24 @@ def by_name(name: str) -> Role | None:
     return "inside" if is_lumen else "avoid"
 
 
-def named(found: Found, option: str, text: str) -> Structure:
+def named(content: CaseContent, option: str, text: str) -> Structure:
     """The structure that an option names. Raises InputError with those that there are."""
-    one = matching(found, option, text)
+    one = matching(content, option, text)
     if one is None:
-        rule = f"is not there: the files hold {found.listed}{_grey(found)}"
+        rule = f"is not there: the files hold {content.listed}{_grey(content)}"
         raise InputError(rule, key=option, value=text)
     return one
 
 
-def matching(found: Found, option: str, text: str) -> Structure | None:
+def matching(content: CaseContent, option: str, text: str) -> Structure | None:
     """The structure that a text names; None where none is called so. Raises InputError for several."""
-    matches = [one for one in found.structures if text in (one.name, one.file.name)]
-    matches = matches or [one for one in found.structures if text.lower() == one.name.lower()]
+    matches = [one for one in content.structures if text in (one.name, one.file.name)]
+    matches = matches or [one for one in content.structures if text.lower() == one.name.lower()]
     file, colon, name = text.partition(":")
     if not matches and colon:
-        if (image := _grey_file(found, file)) is not None:
-            return _range(found, image, option, text, name)
-        within = [one for one in found.structures if file in (one.file.name, str(one.file))]
+        if (image := _grey_file(content, file)) is not None:
+            return _range(content, image, option, text, name)
+        within = [one for one in content.structures if file in (one.file.name, str(one.file))]
         matches = [one for one in within if name in (one.name, _group_of(one, name))]
         if not matches and within and within[0].entry["kind"] == "mesh":
             return Structure(within[0].file, name, "group", {**within[0].entry, "group": name})
@@ -312,7 +312,7 @@ def matching(found: Found, option: str, text: str) -> Structure | None:
         rule = f"is in several files, say which as FILE:{matches[0].name}: {', '.join(one.called for one in matches)}"
         raise InputError(rule, key=option, value=text)
     if len(matches) > 1:
-        rule = f"names several structures: the files hold {found.listed}{_grey(found)}"
+        rule = f"names several structures: the files hold {content.listed}{_grey(content)}"
         raise InputError(rule, key=option, value=text)
     return matches[0] if matches else None
 
@@ -322,11 +322,11 @@ def _group_of(one: Structure, name: str) -> str | None:
     return name if str(one.entry.get("label")) == name else None
 
 
-def _grey_file(found: Found, name: str) -> Path | None:
-    return next((path for path in found.grey if name in (path.name, str(path), stem(path))), None)
+def _grey_file(content: CaseContent, name: str) -> Path | None:
+    return next((path for path in content.grey if name in (path.name, str(path), stem(path))), None)
 
 
-def _range(found: Found, image: Path, option: str, text: str, said: str) -> Structure:
+def _range(content: CaseContent, image: Path, option: str, text: str, said: str) -> Structure:
     ends: dict[str, Any] = {}
     place = 0
     while match := RANGE.match(said, place):
@@ -337,14 +337,15 @@ def _range(found: Found, image: Path, option: str, text: str, said: str) -> Stru
             f"{image.name} has grey values: say a range as {image.name}:below=-500 or {image.name}:above=100,below=300"
         )
         raise InputError(rule, key=option, value=text)
-    series = {"series": found.series} if image.is_dir() and found.series else {}
+    series = {"series": content.series} if image.is_dir() and content.series else {}
     return Structure(image, said, "grey values", {"kind": "volume", **series, **ends})
 
 
-def _grey(found: Found) -> str:
-    if not found.grey:
+def _grey(content: CaseContent) -> str:
+    if not content.grey:
         return ""
-    return f"; {found.grey[0].name} has grey values, of which a range can be said as {found.grey[0].name}:below=-500"
+    name = content.grey[0].name
+    return f"; {name} has grey values, of which a range can be said as {name}:below=-500"
 
 
 def _recognised(roles: dict[Structure, Any]) -> list[str]:

@@ -1,9 +1,8 @@
-"""What the steps of a case share: the request, the record of what was made from what, bases.csv, the folder."""
+"""What the steps of a case share: the record of what was made from what, bases.csv, the folder."""
 
 from __future__ import annotations
 
 import csv
-import dataclasses
 import hashlib
 import io
 import json
@@ -22,70 +21,17 @@ from ctrplan.base.arrays import LONGEST_MM, MM_PER_M
 from ctrplan.base.long_work import StageProgress
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
+from ctrplan.patients.request import RADIUS_MM, Request, request_of
 from ctrplan.planning.base_pose import DIGITS, MM_DIGITS, BaseFrame, BasePose, as_written
 from ctrplan.plans.plan import Plan
 from ctrplan.scenario.scenario import Scenario
 from ctrplan.storage.csv_table import CsvTable, file_bytes
 from ctrplan.storage.output_folder import write_atomically
 
-RADIUS_MM = 4.0  # of the patch of base poses, where none is said
-Place = tuple[float, float, float] | str  # mm in the case's frame; or a file of markups, a label in one, a structure
-
-
-@dataclass(frozen=True)
-class Request:
-    """None where nothing is said. Lengths in mm, angles in deg, as in the files that a case writes."""
-
-    inputs: tuple[str, ...] | None = None  # files and folders
-    targets: tuple[Place, ...] | None = None
-    entries: tuple[Place, ...] | None = None
-    frame: str | None = None  # of the case, in which numbers are said
-    file_frame: str | None = None  # of files that do not say theirs
-    unit: str | None = None  # of meshes
-    series: str | None = None  # UID, of a DICOM folder with several
-    repair: str | None = None  # of their openings: holes, caps or off
-    lumens: tuple[str, ...] | None = None
-    avoids: tuple[str, ...] | None = None
-    ignored: tuple[str, ...] | None = None
-    phases: tuple[tuple[str, ...], ...] | None = None  # files of one structure each
-    motion_margin_mm: float | None = None  # for places between phases
-    robot: str | None = None
-    margin_mm: float | None = None
-    surface_error_mm: float | None = None
-    tolerance_mm: float | None = None
-    sheath_mm: float | None = None
-    radius_mm: float | None = None
-    cone_deg: float | None = None
-    candidates: int | None = None
-    bases: int | None = None
-    seed: int | None = None
-    time_s: float | None = None
-
-    def over(self, earlier: Request) -> Request:
-        """What is said here, and what the earlier run said of the rest; named inputs begin a new case."""
-        if self.inputs is not None:
-            return self
-        said = {name: value for name, value in vars(self).items() if value is not None}
-        return dataclasses.replace(earlier, **said)
-
-    def part(self, *names: str) -> dict[str, Any]:
-        """Some of it, by name."""
-        return {name: getattr(self, name) for name in names}
-
-    @classmethod
-    def of(cls, content: Mapping[str, Any]) -> Request:
-        """As JSON had it."""
-        known = {field.name for field in dataclasses.fields(cls)}
-        return cls(**{name: _tuples(value) for name, value in content.items() if name in known})
-
 
 def patch_radius_m(request: Request) -> float:
     """[m] around an entry in which base poses are looked for."""
-    return (RADIUS_MM if request.radius_mm is None else request.radius_mm) / MM_PER_M
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+    return request.get("radius_mm", RADIUS_MM) / MM_PER_M
 
 
 FILE = "case.json"
@@ -93,7 +39,7 @@ LARGEST_FILE_BYTES = 5_000_000
 
 
 @dataclass
-class Made:
+class MadeFile:
     """One step's result: the key of what it was made from, and the hash of each file as it was written."""
 
     key: str = ""
@@ -108,39 +54,38 @@ class Record:
 
     def __init__(self, folder: Path) -> None:
         """Reads it where it is there. Raises InputError for a file that is none of a case."""
-        self.folder, self.request, self.steps = folder, Request(), dict[str, Made]()
+        self.folder, self.request, self.steps = folder, Request(), dict[str, MadeFile]()
         self.is_new = not (folder / FILE).exists()
         if self.is_new:
             return
         text = file_bytes(str(folder / FILE), LARGEST_FILE_BYTES, "JSON", "record of a case")
         try:
             content = json.loads(text)
-            self.request = Request.of(content["request"])
-            self.steps = {name: Made(**made) for name, made in content["steps"].items()}
+            self.request = request_of(content["request"])
+            self.steps = {name: MadeFile(**made) for name, made in content["steps"].items()}
         except (ValueError, KeyError, TypeError, AttributeError):
             raise InputError("is no record of a case: remove it to begin anew", file=folder / FILE) from None
 
     def write(self) -> None:
         """Writes the file, whole."""
-        request = {name: value for name, value in vars(self.request).items() if value is not None}
         steps = {name: vars(made) for name, made in self.steps.items()}
-        write_atomically(self.folder / FILE, json.dumps({"request": request, "steps": steps}, indent=1) + "\n")
+        write_atomically(self.folder / FILE, json.dumps({"request": self.request, "steps": steps}, indent=1) + "\n")
 
     def edited(self, name: str) -> list[str]:
         """Files of a step that are not as it wrote them."""
-        made = self.steps.get(name, Made())
+        made = self.steps.get(name, MadeFile())
         if made.pending:
             return []
         return [file for file, digest in made.files.items() if digest_of(self.folder / file) != digest]
 
     def begin(self, name: str) -> None:
         """Notes that a step's files are about to be written: what a kill leaves is nobody's edit."""
-        self.steps[name] = Made(pending=True)
+        self.steps[name] = MadeFile(pending=True)
         self.write()
 
     def end(self, name: str, key: str, files: Mapping[str, str], sentence: str, chosen: int = 1) -> None:
         """Notes that they are there."""
-        self.steps[name] = Made(key, dict(files), sentence, chosen=chosen)
+        self.steps[name] = MadeFile(key, dict(files), sentence, chosen=chosen)
         self.write()
 
 
@@ -200,7 +145,7 @@ class Work:
         """Notes what reading a file of the case would give."""
         self.read[digest_of(self.file(name))] = scenario
 
-    def end(self, step: Step, sentence: str, chosen: int = 1) -> None:
+    def end(self, step: CaseStep, sentence: str, chosen: int = 1) -> None:
         """Notes that a step's files are there, and what they were made from."""
         there = [name for name in (*step.files, *step.results) if self.file(name).exists()]
         digests = {name: digest_of(self.file(name)) for name in there}
@@ -211,7 +156,7 @@ class Work:
         return [digest_of(self.file(name)) for name in names]
 
 
-class Step(ABC):
+class CaseStep(ABC):
     """A step of a case."""
 
     name: ClassVar[str]
@@ -240,7 +185,7 @@ NORM_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Row:
+class BaseRow:
     """A base pose of the table."""
 
     number: int  # from 1
@@ -260,7 +205,7 @@ def bases_text(poses: Sequence[BasePose]) -> str:
     return stream.getvalue()
 
 
-def read_bases(file: Path) -> list[Row]:
+def read_bases(file: Path) -> list[BaseRow]:
     """The poses in their order. Raises InputError for a table without the columns, and for what turns nothing."""
     table = CsvTable(str(file), "table of base poses")
     for name in (*POSITION, *TURN):
@@ -274,7 +219,9 @@ def read_bases(file: Path) -> list[Row]:
         if not abs(np.linalg.norm(turn[k]) - 1) <= NORM_TOLERANCE:
             raise table.fault(f"must have norm 1 within {NORM_TOLERANCE}", k, "qw, qx, qy, qz")
     return [
-        Row(k + 1, as_written(BaseFrame(position[k] / MM_PER_M, Rotation.from_quat(np.roll(turn[k], -1)).as_matrix())))
+        BaseRow(
+            k + 1, as_written(BaseFrame(position[k] / MM_PER_M, Rotation.from_quat(np.roll(turn[k], -1)).as_matrix()))
+        )
         for k in range(len(position))
     ]
 

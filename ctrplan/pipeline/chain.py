@@ -52,7 +52,7 @@ class Chain:
         return cls(ideal, tuple(given for given in acting if not given.effect.sets_outright))
 
     def on(self, time_s: Array | None, more: Mapping[str, Array], *, of_collars: bool = False) -> Chain:
-        """The same without effects that need a column which these data do not have.
+        """This chain without effects that need a column which these data do not have.
 
         of_collars: joints are those of the collars, which the drive has moved already.
         """
@@ -67,8 +67,8 @@ class Chain:
 
     def homed(self, commanded: Collars, data: Measurements) -> Collars:
         """What was commanded, (K, n), from the zeros that the runs of the K poses have."""
-        found = (given.effect.zeros(given.values, data) for given in self.of_stage("drive"))
-        off = [zeros for zeros in found if zeros is not None]
+        result = (given.effect.zeros(given.values, data) for given in self.of_stage("drive"))
+        off = [zeros for zeros in result if zeros is not None]
         if not off:
             return commanded
         total = np.sum(off, axis=0)
@@ -115,8 +115,8 @@ class Chain:
         """(K, 3) [rad] by which what is in front of the plate is turned at K collars; None where nothing turns it."""
         robot = self.mechanics
         turns = [given.effect.plate_turn(given.values, robot, collars) for given in self.of_stage("mechanics")]
-        found = [turn for turn in turns if turn is not None]
-        return np.sum(found, axis=0) if found else None
+        results = [turn for turn in turns if turn is not None]
+        return np.sum(results, axis=0) if results else None
 
     def seen(self, poses: Poses, collars: Collars, data: Measurements) -> Poses:
         """What is measured of the K poses of the tip: turned with the plate, then as the sensor has them."""
@@ -173,13 +173,13 @@ class Chain:
 
 def acting_in_file(robot: Robot) -> tuple[Acting, ...]:
     """The effects of a robot's file with their values in SI, in the order of the file."""
-    found = []
+    results = []
     for name, table in robot.effects.items():
         effect = effect_of(name, table, robot.n)
         si = {parameter.name: parameter.si for parameter in effect.parameters(robot.ideal or robot)}
         values = {key: float(value) * si[key] for key, value in table.items() if key not in FILE_NOTES}
-        found.append(Acting(effect, values))
-    return tuple(found)
+        results.append(Acting(effect, values))
+    return tuple(results)
 
 
 def taken_along(
@@ -209,10 +209,10 @@ def at_instants(data: Measurements, table: Array, delay_s: Array | float) -> Arr
     """
     if not np.any(delay_s) or data.time_s is None:
         return table[data.rows]
-    found = np.empty((data.count, table.shape[1]))
+    result = np.empty((data.count, table.shape[1]))
     for run in np.unique(data.sequence[data.rows]).tolist():
         waypoints, poses = np.flatnonzero(data.sequence == run), data.sequence[data.rows] == run
         times, delays = data.time_s[data.rows[poses]], np.broadcast_to(delay_s, table.shape[1])
         columns = zip(delays, table[waypoints].T, strict=True)
-        found[poses] = np.column_stack([np.interp(times - late, data.time_s[waypoints], c) for late, c in columns])
-    return found
+        result[poses] = np.column_stack([np.interp(times - late, data.time_s[waypoints], c) for late, c in columns])
+    return result

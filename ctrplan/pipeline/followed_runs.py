@@ -71,11 +71,11 @@ def followed(chain: ParametricChain, p: Array) -> Followed:
         rows = rows[needed_waypoints(collars.theta[rows], l_b[rows], asked)]
         table[rows], failed = _run(robot, collars.theta[rows], l_b[rows])
         restarts += failed
-    found, ends = table[data.rows], np.cumsum([0, 3, 3, robot.n - 1])
-    position, tangent, phi = (found[:, a:b] for a, b in pairwise(ends.tolist()))
+    result, ends = table[data.rows], np.cumsum([0, 3, 3, robot.n - 1])
+    position, tangent, phi = (result[:, a:b] for a, b in pairwise(ends.tolist()))
     if robot.markers:
         body = on_body(robot, data)
-        markers = found[body, ends[-1] :].reshape(-1, len(robot.markers), 6)
+        markers = result[body, ends[-1] :].reshape(-1, len(robot.markers), 6)
         seen = markers[np.arange(len(markers)), data.seen_marker[body] - 1]
         position[body], tangent[body] = seen[:, :3], seen[:, 3:]
     return Followed(position, tangent, phi, restarts)

@@ -77,7 +77,7 @@ def range_notes(
 
 
 def plan_range_notes(robot: Robot, joints: Array) -> tuple[str, ...]:
-    """The same of joint values (K, m), in the order of the drive."""
+    """Where built terms leave their data, as `range_notes`, at joint values (K, m) in the order of the drive."""
     return range_notes(robot, *robot.drive.commanded(joints))
 
 

@@ -81,12 +81,12 @@ class Differenced(Protocol):
 
 def marker_columns(chain: Differenced, data: Measurements, p: Array, here_m: Array, by: Array) -> Array:
     """(K, 3, P) of markers that are at (K, 3) [m], those of the sensor as they are; `data` remember slopes."""
-    places, found = chain.stages(), by.copy()
+    places, result = chain.stages(), by.copy()
     names = [(t.key, q.name) for t in chain.terms for q in t.parameters]
     for j in (*places["clock"], *places["drive"], *places["mechanics"]):
         column = partial(_differenced, chain, p, j, here_m)
-        found[:, :, j] = remembered(data, names[j], here_m, float(p[j]), float(chain.prior[j]), column)
-    return found
+        result[:, :, j] = remembered(data, names[j], here_m, float(p[j]), float(chain.prior[j]), column)
+    return result
 
 
 def _differenced(chain: Differenced, p: Array, j: int, here_m: Array) -> Array:
@@ -220,7 +220,9 @@ class ParametricChain(TermValues):
         return _followed(table, changes)[0], table.sound
 
     def _of_markers(self, p: Array, here_m: Array, by: Array) -> None:
-        """Of markers, now at (K, 3) [m], by differences of whole solves: the core differentiates tips alone."""
+        """Derivatives of markers, now at (K, 3) [m], by differences of whole solves: the core differentiates tips
+        alone.
+        """
         if self._body.any():
             chain = self._body_chain
             chain.followed_phi = None if self.followed_phi is None else self.followed_phi[self._body]
@@ -244,7 +246,7 @@ class ParametricChain(TermValues):
 
     @cached_property
     def _body_chain(self) -> ParametricChain:
-        """The same of these poses alone."""
+        """The chain of these poses alone."""
         return ParametricChain(self.robot, self.data.subset(self._body), self.terms)
 
     def _tip_x(self, chain: Chain, collars: Collars, phi: Array, tangent: Array) -> Array:

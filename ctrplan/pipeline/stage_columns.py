@@ -72,7 +72,9 @@ class StageColumns:
         return [*self.numbers, *self.joints]
 
     def of_tips(self, table: TipTable, collars: Collars, by: Array) -> None:
-        """Of clock, drive and mechanics; the table's last derivatives are by numbers that differ from pose to pose."""
+        """Columns of clock, drive and mechanics; the table's last derivatives are by numbers that differ from pose to
+        pose.
+        """
         upstream, first = np.concatenate([table.position_by, table.tangent_by], axis=1), len(self.numbers)
         last = first + len(self.joints)
         by += upstream[:, :, :first] @ self._numbers_by
@@ -81,7 +83,7 @@ class StageColumns:
         self._release_columns(collars, table, by)
 
     def of_what_is_seen(self, poses: Poses, collars: Collars, seen: Poses, by: Array) -> None:
-        """Of plate and sensor, through which all columns so far are taken."""
+        """Columns of plate and sensor, through which all columns so far are taken."""
         chain = self.chain
         if not chain.of_stage("sensor") and chain.plate_turn(collars) is None:
             return
@@ -117,7 +119,7 @@ class StageColumns:
         return [names[k] for k in changed], by[changed]
 
     def _joint_columns(self, upstream: Array, by: Array) -> None:
-        """Of clock and drive, (K, 6, 2 n) the tips by the collars."""
+        """Columns of clock and drive, (K, 6, 2 n) the tips by the collars."""
 
         def joints(p: Array) -> Array:
             collars = self.of.collars(p)
@@ -128,7 +130,7 @@ class StageColumns:
             by[:, :, j] = np.einsum("kcj,kj->kc", upstream, self._difference(joints, j))
 
     def _changing_columns(self, upstream: Array, by: Array) -> None:
-        """Of numbers that differ from pose to pose, (K, 6, C) the tips by them."""
+        """Columns of numbers that differ from pose to pose, (K, 6, C) the tips by them."""
         if not upstream.shape[2]:
             return
 

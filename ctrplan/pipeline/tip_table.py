@@ -65,12 +65,12 @@ def tip_table(
     rows = np.hstack([theta_b, inside, phi])
     first, back = distinct(rows)
     table = _solved(_TipRequest.of(robot, rows[first], names, accuracy))
-    found = TipTable(*(getattr(table, key)[back] for key in TipTable.__dataclass_fields__))
-    return replace(found, sound=found.sound & sound)
+    result = TipTable(*(getattr(table, key)[back] for key in TipTable.__dataclass_fields__))
+    return replace(result, sound=result.sound & sound)
 
 
 def distinct(rows: Array) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
-    """Of rows (K, c): the numbers (D,) of those that differ, and which of them each is (K,)."""
+    """The numbers (D,) of rows (K, c) that differ, and which of them each is (K,)."""
     _, first, back = np.unique(np.round(rows / SAME) * SAME, axis=0, return_index=True, return_inverse=True)
     return first, back.ravel()
 
@@ -143,9 +143,9 @@ _FOUND: WeakKeyDictionary[Measurements, list[_TipResult]] = WeakKeyDictionary()
 def remembered_tip_x(data: Measurements, robot: Robot, collars: Collars, phi: Array, tangent: Array) -> Array:
     """(K, 3) x axes of K poses in friction states (K, n - 1), whose tangents are (K, 3)."""
     known = _FOUND.setdefault(data, [])
-    for found in known:
-        if found.serves(collars, phi, tangent):
-            return found.x
+    for result in known:
+        if result.serves(collars, phi, tangent):
+            return result.x
     rows = zip(collars.theta, nested(robot, collars.l), phi, strict=True)
     x = read_only(np.array([robot.solve(*row).tubes[-1].frames[-1, :, 0] for row in rows]))
     known.insert(0, _TipResult(tangent, collars, phi, x))
@@ -156,8 +156,8 @@ def remembered_tip_x(data: Measurements, robot: Robot, collars: Collars, phi: Ar
 def on_body(robot: Robot, data: Measurements) -> NDArray[np.bool_]:
     """(K,) poses of markers that are not the robot's tip itself."""
     elsewhere = np.array([False, *(not marker.is_tip(robot.n) for marker in robot.markers)])
-    found: NDArray[np.bool_] = elsewhere[data.seen_marker]
-    return found
+    result: NDArray[np.bool_] = elsewhere[data.seen_marker]
+    return result
 
 
 def markers_on(robot: Robot, shape: Shape, l_b: Array) -> tuple[Array, Array]:
@@ -190,16 +190,16 @@ def point_table(
     tips = tip_table(robot, collars.theta[~body], collars.l[~body], phi[~body], names, accuracy)
     if not body.any():
         return tips
-    found = TipTable(
+    result = TipTable(
         np.empty((data.count, 3)), np.empty((data.count, 3)), *np.zeros((2, data.count), bool),
         *np.zeros((2, data.count, 3, len(names))),
     )  # fmt: skip
     markers = _marker_table(robot, data.seen_marker[body], collars.theta[body], collars.l[body], phi[body], accuracy)
     for name in TipTable.__dataclass_fields__:
-        getattr(found, name)[~body] = getattr(tips, name)
+        getattr(result, name)[~body] = getattr(tips, name)
         if not name.endswith("by"):
-            getattr(found, name)[body] = getattr(markers, name)
-    return found
+            getattr(result, name)[body] = getattr(markers, name)
+    return result
 
 
 def _marker_table(
@@ -221,7 +221,7 @@ def _marker_table(
 
 
 def _shapes(robot: Robot, theta_b: Array, l_b: Array, phi: Array, accuracy: Accuracy) -> list[Shape]:
-    """Of D configurations, on every core: the core solves without Python's lock."""
+    """Shapes of D configurations, on every core: the core solves without Python's lock."""
     solve = partial(robot.mechanics.solve, accuracy=accuracy)
     with ThreadPoolExecutor(min(cores(), len(theta_b))) as pool:
         return list(pool.map(solve, theta_b, l_b, phi))
@@ -259,11 +259,11 @@ def registered(robot: Robot, data: Measurements, frames: Mapping[int, str]) -> M
 def _believed_m(robot: Robot, data: Measurements) -> Array:
     """(K, 3) [m] where the robot file has the measured points without clearance and friction; NaN where it has none."""
     theta_b, l_b = _collars(robot, data)
-    found, _, _ = robot.mechanics.tips(theta_b, l_b)
+    result, _, _ = robot.mechanics.tips(theta_b, l_b)
     for k in np.flatnonzero(on_body(robot, data)).tolist():
         shape = robot.zero_clearance(theta_b[k], l_b[k])
-        found[k] = markers_on(robot, shape, l_b[k])[0][data.seen_marker[k] - 1]
-    return found
+        result[k] = markers_on(robot, shape, l_b[k])[0][data.seen_marker[k] - 1]
+    return result
 
 
 def _collars(robot: Robot, data: Measurements) -> tuple[Array, Array]:

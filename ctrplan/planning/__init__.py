@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ctrplan.base.lazy_names import lazy_names
+from ctrplan.base.package import lazy_names
 
 if TYPE_CHECKING:
     from ctrplan.certificate.certificate import Certificate as Certificate

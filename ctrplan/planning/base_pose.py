@@ -219,13 +219,13 @@ def _why_not(checker: MotionChecker, way: Configuration) -> str:
 
 def _reached(checker: MotionChecker, goal: Goal, seed: int) -> ReachedTarget:
     target = tip_target(replace(checker.scenario, goal=goal, via=()))
-    found = reach(checker, target, goal.tolerance_m, np.random.default_rng(seed), STARTS)
-    ways = found.configurations
+    result = reach(checker, target, goal.tolerance_m, np.random.default_rng(seed), STARTS)
+    ways = result.configurations
     valid = [way for way in ways if way.valid]
     if valid:
         return ReachedTarget(goal, len(ways), len(valid), min(valid, key=lambda c: c.tip_error_m + c.bound_m), "")
     if ways:
         return ReachedTarget(goal, len(ways), 0, None, _why_not(checker, max(ways, key=lambda c: c.clearance_m)))
-    near = found.nearest.tip_error_m
+    near = result.nearest.tip_error_m
     why = f"the nearest tip is {near * 1e3:.3g} mm away" if near > goal.tolerance_m else "the direction is not reached"
     return ReachedTarget(goal, 0, 0, None, why)

@@ -135,12 +135,12 @@ class Screen:
     def look(self, poses: Sequence[BaseFrame]) -> list[PoseScore]:
         """What several poses, at least one, seem to be worth."""
         tried = self._attempts(poses)
-        found = self.solver.solve(TipTarget(tried.goal), tried.q, STEPS, turned=False)
-        room = self._rooms_of(poses, tried.pose, found.joints)
-        usable = found.error_m <= self.tolerance_m[tried.target] + GAP_M
-        usable &= (room > DEFINITE_COLLISION_M) & self._looks_right(poses, tried, found.tangent)
-        bound = self._bounds(found.joints, np.flatnonzero(usable))
-        reaches = found.error_m <= self.tolerance_m[tried.target]
+        result = self.solver.solve(TipTarget(tried.goal), tried.q, STEPS, turned=False)
+        room = self._rooms_of(poses, tried.pose, result.joints)
+        usable = result.error_m <= self.tolerance_m[tried.target] + GAP_M
+        usable &= (room > DEFINITE_COLLISION_M) & self._looks_right(poses, tried, result.tangent)
+        bound = self._bounds(result.joints, np.flatnonzero(usable))
+        reaches = result.error_m <= self.tolerance_m[tried.target]
         return [
             self._worth(pose, tried.target[rows], bound[rows], room[rows], reaches[rows])
             for pose, rows in _each(poses, tried)
@@ -170,8 +170,8 @@ class Screen:
         if self.grid is None:
             return np.full(len(q), np.inf)
         field = grid_from(self.grid, pose)
-        found = self.solver.mechanics.zero_clearance_rooms(*self.solver.space.drive.collars(q), field)[0]
-        return np.asarray(found - self.limits.clearance_m)
+        result = self.solver.mechanics.zero_clearance_rooms(*self.solver.space.drive.collars(q), field)[0]
+        return np.asarray(result - self.limits.clearance_m)
 
     def _looks_right(self, poses: Sequence[BaseFrame], tried: _Attempts, tangent: Array) -> NDArray[np.bool_]:
         """(K,) whether tips point about where their targets ask them to."""

@@ -76,18 +76,18 @@ def corrected(corners: Array, legs: int, is_rotation: NDArray[np.bool_], delta: 
 
 def predicted_arrives(scenario: Scenario, samples: CertificateSamples, prediction: PathPrediction) -> list[str]:
     """Sentences if a predicted tip misses the goal, or the target is outside the worst-case envelope."""
-    target, tolerance, found = target_in_robot_frame(scenario), scenario.goal.tolerance_m, []
+    target, tolerance, result = target_in_robot_frame(scenario), scenario.goal.tolerance_m, []
     error = float(np.linalg.norm(prediction.tip_m[:, -1] - target, axis=1).max())
     if not error <= tolerance:
         allowed = f"{tolerance * MM_PER_M:g} mm"
-        found.append(f"The predicted tip ends {error * MM_PER_M:.2f} mm from the target, tolerance {allowed}.")
+        result.append(f"The predicted tip ends {error * MM_PER_M:.2f} mm from the target, tolerance {allowed}.")
     shift, bound = float(np.linalg.norm(samples.tip_m[-1] - target)), float(samples.bound_m[-1])
     if not shift <= bound + tolerance:
         shown = (
             f"{shift * MM_PER_M:.2f} mm from the frictionless tip, the worst-case error is {bound * MM_PER_M:.2f} mm"
         )
-        found.append(f"The target lies outside the worst-case envelope: {shown}.")
-    return found
+        result.append(f"The target lies outside the worst-case envelope: {shown}.")
+    return result
 
 
 def _arrival_error(certificate: Certificate, target: Array) -> float:

@@ -72,12 +72,12 @@ def _descend(checker: MotionChecker, trails: list[Trail]) -> None:
             further = space.wound_into_limits(q + step_mm[going, None] * down[going])
             back = solver.solve(TipTarget(aim[going]), space.projected(further, fallback=q), TIP_STEPS, turned=False)
             checker.meter.add(ROOM_NS * TIP_STEPS * len(going))
-            found = list(pool.map(lambda joints: _goal_state(checker, joints), back.joints))
+            result = list(pool.map(lambda joints: _goal_state(checker, joints), back.joints))
             least = [MIN_PROGRESS * trails[k][-1].bound_m for k in going]
-            lower = np.array([state.bound_m < bound_m for state, bound_m in zip(found, least, strict=True)])
+            lower = np.array([state.bound_m < bound_m for state, bound_m in zip(result, least, strict=True)])
             moved = going[lower]
             for k, i in zip(moved.tolist(), np.flatnonzero(lower).tolist(), strict=True):
-                trails[k].append(found[i])
+                trails[k].append(result[i])
             step_mm[going] *= np.where(lower, LONGER, SHORTER)
 
 
@@ -101,9 +101,9 @@ def _goal_state(checker: MotionChecker, joints: Array) -> GoalState:
     goal, target = checker.scenario.goal, tip_target(checker.scenario)
     if checker.is_definite_collision(joints):
         return GoalState(joints, np.inf, np.inf)
-    found = configuration(checker, target, joints)
-    on_target = found.tip_error_m <= goal.tolerance_m and found.turned_rad <= target.direction_tolerance_rad
-    return GoalState(joints, found.bound_m if found.valid and on_target else np.inf, found.tip_error_m)
+    result = configuration(checker, target, joints)
+    on_target = result.tip_error_m <= goal.tolerance_m and result.turned_rad <= target.direction_tolerance_rad
+    return GoalState(joints, result.bound_m if result.valid and on_target else np.inf, result.tip_error_m)
 
 
 LARGEST_SET = 24
@@ -115,16 +115,16 @@ def goal_states(checker: MotionChecker, rng: np.random.Generator) -> list[GoalSt
     Raises NoAnswerError, saying why, when the goal is out of reach, blocked, or no state keeps the required error.
     """
     goal = checker.scenario.goal
-    found = [_joint_goal(checker, goal.joints)] if goal.joints is not None else _tip_goals(checker, rng)
-    found.sort(key=lambda state: state.bound_m)
+    result = [_joint_goal(checker, goal.joints)] if goal.joints is not None else _tip_goals(checker, rng)
+    result.sort(key=lambda state: state.bound_m)
     limit = checker.scenario.cost.max_error_goal_m
-    kept = [state for state in found if limit is None or state.bound_m <= limit]
+    kept = [state for state in result if limit is None or state.bound_m <= limit]
     if limit is not None and not kept:
-        lowest = [trail[-1] for trail in descended(checker, _choice(checker, found))]
-        found = sorted(found + lowest, key=lambda state: state.bound_m)
-        kept = [state for state in found if state.bound_m <= limit]
+        lowest = [trail[-1] for trail in descended(checker, _choice(checker, result))]
+        result = sorted(result + lowest, key=lambda state: state.bound_m)
+        kept = [state for state in result if state.bound_m <= limit]
     if not kept:
-        required, best = (limit or 0) * MM_PER_M, found[0].bound_m * MM_PER_M
+        required, best = (limit or 0) * MM_PER_M, result[0].bound_m * MM_PER_M
         raise _no_answer(
             checker,
             f"no goal state keeps the required worst-case error of {required:g} mm, the best has {best:.2f} mm",
@@ -169,12 +169,12 @@ def _joint_goal(checker: MotionChecker, joints: Array) -> GoalState:
 def _tip_goals(checker: MotionChecker, rng: np.random.Generator) -> list[GoalState]:
     scenario, goal = checker.scenario, checker.scenario.goal
     refuse_blocked_target(checker)
-    found = reach(checker, tip_target(scenario), goal.tolerance_m, rng, least_room_m=checker.definite_collision_m)
-    if not found.configurations:
-        raise _no_answer(checker, _unreached(scenario, found))
-    valid = [c for c in found.configurations if c.valid]
+    result = reach(checker, tip_target(scenario), goal.tolerance_m, rng, least_room_m=checker.definite_collision_m)
+    if not result.configurations:
+        raise _no_answer(checker, _unreached(scenario, result))
+    valid = [c for c in result.configurations if c.valid]
     if not valid:
-        usual = _usual_reason(checker, found.configurations)
+        usual = _usual_reason(checker, result.configurations)
         raise _no_answer(checker, f"every configuration found that reaches it is invalid, most often because {usual}")
     return [GoalState(c.joints, c.bound_m, c.tip_error_m) for c in valid]
 
@@ -192,9 +192,9 @@ def _kind(reason: str) -> str:
     return re.sub(r"-?\d[\d.]*", "", reason)
 
 
-def _unreached(scenario: Scenario, found: Reach) -> str:
-    nearest, allowed_mm = found.nearest, found.tolerance_m * MM_PER_M
-    if nearest.tip_error_m <= found.tolerance_m:
+def _unreached(scenario: Scenario, result: Reach) -> str:
+    nearest, allowed_mm = result.nearest, result.tolerance_m * MM_PER_M
+    if nearest.tip_error_m <= result.tolerance_m:
         return (
             f"reached, but at best {np.degrees(nearest.turned_rad):.1f} deg from {scenario.goal.table}.direction, "
             "beyond its tolerance"
@@ -232,7 +232,7 @@ def is_at_goal(scenario: Scenario) -> bool:
 
 def turn_notes(scenario: Scenario, ends: Sequence[Array]) -> tuple[str, ...]:
     """A sentence for every unlimited rotation that ends whole turns from the joint goal; ends: (m,) at each target."""
-    found = []
+    results = []
     for goal, end in zip(scenario.targets, ends, strict=True):
         if goal.joints is None:
             continue
@@ -240,8 +240,8 @@ def turn_notes(scenario: Scenario, ends: Sequence[Array]) -> tuple[str, ...]:
         for joint, wraps, asked, reached in zip(drive.joints, drive.wraps, goal.joints, end, strict=True):
             if wraps and abs(asked - reached) > np.pi:
                 asked_deg, reached_deg = np.degrees([asked, reached])
-                found.append(
+                results.append(
                     f"{joint.name} = {asked_deg:.6g} deg is reached at {reached_deg:.6g} deg, whole turns from it; "
                     "with limits (min_deg, max_deg) the joint would count its turns."
                 )
-    return tuple(found)
+    return tuple(results)

@@ -35,11 +35,11 @@ def follow_line(checker: MotionChecker, start: Array, goal: Goal) -> tuple[Array
     if shift is None:
         return start[None], "the mechanics solver failed at the line's beginning"
     for point in points[1:]:
-        found = _next(checker, joints[-1], point, shift, SHARE * goal.tolerance_m)
-        if found is None:
+        result = _next(checker, joints[-1], point, shift, SHARE * goal.tolerance_m)
+        if result is None:
             at = [round(float(x) * 1e3, 1) for x in scenario.base_R @ point + scenario.base_position_m]
             return start[None], f"the tip can't follow the line beyond {at} mm"
-        q, shift = found
+        q, shift = result
         joints.append(q)
     q = np.array(joints)
     corners = q[_corners(checker, q, line, SHARE * goal.tolerance_m)]
@@ -89,12 +89,12 @@ def _next(checker: MotionChecker, q: Array, point: Array, shift: Array, within_m
     """Joint values at the next point of the line, near q, and the shift there."""
     solver = TipSolver(checker.space, checker.mechanics)
     for _ in range(CORRECTIONS):
-        found = solver.solve(TipTarget(point + shift), q[None], turned=False)
-        moved = found.joints[0]
+        result = solver.solve(TipTarget(point + shift), q[None], turned=False)
+        moved = result.joints[0]
         now = _shift(checker, moved)
         if now is None or checker.space.length_mm(moved - q) > LONGEST_JUMP_MM:
             return None
-        if np.linalg.norm(found.tip_m[0] - now - point) <= 0.3 * within_m:
+        if np.linalg.norm(result.tip_m[0] - now - point) <= 0.3 * within_m:
             return moved, now
         shift = now
     return None

@@ -59,8 +59,8 @@ def settle(
             if not checked.valid:
                 continue
             if checked.goal_predicted_m >= before:
-                left, found = checked.goal_predicted_m * MM_PER_M, before * MM_PER_M
-                reason = f"it would leave a predicted error of {left:.2f} mm instead of {found:.2f} mm"
+                left, result = checked.goal_predicted_m * MM_PER_M, before * MM_PER_M
+                reason = f"it would leave a predicted error of {left:.2f} mm instead of {result:.2f} mm"
                 return Settled(corners, certificate, f"The settling oscillation was left out: {reason}.")
             swing = Settling(float(amplitude), turns, len(corners) - 1, np.inf, before, np.inf)
             return Settled(swung, replace(checked, settling=settled_again(swing, checked, 0)))
@@ -110,7 +110,7 @@ def _best_first(checker: MotionChecker, corners: Array, amplitude: float, ways: 
 
 
 def settled_again(settling: Settling, certificate: Certificate, more_legs: int) -> Settling:
-    """The same oscillation after legs before it were changed, or added."""
+    """Settles with the same oscillation after legs before it were changed, or added."""
     first = settling.first_leg + more_legs
     while_settling = certificate.samples.leg >= first
     return replace(

@@ -107,8 +107,8 @@ def place(
         own = base_pose(scenario, seed, is_own=True)
         search = _Search(scenario, patch, seed, report, stop)
         worths = search.promising(int(candidates))
-        found = search.confirmed(worths[: confirmed - (not has_patch)])
-        poses = sorted([*found, *([] if has_patch else [own])], key=lambda pose: pose.rank)
+        result = search.confirmed(worths[: confirmed - (not has_patch)])
+        poses = sorted([*result, *([] if has_patch else [own])], key=lambda pose: pose.rank)
         poses[:plans] = search.planned(poses[:plans])
         if not poses:
             raise _nothing(scenario, search, stop)
@@ -152,14 +152,14 @@ class _Search:
         self.drawn = self.clear = 0
 
     def promising(self, count: int) -> list[PoseScore]:
-        """Of `count` candidates those that seem to reach a target, best first."""
+        """The candidates, of `count` tried, that seem to reach a target, best first."""
         screen = Screen(self.scenario, self.patch, np.random.default_rng(self.seed))
-        found: list[PoseScore] = []
+        results: list[PoseScore] = []
         poses = self._clear_poses(screen, count)
         while batch := list(islice(poses, AT_ONCE)):
-            found += [worth for worth in screen.look(batch) if worth.possible]
+            results += [worth for worth in screen.look(batch) if worth.possible]
             self.report("poses", min(1.0, self.clear / count))
-        return sorted(found, key=lambda worth: worth.rank)
+        return sorted(results, key=lambda worth: worth.rank)
 
     def _clear_poses(self, screen: Screen, count: int) -> Iterator[BaseFrame]:
         for pose in islice(self.patch.poses(self.seed), DRAWN * count):
@@ -172,30 +172,30 @@ class _Search:
 
     def confirmed(self, worths: Sequence[PoseScore]) -> list[BasePose]:
         """Inverse kinematics from each of the best."""
-        found = []
+        results = []
         for k, worth in enumerate(worths):
             if self.stop.is_set():
                 break
             self.report("confirming", k / len(worths))
-            found.append(base_pose(placed(self.scenario, worth.pose), self.seed))
-        return found
+            results.append(base_pose(placed(self.scenario, worth.pose), self.seed))
+        return results
 
     def planned(self, poses: Sequence[BasePose]) -> list[BasePose]:
         """With a plan each, or the reason why there is none."""
         from ctrplan.planning.planner import plan  # slow to import, as OMPL is
 
-        found = list(poses)
+        result = list(poses)
         for k, pose in enumerate(poses):
             if self.stop.is_set():
                 break
             self.report("plans", k / len(poses))
             try:
-                found[k] = replace(pose, plan=plan(pose.scenario, seed=self.seed, interrupted=self.stop))
+                result[k] = replace(pose, plan=plan(pose.scenario, seed=self.seed, interrupted=self.stop))
             except NoAnswerError as error:
-                found[k] = replace(pose, plan_reason=str(error).rstrip("."))
+                result[k] = replace(pose, plan_reason=str(error).rstrip("."))
             except KeyboardInterrupt:  # before there was a path
                 break
-        return found
+        return result
 
 
 def _nothing(scenario: Scenario, search: _Search, stop: threading.Event) -> Exception:

@@ -173,7 +173,7 @@ def _stages(
 
     Time [s] is the searches' own, as their clocks count it.
     """
-    found: Stages = []
+    stages: Stages = []
     ended_by: SearchEnd = "completion"
     spent = 0.0
     start, targets, refuse_start = scenario.start, scenario.targets, partial(asked.refuse_other_start, scenario)
@@ -183,11 +183,11 @@ def _stages(
         checker = MotionChecker(stage)
         if goal.line_m is not None:
             refuse_start()
-            found.append(_along_line(checker, asked.began))
+            stages.append(_along_line(checker, asked.began))
         elif is_at_goal(stage):
             refuse_start()
             goal_states(checker, np.random.default_rng(asked.seed + k))  # refuses a state that is not allowed
-            found.append(_without_motion(checker, asked.began))
+            stages.append(_without_motion(checker, asked.began))
         else:
             try:
                 checker, goals = _with_goals(checker, asked.seed + k)
@@ -201,11 +201,11 @@ def _stages(
             search = StageSearch(checker, goals, asked.seed, asked.began, share, clock, asked.report, asked.interrupted)
             search.refuse_start = refuse_start
             search.before, search.whole = asked.before + spent, asked.whole
-            found.append(run(search))
+            stages.append(run(search))
             spent += clock.now()
             ended_by = clock.name if clock.ran_out else ended_by
-        start = found[-1][1].corners[-1]
-    return found, ended_by, spent
+        start = stages[-1][1].corners[-1]
+    return stages, ended_by, spent
 
 
 def _with_goals(checker: MotionChecker, seed: int) -> tuple[MotionChecker, list[GoalState]]:

@@ -145,9 +145,9 @@ def reach(
     chosen = distinct_rows(checker, q.joints, near)[:MOST_REFINED]
     joints = refined(checker, aim, q.joints[chosen], tolerance_m)
     _probed(checker, joints)
-    found = [configuration(checker, target, joint) for joint in joints]
-    nearest = min(found, key=lambda c: c.tip_error_m)
-    reached = [c for c in found if c.tip_error_m <= tolerance_m and c.turned_rad <= target.direction_tolerance_rad]
+    results = [configuration(checker, target, joint) for joint in joints]
+    nearest = min(results, key=lambda c: c.tip_error_m)
+    reached = [c for c in results if c.tip_error_m <= tolerance_m and c.turned_rad <= target.direction_tolerance_rad]
     reached.sort(key=lambda c: c.bound_m)
     kept = distinct_rows(checker, np.array([c.joints for c in reached]), np.arange(len(reached)))
     return Reach(tuple(reached[k] for k in kept), nearest, tolerance_m, target.direction_tolerance_rad, solver, target)
@@ -233,10 +233,10 @@ def _miss_by_joints(checker: MotionChecker, target: TipTarget, q: Array) -> tupl
 
 def _probed_miss(checker: MotionChecker, target: TipTarget, q: Array) -> Array:
     """What `_miss` tells of the frictionless tip at q (K, m); NaN where the solve failed."""
-    found = _probed(checker, q)
-    tips, tangents = np.array([s.tip_m[-1] for s in found]), np.array([s.tip_tangent[-1] for s in found])
+    result = _probed(checker, q)
+    tips, tangents = np.array([s.tip_m[-1] for s in result]), np.array([s.tip_tangent[-1] for s in result])
     miss, _ = _miss(target, tips, tangents)
-    miss[[samples.status[-1] == Status.FAILED for samples in found]] = np.nan
+    miss[[samples.status[-1] == Status.FAILED for samples in result]] = np.nan
     return miss
 
 

@@ -388,12 +388,12 @@ def _compared(scenario: Scenario, stage: Reordered, driven: Array) -> dict[str, 
 
 def _remarks(certificate: Certificate) -> tuple[str, ...]:
     """What the simulated histories found beside their errors."""
-    samples, found = certificate.samples, []
+    samples, result = certificate.samples, []
     excess = samples.predicted_m - samples.bound_m * (1 + EXCESS) - TIP_TOLERANCE_M
     if excess.max() > 0:
         k = int(np.argmax(excess))
         beyond, where = (samples.predicted_m - samples.bound_m)[k] * MM_PER_M, samples.leg[k] + 1
-        found.append(f"On leg {where} a simulated history leads {beyond:.2f} mm beyond the worst-case error.")
+        result.append(f"On leg {where} a simulated history leads {beyond:.2f} mm beyond the worst-case error.")
     if certificate.snaps:
-        found.append("A simulated history slides to another equilibrium on the way, for a moment out of balance.")
-    return tuple(found)
+        result.append("A simulated history slides to another equilibrium on the way, for a moment out of balance.")
+    return tuple(result)

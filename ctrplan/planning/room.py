@@ -166,11 +166,11 @@ def refuse_blocked_fixtures(scenario: Scenario) -> None:
 
 def fixture_trouble(scenario: Scenario) -> str:
     """The fixture that breaks its margins most, in words; empty where all keep them."""
-    found = [
+    results = [
         (*fixture.clearance(scenario.anatomy, scenario.base_position_m, scenario.base_R), k, fixture.name)
         for k, fixture in enumerate(scenario.fixtures, 1)
     ]
-    clearance, place, k, name = min(found, key=lambda one: one[0], default=(np.inf, np.zeros(3), 0, ""))
+    clearance, place, k, name = min(results, key=lambda one: one[0], default=(np.inf, np.zeros(3), 0, ""))
     if clearance >= 0:
         return ""
     at = [round(float(x), 1) for x in place * MM_PER_M]

@@ -4,7 +4,6 @@ docs/plan.schema.json.
 
 from __future__ import annotations
 
-import importlib
 import json
 import math
 import os
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ctrplan.base.arrays import Array
-from ctrplan.base.version import __version__
+from ctrplan.base.package import __version__
 from ctrplan.certificate.certificate import Closest, Recheck, path_differences
 from ctrplan.drive.drive import Drive
 from ctrplan.plans.planned_motion import PlannedMotion, place_time_s, settling_duration_s
@@ -187,9 +186,9 @@ class Plan(PlannedMotion):
 
         All of them or none; the folder is made if need be, and returned. Raises CtrplanError where the system refuses.
         """
-        writer = importlib.import_module("ctrplan.reports.plan_page")  # by name: it knows plans, they don't know it
-        written: Path = writer.save_plan(self, folder, formats)
-        return written
+        import ctrplan  # save_plan is of a package above, and stands in the public names
+
+        return ctrplan.save_plan(self, folder, formats)
 
     @classmethod
     def load(
@@ -204,9 +203,9 @@ class Plan(PlannedMotion):
         certificate can't be rechecked: ask `ctrplan.verify`. Raises InputError for anything malformed, of another
         scenario or robot, or that does not belong together.
         """
-        reader = importlib.import_module("ctrplan.files.plan_folder")  # by name: it knows plans, they don't know it
-        found: Plan = reader.load_plan_folder(folder, scenario, overrides)
-        return found
+        import ctrplan  # open_plan is of a package above, and stands in the public names
+
+        return ctrplan.open_plan(folder, scenario, overrides)
 
     def to_json(self) -> dict[str, Any]:
         """The content of plan.json, plain types only; the schema is in docs/plan.schema.json."""

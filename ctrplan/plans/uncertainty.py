@@ -28,7 +28,7 @@ ON_LINE = 8  # samples along a line, evenly; and the one where the frictionless 
 
 
 def plan_stops(plan: PlannedMotion) -> tuple[Stop, ...]:
-    """Of a plan, in the order reached."""
+    """The targets of a plan as stops, in the order reached."""
     scenario, samples, reached = plan.scenario, plan.certificate.samples, plan.certificate.targets
     found: list[Stop] = []
     begin, first = 0, 0
@@ -79,7 +79,7 @@ def plan_uncertainty(of: PlannedMotion | Scenario, joints: ArrayLike | None = No
 
 
 def stated_uncertainty(plan: PlannedMotion) -> Uncertainty | None:
-    """Of a plan whose robot or base is uncertain; None where nothing is stated."""
+    """The uncertainty of a plan whose robot or base is uncertain; None where nothing is stated."""
     scenario = plan.scenario
     exact = scenario.registration.is_exact and not scenario.robot.model_error_m
     if exact and not uncertain_parameters(scenario.robot).count:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import plotly.graph_objects as go
 
-from ctrplan.base.version import __version__
+from ctrplan.base.package import __version__
 from ctrplan.calibration.calibrate import Calibration
 from ctrplan.calibration.estimates import Errors
 from ctrplan.reports import looks

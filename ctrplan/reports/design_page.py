@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ctrplan.base.version import __version__
+from ctrplan.base.package import __version__
 from ctrplan.reports.html_page import Markup, facts, page, plot, section, table, tag
 from ctrplan.reports.study_figures import trade_off_figure
 from ctrplan.reports.study_tables import Quantity, of_reasons, percent

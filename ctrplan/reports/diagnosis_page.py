@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from ctrplan.base.version import __version__
+from ctrplan.base.package import __version__
 from ctrplan.calibration.estimates import Errors, estimates
 from ctrplan.diagnosis.block_evidence import Closing
 from ctrplan.diagnosis.correlated_bench import FRAMES

@@ -82,12 +82,12 @@ ANATOMY_LOOK = {
 
 
 def tube_look(tube: int) -> Look:
-    """Of a tube, 0 the outermost."""
+    """The look of a tube, 0 the outermost."""
     return Look(f"tube {tube + 1}", looks.tube_colour(tube))
 
 
 def anatomy_looks(scenario: Scenario) -> list[Look]:
-    """Of the kinds of anatomy that the scenario has."""
+    """Looks of the kinds of anatomy that the scenario has."""
     roles = {part.role for part in scenario.anatomy}
     return [look for role, look in ANATOMY_LOOK.items() if role in roles]
 

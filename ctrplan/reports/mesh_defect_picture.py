@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import io
+import os
+import sys
+import tempfile
+from contextlib import suppress
 
 import numpy as np
 from PIL import Image
@@ -10,11 +14,9 @@ from PIL import Image
 from ctrplan.anatomy.mesh_repair import MeshDefect
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.base.surface import Surface, capsule
-from ctrplan.reports.render.bodies import rgb
-from ctrplan.reports.render.body import Body, vertex_normals
-from ctrplan.reports.render.camera import Camera, look_at
-from ctrplan.reports.render.film import SKY, write_caption
-from ctrplan.reports.render.picture import Picture, Stage
+from ctrplan.reports.render.camera import look_at
+from ctrplan.reports.render.film import SKY, rgb, write_caption
+from ctrplan.reports.render.rasteriser import Body, Camera, Picture, Stage, vertex_normals
 
 WIDTH, HEIGHT, SAMPLES = 900, 700, 2
 TISSUE, EDGE = rgb("#C9B3A6"), "#D62222"
@@ -22,6 +24,16 @@ HALF_VIEW = float(np.tan(np.radians(18)))
 UP = np.array([0.0, 0.0, 1.0])
 MOST_EDGES = 1500  # that are drawn, the nearest ones
 LEAST_SHARE, ROOM = 0.12, 2.0  # of the mesh that is seen at least, and how much more than the edges near the place
+
+
+def tell_picture(defect: MeshDefect) -> None:
+    """Draws the place into a file that whoever reads the refusal can open, and says where that is."""
+    with suppress(OSError):  # the sentence has been said, a picture that can't be written is no failure
+        png = mesh_defect_png(defect)
+        number, name = tempfile.mkstemp(prefix=f"ctrplan_{defect.file.stem[:40]}_", suffix=".png")
+        with os.fdopen(number, "wb") as file:
+            file.write(png)
+        print(f"ctrplan: a picture of the place: {name}", file=sys.stderr)
 
 
 def mesh_defect_png(defect: MeshDefect) -> bytes:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ctrplan.base.version import __version__
+from ctrplan.base.package import __version__
 from ctrplan.files.trajectory_file import TrajectoryFormat, trajectory_formats, write_trajectory
 from ctrplan.plans.plan import Plan, write_plan_json
 from ctrplan.plans.planned_motion import leg_end_s

@@ -12,7 +12,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from ctrplan.base.arrays import Array
-from ctrplan.base.version import __version__
+from ctrplan.base.package import __version__
 from ctrplan.errors import SolverError
 from ctrplan.planning.reach import Configuration, Reach
 from ctrplan.reports import looks

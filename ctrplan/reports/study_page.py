@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ctrplan.base.arrays import Array
-from ctrplan.base.version import __version__
+from ctrplan.base.package import __version__
 from ctrplan.reports.html_page import Markup, explained, facts, page, plot, script, section, table, tag
 from ctrplan.reports.study_figures import (
     BASES,

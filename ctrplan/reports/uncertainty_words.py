@@ -40,7 +40,7 @@ def uncertainty_rows(plan: Plan) -> Rows:
 
 
 def _target_rows(miss: GoalMiss, labels: tuple[str, str, str]) -> Rows:
-    """Of one target: its worst case, the turn's, and the chance of missing it."""
+    """Rows of one target: its worst case, the turn's, and the chance of missing it."""
     worst, turned, missed = labels
     rows = {worst: f"the tip ends off by {miss.sentence}"}
     if miss.turn:

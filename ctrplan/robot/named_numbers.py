@@ -1,16 +1,19 @@
-"""Named numbers of a robot, such as tube.2.poisson_ratio: read them and change them. Names: `parameters.py`."""
+"""Named numbers of a robot, such as tube.2.poisson_ratio: read them and change them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields, replace
-from typing import Any, Protocol, TypeVar
+from dataclasses import dataclass, fields, replace
+from functools import cache
+from typing import Any, Literal, Protocol, TypeVar
 
 from ctrplan.base.arrays import Array
 from ctrplan.errors import InputError
 from ctrplan.mechanics.tube import Contact, Loads, Tube, TubeSection
 
 MAGNITUDE = "curvature_per_m"  # of a section's precurvature, whose direction stays
+TUBE_KEYS = frozenset(field.name for field in fields(Tube)) - {"sections"}
+SECTION_KEYS = frozenset(field.name for field in fields(TubeSection))
 
 
 class HasNumbers(Protocol):
@@ -22,7 +25,7 @@ class HasNumbers(Protocol):
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
-        """Of neighbouring tubes."""
+        """Contacts of neighbouring tubes."""
 
     @property
     def loads(self) -> Loads:
@@ -40,76 +43,91 @@ class HasNumbers(Protocol):
 R = TypeVar("R", bound=HasNumbers)
 
 
+@dataclass(frozen=True)
+class NumberName:
+    """Where a named number is: a tube, one of its sections, a contact, or a vector of loads; indices from 0."""
+
+    kind: Literal["tube", "section", "contact", "loads"]
+    index: int  # of the tube or the contact; of the component of a load
+    key: str
+    section: int = -1
+
+
+@cache
+def parsed_name(name: str) -> NumberName:
+    """A name such as tube.2.section.1.curvature_x_per_m, read once. Raises InputError where it names nothing."""
+    match name.split("."):
+        case ["loads", vector, component] if _is_place(component):
+            return NumberName("loads", int(component) - 1, vector)
+        case ["contact", index, "clearance_m" | "friction_coefficient" as key] if _is_place(index):
+            return NumberName("contact", int(index) - 1, key)
+        case ["tube", index, "section", section, key] if _is_place(index) and _is_place(section):
+            if key == MAGNITUDE or key in SECTION_KEYS:
+                return NumberName("section", int(index) - 1, key, int(section) - 1)
+        case ["tube", index, key] if _is_place(index) and key in TUBE_KEYS:
+            return NumberName("tube", int(index) - 1, key)
+    raise _unknown(name)
+
+
 def value_of(robot: HasNumbers, name: str) -> float:
     """The number behind a name, SI. Raises InputError for a name the robot does not have."""
-    steps = name.split(".")
+    at = parsed_name(name)
     try:
-        return float(_read(robot, steps))
-    except (AttributeError, IndexError, KeyError, TypeError, ValueError):
-        raise InputError("no such parameter of the robot", key=name) from None
+        if at.kind == "tube":
+            return float(getattr(robot.tubes[at.index], at.key))
+        if at.kind == "section":
+            return float(getattr(robot.tubes[at.index].sections[at.section], at.key))
+        if at.kind == "contact":
+            of_all = robot.clearance_m if at.key == "clearance_m" else robot.friction[:, 1]
+            return float(of_all[at.index])
+        return float(getattr(robot.loads, at.key)[at.index])
+    except (AttributeError, IndexError, TypeError, ValueError):
+        raise _unknown(name) from None
 
 
 def with_values(robot: R, values: Mapping[str, float]) -> R:
     """A copy of the robot with named numbers changed, SI. Raises InputError for a name the robot does not have."""
     tubes, contacts = list(robot.tubes), list(robot.contacts)
-    loads: dict[str, Any] = {}
+    loads: dict[str, list[float]] = {}
     for name, value in values.items():
         value_of(robot, name)
-        kind, *steps = name.split(".")
-        if kind == "tube":
-            tubes[int(steps[0]) - 1] = _with_tube_value(tubes[int(steps[0]) - 1], steps[1:], value)
-        elif kind == "contact":
-            contacts[int(steps[0]) - 1] = _with_contact_value(contacts[int(steps[0]) - 1], steps[1], value)
+        at = parsed_name(name)
+        if at.kind == "tube":
+            changes: dict[str, Any] = {at.key: value}
+            tubes[at.index] = replace(tubes[at.index], **changes)
+        elif at.kind == "section":
+            sections = list(tubes[at.index].sections)
+            sections[at.section] = _changed_section(sections[at.section], at.key, value)
+            tubes[at.index] = replace(tubes[at.index], sections=tuple(sections))
+        elif at.kind == "contact":
+            contacts[at.index] = _changed_contact(contacts[at.index], at.key, value)
         else:
-            vector = list(loads.get(steps[0], getattr(robot.loads, steps[0])))
-            vector[int(steps[1]) - 1] = value
-            loads[steps[0]] = tuple(vector)
+            loads.setdefault(at.key, list(getattr(robot.loads, at.key)))[at.index] = value
     changed: dict[str, Any] = {"tubes": tuple(tubes), "contacts": tuple(contacts)}
     if loads:
-        changed["loads"] = replace(robot.loads, **loads)
+        vectors: dict[str, Any] = {key: tuple(vector) for key, vector in loads.items()}
+        changed["loads"] = replace(robot.loads, **vectors)
     made: R = replace(robot, **changed)  # type: ignore[type-var]
     return made
 
 
-def _read(robot: HasNumbers, steps: list[str]) -> Any:
-    kind, place, *rest = steps
-    if kind == "loads":
-        return getattr(robot.loads, place)[_index(rest[0])]
-    index = _index(place)
-    if kind == "contact":
-        return {"clearance_m": robot.clearance_m[index], "friction_coefficient": robot.friction[index, 1]}[rest[0]]
-    owner: Any = {"tube": robot.tubes}[kind][index]
-    if rest[0] == "section":
-        owner, rest = owner.sections[_index(rest[1])], rest[2:]
-        if rest[0] == MAGNITUDE:
-            return owner.curvature_per_m
-    if rest[0] not in [field.name for field in fields(owner)]:
-        raise KeyError(rest[0])
-    return getattr(owner, rest[0])
-
-
-def _index(text: str) -> int:
-    index = int(text) - 1
-    if index < 0:
-        raise IndexError(text)
-    return index
-
-
-def _with_tube_value(tube: Tube, steps: list[str], value: float) -> Tube:
-    if steps[0] != "section":
-        changes: dict[str, Any] = {steps[0]: value}
-        return replace(tube, **changes)
-    sections: list[TubeSection] = list(tube.sections)
-    section = sections[int(steps[1]) - 1]
-    section_changes: dict[str, Any] = {steps[2]: value}
-    if steps[2] == MAGNITUDE:
+def _changed_section(section: TubeSection, key: str, value: float) -> TubeSection:
+    changes: dict[str, Any] = {key: value}
+    if key == MAGNITUDE:
         scale = value / section.curvature_per_m if section.curvature_per_m else 0.0
-        section_changes = {key: scale * getattr(section, key) for key in ("curvature_x_per_m", "curvature_y_per_m")}
-    sections[int(steps[1]) - 1] = replace(section, **section_changes)
-    return replace(tube, sections=tuple(sections))
+        changes = {key: scale * getattr(section, key) for key in ("curvature_x_per_m", "curvature_y_per_m")}
+    return replace(section, **changes)
 
 
-def _with_contact_value(contact: Contact, key: str, value: float) -> Contact:
+def _changed_contact(contact: Contact, key: str, value: float) -> Contact:
     if key == "clearance_m":
         return replace(contact, clearance_m=value)
     return replace(contact, friction_coefficient=(value, value))
+
+
+def _is_place(text: str) -> bool:
+    return text.isdecimal() and int(text) > 0
+
+
+def _unknown(name: str) -> InputError:
+    return InputError("no such parameter of the robot", key=name)

@@ -117,7 +117,7 @@ class Observer:
         seed: int,
         accuracy: Accuracy,
     ) -> None:
-        """As `Robot.observer` has them; `slow` with the values that the robot file has.
+        """Arguments as `Robot.observer` has them; `slow` with the values that the robot file has.
 
         robot_with: the mechanics with slow parameters so much off these values.
         """
@@ -169,15 +169,15 @@ class Observer:
         single = np.ndim(l_commanded) == 1
         given = (numbers(theta_commanded, "theta_commanded"), numbers(l_commanded, "l_commanded"))
         theta_b, l_b = joint_rows(*self._drive.reached(*map(np.atleast_2d, given)), self._bank.mechanics.n)
-        found = []
+        results = []
         paths = self._bank.threads.each(lambda member: probed(member.history, theta_b, l_b), self._bank.members)
         for member, path, share in zip(self._bank.members, paths, weights(self._bank.members), strict=True):
             if path is not None:
                 moved_m, variance = self._ahead(member, path, theta_b, l_b)
-                found.append((path.position_m + moved_m, path.tangent, share, variance))
-        if not found:
+                results.append((path.position_m + moved_m, path.tangent, share, variance))
+        if not results:
             raise SolverError("no equilibrium was found along the path")
-        position, along, shares, variances = (np.array(part) for part in zip(*found, strict=True))
+        position, along, shares, variances = (np.array(part) for part in zip(*results, strict=True))
         ahead = estimate(position, along, shares / shares.sum(), variances)
         return TipEstimate(*(getattr(ahead, name)[0] for name in TipEstimate.__dataclass_fields__)) if single else ahead
 
@@ -227,8 +227,8 @@ class Observer:
         best = int(np.argmax([member.score for member in members]))
         self._slow.learn(off[best], float(own[best]) / 3 + sigma2, NEWS)
         slopes = np.array([member.slopes for member in members])
-        found = self._slow.seen([member.slow for member in members], slopes, off, noise2)
-        for member, slow in zip(members, found, strict=True):
+        result = self._slow.seen([member.slow for member in members], slopes, off, noise2)
+        for member, slow in zip(members, result, strict=True):
             member.slow = slow
         self._bank.members = tidied(members)[: MOST_WITH_SLOW if self._slow.names else None]
         expected = weights(self._bank.members) @ np.array([member.expected_m for member in self._bank.members])

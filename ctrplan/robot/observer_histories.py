@@ -77,7 +77,7 @@ def followed(history: History, theta_b: Array, l_b: Array) -> HistoryPath | None
 
 
 def probed(history: History, theta_b: Array, l_b: Array) -> HistoryPath | None:
-    """As `followed`, of a history that stays where it is."""
+    """The path of a history that stays where it is, otherwise as `followed`."""
     here = history.save()
     path = followed(history, theta_b, l_b)
     history.restore(here)
@@ -128,15 +128,15 @@ def start_states(pairs: int, members: int, rng: np.random.Generator) -> list[Arr
     """
     if pairs == 0:
         return [np.zeros(0)]
-    found = [np.zeros(pairs), *_corners(pairs, rng)]
+    results = [np.zeros(pairs), *_corners(pairs, rng)]
     levels = max(3, _levels_within(members, pairs))
     between = [np.array(state) for state in itertools.islice(itertools.product(_grid(levels), repeat=pairs), 10_000)]
     rng.shuffle(between)  # of a grid that is not used whole, any
-    taken = {tuple(state) for state in found}
+    taken = {tuple(state) for state in results}
     for state in between:
-        if len(found) < members and tuple(state) not in taken:
-            found.append(state)
-    return found
+        if len(results) < members and tuple(state) not in taken:
+            results.append(state)
+    return results
 
 
 def states_nearby(phi: Array, count: int, spread: float, rng: np.random.Generator) -> list[Array]:
@@ -222,8 +222,8 @@ class Histories:
 
     def move(self, theta_b: Array, l_b: Array) -> bool:
         """Moves every history to collars (n,), (n,); whether all had to begin again. Raises SolverError if none can."""
-        found = self.threads.each(lambda member: moved(member, theta_b, l_b), self.members)
-        left = [member for member in found if member is not None]
+        result = self.threads.each(lambda member: moved(member, theta_b, l_b), self.members)
+        left = [member for member in result if member is not None]
         anew = not left and self.at is not None
         if not left:
             states = start_states(self.mechanics.n - 1, self._most, self._rng)
@@ -242,14 +242,14 @@ class Histories:
     def begin(self, states: Sequence[Array], score: float) -> list[Member]:
         """Histories from states, where the robot stands, with the derivatives of the nearest one for the time being."""
         assert self.at is not None
-        found = self._begun(states, *self.at, score)
-        for member in found:
+        result = self._begun(states, *self.at, score)
+        for member in result:
             nearest = min(self.members, key=lambda other: float(np.abs(other.phi - member.phi).max(initial=0.0)))
             member.slopes, member.slopes_at = nearest.slopes, nearest.slopes_at
-        return found
+        return result
 
     def _begun(self, states: Sequence[Array], theta_b: Array, l_b: Array, score: float) -> list[Member]:
-        """Of the robot as slow parameters have it by now."""
+        """Begins histories of the robot as slow parameters have it by now."""
         slow = self.likeliest.slow if self.members else self._slow.start()
         values = self._slow.simulated(slow)
         mechanics = self._with(values)

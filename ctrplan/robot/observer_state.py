@@ -52,7 +52,8 @@ class Observed:
 
 
 def estimate(position_m: Array, tangent: Array, weight: Array, variance: Array) -> TipEstimate:
-    """Of H histories' tips (H, 3) or (H, K, 3), probabilities (H,), each coordinate known to a variance [m^2], alike.
+    """The estimate by H histories' tips (H, 3) or (H, K, 3), probabilities (H,), each coordinate known to a variance
+    [m^2].
 
     The interval extends over the likeliest histories that carry 95 % together, and over 95 % of a normal error.
     """
@@ -70,7 +71,7 @@ def estimate(position_m: Array, tangent: Array, weight: Array, variance: Array) 
 
 
 def _mean(weight: Array, vectors: Array) -> Array:
-    """Of H vectors (H, 3) or of H rows of K of them (H, K, 3)."""
+    """The mean of H vectors (H, 3) or of H rows of K of them (H, K, 3)."""
     mean: Array = (weight @ vectors.reshape(len(weight), -1)).reshape(vectors.shape[1:])
     return mean
 

@@ -167,7 +167,7 @@ class SlowModel:
         return Slow(self._kept * slow.mean, self._kept_twice * slow.covariance + self._grown)
 
     def seen(self, slow: Sequence[Slow], slopes: Array, off_m: Array, noise_m2: float) -> Sequence[Slow]:
-        """Of H histories, after a tip was measured that is off_m (H, 3) [m] from where each expected it.
+        """The estimates of H histories, after a tip was measured that is off_m (H, 3) [m] from where each expected it.
 
         slopes: (H, 3, P); noise [m^2] of a coordinate.
         """
@@ -194,7 +194,9 @@ class SlowModel:
         self._expected2 = news * self._expected2 + (1 - news) * expected_m2
 
     def shown_share(self, ahead: int) -> float:
-        """Of the offset's stated variance so many steps ahead, the first from 0: far ahead nothing has been shown."""
+        """The share of the offset's stated variance that is known so many steps ahead, the first from 0; far ahead,
+        none.
+        """
         share = min(1.0, max(self._off2 / self._expected2, LEAST_SHARE)) if self._expected2 else 1.0
         return float(share + (1 - share) * (1 - self._kept[0] ** (2 * ahead)))
 
@@ -203,5 +205,5 @@ class SlowModel:
         if not self.names:
             return np.zeros((len(theta_b), 3, 0))
         states = np.clip(phi, -1.0, 1.0)
-        found = mechanics.tips_with_friction(theta_b, l_b, states, parameters=self.names, threads=1)
-        return np.nan_to_num(found.position_by)
+        result = mechanics.tips_with_friction(theta_b, l_b, states, parameters=self.names, threads=1)
+        return np.nan_to_num(result.position_by)

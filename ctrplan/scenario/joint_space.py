@@ -144,14 +144,14 @@ class JointSpace:
     def sample(self, rng: np.random.Generator, count: int) -> Array:
         """(count, m) joint vectors within limits, uniform, nested; unlimited rotations in (-pi, pi]."""
         low, high = self._ranges()
-        found: list[Array] = []
+        results: list[Array] = []
         for _ in range(20):
             q = rng.uniform(low, high, (count, low.size))
             _, l_b = self.drive.collars(q)
-            found.extend(q[np.all(l_b @ self.nesting_G.T <= self.nesting_h + TOLERANCE_M, axis=1)])
-            if len(found) >= count:
+            results.extend(q[np.all(l_b @ self.nesting_G.T <= self.nesting_h + TOLERANCE_M, axis=1)])
+            if len(results) >= count:
                 break
-        return np.array(found[:count]).reshape(-1, low.size)
+        return np.array(results[:count]).reshape(-1, low.size)
 
     def _ranges(self) -> tuple[Array, Array]:
         """Limits (m,), (m,), of unlimited rotations -pi and pi."""

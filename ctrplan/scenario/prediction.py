@@ -116,14 +116,14 @@ def predict(
 def predict_end(
     robot: Robot, joints: Array, starts: Sequence[Start | ObservedHistory]
 ) -> tuple[PathPrediction, list[HistoryState]]:
-    """As `predict`, and the states at the end, to go on from."""
+    """Predicts as `predict`, and returns the states at the end too, to go on from."""
     histories = [_begun(robot, start) for start in starts]
     prediction = _follow(robot, histories, joints)
     return prediction, _saved(histories)
 
 
 def predict_from(robot: Robot, states: Sequence[HistoryState], joints: Array) -> PathPrediction:
-    """As `predict`, from states at the first row of joints (K, m), one for each start."""
+    """Predicts as `predict`, from states at the first row of joints (K, m), one for each start."""
     return _follow(robot, _restored(robot, states), joints)
 
 
@@ -203,11 +203,11 @@ def _follow(robot: Robot, histories: list[History], joints: Array, look: Look | 
             rows = slice(begin, begin + BLOCK)
             apart = list(dict.fromkeys(histories))
             ends: list[Array] = []
-            for history, (found, count, end) in zip(
+            for history, (result, count, end) in zip(
                 apart, pool.map(partial(_block, theta_b[rows], l_b[rows], look), apart), strict=True
             ):
                 alike = [k for k, other in enumerate(histories) if other is history]
-                poses[alike, rows], snaps = found, snaps + count * len(alike)
+                poses[alike, rows], snaps = result, snaps + count * len(alike)
                 same = [k for k, other in enumerate(ends) if np.all(np.abs(end - other) < SAME)]
                 ends.append(end)
                 for k in alike if same else ():

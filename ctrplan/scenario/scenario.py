@@ -172,11 +172,11 @@ class Scenario:
     def located(self, points_m: Array) -> Array:
         """Points (..., 3) [m] of the robot's frame in the anatomy's frame."""
         rows = points_m.reshape(-1, 3)
-        found = np.empty(rows.shape)
+        result = np.empty(rows.shape)
         for k in range(0, len(rows), ROWS_AT_ONCE):
-            np.matmul(rows[k : k + ROWS_AT_ONCE], self.base_R.T, out=found[k : k + ROWS_AT_ONCE])
-        found += self.base_position_m
-        return found.reshape(points_m.shape)
+            np.matmul(rows[k : k + ROWS_AT_ONCE], self.base_R.T, out=result[k : k + ROWS_AT_ONCE])
+        result += self.base_position_m
+        return result.reshape(points_m.shape)
 
     def stage_from(self, start: Array) -> Scenario:
         """The scenario to its last goal from joints (m,); elsewhere than at its start friction is unknown."""

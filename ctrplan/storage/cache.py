@@ -42,9 +42,9 @@ def _path(key: str) -> Path | None:
 
 
 def _digest(key: str, content: bytes | memoryview) -> bytes:
-    found = hashlib.sha256(key.encode())
-    found.update(content)
-    return found.digest()
+    result = hashlib.sha256(key.encode())
+    result.update(content)
+    return result.digest()
 
 
 def trouble() -> str:
@@ -95,7 +95,7 @@ def store(key: str, values: NDArray[np.float32]) -> str:
 
 
 def store_all(grids: Mapping[str, NDArray[np.float32]]) -> str:
-    """Likewise several grids, by their keys."""
+    """Stores several grids, by their keys."""
     made = set()
     for key, values in grids.items():
         if (path := _path(key)) is None:
@@ -124,9 +124,9 @@ def _prune(newest: set[Path]) -> None:
     """Remove the least recently used grids beyond MAX_TOTAL_BYTES, never the `newest`."""
     folder = next(iter(newest)).parent
     kept = (path for path in folder.iterdir() if path.suffix in (SUFFIX, FORMER_SUFFIX))
-    found = sorted(kept, key=lambda path: path.stat().st_mtime, reverse=True)
+    result = sorted(kept, key=lambda path: path.stat().st_mtime, reverse=True)
     total = sum(path.stat().st_size for path in newest)
-    for path in found:
+    for path in result:
         if path in newest:
             continue
         total += path.stat().st_size

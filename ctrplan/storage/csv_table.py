@@ -95,19 +95,19 @@ class CsvTable:
         texts = [cells[column].strip() for cells in self.rows]
         given = np.array([bool(text) for text in texts])
         if blanks or given.all():
-            found = np.array([in_plain_digits(text) if text else np.nan for text in texts], dtype=np.float64)
-            if (np.abs(found[given]) <= LARGEST_NUMBER).all():  # not so with None, which is NaN here
-                return found
+            result = np.array([in_plain_digits(text) if text else np.nan for text in texts], dtype=np.float64)
+            if (np.abs(result[given]) <= LARGEST_NUMBER).all():  # not so with None, which is NaN here
+                return result
         return np.array([self._number(row, name, text, blanks) for row, text in enumerate(texts)])
 
     def others(self, known: set[str]) -> dict[str, Array]:
         """Numeric columns besides the known ones; notes and names are none."""
-        found = {}
+        results = {}
         for name in self.header:
             if name not in known:
                 with suppress(InputError):
-                    found[name] = self.numbers(name, blanks=True)
-        return {name: values for name, values in found.items() if np.isfinite(values).any()}
+                    results[name] = self.numbers(name, blanks=True)
+        return {name: values for name, values in results.items() if np.isfinite(values).any()}
 
     def _number(self, row: int, name: str, text: str, blanks: bool) -> float:
         if blanks and not text:

@@ -99,11 +99,11 @@ class Document:
     def to(self, schema: type[T]) -> T:
         """The content as `schema`. Raises InputError for the first thing that does not fit."""
         try:
-            found = dict(_numbers(self.content))
-            for path in (path for path, value in found.items() if not abs(value) <= sys.float_info.max):
+            result = dict(_numbers(self.content))
+            for path in (path for path, value in result.items() if not abs(value) <= sys.float_info.max):
                 raise self.fault("must be a finite number", *path)
             entry = msgspec.convert(self.content, schema)
-            for path in (path for path, value in found.items() if abs(value) > LARGEST_NUMBER):
+            for path in (path for path, value in result.items() if abs(value) > LARGEST_NUMBER):
                 raise self.fault(f"must be from {-LARGEST_NUMBER:g} to {LARGEST_NUMBER:g}", *path)
             return entry
         except RecursionError:

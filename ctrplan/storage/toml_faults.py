@@ -79,7 +79,7 @@ def _fault(value: Any, kind: inspect.Type, path: Path) -> Fault | None:
 
 
 def _fault_of_any(value: Any, kind: inspect.UnionType, path: Path) -> Fault | None:
-    """Of a value that may be of several kinds: that of the first one it looks like."""
+    """The fault of a value that may be of several kinds: that of the first kind it looks like."""
     for one in kind.types:
         if _is_of(value, one):
             return _fault(value, one, path)
@@ -116,7 +116,7 @@ def _options(hint: Any) -> list[str]:
 def _fault_within(
     value: Any, kind: inspect.ListType | inspect.TupleType | inspect.DictType, path: Path
 ) -> Fault | None:
-    """Of the entries of a list or of a table with any keys."""
+    """The first fault of the entries of a list, or of a table with any keys."""
     if isinstance(kind, inspect.DictType):
         wrong = any(not isinstance(key, str) for key in value)
         faults = (_fault(item, kind.value_type, (*path, key)) for key, item in value.items())

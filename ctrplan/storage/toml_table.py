@@ -19,7 +19,7 @@ T = TypeVar("T", bound=msgspec.Struct)
 
 
 @dataclass(frozen=True)
-class Table:
+class TomlTable:
     """The table at `path` of a document (positions from 0).
 
     allow_outside: whether files that it names may lie outside the document's folder.
@@ -37,15 +37,15 @@ class Table:
             value = value.get(step, {}) if isinstance(step, str) else value[step]
         return dict(value)
 
-    def replaced(self, content: Mapping[str, Any], without: Sequence[str] = ()) -> Table:
-        """The same place in a document that has `content` there, and lacks the top-level keys `without`."""
+    def replaced(self, content: Mapping[str, Any], without: Sequence[str] = ()) -> TomlTable:
+        """This place in a document that has `content` there, and lacks the top-level keys `without`."""
         whole: dict[str, Any] = {key: value for key, value in self.document.content.items() if key not in without}
         node: Any = whole
         for step in self.path[:-1]:
             node[step] = copy.copy(node[step])
             node = node[step]
         node[self.path[-1]] = dict(content)
-        return Table(Document(whole, self.document.file), self.path, self.allow_outside)
+        return TomlTable(Document(whole, self.document.file), self.path, self.allow_outside)
 
     def to(self, schema: type[T]) -> T:
         """The table as `schema`. Raises InputError for the first thing that does not fit."""
@@ -69,7 +69,7 @@ class Table:
         return file_inside(name, self.document, self.allow_outside, *self.path, *path)
 
     def place(self, name: str, *path: Step) -> Path:
-        """Likewise a file or a folder."""
+        """The path of a file or a folder that the key names."""
         return _inside(name, self.document, self.allow_outside, Path.exists, *self.path, *path)
 
 
@@ -99,7 +99,11 @@ Entry = TypeVar("Entry", bound=msgspec.Struct)
 
 
 def chosen(
-    table: Table, by: str, catalogue: Catalogue[type[Entry]], common: type[msgspec.Struct], default: str | None = None
+    table: TomlTable,
+    by: str,
+    catalogue: Catalogue[type[Entry]],
+    common: type[msgspec.Struct],
+    default: str | None = None,
 ) -> Entry:
     """The table as the catalogue's schema that its key `by` names; all of them have the keys of `common`.
 
@@ -117,7 +121,7 @@ def chosen(
     return table.to(catalogue[name])
 
 
-def _name(table: Table, by: str, catalogue: Catalogue[type[Entry]], default: str | None) -> str:
+def _name(table: TomlTable, by: str, catalogue: Catalogue[type[Entry]], default: str | None) -> str:
     name = table.content.get(by, default)
     if name is None:
         raise table.fault("is missing", by)

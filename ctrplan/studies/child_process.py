@@ -93,7 +93,7 @@ class Child:
 
 
 def in_child(function: Callable[..., Any], *arguments: Any, limit_s: float | None = None) -> Any:
-    """As `Child.call`, in the child of this thread, which is started if need be."""
+    """Calls a function as `Child.call`, in the child of this thread, which is started if need be."""
     child: Child | None = getattr(_of_thread, "child", None)
     if child is None or not child.is_alive:
         child = _of_thread.child = Child()
@@ -133,7 +133,9 @@ T = TypeVar("T")
 
 
 class ChildExecutor(ThreadPoolExecutor):
-    """As many processes as cores, or as are asked for; a child that dies takes its own task with it and no other's."""
+    """An executor of as many processes as cores, or as stated; a child that dies takes its own task with it and no
+    other's.
+    """
 
     def __init__(self, workers: int | None = None) -> None:
         """Starts a process with its first task."""

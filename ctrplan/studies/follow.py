@@ -97,7 +97,7 @@ def follow(
     without = _without(built, data, collars)
     seen = _seen_tips(chain, data, collars, without)
     pose = {row: k for k, row in enumerate(data.rows.tolist())}
-    found: list[tuple[int, Observed]] = []
+    results: list[tuple[int, Observed]] = []
     observer = built.observer(noise, offset=offset, slow=slow, members=members, seed=seed)
     for row in range(len(data.sequence)):
         if interrupted is not None and interrupted.is_set():
@@ -111,12 +111,12 @@ def follow(
         except SolverError:
             continue
         if row in pose:
-            found.append((row, step))
+            results.append((row, step))
         if progress is not None:
             progress((row + 1) / len(data.sequence))
-    if not found:
+    if not results:
         raise NoAnswerError(f"{data.file or 'measurements'}: no pose can be followed.")
-    return _following(robot, data, seen, without, pose, found)
+    return _following(robot, data, seen, without, pose, results)
 
 
 def followed_csv(result: Following) -> str:
@@ -192,10 +192,10 @@ def _following(
     seen: Poses,
     without: HistoryPath,
     pose: dict[int, int],
-    found: list[tuple[int, Observed]],
+    results: list[tuple[int, Observed]],
 ) -> Following:
-    kept = np.array([pose[row] for row, _ in found])
-    steps = [step for _, step in found]
+    kept = np.array([pose[row] for row, _ in results])
+    steps = [step for _, step in results]
     return Following(
         robot=robot,
         data=data.subset(kept),

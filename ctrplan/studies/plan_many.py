@@ -59,8 +59,8 @@ def _submitted(executor: Executor, scenario: Scenario, seed: int, time_s: float 
 
 def _result(future: Any) -> Plan | CtrplanError:
     try:
-        found: Plan = future.result()
-        return found
+        result: Plan = future.result()
+        return result
     except CtrplanError as error:
         return error
     except Exception as error:  # of the process that should have planned

@@ -110,11 +110,18 @@ def simulate(
     for run in path.runs:
         history = History(robot.mechanics, start, accuracy=accuracy)
         for place, *commanded, theta, l in _driven_legs(robot, chain, path, run):  # noqa: E741 (as in the equations)
-            found, markers = walked(robot, history, theta, l)
-            tip = found.position_m, found.tangent, markers.reshape(len(place), -1), found.phi, found.snaps, found.status
+            result, markers = walked(robot, history, theta, l)
+            tip = (
+                result.position_m,
+                result.tangent,
+                markers.reshape(len(place), -1),
+                result.phi,
+                result.snaps,
+                result.status,
+            )
             rows.append(np.column_stack((place, *commanded, theta, l, *tip)))
             told("simulating", (place[-1] + 1) / count)
-            if stop.is_set() or found.status[-1] == Status.FAILED:
+            if stop.is_set() or result.status[-1] == Status.FAILED:
                 return _simulation(robot, path, np.vstack(rows), accuracy, told)
     return _simulation(robot, path, np.vstack(rows), accuracy, told)
 
@@ -201,15 +208,15 @@ def _measured_markers(chain: Chain, samples: Measurements, collars: Collars, mar
     """(S, M, 3) what a tracker reports of markers (S, M, 6); None as `_measured`."""
     if _is_seen_as_it_is(chain, collars):
         return None
-    found = np.empty((*markers.shape[:2], 3))
+    result = np.empty((*markers.shape[:2], 3))
     for k in range(markers.shape[1]):
         seen = at_instants(samples, markers[:, k], chain.delay_s)
         tangent = np.nan_to_num(seen[:, 3:]) + np.isnan(seen[:, 3:]) * [0.0, 0.0, 1.0]
         tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
         frames = frames_along(tangent, np.eye(3)[np.argmin(np.abs(tangent), axis=1)])
         of_marker = replace(samples, marker=np.full(samples.count, k + 1))
-        found[:, k] = chain.seen(Poses(seen[:, :3], frames), collars, of_marker).position
-    return found
+        result[:, k] = chain.seen(Poses(seen[:, :3], frames), collars, of_marker).position
+    return result
 
 
 def _measured(chain: Chain, samples: Measurements, collars: Collars, phi: Array, tips: Array) -> Poses | None:

@@ -230,12 +230,12 @@ def check_axes(axes: Sequence[SweepAxis]) -> None:
 def sweep_csv(result: Sweep) -> str:
     """A row per configuration: the axes, bound_mm, bound_deg, stability, max_strain, status; failed solves have nan."""
     bounds = result.bounds
-    found = [bounds.position_m * 1e3, np.degrees(bounds.tangent_rad), bounds.stability, bounds.max_strain]
+    results = [bounds.position_m * 1e3, np.degrees(bounds.tangent_rad), bounds.stability, bounds.max_strain]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     names = [axis.column for axis in result.axes]
     writer.writerow([*names, "bound_mm", "bound_deg", "stability", "max_strain", "status"])
-    numbers = np.column_stack([result.values, *found]).tolist()
+    numbers = np.column_stack([result.values, *results]).tolist()
     writer.writerows([*row, Status(status).name] for row, status in zip(numbers, bounds.status.tolist(), strict=True))
     return text.getvalue()
 

@@ -84,7 +84,9 @@ DENSITY = PathDensity(rotation_rad=0.5, translation_m=12e-3, motion_m=25e-3)
 
 
 def least_stability(checker: MotionChecker, joints: Array) -> float:
-    """Of the states along the L-shaped motion from the start to joints (m,); at most 0 where the robot snaps there."""
+    """The least stability along the L-shaped motion from the start to joints (m,); at most 0 where the robot snaps
+    there.
+    """
     corners = checker.space.corners(checker.scenario.start, joints, checker.style)
     if not checker.space.allowed(corners):
         return 0.0
@@ -115,7 +117,9 @@ class TargetValue:
 
 
 def target_value(scenario: Scenario, starts: int, seed: int) -> TargetValue | None:
-    """Of the scenario's goal, a tip position; None where no configuration was found from `starts` random ones."""
+    """The value of the scenario's goal, a tip position; None where no configuration reaches it from `starts` random
+    ones.
+    """
     checker, target = target_checker(scenario), tip_target(scenario)
     rng = np.random.default_rng(seed)
     ways = reach(checker, target, scenario.goal.tolerance_m, rng, starts).configurations
@@ -145,7 +149,7 @@ def _error_m(way: Configuration) -> float:
 
 
 def value_nearby(scenario: Scenario, near: TargetValue) -> TargetValue | None:
-    """Of the same target for a robot that differs a little: the tip is led back from the joints of `near`.
+    """The value of the same target for a robot that differs a little: the tip is led back from the joints of `near`.
 
     None where that leads to no valid configuration.
     """
@@ -154,8 +158,8 @@ def value_nearby(scenario: Scenario, near: TargetValue) -> TargetValue | None:
     if not checker.space.allowed(begin):
         return None
     joints = refined(checker, target, begin, min(FINE_M, scenario.goal.tolerance_m))[0]
-    found = configuration(checker, target, joints)
-    return _value(found) if found.valid and found.tip_error_m <= scenario.goal.tolerance_m else None
+    result = configuration(checker, target, joints)
+    return _value(result) if result.valid and result.tip_error_m <= scenario.goal.tolerance_m else None
 
 
 def target_checker(scenario: Scenario) -> MotionChecker:
@@ -206,13 +210,13 @@ def bound_by(checker: MotionChecker, joints: Array, pairs: Sequence[RobotPair]) 
     collars = [f"{kind}.{i + 1}" for kind in ("theta_b", "l_b") for i in range(robot.n)]
     states = friction_states(robot)
     rows = np.repeat(joints[None], len(states), axis=0)
-    found = checker.mechanics.tips_with_friction(
+    result = checker.mechanics.tips_with_friction(
         *checker.space.drive.collars(rows), states, parameters=[*names, *collars]
     )
-    by = np.nan_to_num(found.position_by)
+    by = np.nan_to_num(result.position_by)
     by_parameters = by[..., : len(names)] @ numbers_by + by[..., len(names) :] @ moved_by
     by_joints = by[..., len(names) :] @ checker.space.drive.collars_by_joints(joints[None])[0]
-    away = np.nan_to_num(found.position_m[1:] - found.position_m[0])
+    away = np.nan_to_num(result.position_m[1:] - result.position_m[0])
     size = np.linalg.norm(away, axis=1)
     k = int(np.argmax(size)) if len(size) else 0
     if not len(size) or size[k] == 0:
@@ -242,14 +246,14 @@ def _numbers(robot: Robot, pairs: Sequence[RobotPair]) -> tuple[list[str], Array
 
 def _all_names(robot: Robot) -> list[str]:
     """What a tip can be differentiated by that a design may change."""
-    found = []
+    results = []
     for i, tube in enumerate(robot.tubes, start=1):
-        found += [f"tube.{i}.bending_stiffness_Nm2", f"tube.{i}.poisson_ratio"]
+        results += [f"tube.{i}.bending_stiffness_Nm2", f"tube.{i}.poisson_ratio"]
         for k in range(1, len(tube.sections) + 1):
-            found += [f"tube.{i}.section.{k}.{key}" for key in ("length_m", "curvature_x_per_m", "curvature_y_per_m")]
+            results += [f"tube.{i}.section.{k}.{key}" for key in ("length_m", "curvature_x_per_m", "curvature_y_per_m")]
     for i in range(1, robot.n):
-        found += [f"contact.{i}.clearance_m", f"contact.{i}.friction_coefficient"]
-    return found
+        results += [f"contact.{i}.clearance_m", f"contact.{i}.friction_coefficient"]
+    return results
 
 
 def _collars(checker: MotionChecker, joints: Array, pairs: Sequence[RobotPair]) -> Array:
@@ -315,12 +319,12 @@ def set_value(scenario: Scenario, goals: Sequence[Goal], search: Search) -> SetV
     possible = reachable(scenario, goals, search.seed)
     for _ in range(possible.count(False)):
         outlook = outlook.with_target(None)
-    found: list[TargetValue | None] = [None] * len(goals)
+    results: list[TargetValue | None] = [None] * len(goals)
     for k in np.flatnonzero(possible).tolist():
         if outlook.is_hopeless(reached, search.front):
             break
         there = with_target(scenario, goals[k])
-        target = found[k] = target_value(there, search.starts, search.seed + k)
+        target = results[k] = target_value(there, search.starts, search.seed + k)
         if target is None:
             outlook = outlook.with_target(None)
             continue
@@ -330,7 +334,7 @@ def set_value(scenario: Scenario, goals: Sequence[Goal], search: Search) -> SetV
     if outlook.is_hopeless(reached, search.front):
         looked = len(outlook.errors_mm)
         raise Pruned(f"a design of the front is better, as {looked} of {len(goals)} targets show already.")
-    return SetValue(tuple(found), search.unreached_mm, outlook.stability if reached else -math.inf)
+    return SetValue(tuple(results), search.unreached_mm, outlook.stability if reached else -math.inf)
 
 
 def error_slopes_mm(scenario: Scenario, goals: Sequence[Goal], worth: SetValue, pairs: Sequence[RobotPair]) -> Array:

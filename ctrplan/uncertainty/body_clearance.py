@@ -88,7 +88,7 @@ class BodySpread:
     spared_strain: MarginSpread  # strains, negative
 
     def sides(self) -> IntervalSides:
-        """Of all S N points, one state after the other."""
+        """Displacements of all S N points, one state after the other."""
         states, count, _, axes = self.sides_m.shape
         return IntervalSides(self.middle_m.reshape(-1, 3), self.sides_m.reshape(states * count, 3, axes))
 
@@ -117,20 +117,20 @@ def solved_bodies(parameters: UncertainParameters, offset: Array, theta: Array, 
     """Bodies [m] in S friction states with parameters (P,) away from their values; NaN where a solve failed."""
     robot = parameters.robot_at(offset)
     theta_b, l_b = clamped_collars(parameters, robot, theta[None], l[None])
-    found = robot.mechanics.friction_bodies(theta_b[0], l_b[0], friction_states(robot), spacing_m=SPACING_M)
-    lost = ~found.solved
+    result = robot.mechanics.friction_bodies(theta_b[0], l_b[0], friction_states(robot), spacing_m=SPACING_M)
+    lost = ~result.solved
     return replace(
-        found,
-        point_m=np.where(lost[:, None, None], np.nan, found.point_m),
-        stability=np.where(lost, np.nan, found.stability),
-        max_strain=np.where(lost, np.nan, found.max_strain),
+        result,
+        point_m=np.where(lost[:, None, None], np.nan, result.point_m),
+        stability=np.where(lost, np.nan, result.stability),
+        max_strain=np.where(lost, np.nan, result.max_strain),
     )
 
 
 def body_at(parameters: UncertainParameters, offset: Array, theta: Array, l: Array) -> tuple[Array, Array]:  # noqa: E741
     """(S, N, 3) of these bodies [m], and outer radii (N,) [m]."""
-    found = solved_bodies(parameters, offset, theta, l)
-    return found.point_m, found.radius_m
+    result = solved_bodies(parameters, offset, theta, l)
+    return result.point_m, result.radius_m
 
 
 def _spread(here: Array, middle: Array, ends: list[Array]) -> MarginSpread:
@@ -148,8 +148,8 @@ def alike(bodies: Array, pattern: Array) -> Array:
     at = np.linspace(0.0, bodies.shape[1] - 1.0, count)
     low = np.minimum(at.astype(int), max(bodies.shape[1] - 2, 0))
     share = (at - low)[:, None]
-    found: Array = bodies[:, low] * (1 - share) + bodies[:, np.minimum(low + 1, bodies.shape[1] - 1)] * share
-    return found
+    result: Array = bodies[:, low] * (1 - share) + bodies[:, np.minimum(low + 1, bodies.shape[1] - 1)] * share
+    return result
 
 
 NEAR_M = 1e-3  # beside what may be narrowest: friction states between the corners are not looked at here
@@ -183,7 +183,7 @@ class BodyClearance:
 
     @cached_property
     def sides(self) -> IntervalSides:
-        """Of all points."""
+        """Displacements of all points."""
         return self.spread.sides()
 
     @cached_property
@@ -200,11 +200,11 @@ class BodyClearance:
     @cached_property
     def reach_m(self) -> Array:
         """(B,) how far each point may be displaced, to first order; no less where that can't matter."""
-        found = rough_reach_m(self.sides, self.base, self.point_m)
-        rows = self.clearance_m - found - NEAR_M <= self.least_m
+        result = rough_reach_m(self.sides, self.base, self.point_m)
+        rows = self.clearance_m - result - NEAR_M <= self.least_m
         moved = IntervalSides(self.sides.middle[rows], self.sides.sides[rows])
-        found[rows] = reach_m(moved, self.base, self.point_m[rows])
-        return found
+        result[rows] = reach_m(moved, self.base, self.point_m[rows])
+        return result
 
     @property
     def least_m(self) -> float:
@@ -218,7 +218,7 @@ class BodyClearance:
 
     @cached_property
     def most_displaced(self) -> int:
-        """Of the points near the anatomy, the one that may move farthest."""
+        """The number of the point near the anatomy that may move farthest."""
         return int(self.near[np.argmax(self.reach_m[self.near])])
 
     @cached_property
@@ -232,8 +232,8 @@ class BodyClearance:
     def worst_offset(self) -> Array:
         """(P,) of the parameters there."""
         box = OffsetBox.of(self.parameters)
-        found: Array = box.middle + box.axes @ self.worst.signs[0]
-        return found
+        result: Array = box.middle + box.axes @ self.worst.signs[0]
+        return result
 
     @cached_property
     def beyond_first_order_m(self) -> float:
@@ -266,8 +266,8 @@ class BodyClearance:
 
     def clearance_at(self, points_m: Array, rows: NDArray[np.int_]) -> Array:
         """(R,) of some of the points, were they elsewhere, (R, 3)."""
-        found: Array = _distance(self.scenario, points_m) - self._radius_m[rows]
-        return found
+        result: Array = _distance(self.scenario, points_m) - self._radius_m[rows]
+        return result
 
     @property
     def _radius_m(self) -> Array:
@@ -277,8 +277,8 @@ class BodyClearance:
         """(R, 3) gradients of the clearance at some points, robot frame."""
         shifts = GRADIENT_STEP_M * np.eye(3)
         ends = [[_distance(self.scenario, self.point_m[rows] + side * shift) for side in (1, -1)] for shift in shifts]
-        found: Array = np.array([(up - down) / (2 * GRADIENT_STEP_M) for up, down in ends]).T
-        return found
+        result: Array = np.array([(up - down) / (2 * GRADIENT_STEP_M) for up, down in ends]).T
+        return result
 
     def slopes(self, rows: NDArray[np.int_]) -> Array:
         """(R, 3, P) of some points by the parameters."""
@@ -341,8 +341,8 @@ def usual_allowance_m(scenario: Scenario, sample: Callable[[], Array]) -> float:
         return 0.0
     known = _USUAL.setdefault(scenario.robot, {})
     if scenario.registration not in known:
-        found = [body.allowance_m for body in bodies_at(scenario, parameters, sample())]
-        known[scenario.registration] = float(np.quantile(found, 0.25, method="lower"))
+        results = [body.allowance_m for body in bodies_at(scenario, parameters, sample())]
+        known[scenario.registration] = float(np.quantile(results, 0.25, method="lower"))
     return known[scenario.registration]
 
 
@@ -355,9 +355,9 @@ def bodies_at(scenario: Scenario, parameters: UncertainParameters, joints: Array
     """At joints (R, m), on every core."""
 
     def look(q: Array) -> BodyClearance:
-        found = BodyClearance.of(scenario, parameters, q)
-        _ = found.allowance_m, found.margins_lost  # solved here, on this thread
-        return found
+        body_clearance = BodyClearance.of(scenario, parameters, q)
+        _ = body_clearance.allowance_m, body_clearance.margins_lost  # solved here, on this thread
+        return body_clearance
 
     with ThreadPoolExecutor(cores()) as pool:
         return list(pool.map(look, joints))
@@ -377,6 +377,6 @@ def _between(rows: NDArray[np.int_], values: Array, count: int) -> Array:
     """(count,) values at `rows`; in between INTERPOLATED times the larger neighbour."""
     right = np.searchsorted(rows, np.arange(count))
     left = np.maximum(right - 1, 0)
-    found: Array = INTERPOLATED * np.maximum(values[left], values[right])
-    found[rows] = values
-    return found
+    result: Array = INTERPOLATED * np.maximum(values[left], values[right])
+    result[rows] = values
+    return result

@@ -42,34 +42,34 @@ SHARE = 0.5  # of the solves, as many terms at most
 
 @dataclass(frozen=True, eq=False)
 class BeyondFirstOrder:
-    """Of R solves."""
+    """What R solves differ by from first order."""
 
     weight: Array  # (F, ...) of the quadratic's terms
     rest: Array  # (R, ...) NaN where there was no equilibrium
 
     @classmethod
-    def of(cls, deviations: Array, found: Array) -> BeyondFirstOrder:
-        """Of differences found (R, ...) of draws, deviations (R, P) from their values in standard deviations."""
-        flat, terms = found.reshape(len(found), -1), _terms(deviations, len(found))
+    def of(cls, deviations: Array, result: Array) -> BeyondFirstOrder:
+        """Fits differences (R, ...) of draws, deviations (R, P) from their values in standard deviations."""
+        flat, terms = result.reshape(len(result), -1), _terms(deviations, len(result))
         known = ~np.isnan(flat).any(axis=1)
         A, values = terms[known], flat[known]
         if len(A) * SHARE < A.shape[1]:
-            return cls(np.zeros((A.shape[1], *found.shape[1:])), found)
+            return cls(np.zeros((A.shape[1], *result.shape[1:])), result)
         solved = np.linalg.solve(A.T @ A + RIDGE * np.eye(A.shape[1]), A.T @ values)
-        weight = np.asarray(solved, dtype=np.float64).reshape(-1, *found.shape[1:])
-        return cls(weight, found - np.tensordot(terms, weight, axes=1))
+        weight = np.asarray(solved, dtype=np.float64).reshape(-1, *result.shape[1:])
+        return cls(weight, result - np.tensordot(terms, weight, axes=1))
 
     def at(self, deviations: Array, place: int) -> Array:
         """(M, ...) of draws (M, P), the first R those solved, at one place of the first axis after the draws."""
         quadratic = np.tensordot(_terms(deviations, len(self.rest)), self.weight[:, place], axes=1)
-        found: Array = quadratic + repeated(self.rest[:, place], len(deviations))
-        return found
+        result: Array = quadratic + repeated(self.rest[:, place], len(deviations))
+        return result
 
 
 def repeated(values: Array, count: int) -> Array:
     """(count, ...) values (R, ...) over and over."""
-    found: Array = np.take(values, np.arange(count), axis=0, mode="wrap")
-    return found
+    result: Array = np.take(values, np.arange(count), axis=0, mode="wrap")
+    return result
 
 
 def _terms(deviations: Array, solves: int) -> Array:
@@ -108,7 +108,7 @@ class SimulatedPoses:
     def of(
         cls, scenario: Scenario, parameters: UncertainParameters, path: DrivenPath, offsets: Array, solved: Array
     ) -> SimulatedPoses:
-        """Of draws with parameters offsets (M, P) away from their values.
+        """Histories of draws with parameters offsets (M, P) away from their values.
 
         Solves of the first (R, W, 6) move poses by `solved` on the mean over friction states.
         """
@@ -127,19 +127,19 @@ class SimulatedPoses:
         with ThreadPoolExecutor(cores()) as pool:
             while parameters.count and len(beyond) < min(MOST, len(solved)) and not _is_known(beyond):
                 more = np.arange(len(beyond), min(len(beyond) + BATCH, len(solved)))
-                found = np.array(list(pool.map(driven, more.tolist())))
-                beyond = np.concatenate([beyond, found - nominal[start[more]] - solved[more]])
+                result = np.array(list(pool.map(driven, more.tolist())))
+                beyond = np.concatenate([beyond, result - nominal[start[more]] - solved[more]])
         return cls(nominal, start, beyond)
 
     def middle(self, w: int) -> Array:
         """(6,) at a place."""
-        found: Array = self.nominal[:, w].mean(axis=0)
-        return found
+        result: Array = self.nominal[:, w].mean(axis=0)
+        return result
 
     def started(self, w: int, count: int) -> Array:
         """(count, 6) of the file's robot from the start states of the first draws."""
-        found: Array = self.nominal[self.start[:count], w]
-        return found
+        result: Array = self.nominal[self.start[:count], w]
+        return result
 
 
 def _is_known(beyond: Array) -> bool:
@@ -171,15 +171,15 @@ def _driven(robot: Robot, begun: Start | ObservedHistory, theta_b: Array, l_b: A
     # an observed state is of the file's robot: others begin with its friction, even along each contact
     start = np.clip(begun.phi, -1, 1) if isinstance(begun, ObservedHistory) else begun
     try:
-        found = History(robot.mechanics, start).follow(theta_b, l_b)
+        result = History(robot.mechanics, start).follow(theta_b, l_b)
     except SolverError:
         return np.full((len(rows), 6), np.nan)
-    return np.concatenate([found.position_m, found.tangent], axis=1)[rows]
+    return np.concatenate([result.position_m, result.tangent], axis=1)[rows]
 
 
 @dataclass(frozen=True, eq=False)
 class DrawnPoses:
-    """Of M draws at W places, joint values at which the tip is looked at, in S friction states."""
+    """Poses of M draws at W places, joint values at which the tip is evaluated, in S friction states."""
 
     parameters: UncertainParameters
     theta: Array  # (W, n) commanded
@@ -202,31 +202,31 @@ class DrawnPoses:
 
         `places` are those of one target, its end last; `draws` has the same robots.
         """
-        found, own = list[Misses](), list[Misses]()
+        result, own = list[Misses](), list[Misses]()
         for w, is_end in _ends(places):
             at = self.slopes.pose[w]
-            for into, moved in ((found, self._moved(w)), (own, self._solved(w))):
+            for into, moved in ((result, self._moved(w)), (own, self._solved(w))):
                 states = [_judged(aim, at[s] + moved[:, s], at[s], draws, is_end) for s in range(len(at))]
                 into.append(Misses.worst(states))
-        return Misses.worst(found), Misses.worst(own)
+        return Misses.worst(result), Misses.worst(own)
 
     def by_history(
         self, aim: TargetPose, places: NDArray[np.int_], draws: Draws, simulated: SimulatedPoses
     ) -> tuple[Misses, Misses]:
         """With friction as simulated, likewise."""
-        found, own = list[Misses](), list[Misses]()
+        result, own = list[Misses](), list[Misses]()
         for w, is_end in _ends(places):
-            for into, moved in ((found, self._moved(w)), (own, self._solved(w))):
+            for into, moved in ((result, self._moved(w)), (own, self._solved(w))):
                 pose = simulated.started(w, len(moved)) + moved.mean(axis=1)
                 pose += repeated(simulated.beyond[:, w], len(moved)) if len(simulated.beyond) else 0.0
                 into.append(_judged(aim, pose, simulated.middle(w), draws, is_end))
-        return Misses.worst(found), Misses.worst(own)
+        return Misses.worst(result), Misses.worst(own)
 
     @property
     def solved(self) -> Array:
         """(R, W, 6) how parameters move poses on the mean over friction states, of the draws that were solved."""
-        found: Array = np.stack([self._solved(w).mean(axis=1) for w in range(len(self.theta))], axis=1)
-        return found
+        result: Array = np.stack([self._solved(w).mean(axis=1) for w in range(len(self.theta))], axis=1)
+        return result
 
     def _moved(self, w: int) -> Array:
         """(M, S, 6) by parameters."""

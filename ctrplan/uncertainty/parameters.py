@@ -66,7 +66,7 @@ class UncertainParameters:
 
     @property
     def half_width(self) -> Array:
-        """Of the intervals."""
+        """(P,) half the widths of the 95 % intervals."""
         return (self.high - self.low) / 2
 
     @cached_property
@@ -83,7 +83,7 @@ class UncertainParameters:
 
     @property
     def unit(self) -> tuple[str, ...]:
-        """Of files and screens; empty for pure numbers."""
+        """The unit of a parameter in files and on screens; empty for pure numbers."""
         return tuple(UNITS.get(self._file_name(name).rsplit("_", 1)[-1], "") for name in self.names)
 
     @property
@@ -99,7 +99,7 @@ class UncertainParameters:
         return _changed(self.robot, dict(zip(self.names, values, strict=True)))
 
     def widened(self, factor: Array | float) -> UncertainParameters:
-        """The same with intervals `factor` times as wide."""
+        """These parameters with intervals `factor` times as wide."""
         low, high = (self.value + factor * (end - self.value) for end in (self.low, self.high))
         return replace(self, low=low, high=high)
 
@@ -114,8 +114,8 @@ class UncertainParameters:
         np.fill_diagonal(correlation, 1.0)
         kept = np.flatnonzero(rest).tolist()
         columns = {name: getattr(self, name)[rest] for name in ("value", "low", "high", "least", "most", "si")}
-        found = replace(self, names=tuple(self.names[k] for k in kept), correlation=correlation, **columns)
-        return found.widened(scale)
+        result = replace(self, names=tuple(self.names[k] for k in kept), correlation=correlation, **columns)
+        return result.widened(scale)
 
     def drawn(self, rng: np.random.Generator, count: int) -> Array:
         """(count, P) offsets from the values; draws that physics does not allow are drawn anew."""
@@ -123,12 +123,12 @@ class UncertainParameters:
             return np.zeros((count, 0))
         values, vectors = np.linalg.eigh(self.correlation)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
-        found = np.empty((0, self.count))
-        while len(found) < count:
+        result = np.empty((0, self.count))
+        while len(result) < count:
             offset = rng.standard_normal((count, self.count)) @ root.T * self.sigma
             moved = self.value + offset
-            found = np.concatenate([found, offset[np.all((moved >= self.least) & (moved <= self.most), axis=1)]])
-        return found[:count]
+            result = np.concatenate([result, offset[np.all((moved >= self.least) & (moved <= self.most), axis=1)]])
+        return result[:count]
 
     def _file_name(self, name: str) -> str:
         return name if name.startswith("effects.") else file_key(name, 0.0)[0]
@@ -140,8 +140,8 @@ def uncertain_parameters(robot: Robot) -> UncertainParameters:
     Effects of clock and sensor change what is measured, not where the robot is. A contact whose friction is an interval
     is not among them: bounds and certificates take its upper end already.
     """
-    found = {**_of_file(robot), **_of_effects(robot)}
-    moving = {name: row for name, row in found.items() if row[2] > row[1]}
+    results = {**_of_file(robot), **_of_effects(robot)}
+    moving = {name: row for name, row in results.items() if row[2] > row[1]}
     rows = np.array(list(moving.values())).reshape(-1, 6)
     names = tuple(moving)
     value, low, high, least, most, si = rows.T
@@ -152,18 +152,18 @@ Row = tuple[float, float, float, float, float, float]  # value, low, high, least
 
 
 def _of_file(robot: Robot) -> dict[str, Row]:
-    ideal, found = Chain.of(robot).ideal, dict[str, Row]()
+    ideal, result = Chain.of(robot).ideal, dict[str, Row]()
     for name, (low, high) in robot.intervals.ci95.items():
         key = name.rsplit(".", 1)[-1]
         least, most = PHYSICAL.get(key, (-np.inf, np.inf))
         value = value_of(ideal, name)
         si = next(si for known, si in KEYS.values() if known == key)
-        found[name] = value, min(low, value), max(high, value), min(least, value), max(most, value), si
-    return found
+        result[name] = value, min(low, value), max(high, value), min(least, value), max(most, value), si
+    return result
 
 
 def _of_effects(robot: Robot) -> dict[str, Row]:
-    found = dict[str, Row]()
+    results = dict[str, Row]()
     for name, table in robot.effects.items():
         effect = effect_of(name, table, robot.n)
         known = {parameter.name: parameter for parameter in effect.parameters(robot.ideal or robot)}
@@ -172,19 +172,19 @@ def _of_effects(robot: Robot) -> dict[str, Row]:
             value = float(table.get(key, parameter.neutral))
             ends = min(low, value), max(high, value), parameter.lower, parameter.upper
             si = parameter.si
-            found[f"effects.{name}.{key}"] = (value * si, *(end * si for end in ends), si)  # type: ignore[assignment]
-    return found
+            results[f"effects.{name}.{key}"] = (value * si, *(end * si for end in ends), si)  # type: ignore[assignment]
+    return results
 
 
 def _correlation(robot: Robot, names: tuple[str, ...]) -> Array:
-    stated, found = robot.intervals, np.eye(len(names))
+    stated, result = robot.intervals, np.eye(len(names))
     if stated.correlation is None:
-        return found
+        return result
     place = {name: k for k, name in enumerate(stated.correlated)}
     known = [k for k, name in enumerate(names) if name in place]
     rows = [place[names[k]] for k in known]
-    found[np.ix_(known, known)] = stated.correlation[np.ix_(rows, rows)]
-    return found
+    result[np.ix_(known, known)] = stated.correlation[np.ix_(rows, rows)]
+    return result
 
 
 def _changed(robot: Robot, values: Mapping[str, float]) -> Robot:

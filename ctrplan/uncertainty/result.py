@@ -139,9 +139,9 @@ def _contributors(body: BodyClearance, unexplained_m: float) -> tuple[Contributo
 Clearances = tuple[Array, Array, Array]  # (M,) over the path, (R,) at the narrowest sample: linearised, solved
 
 
-def _chance(found: Clearances, level_m: float) -> Chance:
-    """Of falling below a level on the path; what solves change at the narrowest sample is carried over."""
-    path, linear, solved = found
+def _chance(clearances: Clearances, level_m: float) -> Chance:
+    """The chance of falling below a level on the path; what solves change at the narrowest sample is carried over."""
+    path, linear, solved = clearances
     first = path[: len(solved)]
     corrected = np.where(linear <= first, solved, np.minimum(first, solved))
     return chance(path < level_m, ~(corrected >= level_m))
@@ -169,13 +169,13 @@ def _linear(body: BodyClearance, draws: Draws) -> Array:
     normal, point = body.normals(rows), body.point_m[rows]
     by = np.einsum("rc,rcp->rp", normal, body.slopes(rows))
     turned = np.cross(point, normal)  # n . (w x p) = w . (p x n)
-    found = np.empty(len(draws.offset))
-    for first in range(0, len(found), CHUNK):
+    result = np.empty(len(draws.offset))
+    for first in range(0, len(result), CHUNK):
         part = slice(first, first + CHUNK)
         moved = draws.offset[part] @ by.T + draws.turn_rad[part] @ turned.T
         moved += (draws.shift_m[part] + draws.unexplained_m[part]) @ normal.T
-        found[part] = (body.clearance_m[rows] + moved).min(axis=1)
-    return found
+        result[part] = (body.clearance_m[rows] + moved).min(axis=1)
+    return result
 
 
 def _solved(body: BodyClearance, draws: Draws, k: int) -> float:

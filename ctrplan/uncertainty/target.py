@@ -44,7 +44,7 @@ class TargetPose:
 
     @classmethod
     def of(cls, scenario: Scenario, goal: Goal, frictionless_m: Array) -> TargetPose:
-        """Of a goal; of one in joint values the frictionless tip (3,) there."""
+        """What a goal requires of the tip; for a goal in joint values, the frictionless tip (3,) there."""
         if goal.tip_m is None:
             return cls(frictionless_m, None)
         to_robot = scenario.base_R.T
@@ -89,9 +89,9 @@ class Misses:
     turned_rad: Array  # (M,) zero without a direction
 
     @classmethod
-    def worst(cls, found: list[Misses]) -> Misses:
+    def worst(cls, results: list[Misses]) -> Misses:
         """The largest of several places or states, robot by robot."""
-        return cls(np.max([f.off_m for f in found], axis=0), np.max([f.turned_rad for f in found], axis=0))
+        return cls(np.max([f.off_m for f in results], axis=0), np.max([f.turned_rad for f in results], axis=0))
 
     def missed(self, aim: TargetPose) -> NDArray[np.bool_]:
         """(M,) off by more than the tolerance, or turned by more than that of the direction; none without one."""
@@ -169,16 +169,16 @@ class TipVector:
 
     def worst(self, off: str, rest: Mapping[str, float]) -> WorstCase:
         """With what is added besides; `off` is what the distance without friction and errors is called."""
-        found, at, box = self._farthest, self.at, OffsetBox.of(self.parameters)
-        state = int(np.argmax(found.length_m))
-        u, offset = found.direction[state], box.middle + box.axes @ found.signs[state]
+        result, at, box = self._farthest, self.at, OffsetBox.of(self.parameters)
+        state = int(np.argmax(result.length_m))
+        u, offset = result.direction[state], box.middle + box.axes @ result.signs[state]
         beyond = self._beyond(state, offset)
         given = shares(self.parameters, u, self.by[state], offset, self.base, at[state], 0.0)
         given[FRICTION] = given.get(FRICTION, 0.0) + float(u @ (at[state] - at[0]))
         given |= {off: float(u @ (at[0] - self.target)), SECOND_ORDER: beyond, **rest}
         phi = tuple(friction_states(self.parameters.robot)[state].tolist())
         kept = {name: share for name, share in given.items() if share or name == FRICTION}
-        return WorstCase(float(found.length_m[state]) + beyond + sum(rest.values()), kept, self._saved(), phi, beyond)
+        return WorstCase(float(result.length_m[state]) + beyond + sum(rest.values()), kept, self._saved(), phi, beyond)
 
     def _beyond(self, state: int, offset: Array) -> float:
         if not self.parameters.count:
@@ -190,15 +190,15 @@ class TipVector:
     def _saved(self) -> dict[str, float]:
         """By how much the worst case shrinks where the parameters of one title, or the base, are known exactly."""
         titles, whole = np.array(self.parameters.title), float(self._farthest.length_m.max())
-        found = {}
+        results = {}
         for title in dict.fromkeys(titles.tolist()):
             known = titles == title
             left = self._displaced(OffsetBox.of(self.parameters.measured(known)), self.by[:, :, ~known], self.base)
-            found[title] = whole - float(left.length_m.max())
+            results[title] = whole - float(left.length_m.max())
         if self.base != BaseBall():
             left = self._displaced(OffsetBox.of(self.parameters), self.by, BaseBall())
-            found[REGISTRATION] = whole - float(left.length_m.max())
-        return found
+            results[REGISTRATION] = whole - float(left.length_m.max())
+        return results
 
     def _displaced(self, box: OffsetBox, by: Array, base: BaseBall) -> Farthest:
         return farthest(self.at - self.target, box.displaced(by), base, self.at)

@@ -40,9 +40,9 @@ class Judged:
     solved: Misses
 
     @classmethod
-    def of(cls, found: tuple[Misses, Misses], stop: Stop) -> Judged:
+    def of(cls, results: tuple[Misses, Misses], stop: Stop) -> Judged:
         """With play of the drive."""
-        return cls(*(replace(m, off_m=m.off_m + stop.play_m, turned_rad=m.turned_rad + stop.play_rad) for m in found))
+        return cls(*(replace(m, off_m=m.off_m + stop.play_m, turned_rad=m.turned_rad + stop.play_rad) for m in results))
 
     def missed(self, aim: TargetPose) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Position or direction."""
@@ -70,9 +70,9 @@ def judged(
     return StopJudged(aim, any_friction, Judged.of(drawn.by_history(aim, stop.places, draws, simulated), stop))
 
 
-def goal_miss(scenario: Scenario, drawn: DrawnPoses, stop: Stop, found: StopJudged) -> GoalMiss:
+def goal_miss(scenario: Scenario, drawn: DrawnPoses, stop: Stop, result: StopJudged) -> GoalMiss:
     """The result at a target."""
-    aim, history = found.aim, found.by_history
+    aim, history = result.aim, result.by_history
     worst, place = _worst_off(scenario, drawn, stop, aim)
     contributors = ranked(worst.given, {**worst.saved, UNEXPLAINED: scenario.robot.model_error_m})
     is_judged = aim.tolerance_m is not None
@@ -82,19 +82,19 @@ def goal_miss(scenario: Scenario, drawn: DrawnPoses, stop: Stop, found: StopJudg
         friction_state=worst.friction_state,
         beyond_first_order_m=worst.beyond_first_order,
         tolerance_m=aim.tolerance_m,
-        chance_any_friction=chance(*found.any_friction.missed(aim)) if is_judged else None,
+        chance_any_friction=chance(*result.any_friction.missed(aim)) if is_judged else None,
         chance_by_history=chance(*history.missed(aim)) if history and is_judged else None,
-        quantile_any_friction_m=quantile95(found.any_friction.all.off_m),
+        quantile_any_friction_m=quantile95(result.any_friction.all.off_m),
         quantile_by_history_m=quantile95(history.all.off_m) if history else None,
         sentence=sentence(worst.size, contributors),
         name=stop.goal.name,
         sample=int(stop.samples[place]),
-        turn=None if aim.direction is None else _turn(scenario, drawn, stop, found),
+        turn=None if aim.direction is None else _turn(scenario, drawn, stop, result),
     )
 
 
-def _turn(scenario: Scenario, drawn: DrawnPoses, stop: Stop, found: StopJudged) -> TurnMiss:
-    aim, history = found.aim, found.by_history
+def _turn(scenario: Scenario, drawn: DrawnPoses, stop: Stop, result: StopJudged) -> TurnMiss:
+    aim, history = result.aim, result.by_history
     assert aim.direction is not None and aim.direction_tolerance_rad is not None
     base = BaseBall.of(0.0, scenario.registration.rotation_sigma_rad)
     vector = _vector(drawn, int(stop.places[-1]), TANGENT, aim.direction, base)
@@ -106,9 +106,11 @@ def _turn(scenario: Scenario, drawn: DrawnPoses, stop: Stop, found: StopJudged) 
         friction_state=worst.friction_state,
         beyond_first_order_rad=worst.beyond_first_order,
         tolerance_rad=aim.direction_tolerance_rad,
-        chance_any_friction=chance(*(m.turned_away(aim) for m in (found.any_friction.all, found.any_friction.solved))),
+        chance_any_friction=chance(
+            *(m.turned_away(aim) for m in (result.any_friction.all, result.any_friction.solved))
+        ),
         chance_by_history=chance(*(m.turned_away(aim) for m in (history.all, history.solved))) if history else None,
-        quantile_any_friction_rad=quantile95(found.any_friction.all.turned_rad),
+        quantile_any_friction_rad=quantile95(result.any_friction.all.turned_rad),
         quantile_by_history_rad=quantile95(history.all.turned_rad) if history else None,
         sentence=turn_sentence(worst.size, contributors),
     )
@@ -151,19 +153,19 @@ def _as_angle(chord: WorstCase, play_rad: float) -> WorstCase:
     )
 
 
-def tour_miss(found: Sequence[StopJudged]) -> TourMiss | None:
+def tour_miss(results: Sequence[StopJudged]) -> TourMiss | None:
     """None of less than two targets that can be missed."""
-    found = [stop for stop in found if stop.aim.tolerance_m is not None]
-    if len(found) < 2:
+    results = [stop for stop in results if stop.aim.tolerance_m is not None]
+    if len(results) < 2:
         return None
-    histories = [(stop, stop.by_history) for stop in found if stop.by_history is not None]
+    histories = [(stop, stop.by_history) for stop in results if stop.by_history is not None]
     return TourMiss(
-        targets=len(found),
-        chance_any_friction=_any_missed([(stop, stop.any_friction) for stop in found]),
-        chance_by_history=_any_missed(histories) if len(histories) == len(found) else None,
+        targets=len(results),
+        chance_any_friction=_any_missed([(stop, stop.any_friction) for stop in results]),
+        chance_by_history=_any_missed(histories) if len(histories) == len(results) else None,
     )
 
 
-def _any_missed(found: Sequence[tuple[StopJudged, Judged]]) -> Chance:
-    missed = [judged.missed(stop.aim) for stop, judged in found]
+def _any_missed(results: Sequence[tuple[StopJudged, Judged]]) -> Chance:
+    missed = [judged.missed(stop.aim) for stop, judged in results]
     return chance(*(np.any(events, axis=0) for events in zip(*missed, strict=True)))

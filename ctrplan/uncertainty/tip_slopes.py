@@ -75,8 +75,8 @@ def poses_at(parameters: UncertainParameters, offset: Array, theta: Array, l: Ar
     robot = parameters.robot_at(offset)
     states = friction_states(robot)
     theta_b, l_b = (np.repeat(part, len(states), axis=0) for part in clamped_collars(parameters, robot, theta, l))
-    found = robot.mechanics.tips_with_friction(theta_b, l_b, np.tile(states, (len(theta), 1)))
-    return _pose(found).reshape(len(theta), len(states), 6)
+    result = robot.mechanics.tips_with_friction(theta_b, l_b, np.tile(states, (len(theta), 1)))
+    return _pose(result).reshape(len(theta), len(states), 6)
 
 
 def tip_slopes(parameters: UncertainParameters, theta: Array, l: Array) -> TipSlopes:  # noqa: E741
@@ -89,18 +89,18 @@ def tip_slopes(parameters: UncertainParameters, theta: Array, l: Array) -> TipSl
     asked = [*names, *itertools.compress(joints, moved.tolist())]
     theta_b, l_b = (np.repeat(part, len(states), axis=0) for part in clamped_collars(parameters, robot, theta, l))
     phi = np.tile(states, (len(theta), 1))
-    found = robot.mechanics.tips_with_friction(theta_b, l_b, phi, parameters=tuple(asked))
+    result = robot.mechanics.tips_with_friction(theta_b, l_b, phi, parameters=tuple(asked))
     shape = (len(theta), len(states), 6)
-    core = np.concatenate([found.position_by, found.tangent_by], axis=1).reshape(*shape, len(asked))
+    core = np.concatenate([result.position_by, result.tangent_by], axis=1).reshape(*shape, len(asked))
     numbers = np.broadcast_to(numbers_by, (len(theta), *numbers_by.shape))
     by = _chained(core[..., : len(names)], numbers) + _chained(core[..., len(names) :], joints_by[:, moved])
-    return TipSlopes(_pose(found).reshape(shape), _differenced(parameters, theta, l, by))
+    return TipSlopes(_pose(result).reshape(shape), _differenced(parameters, theta, l, by))
 
 
-def _pose(found: Tips) -> Array:
+def _pose(tips: Tips) -> Array:
     """(K, 6)."""
-    pose = np.concatenate([found.position_m, found.tangent], axis=1)
-    return np.where((found.status == Status.FAILED)[:, None], np.nan, pose)
+    pose = np.concatenate([tips.position_m, tips.tangent], axis=1)
+    return np.where((tips.status == Status.FAILED)[:, None], np.nan, pose)
 
 
 def _chained(outer: Array, inner: Array) -> Array:
@@ -125,17 +125,17 @@ def _numbers(parameters: UncertainParameters) -> tuple[list[str], Array]:
 def _changing(parameters: UncertainParameters) -> list[str]:
     chain = Chain.of(parameters.robot)
     of_effects = (given.effect.mechanics(given.values, chain.ideal) for given in chain.of_stage("mechanics"))
-    found = {name for named in of_effects for name in named}
+    result = {name for named in of_effects for name in named}
     for name in parameters.names:
         kind, *rest = name.split(".")
         if kind == "effects":
-            found |= _numbers_of_effect(parameters, rest)
+            result |= _numbers_of_effect(parameters, rest)
         elif rest[-1] == MAGNITUDE:
             stem = name.rsplit(".", 1)[0]
-            found |= {f"{stem}.curvature_x_per_m", f"{stem}.curvature_y_per_m"}
+            result |= {f"{stem}.curvature_x_per_m", f"{stem}.curvature_y_per_m"}
         else:
-            found.add(name)
-    return sorted(found)
+            result.add(name)
+    return sorted(result)
 
 
 def _numbers_of_effect(parameters: UncertainParameters, place: list[str]) -> set[str]:
@@ -152,8 +152,8 @@ def _collars_by(parameters: UncertainParameters, theta: Array, l: Array) -> Arra
         up, down, width = _beside(parameters, j)
         columns.append((_clamped(up, theta, l) - _clamped(down, theta, l)) / width)
     shape = (parameters.count, len(theta), 2 * parameters.robot.n)
-    found: Array = np.array(columns).reshape(shape).transpose(1, 2, 0)
-    return found
+    result: Array = np.array(columns).reshape(shape).transpose(1, 2, 0)
+    return result
 
 
 def _clamped(robot: Robot, theta: Array, l: Array) -> Array:  # noqa: E741
@@ -228,12 +228,12 @@ def worst_bound_m(
     away = slopes.tip_m - slopes.tip_m[:, :1]
     lost = np.isnan(away).any(axis=(1, 2)) | np.isnan(slopes.by).any(axis=(1, 2, 3))
     by = np.nan_to_num(slopes.by).reshape(-1, 3, parameters.count)
-    found = farthest(np.nan_to_num(away).reshape(-1, 3), box.displaced(by))
-    length = found.length_m.reshape(count, states)
+    result = farthest(np.nan_to_num(away).reshape(-1, 3), box.displaced(by))
+    length = result.length_m.reshape(count, states)
     state, rows = np.argmax(length, axis=1), np.arange(count)
     beyond = np.zeros(count)
     for k in rows.tolist():
-        offset = box.middle + box.axes @ found.signs.reshape(count, states, -1)[k, state[k]]
+        offset = box.middle + box.axes @ result.signs.reshape(count, states, -1)[k, state[k]]
         tip = tips_at(parameters, offset, theta[k : k + 1], l[k : k + 1])[0, state[k]]
         linear = slopes.tip_m[k, state[k]] + slopes.by[k, state[k]] @ offset
         beyond[k] = np.nan_to_num(np.linalg.norm(tip - linear), nan=np.inf)

@@ -46,7 +46,7 @@ class OffsetBox:
         return cls(middle, axes[:, axes.any(axis=0)])
 
     def displaced(self, by: Array) -> IntervalSides:
-        """Of points with slopes (B, 3, P)."""
+        """Displacements of points with slopes (B, 3, P)."""
         return IntervalSides(by @ self.middle, by @ self.axes)
 
 
@@ -67,7 +67,7 @@ class BaseBall:
 
     @classmethod
     def of(cls, position_sigma_m: float, rotation_sigma_rad: float) -> BaseBall:
-        """Of standard deviations of coordinates, and of small rotations about each axis."""
+        """The ball of standard deviations of coordinates, and of small rotations about each axis."""
         return cls(CHI95 * position_sigma_m, CHI95 * rotation_sigma_rad)
 
 
@@ -84,7 +84,9 @@ class Farthest:
 
 
 def farthest(a: Array, moved: IntervalSides, base: BaseBall = KNOWN_BASE, lever_m: Array | None = None) -> Farthest:
-    """Of B displacements that are a (B, 3) [m] without errors; levers (B, 3) from the base's origin to the points."""
+    """The farthest ends of B displacements, (B, 3) [m] without errors; levers (B, 3) from the base's origin to the
+    points.
+    """
     middle, sides = a + moved.middle, moved.sides
     arms = np.zeros_like(a) if lever_m is None else lever_m
     starts = np.concatenate([_sphere(STARTS), -_sphere(STARTS)])
@@ -112,16 +114,16 @@ def reach_m(moved: IntervalSides, base: BaseBall = KNOWN_BASE, lever_m: Array | 
     along: Array = np.abs(directions @ columns).sum(axis=2)  # (B, U)
     if lever_m is not None and base.rotation_rad:
         along = along + base.rotation_rad * np.linalg.norm(np.cross(lever_m[:, None], directions[None]), axis=2)
-    found: Array = along.max(axis=1) / np.cos(_gap(COVER)) + base.shift_m
-    return found
+    result: Array = along.max(axis=1) / np.cos(_gap(COVER)) + base.shift_m
+    return result
 
 
 def rough_reach_m(moved: IntervalSides, base: BaseBall, lever_m: Array) -> Array:
     """(B,) [m] never less than `reach_m` but for the gaps' cosine: everything added up. Levers (B, 3)."""
     sides = np.linalg.norm(moved.sides, axis=1).sum(axis=1) + np.linalg.norm(moved.middle, axis=1)
-    found: Array = sides + base.shift_m + base.rotation_rad * np.linalg.norm(lever_m, axis=1)
-    found /= np.cos(_gap(COVER))
-    return found
+    result: Array = sides + base.shift_m + base.rotation_rad * np.linalg.norm(lever_m, axis=1)
+    result /= np.cos(_gap(COVER))
+    return result
 
 
 def _support_point(u: Array, middle: Array, sides: Array, base: BaseBall, arms: Array) -> Array:
@@ -170,7 +172,7 @@ class Contributor:
 
 @dataclass(frozen=True)
 class TurnContributor:
-    """The same of an angle."""
+    """One cause of a worst-case angle, as `Contributor` is one of a distance."""
 
     name: str
     share_rad: float
@@ -187,12 +189,12 @@ def shares(
     unexplained_m: float,
 ) -> dict[str, float]:
     """Shares [m] of a displacement along direction (3,), by (3, P) at offset (P,), with a lever (3,) from the base."""
-    found: dict[str, float] = {}
+    results: dict[str, float] = {}
     for title, share in zip(parameters.title, (direction @ by * offset).tolist(), strict=True):
-        found[title] = found.get(title, 0.0) + share
+        results[title] = results.get(title, 0.0) + share
     turned = base.rotation_rad * float(np.linalg.norm(np.cross(lever, direction)))
     rest = {REGISTRATION: base.shift_m + turned, UNEXPLAINED: unexplained_m}
-    return found | {name: share for name, share in rest.items() if share}
+    return results | {name: share for name, share in rest.items() if share}
 
 
 def ranked(given: Mapping[str, float], saved: Mapping[str, float]) -> tuple[Contributor, ...]:
@@ -206,13 +208,17 @@ def ranked_turns(given: Mapping[str, float], saved: Mapping[str, float]) -> tupl
 
 
 def sentence(worst_m: float, contributors: tuple[Contributor, ...]) -> str:
-    """As "3.1 mm, of which friction 1.9, registration 0.8; measuring the registration would take 0.6 off"."""
+    """The causes in words: "3.1 mm, of which friction 1.9, registration 0.8; measuring the registration would take
+    0.6 off".
+    """
     causes = [(c.name, c.share_m, c.saved_m) for c in contributors]
     return _told(f"{_digits(worst_m)} mm", [(n, _digits(a), _digits(b), a, b) for n, a, b in causes], SHOWN_M)
 
 
 def turn_sentence(worst_rad: float, contributors: tuple[TurnContributor, ...]) -> str:
-    """As "3.1 deg, of which friction 1.9, registration 0.8; measuring the registration would take 0.6 off"."""
+    """The causes in words: "3.1 deg, of which friction 1.9, registration 0.8; measuring the registration would take
+    0.6 off".
+    """
     causes = [(c.name, c.share_rad, c.saved_rad) for c in contributors]
     told = [(n, f"{math.degrees(a):.1f}", f"{math.degrees(b):.1f}", a, b) for n, a, b in causes]
     return _told(f"{math.degrees(worst_rad):.1f} deg", told, SHOWN_RAD)
@@ -269,7 +275,7 @@ class Chance:
 
 
 def chance(linear: NDArray[np.bool_], solved: NDArray[np.bool_]) -> Chance:
-    """Of events (M,) by the linearised model, and (R,) solved for the first of them."""
+    """The chance of events (M,) by the linearised model, and (R,) solved for the first of them."""
     return Chance(float(linear.mean()), *wilson(linear), float(solved.mean()), *wilson(solved))
 
 
@@ -301,7 +307,7 @@ class Draws:
         count: int = DRAWS,
         seed: int = SEED,
     ) -> Draws:
-        """The same ones every time."""
+        """Draws from the stated distribution, the same ones every time."""
         rng = np.random.default_rng(seed)
         offset = parameters.drawn(rng, count)
         scales = registration.position_sigma_m, registration.rotation_sigma_rad, model_error_m / CHI95
@@ -309,7 +315,7 @@ class Draws:
         return cls(offset, shift, turn, unexplained, model_error_m)
 
     def elsewhere(self, number: int, seed: int = SEED) -> Draws:
-        """The same robots and bases at another pose, whose unexplained error is another one."""
+        """These robots and bases at another pose, whose unexplained error is another one."""
         rng = np.random.default_rng((seed, number))
         error = self.model_error_m / CHI95 * rng.standard_normal(self.unexplained_m.shape)
         return replace(self, unexplained_m=error)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from ctrplan.anatomy.clearance_grid import SignedDistanceField, build_field, default_spacing_m, field_bounds
 from ctrplan.anatomy.parts import AnatomyPart, exact_clearance
-from ctrplan.anatomy.shape import Shape
+from ctrplan.anatomy.shape import PartShape
 from ctrplan.anatomy.shapes.capsule import Capsule
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.anatomy.shapes.sphere import Sphere
@@ -108,7 +108,7 @@ def test_clearance_is_equivariant(seed: int) -> None:
     def moved(p: Array) -> Array:
         return p @ R.T + shift
 
-    def with_moved(shape: Shape) -> Shape:
+    def with_moved(shape: PartShape) -> PartShape:
         names = {"center_m", "from_m", "to_m", "vertices_m"} & {field.name for field in fields(shape)}
         return replace(shape, **{name: moved(getattr(shape, name)) for name in names})
 

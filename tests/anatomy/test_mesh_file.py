@@ -274,6 +274,14 @@ def test_unreadable_files_are_refused(name: str, content: bytes, phrase: str, tm
     assert phrase in str(caught.value), str(caught.value)
 
 
+def test_a_text_stl_with_a_broken_normal_brings_no_traceback(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """trimesh logs one; normals are not used, so that the surface is read nevertheless."""
+    text = box().export(file_type="stl_ascii").replace("facet normal ", "facet normal x", 1)
+    (tmp_path / "a.stl").write_text(text)
+    assert volume_mm3(tmp_path / "a.stl") == pytest.approx(1000.0)
+    assert not caplog.records
+
+
 def test_missing_truncated_and_huge_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="no such file"):
         load_mesh(tmp_path / "absent.stl")

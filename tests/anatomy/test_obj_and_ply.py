@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from ctrplan.anatomy.mesh_file import load_mesh
-from ctrplan.anatomy.obj_file import read_obj
+from ctrplan.anatomy.mesh_formats import read_obj
 from ctrplan.errors import InputError
 
 CORNERS = [[x, y, z] for x in (0, 10) for y in (0, 10) for z in (0, 10)]

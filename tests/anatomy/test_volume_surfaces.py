@@ -12,7 +12,7 @@ from phantoms import AXES, CENTRE, OBLIQUE, capsule, distance_mm, image, near_po
 from scipy.spatial.transform import Rotation
 
 from ctrplan.anatomy import structure
-from ctrplan.anatomy.structure import Structure
+from ctrplan.anatomy.structure import ImageStructure
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.7, 0.7, 1.4)])
@@ -68,7 +68,7 @@ def test_the_surface_is_closed_and_every_voxel_on_its_side(tmp_path: Path, monke
     import igl
 
     inside = np.pad(np.random.default_rng(3).random((13, 12, 11)) < 0.4, 2)
-    chosen = Structure(inside, None, np.zeros(3, np.int64), False)
+    chosen = ImageStructure(inside, None, np.zeros(3, np.int64), False)
     surfaces = []
     for slab in (5, 100):
         monkeypatch.setattr(structure, "SLAB", slab)
@@ -85,7 +85,7 @@ def test_the_surface_is_closed_and_every_voxel_on_its_side(tmp_path: Path, monke
 def test_a_tube_of_one_voxel_stays_whole(tmp_path: Path) -> None:
     inside = np.zeros((40, 9, 9), bool)
     inside[3:37, 4, 4] = True
-    vertices, _ = structure.level_surface(Structure(inside, None, np.zeros(3, np.int64), False))
+    vertices, _ = structure.level_surface(ImageStructure(inside, None, np.zeros(3, np.int64), False))
     assert vertices[:, 2].min() < 3 and vertices[:, 2].max() > 36
 
 

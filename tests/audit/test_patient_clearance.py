@@ -1,4 +1,4 @@
-"""The judge of plans for public patients (benchmarks/patient_clearance.py) measures as formulas and libigl do."""
+"""The judge of plans for public patients (tests/oracles/patient_clearance.py) measures as formulas and libigl do."""
 
 from __future__ import annotations
 
@@ -7,20 +7,17 @@ from types import ModuleType
 
 import igl
 import numpy as np
+import patient_clearance
 import pytest
 import SimpleITK
 import trimesh
-from places import SCENARIOS
 from scipy.spatial.transform import Rotation
 
 SPACING = np.array([0.7, 0.9, 1.6])
 
 
 @pytest.fixture
-def judge(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(str(SCENARIOS.parent / "benchmarks"))
-    import patient_clearance
-
+def judge() -> ModuleType:
     return patient_clearance
 
 

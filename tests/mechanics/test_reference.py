@@ -23,7 +23,7 @@ from ctrplan.robot.robot import Robot
 
 THREE_TUBES = load_robot(ROBOTS / "three_tube.toml")
 
-LARGEST_CLEARANCE_M = 1e-4  # above it the model's first order in the clearance shows: benchmarks/mechanics.py
+LARGEST_CLEARANCE_M = 1e-4  # above it the model's first order in the clearance shows: benchmarks/run.py mechanics
 FRICTIONLESS_M, FRICTION_M, COUPLE = 2e-5, 1e-4, 0.01  # tolerances for the pairs
 
 

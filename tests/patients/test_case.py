@@ -171,7 +171,7 @@ def test_the_row_that_a_plan_was_found_from_is_said(folder: Path, monkeypatch: p
 KILLED = """
 import os, signal, sys
 from ctrplan.patients.case import case
-from ctrplan.storage import atomic_write
+from ctrplan.storage import output_folder
 replace, done = os.replace, 0
 
 def until(last):
@@ -183,7 +183,7 @@ def until(last):
 
 for last, folder in enumerate(sys.argv[1:], start=1):
     if not (child := os.fork()):
-        atomic_write.os.replace = until(last)
+        output_folder.os.replace = until(last)
         case(folder, from_step="placed")
         os._exit(0)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL

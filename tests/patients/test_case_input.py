@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import inspect
 import json
 import re
 from pathlib import Path
@@ -19,10 +20,11 @@ from dicom_series import write_series
 import ctrplan
 from ctrplan.anatomy.parts import exact_clearance
 from ctrplan.cli import main
-from ctrplan.commands import case as commands
+from ctrplan.commands.program import parser
 from ctrplan.errors import CtrplanError
 from ctrplan.files.slicer_markups import read_markups
-from ctrplan.patients.case import NAMES, case
+from ctrplan.patients.case import STEPS, case
+from ctrplan.patients.request import OPTIONS, STEP_NAMES, over, request_of
 from ctrplan.patients.steps import robot_file
 from ctrplan.patients.structures import by_name
 from ctrplan.patients.work import SCENARIO
@@ -269,7 +271,26 @@ def test_toml_is_written_as_it_is_read(tmp_path: Path) -> None:
 
 
 def test_the_command_lists_the_steps_that_there_are() -> None:
-    assert commands.NAMES == NAMES  # written down twice, so that --help imports no planner
+    assert tuple(step.name for step in STEPS) == STEP_NAMES  # written down twice, so that --help imports no planner
+
+
+def test_what_is_said_is_the_same_when_it_was_written_as_json() -> None:
+    said = request_of(
+        {"seed": np.int64(3), "margin_mm": np.float64(0.25), "robot": Path("r.toml"), "lumens": ["1"], "unit": None}
+    )
+    assert said == {"seed": 3, "margin_mm": 0.25, "robot": "r.toml", "lumens": ("1",)}
+    assert request_of(json.loads(json.dumps(said))) == said
+    assert over(request_of({"seed": 4}), said) == {**said, "seed": 4}
+    assert over(request_of({"inputs": ("a",)}), said) == {"inputs": ("a",)}
+
+
+def test_every_option_is_a_keyword_of_the_function_and_an_option_of_the_command() -> None:
+    keywords = inspect.signature(case).parameters
+    assert set(OPTIONS) <= set(keywords) and all(keywords[name].default is None for name in OPTIONS)
+    parsed = vars(parser().parse_args(["case", "-o", "case", "--time", "5", "--lumen", "a", "--lumen", "b"]))
+    assert set(OPTIONS) <= set(parsed) and parsed["time_s"] == 5 and parsed["lumens"] == ["a", "b"]
+    with pytest.raises(TypeError, match=r"case\(\) got an unexpected keyword argument 'lumen'"):
+        case("case", lumen=["a"])
 
 
 def test_a_case_raises_what_the_command_says(folder: Path, tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from ctrplan.mechanics.core import Mechanics
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.pipeline.chain import Chain
 from ctrplan.pipeline.parametric_chain import ParametricChain
-from ctrplan.reports.live.state import LiveState
+from ctrplan.reports.live_state import LiveState
 from ctrplan.robot.robot import Robot
 from ctrplan.scenario.bare_scenario import bare_scenario
 from ctrplan.scenario.joint_space import JointSpace

@@ -16,7 +16,7 @@ from ctrplan.files.robot_file import load_robot, robot_from_dict
 from ctrplan.files.scenario_file import load_robot_or_scenario
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.reach import reach
-from ctrplan.reports.live.state import LiveState
+from ctrplan.reports.live_state import LiveState
 from ctrplan.scenario.bare_scenario import bare_scenario
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.tip_solver import REACHED_M, TipSolver, TipTarget, angle_to

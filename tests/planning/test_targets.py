@@ -94,8 +94,9 @@ def test_figures_of_a_tour_add_up(tour: ctrplan.Plan) -> None:
 
 
 def test_the_benchmark_pays_what_the_planner_pays(tour: ctrplan.Plan, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(SCENARIOS.parent / "benchmarks")
-    cost_mm = importlib.import_module("planning_scenarios").cost_mm
+    for folder in ("benchmarks", "benchmarks/planning"):
+        monkeypatch.syspath_prepend(SCENARIOS.parent / folder)
+    cost_mm = importlib.import_module("scenarios").cost_mm
     assert cost_mm(tour, tour.scenario.cost) == pytest.approx(tour.certificate.cost_mm)
 
 

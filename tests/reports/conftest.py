@@ -10,8 +10,8 @@ from places import SCENARIOS
 
 from ctrplan.files.scenario_file import load_robot_or_scenario
 from ctrplan.plans.plan import Plan
-from ctrplan.reports.live.server import LiveServer
-from ctrplan.reports.live.state import LiveState
+from ctrplan.reports.live_server import LiveServer
+from ctrplan.reports.live_state import LiveState
 from ctrplan.reports.plan_scene import PlanScene, plan_scene
 
 

@@ -13,17 +13,21 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import suppress
+from contextlib import ExitStack, suppress
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 import pytest
+from browser import Browser, chromium
 from interruptible import INTERRUPTIBLE
 from live_requests import VESSEL_START, ask, get
 from places import SCENARIOS
 
 from ctrplan.cli import main
-from ctrplan.reports.live.server import LiveServer
+from ctrplan.reports.live_server import LiveServer
 
 
 @pytest.mark.parametrize(
@@ -68,6 +72,51 @@ def test_other_pages_are_refused_even_with_the_token(server: LiveServer, path: s
     code, answer, _ = get(server, path, Sec_Fetch_Site=site)
     assert code == 403 and "other pages" in answer["error"]
     assert get(server, path, Sec_Fetch_Site="same-origin")[0] == 200
+
+
+# What a page may try: to read, to ask without reading, to take a script, to show the page in itself, to open a socket.
+ATTEMPTS = """(async (url) => {
+  const read = await fetch(url + "pose?q=START").then((answer) => answer.text(), () => "nothing");
+  await fetch(url + "pose?q=START", {mode: "no-cors"}).then((answer) => answer.text(), () => "nothing");
+  const added = (name, source) => new Promise((done) => {
+    const made = Object.assign(document.createElement(name), {src: source, onload: done, onerror: done});
+    document.body.append(made);
+  });
+  await added("script", url + "scene.js");
+  await added("iframe", url);
+  const socket = await new Promise((done) => {
+    const tried = new WebSocket(url.replace("http", "ws"));
+    tried.onopen = () => done("open");
+    tried.onerror = () => done("nothing");
+  });
+  const framed = document.querySelector("iframe").contentDocument;
+  return [read, typeof JOINTS, socket, framed ? framed.body.textContent : "nothing"];
+})(URL)"""
+
+
+@pytest.mark.skipif(chromium() is None, reason="no Chromium on this machine")
+def test_a_page_on_another_port_reads_nothing_and_moves_nothing_even_with_the_token(
+    server: LiveServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    poses: list[object] = []
+    monkeypatch.setattr(server.state, "on_pose", poses.append)
+    (tmp_path / "page.html").write_text("<!DOCTYPE html><html><body>another page</body></html>")
+    handler = partial(SimpleHTTPRequestHandler, directory=str(tmp_path))
+    with (
+        ThreadingHTTPServer(("127.0.0.1", 0), handler) as other,
+        Browser(tmp_path / "profile") as browser,
+        ExitStack() as end,
+    ):
+        threading.Thread(target=other.serve_forever).start()
+        end.callback(other.shutdown)
+        browser.open(f"http://127.0.0.1:{other.server_address[1]}/page.html")
+        browser.wait_for("document.body && document.body.textContent === 'another page'")
+        tried = browser.run(ATTEMPTS.replace("START", VESSEL_START).replace("URL", json.dumps(server.url)))
+        assert tried == ["nothing", "undefined", "nothing", "nothing"]
+        assert not poses
+        browser.open(server.url)  # of its own page it is
+        browser.wait_for("document.body && document.body.dataset.updates >= 1")
+        assert poses
 
 
 def test_every_answer_keeps_itself_to_its_origin(server: LiveServer) -> None:
@@ -124,7 +173,7 @@ def test_clients_that_leave_are_let_go_quietly(server: LiveServer, capfd: pytest
 
 def test_silent_clients_keep_nobody_waiting(server: LiveServer, monkeypatch: pytest.MonkeyPatch) -> None:
     """A server that heard one out before the next would answer after ten minutes, when the asking has long given up."""
-    monkeypatch.setattr("ctrplan.reports.live.server.HEAD_S", 600.0)
+    monkeypatch.setattr("ctrplan.reports.live_server.HEAD_S", 600.0)
     silent = [socket.create_connection(server.server_address, timeout=30) for _ in range(60)]
     assert get(server, "/")[0] == 200
     assert select.select(silent, [], [], 0)[0] == []  # none of them has been let go for it
@@ -134,7 +183,7 @@ def test_silent_clients_keep_nobody_waiting(server: LiveServer, monkeypatch: pyt
 
 def test_slow_clients_are_let_go(server: LiveServer, monkeypatch: pytest.MonkeyPatch) -> None:
     """However they drip their bytes."""
-    monkeypatch.setattr("ctrplan.reports.live.server.HEAD_S", 1.0)
+    monkeypatch.setattr("ctrplan.reports.live_server.HEAD_S", 1.0)
     silent = [socket.create_connection(server.server_address, timeout=30) for _ in range(60)]
     assert get(server, "/")[0] == 200
     drip, dripped = silent.pop(), 0
@@ -164,7 +213,7 @@ def test_many_requests_at_once_are_all_answered(server: LiveServer) -> None:
 
 
 def test_more_connections_than_allowed_are_told_so(server: LiveServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ctrplan.reports.live.server.MOST_CONNECTIONS", 3)
+    monkeypatch.setattr("ctrplan.reports.live_server.MOST_CONNECTIONS", 3)
     idle = [socket.create_connection(server.server_address, timeout=30) for _ in range(3)]
     code, answer, _ = get(server, "/")
     assert code == 503 and "too many" in answer["error"]

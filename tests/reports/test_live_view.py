@@ -20,8 +20,8 @@ from ctrplan.commands.program import parser
 from ctrplan.commands.view import loaded
 from ctrplan.drive.trajectory import time_parameterise
 from ctrplan.files.scenario_file import BaseEntry, load_robot_or_scenario
-from ctrplan.reports.live.server import LiveServer
-from ctrplan.reports.live.state import LiveState
+from ctrplan.reports.live_server import LiveServer
+from ctrplan.reports.live_state import LiveState
 
 if sys.version_info >= (3, 11):
     import tomllib

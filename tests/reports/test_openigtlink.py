@@ -14,7 +14,7 @@ import pytest
 from ctrplan.cli import main
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_robot_or_scenario
-from ctrplan.reports.live.state import LiveState
+from ctrplan.reports.live_state import LiveState
 from ctrplan.reports.openigtlink import Broadcast, pose_messages, tip_messages
 from ctrplan.reports.robot_surface import pose
 from ctrplan.scenario.scenario import Scenario

@@ -20,16 +20,11 @@ from ctrplan.errors import InputError
 from ctrplan.files.plan_file import WrittenPlan
 from ctrplan.plans.plan import Plan
 from ctrplan.reports.plan_scene import WrittenMotion, written_motion
-from ctrplan.reports.render.body import Body
-from ctrplan.reports.render.camera import Camera, look_at
-from ctrplan.reports.render.compass import letters
-from ctrplan.reports.render.film import film
+from ctrplan.reports.render.camera import VIEWS, camera_of, look_at, robot_points
+from ctrplan.reports.render.film import film, letters, stated_error_m
 from ctrplan.reports.render.film_file import film_suffix, write_film
-from ctrplan.reports.render.fragments import fragments
-from ctrplan.reports.render.picture import Stage
-from ctrplan.reports.render.views import VIEWS, camera_of, robot_points
+from ctrplan.reports.render.rasteriser import Body, Camera, Stage, fragments
 from ctrplan.reports.slicer_case import case_files
-from ctrplan.reports.stated_error import stated_error_m
 
 SIZE = 120
 UP = np.array([0.0, 0.0, 1.0])

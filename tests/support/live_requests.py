@@ -6,7 +6,7 @@ import http.client
 import json
 from typing import Any
 
-from ctrplan.reports.live.server import LiveServer
+from ctrplan.reports.live_server import LiveServer
 
 VESSEL_START = "20,-60,80,-86.4"
 

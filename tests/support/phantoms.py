@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from ctrplan.anatomy.parts import AnatomyPart
 from ctrplan.files.scenario_anatomy import anatomy_part
 from ctrplan.storage.toml_document import Document
-from ctrplan.storage.toml_table import Table
+from ctrplan.storage.toml_table import TomlTable
 
 Array = NDArray[np.float64]
 Body = Callable[[Array], Array]  # points (K, 3) in LPS, mm -> distances (K,) in mm, negative within
@@ -87,7 +87,7 @@ def written(made: Any, path: Path) -> Path:
 def part_of(folder: Path, own: str | None = "LPS", **entry: Any) -> AnatomyPart:
     """The part that an [[anatomy]] of a scenario in `folder` describes, whose own frame is said as `own`."""
     content: dict[str, Any] = {"anatomy": [entry]} | ({"frame": own} if own else {})
-    return anatomy_part(Table(Document(content, str(folder / "scenario.toml")), ("anatomy", 0)))
+    return anatomy_part(TomlTable(Document(content, str(folder / "scenario.toml")), ("anatomy", 0)))
 
 
 def distance_mm(part: AnatomyPart, points_mm: Any) -> Array:

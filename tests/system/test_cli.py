@@ -231,7 +231,7 @@ def test_ctrl_c_that_an_import_makes_another_error_of(
             raise ImportError("std::bad_cast") from None
         return 0
 
-    monkeypatch.setattr("ctrplan.commands.bound.run_bound", importing)
+    monkeypatch.setattr("ctrplan.commands.bound.run", importing)
     previous = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         assert main(["bound", ROBOT, "--theta-deg", "0", "--l-mm", "0"]) == 130

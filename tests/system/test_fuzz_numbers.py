@@ -298,7 +298,6 @@ OPTIONAL: dict[str, Call] = {  # what may be None
     "density": lambda x: ROBOT.mechanics.check_path([AT[0]], [AT[1]], density=x),
     "time_s": lambda x: ctrplan.plan(SCENARIO, time_s=x),
     "interrupted": lambda x: ctrplan.plan(SCENARIO, interrupted=x),
-    "bound_table": lambda x: ctrplan.plan(SCENARIO, bound_table=x),
     "weighting": lambda x: calibrate(pair_robot(), DATA, weighting=x),
     "priors": lambda x: calibrate(pair_robot(), DATA, priors={"tube.1.poisson_ratio": x}),
 }

@@ -25,7 +25,7 @@ from ctrplan.base.arrays import Array
 from ctrplan.cli import main
 from ctrplan.files.robot_file import load_robot, write_robot
 from ctrplan.files.scenario_file import load_robot_or_scenario
-from ctrplan.reports.live.state import LiveState
+from ctrplan.reports.live_state import LiveState
 from ctrplan.robot.robot import Robot
 
 PAGE = SCENARIOS.parent / "docs" / "performance.md"

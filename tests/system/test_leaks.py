@@ -90,7 +90,8 @@ def test_what_is_held_beyond_the_end_is_reported_to_those_who_ask(folder: Path) 
 
 
 def test_memory_stays_flat(folder: Path) -> None:
-    """The short form of benchmarks/long_runs.py."""
-    command = [sys.executable, str(ROOT / "benchmarks" / "long_runs.py"), "--plans", "12", "--bounds", "2000"]
+    """The short form of benchmarks/run.py memory runs."""
+    runner = [sys.executable, str(ROOT / "benchmarks" / "run.py"), "--bare", "memory", "runs"]
+    command = [*runner, "--plans", "12", "--bounds", "2000"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=folder)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -41,7 +41,6 @@ FUNCTIONS: dict[str, Callable[[Any, Any], Any]] = {
     "tips_with_friction": lambda t, at: MODEL.tips_with_friction([t], [at], [[1.0]]).position_m,
     "body": lambda t, at: MODEL.body(t, at)[0],
     "check_path": lambda t, at: MODEL.check_path([THETA, t], [L, at]).tip_m,
-    "field_entries": lambda t, at: MODEL.field_entries([t], [at]),
     "advance": lambda t, at: ROBOT.history().advance(t, at).shape.tip_m,
     "follow": lambda t, at: ROBOT.history().follow([THETA, t], [L, at]).position_m,
 }

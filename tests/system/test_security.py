@@ -52,7 +52,14 @@ def test_no_code_is_made_from_text() -> None:
     assert not used
 
 
-PICKLING = {"batch.py", "confirm.py", "definition.py", "run.py", "worker.py"}  # bounds of many rows, and studies
+PICKLING = {
+    "walk.py",
+    "search.py",
+    "design_definition.py",
+    "study.py",
+    "engine.py",
+    "study_definition.py",
+}
 
 
 def test_pickles_come_from_the_process_itself_only() -> None:

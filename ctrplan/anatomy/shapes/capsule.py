@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ctrplan.anatomy.shape import PartEntry, Shape, length, point, register
+from ctrplan.anatomy.shape import PartEntry, PartShape, length, point, register
 from ctrplan.base.arrays import Array, lengths
 from ctrplan.base.surface import Surface, capsule
 from ctrplan.storage.toml_document import Length, Point, metres
-from ctrplan.storage.toml_table import Table
+from ctrplan.storage.toml_table import TomlTable
 
 
 @dataclass(frozen=True, eq=False)
-class Capsule(Shape):
+class Capsule(PartShape):
     """from_m (3,), to_m (3,), radius_m, in the anatomy's frame; a sphere where the two points are one.
 
     Raises InputError for what is no capsule.
@@ -53,5 +53,5 @@ class CapsuleEntry(PartEntry):
     to_mm: Point
     radius_mm: Length
 
-    def shape(self, table: Table) -> Capsule:
+    def shape(self, table: TomlTable) -> Capsule:
         return Capsule(metres(self.from_mm), metres(self.to_mm), self.radius_mm * 1e-3)

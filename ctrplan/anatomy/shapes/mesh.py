@@ -12,18 +12,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from ctrplan.anatomy.parts import TriangleTree
 from ctrplan.anatomy.patient_frame import Frame
-from ctrplan.anatomy.shape import PartEntry, Shape, register
+from ctrplan.anatomy.shape import PartEntry, PartShape, register
 from ctrplan.base.arrays import Array, lengths, numbers, read_only
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
-from ctrplan.storage.toml_table import Table
+from ctrplan.storage.toml_table import TomlTable
 
 SURELY = 1 + 1e-6  # beyond rounding
 Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
-class Mesh(Shape):
+class Mesh(PartShape):
     """vertices_m (V, 3), faces (F, 3), closed and turned outward, as `load_mesh` returns them, in the anatomy's frame.
 
     file: where it came from, for messages. notes: what was repaired. surface_error_m: what thinning moved it by.
@@ -72,7 +72,7 @@ class MeshEntry(PartEntry):
     group: str | None = None
     repair: Literal["off", "holes", "caps"] = "holes"
 
-    def shape(self, table: Table) -> Mesh:
+    def shape(self, table: TomlTable) -> Mesh:
         from ctrplan.anatomy.surface_file import read_body  # slow to import; many scenarios need no meshes
 
         file = table.file(self.file, "file")

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ctrplan.anatomy.shape import PartEntry, Shape, length, point, register
+from ctrplan.anatomy.shape import PartEntry, PartShape, length, point, register
 from ctrplan.base.arrays import Array, lengths
 from ctrplan.base.surface import Surface, capsule
 from ctrplan.storage.toml_document import Length, Point, metres
-from ctrplan.storage.toml_table import Table
+from ctrplan.storage.toml_table import TomlTable
 
 
 @dataclass(frozen=True, eq=False)
-class Sphere(Shape):
+class Sphere(PartShape):
     """center_m (3,), radius_m, in the anatomy's frame. Raises InputError for what is no sphere."""
 
     kind = "sphere"
@@ -43,5 +43,5 @@ class SphereEntry(PartEntry):
     center_mm: Point
     radius_mm: Length
 
-    def shape(self, table: Table) -> Sphere:
+    def shape(self, table: TomlTable) -> Sphere:
         return Sphere(metres(self.center_mm), self.radius_mm * 1e-3)

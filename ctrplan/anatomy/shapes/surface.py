@@ -11,7 +11,7 @@ from ctrplan.anatomy.patient_frame import Frame
 from ctrplan.anatomy.shape import PartEntry, register
 from ctrplan.anatomy.shapes.mesh import Mesh
 from ctrplan.base.arrays import Array
-from ctrplan.storage.toml_table import Table
+from ctrplan.storage.toml_table import TomlTable
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,14 +35,14 @@ class SheetEntry(PartEntry):
     frame: Frame | None = None
     group: str | None = None
 
-    def shape(self, table: Table) -> Sheet:
+    def shape(self, table: TomlTable) -> Sheet:
         from ctrplan.anatomy.surface_file import read_sheet  # slow to import; many scenarios need no meshes
 
         if self.role != "avoid":
             raise table.fault("must be 'avoid': a sheet has no inside", "role")
         file = table.file(self.file, "file")
-        found = read_sheet(table, file, self.unit, self.frame, self.group)
-        return Sheet(found.vertices_m, found.faces, str(file), found.notes, found.error_m)
+        result = read_sheet(table, file, self.unit, self.frame, self.group)
+        return Sheet(result.vertices_m, result.faces, str(file), result.notes, result.error_m)
 
 
 _trees: WeakKeyDictionary[Sheet, TriangleTree] = WeakKeyDictionary()  # cannot be pickled with it

@@ -13,10 +13,10 @@ from ctrplan.anatomy.image import Image, ImageRefusal
 from ctrplan.anatomy.patient_frame import Frame, to_scenario
 from ctrplan.anatomy.shape import PartEntry, register
 from ctrplan.anatomy.shapes.mesh import Mesh
-from ctrplan.anatomy.structure import Choice, Structure, has_thin_parts, structure
+from ctrplan.anatomy.structure import ImageStructure, StructureChoice, has_thin_parts, structure
 from ctrplan.base.arrays import MM_PER_M, Array
 from ctrplan.storage.toml_document import Component, Distance
-from ctrplan.storage.toml_table import Table
+from ctrplan.storage.toml_table import TomlTable
 
 Label = Annotated[int, Meta(ge=1, le=2**31 - 1)]
 
@@ -52,7 +52,7 @@ class VolumeEntry(PartEntry):
     frame: Frame | None = None
     surface_error_mm: Distance | None = None
 
-    def shape(self, table: Table) -> Volume:
+    def shape(self, table: TomlTable) -> Volume:
         choice = self._choice(table)
         path = table.place(self.file, "file")
         try:
@@ -65,8 +65,8 @@ class VolumeEntry(PartEntry):
             name = "" if key == "file" else f"{path.name} "
             raise table.fault(f"{name}{refusal}", key) from refusal.__cause__
 
-    def _choice(self, table: Table) -> Choice:
-        choice = Choice(self.label, self.segment, self.above, self.below)
+    def _choice(self, table: TomlTable) -> StructureChoice:
+        choice = StructureChoice(self.label, self.segment, self.above, self.below)
         if sum((choice.label is not None, choice.segment is not None, choice.is_range)) > 1:
             raise table.fault("must be one of label, segment, and above or below", "file")
         if None not in (self.above, self.below) and not self.above < self.below:  # type: ignore[operator]
@@ -74,30 +74,30 @@ class VolumeEntry(PartEntry):
         return choice
 
 
-def volume(image: Image, choice: Choice, file: str, surface_error_mm: float | None = None) -> Volume:
+def volume(image: Image, choice: StructureChoice, file: str, surface_error_mm: float | None = None) -> Volume:
     """The surface of what is chosen of an image. Raises ImageRefusal where that is nothing."""
     from ctrplan.anatomy.structure import level_surface  # slow to import
     from ctrplan.anatomy.surface_file import thinned, thinning_note
 
-    found = structure(image, choice)
-    vertices, faces = level_surface(found)
+    result = structure(image, choice)
+    vertices, faces = level_surface(result)
     if np.linalg.det(image.direction) < 0:
         faces = np.ascontiguousarray(faces[:, ::-1])
-    error = _voxels_off(found) * float(image.spacing_m.max())
+    error = _voxels_off(result) * float(image.spacing_m.max())
     if surface_error_mm is not None:
         error = surface_error_mm / MM_PER_M
-    places, faces, moved = thinned(image.place_m(vertices + found.first), faces)
-    notes = (*image.notes, *_notes(found, error), *thinning_note(faces, moved))
+    places, faces, moved = thinned(image.place_m(vertices + result.first), faces)
+    notes = (*image.notes, *_notes(result, error), *thinning_note(faces, moved))
     return Volume(places, faces, file, notes, error + moved, _box(image), choice.segment)
 
 
-def _voxels_off(found: Structure) -> float:
+def _voxels_off(result: ImageStructure) -> float:
     """What a surface may be off by in widest voxels."""
     from ctrplan.anatomy.structure import GREY_ERROR, LABEL_ERROR, THIN_ERROR
 
-    if found.above is not None:
+    if result.above is not None:
         return GREY_ERROR
-    return THIN_ERROR if has_thin_parts(found.inside) else LABEL_ERROR
+    return THIN_ERROR if has_thin_parts(result.inside) else LABEL_ERROR
 
 
 def _read(path: Path, series: str | None) -> Image:
@@ -119,13 +119,13 @@ def _box(image: Image) -> Array:
     return image.place_m(corner * np.array(image.size) - 0.5)
 
 
-def _notes(found: Structure, error_m: float) -> tuple[str, ...]:
+def _notes(result: ImageStructure, error_m: float) -> tuple[str, ...]:
     off = f"its surface may be off by {error_m * MM_PER_M:.3g} mm, which the margin includes" if error_m else ""
-    edge = "reaches the edge of the image and is closed there: beyond it nothing is known" if found.at_edge else ""
+    edge = "reaches the edge of the image and is closed there: beyond it nothing is known" if result.at_edge else ""
     return tuple(note for note in (edge, off) if note)
 
 
-def _blamed(choice: Choice, rule: str) -> str:
+def _blamed(choice: StructureChoice, rule: str) -> str:
     """The key that a sentence is about."""
     if "of that label" in rule:
         return "label"

@@ -46,7 +46,7 @@ class HomingShift(Effect):
         return "" if self._moving(data) else "no joint ever moves"
 
     def variants(self, robot: Robot, data: Measurements) -> Sequence[Sequence[str]]:
-        """Of joints that move, in the homings that the poses are of."""
+        """Joints that move, in the homings that the poses are of."""
         later = [k for k in np.unique(data.homings[data.rows]).tolist() if k > 1]
         return [[f"{kind}_{i}_{k}_{unit}" for k in later for kind, i, unit in self._moving(data)]]
 

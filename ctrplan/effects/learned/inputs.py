@@ -57,18 +57,18 @@ def is_rotation(name: str) -> bool:
 
 
 def unit(name: str) -> str:
-    """Of an input; empty for columns of the data, whose names say it, and pure numbers."""
+    """The unit of an input; empty for columns of the data, whose names say it, and pure numbers."""
     return UNITS.get(name.rsplit("_", 1)[0] if OF_TUBE.fullmatch(name) else name, "")
 
 
 def exists(name: str, n: int) -> bool:
     """Whether a robot of n tubes can have an input; a column of the data has any other name."""
-    found = OF_TUBE.fullmatch(name)
-    if not found:
+    o_f__t_u_b_e = OF_TUBE.fullmatch(name)
+    if not o_f__t_u_b_e:
         return bool(re.fullmatch(r"[A-Za-z]\w*", name))
-    first = 2 if found[1] == "turn" else 1
-    last = n - 1 if found[1] in ("overlap", "load", "speed") else n
-    return first <= int(found[2]) <= last
+    first = 2 if o_f__t_u_b_e[1] == "turn" else 1
+    last = n - 1 if o_f__t_u_b_e[1] in ("overlap", "load", "speed") else n
+    return first <= int(o_f__t_u_b_e[2]) <= last
 
 
 def values(name: str, at: Situation) -> Array | None:
@@ -79,9 +79,9 @@ def values(name: str, at: Situation) -> Array | None:
 
 
 def _values(name: str, at: Situation) -> Array | None:
-    found = OF_TUBE.fullmatch(name)
-    if found:
-        return _OF_TUBE[found[1]](at, int(found[2]) - 1)
+    o_f__t_u_b_e = OF_TUBE.fullmatch(name)
+    if o_f__t_u_b_e:
+        return _OF_TUBE[o_f__t_u_b_e[1]](at, int(o_f__t_u_b_e[2]) - 1)
     if name in TIP:
         if at.poses is None:
             return None
@@ -125,7 +125,7 @@ _OF_TUBE: dict[str, Callable[[Situation, int], Array | None]] = {
 
 @dataclass(frozen=True)
 class InputRange:
-    """Of an input, in its own unit."""
+    """The range of an input in the data, in its own unit."""
 
     low: float
     high: float
@@ -137,7 +137,7 @@ class InputRange:
 
     @property
     def half(self) -> float:
-        """Of the width."""
+        """Half the width."""
         return max((self.high - self.low) / 2, 1e-12)
 
     @property
@@ -156,22 +156,22 @@ Ranges = Mapping[str, InputRange]
 
 def clamped(name: str, ranges: Ranges, at: Situation, *, periodic: bool = False) -> Array:
     """(K,) values of an input inside its range; its middle where the situation does not know it."""
-    span, found = ranges[name], values(name, at)
-    if found is None:
+    span, result = ranges[name], values(name, at)
+    if result is None:
         return np.full(at.count, span.middle)
-    found = np.where(np.isfinite(found), found, span.middle)
+    result = np.where(np.isfinite(result), result, span.middle)
     if periodic and span.is_whole_turn:
-        return found
-    inside: Array = np.clip(span.nearest(found) if periodic else found, span.low, span.high)
+        return result
+    inside: Array = np.clip(span.nearest(result) if periodic else result, span.low, span.high)
     return inside
 
 
 def outside(name: str, span: InputRange, at: Situation, *, periodic: bool) -> NDArray[np.bool_]:
     """(K,) whether an input is out of its range by more than a thousandth of it; one that nobody knows is not."""
-    found = values(name, at)
-    if found is None or (periodic and is_rotation(name) and span.is_whole_turn):
+    result = values(name, at)
+    if result is None or (periodic and is_rotation(name) and span.is_whole_turn):
         return np.zeros(at.count, bool)
-    near = span.nearest(found) if periodic else found
+    near = span.nearest(result) if periodic else result
     far: NDArray[np.bool_] = np.abs(near - span.middle) > span.half * 1.001 + 1e-9
     return far
 
@@ -182,7 +182,7 @@ AXES = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class TargetKind:
-    """Of a target: its stage, the unit of its coefficients, how large they may be, and what it is in words."""
+    """A kind of target: its stage, the unit of its coefficients, how large they may be, and what it is in words."""
 
     stage: Stage
     unit: str
@@ -193,7 +193,7 @@ class TargetKind:
 
     @property
     def most(self) -> float:
-        """Of a coefficient, either way."""
+        """The largest coefficient, either way."""
         return 12 * self.prior
 
 
@@ -225,7 +225,7 @@ class Target:
 
     @property
     def effect_name(self) -> str:
-        """As in a robot file."""
+        """The name of the effect in a robot file."""
         return PREFIX + self.kind_name + (f"_{self.tube}" if self.tube else "") + (WAY if self.of_way else "")
 
     @property
@@ -235,11 +235,11 @@ class Target:
 
 
 def target(effect_name: str, n: int) -> Target | None:
-    """Of an effect's name, for a robot of n tubes; None where the name is of none."""
-    found = NAME.fullmatch(effect_name)
-    if not found:
+    """The target of an effect's name, for a robot of n tubes; None where the name is of none."""
+    n_a_m_e = NAME.fullmatch(effect_name)
+    if not n_a_m_e:
         return None
-    kind, tube, way = found[1], int(found[2] or 0), bool(found[3])
+    kind, tube, way = n_a_m_e[1], int(n_a_m_e[2] or 0), bool(n_a_m_e[3])
     if KINDS[kind].has_axes != (tube == 0) or tube > n or (way and KINDS[kind].stage != "drive"):
         return None
     return Target(kind, tube, way)

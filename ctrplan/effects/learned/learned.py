@@ -40,19 +40,19 @@ class Learned(Effect):
         self.acts_at_rest = not on.of_way and on.kind.stage != "mechanics"
         self.parts: dict[str, tuple[int, Part]] = {}
         for name in names:
-            found = split_name(name, on, n)
-            if found is None:
+            result = split_name(name, on, n)
+            if result is None:
                 raise ValueError(name)
-            self.parts[name] = found
+            self.parts[name] = result
 
     @property
     def inputs(self) -> dict[str, bool]:
         """Its inputs, and whether each is only asked for modulo whole turns."""
-        found: dict[str, bool] = {}
+        results: dict[str, bool] = {}
         for _, one in self.parts.values():
             for name, periodic in parts.inputs(one).items():
-                found[name] = found.get(name, True) and periodic
-        return found
+                results[name] = results.get(name, True) and periodic
+        return results
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         return self.parameters_of()
@@ -79,11 +79,11 @@ class Learned(Effect):
 
     def leaves(self, at: Situation) -> dict[str, float]:
         """Inputs that leave their ranges, with the value that is farthest out, in the unit of the range."""
-        found = {}
+        results = {}
         for name, periodic in self.inputs.items():
             if (far := outside(name, self.ranges[name], at, periodic=periodic)).any():
-                found[name] = parts.farthest(name, self.ranges[name], at, far, periodic=periodic)
-        return found
+                results[name] = parts.farthest(name, self.ranges[name], at, far, periodic=periodic)
+        return results
 
     def stated(self, values: Values) -> Mapping[str, Any]:
         largest = {"largest_mm": self.largest_mm} if self.stage == "mechanics" else {}
@@ -100,7 +100,7 @@ class Learned(Effect):
 
 
 class LearnedDrive(Learned):
-    """Of a collar."""
+    """A built term that acts on a collar."""
 
     def drive(self, values: Values, collars: Collars, directions: Array) -> Collars:
         amount = self.amount(values, Situation(collars.theta, collars.l, directions))[:, 0]
@@ -109,13 +109,13 @@ class LearnedDrive(Learned):
         return Collars(collars.theta, with_column(collars.l, self.target.tube, amount))
 
     def play(self, values: Values, n: int) -> Collars:
-        found = {kind: np.zeros((1, n)) for kind in ("theta", "l")}
-        found[self.target.kind_name][0, self.target.tube - 1] = self.most(values)
-        return Collars(found["theta"], found["l"])
+        results = {kind: np.zeros((1, n)) for kind in ("theta", "l")}
+        results[self.target.kind_name][0, self.target.tube - 1] = self.most(values)
+        return Collars(results["theta"], results["l"])
 
 
 class LearnedMechanics(Learned):
-    """Of a property of a tube, as small changes: shapes at rest do not have them, margins allow for them."""
+    """A built term of a tube's property, as small changes: shapes at rest lack them, margins allow for them."""
 
     def changing(self, values: Values, robot: Robot, data: Measurements) -> Mapping[str, Array]:
         rows = data.rows
@@ -139,7 +139,7 @@ class LearnedMechanics(Learned):
 
 
 class LearnedPlate(Learned):
-    """Of all in front of the plate."""
+    """A built term that turns all in front of the plate."""
 
     def plate_turn(self, values: Values, robot: Robot, collars: Collars) -> Array | None:
         return self.amount(values, Situation(collars.theta, collars.l, tubes=robot.tubes))
@@ -149,7 +149,7 @@ class LearnedPlate(Learned):
 
 
 class LearnedSensor(Learned):
-    """Of what is read."""
+    """A built term of what the sensor reads."""
 
     def sensor(self, values: Values, poses: Poses, data: Measurements) -> Poses:
         joints = data.theta_commanded[data.rows], data.l_commanded[data.rows]
@@ -174,10 +174,10 @@ def split_name(name: str, on: Target, n: int) -> tuple[int, Part] | None:
         if len(text) < 3 or text[0] not in AXES or text[1] != "_":
             return None
         axis, text = AXES.index(text[0]), text[2:]
-    found = parts.part(text, n)
-    if found is None or on.of_way != any(factor.form == "sign" for factor in found):
+    result = parts.part(text, n)
+    if result is None or on.of_way != any(factor.form == "sign" for factor in result):
         return None
-    return axis, found
+    return axis, result
 
 
 def named(on: Target, part_name: str) -> list[str]:
@@ -223,12 +223,12 @@ def faults(name: str, table: Mapping[str, Any], notes: tuple[str, ...], n: int) 
     asked: set[str] = set()
     coefficients = [key for key in table if key not in (*notes, *NOTES)]
     for key in coefficients:
-        found = split_name(key, on, n)
-        if found is None:
+        result = split_name(key, on, n)
+        if result is None:
             axis = "AXIS_" if on.kind.has_axes else ""
             yield key, f"is no part of a built term, which are named {axis}PART_{on.kind.unit}: docs/effects.md"
         else:
-            asked |= set(parts.inputs(found[1]))
+            asked |= set(parts.inputs(result[1]))
     if len(coefficients) > MOST_PARTS:
         yield "", f"has {len(coefficients)} coefficients, more than {MOST_PARTS}"
     for key in TEXTS:
@@ -260,5 +260,5 @@ FILE_NOTES = (*COMMON_NOTES, *learned_table.NOTES)  # keys that are no parameter
 
 
 def effect_of(name: str, table: Mapping[str, Any], n: int) -> Effect:
-    """Of a table that was checked, in the file of a robot with n tubes."""
+    """The effect of a table that was checked, in the file of a robot with n tubes."""
     return learned_table.learned_in(name, table, COMMON_NOTES, n) if learned_table.is_learned(name) else CATALOGUE[name]

@@ -55,7 +55,7 @@ class Factor:
         return _SHAPES[self.form](self, at, ranges)
 
     def in_words(self, ranges: Ranges) -> str:
-        """As a formula."""
+        """The factor as a formula."""
         if self.form == "constant":
             return "1"
         if self.form == "sign":
@@ -78,8 +78,8 @@ Part = tuple[Factor, ...]
 
 def part(name: str, n: int) -> Part | None:
     """The part of a name without axis and unit, for a robot of n tubes; None where there is none of that name."""
-    found = [_factor(one, n) for one in name.split(TIMES)]
-    return None if None in found else tuple(f for f in found if f is not None)
+    results = [_factor(one, n) for one in name.split(TIMES)]
+    return None if None in results else tuple(f for f in results if f is not None)
 
 
 def inputs(of: Part) -> dict[str, bool]:
@@ -95,21 +95,21 @@ def amounts(of: Part, at: Situation, ranges: Ranges) -> Array:
 
 def _factor(name: str, n: int) -> Factor | None:
     for form, pattern in FORMS:
-        found = pattern.fullmatch(name)
-        if not found:
+        result = pattern.fullmatch(name)
+        if not result:
             continue
         if form == "constant":
             return Factor(form)
         if form == "sign":
-            return Factor(form, numbers=(int(found[2]),), word=found[1]) if int(found[2]) <= n else None
-        if not exists(found[found.lastindex or 1], n):
+            return Factor(form, numbers=(int(result[2]),), word=result[1]) if int(result[2]) <= n else None
+        if not exists(result[result.lastindex or 1], n):
             return None
         if form == "wave":
-            return Factor(form, found[3], (int(found[2]),), found[1])
+            return Factor(form, result[3], (int(result[2]),), result[1])
         if form in ("knot", "bump"):
-            numbers = int(found[1]), int(found[2])
-            return Factor(form, found[3], numbers) if numbers[0] <= numbers[1] else None
-        return Factor(form, found[1])
+            numbers = int(result[1]), int(result[2])
+            return Factor(form, result[3], numbers) if numbers[0] <= numbers[1] else None
+        return Factor(form, result[1])
     return None
 
 
@@ -128,8 +128,8 @@ def _scaled(factor: Factor, at: Situation, ranges: Ranges) -> Array:
 
 def _knot(factor: Factor, at: Situation, ranges: Ranges) -> Array:
     number, count = factor.numbers
-    found: Array = _cardinal(count)(_scaled(factor, at, ranges))[:, number - 1]
-    return found
+    result: Array = _cardinal(count)(_scaled(factor, at, ranges))[:, number - 1]
+    return result
 
 
 @cache
@@ -144,8 +144,10 @@ def _bump(factor: Factor, at: Situation, ranges: Ranges) -> Array:
     """A Gaussian at one of the knots, as wide as `BUMP_WIDTH` of their distance."""
     number, count = factor.numbers
     apart = 2 / (count - 1)
-    found: Array = np.exp(-(((_scaled(factor, at, ranges) + 1 - (number - 1) * apart) / (BUMP_WIDTH * apart)) ** 2) / 2)
-    return found
+    result: Array = np.exp(
+        -(((_scaled(factor, at, ranges) + 1 - (number - 1) * apart) / (BUMP_WIDTH * apart)) ** 2) / 2
+    )
+    return result
 
 
 def _sign(factor: Factor, at: Situation, ranges: Ranges) -> Array:
@@ -168,17 +170,17 @@ _SHAPES: dict[str, Callable[[Factor, Situation, Ranges], Array]] = {
 
 
 def period_deg(of: Part) -> float:
-    """Of a periodic part [deg]; 0 where it has none."""
+    """The period of a periodic part [deg]; 0 where it has none."""
     waves = [factor.numbers[0] for factor in of if factor.periodic]
     return 360.0 / math.gcd(*waves) if waves else 0.0
 
 
 def farthest(name: str, span: InputRange, at: Situation, far: NDArray[np.bool_], *, periodic: bool) -> float:
     """The value (K,) of an input that is farthest out of its range, among some poses (K,)."""
-    found = values(name, at)
-    if found is None:
+    result = values(name, at)
+    if result is None:
         return span.middle
-    near = span.nearest(found[far]) if periodic else found[far]
+    near = span.nearest(result[far]) if periodic else result[far]
     return float(near[np.argmax(np.abs(near - span.middle))])
 
 

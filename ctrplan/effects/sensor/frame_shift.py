@@ -45,7 +45,7 @@ class FrameShift(Effect):
         return f"there are {frames} frames, at most {MOST_FRAMES} can be told" if frames > MOST_FRAMES else ""
 
     def variants(self, robot: Robot, data: Measurements) -> Sequence[Sequence[str]]:
-        """Of those that the poses are in."""
+        """The set-ups of the tracker that the poses are in."""
         frames = {str(k) for k in np.unique(data.frames[data.rows]).tolist()}
         return [[p.name for p in self.parameters(robot) if p.name.split("_")[2] in frames]]
 

@@ -42,7 +42,7 @@ class SensorDistortion(Effect):
         return (*field, Parameter("tangent_share", 0.5, neutral=1.0, lower=0.0, upper=1.5))
 
     def variants(self, robot: Robot, data: Measurements) -> Sequence[Sequence[str]]:
-        """Of second and third degree, with tangents unharmed and turned, where they are measured."""
+        """Fields of second and third degree, with tangents unharmed and turned, where they are measured."""
         *field, share = (parameter.name for parameter in self.parameters(robot))
         by_degree = [[name for name in field if len(name.split("_")[1]) <= degree] for degree in (2, 3)]
         return [[*names, *turned] for names in by_degree for turned in (((), (share,)) if data.has_tangents else ((),))]

@@ -87,9 +87,9 @@ def _chains(checker: MotionChecker, ends: Array) -> tuple[list[list[Array]], lis
         if not active:
             break
         aim = np.array([bodies[k][place] for k in active])
-        found = solver.solve(TipTarget(aim), np.array([chains[k][-1] for k in active]), turned=False)
-        lost = found.error_m > LOST_M
-        for k, q in zip(np.array(active)[~lost].tolist(), found.joints[~lost], strict=True):
+        result = solver.solve(TipTarget(aim), np.array([chains[k][-1] for k in active]), turned=False)
+        lost = result.error_m > LOST_M
+        for k, q in zip(np.array(active)[~lost].tolist(), result.joints[~lost], strict=True):
             chains[k].append(q)
         active = np.array(active)[~lost].tolist()
     return chains, [len(body) for body in bodies]
@@ -106,12 +106,12 @@ def _edges(
     checker: MotionChecker, q: Array, owner: NDArray[np.int_], station: NDArray[np.int_], starts_chain: int
 ) -> NDArray[np.int_]:
     """Forward along each goal's chain, backward along the start's, to near neighbours in others, and from the start."""
-    found = {(0, i) for i in range(1, len(q))}
+    result = {(0, i) for i in range(1, len(q))}
     for i in range(1, len(q)):
         same = np.flatnonzero((owner == owner[i]) & np.isin(np.abs(station - station[i]), SKIPS))
         back = owner[i] == starts_chain
-        found |= {(i, int(j)) for j in same if (station[j] > station[i] if back else station[j] < station[i])}
+        result |= {(i, int(j)) for j in same if (station[j] > station[i] if back else station[j] < station[i])}
         others = np.flatnonzero((owner != owner[i]) & (owner != starts_chain) & (owner >= 0))
         apart = np.linalg.norm(checker.space.difference(q[i], q[others]) * checker.space.weights_mm, axis=1)
-        found |= {(i, int(j)) for j in others[np.argsort(apart)[:NEIGHBOURS]]}
-    return np.array(sorted(found), dtype=int).reshape(-1, 2)
+        result |= {(i, int(j)) for j in others[np.argsort(apart)[:NEIGHBOURS]]}
+    return np.array(sorted(result), dtype=int).reshape(-1, 2)

@@ -32,8 +32,8 @@ NEAR_MM = 30.0  # of joint length, standard deviation of random states beside ot
 TIP_STEPS, NEAR_TIP_M = 4, 4e-3  # for that, and how near they must come
 TRIES = 4  # random states looked at for each that is added
 ROOM_M = 1e-3  # that a random state must have around its zero-clearance shape
-# Share of motions that are valid, by the room [m] around their zero-clearance shapes, a line through
-# `benchmarks/zero_clearance_rooms.py`
+# Share of motions that are valid, by the room [m] around their zero-clearance shapes: a line through 1,833 states and
+# motions of three scenarios (0 % of 214 below -1 mm, 38 % at 1 mm, 87 % at 3 mm, 98 % at 5 mm)
 VALID_AT_M, VALID_SHARE = (-0.5e-3, 3e-3), (0.02, 1.0)
 VALID_JUMPS = 0.05  # of motions along which the zero-clearance tip jumps
 WARNING, ALIKE = (
@@ -93,9 +93,9 @@ class RoadmapSearch:
         Half of them have the tip where that of another state is, of those first from or to which no motion was valid.
         """
         space, q = self.checker.space, self.joints
-        found = [self._with_room(self._beside(q[self._troubled(rng, TRIES * count // 2)], rng), count // 2)]
-        found.append(self._with_room(space.sample(rng, TRIES * count), count - len(found[0])))
-        added = np.concatenate(found)
+        results = [self._with_room(self._beside(q[self._troubled(rng, TRIES * count // 2)], rng), count // 2)]
+        results.append(self._with_room(space.sample(rng, TRIES * count), count - len(results[0])))
+        added = np.concatenate(results)
         everything, edges = np.concatenate([q, added]), set()
         for i in range(len(q), len(everything)):
             apart = np.linalg.norm(space.difference(everything[i], everything) * space.weights_mm, axis=1)
@@ -155,9 +155,9 @@ class RoadmapSearch:
         solver = TipSolver(space, self.checker.mechanics, self.checker.watch)
         near = space.wound_into_limits(q + rng.normal(size=q.shape) * NEAR_MM / space.weights_mm)
         allowed = space.allowed_rows(near)
-        found = solver.solve(TipTarget(solver.tips(q[allowed])[0]), near[allowed], TIP_STEPS, turned=False)
+        result = solver.solve(TipTarget(solver.tips(q[allowed])[0]), near[allowed], TIP_STEPS, turned=False)
         self.checker.meter.add(ROOM_NS * TIP_STEPS * len(near))
-        return found.joints[found.error_m < NEAR_TIP_M]
+        return result.joints[result.error_m < NEAR_TIP_M]
 
     def _with_room(self, q: Array, most: int) -> Array:
         return q[self.checker.rooms([row[None] for row in q]) > ROOM_M][:most]
@@ -208,7 +208,7 @@ class RoadmapSearch:
         return None
 
     def _motions(self, nodes: list[int]) -> list[int]:
-        """Of a path."""
+        """The motions of a path."""
         return [self.row[pair] for pair in itertools.pairwise(nodes)]
 
     def _likely_next(self, price: Callable[[], tuple[Array, Array]], todo: list[int]) -> list[int]:

@@ -62,7 +62,7 @@ class Candidate:
 
     @cached_property
     def result(self) -> Reordered:
-        """As reordered; else as it is, which is priced when it is asked for: a first path is wanted soon."""
+        """The path reordered; else as it is, priced when it is needed: a first path is wanted soon."""
         return self.reordered or as_given(self.checker, self.corners)
 
     @cached_property
@@ -145,7 +145,7 @@ class StageSearch:
 
     @cached_property
     def _rng(self) -> np.random.Generator:
-        """Of a roadmap's random states: one for all phases, so that none draws those of another again."""
+        """The generator of a roadmap's random states: one for all phases, so that none draws those of another again."""
         return np.random.default_rng(self.seed)
 
     def _first_path(self) -> RoadmapSearch:

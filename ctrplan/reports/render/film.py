@@ -1,4 +1,8 @@
-"""The pictures of a film: the robot at each pose, with the time and what friction makes of it at that moment."""
+"""The pictures of a film: the robot in its anatomy at each pose, with the time and the friction error at that moment.
+
+The anatomy is glass, or a wall where the eye is within it. Letters tell which way the patient's right, left, front,
+back, head and feet are for the camera.
+"""
 
 from __future__ import annotations
 
@@ -11,32 +15,67 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from ctrplan.anatomy.patient_frame import ENDS, Frame
+from ctrplan.base.arrays import Array
+from ctrplan.base.surface import Rod, capsule
+from ctrplan.certificate.friction_states import bound_allowance_m
+from ctrplan.plans.planned_motion import joints_at
 from ctrplan.reports import looks
 from ctrplan.reports.plan_scene import WrittenMotion
-from ctrplan.reports.render.bodies import moving_bodies, rgb, still_bodies
-from ctrplan.reports.render.camera import Camera
-from ctrplan.reports.render.compass import draw_compass
-from ctrplan.reports.render.picture import Picture, Stage
-from ctrplan.reports.render.views import View, camera_of
-from ctrplan.reports.stated_error import stated_error_m
+from ctrplan.reports.render.camera import View, camera_of
+from ctrplan.reports.render.rasteriser import Body, Camera, Picture, Stage
+from ctrplan.reports.robot_surface import RobotPose, anatomy_surface, stand
 from ctrplan.reports.words import millimetres
 
+
+def stated_error_m(motion: WrittenMotion) -> Array:
+    """(F,) [m] at each pose: never above what is stated of the way, at the goal what is stated there.
+
+    NaN where the plan has no number.
+    """
+    walked_m, certificate = motion.at("bound_m"), motion.plan.certificate
+    robot = motion.scenario.robot
+    joints = joints_at(motion.plan, np.array(motion.times_s))
+    fine = robot.mechanics.bound_many(*robot.drive.collars(joints), accuracy="certificate").position_m
+    fine = fine + bound_allowance_m(robot, "certificate") + np.nan_to_num(motion.at("parameter_bound_m"))
+    found = np.fmax(walked_m, fine)
+    if certificate["worst_bound_m"] is not None:
+        found = np.minimum(found, certificate["worst_bound_m"])
+    if motion.times_s[-1] == motion.plan.time_s[-1] and certificate["goal_bound_m"] is not None:
+        found[-1] = certificate["goal_bound_m"]
+    return np.asarray(np.where(np.isfinite(walked_m), found, np.nan))
+
+
+def rgb(colour: str) -> Array:
+    """(3,) in [0, 1] of "#RRGGBB"."""
+    return np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
+
+
+TRIANGLES = 60_000  # of a part of the anatomy
+SIDES, ENVELOPE_SIDES = 24, 24
+GLASS = {"avoid": (0.30, 0.85), "inside": (0.06, 0.75)}  # opacity seen squarely and along the surface
+PATH_M, MARK_M = 0.0022, 0.009  # thickness of the tip's path and size of targets, shares of the robot's length
+LINE_M, APART_M, BEAD_M = 0.8e-3, 5e-3, 0.7e-3  # along the path as a line and as beads, and their size
+NEAREST_BEAD = 5.0  # radii: nearer ones would cover what lies ahead
+WALL = np.array([0.86, 0.52, 0.46])  # of a lumen seen from inside
 SKY = np.stack([rgb("#FFFFFF"), rgb("#E4EAF0")])
 DARK = np.stack([rgb("#14090A"), rgb("#14090A")])
 SAMPLES = {True: 1, False: 2}  # rays a pixel each way, where the camera moves and where it stands
 TEXT = 0.026  # height of letters, of the picture's
 COMPASS = 3.0  # letters from the middle of the patient's sides to the picture's edge
+SHORTEST_AXIS = 0.25  # of its length that an axis has to show for its letters to be told apart
+AXES = (("", "x"), ("", "y"), ("", "z"))  # of an anatomy whose frame nobody says
 
 
 def film(motion: WrittenMotion, view: View, width: int, height: int) -> Iterator[Picture]:
     """A picture (height, width, 3) for each pose."""
     inside = view == "inside"
-    camera, still = camera_of(view, motion, width / height), still_bodies(motion, inside)
+    camera, still = camera_of(view, motion, width / height), _still_bodies(motion, inside)
     captions, stage = _captions(motion), None
     for pose, caption in zip(motion.path, captions, strict=True):
         if stage is None or camera(pose) is not stage.camera:
             stage = Stage(still, camera(pose), width, height, SAMPLES[inside], DARK if inside else SKY)
-        yield _labelled(stage.with_moving(moving_bodies(pose, motion, inside)), motion, caption, inside, stage.camera)
+        yield _labelled(stage.with_moving(_moving_bodies(pose, motion, inside)), motion, caption, inside, stage.camera)
 
 
 def _captions(motion: WrittenMotion) -> list[str]:
@@ -64,7 +103,7 @@ def _labelled(picture: Picture, motion: WrittenMotion, caption: str, inside: boo
     _key(draw, image.width - margin, margin, size, motion, ink, inside, halo)
     corner = (image.width - margin - COMPASS * size, image.height - margin - COMPASS * size)
     frame = motion.scenario.frame
-    draw_compass(draw, corner, (COMPASS - 0.5) * size, camera, frame, _font(round(0.85 * size)), ink, halo)
+    _draw_compass(draw, corner, (COMPASS - 0.5) * size, camera, frame, _font(round(0.85 * size)), ink, halo)
     return np.asarray(image)
 
 
@@ -109,3 +148,100 @@ def _font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
     """DejaVu, which comes with matplotlib."""
     folder = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
     return ImageFont.truetype(str(folder / f"DejaVuSans{'-Bold' if bold else ''}.ttf"), size)
+
+
+def letters(camera: Camera, frame: Frame | None) -> dict[str, tuple[float, float]]:
+    """Where each letter stands around a middle: to the right and up, at most 1 away.
+
+    Letters of axes that point to the eye or away from it are left out. Without a frame they are those of x, y and z.
+    """
+    ends = AXES if frame is None else ENDS[frame]
+    places = dict[str, tuple[float, float]]()
+    for axis, (minus, plus) in enumerate(ends):
+        right, up = float(camera.axes[0, axis]), float(camera.axes[1, axis])
+        if np.hypot(right, up) >= SHORTEST_AXIS:
+            places |= {plus: (right, up)} | ({minus: (-right, -up)} if minus else {})
+    return places
+
+
+def _draw_compass(
+    draw: ImageDraw.ImageDraw,
+    middle: tuple[float, float],
+    radius: float,
+    camera: Camera,
+    frame: Frame | None,
+    font: ImageFont.FreeTypeFont,
+    ink: str,
+    halo: dict[str, Any],
+) -> None:
+    """Draws axes and letters around a pixel, letters `radius` pixels away where axes lie in the picture."""
+    for letter, (right, up) in letters(camera, frame).items():
+        place = (middle[0] + radius * right, middle[1] - radius * up)
+        inner = (middle[0] + 0.7 * radius * right, middle[1] - 0.7 * radius * up)
+        draw.line((*middle, *inner), fill=ink, width=max(1, round(radius / 24)))
+        draw.text(place, letter, fill=ink, font=font, anchor="mm", **halo)
+
+
+def _still_bodies(motion: WrittenMotion, inside: bool) -> list[Body]:
+    """Anatomy, plate, the tip's path and the targets."""
+    return [*_anatomy(motion, inside), *_marks(motion, inside)]
+
+
+def _moving_bodies(pose: RobotPose, motion: WrittenMotion, inside: bool) -> list[Body]:
+    """Tubes, and the envelope of friction around them; an endoscope sees the way that is left instead."""
+    if inside:
+        return list(_way_ahead(pose, motion))
+    tubes = [
+        Body(rod.surface(SIDES), rgb(looks.tube_look(tube).colour))
+        for tube, rod in enumerate(pose.tubes)
+        if rod.radius_m.any()
+    ]
+    return [*tubes, Body(pose.envelope.surface(ENVELOPE_SIDES), rgb(looks.ENVELOPE_LOOK.colour), 0.14, 0.6)]
+
+
+def _anatomy(motion: WrittenMotion, inside: bool) -> Iterator[Body]:
+    for part in motion.scenario.anatomy:
+        surface = anatomy_surface(part, TRIANGLES)
+        if inside:
+            yield Body(surface, WALL if part.role == "inside" else rgb(looks.ANATOMY_LOOK["avoid"].colour))
+        else:
+            yield Body(surface, rgb(looks.ANATOMY_LOOK[part.role].colour), *GLASS[part.role])
+
+
+def _marks(motion: WrittenMotion, inside: bool) -> Iterator[Body]:
+    if inside:
+        return
+    length = _length(motion)
+    yield Body(stand(motion.scenario), rgb(looks.PLATE_LOOK.colour))
+    line = _beads(motion.tip_m, LINE_M)
+    if len(line) > 1:
+        tangent = np.gradient(line, axis=0)
+        tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-12)
+        yield Body(Rod(line, tangent, np.full(len(line), PATH_M * length)).surface(8), rgb(looks.TIP_PATH.colour))
+    for point in motion.targets.values():
+        yield Body(capsule(point, point, MARK_M * length, 24), rgb(looks.GOAL_LOOK.colour), 0.75, 1.0)
+
+
+def _way_ahead(pose: RobotPose, motion: WrittenMotion) -> Iterator[Body]:
+    """Beads where the tip will come, and the targets, unless the eye is there."""
+    eye, size = pose.tip_m, BEAD_M
+    beads = _beads(motion.tip_m, APART_M)
+    passed = int(np.argmin(np.linalg.norm(beads - eye, axis=1)))
+    marks = [(point, 0.6 * size, looks.TIP_PATH.colour) for point in beads[passed + 1 :]]
+    marks += [(point, 1.6 * size, looks.GOAL_LOOK.colour) for point in motion.targets.values()]
+    for point, radius, colour in marks:
+        if np.linalg.norm(point - eye) > NEAREST_BEAD * radius:
+            yield Body(capsule(point, point, radius, 24), rgb(colour))
+
+
+def _beads(path: Array, apart_m: float) -> Array:
+    """(K, 3) points of a path that are about `apart_m` from each other along it, both ends included."""
+    s_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    at = np.linspace(0.0, s_m[-1], int(s_m[-1] / apart_m) + 2)
+    moves = np.diff(s_m, prepend=-1.0) > 0
+    return np.stack([np.interp(at, s_m[moves], column) for column in path[moves].T], axis=1)
+
+
+def _length(motion: WrittenMotion) -> float:
+    line = motion.path[-1].tubes[-1].centreline_m
+    return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())

@@ -13,7 +13,7 @@ from pathlib import Path
 from PIL import Image
 
 from ctrplan.errors import CtrplanError, InputError
-from ctrplan.reports.render.picture import Picture
+from ctrplan.reports.render.rasteriser import Picture
 from ctrplan.storage.output_folder import write_atomically
 
 SUFFIXES = (".mp4", ".gif", ".png")
@@ -42,8 +42,8 @@ def write_film(path: str, pictures: Iterable[Picture], fps: float) -> None:
 
 def ffmpeg() -> str:
     """The program that makes MP4: the one on this machine, or that of the extra. Raises InputError without any."""
-    if found := shutil.which("ffmpeg"):
-        return found
+    if installed := shutil.which("ffmpeg"):
+        return installed
     try:
         from imageio_ffmpeg import get_ffmpeg_exe
     except ImportError:
@@ -82,9 +82,9 @@ def _colours(images: list[Image.Image]) -> Image.Image:
         sheet.paste(image, (0, row * height))
     usual = sheet.quantize(USUAL, Image.Quantize.MEDIANCUT).getpalette() or []
     rare = sheet.quantize(COLOURS - USUAL, Image.Quantize.MAXCOVERAGE).getpalette() or []
-    found = Image.new("P", (1, 1))
-    found.putpalette(usual[: 3 * USUAL] + rare[: 3 * (COLOURS - USUAL)])
-    return found
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(usual[: 3 * USUAL] + rare[: 3 * (COLOURS - USUAL)])
+    return palette
 
 
 def _encoded(image: Image.Image, kind: str, **options: object) -> bytes:

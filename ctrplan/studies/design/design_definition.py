@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ctrplan.base.arrays import Array
-from ctrplan.base.version import __version__
+from ctrplan.base.package import __version__
 from ctrplan.files.design_file import DesignEntry
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.scenario.scenario import Scenario
@@ -95,7 +95,7 @@ class DesignDefinition:
 
     @property
     def name(self) -> str:
-        """As in the file, else the file's name."""
+        """The name in the file, else the file's own."""
         return self.entry.name or Path(self.document.file or "design").stem
 
     @property
@@ -129,18 +129,18 @@ class DesignDefinition:
 
     def goals(self, looked: EvaluatedDesign) -> list[dict[str, Any]]:
         """[goal] for each target: its tip, and the joints that the design was judged by where it is reached."""
-        found = json.loads(looked.numbers.get("joints", "[]")) or [None] * len(self.points_mm)
+        result = json.loads(looked.numbers.get("joints", "[]")) or [None] * len(self.points_mm)
         tips = [{"tip_mm": point, "tolerance_mm": self.job.task["tolerance_mm"]} for point in self.points_mm.tolist()]
-        return [tip | ({"joints": own} if own else {}) for tip, own in zip(tips, found, strict=True)]
+        return [tip | ({"joints": own} if own else {}) for tip, own in zip(tips, result, strict=True)]
 
     def tolerance_costs(self, looked: EvaluatedDesign) -> list[tuple[str, float, str, float]]:
         """Name, half width, unit and cost [mm] of every tolerance of a design, the costliest first."""
-        found = [
+        results = [
             (side.name, side.width, side.unit, abs(float(looked.numbers[f"slope.{side.name}"])))
             for side, _, _ in self.space.sides(looked.design)
             if side.is_tolerance
         ]
-        return sorted(found, key=lambda row: -row[3])
+        return sorted(results, key=lambda row: -row[3])
 
 
 def defined(entry: DesignEntry, document: Document, allow_outside: bool) -> DesignDefinition:
@@ -169,14 +169,14 @@ def defined(entry: DesignEntry, document: Document, allow_outside: bool) -> Desi
         study_folder=sources.name(folder),
         allow_outside=allow_outside,
     )
-    found = DesignDefinition(entry, document, scenario, DesignSpace(entry, scenario.robot.n), points, job)
-    _check(found, os.fspath(main))
-    return found
+    definition = DesignDefinition(entry, document, scenario, DesignSpace(entry, scenario.robot.n), points, job)
+    _check(definition, os.fspath(main))
+    return definition
 
 
-def _check(found: DesignDefinition, main: str) -> None:
+def _check(definition: DesignDefinition, main: str) -> None:
     """Raises InputError for keys that there are not: designs at both ends of all ranges are read."""
-    count = len(found.space.names)
+    count = len(definition.space.names)
     for share in (0.0, 1.0, 0.5):
-        overrides = found.space.overrides(found.space.design([share] * count))
-        load_scenario(main, overrides, allow_outside=found.job.allow_outside)
+        overrides = definition.space.overrides(definition.space.design([share] * count))
+        load_scenario(main, overrides, allow_outside=definition.job.allow_outside)

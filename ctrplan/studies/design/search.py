@@ -62,10 +62,10 @@ class Descent:
         down = downhill(space, self.at)
         while self.step >= LEAST and down.any():
             shares = np.clip(np.array(self.at.design.shares) + self.step * down, 0.0, 1.0)
-            found = space.design(shares.tolist())
-            if found.key not in self.tried and space.strain(found) <= space.entry.made.most_strain:
-                self.tried.add(found.key)
-                return found
+            result = space.design(shares.tolist())
+            if result.key not in self.tried and space.strain(result) <= space.entry.made.most_strain:
+                self.tried.add(result.key)
+                return result
             self.step *= SHORTER
         return None
 
@@ -113,8 +113,8 @@ def downhill(space: DesignSpace, looked: EvaluatedDesign) -> Array:
     held = ((shares <= 0) & (by_share > 0)) | ((shares >= 1) & (by_share < 0))
     down = np.where(held, 0.0, -by_share)
     largest = np.abs(down).max(initial=0.0)
-    found: Array = down / largest if largest > 0 else down
-    return found
+    result: Array = down / largest if largest > 0 else down
+    return result
 
 
 EXTRA = "pip install 'ctrplan[design]'"
@@ -161,13 +161,13 @@ class Sampler:
 
     def ask(self, count: int) -> list[tuple[Any, tuple[float, ...]]]:
         """So many trials, each with its shares."""
-        found = []
+        results = []
         for _ in range(count):
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 trial = self.study.ask(self.space)
-            found.append((trial, tuple(trial.params[name] for name in self.names)))
-        return found
+            results.append((trial, tuple(trial.params[name] for name in self.names)))
+        return results
 
     def tell(self, trial: Any, values: Sequence[float] | None) -> None:
         """What came of a trial: its objectives, or that it was given up."""
@@ -317,11 +317,11 @@ class SearchState:
             task.key: (task, design) for task, design in zip(tasks, designs, strict=True) if self._is_missing(task)
         }
         self._do(missing.values())
-        found = [EvaluatedDesign(design, self._row(task)) for design, task in zip(designs, tasks, strict=True)]
-        for looked in found:
+        results = [EvaluatedDesign(design, self._row(task)) for design, task in zip(designs, tasks, strict=True)]
+        for looked in results:
             self.archive.add(looked)
         self.write_keys()
-        return found
+        return results
 
     def write_keys(self) -> None:
         """The order of all tasks so far, which tables have their rows in."""

@@ -27,11 +27,11 @@ class StockChoice:
 
     def chosen(self, shares: Sequence[float]) -> list[StockEntry]:
         """One tube for each share; whatever the shares are, they nest."""
-        found: list[StockEntry] = []
+        results: list[StockEntry] = []
         for k, share in enumerate(shares):
-            fitting = self._fitting(found[-1] if found else None, self.tubes - k)
-            found.append(fitting[min(int(share * len(fitting)), len(fitting) - 1)])
-        return found
+            fitting = self._fitting(results[-1] if results else None, self.tubes - k)
+            results.append(fitting[min(int(share * len(fitting)), len(fitting) - 1)])
+        return results
 
     def fits(self, outer: StockEntry, inner: StockEntry) -> bool:
         """Whether one goes into the other, at the ends of their tolerances too."""
@@ -109,7 +109,7 @@ class DesignSpace:
 
     @property
     def names(self) -> list[str]:
-        """Of all shares."""
+        """Names of all shares."""
         return [*(f"tube {i + 1}" for i in range(self.tubes)), *(name_of(p) for p in self.parameters)]
 
     @property
@@ -170,15 +170,15 @@ class DesignSpace:
 
     def _keys(self, design: Design, off: Off) -> dict[str, float]:
         """Values of all keys that depend on the design."""
-        found: dict[str, float] = {}
+        results: dict[str, float] = {}
         for i, one in enumerate(design.stock, start=1):
             own = {key: off.get(f"tube {i} {key[:5]} diameter", 0.0) for key in DIAMETERS}
-            found |= tube_keys(one, i, {**own, "stiffness": off.get(f"tube {i} stiffness", 0.0)})
+            results |= tube_keys(one, i, {**own, "stiffness": off.get(f"tube {i} stiffness", 0.0)})
         for parameter, value in zip(self.parameters, design.values, strict=True):
             made = value + off.get(name_of(parameter), 0.0)
-            found[parameter.key] = made
-            found |= {key: rule.times * made + rule.plus for key, rule in parameter.also.items()}
-        return {key: round(value, DIGITS + 3) for key, value in found.items()}
+            results[parameter.key] = made
+            results |= {key: rule.times * made + rule.plus for key, rule in parameter.also.items()}
+        return {key: round(value, DIGITS + 3) for key, value in results.items()}
 
 
 def name_of(parameter: ParameterEntry) -> str:
@@ -208,7 +208,7 @@ def _value(parameter: ParameterEntry, share: float) -> float:
 
 
 def unit_of(key: str) -> str:
-    """Of a key's value, as its name says; empty for a pure number."""
+    """The unit of a key's value, as its name says; empty for a pure number."""
     last = key.rsplit(".", 1)[-1]
     units = {"mm": "mm", "deg": "deg", "m": "1/m", "Nm2": "N m^2"}
     return units.get(last.rsplit("_", 1)[-1], "")

@@ -43,7 +43,7 @@ class TubeDesign(DesignDefinition):
     def of(
         cls, content: Mapping[str, Any], folder: str | os.PathLike[str] = ".", *, allow_outside: bool = False
     ) -> TubeDesign:
-        """Likewise of a design file's content; files are named relative to `folder`."""
+        """A search of a design file's content; files are named relative to `folder`."""
         document = Document.of(content, "design", str(Path(folder) / "design.toml"))
         return cls._of(checked_design(document), document, allow_outside)
 
@@ -65,8 +65,8 @@ class TubeDesign(DesignDefinition):
         """
         where = Where(executor, workers, scheduler, scheduler_file)
         refuse_longer_than_a_week(self.entry.trials, self.expected_s, "trials", where, yes, self.document.file)
-        found = search(self, folder, where, progress or (lambda _: None))
-        made = TubeDesigns(self, Path(folder), found.archive, found.did, found.interrupted)
+        result = search(self, folder, where, progress or (lambda _: None))
+        made = TubeDesigns(self, Path(folder), result.archive, result.did, result.interrupted)
         made.write()
         return made
 

@@ -27,12 +27,12 @@ def judged_by(study: StudyDefinition) -> str:
 
 def extremes(rows: Sequence[dict[str, Any]], column: str) -> list[int]:
     """Positions of the best and the worst of rows that have a number in a column; fewer where there are fewer."""
-    found = [
+    results = [
         (row[column], k)
         for k, row in enumerate(rows)
         if isinstance(row.get(column), (int, float)) and row[column] == row[column]
     ]
-    return [] if not found else list(dict.fromkeys([min(found)[1], max(found)[1]]))
+    return [] if not results else list(dict.fromkeys([min(results)[1], max(results)[1]]))
 
 
 def extreme_tasks(study: StudyDefinition, tasks: Sequence[Task], store: Store, files: Sequence[str]) -> list[Task]:
@@ -63,7 +63,7 @@ LEVEL = 0.95  # of the intervals
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """Of one column of a study's table, for D keys; NaN where the column does not vary.
+    """Sensitivities of one column of a study's table to D keys; NaN where the column does not vary.
 
     Sobol': `first` is the share of the variance that a key makes alone, `total` with all others. Morris: `total` is the
     mean size of elementary effects (mu*), `first` their standard deviation, in the column's unit.
@@ -109,9 +109,9 @@ def _analysed(study: StudyDefinition, method: str, x: Array, y: Array) -> tuple[
     if method == "sobol":
         from SALib.analyze import sobol
 
-        found = sobol.analyze(asked, y, calc_second_order=False, conf_level=LEVEL, seed=0)
-        return np.asarray(found["S1"]), np.asarray(found["ST"]), np.asarray(found["ST_conf"])
+        result = sobol.analyze(asked, y, calc_second_order=False, conf_level=LEVEL, seed=0)
+        return np.asarray(result["S1"]), np.asarray(result["ST"]), np.asarray(result["ST_conf"])
     from SALib.analyze import morris
 
-    found = morris.analyze(asked, x, y, num_levels=LEVELS, conf_level=LEVEL, seed=0)
-    return np.asarray(found["sigma"]), np.asarray(found["mu_star"]), np.asarray(found["mu_star_conf"])
+    result = morris.analyze(asked, x, y, num_levels=LEVELS, conf_level=LEVEL, seed=0)
+    return np.asarray(result["sigma"]), np.asarray(result["mu_star"]), np.asarray(result["mu_star_conf"])

@@ -291,16 +291,16 @@ def axes_of(
     scenario: for points of its anatomy. Raises InputError.
     """
     folder = Path(document.file or ".").parent
-    found: list[Axis] = [_files(vary, entry, sources, files[vary.key], folder) for vary in entry.vary if vary.files]
+    results: list[Axis] = [_files(vary, entry, sources, files[vary.key], folder) for vary in entry.vary if vary.files]
     if entry.bases is not None:
-        found.append(BaseAxis(*base_poses(entry.bases, document), _beside_pose(entry, document, files)))
-    found += [KeyAxis(vary.key, _values(vary)) for vary in entry.vary if vary.values or vary.count]
+        results.append(BaseAxis(*base_poses(entry.bases, document), _beside_pose(entry, document, files)))
+    results += [KeyAxis(vary.key, _values(vary)) for vary in entry.vary if vary.values or vary.count]
     if random := distributed(entry):
-        found.append(DrawAxis([vary.key for vary in random], drawn(random, entry.draws)))
+        results.append(DrawAxis([vary.key for vary in random], drawn(random, entry.draws)))
     if entry.targets is not None:
         points = target_points(entry.targets, scenario, document, folder)
-        found.append(TargetAxis(points, _goal(entry), of_scenario=entry.scenario is not None))
-    return found
+        results.append(TargetAxis(points, _goal(entry), of_scenario=entry.scenario is not None))
+    return results
 
 
 def _beside_pose(

@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 
 from ctrplan.base.long_work import one_core
-from ctrplan.base.version import __version__
+from ctrplan.base.package import __version__
 from ctrplan.errors import CtrplanError, InputError, NoAnswerError
 from ctrplan.storage.toml_document import Document
-from ctrplan.storage.toml_table import Table
+from ctrplan.storage.toml_table import TomlTable
 from ctrplan.studies.child_process import ChildEnded, ChildExecutor, in_child
 from ctrplan.studies.study.store import Lines
 from ctrplan.studies.study.task import CATALOGUE, Job, Status, Task, TaskKind, TaskNumbers, TaskRow
@@ -91,7 +91,7 @@ def kind_of(job: Job) -> TaskKind:
 def _read_kind(document: Document) -> TaskKind:
     from ctrplan.storage.toml_table import chosen
 
-    return chosen(Table(document, ("task",)), "kind", CATALOGUE, TaskKind)
+    return chosen(TomlTable(document, ("task",)), "kind", CATALOGUE, TaskKind)
 
 
 @lru_cache(maxsize=4)
@@ -258,7 +258,7 @@ def answer(future: Any, content: bytes, chunk: Chunk) -> Lines:
 
 
 class PoolEngine(ExecutorEngine):
-    """As many processes as there are cores, or as are asked for."""
+    """An engine of as many processes as there are cores, or as stated."""
 
     def __init__(self, workers: int | None = None) -> None:
         """Starts nothing before there are tasks."""

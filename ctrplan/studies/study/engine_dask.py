@@ -19,7 +19,7 @@ from types import ModuleType
 from typing import Any
 
 from ctrplan.base.long_work import cores
-from ctrplan.base.version import __version__
+from ctrplan.base.package import __version__
 from ctrplan.errors import CtrplanError, InputError
 from ctrplan.studies.study.engine import (
     AHEAD,
@@ -140,7 +140,7 @@ class DaskEngine(Engine):
             raise InputError(f"the workers lack the module {error.name}: install ctrplan where they run") from error
 
     def prepare(self, content: bytes) -> None:
-        """Likewise. Workers of other clusters do it with their first task: some may not have joined yet."""
+        """Prepares the workers. Those of other clusters do it with their first task: some may not have joined yet."""
         if self.is_own:
             self.client.run(prepare, content)
 

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from ctrplan.anatomy.parts import AnatomyPart, exact_clearance
-from ctrplan.anatomy.shape import Shape
+from ctrplan.anatomy.shape import PartShape
 from ctrplan.base.arrays import Array, shortest_rotation
 from ctrplan.base.surface import Surface
 from ctrplan.errors import InputError
@@ -96,13 +96,13 @@ def _volume(
 
 def _drawn(depth: Inside, low: Array, high: Array, least_m: float, targets: TargetsEntry) -> Array:
     """Points drawn evenly in the volume."""
-    rng, found, count = np.random.default_rng(targets.seed), np.empty((0, 3)), targets.count or 0
+    rng, result, count = np.random.default_rng(targets.seed), np.empty((0, 3)), targets.count or 0
     for _ in range(DRAWS):
         points = low + rng.random((max(count, 1000), 3)) * (high - low)
-        found = np.concatenate([found, points[depth(points) >= least_m]])
-        if len(found) >= count:
-            return found[:count]
-    return found
+        result = np.concatenate([result, points[depth(points) >= least_m]])
+        if len(result) >= count:
+            return result[:count]
+    return result
 
 
 def _on_surface(surface: Surface, targets: TargetsEntry) -> Array:
@@ -133,7 +133,7 @@ def _apart(points: Array, step_m: float) -> Array:
 
 def _shape(
     name: str, targets: TargetsEntry, scenario: Scenario | None, document: Document, folder: Path, key: str
-) -> Shape:
+) -> PartShape:
     """A part of the anatomy by its number, "anatomy.2", or a mesh file."""
     if not name.startswith("anatomy"):
         from ctrplan.anatomy.mesh_file import load_mesh
@@ -217,15 +217,15 @@ def _line(start: Array, end: Array, step: float) -> Array:
 
 def _tilts(patch: PatchEntry) -> list[Rotation]:
     """Rotations from the inward normal, one for no tilt and `sides` for every other."""
-    found = []
+    results = []
     for tilt in patch.tilts_deg:
         for side in range(patch.sides if tilt else 1):
             azimuth = 2 * math.pi * side / patch.sides
             axis = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
-            found.append(Rotation.from_rotvec(math.radians(tilt) * axis))
-    return found
+            results.append(Rotation.from_rotvec(math.radians(tilt) * axis))
+    return results
 
 
 def _quaternions(rotations: Rotation) -> Array:
-    found: Array = np.round(np.roll(rotations.as_quat(canonical=True), 1, axis=1), 12)
-    return found
+    result: Array = np.round(np.roll(rotations.as_quat(canonical=True), 1, axis=1), 12)
+    return result

@@ -37,11 +37,11 @@ class Sources:
 
         folder: where relative names begin, which is this one or above it.
         """
-        found: dict[str, bytes] = {}
+        results: dict[str, bytes] = {}
         for file in files:
-            _gather(os.path.abspath(file), found)
-        top = os.path.commonpath([os.path.abspath(folder), *(os.path.dirname(name) for name in found)])
-        return cls(top, {os.path.relpath(name, top): data for name, data in found.items()})
+            _gather(os.path.abspath(file), results)
+        top = os.path.commonpath([os.path.abspath(folder), *(os.path.dirname(name) for name in results)])
+        return cls(top, {os.path.relpath(name, top): data for name, data in results.items()})
 
     def name(self, file: str | os.PathLike[str]) -> str:
         """What a file of this machine is called here."""
@@ -115,13 +115,13 @@ def _unpacked(keyed: _Keyed) -> Path:
     return folder
 
 
-def _gather(file: str, found: dict[str, bytes]) -> None:
-    if file in found:
+def _gather(file: str, results: dict[str, bytes]) -> None:
+    if file in results:
         return
-    found[file] = file_bytes(os.path.relpath(file), LARGEST_FILE_BYTES, "", "file of a study")
+    results[file] = file_bytes(os.path.relpath(file), LARGEST_FILE_BYTES, "", "file of a study")
     if file.endswith(".toml"):
         for named in _named_files(read_document(file), os.path.dirname(file)):
-            _gather(named, found)
+            _gather(named, results)
 
 
 def _named_files(document: Document, folder: str) -> Iterator[str]:
@@ -148,11 +148,11 @@ def _texts(value: Any) -> Iterator[str]:
 
 def matching_files(patterns: Sequence[str], folder: str, key: str, file: str | None) -> list[Path]:
     """Files that patterns relative to a folder name, sorted, each once. Raises InputError for a pattern without any."""
-    found: dict[Path, None] = {}
+    results: dict[Path, None] = {}
     for pattern in patterns:
         named = [] if "\0" in pattern else glob(pattern, root_dir=folder, recursive=True)
         here = sorted(path for path in (Path(folder) / name for name in named) if path.is_file())
         if not here:
             raise InputError("names no file that exists", file=file, key=key, value=pattern)
-        found |= dict.fromkeys(here)
-    return list(found)
+        results |= dict.fromkeys(here)
+    return list(results)

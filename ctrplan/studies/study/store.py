@@ -33,7 +33,7 @@ class Lines:
 
     @classmethod
     def of(cls, rows: Sequence[TaskRow]) -> Lines:
-        """Of rows, in their order."""
+        """The lines of rows, in their order."""
         lines = [_written({name: getattr(row, name) for name in COLUMNS}) + "\n" for row in rows]
         return cls("".join(lines).encode(), {row.index: row.files for row in rows if row.files})
 

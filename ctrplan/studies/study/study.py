@@ -266,13 +266,13 @@ def _is_missing(study: StudyDefinition, task: Task, store: Store) -> bool:
 
 
 def _sizes(study: StudyDefinition, count: int, workers: int) -> Iterable[int]:
-    """Of chunks: so many tasks at a time that neither their worker nor the scheduler notices the hand-over."""
+    """Sizes of chunks: so many tasks at a time that neither their worker nor the scheduler notices the hand-over."""
     in_chunks = study.kind.together and study.kind.time_limit_s is None
     return chunk_sizes(study.task_s, count, max(workers, 1)) if in_chunks else repeat(1)
 
 
 def chunk_sizes(task_s: float, count: int, workers: int) -> Iterator[int]:
-    """Of all chunks of `count` tasks in their order: smaller ones at the end, where workers would wait for the last."""
+    """Sizes of all chunks of `count` tasks in their order: smaller at the end, where workers would wait otherwise."""
     first, least = chunk_size(task_s, count, workers), math.ceil(LEAST_S / task_s)
     while count > 0:
         size = min(first, max(least, chunk_size(task_s, count, workers)), count)
@@ -316,7 +316,7 @@ class Study(StudyDefinition):
     def of(
         cls, content: Mapping[str, Any], folder: str | os.PathLike[str] = ".", *, allow_outside: bool = False
     ) -> Study:
-        """Likewise of a study file's content; files are named relative to `folder`."""
+        """A study of a study file's content; files are named relative to `folder`."""
         document = Document.of(content, "study", str(Path(folder) / "study.toml"))
         return cls._of(checked_study(document), document, allow_outside)
 

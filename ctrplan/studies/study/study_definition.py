@@ -10,11 +10,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ctrplan.base.version import __version__
+from ctrplan.base.package import __version__
 from ctrplan.errors import InputError
 from ctrplan.files.study_file import StudyEntry, VaryEntry
 from ctrplan.storage.toml_document import Document
-from ctrplan.storage.toml_table import Table
+from ctrplan.storage.toml_table import TomlTable
 from ctrplan.studies.study.axes import CONFIGURATION, TASK_PREFIX, Axis, axes_of, files_varied
 from ctrplan.studies.study.sources import Sources
 from ctrplan.studies.study.task import CATALOGUE, Job, Loaded, TaskKind, TaskList, check_settings
@@ -40,7 +40,7 @@ class StudyDefinition:
 
     @property
     def name(self) -> str:
-        """As in the file, else the file's name."""
+        """The name in the file, else the file's own."""
         return self.entry.name or Path(self.document.file or "study").stem
 
     @property
@@ -55,12 +55,12 @@ class StudyDefinition:
 
     @property
     def robot(self) -> Robot:
-        """Of the first task."""
+        """The robot of the first task."""
         return self.first.robot
 
     @property
     def scenario(self) -> Scenario | None:
-        """Of the first task; None where the study is of a robot."""
+        """The scenario of the first task; None where the study is of a robot."""
         return None if self.job.is_robot else self.first.place
 
     @cached_property
@@ -79,7 +79,7 @@ def defined(entry: StudyEntry, document: Document, allow_outside: bool) -> Study
     from ctrplan.storage.toml_table import chosen
 
     folder = Path(document.file or ".").parent
-    kind = chosen(Table(document, ("task",)), "kind", CATALOGUE, TaskKind)
+    kind = chosen(TomlTable(document, ("task",)), "kind", CATALOGUE, TaskKind)
     start = "robot" if entry.robot is not None else "scenario"
     if start not in kind.needs:
         raise document.fault(f"is not what a {kind.kind} task is about: it needs a {kind.needs[0]}", start)

@@ -19,7 +19,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from ctrplan.base.catalogue import AbstractStruct, Catalogue
-from ctrplan.base.version import __version__
+from ctrplan.base.package import __version__
 from ctrplan.errors import InputError
 from ctrplan.storage.toml_document import Document
 from ctrplan.studies.study.axes import Axis
@@ -166,8 +166,8 @@ class TaskNumbers:
     def of(self, tasks: TaskList) -> list[Task]:
         """The tasks."""
         keys = (self.keys[k : k + KEY_BYTES].hex() for k in range(0, len(self.keys), KEY_BYTES))
-        found = zip(self.numbers, self.indices, keys, strict=True)
-        return [tasks.made(number, index, key) for number, index, key in found]
+        result = zip(self.numbers, self.indices, keys, strict=True)
+        return [tasks.made(number, index, key) for number, index, key in result]
 
     def _some(self, begin: int, end: int) -> TaskNumbers:
         keys = bytes(self.keys[begin * KEY_BYTES : end * KEY_BYTES])
@@ -204,7 +204,7 @@ class Loaded:
 
     @property
     def place(self) -> Scenario:
-        """Likewise but for the goal, the same for many targets: what is known of its anatomy is computed once."""
+        """The scenario but for the goal, the same for many targets: what is known of its anatomy is computed once."""
         return self._read(tuple(text for text in self.task.overrides if not text.startswith(OF_TARGET)))
 
     @property
@@ -279,7 +279,7 @@ class TaskKind(Struct, metaclass=AbstractStruct, forbid_unknown_fields=True, kw_
         """What the table gets of a task. Raises CtrplanError."""
 
     def rows(self, tasks: Sequence[Task], job: Job) -> Iterator[tuple[Task, Mapping[str, Any] | Exception]]:
-        """Of several tasks, each with its numbers or its error."""
+        """Rows of several tasks, each with its numbers or its error."""
         from ctrplan.studies.study.task import Loaded
 
         for task in tasks:

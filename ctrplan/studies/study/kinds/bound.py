@@ -43,10 +43,10 @@ class BoundTask(TaskKind, frozen=True, kw_only=True):
         self._commanded(loaded.robot, loaded, [task])
 
     def numbers(self, task: Task, loaded: Loaded) -> Mapping[str, Any]:
-        (found,) = self._of_one_robot([task], loaded)
-        if isinstance(found[1], Exception):
-            raise found[1]
-        return found[1]
+        (result,) = self._of_one_robot([task], loaded)
+        if isinstance(result[1], Exception):
+            raise result[1]
+        return result[1]
 
     def rows(self, tasks: Sequence[Task], job: Job) -> Iterator[tuple[Task, Mapping[str, Any] | Exception]]:
         for _, some in groupby(tasks, key=lambda task: (task.overrides, task.settings.get("file"), _accuracy(task))):
@@ -60,20 +60,20 @@ class BoundTask(TaskKind, frozen=True, kw_only=True):
 
     def _of_one_robot(self, tasks: Sequence[Task], loaded: Loaded) -> list[tuple[Task, Mapping[str, Any] | Exception]]:
         robot = loaded.robot
-        found: dict[int, Mapping[str, Any] | Exception] = {}
+        results: dict[int, Mapping[str, Any] | Exception] = {}
         theta, l = self._commanded(robot, loaded, tasks)  # noqa: E741
         theta_b, l_b = robot.collars(theta, l)
         if robot.mechanics.first_refused(theta_b, l_b):
             for k in range(len(tasks)):
                 if sentence := nesting_violation(robot, theta_b[k], l_b[k]):
                     shown = (l[k] * 1e3).round(6).tolist()
-                    found[k] = InputError(sentence, key="l_mm", value=shown, unit="mm")
-        rows = np.array([k for k in range(len(tasks)) if k not in found], dtype=int)
+                    results[k] = InputError(sentence, key="l_mm", value=shown, unit="mm")
+        rows = np.array([k for k in range(len(tasks)) if k not in results], dtype=int)
         if len(rows):
             bounds = robot.bound_many(theta_b[rows], l_b[rows], accuracy=self.accuracy)
             for row, k in enumerate(rows.tolist()):
-                found[k] = _numbers(bounds, row)
-        return [(task, found[k]) for k, task in enumerate(tasks)]
+                results[k] = _numbers(bounds, row)
+        return [(task, results[k]) for k, task in enumerate(tasks)]
 
     def _commanded(self, robot: Robot, loaded: Loaded, tasks: Sequence[Task]) -> tuple[Array, Array]:
         """(K, n) [rad], (K, n) [m]. Raises InputError."""
@@ -113,7 +113,7 @@ def _counted(key: str, values: list[float] | None, robot: Robot) -> list[float]:
 
 
 def _numbers(bounds: Any, row: int) -> Mapping[str, Any] | Exception:
-    """Of one configuration; as an error where no bound is promised."""
+    """Numbers of one configuration; as an error where no bound is promised."""
     status = Status(int(bounds.status[row]))
     if not np.isfinite(bounds.position_m[row]):
         return NoAnswerError(f"no bound is promised at this configuration ({status.name}).")

@@ -36,8 +36,8 @@ class DiagnoseTask(TaskKind, frozen=True, kw_only=True):
         from ctrplan.files.measurement_file import load_measurements
 
         robot = loaded.robot
-        found = diagnose(robot, load_measurements(loaded.file(self.measurements), robot), without=self.without)
-        content = found.to_json()
+        result = diagnose(robot, load_measurements(loaded.file(self.measurements), robot), without=self.without)
+        content = result.to_json()
         figures = {key: value for key, value in content["gap"].items() if isinstance(value, (int, float))}
         effects = ", ".join(effect["name"] for effect in content["effects"])
-        return {"verdict": found.verdict, "effects": effects, **figures, "coverage": found.coverage}
+        return {"verdict": result.verdict, "effects": effects, **figures, "coverage": result.coverage}

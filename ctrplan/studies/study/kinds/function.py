@@ -61,7 +61,7 @@ class FunctionTask(TaskKind, frozen=True, kw_only=True):
         module, _, name = self.function.partition(":")
         beside = loaded.job.sources.here / loaded.job.study_folder / self.files()[0]
         try:
-            found = _module(beside) if beside.is_file() else importlib.import_module(module)
+            result = _module(beside) if beside.is_file() else importlib.import_module(module)
         except ModuleNotFoundError as error:
             if error.name != module.partition(".")[0]:
                 raise UserFunctionError(f"{module}: needs the module {error.name}, which is not installed.") from error
@@ -69,7 +69,7 @@ class FunctionTask(TaskKind, frozen=True, kw_only=True):
             raise UserFunctionError(f"{module}: is {where}.") from error
         except Exception as error:
             raise UserFunctionError(f"{module}: can't be imported: {_in_words(error)}.") from error
-        function = getattr(found, name, None)
+        function = getattr(result, name, None)
         if not callable(function):
             raise InputError(f"is no function of the module {module}", key="task.function", value=self.function)
         return function  # type: ignore[no-any-return]
@@ -92,7 +92,7 @@ def _module(file: Path) -> Any:
 def _checked(result: Any, name: str) -> Mapping[str, Any]:
     """What a function returned, as columns. Raises InputError for what no table could hold."""
     columns = result if isinstance(result, Mapping) else {"value": result}
-    found = {}
+    results = {}
     for key, value in columns.items():
         plain = value.item() if isinstance(value, np.generic) else value
         if key in (*FIRST, *LAST, *TIMING):
@@ -100,8 +100,8 @@ def _checked(result: Any, name: str) -> Mapping[str, Any]:
         if not isinstance(key, str) or not key or not (isinstance(plain, (str, numbers.Real)) or plain is None):
             kind = type(value).__name__
             raise InputError(f"must return numbers or texts by name, not {kind} as {key!r}", key=name)
-        found[key] = plain
-    return found
+        results[key] = plain
+    return results
 
 
 def _in_words(error: BaseException) -> str:

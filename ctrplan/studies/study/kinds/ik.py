@@ -47,7 +47,7 @@ class InverseKinematicsTask(TaskKind, frozen=True, kw_only=True):
         goal = self._goal(loaded, scenario)
         tolerance_mm = float(goal["tolerance_mm"])
         within = goal.get("direction_tolerance_deg")
-        found = inverse_kinematics(
+        result = inverse_kinematics(
             scenario,
             np.multiply(goal["tip_mm"], 1e-3),
             goal.get("direction"),
@@ -56,7 +56,7 @@ class InverseKinematicsTask(TaskKind, frozen=True, kw_only=True):
             starts=self.starts,
             seed=task.settings["seed"],
         )
-        return _numbers(found, tolerance_mm)
+        return _numbers(result, tolerance_mm)
 
     def _goal(self, loaded: Loaded, scenario: Scenario) -> dict[str, Any]:
         """tip_mm, tolerance_mm and, where they are given, direction and direction_tolerance_deg."""
@@ -73,26 +73,26 @@ class InverseKinematicsTask(TaskKind, frozen=True, kw_only=True):
         return goal
 
 
-def _numbers(found: InverseKinematics, tolerance_mm: float) -> Mapping[str, Any]:
-    count, valid = len(found.configurations), found.valid
+def _numbers(solutions: InverseKinematics, tolerance_mm: float) -> Mapping[str, Any]:
+    count, valid = len(solutions.configurations), solutions.valid
     known: dict[str, Any] = {
         "reached": bool(count),
         "valid": len(valid),
         "configurations": count,
-        "nearest_mm": found.nearest.tip_error_m * 1e3,
+        "nearest_mm": solutions.nearest.tip_error_m * 1e3,
     }
     if not valid:
         if not count:
-            raise NoAnswer(found.sentence, known)
-        reason = f"{found.sentence} "
+            raise NoAnswer(solutions.sentence, known)
+        reason = f"{solutions.sentence} "
         raise NoAnswer(reason.strip(), known)
     best = min(valid, key=lambda c: c.tip_error_m + c.bound_m)
     worst_mm = (best.tip_error_m + best.bound_m) * 1e3
-    return {**known, **_figures(found, best), "worst_mm": worst_mm, "within_tolerance": worst_mm <= tolerance_mm}
+    return {**known, **_figures(solutions, best), "worst_mm": worst_mm, "within_tolerance": worst_mm <= tolerance_mm}
 
 
-def _figures(found: InverseKinematics, c: Configuration) -> dict[str, Any]:
-    named = found.scenario.robot.drive.named(c.joints)
+def _figures(solutions: InverseKinematics, c: Configuration) -> dict[str, Any]:
+    named = solutions.scenario.robot.drive.named(c.joints)
     return {
         "tip_error_mm": c.tip_error_m * 1e3,
         "bound_mm": c.bound_m * 1e3,

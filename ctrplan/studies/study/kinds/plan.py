@@ -42,13 +42,13 @@ class PlanTask(TaskKind, frozen=True, kw_only=True):
     def numbers(self, task: Task, loaded: Loaded) -> Mapping[str, Any]:
         from ctrplan.planning import plan  # slow to import, as OMPL is
 
-        found = plan(loaded.scenario, seed=task.settings["seed"], time_s=self.time_s, compensated=self.compensate)
-        loaded.files |= _files(found, loaded.job.keep)
-        return _numbers(found)
+        result = plan(loaded.scenario, seed=task.settings["seed"], time_s=self.time_s, compensated=self.compensate)
+        loaded.files |= _files(result, loaded.job.keep)
+        return _numbers(result)
 
 
-def _numbers(found: Plan) -> Mapping[str, Any]:
-    certificate, goal = found.certificate, found.scenario.goal
+def _numbers(result: Plan) -> Mapping[str, Any]:
+    certificate, goal = result.certificate, result.scenario.goal
     parameters_m = float(certificate.samples.parameter_bound_m[-1])
     worst_m = certificate.goal_tip_error_m + certificate.goal_bound_m + certificate.goal_play_m + parameters_m
     numbers = {
@@ -64,15 +64,15 @@ def _numbers(found: Plan) -> Mapping[str, Any]:
         "cost_mm": certificate.cost_mm,
         "length_mm": certificate.length_mm,
         "stops": certificate.stops,
-        "legs": len(found.legs),
-        "duration_s": found.trajectory.duration_s,
+        "legs": len(result.legs),
+        "duration_s": result.trajectory.duration_s,
     }
     if goal.tip_m is not None:
         numbers["within_tolerance"] = bool(worst_m <= goal.tolerance_m)
     return {name: value.item() if isinstance(value, np.generic) else value for name, value in numbers.items()}
 
 
-def _files(found: Plan, wanted: Sequence[str]) -> dict[str, bytes]:
+def _files(result: Plan, wanted: Sequence[str]) -> dict[str, bytes]:
     """What is asked for of the files of a plan's folder."""
     from ctrplan.files.trajectory_file import trajectory_formats, write_trajectory
     from ctrplan.plans.plan import write_plan_json
@@ -82,8 +82,8 @@ def _files(found: Plan, wanted: Sequence[str]) -> dict[str, bytes]:
     with tempfile.TemporaryDirectory() as name:
         made = Path(name)
         if set(wanted) <= {"plan.json", "trajectory.csv"}:
-            write_plan_json(made / "plan.json", found)
-            write_trajectory(made, found.trajectory, trajectory_formats(["csv"]))
+            write_plan_json(made / "plan.json", result)
+            write_trajectory(made, result.trajectory, trajectory_formats(["csv"]))
         else:
-            found.save(made)
+            result.save(made)
         return {name: (made / name).read_bytes() for name in wanted}

@@ -43,20 +43,20 @@ class SimulateTask(TaskKind, frozen=True, kw_only=True):
 
         robot = loaded.robot
         start = self.start if isinstance(self.start, str) else tuple(self.start)
-        found = simulate(robot, load_joint_path(loaded.file(self.path), robot), start, accuracy=self.accuracy)
-        if not found.is_complete:
-            raise NoAnswerError(f"row {(found.failed_waypoint or 0) + 1}: no equilibrium was found on the way there.")
-        return _numbers(found)
+        result = simulate(robot, load_joint_path(loaded.file(self.path), robot), start, accuracy=self.accuracy)
+        if not result.is_complete:
+            raise NoAnswerError(f"row {(result.failed_waypoint or 0) + 1}: no equilibrium was found on the way there.")
+        return _numbers(result)
 
 
-def _numbers(found: Simulation) -> Mapping[str, Any]:
-    deviation_mm, bound_mm = found.deviation_m * 1e3, found.bounds.position_m * 1e3
-    tip_mm = (found.position_m[-1] * 1e3).tolist()
+def _numbers(simulation: Simulation) -> Mapping[str, Any]:
+    deviation_mm, bound_mm = simulation.deviation_m * 1e3, simulation.bounds.position_m * 1e3
+    tip_mm = (simulation.position_m[-1] * 1e3).tolist()
     return {
         "largest_deviation_mm": float(np.nanmax(deviation_mm)),
         "last_deviation_mm": float(deviation_mm[-1]),
         "largest_bound_mm": float(np.nanmax(bound_mm)),
         "last_bound_mm": float(bound_mm[-1]),
         **{f"tip_{axis}_mm": value for axis, value in zip("xyz", tip_mm, strict=True)},
-        "snaps": int(found.snaps.sum()),
+        "snaps": int(simulation.snaps.sum()),
     }

@@ -60,7 +60,7 @@ class TargetSetTask(TaskKind, frozen=True, kw_only=True):
             raise NoAnswerError("no target is reached within limits and margins.")
         pairs = [_pair(side, scenario, task.overrides) for side in self.sides]
         slopes_mm = error_slopes_mm(scenario, goals, worth, pairs)
-        found: dict[str, Any] = {
+        results: dict[str, Any] = {
             "reach": worth.reach,
             "error_mm": worth.error_mm,
             "bound_mm": float(np.mean([target.bound_m * 1e3 for target in worth.reached])),
@@ -71,13 +71,13 @@ class TargetSetTask(TaskKind, frozen=True, kw_only=True):
             "errors_mm": json.dumps([round(value, 6) for value in worth.errors_mm.tolist()]),
             "joints": json.dumps([target and scenario.robot.drive.named(target.joints) for target in worth.targets]),
         }
-        found |= {f"slope.{pair.name}": value for pair, value in zip(pairs, slopes_mm.tolist(), strict=True)}
+        results |= {f"slope.{pair.name}": value for pair, value in zip(pairs, slopes_mm.tolist(), strict=True)}
         rows = [k for k, side in enumerate(self.sides) if side.is_tolerance]
         if rows:
             robust = robust_value(scenario, goals, worth, slopes_mm[rows], [pairs[k] for k in rows], search)
-            found |= {"robust_mm": robust.error_mm, "robust_reach": robust.reach}
-            found["robust_first_order_mm"] = robust.first_order_mm
-        return found
+            results |= {"robust_mm": robust.error_mm, "robust_reach": robust.reach}
+            results["robust_first_order_mm"] = robust.first_order_mm
+        return results
 
     def _goals(self) -> list[Goal]:
         from ctrplan.scenario.scenario import Goal

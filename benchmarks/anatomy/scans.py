@@ -1,0 +1,266 @@
+"""How well surfaces between voxels follow analytic bodies, and what large scans and meshes cost.
+
+    python benchmarks/run.py scans [phantoms] [sides] [plans] [volume] [mesh]        (default: all)
+
+phantoms: tubes along a line and a circle, askew to the voxels, as label maps and as grey values. sides: where on a
+surface of labels the error is large, by how far its normal is from an axis of the voxels, and what smoothing over more
+voxels would do. plans: shipped meshes made volumes. volume: a label map of 512 x 512 x 400 voxels to a field of
+clearances. mesh: 2 million triangles read, thinned, and planned in. Memory is the largest that the process ever had, so
+give one word to learn one of them.
+"""
+
+import os
+import resource
+import tempfile
+import time
+from functools import partial
+from pathlib import Path
+
+import common
+import numpy as np
+import phantoms
+from common import SCENARIOS
+from scipy.spatial.transform import Rotation
+
+import ctrplan
+from ctrplan.anatomy.anatomy_field import anatomy_field, shared_spacing_m
+from ctrplan.anatomy.clearance_grid import field_bounds
+from ctrplan.anatomy.parts import AnatomyPart
+
+SPACINGS_MM = [(0.5, 0.5, 0.5), (1.0, 1.0, 1.0), (0.7, 0.7, 1.4), (2.0, 2.0, 2.0)]
+RADII_MM = (1.0, 3.0, 5.0, 9.0)
+DRAWS = 3
+REACH_M = 0.12
+ROBOT = SCENARIOS / "robots" / "three_tube_insertion.toml"
+LUMEN = """robot = "{robot}"
+[start]
+"rotate outer" = 0
+"rotate middle" = 180
+"rotate inner" = 90
+"advance all" = -149
+"translate inner" = -86.4
+[goal]
+tip_mm = [12, 3, 95]
+[[anatomy]]
+kind = "mesh"
+file = "lumen.stl"
+unit = "mm"
+role = "inside"
+margin_mm = 0.3
+"""
+
+
+def phantom_errors(folder: Path) -> None:
+    print("| voxels (mm) | radius (mm) | of | rms (voxel) | mean | 99 % | largest |")
+    print("|---|---|---|---|---|---|---|")
+    for spacing in SPACINGS_MM:
+        for radius in RADII_MM:
+            if radius < 0.9 * max(spacing):
+                continue
+            for grey in (False, True):
+                off = np.concatenate([_errors(folder, spacing, radius, grey, seed) for seed in range(DRAWS)])
+                numbers = np.sqrt(np.mean(off**2)), np.mean(off), np.quantile(np.abs(off), 0.99), np.abs(off).max()
+                shown = " | ".join(f"{x:.3f}" for x in numbers)
+                size = " x ".join(f"{s:g}" for s in spacing)
+                print(f"| {size} | {radius:g} | {'grey' if grey else 'labels'} | {shown} |")
+
+
+def _errors(folder: Path, spacing: tuple[float, ...], radius: float, grey: bool, seed: int) -> phantoms.Array:
+    """Of the vertices, in widest voxels, on a tube along a line and one along a circle."""
+    rng = np.random.default_rng(seed)
+    turned, centre = Rotation.random(random_state=seed).as_matrix(), rng.uniform(-1, 1, 3) * max(spacing)
+    line = phantoms.capsule(centre - 1.5 * radius * turned[0], centre + 1.5 * radius * turned[0], radius)
+    found = []
+    for body in (line, phantoms.torus(centre, turned, 2.2 * radius, radius)):
+        made = phantoms.image(body, centre, 3.3 * radius + 3 * max(spacing), spacing, grey=grey)
+        phantoms.written(made, folder / "a.nrrd")
+        chosen = {"above": -500} if grey else {"label": 3}
+        part = phantoms.part_of(folder, kind="volume", file="a.nrrd", **chosen)
+        found.append(body(part.shape.surface().vertices_m * 1e3) / max(spacing))
+    return np.concatenate(found)
+
+
+def sides(folder: Path) -> None:
+    """Of labels 1 mm wide, axes along the patient's; by how many voxels the smoothing's kernel is wide."""
+    from ctrplan.anatomy import structure
+
+    ranges = ((0, 5), (5, 10), (10, 20), (20, 35), (35, 55))
+    print(
+        "| radius (voxels) | smoothed over | beyond 0.15 | " + " | ".join(f"{a} to {b} deg" for a, b in ranges) + " |"
+    )
+    print("|---|---|---|" + "---|" * len(ranges))
+    kept = structure.SIGMA, structure.HALO
+    for radius in (3.0, 9.0):
+        for sigma in (1.5, 3.0):
+            structure.SIGMA, structure.HALO = sigma, int(np.ceil(3 * sigma)) + 2
+            off, angle = np.concatenate([_sided(folder, radius, seed) for seed in range(DRAWS)]).T
+            largest = [off[(angle >= a) & (angle < b)].max() for a, b in ranges]
+            shown = " | ".join(f"{x:.2f}" for x in largest)
+            print(f"| {radius:g} | {sigma:g} | {100 * np.mean(off > 0.15):.0f} % | {shown} |")
+    structure.SIGMA, structure.HALO = kept
+
+
+def _sided(folder: Path, radius: float, seed: int) -> phantoms.Array:
+    """Rows of how far vertices are off [voxel], and of the angle of their normal to the nearest axis [deg]."""
+    turned = Rotation.random(random_state=seed).as_matrix()
+    centre = np.random.default_rng(seed).uniform(-1, 1, 3)
+    line = phantoms.capsule(centre - 1.5 * radius * turned[0], centre + 1.5 * radius * turned[0], radius)
+    rows = []
+    for body in (line, phantoms.torus(centre, turned, 2.2 * radius, radius)):
+        phantoms.written(phantoms.image(body, centre, 3.3 * radius + 3, 1.0, np.eye(3)), folder / "a.nrrd")
+        part = phantoms.part_of(folder, kind="volume", file="a.nrrd", label=3)
+        places = part.shape.surface().vertices_m * 1e3
+        slope = np.stack([body(places + step) - body(places - step) for step in 1e-4 * np.eye(3)], axis=1)
+        along = np.abs(slope).max(axis=1) / np.linalg.norm(slope, axis=1)
+        rows.append(np.stack([np.abs(body(places)), np.degrees(np.arccos(np.minimum(along, 1.0)))], axis=1))
+    return np.concatenate(rows)
+
+
+def large_volume(folder: Path) -> None:
+    """A tree of tubes through the whole of 512 x 512 x 400 voxels, 0.7 x 0.7 x 0.8 mm."""
+    size, spacing = (512, 512, 400), (0.7, 0.7, 0.8)
+    _write_tree(folder / "tree.nii.gz", size, spacing)
+    before = _clock()
+    part = phantoms.part_of(folder, kind="volume", file="tree.nii.gz", label=2, role="inside")
+    read = _clock()
+    base = np.array([0.0, 0.0, -0.5 * size[2] * spacing[2] * 1e-3 + 0.02])
+    _field(part, base)
+    done = _clock()
+    shown = " x ".join(map(str, size))
+    print(f"{shown} labels read, {len(part.shape.surface().faces)} triangles: {_took(before, read)}")
+    print(f"field: {_took(read, done)}; together: {_took(before, done)}")
+    _memory()
+
+
+def _field(part: AnatomyPart, base_m: phantoms.Array) -> None:
+    lower, upper = field_bounds([part], REACH_M, base_m)
+    field = anatomy_field(
+        [part], lower, upper, shared_spacing_m([part], REACH_M), base_position_m=base_m, reach_m=REACH_M
+    )
+    print(f"field of {' x '.join(map(str, field.values_m.shape))} nodes, {field.spacing_m * 1e3:.2f} mm apart")
+
+
+def _write_tree(path: Path, size: tuple[int, int, int], spacing: tuple[float, float, float]) -> None:
+    import SimpleITK
+
+    voxels = np.zeros(size[::-1], np.uint8)
+    x, y = (spacing[k] * (np.arange(size[k]) - size[k] / 2) for k in range(2))
+    for k in range(size[2]):
+        z = spacing[2] * k
+        for branch in range(1 + 8 * (k > 80)):
+            away = max(z - 64, 0) * (branch > 0)
+            cx, cy = (0.45 * away * f(branch * np.pi / 4 + 0.004 * away) for f in (np.cos, np.sin))
+            rows, columns = np.abs(y - cy) < 12, np.abs(x - cx) < 12
+            disc = (x[columns] - cx) ** 2 + (y[rows, None] - cy) ** 2 < (9.0 if branch == 0 else 5.0) ** 2
+            block = voxels[k, np.flatnonzero(rows)[:, None], np.flatnonzero(columns)]
+            voxels[k, np.flatnonzero(rows)[:, None], np.flatnonzero(columns)] = np.where(disc, 2, block)
+    voxels[:4] = voxels[-4:] = 0
+    made = SimpleITK.GetImageFromArray(voxels)
+    made.SetSpacing(spacing)
+    made.SetOrigin([-spacing[0] * size[0] / 2, -spacing[1] * size[1] / 2, -spacing[2] * size[2] / 2])
+    SimpleITK.WriteImage(made, str(path), True)
+
+
+def large_mesh(folder: Path) -> None:
+    """A winding lumen of 2.1 million triangles: read, thinned, and planned in."""
+    _write_lumen(folder / "lumen.stl")
+    (folder / "lumen.toml").write_text(LUMEN.format(robot=ROBOT))
+    before = _clock()
+    scenario = ctrplan.load_scenario(folder / "lumen.toml", allow_outside=True)
+    read = _clock()
+    print(f"2.1 million triangles read and thinned: {_took(before, read)}; {' '.join(scenario.anatomy[0].shape.notes)}")
+    plan = ctrplan.plan(scenario)
+    told = f"certified: {plan.certificate.valid}, clearance {plan.certificate.min_clearance_m * 1e3:.2f} mm"
+    print(f"planned: {_took(read, _clock())}; {told}")
+    print(f"together: {_took(before, _clock())}")
+    _memory()
+
+
+def _write_lumen(path: Path, rings: int = 2100, around: int = 500) -> None:
+    import trimesh
+
+    along = np.linspace(0, 1, rings)[:, None]
+    angle = np.linspace(0, 2 * np.pi, around, endpoint=False)[None]
+    radius = 14 + 0.9 * np.sin(40 * along) * np.cos(3 * angle) + 0.25 * np.sin(200 * along + 5 * angle)
+    x, y, z = 6 * np.sin(2.2 * along) + radius * np.cos(angle), radius * np.sin(angle), -15 + 260 * along + 0 * angle
+    vertices = np.stack([x, y, z], axis=-1).reshape(-1, 3)
+    ring, side = np.meshgrid(np.arange(rings - 1), np.arange(around), indexing="ij")
+    a, b = ring * around + side, ring * around + (side + 1) % around
+    walls = [np.stack([a, b, b + around], -1), np.stack([a, b + around, a + around], -1)]
+    ends, k, last = len(vertices) + np.array([[0], [1]]), np.arange(around), (rings - 1) * around
+    first = np.stack([np.full(around, ends[0]), (k + 1) % around, k], axis=1)
+    final = np.stack([np.full(around, ends[1]), last + k, last + (k + 1) % around], axis=1)
+    vertices = np.concatenate([vertices, vertices[:around].mean(axis=0)[None], vertices[-around:].mean(axis=0)[None]])
+    faces = np.concatenate([*(wall.reshape(-1, 3) for wall in walls), first, final])
+    trimesh.Trimesh(vertices, faces, process=False).export(path)
+
+
+def plans(folder: Path) -> None:
+    """The shipped airway and ventricle as label maps: clearance planned with, and of that motion to the meshes."""
+    print("| scenario | voxels (mm) | clearance claimed (mm) | of that motion to the mesh (mm) |")
+    print("|---|---|---|---|")
+    for name in ("airway", "ventricle"):
+        text = (SCENARIOS / f"{name}.toml").read_text().replace("robots/", f"{SCENARIOS}/robots/")
+        body = ctrplan.load_scenario(SCENARIOS / f"{name}.toml").anatomy[0]
+        print(_plan_row(folder, name, "mesh", text.replace("meshes/", f"{SCENARIOS}/meshes/"), body))
+        for spacing in (0.5, 1.0):
+            lower, upper = (1e3 * corner for corner in body.box)
+            made = phantoms.image(
+                _side_of(body), (lower + upper) / 2, (upper - lower).max() / 2 + 2 * spacing, spacing, phantoms.SWAPPED
+            )
+            phantoms.written(made, folder / f"{name}.nrrd")
+            for said, key in (("", ""), (", surface_error_mm = 0", "\nsurface_error_mm = 0")):
+                entry = f'kind = "volume"\nfile = "{name}.nrrd"\nlabel = 3{key}'
+                volume = 'frame = "LPS"\n' + text.replace('kind = "mesh"', entry)
+                lines = [line for line in volume.split("\n") if "meshes/" not in line and not line.startswith("unit")]
+                print(_plan_row(folder, name, f"{spacing:g}{said}", "\n".join(lines), body), flush=True)
+
+
+def _side_of(body: AnatomyPart) -> phantoms.Body:
+    """-1 within a body and 1 outside: all that a label map asks for."""
+    import igl
+
+    surface = body.shape.surface()
+    winding = igl.FastWindingNumberBVH()
+    winding.init(surface.vertices_m, surface.faces)
+    return lambda points: np.where(np.asarray(winding.winding_number(points * 1e-3)) > 0.5, -1.0, 1.0)
+
+
+def _plan_row(folder: Path, name: str, voxels: str, text: str, body: AnatomyPart) -> str:
+    (folder / "plan.toml").write_text(text)
+    scenario = ctrplan.load_scenario(folder / "plan.toml", allow_outside=True)
+    try:
+        plan = ctrplan.plan(scenario)
+    except ctrplan.CtrplanError as error:
+        return f"| {name} | {voxels} | {error} | |"
+    least = np.inf
+    for joints in plan.certificate.samples.joints[::5]:
+        points, radius = scenario.robot.mechanics.body(*scenario.robot.drive.collars(joints))
+        located = points[0] @ scenario.base_R.T + scenario.base_position_m
+        least = min(least, float((-body.shape.distance(located) - radius).min()))
+    margin = body.margin_m
+    claimed = plan.certificate.min_clearance_m
+    return f"| {name} | {voxels} | {claimed * 1e3:.3f} | {(least - margin) * 1e3:.3f} |"
+
+
+def _clock() -> tuple[float, float]:
+    return time.perf_counter(), time.process_time()
+
+
+def _took(begin: tuple[float, float], end: tuple[float, float]) -> str:
+    """Processor time is told, too: others may be at work on the machine."""
+    return f"{end[0] - begin[0]:.1f} s ({end[1] - begin[1]:.1f} s of a processor)"
+
+
+def _memory() -> None:
+    print(f"largest memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB")
+
+
+def main() -> None:
+    parser = common.parser(__doc__)
+    parser.add_argument("sections", nargs="*", metavar="SECTION")
+    with tempfile.TemporaryDirectory() as name:
+        os.environ["CTRPLAN_CACHE_DIR"] = name
+        known = {"phantoms": phantom_errors, "sides": sides, "plans": plans, "mesh": large_mesh, "volume": large_volume}
+        bound = {section: partial(work, Path(name)) for section, work in known.items()}
+        common.sections(parser.parse_args().sections, bound, parser.error)

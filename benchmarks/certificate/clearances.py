@@ -1,0 +1,107 @@
+"""Are certified clearances true, and the same on both meshes?
+
+    python benchmarks/run.py clearances claims [--robots 60] [--seed 0]
+    python benchmarks/run.py clearances meshes [SCENARIO ...]
+
+claims: random configurations of the three-tube robot at rest beside a sphere of 1 mm, which stands beside a random body
+of a grid of 17 x 17 friction states, solved on the certificate mesh, at four distances from its centreline: from just
+hit to a millimetre off. A claim is above the truth where the certificate states more clearance than the nearest body of
+the grid has. meshes: the clearances of a plan of each scenario, certified on both meshes.
+"""
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import common
+import numpy as np
+from common import ROBOTS, SCENARIOS, table
+
+import ctrplan
+from ctrplan.base.arrays import Array
+from ctrplan.certificate.certificate import Certificate
+from ctrplan.certificate.certify import certify
+from ctrplan.certificate.walked_legs import walk_legs
+from ctrplan.files.scenario_file import scenario_from_dict
+from ctrplan.scenario.scenario import Scenario
+
+ROBOT = ctrplan.load_robot(ROBOTS / "three_tube.toml")
+STATES = np.array(list(itertools.product(np.linspace(-1, 1, 17), repeat=2)))
+RADIUS_M = 1e-3
+AWAY_M = (2.2e-3, 2.6e-3, 3.0e-3, 3.5e-3)  # of the sphere's centre from a centreline
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What a certificate says of a scene, and what is there."""
+
+    stated_m: float
+    true_m: float
+    is_valid: bool
+
+
+def beside(joints: Array, center_m: Array) -> Scenario:
+    """A scenario that rests at joints (m,) beside a sphere."""
+    names = {joint.name: q / joint.si_per_unit for joint, q in zip(ROBOT.drive.joints, joints.tolist(), strict=True)}
+    sphere = {"kind": "sphere", "center_mm": (center_m * 1e3).tolist(), "radius_mm": RADIUS_M * 1e3}
+    content = {"robot": "three_tube.toml", "start": names, "goal": {"joints": names}, "anatomy": [sphere]}
+    return scenario_from_dict(content, file=str(ROBOTS / "made_up.toml"))
+
+
+def claims(rng: np.random.Generator) -> Iterator[Claim]:
+    """Of one random configuration; none where a state has no equilibrium."""
+    joints = np.array([*np.radians(rng.uniform(-180, 180, 3)), rng.uniform(-60e-3, -5e-3)])
+    bodies = ROBOT.mechanics.friction_bodies(*ROBOT.drive.collars(joints), STATES, accuracy="certificate")
+    if not bodies.solved.all():
+        return
+    for away_m in AWAY_M:
+        side = rng.standard_normal(3)
+        beside_m = bodies.point_m[rng.integers(len(STATES)), -1 - rng.integers(40)]
+        center_m = beside_m + away_m * side / np.linalg.norm(side)
+        walk = walk_legs(beside(joints, center_m), joints[None])
+        true = (np.linalg.norm(bodies.point_m - center_m, axis=2) - RADIUS_M - bodies.radius_m).min()
+        yield Claim(float(walk.samples.clearance_m.min()), float(true), not walk.problems)
+
+
+def print_claims(robots: int, seed: int) -> None:
+    rngs = (np.random.default_rng([seed, number]) for number in range(robots))
+    found = [claim for rng in rngs for claim in claims(rng)]
+    valid = [claim for claim in found if claim.is_valid]
+    above = [claim.stated_m - claim.true_m for claim in valid if claim.stated_m > claim.true_m]
+    free = [claim for claim in found if claim.true_m > 1e-3]
+    print(f"{len(found)} scenes, {len(valid)} certified, {sum(claim.true_m < 0 for claim in valid)} of them hit")
+    print(f"claims above the truth: {len(above)}, by {1e3 * max(above, default=0.0):.2f} mm at most")
+    print(f"certified of those with more than 1 mm left: {sum(claim.is_valid for claim in free)} of {len(free)}")
+
+
+NAMES = ["airway", "heart_chamber", "ribs", "sinus", "ventricle", "vessel"]
+
+
+def clearances_mm(certificate: Certificate) -> list[float]:
+    """Of the frictionless robot, of the worst friction state found, and what is certified."""
+    assert certificate.nominal is not None and certificate.closest is not None
+    found = certificate.nominal.clearance_m, certificate.closest.clearance_m, certificate.min_clearance_m
+    return [1e3 * value for value in found]
+
+
+def meshes(names: list[str]) -> None:
+    rows = []
+    for name in names or NAMES:
+        plan = ctrplan.plan(ctrplan.load_scenario(SCENARIOS / f"{name}.toml"))
+        both = [clearances_mm(certify(plan.scenario, plan.waypoints, accuracy=on)) for on in ("search", "certificate")]
+        rows.append((name, *(f"{coarse:.2f}, {fine:.2f}" for coarse, fine in zip(*both, strict=True))))
+    head = ("scenario", "frictionless, mm: coarse, fine", "any friction state", "certified")
+    table("clearances on both meshes", head, rows)
+
+
+def main() -> None:
+    parser = common.parser(__doc__)
+    parser.add_argument("section", choices=["claims", "meshes"])
+    parser.add_argument("scenarios", nargs="*")
+    parser.add_argument("--robots", type=int, default=60, help="random configurations (60)")
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    if given.section == "claims":
+        print_claims(given.robots, given.seed)
+    else:
+        meshes(given.scenarios)

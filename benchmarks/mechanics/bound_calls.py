@@ -1,0 +1,189 @@
+"""What bounds take beside the three-tube robot's solves: more tubes, and calls from Python.
+
+    python benchmarks/run.py bound_calls [times] [extremes] [overhead]
+
+times: time and peak memory of one bound for 2 to 12 tubes. extremes: what the extreme corners miss of all of them.
+overhead: what a call from Python takes beyond the core's own work: zero-clearance shapes, bounds, steps of a walker.
+The core's own time is that of the same configurations in one call, on one thread, which gives numbers and no shapes.
+"""
+
+import multiprocessing
+import resource
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import common
+import numpy as np
+from common import ROBOTS, table
+
+import ctrplan
+from ctrplan.errors import CtrplanError
+from ctrplan.files.robot_file import robot_from_dict
+from ctrplan.robot.robot import Robot
+
+MOST_TUBES = 12
+CONFIGURATIONS = 40  # per number of tubes, for what extremes miss
+COLLAR_MM = 5.0
+
+
+def nested_robot(n: int, friction: float = 0.2) -> Robot:
+    """A robot of n curved tubes, each stiffer than the one within."""
+    tubes: list[dict[str, Any]] = [
+        {
+            "outer_diameter_mm": 1.0 + 0.5 * (n - 1 - i),
+            "inner_diameter_mm": 0.7 + 0.5 * (n - 1 - i),
+            "bending_stiffness_Nm2": 0.01 * 1.6 ** (n - 1 - i),
+            "poisson_ratio": 0.3,
+            "collar_length_mm": COLLAR_MM,
+            "section": [
+                {"length_mm": 30 + 15 * i, "curvature_x_per_m": 0, "curvature_y_per_m": 0},
+                {"length_mm": 40, "curvature_x_per_m": 0, "curvature_y_per_m": 5 + 1.5 * i},
+            ],
+        }
+        for i in range(n)
+    ]
+    return robot_from_dict({"tube": tubes, "contact": [{"friction_coefficient": friction}] * (n - 1)})
+
+
+def anywhere(n: int, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Collars (n,) [rad], (n,) [m], tubes 5 to 10 mm behind each other."""
+    apart = random.uniform(COLLAR_MM, 2 * COLLAR_MM, n) * 1e-3
+    return random.uniform(-np.pi, np.pi, n), -np.concatenate([[0.0], np.cumsum(apart[1:])])
+
+
+def measured(n: int, corners: str, line: Any) -> None:
+    """Sends time [s], peak memory above that before [MB] and the corners of one bound; in a process of its own."""
+    robot = nested_robot(n)
+    theta_b, l_b = anywhere(n, np.random.default_rng(n))
+    robot.zero_clearance(theta_b, l_b)
+    before, begun = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.perf_counter()
+    try:
+        found = robot.bound(theta_b, l_b, corners=corners)
+    except CtrplanError as refusal:
+        line.send(str(refusal))
+        return
+    took, peak = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    line.send((took, (peak - before) / 1024, len(found.corners), found.position_m * 1e3))
+
+
+def times() -> None:
+    """Prints a row per number of tubes."""
+    rows = []
+    for n in range(2, MOST_TUBES + 1):
+        cells: list[object] = [n]
+        for corners in ("all", "extreme"):
+            here, there = multiprocessing.Pipe()
+            process = multiprocessing.get_context("spawn").Process(target=measured, args=(n, corners, there))
+            process.start()
+            found = here.recv()
+            process.join()
+            cells += (
+                ["refused", "", "", ""]
+                if isinstance(found, str)
+                else "{2} {0:.3f} {1:.0f} {3:.3f}".format(*found).split()
+            )
+        rows.append(cells)
+    head = [
+        f"{kind}: {what}" for kind in ("all", "extreme") for what in ("corners", "time, s", "memory, MB", "bound, mm")
+    ]
+    table("bounds of many tubes", ("tubes", *head), rows)
+
+
+def extremes() -> None:
+    """Prints by how much the bound by extremes falls short of that over all corners."""
+    rows = []
+    for n in range(3, 7):
+        random, short = np.random.default_rng(n), []
+        for _ in range(CONFIGURATIONS):
+            robot = nested_robot(n, friction=random.uniform(0.05, 0.4))
+            q = anywhere(n, random)
+            whole, part = (robot.bound(*q, corners=corners) for corners in ("all", "extreme"))  # type: ignore[arg-type]
+            short.append([1 - part.position_m / whole.position_m, 1 - part.tangent_rad / whole.tangent_rad])
+        worst = 100 * np.nanmax(short, axis=0)
+        same = np.mean(np.nanmax(short, axis=1) < 1e-6)
+        rows.append((n, len(short), f"{worst[0]:.4f}", f"{worst[1]:.4f}", f"{100 * same:.0f} %"))
+    head = ("tubes", "configurations", "largest shortfall of position, %", "of tangent, %", "exactly the same")
+    table("extreme corners", head, rows)
+
+
+ROBOT = ctrplan.load_robot(ROBOTS / "three_tube.toml")
+CALLS = 200
+ROUNDS = 7  # in alternation: the machine is not ours alone
+STEP_RAD = np.radians(1.0)
+
+random = np.random.default_rng(1)
+THETA = random.uniform(-np.pi, np.pi, (CALLS, 3))
+L = np.tile([0.0, -0.017, -0.0628], (CALLS, 1))
+L[:, 2] -= random.uniform(0, 0.02, CALLS)
+TURNED = np.array([0.0, 1.0, 2.0]) + np.outer(np.arange(CALLS), [0.0, 0.0, STEP_RAD])
+STAYING = np.tile(L[0], (CALLS, 1))
+
+
+def one_by_one(call: Callable[[np.ndarray, np.ndarray], object], theta: np.ndarray, l_b: np.ndarray) -> float:
+    """Microseconds a call."""
+    begun = time.perf_counter()
+    for row in zip(theta, l_b, strict=True):
+        call(*row)
+    return 1e6 * (time.perf_counter() - begun) / len(theta)
+
+
+def at_once(call: Callable[[], object]) -> float:
+    """Microseconds a configuration."""
+    begun = time.perf_counter()
+    call()
+    return 1e6 * (time.perf_counter() - begun) / CALLS
+
+
+def walked() -> float:
+    """Microseconds a step of a walker, its first one left out."""
+    walker = ROBOT.walker()
+    walker.bound(TURNED[0], STAYING[0])
+    return one_by_one(walker.bound, TURNED[1:], STAYING[1:])
+
+
+def everything(theta_b: np.ndarray, l_b: np.ndarray) -> None:
+    """A bound all of whose arrays are looked at."""
+    found = ROBOT.bound(theta_b, l_b)
+    for shape in (found.frictionless, *found.corners):
+        _ = shape.tubes, shape.radius_m, shape.contact_s_m, shape.contact_force_N, shape.contact_angle_rad
+
+
+def tips() -> object:
+    return ROBOT.mechanics.tips(THETA, L, threads=1)
+
+
+def bounds() -> object:
+    return ROBOT.bound_many(THETA, L, threads=1)
+
+
+def measured_calls() -> dict[str, tuple[Callable[[], float], Callable[[], object]]]:
+    """By what is called: microseconds a call from Python, and the same configurations in one call."""
+    one = partial(partial, one_by_one)
+    return {
+        "zero_clearance, its tip": (one(lambda q, l_b: ROBOT.zero_clearance(q, l_b).tip_m, THETA, L), tips),
+        "zero_clearance, all arrays": (one(lambda q, l_b: ROBOT.zero_clearance(q, l_b).tubes, THETA, L), tips),
+        "bound, cold, its tip": (one(lambda q, l_b: ROBOT.bound(q, l_b).frictionless.tip_m, THETA, L), bounds),
+        "bound, cold, all arrays": (one(everything, THETA, L), bounds),
+        "walker, steps of 1 degree": (walked, lambda: ROBOT.mechanics.check_path(TURNED, STAYING)),
+    }
+
+
+def overhead() -> None:
+    """Prints medians over rounds."""
+    rows = []
+    for name, (python, core) in measured_calls().items():
+        python(), core()
+        pairs = np.array([(python(), at_once(core)) for _ in range(ROUNDS)])
+        outside, inside = np.median(pairs, axis=0)
+        between = np.median(pairs[:, 0] - pairs[:, 1])
+        rows.append((name, *(f"{us:.0f}" for us in (outside, inside, between))))
+    table("calls", ("call", "from Python, us", "core, us", "difference (median), us"), rows)
+
+
+def main() -> None:
+    parser = common.parser(__doc__)
+    parser.add_argument("sections", nargs="*", metavar="SECTION")
+    known = {"times": times, "extremes": extremes, "overhead": overhead}
+    common.sections(parser.parse_args().sections, known, parser.error)

@@ -1,0 +1,187 @@
+"""Is the friction bound a bound? Random histories against the corners at every configuration they visit."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from common import ROBOTS, table
+
+from ctrplan.base.arrays import Array
+from ctrplan.files.robot_file import load_robot
+from ctrplan.mechanics.accuracy import Accuracy
+from ctrplan.mechanics.shapes import Status
+from ctrplan.robot.robot import Robot
+
+PAIR, THREE = (load_robot(ROBOTS / f"{name}.toml") for name in ("table_5_pair", "three_tube"))
+PAIR_L_M = np.array([0.0, -0.0604])  # curved part of the inner tube half extended
+HISTORIES = 1000  # of each robot
+LEGS = (3, 10)
+MOST_TURN_RAD = 4 * np.pi
+SAMPLE_RAD, SAMPLE_M = np.radians(20.0), 6e-3
+INNER_L_M = {2: (-0.1034, -0.0170), 3: (-0.1204, -0.0340)}  # range of the innermost tube's base
+LABELLED = (("pair (Table V)", PAIR), ("three tubes (Table II)", THREE))
+Row = tuple[object, ...]
+WALKED = 8  # samples before a violation
+SLACK_SHARE, SLACK_M = 0.01, 0.05e-3
+
+
+@dataclass
+class Tally:
+    """Counts over histories of one robot."""
+
+    histories: int = 0
+    configurations: int = 0
+    without_bound: int = 0  # the frictionless solution is unstable: nothing is promised
+    beyond: int = 0
+    snaps: int = 0
+    failed: int = 0
+    worst_mm: float = 0.0  # beyond the bound on the branch of the history
+
+
+def norm_mm(vectors: Array) -> Array:
+    """(...,) lengths in mm of (..., 3) in m."""
+    length: Array = 1e3 * np.linalg.norm(vectors, axis=-1)
+    return length
+
+
+def random_path(robot: Robot, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Waypoints (K, n), (K, n): legs of rotation, translation or both."""
+    n, low, high = robot.n, *INNER_L_M[robot.n]
+    turn = np.concatenate([[0.0], np.cumsum(rng.uniform(-np.pi, np.pi, n - 1))])
+    l_b = np.array([0.0, -0.017, -0.034])[:n]
+    l_b[-1] = rng.uniform(low, high)
+    waypoints = [(turn, l_b)]
+    for _ in range(rng.integers(LEGS[0], LEGS[1] + 1)):
+        kind = rng.integers(3)
+        turn, l_b = waypoints[-1][0].copy(), waypoints[-1][1].copy()
+        if kind != 1:
+            turn[1:] += np.cumsum(rng.uniform(-MOST_TURN_RAD, MOST_TURN_RAD, n - 1) * rng.uniform(0, 1, n - 1))
+        if kind != 0:
+            l_b[-1] = rng.uniform(low, high)
+        waypoints.append((turn, l_b))
+    return np.array([turn for turn, _ in waypoints]), np.array([l_b for _, l_b in waypoints])
+
+
+def sampled(turns: Array, l_b: Array) -> tuple[Array, Array]:
+    """The same path with waypoints at most SAMPLE_RAD and SAMPLE_M apart."""
+    out = [(turns[0], l_b[0])]
+    for k in range(len(turns) - 1):
+        far = max(np.abs(turns[k + 1] - turns[k]).max() / SAMPLE_RAD, np.abs(l_b[k + 1] - l_b[k]).max() / SAMPLE_M)
+        for part in np.linspace(0, 1, max(1, int(np.ceil(far))) + 1)[1:]:
+            out.append((turns[k] + part * (turns[k + 1] - turns[k]), l_b[k] + part * (l_b[k + 1] - l_b[k])))
+    return np.array([turn for turn, _ in out]), np.array([shift for _, shift in out])
+
+
+def histories(robot: Robot, count: int) -> Iterator[tuple[int, tuple[float, ...], Array, Array]]:
+    """Number, start state and sampled waypoints of each history."""
+    for number in range(count):
+        rng = np.random.default_rng((robot.n, number))
+        start = tuple(rng.choice([0.0, 1.0, -1.0], robot.n - 1).tolist())
+        yield number, start, *sampled(*random_path(robot, rng))
+
+
+def walk(robot: Robot, start: tuple[float, ...], theta_b: Array, l_b: Array, tally: Tally) -> list[int]:
+    """Simulates one history; rows that are beyond the bound."""
+    found = robot.history(start).follow(theta_b, l_b)
+    bounds = robot.bound_many(theta_b, l_b, threads=1)
+    simulated = found.status != Status.FAILED
+    promised = simulated & (bounds.status != Status.UNSTABLE) & np.isfinite(bounds.position_m)
+    deviation_m = norm_mm(found.position_m - bounds.tip_m) * 1e-3
+    beyond = promised & (deviation_m > (1 + SLACK_SHARE) * bounds.position_m + SLACK_M)
+    tally.histories += 1
+    tally.configurations += int(promised.sum())
+    tally.without_bound += int((simulated & ~promised).sum())
+    tally.beyond += int(beyond.sum())
+    tally.snaps += int(np.nansum(found.snaps))
+    tally.failed += int(not simulated.all())
+    return np.flatnonzero(beyond).tolist()
+
+
+def causes(
+    robot: Robot, start: tuple[float, ...], theta_b: Array, l_b: Array, rows: list[int], tally: Tally
+) -> list[tuple[int, str, float, float]]:
+    """Row, cause, deviation and bound [mm] of each violation; on its branch if that has a frictionless tip."""
+    listed = [(row, *judge(robot, start, theta_b, l_b, row, "search")) for row in rows]
+    for k, (row, cause, *_) in enumerate(listed):
+        if cause == "beyond the corners":
+            again, *values = judge(robot, start, theta_b, l_b, row, "certificate")
+            listed[k] = (row, cause if again == cause else "discretisation", *values)
+            tally.worst_mm = max(tally.worst_mm, values[0] - values[1])
+    return listed
+
+
+def judge(
+    robot: Robot, start: tuple[float, ...], theta_b: Array, l_b: Array, row: int, accuracy: Accuracy
+) -> tuple[str, float, float]:
+    history = robot.history(start, accuracy=accuracy)
+    history.follow(theta_b[:row], l_b[:row])
+    tip_m = history.advance(theta_b[row], l_b[row]).shape.tip_m
+    free = history.tip_beside([0.0] * (robot.n - 1))
+    corners = np.array([history.tip_beside(signs) for signs in itertools.product((1.0, -1.0), repeat=robot.n - 1)])
+    bound_mm, deviation_mm = float(np.nanmax([*norm_mm(corners - free), 0.0])), float(norm_mm(tip_m - free))
+    if np.isnan(free).any():
+        elsewhere = robot.bound(theta_b[row], l_b[row], accuracy=accuracy)
+        away_mm = float(norm_mm(tip_m - elsewhere.frictionless.tip_m))
+        return "branch held by friction", away_mm, elsewhere.position_m * 1e3
+    if deviation_mm <= (1 + SLACK_SHARE) * bound_mm + SLACK_M * 1e3:
+        return "other branch", deviation_mm, bound_mm
+    if np.isnan(corners).any():
+        return "branch without all corners", deviation_mm, bound_mm
+    return "beyond the corners", deviation_mm, bound_mm
+
+
+def seen_on_the_way(robot: Robot, theta_b: Array, l_b: Array, row: int, deviation_mm: float) -> str:
+    """What the planner's walk along the end of the way says, each of its solutions starting from the one before."""
+    first = max(0, row - WALKED)
+    walk = robot.mechanics.check_path(theta_b[first : row + 1], l_b[first : row + 1])
+    if np.isin(walk.status, [Status.UNSTABLE, Status.FAILED]).any():
+        return "snaps without friction"
+    bound_mm = float(walk.position_m[-1]) * 1e3
+    within = deviation_mm <= (1 + SLACK_SHARE) * bound_mm + SLACK_M * 1e3
+    return f"{bound_mm:.2f} mm" if within else f"missed, {bound_mm:.2f} mm"
+
+
+def examine(label: str, robot: Robot, count: int) -> tuple[Row, list[Row]]:
+    """A row on one robot's histories, and a row for every violation."""
+    tally, found, listed, began = Tally(), Counter[str](), list[Row](), time.perf_counter()
+    for number, start, theta_b, l_b in histories(robot, count):
+        beyond = walk(robot, start, theta_b, l_b, tally)
+        for row, cause, *values in causes(robot, start, theta_b, l_b, beyond, tally):
+            found[cause] += 1
+            seen = seen_on_the_way(robot, theta_b, l_b, row, values[0])
+            listed.append((label, number, row, cause, *(f"{value:.2f}" for value in values), seen))
+        if number % 50 == 49:
+            print(f"{label}: {tally}, {dict(found)}, {time.perf_counter() - began:.0f} s", flush=True)
+    kinds = ", ".join(f"{number} {cause}" for cause, number in found.most_common()) or "none"
+    faults, held = found["beyond the corners"] + found["discretisation"], found["branch held by friction"]
+    shares = (
+        f"{100 * (1 - tally.beyond / tally.configurations):.3f} %",
+        f"{100 * (1 - faults / (tally.configurations - held)):.3f} %",
+    )
+    given = (label, tally.histories, tally.configurations, tally.failed, tally.snaps)
+    return (*given, *shares, kinds, tally.without_bound), listed
+
+
+def bound(count: int = HISTORIES) -> None:
+    """Random histories on both robots; every violation with its cause."""
+    found = [examine(label, robot, count) for label, robot in LABELLED]
+    tell([row for row, _ in found], [row for _, listed in found for row in listed])
+
+
+def tell(rows: list[Row], listed: list[Row]) -> None:
+    head = ("robot", "histories", "configurations", "failed", "snaps", "within the bound",
+            "where their own branch has a bound", "causes of the rest", "without a bound")  # fmt: skip
+    table("bound", head, rows)
+    head = ("robot", "history", "sample", "cause", "deviation, mm", "bound, mm", "walked there")
+    table("violations", head, listed)
+    kinds = Counter(
+        "missed" if "missed" in str(row[-1]) else "within" if "mm" in str(row[-1]) else "snaps" for row in listed
+    )
+    labels = ("the robot snaps without friction too", "within the bound walked there", "neither")
+    rows = [(label, kinds[kind]) for label, kind in zip(labels, ("snaps", "within", "missed"), strict=True)]
+    table("walked", ("a walk along the path says", "violations"), rows)

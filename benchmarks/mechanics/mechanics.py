@@ -1,0 +1,283 @@
+"""How accurate is the mechanics core, and how long does an answer take?
+
+    python benchmarks/run.py mechanics [references] [pairs] [order] [meshes] [fineness] [speed] [--count N]
+
+All of them if none is named; --count says how many random configurations `meshes` and `fineness` look at. References
+are in tests/reference, each with its own uncertainty. Times are of one core unless a row says otherwise; medians,
+because the machine may be doing other things.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import time
+from collections.abc import Callable
+from typing import Any
+
+import common
+import numpy as np
+import paper_oracle as paper
+from common import ROBOTS, ROOT, distance_mm, table
+from table_1_pair import table_1_pair
+
+from ctrplan.base.arrays import Array
+from ctrplan.files.robot_file import load_robot
+from ctrplan.mechanics.accuracy import Accuracy
+from ctrplan.mechanics.core import kernel_name
+from ctrplan.mechanics.shapes import Status
+from ctrplan.mechanics.walk import PathDensity
+
+THREE_TUBES = load_robot(ROBOTS / "three_tube.toml")
+ACCURACIES: tuple[Accuracy, ...] = ("search", "certificate", "exact")
+MESHES: tuple[Accuracy, ...] = ("search", "certificate")
+Row = tuple[object, ...]
+
+
+def read(name: str) -> Any:
+    return json.loads((ROOT / "tests" / "reference" / name).read_text())
+
+
+def references() -> None:
+    """Tips of the three-tube robot against the references of tests/reference."""
+    points = read("zero_clearance_points.json")["points"]
+    shapes = [THREE_TUBES.zero_clearance(p["theta_b_rad"], p["l_b_m"]) for p in points]
+    off_nm = [1e6 * distance_mm(shape.tip_m, p["tip_m"]) for shape, p in zip(shapes, points, strict=True)]
+    tangents = [
+        float(np.linalg.norm(shape.tip_tangent - p["tip_tangent"])) for shape, p in zip(shapes, points, strict=True)
+    ]
+    table("zero clearance", ("points", "largest tip error, nm", "tangent"), [(len(off_nm), max(off_nm), max(tangents))])
+
+    rows: list[Row] = []
+    signs = ["0,0", *(",".join(row) for row in itertools.product("+-", repeat=2))]
+    for accuracy in ACCURACIES:
+        errors, beyond = [], []
+        for p in read("three_tube_points.json")["points"]:
+            bound = THREE_TUBES.bound(np.deg2rad(p["theta_b_deg"]), p["l_b_m"], accuracy=accuracy)
+            for key, shape in zip(signs, (bound.frictionless, *bound.corners), strict=True):
+                errors.append(distance_mm(shape.tip_m, p["tip_m"][key]))
+                beyond.append(errors[-1] - 1e3 * p["uncertainty_m"][key])
+        rows.append((accuracy, len(errors), *(f"{x:.3f}" for x in (np.median(errors), max(errors), max(beyond)))))
+    head = ("accuracy", "tips", "median, mm", "largest, mm", "largest beyond their uncertainty, mm")
+    table("clearance and friction, three tubes", head, rows)
+    first = read("three_tube_points.json")["points"][0]
+    q = np.deg2rad(first["theta_b_deg"]), first["l_b_m"]
+    nodes = paper.mesh(THREE_TUBES.tubes, q[1], 2.5e-3, 5e-4, 5e-3)
+    friction = THREE_TUBES.friction[:, 1]
+    tip_m = paper.refine(
+        paper.Problem(THREE_TUBES.tubes, THREE_TUBES.clearance_m, friction, *q, (1.0, 1.0), nodes)
+    ).tip_m
+    tips = {accuracy: THREE_TUBES.solve(*q, 1.0, accuracy=accuracy).tip_m for accuracy in ACCURACIES[1:]}
+    tips["reference"] = np.array(first["tip_m"]["+,+"])
+    apart = [(name, f"{distance_mm(tip, tip_m):.3f}") for name, tip in tips.items()]
+    table("first point, phi = (1, 1), mm from the paper's algorithm on 223 nodes", ("tip", "mm"), apart)
+
+
+def pairs() -> None:
+    """Tube pairs of Tables I and V against values of an independent exact-geometry solver."""
+    data, rows = read("pair_values.json")["table_I_pair"], list[Row]()
+    for clearance_m, accuracy in itertools.product((1e-5, 5e-5, 2.5e-4, 1e-3, 3e-3), ACCURACIES):
+        own = {
+            key: [row for row in given if row["clearance_m"] == clearance_m]
+            for key, given in data.items()
+            if isinstance(given, list)
+        }
+        free, stuck, entered = [], [], []
+        for row in own["deviation_from_zero_clearance"]:
+            shape = table_1_pair(clearance_m, 0).solve(*turned_pair(row["base_angle_deg"]), accuracy=accuracy)
+            free.append(distance_mm(shape.tip_m, row["tip_m"]))
+        for row in own["friction_at_180_deg"]:
+            shape = table_1_pair(clearance_m, row["mu"]).solve(*turned_pair(180), 1, accuracy=accuracy)
+            stuck.append((distance_mm(shape.tip_m, row["tip_m"]), 1e3 * row["deviation_m"]))
+        for row in own["transmission_at_180_deg"]:
+            model, length_m = table_1_pair(clearance_m, 0, row["transmission_m"]), row["transmission_m"]
+            tip_m = model.solve(*turned_pair(180, length_m), accuracy=accuracy).tip_m
+            entered.append(abs(distance_mm(tip_m, [0, 0, 0.15]) - 1e3 * row["deviation_m"]))
+        share = 100 * max(error / deviation for error, deviation in stuck)
+        largest = max(free), max(error for error, _ in stuck), max(entered)
+        rows.append((f"{1e3 * clearance_m:g}", accuracy, *(f"{x:.4f}" for x in largest), f"{share:.2f}"))
+    head = (
+        "clearance, mm",
+        "accuracy",
+        "frictionless, mm",
+        "friction, mm",
+        "transmission, mm",
+        "friction, % of deviation",
+    )
+    table("Table I pair, largest tip errors", head, rows)
+
+    robot, rows = load_robot(ROBOTS / "table_5_pair.toml"), []
+    for accuracy in ACCURACIES:
+        free, stuck_mm, angles = [], [], []
+        for row in read("pair_values.json")["table_V_pair"]["rows"]:
+            bound = robot.bound(*turned_pair(row["base_angle_deg"], 0.0604), accuracy=accuracy)
+            free.append(distance_mm(bound.frictionless.tip_m, row["zero"]["tip_m"]))
+            for name, shape in zip(("plus", "minus"), bound.corners, strict=True):
+                outer, inner = shape.tubes
+                stuck_mm.append(distance_mm(shape.tip_m, row[name]["tip_m"]))
+                angle = np.rad2deg(np.interp(0.167, inner.s_m, inner.theta_rad) - outer.theta_rad[-1])
+                angles.append(abs(angle - row[name]["relative_tip_angle_deg"]))
+        rows.append((accuracy, *(f"{max(x):.4f}" for x in (free, stuck_mm, angles))))
+    head = ("accuracy", "frictionless, mm", "friction, mm", "relative tip angle, deg")
+    table("Table V pair, largest errors", head, rows)
+
+
+def turned_pair(angle_deg: float, length_m: float = 0.017) -> tuple[Array, list[float]]:
+    """Collars of a pair whose inner tube is turned against the outer one and drawn back."""
+    return np.deg2rad([0.0, angle_deg]), [0.0, -length_m]
+
+
+def order() -> None:
+    """Geometric mean of tip errors of eighteen pairs with friction against 16 times shorter elements."""
+    refinements, rows = np.array([0.25, 0.5, 1.0, 2.0, 4.0]), list[Row]()
+    for accuracy in ACCURACIES[1:]:
+        errors = []
+        for clearance_m, angle_deg in itertools.product([5e-5, 2.5e-4, 1e-3], [40, 60, 90, 120, 150, 170]):
+            model, q = table_1_pair(clearance_m, 0.2), turned_pair(angle_deg)
+            tips = [model.solve(*q, 1.0, accuracy=accuracy, refinement=float(r)).tip_m for r in (*refinements, 16.0)]
+            errors.append([distance_mm(tip, tips[-1]) for tip in tips[:-1]])
+        mean = np.exp(np.log(errors).mean(0))
+        slope = -np.polyfit(np.log(refinements), np.log(mean), 1)[0]
+        rows.append((accuracy, *(f"{1e6 * error:.0f}" for error in mean), f"{slope:.2f}"))
+    table("mean tip error by length of elements, nm", ("accuracy", *(f"1/{r:g}" for r in refinements), "order"), rows)
+
+
+def table_3_grid() -> tuple[Array, Array]:
+    """Base angles of tubes 2 and 3 by quarter turns, tube 3 from retracted to extended in four places."""
+    quarters = np.deg2rad([0, 90, 180, 270])
+    joints = itertools.product(quarters, quarters, np.linspace(-0.1204, -0.034, 4))
+    made = [((0, second, second + third), (0, -0.017, l_3)) for second, third, l_3 in joints]
+    return np.array([theta_b for theta_b, _ in made], float), np.array([l_b for _, l_b in made], float)
+
+
+def meshes(count: int) -> None:
+    """Search against certificate mesh on random configurations: the worst of the five tips of each."""
+    worst = []
+    for theta_b, l_b in zip(*random_joints(count), strict=True):
+        coarse, fine = THREE_TUBES.bound(theta_b, l_b), THREE_TUBES.bound(theta_b, l_b, accuracy="certificate")
+        if np.isfinite(coarse.position_m + fine.position_m) and coarse.frictionless.stability > 0:
+            shapes = zip((coarse.frictionless, *coarse.corners), (fine.frictionless, *fine.corners), strict=True)
+            worst.append(max(distance_mm(a.tip_m, b.tip_m) for a, b in shapes))
+    error = np.array(worst)
+    row = (len(error), *map(float, np.quantile(error, (0.5, 0.95, 0.99, 1.0))), f"{100 * np.mean(error > 0.3):.1f} %")
+    table("search mesh off the grid, mm", ("configurations", "median", "95 %", "99 %", "max", "share > 0.3"), [row])
+
+
+def fineness(count: int) -> None:
+    """Both meshes against one 6 times finer than the certificate's: worst of the five tips of each configuration."""
+    rows = list[Row]()
+    for label, q in (("grid of Table III", table_3_grid()), ("random", random_joints(count))):
+        errors: dict[Accuracy, list[float]] = {accuracy: [] for accuracy in MESHES}
+        for joints in zip(*q, strict=True):
+            fine = five_tips(*joints, "certificate", 6.0)
+            if fine is None:
+                continue
+            for accuracy in MESHES:
+                tips = five_tips(*joints, accuracy, 1.0)
+                errors[accuracy].append(
+                    np.nan if tips is None else 1e3 * float(np.linalg.norm(tips - fine, axis=1).max())
+                )
+        for accuracy in MESHES:
+            known = np.array(errors[accuracy])
+            quantiles = map(float, np.nanquantile(known, (0.5, 0.95, 1.0)))
+            rows.append((f"{label}, {accuracy}", len(known), int(np.isnan(known).sum()), *quantiles))
+    table("discretisation error of tips, mm", ("", "configurations", "failed", "median", "95 %", "max"), rows)
+
+
+def five_tips(theta_b: Array, l_b: Array, accuracy: Accuracy, refinement: float) -> Array | None:
+    """Without friction and at every corner, (5, 3) m; none where one failed or the frictionless shape is unstable."""
+    shapes = [
+        THREE_TUBES.mechanics.solve(theta_b, l_b, state, accuracy=accuracy, refinement=refinement)
+        for state in [(0.0, 0.0), *itertools.product((1.0, -1.0), repeat=2)]
+    ]
+    if any(shape.status is Status.FAILED for shape in shapes) or shapes[0].status is Status.UNSTABLE:
+        return None
+    return np.array([shape.tip_m for shape in shapes])
+
+
+def random_joints(count: int) -> tuple[Array, Array]:
+    """Rotations anywhere, tube 3 between fully retracted and fully extended."""
+    rng = np.random.default_rng(0)
+    l_b = np.tile([0.0, -0.017, 0.0], (count, 1))
+    l_b[:, 2] = rng.uniform(-0.1204, -0.034, count)
+    return rng.uniform(-np.pi, np.pi, (count, 3)), l_b
+
+
+def times_ms(work: Callable[..., object], *arguments: Array) -> Array:
+    """Of one call per row of the arguments."""
+    work(*(rows[0] for rows in arguments))
+    taken = []
+    for row in zip(*arguments, strict=True):
+        start = time.perf_counter()
+        work(*row)
+        taken.append(1e3 * (time.perf_counter() - start))
+    return np.array(taken)
+
+
+def batches_ms(theta_b: Array, l_b: Array) -> dict[int, Array]:
+    """Per configuration, one and two threads in turn, so that both see the same machine."""
+    taken: dict[int, list[float]] = {1: [], 2: []}
+    for q, threads in itertools.product(zip(np.split(theta_b, 10), np.split(l_b, 10), strict=True), taken):
+        start = time.perf_counter()
+        THREE_TUBES.bound_many(*q, threads=threads)
+        taken[threads].append(1e3 * (time.perf_counter() - start) / len(q[0]))
+    return {threads: np.array(times) for threads, times in taken.items()}
+
+
+def path_ms(theta_step: float, l_step: float) -> Array:
+    """Per sample after the first, of legs with 60 steps through ordinary configurations."""
+    density = PathDensity(rotation_rad=np.deg2rad(1) * 1.001, translation_m=0.5005e-3)
+    starts, taken = random_joints(40), list[float]()
+    for theta_b, l_b in zip(*starts, strict=True):
+        l_b[2] = np.clip(l_b[2], -0.12, -0.065)
+        ends = [theta_b, theta_b + [0, 0, 60 * theta_step]], [l_b, l_b + [0, 0, 60 * l_step]]
+        first = times_ms(lambda a, b: THREE_TUBES.mechanics.check_path([a], [b]), *(np.array(e)[:1] for e in ends))[0]
+        start = time.perf_counter()
+        samples = THREE_TUBES.mechanics.check_path(*ends, density=density)
+        if samples.fraction[-1] == 1 and np.all(samples.status == Status.CONVERGED):
+            taken.append((1e3 * (time.perf_counter() - start) - first) / (len(samples.fraction) - 1))
+    return np.array(taken)
+
+
+def zero_clearance_ms(q: tuple[Array, Array]) -> Array:
+    """Per configuration, tips of batches on one thread."""
+    taken = []
+    for theta_b, l_b in zip(np.split(q[0], 20), np.split(q[1], 20), strict=True):
+        start = time.perf_counter()
+        THREE_TUBES.mechanics.tips(theta_b, l_b, threads=1)
+        taken.append(1e3 * (time.perf_counter() - start) / len(theta_b))
+    return np.array(taken)
+
+
+def speed() -> None:
+    """Three-tube robot, four corners and the frictionless solution per bound."""
+    print(f"\n{os.cpu_count()} CPUs, load {os.getloadavg()[0]:.1f}, kernel {kernel_name()}")
+    q = random_joints(1000)
+    few = q[0][:200], q[1][:200]
+    batches = batches_ms(*q)
+    measured = {
+        "zero clearance, cold, tips of a batch": zero_clearance_ms(q),
+        "zero clearance, Robot.zero_clearance": times_ms(THREE_TUBES.zero_clearance, *q),
+        "bound, cold, Robot.bound": times_ms(THREE_TUBES.bound, *q),
+        "bound, cold, certificate mesh": times_ms(lambda *p: THREE_TUBES.bound(*p, accuracy="certificate"), *few),
+        "bound, cold, exact": times_ms(
+            lambda *p: THREE_TUBES.bound(*p, accuracy="exact"), *(part[:50] for part in few)
+        ),
+        "bound_many, 1 thread": batches[1],
+        f"bound_many, 2 threads (at best {batches[1].min() / batches[2].min():.2f} x)": batches[2],
+        "along a path, 1 deg a step": path_ms(np.deg2rad(1), 0),
+        "along a path, 0.5 mm a step": path_ms(0, 0.5e-3),
+    }
+    rows = [(name, len(t), float(t.min()), *map(float, np.quantile(t, (0.5, 0.99)))) for name, t in measured.items()]
+    table("milliseconds", ("", "samples", "least", "median", "99 %"), rows)
+
+
+def main() -> None:
+    parser = common.parser(__doc__)
+    parser.add_argument("section", nargs="*")
+    parser.add_argument("--count", type=int, default=1000)
+    given = parser.parse_args()
+    known = {"references": references, "pairs": pairs, "order": order, "speed": speed}
+    counted = {"meshes": lambda: meshes(given.count), "fineness": lambda: fineness(given.count)}
+    common.sections(given.section, {**known, **counted}, parser.error)

@@ -1,0 +1,166 @@
+"""Does memory stay flat over a long life of one process, and what does a plan take?
+
+    python benchmarks/run.py memory runs [--plans 1000] [--bounds 100000]
+    python benchmarks/run.py memory plan [SCENARIO ...] [--triangles 200000]
+
+runs: plans a tiny scenario again and again, each time from the file with another seed, and asks for bounds at random
+configurations, one at a time and in batches. Resident memory after the first WARM_UP plans (a twentieth of the bounds)
+is compared with that at the end. Exits with 1 where it grew by GROWTH or more. plan: peak memory and CPU time of
+`ctrplan plan` of each scenario, as a process of its own with empty caches; with --triangles its meshes are divided into
+smaller triangles, whose corners are moved by hundredths of a millimetre so that nothing can be taken together again.
+"""
+
+import contextlib
+import gc
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import common
+import numpy as np
+import trimesh
+from common import ROBOTS, SCENARIOS, table
+
+import ctrplan
+from ctrplan.scenario.joint_space import JointSpace
+
+NEAR = "goal.joints={'rotate outer' = 6, 'rotate inner' = 10, 'translate inner' = -27}"  # of pair_free.toml
+SEARCH_S = 0.1
+WARM_UP = 50  # plans
+BATCH = 100  # bounds
+GROWTH = 0.05
+ROUGHNESS_MM = 0.01  # of meshes that are divided
+LOOKS = 10  # at the memory, over a run
+
+
+@dataclass(frozen=True)
+class Growth:
+    """Resident memory [MB] over a run, after the warm-up and then at even distances."""
+
+    what: str
+    memory_MB: tuple[float, ...]
+
+    @property
+    def share(self) -> float:
+        """How much of it came after the warm-up."""
+        return self.memory_MB[-1] / self.memory_MB[0] - 1
+
+
+def resident_MB() -> float:
+    """Memory of this process that is in use [MB], after what Python can collect is collected."""
+    gc.collect()
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def growth(what: str, work: Callable[[int], object], count: int, warm_up: int) -> Growth:
+    """Memory over `count` calls of work(k), k = 0, 1, .., the first `warm_up` left out."""
+    looks = set(np.linspace(warm_up, count, LOOKS, dtype=int).tolist())
+    memory = []
+    for k in range(count):
+        work(k)
+        if k + 1 in looks:
+            memory.append(resident_MB())
+    return Growth(what, tuple(memory))
+
+
+def plan_again(seed: int) -> None:
+    """A plan of a scenario read from its file, its robot made anew; on a busy machine some find nothing in time."""
+    with contextlib.suppress(ctrplan.NoAnswerError):
+        ctrplan.plan(ctrplan.load_scenario(SCENARIOS / "pair_free.toml", [NEAR]), seed=seed, time_s=SEARCH_S)
+
+
+def bounds_at_random(robot: ctrplan.Robot) -> Callable[[int], None]:
+    """A function of the seed that asks for BATCH bounds in one call, and for the first of them once more."""
+    space = JointSpace.of_robot(robot)
+
+    def ask(seed: int) -> None:
+        theta_b, l_b = robot.drive.collars(space.sample(np.random.default_rng(seed), BATCH))
+        robot.bound_many(theta_b, l_b)
+        robot.bound(theta_b[0], l_b[0])
+
+    return ask
+
+
+def runs(plans: int, bounds: int) -> int:
+    robot = ctrplan.load_robot(ROBOTS / "three_tube.toml")
+    batches, several = bounds // BATCH, bounds_at_random(robot)
+    found = [
+        growth(f"{batches * BATCH:,} bounds, three tubes", several, batches, max(batches // 20, 1)),
+        growth(f"{plans:,} plans", plan_again, plans, min(WARM_UP, plans // 2)),
+    ]
+    rows = []
+    for run in found:
+        first, last = run.memory_MB[0], run.memory_MB[-1]
+        between = " ".join(f"{value:.1f}" for value in run.memory_MB[1:-1])
+        rows.append((run.what, f"{first:.1f} MB", f"{last:.1f} MB", f"{100 * run.share:+.2f} %", between))
+    table("runs", ("run", "after the warm-up", "at the end", "growth", "at even distances between, MB"), rows)
+    return int(any(run.share >= GROWTH for run in found))
+
+
+def plans_apart(names: list[str], at_least: int) -> int:
+    rows = [plan_apart(name, at_least) for name in names or sorted(path.stem for path in SCENARIOS.glob("*.toml"))]
+    table("a plan by itself", ("scenario", "triangles", "outcome", "peak memory", "CPU time", "by the clock"), rows)
+    return 0
+
+
+def plan_apart(scenario: str, at_least: int) -> tuple[object, ...]:
+    """A row of the table."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        triangles = prepare(folder, scenario, at_least)
+        run = "import sys; from ctrplan.cli import main; sys.exit(main(sys.argv[1:]))"
+        command = [
+            sys.executable,
+            "-c",
+            run,
+            "plan",
+            str(folder / "scenario.toml"),
+            "-o",
+            str(folder / "out"),
+            "--quiet",
+        ]
+        own = {**os.environ, "CTRPLAN_CACHE_DIR": str(folder / "cache")}
+        began = time.monotonic()
+        process = subprocess.Popen(command, env=own, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        _, status, used = os.wait4(process.pid, 0)
+        outcome = "planned and certified" if status == 0 else f"exit code {os.waitstatus_to_exitcode(status)}"
+        times = f"{used.ru_utime + used.ru_stime:.0f} s", f"{time.monotonic() - began:.0f} s"
+        return scenario, f"{triangles:,}", outcome, f"{used.ru_maxrss / 1024:.0f} MB", *times
+
+
+def prepare(folder: Path, scenario: str, at_least: int) -> int:
+    """Writes the scenario with finer meshes, robots beside it; the number of triangles."""
+    text, total = (SCENARIOS / f"{scenario}.toml").read_text(encoding="utf-8"), 0
+    (folder / "scenario.toml").write_text(text, encoding="utf-8")
+    for kind in ("robots", "meshes"):
+        (folder / kind).mkdir()
+    for robot in (SCENARIOS / "robots").glob("*.toml"):
+        (folder / "robots" / robot.name).write_bytes(robot.read_bytes())
+    files = [file for file in sorted((SCENARIOS / "meshes").glob("*.stl")) if f"meshes/{file.name}" in text]
+    rng = np.random.default_rng(0)
+    for file in files:
+        mesh = trimesh.load_mesh(file)
+        while len(mesh.faces) * len(files) < at_least:
+            mesh = mesh.subdivide()
+        mesh.vertices += rng.normal(size=mesh.vertices.shape) * ROUGHNESS_MM * bool(at_least)
+        mesh.export(folder / "meshes" / file.name)
+        total += len(mesh.faces)
+    return total
+
+
+def main() -> int:
+    parser = common.parser(__doc__)
+    parser.add_argument("section", choices=["runs", "plan"])
+    parser.add_argument("scenarios", nargs="*")
+    parser.add_argument("--plans", type=int, default=1000)
+    parser.add_argument("--bounds", type=int, default=100_000)
+    parser.add_argument("--triangles", type=int, default=0)
+    given = parser.parse_args()
+    if given.section == "runs":
+        return runs(given.plans, given.bounds)
+    return plans_apart(given.scenarios, given.triangles)

@@ -1,0 +1,93 @@
+"""Does the bound pay? Every scenario, the same seed and work, with the bound in the cost and with its weights at zero.
+
+    python benchmarks/run.py --write scenarios plans [SCENARIO ...] [--seed N]     # the table of docs/results.md
+    python benchmarks/run.py scenarios choice
+
+choice: how much choice the scenarios' goals leave: goal configurations, their bounds, and the ratio between them.
+"""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import common
+import numpy as np
+from common import SCENARIOS, table
+
+import ctrplan
+from ctrplan.files.scenario_file import load_scenario
+from ctrplan.motion.checker import MotionChecker
+from ctrplan.planning import Plan
+from ctrplan.planning.goal_states import goal_states
+from ctrplan.scenario.scenario import Cost, path_cost_mm
+
+BLIND = ["cost.error_along=0", "cost.error_goal=0"]
+COLUMNS = ("scenario", "bound in the cost", "first certified path", "cost", "joint length", "worst bound")
+COLUMNS += ("bound at the goal", "less what is released", "predicted", "stops")
+
+
+def cost_mm(plan: Plan, weights: Cost) -> float:
+    """What the plan costs with the scenario's own weights, whatever the planner was told."""
+    c = plan.certificate
+    return path_cost_mm(
+        weights,
+        length_mm=c.length_mm,
+        legs=len(plan.trajectory.leg_end_s),
+        integral_mm=c.released_integral_mm,
+        left_m=sum(target.bound_m + target.released_m for target in c.targets),
+    )
+
+
+def cells(plan: Plan, weights: Cost) -> list[str]:
+    c = plan.certificate
+    errors = c.worst_bound_m, c.goal_bound_m, c.samples.released_m[-1], c.goal_predicted_m
+    lengths = [f"{cost_mm(plan, weights):.0f} mm", f"{c.length_mm:.0f} mm", *(f"{1e3 * x:.2f} mm" for x in errors)]
+    return [f"{plan.first_certified_s:.1f} s", *lengths, str(c.stops)]
+
+
+def plans(paths: list[Path], seed: int) -> None:
+    rows = []
+    for path in paths:
+        for label, overrides in (("yes", []), ("no", BLIND)):
+            scenario = ctrplan.load_scenario(path, overrides)
+            try:
+                found = cells(ctrplan.plan(scenario, seed=seed), ctrplan.load_scenario(path).cost)
+            except ctrplan.CtrplanError as error:
+                found = [str(error).rsplit(": ", 1)[-1], *[""] * (len(COLUMNS) - 3)]
+            rows.append((scenario.name, label, *found))
+            print(*rows[-1], sep=", ", file=sys.stderr, flush=True)
+    table("plans", COLUMNS, rows)
+
+
+def choice(path: Path) -> tuple[int, float, float] | None:
+    """Number of valid goal configurations, lowest and highest bound [mm]; None for joint goals and tours."""
+    scenario = load_scenario(path)
+    first = scenario.targets[0]
+    if first.tip_m is None or len(scenario.targets) > 2:
+        return None
+    stage = replace(scenario, goal=first, via=())
+    bounds = [goal.bound_m * 1e3 for goal in goal_states(MotionChecker(stage), np.random.default_rng(0))]
+    return len(bounds), min(bounds), max(bounds)
+
+
+def print_choice(paths: list[Path]) -> None:
+    rows = []
+    for path in paths:
+        if found := choice(path):
+            count, low, high = found
+            rows.append((path.stem, count, f"{low:.2f} to {high:.2f} mm", f"{high / low:.1f} x"))
+    table("choice", ("scenario", "goal configurations", "bounds", "choice"), rows)
+
+
+def main() -> None:
+    parser = common.parser(__doc__)
+    parser.add_argument("section", choices=["plans", "choice"])
+    parser.add_argument("scenarios", nargs="*")
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    every = sorted(SCENARIOS.glob("*.toml"))
+    paths = [path for path in every if not given.scenarios or path.stem in given.scenarios]
+    if given.section == "plans":
+        plans(paths, given.seed)
+    else:
+        print_choice(paths)

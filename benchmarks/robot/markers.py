@@ -1,0 +1,122 @@
+"""What markers along the body tell beside the tip: widths of intervals, verdicts, and the time that they take.
+
+    python benchmarks/run.py markers [--diagnose] [--configurations N]
+
+The three-tube robot of Table II, positions alone, noise 0.3 mm; rings in the middle of the curved part of tube 3 and at
+the ends of tubes 1 and 2. Intervals are those of a linearised fit of all numbers in the table together, as shares of
+their priors. With --diagnose: measurements of a pair with a precurvature that varies along tube 2, diagnosed by the tip
+alone and with a ring (some minutes).
+"""
+
+import time
+from dataclasses import replace
+from typing import Any
+
+import common
+import numpy as np
+from common import ROOT
+from measured_data import chain_of, pair_robot, waypoints
+
+import ctrplan
+from ctrplan.base.arrays import Array
+from ctrplan.calibration.residuals import Noise, information_inverse, residuals
+from ctrplan.measurement.measurements import Measurements
+from ctrplan.pipeline.parametric_chain import ParametricChain
+from ctrplan.robot.robot import Robot
+
+SIGMA_M = 0.3e-3
+MARKERS = (
+    "marker=[{name='ring3',tube=3,from_tip_mm=43},{name='ring2',tube=2,from_tip_mm=2},"
+    "{name='ring1',tube=1,from_tip_mm=75}]"
+)
+TERMS: dict[str, list[str] | None] = {"friction": None, "varying_precurvature": None, "homing_offset": None}
+
+
+def of_points(data: Measurements, count: int) -> Measurements:
+    """The tip's poses, and those of the first `count` markers, positions alone."""
+    points = range(count + 1)
+    return replace(
+        data,
+        rows=np.tile(data.rows, len(points)),
+        position_m=np.zeros((len(points) * data.count, 3)),
+        tangent=np.full((len(points) * data.count, 3), np.nan),
+        marker=np.repeat(points, data.count),
+    )
+
+
+def left_shares(chain: ParametricChain) -> tuple[Array, float]:
+    """(P,) width of each interval over its prior's, and the time [s] of a prediction with derivatives."""
+    began = time.thread_time()
+    prediction = chain.predict(chain.start)
+    took = time.thread_time() - began
+    found = residuals(chain.data, prediction, Noise(SIGMA_M, 1.0), chain.data.configuration)
+    root = information_inverse(found.J, found.weight, 1 / chain.prior**2)
+    return np.linalg.norm(root, axis=1) / chain.prior, took
+
+
+def intervals(configurations: int) -> None:
+    """One row a parameter."""
+    robot = ctrplan.load_robot(ROOT / "scenarios" / "robots" / "three_tube.toml", [MARKERS])
+    plan = waypoints(robot, configurations)
+    plan = replace(plan, l_commanded=np.column_stack([plan.l_commanded[:, :1] * 0, drawn_back(plan)]))
+    columns, times = [], []
+    for count in (0, 1, 3):
+        chain = chain_of(robot, of_points(plan, count), TERMS)
+        shares, took = left_shares(chain)
+        columns.append(shares)
+        times.append(f"{1e3 * took / plan.count:.1f} ms a pose")
+    print(f"{configurations} configurations, {plan.count} poses; 95 % intervals in % of their priors'")
+    print("| | tip alone | and a ring on tube 3 | and on tubes 2 and 1 |\n| --- | --- | --- | --- |")
+    for parameter, row in zip(chain.parameters, np.array(columns).T, strict=True):
+        print(f"| {parameter.name} | " + " | ".join(f"{100 * share:.0f}" for share in row) + " |")
+    print("| prediction with derivatives | " + " | ".join(times) + " |")
+
+
+def drawn_back(plan: Measurements) -> Array:
+    """(R, 2) translations of tubes 2, which is locked to tube 1, and 3, a new one for each configuration."""
+    rng = np.random.default_rng(5)
+    numbers = np.unique(plan.l_commanded, axis=0, return_inverse=True)[1].ravel()
+    inner = rng.uniform(-0.110, -0.036, numbers.max() + 1)[numbers]
+    return np.column_stack([np.full(len(inner), -0.017), inner])
+
+
+def verdicts() -> None:
+    """Of a hidden change of precurvature along tube 2, by the tip and with a ring."""
+    ring: list[dict[str, Any]] = [{"name": "ring", "tube": 2, "from_tip_mm": 30}]
+    robot = pair_robot(marker=ring, measurement={"position_sigma_mm": 0.1})
+    plan = waypoints(robot, 40, seed=4)
+    print(
+        "| measured | verdict | named | held-out error before, after, mm | noise, mm | CPU, s |\n" + "| --- " * 6 + "|"
+    )
+    for name, count in (("tip alone", 0), ("tip and ring", 1)):
+        data = made(robot, of_points(plan, count))
+        began = time.process_time()
+        found = ctrplan.diagnose(robot, data)
+        took = time.process_time() - began
+        gap = found.to_json()["gap"]
+        names = (
+            " and ".join(" or ".join(one.term.name for one in (f, *f.alternatives)) for f in found.judgement.findings)
+            or "-"
+        )
+        sizes = f"{gap['before_rms_mm']:.2f}, {gap['after_rms_mm']:.2f} | {gap['noise_floor_mm']:.2f}"
+        print(f"| {name} | {found.verdict} | {names} | {sizes} | {took:.0f} |", flush=True)
+
+
+def made(robot: Robot, data: Measurements) -> Measurements:
+    """Measured with a change of precurvature of 15 % along the curved part of tube 2."""
+    chain = chain_of(robot, data, {"varying_precurvature": None})
+    p = chain.neutral.copy()
+    p[-1] = 0.15
+    noise = 0.1e-3 * np.random.default_rng(8).standard_normal((data.count, 3))
+    return replace(data, position_m=chain.predict(p, derivatives=False).position_m + noise, file="made up")
+
+
+def main() -> None:
+    parser = common.parser(__doc__)
+    parser.add_argument("--configurations", type=int, default=12)
+    parser.add_argument("--diagnose", action="store_true")
+    arguments = parser.parse_args()
+    if arguments.diagnose:
+        verdicts()
+    else:
+        intervals(arguments.configurations)

@@ -1,0 +1,186 @@
+"""Tubes for the ventricle, with regard to friction and as the literature designs them: by reach and stability alone.
+
+    python benchmarks/run.py tube_design FOLDER    # two searches of 120 designs, about 8 minutes of a core
+    python benchmarks/run.py tube_design FOLDER --trials 400 --plans    # more, and certified plans to all targets
+
+Both searches have the same stock, ranges, targets, sampler, seed and number of designs. The one of the literature sees
+no friction: its objectives are the share of targets that the frictionless robot reaches, and the least stability on the
+way. Of its front the design with the most reach, then the most stability is taken; of the other the first one. Both,
+and the robot that the scenario has, are then looked at with friction from more starts. What is in FOLDER is not done
+again.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import common
+import matplotlib.pyplot as plt
+import numpy as np
+from common import SCENARIOS, STUDIES, save, table
+from matplotlib.axes import Axes
+
+import ctrplan
+from ctrplan.base.long_work import one_core
+from ctrplan.reports import looks
+from ctrplan.scenario.scenario import Goal
+from ctrplan.studies.target_set import Search, SetValue, set_value
+
+FILE = STUDIES / "design_ventricle.toml"
+STARTS = 200  # of inverse kinematics, for the comparison
+FRICTION = ("robot.contact.1.friction_coefficient", "robot.contact.2.friction_coefficient")
+COLOURS = {"shipped": looks.SERIES[2], "literature": looks.SERIES[1], "with friction": looks.SERIES[0]}
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A robot, looked at with friction and without."""
+
+    name: str
+    rubbing: SetValue
+    frictionless: SetValue
+    overrides: tuple[str, ...]
+
+
+def searches(folder: Path, trials: int, workers: int, plans: bool) -> tuple[ctrplan.TubeDesigns, ctrplan.TubeDesigns]:
+    """With regard to friction, and as the literature does it."""
+    none = [f'set."{key}"=0' for key in FRICTION]
+    blind = ["objectives=['reach', 'stability']", "local.designs=0", *none]
+    found = []
+    for name, own in (("friction", [f"plans={int(plans)}"]), ("literature", blind)):
+        search = ctrplan.TubeDesign.read(FILE, [f"trials={trials}", *own])
+        found.append(search.run(folder / name, workers=workers, progress=Telling(name)))
+    return found[0], found[1]
+
+
+class Telling:
+    """Says now and then how far a search is."""
+
+    def __init__(self, name: str) -> None:
+        self.name, self.told = name, -20
+
+    def __call__(self, doing: Any) -> None:
+        if doing.stage == "designs" and doing.done >= self.told + 20:
+            self.told = doing.done
+            print(f"{self.name}: {doing.done} of {doing.count} designs", flush=True)
+
+
+def judge(name: str, search: ctrplan.TubeDesign, overrides: Sequence[str]) -> Judged:
+    """Of a robot by what --set is told of it, its friction being that of the scenario's robot."""
+    own = tuple(text for text in overrides if not text.startswith(FRICTION))
+    task = search.job.task
+    goals = [Goal(None, point * 1e-3, task["tolerance_mm"] * 1e-3) for point in search.points_mm]
+    asked = Search(STARTS, search.entry.seed, search.entry.unreached_mm)
+    file = SCENARIOS / "ventricle.toml"
+    with one_core():
+        rubbing = set_value(ctrplan.load_scenario(file, own), goals, asked)
+        bare = set_value(ctrplan.load_scenario(file, [*own, *(f"{key}=0" for key in FRICTION)]), goals, asked)
+    return Judged(name, rubbing, bare, own)
+
+
+def print_table(rows: Sequence[Judged], tolerance_mm: float) -> None:
+    cells = []
+    for row in rows:
+        rub, bare = row.rubbing, row.frictionless
+        shares = bare.reach, rub.reach, float(np.mean(rub.errors_mm <= tolerance_mm))
+        sizes = rub.error_mm, rub.errors_mm.max(), bare.stability, rub.stability
+        cells.append((row.name, *(f"{100 * x:.0f} %" for x in shares), *(f"{x:.2f}" for x in sizes)))
+    head = ("robot", "reach without friction", "reach", "within tolerance", "mean error, mm", "largest, mm")
+    table("tubes", (*head, "stability without friction", "stability"), cells)
+
+
+def print_design(name: str, entry: dict[str, Any]) -> None:
+    shown = {key: entry[key] for key in ("error_mm", "robust_mm", "reach", "robust_reach", "within", "stability")}
+    print(f"{name}, row {entry['row']} ({entry['stage']}): {json.dumps({k: round(v, 3) for k, v in shown.items()})}")
+    print(f"  {json.dumps(entry['choices'])}")
+
+
+def draw_front(axes: Axes, found: ctrplan.TubeDesigns) -> None:
+    """Error with tolerances against stability of the search that regards friction, by reach."""
+    done = [looked.numbers for looked in found.archive.all if looked.is_done]
+    x, y, reach = (np.array([row[name] for row in done]) for name in ("robust_mm", "stability", "reach"))
+    points = axes.scatter(x, y, c=reach * 100, s=14, cmap=looks.HEAT, linewidths=0, vmin=0, vmax=100)
+    plt.colorbar(points, ax=axes, label="targets reached (%)", shrink=0.8)
+    front = [looked.numbers for looked in found.front]
+    ends = [row[name] for name in ("robust_mm", "stability") for row in front]
+    axes.plot(ends[: len(front)], ends[len(front) :], "o", mfc="none", mec=looks.INK, ms=7, mew=0.8, label="front")
+    axes.set_xscale("log")
+    axes.set_xlabel("mean error at worst, within tolerances (mm)")
+    axes.set_ylabel("least stability on the way")
+    axes.legend(frameon=False, fontsize=8)
+
+
+def draw_targets(axes: Axes, rows: Sequence[Judged], unreached_mm: float) -> None:
+    """Error at worst of every target, of each robot."""
+    width = 0.8 / len(rows)
+    for k, row in enumerate(rows):
+        at = np.arange(len(row.rubbing.targets)) + (k - (len(rows) - 1) / 2) * width
+        axes.bar(at, row.rubbing.errors_mm, width, color=COLOURS[row.name], label=row.name)
+    axes.axhline(unreached_mm, color=looks.LIMIT, lw=0.8, ls=":")
+    axes.text(-0.4, unreached_mm * 1.01, "not reached", fontsize=8, color=looks.LIMIT, va="bottom")
+    axes.set_xlabel("target")
+    axes.set_ylabel("error at worst (mm)")
+    axes.set_ylim(0, 1.12 * unreached_mm)
+    axes.legend(frameon=False, fontsize=8)
+
+
+def draw_tolerances(axes: Axes, entry: dict[str, Any]) -> None:
+    """What tolerances of the first design cost."""
+    rows = entry["tolerances"][:8][::-1]
+    axes.barh([row["name"] for row in rows], [row["costs_mm"] for row in rows], color=looks.SERIES[0])
+    axes.tick_params(axis="y", labelsize=8)
+    axes.set_xlabel("costs (mm of mean error at worst)")
+
+
+def print_plans(folder: Path) -> None:
+    plans = ctrplan.load_study(folder / "friction" / "plans")
+    worst, done = plans["worst_mm"], plans.done
+    valid = np.nansum(plans["valid"])
+    targets = np.sum(plans["to"] == "joints")  # where no way there was found, one to the tip was sought
+    print(f"plans of the first design: {done.sum()} of {targets} found, {valid:.0f} with a valid certificate")
+    for to in ("joints", "tip"):
+        rows = done & (plans["to"] == to)
+        print(f"  to {to}: worst case at the goal {np.round(worst[rows], 2).tolist()} mm")
+    print(f"  mean {np.nanmean(worst[done]):.2f} mm")
+
+
+def main() -> None:
+    parser = common.parser(__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--trials", type=int, default=120)
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--plans", action="store_true")
+    asked = parser.parse_args()
+    ours, blind = searches(asked.folder, asked.trials, asked.workers, asked.plans)
+    first, theirs = ours.entries()[0], max(blind.entries(), key=lambda row: (row["reach"], row["stability"]))
+    for name, found in (("with friction", ours), ("literature", blind)):
+        done, given_up, unable = found.counts
+        seconds = float(np.nansum(found.table["seconds"]))
+        print(f"{name}: {done} designs done, {given_up} given up, {unable} unable, {len(found.front)} on the front")
+        print(f"  {seconds:.0f} s of processor time")
+    trials = [looked for looked in ours.archive.all if looked.is_done and looked.row["inputs"]["stage"] == "search"]
+    least = min(looked.numbers["robust_mm"] for looked in trials)
+    print(f"local steps: {least:.3f} mm of the best trial -> {first['robust_mm']:.3f} mm")
+    print_design("with friction", first)
+    print_design("literature, as it sees itself", {"robust_mm": 0.0, "robust_reach": 0.0, **theirs})
+    rows = [
+        judge("shipped", ours.search, []),
+        judge("literature", ours.search, theirs["set"]),
+        judge("with friction", ours.search, first["set"]),
+    ]
+    print_table(rows, ours.search.job.task["tolerance_mm"])
+    for row in first["tolerances"]:
+        print(f"  {row['name']:32} {row['half_width']:.3g} {row['unit']:5} costs {row['costs_mm']:.4f} mm")
+    if asked.plans:
+        print_plans(asked.folder)
+    figure, axes = plt.subplots(1, 3, figsize=(13.5, 4), layout="constrained")
+    draw_front(axes[0], ours)
+    draw_targets(axes[1], rows, ours.search.entry.unreached_mm)
+    draw_tolerances(axes[2], first)
+    for panel in axes:
+        panel.spines[["top", "right"]].set_visible(False)
+    save(figure, "tube_design")

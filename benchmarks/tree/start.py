@@ -1,0 +1,70 @@
+"""How soon do commands start? Help, import, a bound and a loaded scenario, by the clock, as processes of their own.
+
+    python benchmarks/run.py start [--runs 9] [--robot three_tube] [--scenario vessel]
+
+Each row is run so many times after one that is not counted. Modules are those of ctrplan that are imported at the end.
+"""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import common
+import numpy as np
+from common import ROBOTS, SCENARIOS, table
+
+from ctrplan import load_robot
+
+COMMAND = "import sys; from ctrplan.cli import main; sys.exit(main(sys.argv[1:]))"
+MODULES = "import sys; print(sum(name.split('.')[0] == 'ctrplan' for name in sys.modules))"
+
+
+def seconds(command: list[str]) -> float:
+    """By the clock, of a process from its start to its end."""
+    began = time.perf_counter()
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    return time.perf_counter() - began
+
+
+def modules(code: str, arguments: list[str]) -> int:
+    """How many modules of ctrplan some code imports, whether or not it exits."""
+    kept = f"try:\n  exec({code!r})\nexcept SystemExit: pass\n{MODULES}"
+    done = subprocess.run([sys.executable, "-c", kept, *arguments], check=True, capture_output=True, text=True)
+    return int(done.stdout.split()[-1])
+
+
+def bound_arguments(file: Path) -> list[str]:
+    """A configuration of the robot at the middle of its drive's ranges, as the command wants it."""
+    drive = load_robot(file).drive
+    low, high = (np.where(drive.wraps, 0.0, limit) for limit in (drive.lower, drive.upper))
+    theta, l_b = drive.collars((low + high) / 2)
+    numbers = (np.degrees(theta), l_b * 1e3)
+    flags = zip(("--theta-deg", "--l-mm"), numbers, strict=True)
+    return ["bound", str(file), *(word for flag, row in flags for word in (flag, *(f"{x:.4f}" for x in row)))]
+
+
+def main() -> None:
+    parser = common.parser(__doc__)
+    parser.add_argument("--runs", type=int, default=9)
+    parser.add_argument("--robot", default="three_tube")
+    parser.add_argument("--scenario", default="vessel")
+    given = parser.parse_args()
+    file = SCENARIOS / f"{given.scenario}.toml"
+    load = f"import ctrplan; ctrplan.load_scenario({str(file)!r})"
+    measured: dict[str, tuple[str, list[str]]] = {
+        "python, nothing imported": ("pass", []),
+        "import ctrplan": ("import ctrplan", []),
+        "ctrplan --help": (COMMAND, ["--help"]),
+        f"ctrplan bound, {given.robot}": (COMMAND, bound_arguments(ROBOTS / f"{given.robot}.toml")),
+        f"load_scenario, {given.scenario}": (load, []),
+    }
+    rows = []
+    for name, (code, arguments) in measured.items():
+        command = [sys.executable, "-c", code, *arguments]
+        seconds(command)
+        taken = [seconds(command) for _ in range(given.runs)]
+        rows.append((name, f"{min(taken):.3f} s", f"{np.median(taken):.3f} s", modules(code, arguments)))
+    print(f"{given.runs} runs each, {os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}")
+    table("seconds by the clock", ("what", "least", "median", "modules of ctrplan"), rows)

@@ -1,1 +1,0 @@
-"""The robot in a browser."""
