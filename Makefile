@@ -26,7 +26,7 @@ demo: demo-time install
 	@echo "Open $(OUTPUT)/report.html, or look at $(OUTPUT)/plan.png; the drive plays $(OUTPUT)/trajectory.csv."
 
 test: test-time install lint
-	$(BIN)/pytest -n auto --dist loadgroup
+	$(BIN)/pytest -n auto --dist loadfile  # a file shares what it makes once
 
 lint: install
 	$(BIN)/ruff check .

@@ -34,17 +34,6 @@ PlanMaker = Callable[..., Plan]
 pytest_plugins = ["processor_times"]
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """With `--dist loadgroup`, tests of a file that share what is made once a file go to one process."""
-    for item in items:
-        fixtures = getattr(item, "_fixtureinfo").name2fixturedefs.values()  # noqa: B009 (mypy knows no private names)
-        has_fixture = any(made[-1].scope == "module" for made in fixtures if made)
-        module = getattr(item, "module", None)
-        if has_fixture or any(hasattr(value, "cache_info") for value in vars(module).values()):
-            item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
-
-
 @pytest.fixture(scope="session", autouse=True)
 def cache_of_this_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Grids and friction laws of this run, which its processes share, and none that the user has kept."""
