@@ -151,8 +151,14 @@ def test_a_bound_of_a_robot_with_an_odd_number_is_one_or_is_refused(
     assert_told(*run(capsys, *BOUND, "--set", f"{key}={value}"))
 
 
-@pytest.mark.parametrize("value", [*TINY, "1e6"])
-@pytest.mark.parametrize("key", sorted(SCENARIO_KEYS) if FUZZ else ["cost.mm_per_rad", "cost.path", "cost.stop"])
+ODD_COSTS = [(key, value) for key in ("cost.mm_per_rad", "cost.path", "cost.stop") for value in TINY[3:]]
+ODD_COSTS += [("cost.mm_per_rad", "1e-300"), ("cost.path", "-1e-300"), ("cost.path", "1e-300"), ("cost.stop", "1e6")]
+ODD_COSTS.remove(("cost.path", "0"))  # a plan, as with the smallest number
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [(key, value) for key in SCENARIO_KEYS for value in (*TINY, "1e6")] if FUZZ else ODD_COSTS
+)
 def test_a_plan_with_an_odd_number_is_one_or_is_refused(
     key: str, value: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

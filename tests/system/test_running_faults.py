@@ -254,13 +254,15 @@ def test_results_that_can_not_be_printed_are_reported() -> None:
 def test_two_processes_share_a_cache(tmp_path: Path) -> None:
     for attempt in range(repetitions(1)):
         cache = tmp_path / f"cache {attempt}"
-        vessel = ["plan", str(SCENARIOS / "vessel.toml"), "--time", "0.2", "--quiet"]
-        pair = [started(vessel, folder, cache) for folder in (tmp_path / "a", tmp_path / "b") if not folder.mkdir()]
+        sphere = 'anatomy=[{kind="sphere", center_mm=[0, 60, 210], radius_mm=10}]'
+        plan = ["plan", str(SCENARIOS / "pair_free.toml"), "--set", sphere, "--time", "0.2", "--quiet"]
+        pair = [started(plan, folder, cache) for folder in (tmp_path / "a", tmp_path / "b") if not folder.mkdir()]
         told = [process.communicate(timeout=PATIENCE_S) for process in pair]
         assert [process.returncode for process in pair] == [0, 0], told
         assert all(not err for _, err in told)
         kept = [path for path in cache.rglob("*") if path.is_file()]
-        assert kept and not [path for path in kept if path.name.startswith(".")]
+        assert {path.suffix for path in kept} == {".grid", ".json"}
+        assert not [path for path in kept if path.name.startswith(".")]
 
 
 @pytest.fixture(scope="module")
