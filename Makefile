@@ -2,6 +2,7 @@
 # make fuzz: 10,000 made-up files per reader, 100 interruptions per command.
 # make wheel: a wheel from the source distribution, run where no compiler is.  make api: guides and interface as a site.
 # make sanitize: the core under sanitizers.  make bank: 20,000 random robots, and 216 measured data sets diagnosed.
+# make mutants: twenty lines made wrong, one at a time, each of which tests have to notice.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -9,7 +10,7 @@ SOURCES := $(shell find ctrplan model scenarios -type f -not -name '*.pyc' -not 
 SCENARIO ?= scenarios/vessel.toml
 OUTPUT ?= demo-output
 
-.PHONY: demo test lint install clean fuzz wheel api sanitize bank bank-core bank-diagnosis
+.PHONY: demo test lint install clean fuzz mutants wheel api sanitize bank bank-core bank-diagnosis
 
 # What takes a while says so before it starts, builds included.
 FIRST_BUILD = $(if $(wildcard $(VENV)/.installed),, The first time the environment is built: two minutes more.)
@@ -25,7 +26,7 @@ demo: demo-time install
 	@echo "Open $(OUTPUT)/report.html, or look at $(OUTPUT)/plan.png; the drive plays $(OUTPUT)/trajectory.csv."
 
 test: test-time install lint
-	$(BIN)/pytest -n auto --dist worksteal
+	$(BIN)/pytest -n auto --dist loadfile  # a file shares what it makes once
 
 lint: install
 	$(BIN)/ruff check .
@@ -47,9 +48,14 @@ $(VENV)/.installed: $(VENV)/.deps $(SOURCES)
 	cp $(VENV)/lib/python*/site-packages/ctrplan/_model* ctrplan/  # for scripts started in this folder, which find ctrplan/ first
 	touch $@
 
-# What CI does a few hundred times, done 10,000 times (files) and 100 times (interruptions): an hour or so.
+# What CI does a few hundred times, done 10,000 times (files) and 100 times (interruptions), and all keys, pairs of
+# effects and robots of which the suite has a sample (tests/README.md): an hour or two.
 fuzz: install
-	CTRPLAN_FUZZ=1 $(BIN)/pytest $(wildcard tests/*/test_fuzz_*.py) tests/system/test_running_faults.py tests/diagnosis/test_gross_outliers.py
+	CTRPLAN_FUZZ=1 $(BIN)/pytest $(shell grep -lE "from (made_up_input|effect_values) import .*(FUZZ|cases|repetitions|pairs_of|one_of_each)" tests/*/test_*.py)
+
+# In a copy of the tree, whose core is built anew the first time: a quarter of an hour, then as long again.
+mutants: install
+	$(BIN)/python tools/mutants.py
 
 wheel:
 	tools/check_wheel.sh $(PYTHON)

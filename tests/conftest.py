@@ -31,12 +31,16 @@ WAYPOINTS_DEG_MM = [[0, 0, 0, -80], [0, 60, 110, -80], [0, 60, 110, -20]]
 
 PlanMaker = Callable[..., Plan]
 
+pytest_plugins = ["processor_times"]
+
 
 @pytest.fixture(scope="session", autouse=True)
 def cache_of_this_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Grids and friction laws that the user has kept would change how long things take."""
+    """Grids and friction laws of this run, which its processes share, and none that the user has kept."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "cache"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("CTRPLAN_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("CTRPLAN_CACHE_DIR", str(folder))
         yield
 
 

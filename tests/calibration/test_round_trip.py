@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from effect_values import OF_CONTINUOUS_MOTIONS, continuous_motion, effects
+from effect_values import OF_CONTINUOUS_MOTIONS, continuous_motion, effects, one_of_each_stage
 from measured_data import measured, pair_robot, waypoints
 
 from ctrplan.calibration.calibrate import calibrate
@@ -65,7 +65,7 @@ def test_one_parameter_of_an_effect_of_the_file_is_fitted_and_the_others_stay(na
     assert again.effects[name][chosen[0]] != given[name][chosen[0]]
 
 
-@pytest.mark.parametrize("name", CATALOGUE)
+@pytest.mark.parametrize("name", one_of_each_stage())
 def test_ordinary_parameters_are_fitted_beside_effects_of_the_file(name: str) -> None:
     names = list(dict.fromkeys([name, *BESIDE]))
     robot = robot_from_dict({**PLAIN.content, "effects": effects(names, PLAIN)})

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import tomli_w
 from measured_data import measured, pair_robot, waypoints, write_csv
+from unbuilt import build_nothing
 
 from ctrplan.cli import main
 from ctrplan.diagnosis import CATALOGUE, Diagnosis, diagnose, selection
@@ -52,7 +53,9 @@ def beside_a_rest(values: dict[str, dict[str, float]], plan: Measurements = PLAN
 
 @cache
 def partial() -> Diagnosis:
-    return diagnose(ROBOT, beside_a_rest(KNOWN), catalogue=QUICK)
+    with pytest.MonkeyPatch.context() as patch:
+        build_nothing(patch)
+        return diagnose(ROBOT, beside_a_rest(KNOWN), catalogue=QUICK)
 
 
 def test_an_effect_is_named_beside_a_rest_that_nothing_explains() -> None:
@@ -110,6 +113,7 @@ def test_what_follows_any_smooth_error_is_not_named_beside_one() -> None:
     assert not found.judgement.findings and not any(step.taken for step in found.path)
 
 
+@pytest.mark.usefixtures("without_building")
 def test_runs_of_a_tracker_that_was_set_up_anew_have_frames_of_their_own() -> None:
     data = beside_a_rest(KNOWN)
     later = PLAN.sequence > np.median(PLAN.sequence)
@@ -124,6 +128,7 @@ def test_runs_of_a_tracker_that_was_set_up_anew_have_frames_of_their_own() -> No
     assert found.robot_content()["effects"]["frame_shift"]["shift_x_2_mm"] == pytest.approx(5.0, abs=1.0)
 
 
+@pytest.mark.usefixtures("without_building")
 def test_zeros_of_a_robot_that_was_homed_anew_are_free_and_found_anew_on_other_runs() -> None:
     later = PLAN.sequence > np.median(PLAN.sequence)
     zeros = {"homing_shift": {"theta_2_2_deg": 12.0}}
@@ -143,8 +148,10 @@ def test_zeros_of_a_robot_that_was_homed_anew_are_free_and_found_anew_on_other_r
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_what_changes_slowly_while_poses_are_measured_is_no_drift(seed: int) -> None:
+def test_what_changes_slowly_while_poses_are_measured_is_no_drift(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """An error of 3 mm that is smooth in time: a drift was named in both, and in one of them a misaligned base."""
+    if seed:
+        build_nothing(monkeypatch)
     data, rng = measured(ROBOT, PLAN, {}, seed=seed), np.random.default_rng(seed)
     time = PLAN.rows / np.ptp(PLAN.rows)
     waves, phases = rng.standard_normal(30) / 0.2, rng.uniform(-np.pi, np.pi, 30)

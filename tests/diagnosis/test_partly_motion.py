@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from measured_data import measured, pair_robot
 from scipy.spatial.transform import Rotation
+from unbuilt import build_nothing
 
 from ctrplan.base.arrays import Array
 from ctrplan.calibration.discrepancy import decay
@@ -54,6 +55,7 @@ def slowly_off(values: dict[str, dict[str, float]], seed: int, memory_s: float) 
     return replace(clean, position_m=clean.position_m + 1.2e-3 * slow[:, :3], tangent=turned)
 
 
+@pytest.mark.usefixtures("without_building")
 def test_a_lag_is_named_beside_a_rest_with_the_memory_that_it_has() -> None:
     found = diagnose(ROBOT, logged({"lag": {"tau_s": LATE_S}}, seed=2), catalogue=CATALOGUED)
     assert found.verdict == "partial" and [t.name for t in found.listed] == ["lag"]
@@ -73,8 +75,12 @@ LOOK_ALIKES = ("lag", "backlash", "drift", "sensor_offset", "sensor_distortion",
 
 
 @pytest.mark.parametrize(("seed", "memory_s"), [(6, 20.0), (4, 60.0)])
-def test_what_changes_slowly_is_no_effect_although_some_look_like_it(seed: int, memory_s: float) -> None:
+def test_what_changes_slowly_is_no_effect_although_some_look_like_it(
+    seed: int, memory_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """By blocks alone a drift was named in one of these, and a frame in the other."""
+    if memory_s > 20:
+        build_nothing(monkeypatch)
     known = {name: CATALOGUE[name] for name in LOOK_ALIKES}
     found = diagnose(ROBOT, slowly_off({}, seed, memory_s), catalogue=known)
     assert found.verdict == "unexplained" and not found.listed and found.built is None
@@ -86,7 +92,9 @@ MISPLACED = {"base_misalignment": {"shift_x_mm": 6.0}}
 @cache
 def late_and_misplaced() -> Diagnosis:
     """By a lag that blocks left out are too few to tell."""
-    return diagnose(ROBOT, slowly_off({"lag": {"tau_s": 0.04}, **MISPLACED}, 6, 20.0), catalogue=CATALOGUED)
+    with pytest.MonkeyPatch.context() as patch:
+        build_nothing(patch)
+        return diagnose(ROBOT, slowly_off({"lag": {"tau_s": 0.04}, **MISPLACED}, 6, 20.0), catalogue=CATALOGUED)
 
 
 def test_a_lag_is_named_by_its_odds_beside_what_changes_slowly() -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_up_input import FUZZ
 from places import ROBOTS
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
@@ -76,10 +77,11 @@ def test_any_number_of_tubes_solves(n: int) -> None:
 
 def test_random_configurations_solve() -> None:
     """FAILED at most 1 in 500 here, all among the bistable ones near (0, 0, 180) deg retracted."""
-    theta_b, l_b = random_joints(7, 1500)
+    count = 1500 if FUZZ else 500
+    theta_b, l_b = random_joints(7, count)
     bounds = THREE_TUBES.bound_many(theta_b, l_b)
     failed = bounds.status == Status.FAILED
-    assert failed.sum() <= 3
+    assert failed.sum() <= count // 500
     assert bounds.residual[~failed].max() <= RESIDUAL
     assert np.array_equal(np.isnan(bounds.position_m), failed)
     assert np.all((bounds.stability > 0) == np.isin(bounds.status, [Status.CONVERGED, Status.MULTIPLE]))

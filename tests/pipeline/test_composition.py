@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from effect_values import continuous_motion, effects, table
+from effect_values import continuous_motion, effects, pairs_of, table
 from measured_data import pair_robot
 
 from ctrplan.drive.legs import Collars
@@ -57,7 +57,7 @@ def test_of_the_sensor(first: str, second: str) -> None:
     np.testing.assert_array_equal(found.frame, expected.frame)
 
 
-@pytest.mark.parametrize(("first", "second"), list(itertools.combinations(of("mechanics"), 2)))
+@pytest.mark.parametrize(("first", "second"), pairs_of(of("mechanics")))
 def test_of_the_mechanics(first: str, second: str) -> None:
     """What either of them changes is changed when both act."""
     alone = [chain_of(name).mechanics for name in (first, second)]

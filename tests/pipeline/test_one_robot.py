@@ -1,12 +1,11 @@
 """A robot file with effects is the same robot to whoever asks: fits, simulate, bound, sweep, ik, view and planner.
 
-Every effect of mechanics and drive that acts at rest, alone and two of one stage together, at several commanded
+Every effect of mechanics and drive that acts at rest, alone and beside another of its stage, at several commanded
 configurations: the frictionless tips that all of them tell agree.
 """
 
 from __future__ import annotations
 
-import itertools
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
-from effect_values import effects
+from effect_values import effects, pairs_of
 from measured_data import pair_robot
 
 from ctrplan.base.arrays import Array
@@ -39,7 +38,7 @@ from ctrplan.studies.sweep import parse_axis, sweep
 PLAIN = pair_robot(contact=[{"friction_coefficient": 0.1}])
 AT_REST = [name for name, e in CATALOGUE.items() if e.stage in ("drive", "mechanics") and e.acts_at_rest]
 STAGES = [[name for name in AT_REST if CATALOGUE[name].stage == stage] for stage in ("drive", "mechanics")]
-PAIRS = [pair for stage in STAGES for pair in itertools.combinations(stage, 2)]
+PAIRS = [pair for stage in STAGES for pair in pairs_of(stage)]
 COMMANDED = (
     np.array([[0.3, 1.4], [-0.5, 2.2], [0.0, 0.4]]),
     np.array([[-3e-3, -0.02], [-5e-3, -0.025], [-2e-3, -0.03]]),

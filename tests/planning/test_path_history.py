@@ -8,12 +8,13 @@ from places import SCENARIOS
 
 import ctrplan
 from ctrplan.base.arrays import Array
+from ctrplan.certificate.certificate import Certificate
 from ctrplan.certificate.certify import certify
 from ctrplan.errors import InputError
 from ctrplan.files.scenario_file import load_scenario
 from ctrplan.motion.checker import MotionChecker
 from ctrplan.planning.compensate import compensate, corrected
-from ctrplan.planning.oscillate import SHAPE, oscillation, settle, turnings
+from ctrplan.planning.oscillate import SHAPE, Settled, oscillation, settle, turnings
 from ctrplan.planning.reordering import (
     as_given,
     assemble,
@@ -108,9 +109,20 @@ def test_oscillation_turns_neighbours_against_each_other_and_comes_back(checker:
     np.testing.assert_allclose(SHAPE[:4] * 40, [40, -38, 36, -34])  # Section V-A
 
 
-def test_settling_releases_a_loaded_goal(checker: MotionChecker, turned_last: Array) -> None:
-    before = certify(checker.scenario, turned_last)
-    settled = settle(checker, turned_last, before)
+@pytest.fixture(scope="module")
+def loaded(checker: MotionChecker, turned_last: Array) -> Certificate:
+    """Of the path that leaves friction at the goal."""
+    return certify(checker.scenario, turned_last)
+
+
+@pytest.fixture(scope="module")
+def settled(checker: MotionChecker, turned_last: Array, loaded: Certificate) -> Settled:
+    """That path with an oscillation at its end."""
+    return settle(checker, turned_last, loaded)
+
+
+def test_settling_releases_a_loaded_goal(loaded: Certificate, settled: Settled, turned_last: Array) -> None:
+    before = loaded
     settling = settled.certificate.settling
     assert settling is not None and settled.certificate.valid and not settled.note
     assert settling.goal_predicted_before_m == before.goal_predicted_m > 4e-3
@@ -142,8 +154,9 @@ def test_compensation_brings_the_predicted_tip_to_the_target(turned_last: Array)
     np.testing.assert_allclose(corners[-1] - turned_last[-1], compensation.correction, atol=1e-12)
 
 
-def test_what_settling_changed_is_what_is_compared(checker: MotionChecker, turned_last: Array) -> None:
-    settled = settle(checker, turned_last, certify(checker.scenario, turned_last))
+def test_what_settling_changed_is_what_is_compared(
+    checker: MotionChecker, turned_last: Array, settled: Settled
+) -> None:
     given = as_given(checker, turned_last)
     plan = assemble(
         checker.scenario, [given], settled.certificate, planner="given path", seed=0, time_s=0.0, end=settled.corners

@@ -32,8 +32,6 @@ from ctrplan.planning.search.stage_search import Progress
 from ctrplan.scenario.joint_space import JointSpace
 from ctrplan.scenario.scenario import Goal, Scenario
 
-BLIND = ["cost.error_along=0", "cost.error_goal=0"]
-
 
 def scenario(name: str, *overrides: str) -> Scenario:
     return load_scenario(SCENARIOS / f"{name}.toml", overrides)
@@ -110,14 +108,8 @@ def test_progress_of_a_search_only_rises(ribs: ctrplan.Plan, told: list[Progress
 def test_bound_aware_plan_ends_with_less_error_than_blind_one(tmp_path: Path) -> None:
     # how much less is the user's choice: here the target matters most
     weights = ({"error_goal": 100.0}, {"error_along": 0.0, "error_goal": 0.0})
-    aware, blind = (ctrplan.plan(pair_without_named_joints(tmp_path, 3.0, **cost), seed=0) for cost in weights)
+    aware, blind = (ctrplan.plan(pair_without_named_joints(tmp_path, 1.0, **cost), seed=0) for cost in weights)
     assert aware.certificate.goal_bound_m < 0.5 * blind.certificate.goal_bound_m
-
-
-def test_bound_aware_plan_in_the_vessel_ends_with_less_error_than_blind_one() -> None:
-    aware, blind = (ctrplan.plan(scenario("vessel", "planner.time_s=1", *weights), seed=0) for weights in ([], BLIND))
-    check(aware)
-    assert aware.certificate.goal_bound_m < blind.certificate.goal_bound_m
 
 
 def test_plan_goes_round_where_the_straight_line_snaps(snap: ctrplan.Plan) -> None:
@@ -274,9 +266,6 @@ def test_simultaneous_motion_is_a_named_fallback(monkeypatch: pytest.MonkeyPatch
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
-        (["goal.tip_mm=[300, 0, 50]"], "out of reach, the nearest tip found is"),
-        (["goal.tip_mm=[0, -30, 78]"], r"lies 0\.\d+ mm inside anatomy.1 \(ribs.stl\), which is to be avoided"),
-        (["anatomy.1.margin_mm=60"], "start: the start state is not valid"),
         (["cost.max_error_goal_mm=0.01"], "no goal state keeps the required worst-case error of 0.01 mm"),
         (
             ["goal.direction=[0, 0, -1]", "goal.direction_tolerance_deg=5"],

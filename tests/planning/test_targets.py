@@ -32,7 +32,7 @@ START = {"rotate outer": 0, "rotate inner": 0, "translate inner": -30}
 
 
 def pair(**keys: object) -> Scenario:
-    content = {"robot": "robots/table_5_pair.toml", "start": START, "planner": {"time_s": 1.5}, **keys}
+    content = {"robot": "robots/table_5_pair.toml", "start": START, "planner": {"time_s": 0.5}, **keys}
     return scenario_from_dict(content, file=str(SCENARIOS / "case.toml"))
 
 
@@ -260,7 +260,7 @@ def test_progress_never_runs_backwards() -> None:
     """Over several targets, an oscillation and a compensation: what is nearly done stays nearly done."""
     first = {"tip_mm": [50, 10, 200], "tolerance_mm": 1}
     second = {"tip_mm": [45, -15, 205], "tolerance_mm": 1}
-    case = pair(target=[first, second], planner={"time_s": 0.6, "settle": "oscillate"})
+    case = pair(target=[first, second], planner={"time_s": 0.2, "settle": "oscillate"})
     told: list[Progress] = []
     ctrplan.plan(case, seed=0, progress=told.append, compensated=True)
     searched = [progress.fraction for progress in told if progress.stage == "search"]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
+from made_up_input import FUZZ
 
 from ctrplan.effects.effect import CATALOGUE
 from ctrplan.measurement.measurements import Measurements
@@ -38,3 +40,14 @@ def continuous_motion() -> Measurements:
     nothing = np.zeros((12, 3))
     l = np.column_stack([0 * time - 2e-3, -0.02 + 0.004 * time])  # noqa: E741 (as in the equations)
     return Measurements(np.zeros(12, int), theta, l, np.arange(12), nothing, nothing, time, True)
+
+
+def pairs_of(names: Sequence[str]) -> list[tuple[str, str]]:
+    """Each name with the next one; with CTRPLAN_FUZZ set every two."""
+    return list(itertools.combinations(names, 2)) if FUZZ else list(zip(names, [*names[1:], names[0]], strict=True))
+
+
+def one_of_each_stage() -> list[str]:
+    """The first effect of each stage; with CTRPLAN_FUZZ set all effects."""
+    stages = [CATALOGUE[name].stage for name in CATALOGUE]
+    return [name for k, name in enumerate(CATALOGUE) if FUZZ or stages[k] not in stages[:k]]

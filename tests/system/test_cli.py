@@ -53,7 +53,7 @@ def test_plan_writes_everything_whole(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "worst-case friction error" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("targets", [[REST], [REST, AWAY], [AWAY, AWAY, REST]])
+@pytest.mark.parametrize("targets", [[REST], [REST, AWAY, AWAY, REST]])
 def test_targets_reached_already_are_planned_and_written(targets: list[dict[str, float]], tmp_path: Path) -> None:
     robot = SCENARIOS / "robots" / "table_5_pair.toml"
     content = {"robot": str(robot), "start": REST, "target": [{"joints": goal} for goal in targets]}
@@ -121,11 +121,6 @@ def test_what_a_failed_solve_leaves_is_json_all_the_same(capsys: pytest.CaptureF
     [
         (["plan", "nowhere.toml"], 2, ["nowhere.toml"]),
         (["plan", str(SCENARIOS / "ribs.toml"), "--time", "-1"], 2, ["--time", "-1", "above 0"]),
-        (
-            ["plan", str(SCENARIOS / "ribs.toml"), "--set", "goal.tip_mm=[900,0,0]", "--time", "0.5"],
-            1,
-            ["goal.tip_mm", "out of reach"],
-        ),
         (["plan", str(SCENARIOS / "ribs.toml"), "--set", "cost.pth=1"], 2, ["pth", "path"]),
         (["bound", ROBOT, "--theta-deg", "0", "0", "--l-mm", "0", "-17", "-40"], 2, ["--theta-deg", "3 values"]),
         (
@@ -208,7 +203,7 @@ def test_all_outputs_or_none(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
 
 
-@pytest.mark.parametrize("seconds", [0.0, 0.01, 0.1, 0.4, 0.9])
+@pytest.mark.parametrize("seconds", [0.01, 0.9])  # others, at random: test_running_faults.py
 def test_ctrl_c_at_any_moment(tmp_path: Path, seconds: float) -> None:
     """Never a traceback: 130, and all files or none."""
     command = [sys.executable, "-c", INTERRUPTIBLE, "plan", str(SCENARIOS / "pair_free.toml"), "--time", "1"]

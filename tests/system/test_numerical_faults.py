@@ -53,11 +53,11 @@ def with_number(value: float, place: int) -> tuple[list[float], list[float]]:
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-@pytest.mark.parametrize("value", [*NOT_FINITE, *HUGE])
-def test_what_is_no_joint_value_is_refused_by_every_function(name: str, value: float) -> None:
-    for place in range(4):
-        with pytest.raises(InputError):
-            FUNCTIONS[name](*with_number(value, place))
+def test_what_is_no_joint_value_is_refused_by_every_function(name: str) -> None:
+    for value in [*NOT_FINITE, *HUGE]:
+        for place in range(4):
+            with pytest.raises(InputError):
+                FUNCTIONS[name](*with_number(value, place))
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
@@ -79,10 +79,10 @@ def test_a_leg_of_the_size_of_rounding_is_walked(size: float) -> None:
 
 
 @pytest.mark.parametrize("key", ["rotation_rad", "translation_m", "motion_m", "near_m", "point_spacing_m"])
-@pytest.mark.parametrize("value", [math.nan, 0.0, -1.0, 5e-324, -math.inf])
-def test_a_walk_that_would_not_end_is_refused(key: str, value: float) -> None:
-    with pytest.raises(InputError, match=f"{key} = .*must be a number from 1e-06 to 100"):
-        PathDensity(**{key: value})
+def test_a_walk_that_would_not_end_is_refused(key: str) -> None:
+    for value in (math.nan, 0.0, -1.0, 5e-324, -math.inf):
+        with pytest.raises(InputError, match=f"{key} = .*must be a number from 1e-06 to 100"):
+            PathDensity(**{key: value})
 
 
 @pytest.mark.parametrize("key", ["stability", "max_strain", "clearance_m"])
