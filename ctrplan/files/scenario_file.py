@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args
 
+import msgspec
 import numpy as np
 from msgspec import Meta, Struct
 
@@ -245,7 +246,7 @@ def _build(document: Document, for_robot: Sequence[str], allow_outside: bool) ->
         anatomy=anatomy,
         frame=entry.frame,
         fixtures=tuple(fixture(TomlTable(document, ("fixture", k), allow_outside)) for k in range(len(entry.fixture))),
-        margins=Margins(entry.margins.stability, entry.margins.max_strain),
+        margins=Margins(**msgspec.structs.asdict(entry.margins)),
         cost=_cost(entry.cost),
         planner=planner_settings(TomlTable(document, ("planner",))),
         path=document.file,
