@@ -84,17 +84,17 @@ class Difference:
     @property
     def sentence(self) -> str:
         """Figure and both values, without a full stop."""
-        stated, found = (x if isinstance(x, str) else f"{x:.6g}" for x in (self.stated, self.found))
-        return f"{self.figure} is stated as {stated} and found to be {found}"
+        stated, result = (x if isinstance(x, str) else f"{x:.6g}" for x in (self.stated, self.found))
+        return f"{self.figure} is stated as {stated} and found to be {result}"
 
 
-def differences(stated: Any, found: Any, *, of: str = "", skip: tuple[str, ...] = ()) -> tuple[Difference, ...]:
+def differences(stated: Any, result: Any, *, of: str = "", skip: tuple[str, ...] = ()) -> tuple[Difference, ...]:
     """The differences of two dataclasses of one kind, fields in `skip` left out; figures are named `of` and the field.
 
     Of sequences of unlike lengths the lengths are compared, of texts whether they are alike.
     """
     names = (entry.name for entry in fields(stated) if entry.name not in skip)
-    return tuple(d for name in names for d in _compared(of + name, getattr(stated, name), getattr(found, name)))
+    return tuple(d for name in names for d in _compared(of + name, getattr(stated, name), getattr(result, name)))
 
 
 def path_differences(waypoints: Array, trajectory: Array, certified: Array) -> tuple[Difference, ...]:
@@ -113,26 +113,26 @@ def path_differences(waypoints: Array, trajectory: Array, certified: Array) -> t
     )
 
 
-def _compared(figure: str, stated: Any, found: Any) -> Iterator[Difference]:
-    if (stated is None) != (found is None) and (is_dataclass(stated) or is_dataclass(found)):
+def _compared(figure: str, stated: Any, result: Any) -> Iterator[Difference]:
+    if (stated is None) != (result is None) and (is_dataclass(stated) or is_dataclass(result)):
         yield Difference(figure, np.nan, np.nan)
     elif is_dataclass(stated):
-        yield from differences(stated, found, of=f"{figure}.")
+        yield from differences(stated, result, of=f"{figure}.")
     elif isinstance(stated, str):
-        if stated != found:
-            yield Difference(figure, stated, str(found))
+        if stated != result:
+            yield Difference(figure, stated, str(result))
     elif isinstance(stated, tuple):
-        if len(stated) != len(found):
-            yield Difference(figure, len(stated), len(found))
-        for number, (a, b) in enumerate(zip(stated, found, strict=False), start=1):
+        if len(stated) != len(result):
+            yield Difference(figure, len(stated), len(result))
+        for number, (a, b) in enumerate(zip(stated, result, strict=False), start=1):
             yield from _compared(f"{figure}.{number}", a, b)
     else:
-        yield from _numbers_compared(figure, stated, found)
+        yield from _numbers_compared(figure, stated, result)
 
 
-def _numbers_compared(figure: str, stated: Any, found: Any) -> Iterator[Difference]:
+def _numbers_compared(figure: str, stated: Any, result: Any) -> Iterator[Difference]:
     """The largest difference of numbers or arrays beyond what rounding may do; None counts as not a number."""
-    a, b = (np.asarray(np.nan if value is None else value, dtype=np.float64).ravel() for value in (stated, found))
+    a, b = (np.asarray(np.nan if value is None else value, dtype=np.float64).ravel() for value in (stated, result))
     if a.shape != b.shape:
         yield Difference(f"number of {figure}", len(a), len(b))
         return
@@ -320,16 +320,16 @@ class Certificate:
 
     def _differences(self, again: Certificate) -> tuple[Difference, ...]:
         """The differences of all figures, samples and targets included, from those of another walk of the same legs."""
-        found = differences(self, again, skip=("settling", "walk_again"))
+        result = differences(self, again, skip=("settling", "walk_again"))
         if self.settling is None:
-            return found
+            return result
         swinging = again.samples.leg >= self.settling.first_leg
         expected = replace(
             self.settling,
             min_clearance_m=float(again.samples.clearance_m[swinging].min(initial=np.inf)),
             goal_predicted_after_m=again.goal_predicted_m,
         )
-        return found + differences(self.settling, expected, of="settling.")
+        return result + differences(self.settling, expected, of="settling.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -385,15 +385,15 @@ def joined_certificates(stages: list[Certificate]) -> Certificate:
 
 def _closest(stages: list[Certificate], name: Literal["nominal", "closest", "narrowest"]) -> Closest | None:
     """The closest of all stages, that of least certified clearance for "narrowest"; leg and path are the tour's."""
-    found: list[tuple[float, Closest]] = []
+    results: list[tuple[float, Closest]] = []
     legs, travelled = 0, 0.0
     for stage in stages:
         place: Closest | None = getattr(stage, name)
         if place is not None:
             left_m = stage.min_clearance_m if name == "narrowest" else place.clearance_m
-            found.append((left_m, replace(place, leg=place.leg + legs, path_mm=place.path_mm + travelled)))
+            results.append((left_m, replace(place, leg=place.leg + legs, path_mm=place.path_mm + travelled)))
         legs, travelled = legs + _legs(stage), travelled + stage.length_mm
-    return min(found, key=lambda one: one[0])[1] if found else None
+    return min(results, key=lambda one: one[0])[1] if results else None
 
 
 def _all_again(stages: list[Certificate]) -> Callable[[Accuracy | None], Certificate] | None:

@@ -239,12 +239,12 @@ def load_plan(
     content = _json_object(file)
     entry = Document(content, file).to(PlanEntry)
     if isinstance(scenario, Scenario):
-        found = scenario
+        result = scenario
     else:
-        found = load_scenario(scenario or _scenario_file(entry, file), overrides, allow_outside=allow_outside)
-    _check_origin(entry, found, file)
+        result = load_scenario(scenario or _scenario_file(entry, file), overrides, allow_outside=allow_outside)
+    _check_origin(entry, result, file)
     beside = Path(file).parent / "trajectory.csv"
-    return _checked(found, content, file, played_samples(trajectory or beside, found.robot.drive))
+    return _checked(result, content, file, played_samples(trajectory or beside, result.robot.drive))
 
 
 def _json_object(file: str) -> dict[str, Any]:
