@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.reports import looks
-from ctrplan.reports.html_page import FONT, Markup, plot, section, table, tag
+from ctrplan.reports.html_page import FONT
 from ctrplan.reports.looks import view_box
 from ctrplan.reports.robot_surface import anatomy_surface
 from ctrplan.reports.scene_traces import anatomy_traces, lay_out, xyz
@@ -180,40 +180,29 @@ WORDS = {
     "morris": ("Their standard deviation", "Mean size of elementary effects", "Morris' elementary effects"),
 }
 
-BEYOND = (
-    "A share below 0 or above 1 is one that the samples are too few for: "
-    "it is 0 or 1 within its interval, and draws.count makes it narrower."
-)
 
-
-def sensitivity_section(
-    study: StudyDefinition, rows: StudyTable, judged: Quantity | None, library: list[bool]
-) -> list[Markup]:
-    """Nothing where nothing was drawn for it."""
+def shown_sensitivity(study: StudyDefinition, rows: StudyTable, judged: Quantity | None) -> dict[str, Any] | None:
+    """What a study's number depends on, drawn and in rows; None where nothing was drawn for it."""
     if judged is None or study.entry.draws.method == "random" or find_spec("SALib") is None:
-        return []
+        return None
     found = sensitivity(study, rows, judged.column)
     if found is None:
-        return []
+        return None
     first, total, title = WORDS[found.method]
-    order = np.argsort(-np.nan_to_num(found.total))
+    order = np.argsort(-np.nan_to_num(found.total)).tolist()
     lines = [
         [found.keys[k], digits(found.total[k]), f"± {digits(found.total_interval[k])}", digits(found.first[k])]
-        for k in order.tolist()
+        for k in order
     ]
-    drawn = plot(_figure(found, order.tolist(), total), "sensitivity", with_library=library[0])
-    library[0] = False
     kept = f"{found.used} of {found.count} {'base samples' if found.method == 'sobol' else 'trajectories'} were used"
-    left_out = tag("p", f"{kept}: in the others a task has no number.", kind="quiet hint")
-    return [
-        section(
-            f"What {judged.name} depends on: {title}",
-            drawn,
-            table(["", total, "95 % interval", first], lines),
-            left_out if found.used < found.count else "",
-            tag("p", BEYOND, kind="quiet hint") if found.method == "sobol" and _is_beyond(found) else "",
-        )
-    ]
+    return {
+        "title": title,
+        "figure": _figure(found, order, total),
+        "header": ["", total, "95 % interval", first],
+        "rows": lines,
+        "left_out": f"{kept}: in the others a task has no number." if found.used < found.count else "",
+        "is_beyond": found.method == "sobol" and _is_beyond(found),
+    }
 
 
 def _is_beyond(found: Sensitivity) -> bool:
