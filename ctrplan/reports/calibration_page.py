@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 from ctrplan.calibration.calibrate import Calibration
 from ctrplan.calibration.estimates import Errors
 from ctrplan.reports import looks
-from ctrplan.reports.html_page import FONT, plot, rendered
+from ctrplan.reports.html_page import FIGURE_TEXT, plot, rendered
 from ctrplan.reports.words import term
 
 
@@ -58,7 +58,7 @@ def errors_figure(found: Calibration) -> go.Figure:
     figure.update_yaxes(autorange="reversed")
     figure.update_layout(
         height=260, margin={"l": 110, "r": 20, "t": 20, "b": 50}, plot_bgcolor="white", paper_bgcolor="white",
-        font={"family": FONT, "color": looks.INK, "size": 13}, legend={"orientation": "h", "y": 1.2},
+        font=FIGURE_TEXT, legend={"orientation": "h", "y": 1.2},
     )  # fmt: skip
     return figure
 

@@ -17,7 +17,7 @@ from ctrplan.drive.drive import UNITS, Kind
 from ctrplan.motion.checker import path_limits
 from ctrplan.plans.planned_motion import leg_end_s, sample_time_s
 from ctrplan.reports import looks
-from ctrplan.reports.html_page import FONT
+from ctrplan.reports.html_page import FIGURE_TEXT
 from ctrplan.reports.words import millimetres
 
 if TYPE_CHECKING:
@@ -229,7 +229,7 @@ def stacked_figure(panels: Sequence[Panel], timeline: Timeline) -> go.Figure:
         shapes=[_cursor(0.0), *shades],
         hovermode="x unified",
         plot_bgcolor="rgba(0,0,0,0)",
-        font={"color": looks.INK, "size": 13, "family": FONT},
+        font=FIGURE_TEXT,
         uirevision="stays",
     )
     figure.update_xaxes(range=[0, timeline.end_s], showgrid=False)

@@ -17,7 +17,7 @@ from ctrplan.diagnosis.localise import quantities
 from ctrplan.diagnosis.result import Diagnosis
 from ctrplan.pipeline.term import Term
 from ctrplan.reports import looks
-from ctrplan.reports.html_page import FONT
+from ctrplan.reports.html_page import FIGURE_TEXT
 
 PARTS = 8  # of a quantity's range, by rank
 LEAST_M = 1e-9  # a shift that has a direction
@@ -182,7 +182,7 @@ def _styled(figure: Any, height: int = HEIGHT) -> go.Figure:
     figure.update_layout(
         height=height,
         margin={"l": 60, "r": 20, "t": 20, "b": 50},
-        font={"family": FONT, "color": looks.INK, "size": 13},
+        font=FIGURE_TEXT,
         plot_bgcolor="white",
         paper_bgcolor="white",
         legend={"orientation": "h", "y": 1.12},

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ctrplan.base.arrays import Array
 from ctrplan.reports import looks
-from ctrplan.reports.html_page import FONT
+from ctrplan.reports.html_page import FIGURE_TEXT
 from ctrplan.reports.looks import view_box
 from ctrplan.reports.robot_surface import anatomy_surface
 from ctrplan.reports.scene_traces import anatomy_traces, lay_out, xyz
@@ -225,7 +225,7 @@ def _figure(found: Sensitivity, order: list[int], label: str) -> go.Figure:
         height=90 + ROW * len(names),
         margin={"l": 10, "r": 12, "t": 8, "b": 44},
         plot_bgcolor="#fff",
-        font={"color": looks.INK, "size": 13, "family": FONT},
+        font=FIGURE_TEXT,
     )
     figure.update_xaxes(title_text=label, gridcolor=looks.GRID, rangemode="tozero")
     figure.update_yaxes(autorange="reversed", automargin=True)
@@ -275,7 +275,7 @@ def trade_off_figure(table: StudyTable, judged: Quantity, others: list[Quantity]
         height=HEIGHT,
         margin={"l": 60, "r": 12, "t": 44, "b": 48},
         plot_bgcolor="#fff",
-        font={"color": looks.INK, "size": 13, "family": FONT},
+        font=FIGURE_TEXT,
         legend={"orientation": "h", "x": 1, "xanchor": "right", "y": 1.02, "yanchor": "bottom"},
     )
     figure.update_xaxes(title_text=judged.label, gridcolor=looks.GRID)
