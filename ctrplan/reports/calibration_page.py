@@ -13,39 +13,41 @@ from ctrplan.reports.html_page import FIGURE_TEXT, plot, rendered
 from ctrplan.reports.words import term
 
 
-def calibration_report_html(found: Calibration) -> str:
+def calibration_report_html(calibration: Calibration) -> str:
     """The content of report.html."""
-    robot = found.fit.chain.robot
-    kept_aside = [(_mm(e.rms_m), term("held-out poses", "rms error after, kept aside")) for e in [found.held_out] if e]
+    robot = calibration.fit.chain.robot
+    kept_aside = [
+        (_mm(e.rms_m), term("held-out poses", "rms error after, kept aside")) for e in [calibration.held_out] if e
+    ]
     return rendered(
         "calibration.html",
         title=f"Calibration of {robot.name}",
-        found=found,
+        calibration=calibration,
         robot=robot,
-        data=found.data,
-        headline=headline(found),
-        sentence=_sentence(found),
-        standing="good" if found.fit.converged and not found.notes else "caution",
+        data=calibration.data,
+        headline=headline(calibration),
+        sentence=_sentence(calibration),
+        standing="good" if calibration.fit.converged and not calibration.notes else "caution",
         figures=[
-            (_mm(found.nominal.rms_m), term("rms", "rms error before")),
-            (_mm(found.training.rms_m), term("rms", "rms error after, poses fitted")),
+            (_mm(calibration.nominal.rms_m), term("rms", "rms error before")),
+            (_mm(calibration.training.rms_m), term("rms", "rms error after, poses fitted")),
             *kept_aside,
-            (_mm(found.model_error_m), "model error written into the file"),
-            (found.training.poses, "poses fitted"),
+            (_mm(calibration.model_error_m), "model error written into the file"),
+            (calibration.training.poses, "poses fitted"),
         ],
-        errors=plot(errors_figure(found), "errors", with_library=True),
+        errors=plot(errors_figure(calibration), "errors", with_library=True),
     )
 
 
-def headline(found: Calibration) -> str:
+def headline(calibration: Calibration) -> str:
     """Usual errors before and after, on poses kept aside if there are any."""
-    after = found.held_out or found.training
-    return f"Errors of {_mm(found.nominal.rms_m)} became {_mm(after.rms_m)}"
+    after = calibration.held_out or calibration.training
+    return f"Errors of {_mm(calibration.nominal.rms_m)} became {_mm(after.rms_m)}"
 
 
-def errors_figure(found: Calibration) -> go.Figure:
+def errors_figure(calibration: Calibration) -> go.Figure:
     """Usual errors with their intervals, and the largest ones."""
-    names, sets = zip(*_sets(found), strict=True)
+    names, sets = zip(*_sets(calibration), strict=True)
     rms = [1e3 * errors.rms_m for errors in sets]
     low, high = ([abs(1e3 * e.rms_ci95_m[k] - r) for e, r in zip(sets, rms, strict=True)] for k in (0, 1))
     bars = {"type": "data", "symmetric": False, "array": high, "arrayminus": low, "color": looks.MUTED}
@@ -63,19 +65,19 @@ def errors_figure(found: Calibration) -> go.Figure:
     return figure
 
 
-def _sets(found: Calibration) -> Iterator[tuple[str, Errors]]:
-    yield "before", found.nominal
-    yield "after, fitted", found.training
-    if found.held_out is not None:
-        yield "after, kept aside", found.held_out
+def _sets(calibration: Calibration) -> Iterator[tuple[str, Errors]]:
+    yield "before", calibration.nominal
+    yield "after, fitted", calibration.training
+    if calibration.held_out is not None:
+        yield "after, kept aside", calibration.held_out
 
 
-def _sentence(found: Calibration) -> str:
-    where = "on poses kept aside" if found.held_out else "on the poses fitted; none were kept aside"
-    after = found.held_out or found.training
-    ended = "" if found.fit.converged else " The fit did not converge: its values are not the best ones."
+def _sentence(calibration: Calibration) -> str:
+    where = "on poses kept aside" if calibration.held_out else "on the poses fitted; none were kept aside"
+    after = calibration.held_out or calibration.training
+    ended = "" if calibration.fit.converged else " The fit did not converge: its values are not the best ones."
     return (
-        f"Tips were {_mm(found.nominal.rms_m)} off before (rms), and are {_mm(after.rms_m)} off after, {where}, "
+        f"Tips were {_mm(calibration.nominal.rms_m)} off before (rms), and are {_mm(after.rms_m)} off after, {where}, "
         f"{_mm(after.max_m)} at most.{ended}"
     )
 

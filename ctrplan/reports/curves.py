@@ -70,7 +70,7 @@ class Panel:
 
     @property
     def label(self) -> str:
-        """Of the axis: quantity and unit."""
+        """The label of the axis: quantity and unit."""
         return f"{self.quantity} ({self.unit})" if self.unit else self.quantity
 
     @property
@@ -98,7 +98,7 @@ class Timeline:
 
     @property
     def end_s(self) -> float:
-        """Of the axis, never 0: a motion may take no time."""
+        """The end of the axis, never 0: a motion may take no time."""
         return max(self.duration_s, 1e-3)
 
     @property

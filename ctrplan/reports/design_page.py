@@ -25,31 +25,31 @@ OBJECTIVES = {
 MOST_ROWS = 30
 
 
-def write_design_report(found: TubeDesigns) -> None:
+def write_design_report(designs: TubeDesigns) -> None:
     """Writes it into the search's folder. Raises CtrplanError where the system refuses."""
-    write_atomically(found.folder / "report.html", design_report_html(found))
+    write_atomically(designs.folder / "report.html", design_report_html(designs))
 
 
-def design_report_html(found: TubeDesigns) -> str:
+def design_report_html(designs: TubeDesigns) -> str:
     """The content of report.html."""
-    entries, search, objectives = found.entries(), found.search, found.search.entry.objectives
+    entries, search, objectives = designs.entries(), designs.search, designs.search.entry.objectives
     names = [*dict.fromkeys([*objectives, "within"])]
     first, *others = (OBJECTIVES[name] for name in objectives)
-    trade_off = trade_off_figure(found.table, first, others) if found.front else None
-    seconds = sum(value or 0.0 for value in found.table.columns["seconds"])
+    trade_off = trade_off_figure(designs.table, first, others) if designs.front else None
+    seconds = sum(value or 0.0 for value in designs.table.columns["seconds"])
     return rendered(
         "design.html",
         title=f"Tube design - {search.name}",
         kicker=f"Search over {len(search.space.names)} choices, {len(search.points_mm)} targets",
         search=search,
         entries=entries,
-        verdict=_verdict(found, entries),
+        verdict=_verdict(designs, entries),
         trade_off="" if trade_off is None else plot(trade_off, "trade-off", with_library=True),
         names=names,
         titles=[OBJECTIVES[name].label if name in OBJECTIVES else "share within tolerance" for name in names],
         shown=lambda value: digits(value) if isinstance(value, float) else str(value),
-        plans=_plans(found),
-        reasons=of_reasons(found.table),
+        plans=_plans(designs),
+        reasons=of_reasons(designs.table),
         provenance=[
             ("Design file", search.document.file or "not from a file"),
             ("Scenario", search.entry.scenario),
@@ -62,13 +62,13 @@ def design_report_html(found: TubeDesigns) -> str:
     )
 
 
-def _verdict(found: TubeDesigns, entries: list[dict[str, Any]]) -> str:
-    done, given_up, unable = found.counts
-    sentence = f"{len(found.archive.all):,} designs were looked at, {given_up:,} of them given up early"
+def _verdict(designs: TubeDesigns, entries: list[dict[str, Any]]) -> str:
+    done, given_up, unable = designs.counts
+    sentence = f"{len(designs.archive.all):,} designs were looked at, {given_up:,} of them given up early"
     sentence += f", {unable:,} can't be made or reach nothing. {len(entries)} are on the front."
     if entries:
         best = entries[0]
-        first = OBJECTIVES[found.search.entry.objectives[0]]
+        first = OBJECTIVES[designs.search.entry.objectives[0]]
         sentence += f" The best by {first.name} has {digits(best[first.column])} {first.unit}".rstrip()
         sentence += (
             f", reaches {percent(best['reach'])} of the targets, {percent(best['within'])} within the tolerance "
@@ -77,9 +77,9 @@ def _verdict(found: TubeDesigns, entries: list[dict[str, Any]]) -> str:
     return sentence
 
 
-def _plans(found: TubeDesigns) -> list[list[str]]:
+def _plans(designs: TubeDesigns) -> list[list[str]]:
     """A row for each design whose plans were made."""
-    rows = found.plans
+    rows = designs.plans
     if rows is None:
         return []
     lines = []

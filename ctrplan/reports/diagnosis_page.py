@@ -31,22 +31,22 @@ FRAMED = looks.SERIES[4]
 LEAST_SHOWN = 0.002  # of the bar
 
 
-def gap_split(found: Diagnosis) -> Markup:
+def gap_split(diagnosis: Diagnosis) -> Markup:
     """Parts of the mean squared error on the poses kept aside, calibrated without effects, as a bar with its key."""
-    gap = found.gap
+    gap = diagnosis.gap
     whole = max(gap.before.rms_m, gap.after.rms_m, gap.floor_m) ** 2
     noise = min(gap.floor_m, gap.after.rms_m) ** 2 / whole
     remaining = gap.after.rms_m**2 / whole - noise
-    names = " and ".join(t.effect.title for t in found.listed if t.name not in FRAMES) or "effects"
-    built = max(found.named_gap.after.rms_m**2 - gap.after.rms_m**2, 0.0) / whole if found.named_gap else 0.0
+    names = " and ".join(t.effect.title for t in diagnosis.listed if t.name not in FRAMES) or "effects"
+    built = max(diagnosis.named_gap.after.rms_m**2 - gap.after.rms_m**2, 0.0) / whole if diagnosis.named_gap else 0.0
     built = min(built, max(1 - remaining - noise, 0.0))
     named = max(1 - remaining - noise - built, 0.0)
-    framed = max(1 - found.framed_gap.after.rms_m**2 / whole, 0.0) if found.framed_gap else 0.0
-    framed = min(framed, named) if any(t.name not in FRAMES for t in found.listed) else named if framed else 0.0
+    framed = max(1 - diagnosis.framed_gap.after.rms_m**2 / whole, 0.0) if diagnosis.framed_gap else 0.0
+    framed = min(framed, named) if any(t.name not in FRAMES for t in diagnosis.listed) else named if framed else 0.0
     parts = [
         ("frames of robot and tracker, found with the rest", framed, FRAMED),
         (f"named: {names}", named - framed, NAMED),
-        (f"built: {' and '.join(t.effect.title for t in found.built_terms)}", built, BUILT),
+        (f"built: {' and '.join(t.effect.title for t in diagnosis.built_terms)}", built, BUILT),
         ("remains, unexplained", remaining, REMAINING),
         ("noise of the measurement", noise, NOISE),
     ]
@@ -70,16 +70,16 @@ def share_table(partly: PartialDiagnosis) -> Markup:
     return rendered("diagnosis_shares.html", parts=partly.parts)
 
 
-def _estimated(found: Diagnosis, t: Term) -> Iterator[tuple[str, str, str]]:
-    for name, e in estimates(found.chosen.fit, t).items():
+def _estimated(diagnosis: Diagnosis, t: Term) -> Iterator[tuple[str, str, str]]:
+    for name, e in estimates(diagnosis.chosen.fit, t).items():
         yield name, e.shown, e.shown_ci95
 
 
-def _effects(found: Diagnosis, errors: SelectionErrors) -> Iterator[dict[str, Any]]:
+def _effects(diagnosis: Diagnosis, errors: SelectionErrors) -> Iterator[dict[str, Any]]:
     """Each effect of the verdict: drawn, its parameters, and what fits worse in its place."""
     for number, signature in enumerate(errors.signatures):
-        t, drawn, compared = signature.term, signature_figure(signature), found.judgement.compared
-        values = estimates(found.chosen.fit, t).items()
+        t, drawn, compared = signature.term, signature_figure(signature), diagnosis.judgement.compared
+        values = estimates(diagnosis.chosen.fit, t).items()
         yield {
             "term": t,
             "figure": plot(drawn, f"signature_{number}", with_library=number == 0, kind="plot twin"),
@@ -106,46 +106,46 @@ MEANING = (
 )
 
 
-def write_diagnosis_report(path: str | os.PathLike[str], found: Diagnosis, errors: SelectionErrors) -> None:
+def write_diagnosis_report(path: str | os.PathLike[str], diagnosis: Diagnosis, errors: SelectionErrors) -> None:
     """Write report.html, one file that loads nothing, whole or not at all."""
-    write_atomically(path, diagnosis_report_html(found, errors))
+    write_atomically(path, diagnosis_report_html(diagnosis, errors))
 
 
-def diagnosis_report_html(found: Diagnosis, errors: SelectionErrors) -> str:
+def diagnosis_report_html(diagnosis: Diagnosis, errors: SelectionErrors) -> str:
     """The content of report.html."""
-    good = found.verdict in ("named", "no_missing_effect") and not found.interrupted
-    gap, left = found.gap, found.judgement.adequacy
+    good = diagnosis.verdict in ("named", "no_missing_effect") and not diagnosis.interrupted
+    gap, left = diagnosis.gap, diagnosis.judgement.adequacy
     return rendered(
         "diagnosis.html",
-        title=f"Diagnosis of {found.robot.name}",
-        found=found,
-        robot=found.robot,
-        data=found.data,
-        headline=headline(found),
-        verdict=verdict_sentence(found),
-        standing="good" if good else "caution" if found.partly and not found.interrupted else "bad",
+        title=f"Diagnosis of {diagnosis.robot.name}",
+        diagnosis=diagnosis,
+        robot=diagnosis.robot,
+        data=diagnosis.data,
+        headline=headline(diagnosis),
+        verdict=verdict_sentence(diagnosis),
+        standing="good" if good else "caution" if diagnosis.partly and not diagnosis.interrupted else "bad",
         figures=[
             (millimetres(gap.before.rms_m), term("rms", "rms error, calibrated without effects")),
             (millimetres(gap.after.rms_m), term("rms", "rms error with the effects")),
             (millimetres(gap.floor_m), term("noise", "noise of the measurement")),
             (gap.after.poses, term("held-out poses", "poses kept aside")),
         ],
-        split=gap_split(found),
-        shares=share_table(found.partly) if found.partly else "",
-        effects=list(_effects(found, errors)),
-        built_lines=built_lines(found),
-        where=plot(where_figure(found, errors), "where", with_library=not errors.signatures, kind="plot twin"),
-        gap=plot(gap_figure(found), "gap"),
-        path=plot(path_figure(found), "path") if found.path else "",
+        split=gap_split(diagnosis),
+        shares=share_table(diagnosis.partly) if diagnosis.partly else "",
+        effects=list(_effects(diagnosis, errors)),
+        built_lines=built_lines(diagnosis),
+        where=plot(where_figure(diagnosis, errors), "where", with_library=not errors.signatures, kind="plot twin"),
+        gap=plot(gap_figure(diagnosis), "gap"),
+        path=plot(path_figure(diagnosis), "path") if diagnosis.path else "",
         regions=[("all", gap.before, gap.after), *((name, *both) for name, both in gap.regions.items())],
-        proposals=[_proposed(proposal) for proposal in found.proposals],
+        proposals=[_proposed(proposal) for proposal in diagnosis.proposals],
         remaining=[
             ("all poses of the selection", left.total),
             ("between configurations", left.between),
             ("between approaches of one configuration", left.within),
             ("poses kept aside", gap.chi_square),
         ],
-        estimated=partial(_estimated, found),
+        estimated=partial(_estimated, diagnosis),
         mm=millimetres,
         unit=unit,
         MEANING=MEANING,

@@ -88,7 +88,7 @@ dt {{ font-weight: 600; }} dd {{ margin: 0 0 8px; color: {looks.MUTED}; max-widt
 
 def script(name: str) -> str:
     """The content of a JavaScript file of this package."""
-    return (files("ctrplan.reports") / name).read_text(encoding="utf-8")
+    return (files("ctrplan.reports") / "scripts" / name).read_text(encoding="utf-8")
 
 
 def plot(
@@ -126,11 +126,15 @@ def _templates() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined  # when a page is made and not before
 
     loader = PackageLoader("ctrplan.reports")
-    found = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    found.globals.update({name: getattr(words, name) for name in ("TERMS", "term", "millimetres", "degrees", "digits")})
-    found.globals.update(POLICY=Markup(POLICY), STYLE=Markup(STYLE), version=__version__)
-    found.filters["abs"], found.tests["finite"] = abs, math.isfinite
-    return found
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.globals.update(
+        {name: getattr(words, name) for name in ("TERMS", "term", "millimetres", "degrees", "digits")}
+    )
+    environment.globals.update(POLICY=Markup(POLICY), STYLE=Markup(STYLE), version=__version__)
+    environment.filters["abs"], environment.tests["finite"] = abs, math.isfinite
+    return environment
 
 
 def rendered(template: str, **content: Any) -> Markup:

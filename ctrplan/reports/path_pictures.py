@@ -235,8 +235,8 @@ def _ends(axis: SweepAxis) -> tuple[float, float]:
 
 def _status(result: Sweep) -> NDArray[np.int_]:
     """(K,) status; a bound that is not a number counts as failed."""
-    found = result.bounds.status
-    return np.where(result.usable | (found == Status.UNSTABLE), found, int(Status.FAILED))
+    outcome = result.bounds.status
+    return np.where(result.usable | (outcome == Status.UNSTABLE), outcome, int(Status.FAILED))
 
 
 def _bound_mm(result: Sweep) -> Array:

@@ -79,8 +79,8 @@ def _closest(scene: PlanScene, side: Array) -> dict[str, Any]:
 
 
 def _mm(point_m: Array) -> list[float]:
-    found: list[float] = np.round(point_m * 1e3, 3).tolist()
-    return found
+    results: list[float] = np.round(point_m * 1e3, 3).tolist()
+    return results
 
 
 NAMES: dict[Kind, str] = {
@@ -225,7 +225,7 @@ def _goal(plan: Plan) -> list[Any]:
     return traces
 
 
-SCRIPTS = ("fit_camera.js", "scene_key.js", "plan_page/player.js", "plan_page/looking.js")
+SCRIPTS = ("fit_camera.js", "scene_key.js", "player.js", "looking.js")
 CURVES = ("margins", "joints")  # where the time is marked
 SHORTEST_FRAME_MS, LONGEST_FRAME_MS = 60, 200  # a motion plays in real time where that is neither jerky nor dull
 

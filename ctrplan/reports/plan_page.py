@@ -93,11 +93,11 @@ def plan_report_html(scene: PlanScene) -> str:
 
 def uncertainty_section(plan: Plan) -> Markup:
     """Nothing where nothing is stated to be uncertain."""
-    found = plan.uncertainty
-    if found is None:
+    result = plan.uncertainty
+    if result is None:
         return Markup()
-    rows, stated = uncertainty_rows(plan), stated_in_words(found)
-    return rendered("plan_uncertainty.html", uncertainty=found, rows=rows, stated=stated)
+    rows, stated = uncertainty_rows(plan), stated_in_words(result)
+    return rendered("plan_uncertainty.html", uncertainty=result, rows=rows, stated=stated)
 
 
 def _moves(plan: Plan, leg: Leg) -> Iterator[str]:

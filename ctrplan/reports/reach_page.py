@@ -37,14 +37,14 @@ class ReachScene:
     poses: tuple[tuple[int, RobotPose], ...]  # branch, and the robot in its first configuration
 
 
-def reach_scene(scenario: Scenario, found: Reach, branches: list[int]) -> ReachScene:
+def reach_scene(scenario: Scenario, reach: Reach, branches: list[int]) -> ReachScene:
     """Solves a bound for each branch that is drawn."""
     poses = []
     for branch in range(min(MOST_DRAWN, len(set(branches)))):
         with suppress(SolverError):
-            poses.append((branch, pose(scenario, found.configurations[branches.index(branch)].joints)))
-    target = scenario.located(np.asarray(found.target.tip_m))
-    return ReachScene(scenario, found.configurations, tuple(branches), target, tuple(poses))
+            poses.append((branch, pose(scenario, reach.configurations[branches.index(branch)].joints)))
+    target = scenario.located(np.asarray(reach.target.tip_m))
+    return ReachScene(scenario, reach.configurations, tuple(branches), target, tuple(poses))
 
 
 def reach_figure(scene: ReachScene) -> go.Figure:

@@ -53,7 +53,7 @@ class BasePoses:
 
     @classmethod
     def of(cls, rows: StudyTable, column: str) -> BasePoses | None:
-        """Of a study with several base poses, by a column of which less is better; None of another."""
+        """Base poses of a study with several of them, by a column of which less is better; None of another study."""
         if not all(name in rows.columns for name in (*COLUMNS, column)):
             return None
         each = np.column_stack([rows[name] for name in COLUMNS])
@@ -199,11 +199,11 @@ def _tiles(table: StudyTable, judged: Quantity | None) -> list[tuple[str, str]]:
 def _maps(
     study: StudyDefinition, table: StudyTable, shown: list[Quantity], library: list[bool]
 ) -> list[dict[str, Any]]:
-    found = []
+    results = []
     for where, title, name in MAPS:
         if places := Places.of(table, where):
             code = script("fit_camera.js") + script("scene_key.js") + MAP_SCRIPT.replace("NAME", name)
             figure = map_figure(study.scenario, table, places, shown)
             drawn = _plot(figure, name, library, script=code, kind="plot scene")
-            found.append({"title": title, "name": name, "figure": drawn, "points": len(places.points_mm)})
-    return found
+            results.append({"title": title, "name": name, "figure": drawn, "points": len(places.points_mm)})
+    return results

@@ -67,13 +67,13 @@ def quantities(study: StudyDefinition, table: StudyTable) -> list[Quantity]:
     outside = {*FIRST, *LAST, *TIMING, *inputs_of(study, table)}
     known = {quantity.column: quantity for quantity in KNOWN}
     order = [judged_by(study), *known, *table.columns]
-    found = []
+    results = []
     for column in dict.fromkeys(name for name in order if name in table.columns and name not in outside):
         values = table[column]
         is_judged = column == judged_by(study) and values.dtype == np.float64 and bool(np.isfinite(values).any())
         if is_judged or (values.dtype == np.float64 and spread(values) > 0):
-            found.append(known.get(column) or _named(column, is_flag(table, column)))
-    return found
+            results.append(known.get(column) or _named(column, is_flag(table, column)))
+    return results
 
 
 def is_flag(table: StudyTable, column: str) -> bool:
@@ -105,14 +105,14 @@ _NUMBER = re.compile(r"-?\d[\d.,]*(e-?\d+)?")
 
 def along_axes(study: StudyDefinition, rows: StudyTable, judged: Quantity | None) -> list[Any]:
     """Name, header and rows of each input with a few values: tasks, what became of them, what they are judged by."""
-    found = []
+    results = []
     for name in inputs_of(study, rows):
         values = rows.columns[name]
         distinct = sorted(set(values), key=lambda value: (str(type(value)), value))
         if 2 <= len(distinct) <= MOST_VALUES and not name.startswith(("target_", "base_")):
             lines = [_line(rows, np.array([v == value for v in values]), value, judged) for value in distinct]
-            found.append((name, _head(rows, name, judged), lines))
-    return found
+            results.append((name, _head(rows, name, judged), lines))
+    return results
 
 
 def _head(rows: StudyTable, name: str, judged: Quantity | None) -> list[str]:
