@@ -97,7 +97,7 @@ MUTANTS = (
         "np.sqrt(far**2 - half_m**2)",
         "np.sqrt(far**2 + half_m**2)",
         "the body between two points is nearer than they are",
-        "tests/planning/test_friction_cube.py tests/planning/test_closest_places.py",
+        "tests/planning/test_certificate.py::test_pieces_of_a_body_cover_it",
     ),
     Mutant(
         "ctrplan/certificate/friction_cube.py",
@@ -175,7 +175,7 @@ MUTANTS = (
         "CHI95 = 2.795483 ",
         "CHI95 = 1.959964 ",
         "95 % of distances in space lie within the worst case",
-        "tests/uncertainty/test_worst_case.py",
+        "tests/planning/test_plan_uncertainty.py::test_registration_alone_misses_by_a_chi_distribution",
     ),
 )
 
